@@ -1,0 +1,1 @@
+"""metropilot drives metro trains."""

@@ -1,0 +1,63 @@
+"""The exceptions metropilot raises at its edges.
+
+``MetropilotError``
+ ├── ``InputError``       a file, field, number, unit, station or option is not usable (exit code 2)
+ │    └── ``Infeasible``  the input is well formed but physics or time does not allow it
+ └── ``SolverError``      a solver stopped without an answer (never the user's fault)
+"""
+
+from __future__ import annotations
+
+
+class MetropilotError(Exception):
+    """Base of every exception metropilot raises on purpose."""
+
+
+class InputError(MetropilotError, ValueError):
+    """Input that cannot be used: one line that says what, where, and what is allowed.
+
+    Args:
+        message: What is wrong, in words.
+        file: The file or catalogue entry it stands in.
+        field: The field (dotted path), option or argument.
+        value: The offending value as given.
+        unit: The unit the value was read in.
+        allowed: The allowed range, kind or list of values, in words.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        file: object = None,
+        field: str | None = None,
+        value: object = None,
+        unit: str | None = None,
+        allowed: str | None = None,
+    ) -> None:
+        self.message = message
+        self.file = None if file is None else str(file)
+        self.field = field
+        self.value = value
+        self.unit = unit
+        self.allowed = allowed
+        super().__init__(self.line())
+
+    def line(self) -> str:
+        """The whole story on one line: ``file: field: message: value unit (allowed: ...)``."""
+        head = ": ".join(part for part in (self.file, self.field, self.message) if part)
+        if self.value is not None:
+            head += f": {self.value!r}" if isinstance(self.value, str) else f": {self.value}"
+            if self.unit:
+                head += f" {self.unit}"
+        if self.allowed:
+            head += f" (allowed: {self.allowed})"
+        return " ".join(head.split())
+
+
+class Infeasible(InputError):
+    """No drive can meet the request; the message names the bound that forbids it."""
+
+
+class SolverError(MetropilotError, RuntimeError):
+    """A solver stopped without an answer."""

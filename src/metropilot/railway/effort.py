@@ -1,0 +1,134 @@
+"""Effort curves: the traction or braking force a trainset has at each speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from metropilot.errors import InputError
+
+
+@dataclass(frozen=True)
+class EffortPiece:
+    """One piece of an effort curve: ``min(cap, h/v + c0 + c1 v + c2 v^2 + c3 v^3)``, never below zero.
+
+    Attributes:
+        from_mps: Speed at which the piece begins, m/s; it ends where the next begins.
+        polynomial: Coefficients ``(c0, c1, c2, c3)`` in N, N/(m/s), N/(m/s)^2, N/(m/s)^3.
+        power_w: Numerator ``h`` of the hyperbola, W.
+        cap_n: Upper bound, N (infinite: none).
+    """
+
+    from_mps: float
+    polynomial: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    power_w: float = 0.0
+    cap_n: float = float("inf")
+
+
+@dataclass(frozen=True)
+class EffortCurve:
+    """A force over speed, given as pieces by increasing speed, the first from standstill.
+
+    A table is a curve of linear pieces; a force/power hyperbola is one piece with a cap.
+    """
+
+    pieces: tuple[EffortPiece, ...]
+
+    def __post_init__(self) -> None:
+        if not self.pieces:
+            raise InputError("an effort curve needs at least one piece")
+        starts = [p.from_mps for p in self.pieces]
+        if starts[0] != 0.0 or any(b <= a for a, b in zip(starts[:-1], starts[1:], strict=True)):
+            raise InputError(
+                "the pieces of an effort curve must begin at 0 and increase", value=starts[0], unit="m/s"
+            )
+
+    def at(self, speed_mps: Float[ndarray, "..."] | float) -> Float[ndarray, "..."]:
+        """Force at each speed, N (the railway layer's own float64 look-up, for drawing and for checks)."""
+        speed = np.atleast_1d(np.asarray(speed_mps, dtype=np.float64))
+        starts = np.array([p.from_mps for p in self.pieces])
+        index = np.clip(np.searchsorted(starts, speed, side="right") - 1, 0, None)
+        coefficients = np.array([p.polynomial for p in self.pieces])[index]
+        power = np.array([p.power_w for p in self.pieces])[index]
+        cap = np.array([p.cap_n for p in self.pieces])[index]
+        value = power / np.maximum(speed, 1e-6) + np.einsum("nk,nk->n", coefficients, speed[:, None] ** np.arange(4))
+        return np.clip(value, 0.0, cap).reshape(np.shape(speed_mps))
+
+    def scaled(self, factor: float) -> EffortCurve:
+        """The same curve with every force multiplied."""
+        return EffortCurve(
+            tuple(
+                EffortPiece(
+                    p.from_mps,
+                    (
+                        p.polynomial[0] * factor,
+                        p.polynomial[1] * factor,
+                        p.polynomial[2] * factor,
+                        p.polynomial[3] * factor,
+                    ),
+                    p.power_w * factor,
+                    p.cap_n * factor,
+                )
+                for p in self.pieces
+            )
+        )
+
+    @classmethod
+    def constant(cls, force_n: float) -> EffortCurve:
+        """The same force at every speed."""
+        return cls((EffortPiece(0.0, (force_n, 0.0, 0.0, 0.0)),))
+
+    @classmethod
+    def force_power(cls, force_n: float, power_w: float) -> EffortCurve:
+        """``min(force, power / v)``."""
+        return cls((EffortPiece(0.0, power_w=power_w, cap_n=force_n),))
+
+    @classmethod
+    def table(cls, speed_mps: Float[ndarray, " points"], force_n: Float[ndarray, " points"]) -> EffortCurve:
+        """Linear between the points, constant after the last."""
+        speed, force = np.asarray(speed_mps, float), np.asarray(force_n, float)
+        slopes = np.append(np.diff(force) / np.diff(speed), 0.0)
+        return cls(
+            tuple(
+                EffortPiece(float(v), (float(f - s * v), float(s), 0.0, 0.0))
+                for v, f, s in zip(speed, force, slopes, strict=True)
+            )
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Efficiency:
+    """Share of the power that arrives, constant or a map over speed and effort.
+
+    Attributes:
+        speed_mps: Speeds of the map, increasing, m/s. Shape (S,). One entry: constant over speed.
+        effort_share: Share of the available effort, increasing, in [0, 1]. Shape (E,).
+        value: Efficiency in (0, 1], bilinear between the points, held outside. Shape (S, E).
+    """
+
+    speed_mps: Float[ndarray, " speeds"]
+    effort_share: Float[ndarray, " shares"]
+    value: Float[ndarray, "speeds shares"]
+
+    def __post_init__(self) -> None:
+        for name in ("speed_mps", "effort_share", "value"):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        if self.value.shape != (self.speed_mps.size, self.effort_share.size):
+            raise InputError("an efficiency map needs one row per speed and one column per effort share")
+        if not ((self.value > 0) & (self.value <= 1)).all():
+            raise InputError("efficiency out of range", value=float(self.value.min()), allowed="0 < efficiency <= 1")
+
+    @classmethod
+    def constant(cls, value: float) -> Efficiency:
+        """The same efficiency everywhere."""
+        return cls(np.zeros(1), np.zeros(1), np.array([[value]]))
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether speed and effort do not matter."""
+        return self.value.size == 1

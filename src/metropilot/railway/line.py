@@ -1,0 +1,260 @@
+"""Lines, stations and the sections between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from metropilot.errors import InputError
+from metropilot.railway.profile import Steps
+
+
+
+@dataclass(frozen=True)
+class Station:
+    """A stop of the line.
+
+    Attributes:
+        code: Short unique code, e.g. ``RJ``.
+        name: English name.
+        position_m: Stopping point of the trainset's head, m along the line.
+        pinyin: Romanised name where it differs from ``name``.
+        local_name: Name in the local script.
+    """
+
+    code: str
+    name: str
+    position_m: float
+    pinyin: str = ""
+    local_name: str = ""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A stretch whose curvature changes linearly from its start to its end (a clothoid; equal ends: an arc).
+
+    Attributes:
+        from_m: Where it begins, m; it ends where the next curve begins.
+        curvature_start_per_m: Signed curvature 1/radius at the start, 1/m (0 is straight).
+        curvature_end_per_m: The same at the end.
+    """
+
+    from_m: float
+    curvature_start_per_m: float
+    curvature_end_per_m: float
+
+
+@dataclass(frozen=True)
+class Tunnel:
+    """A tunnel: where it begins, how long it is (m) and its cross section (m^2)."""
+
+    from_m: float
+    length_m: float
+    cross_section_m2: float
+
+
+@dataclass(frozen=True)
+class Restriction:
+    """A temporary speed restriction between two positions local to the section.
+
+    Attributes:
+        from_m: Start, m from the section's origin.
+        to_m: End, m from the section's origin.
+        limit_mps: The restricted speed.
+    """
+
+    from_m: float
+    to_m: float
+    limit_mps: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.from_m, self.to_m]).all() and self.from_m < self.to_m):
+            raise InputError(
+                "a restriction must end after it begins",
+                field="restriction",
+                value=f"{self.from_m:g} to {self.to_m:g}",
+                unit="m",
+                allowed="from < to, finite",
+            )
+        if not (np.isfinite(self.limit_mps) and self.limit_mps > 0):
+            raise InputError(
+                "a restriction needs a speed", field="restriction", value=self.limit_mps, unit="m/s", allowed="> 0"
+            )
+
+
+@dataclass(frozen=True)
+class Section:
+    """The track from one stop to another, in positions local to its origin and in the direction of travel.
+
+    Profiles reach far enough before the origin for the trainset's tail and past the destination for an
+    overshoot: their outer pieces hold without end.
+
+    Attributes:
+        line_id: The line it was cut from.
+        origin: Station the run starts from.
+        destination: Station the run stops at.
+        length_m: Distance between the two stopping points.
+        limit_mps: Speed limits, value in m/s.
+        gradient_permil: Gradients in the direction of travel, positive uphill.
+        curves: Curves, local positions, by increasing position.
+        tunnels: Tunnels, local positions.
+        planned_time_s: The timetable's running time, where the line knows it.
+        restrictions: Temporary speed restrictions in force.
+    """
+
+    line_id: str
+    origin: Station
+    destination: Station
+    length_m: float
+    limit_mps: Steps
+    gradient_permil: Steps
+    curves: tuple[Curve, ...] = ()
+    tunnels: tuple[Tunnel, ...] = ()
+    planned_time_s: float | None = None
+    restrictions: tuple[Restriction, ...] = ()
+
+    def restricted(self, restriction: Restriction) -> Section:
+        """The section with one more temporary speed restriction in force."""
+        limit = self.limit_mps.lowered(restriction.from_m, restriction.to_m, restriction.limit_mps)
+        return replace(self, limit_mps=limit, restrictions=(*self.restrictions, restriction))
+
+    @property
+    def name(self) -> str:
+        """``ORIGIN-DESTINATION`` by code."""
+        return f"{self.origin.code}-{self.destination.code}"
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line: stations and the track between them, positions growing in the forward direction.
+
+    Attributes:
+        id: Catalogue id or file stem.
+        name: Full name.
+        stations: By increasing position, at least two.
+        limit_mps: Speed limits, value in m/s; they hold in both directions.
+        gradient_permil: Gradients in the forward direction, positive uphill.
+        curves: Curves by increasing position (empty: straight).
+        tunnels: Tunnels.
+        altitude_m: Altitude at position 0.
+        planned_forward_s: Planned running time of each section, forward order, or empty.
+        planned_backward_s: The same for the opposite direction, listed in *forward* section order
+            (entry k is the section between stations k and k+1), or empty.
+        dwell_s: Planned dwell at each intermediate station, forward order, or empty.
+        source: Where each block of data comes from: block name to citation.
+        notes: Corrections and remarks worth showing to a user.
+        extra: Keys of the source file that metropilot does not use, kept for writing back.
+        unused: Names of the blocks of the file that were read but have no effect.
+    """
+
+    id: str
+    name: str
+    stations: tuple[Station, ...]
+    limit_mps: Steps
+    gradient_permil: Steps
+    curves: tuple[Curve, ...] = ()
+    tunnels: tuple[Tunnel, ...] = ()
+    altitude_m: float = 0.0
+    planned_forward_s: tuple[float, ...] = ()
+    planned_backward_s: tuple[float, ...] = ()
+    dwell_s: tuple[float, ...] = ()
+    source: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    extra: Mapping[str, Any] = field(default_factory=dict)
+    unused: tuple[str, ...] = ()
+
+    def station(self, key: str) -> Station:
+        """The station a user means by a code, a name, or a unique beginning of one (case, spaces ignored).
+
+        Raises:
+            InputError: No station matches, or more than one does (the matches are listed).
+        """
+        return find_station(self, key)
+
+    def section(self, origin: str | Station, destination: str | Station) -> Section:
+        """Cut the run between two stations (not necessarily neighbours) in either direction.
+
+        Raises:
+            InputError: A station is unknown or ambiguous, or both are the same.
+        """
+        start = origin if isinstance(origin, Station) else self.station(origin)
+        end = destination if isinstance(destination, Station) else self.station(destination)
+        return cut_section(self, start, end)
+
+    def sections(self, *, backward: bool = False) -> tuple[Section, ...]:
+        """Every section between neighbouring stations, in the order a trainset meets them."""
+        stops = self.stations[::-1] if backward else self.stations
+        return tuple(self.section(a, b) for a, b in zip(stops[:-1], stops[1:], strict=True))
+
+
+def _key(text: str) -> str:
+    return "".join(ch for ch in text.casefold() if ch.isalnum())
+
+
+def find_station(line: Line, key: str) -> Station:
+    """See :meth:`Line.station`."""
+    wanted = _key(key)
+    exact = [s for s in line.stations if wanted in {_key(s.code), _key(s.name), _key(s.pinyin), _key(s.local_name)} - {""}]
+    if len(exact) == 1:
+        return exact[0]
+    names = [(s, {_key(s.name), _key(s.pinyin), _key(s.code)}) for s in line.stations]
+    begins = [s for s, keys in names if wanted and any(k.startswith(wanted) for k in keys)]
+    if len(begins) == 1:
+        return begins[0]
+    listed = ", ".join(f"{s.code} ({s.name})" for s in (exact or begins or line.stations))
+    problem = "ambiguous station, it matches several" if (exact or begins) else "unknown station"
+    raise InputError(problem, file=line.id, field="station", value=key, allowed=listed)
+
+
+def _planned(line: Line, start: int, end: int) -> float | None:
+    low, high = min(start, end), max(start, end)
+    table = line.planned_forward_s if end > start else (line.planned_backward_s or line.planned_forward_s)
+    return float(table[low]) if table and high - low == 1 else None
+
+
+def cut_section(line: Line, start: Station, end: Station) -> Section:
+    """See :meth:`Line.section`."""
+    if start.position_m == end.position_m:
+        raise InputError(
+            "origin and destination are the same station", file=line.id, field="destination", value=end.code
+        )
+    origin, backward = start.position_m, end.position_m < start.position_m
+    if backward:
+        limit = line.limit_mps.mirrored(origin)
+        gradient = line.gradient_permil.mirrored(origin, -1.0)
+        curves = _mirrored_curves(line.curves, origin)
+        tunnels = tuple(replace(t, from_m=origin - t.from_m - t.length_m) for t in line.tunnels[::-1])
+    else:
+        limit, gradient = line.limit_mps.shifted(origin), line.gradient_permil.shifted(origin)
+        curves = tuple(replace(c, from_m=c.from_m - origin) for c in line.curves)
+        tunnels = tuple(replace(t, from_m=t.from_m - origin) for t in line.tunnels)
+    index = {s.code: k for k, s in enumerate(line.stations)}
+    return Section(
+        line_id=line.id,
+        origin=start,
+        destination=end,
+        length_m=abs(end.position_m - start.position_m),
+        limit_mps=limit,
+        gradient_permil=gradient,
+        curves=curves,
+        tunnels=tunnels,
+        planned_time_s=_planned(line, index[start.code], index[end.code]),
+    )
+
+
+def _mirrored_curves(curves: tuple[Curve, ...], origin_m: float) -> tuple[Curve, ...]:
+    """Curves seen from the other direction; what lay beyond the last one stays as the last piece was at its end."""
+    if not curves:
+        return ()
+    starts = [c.from_m for c in curves]
+    beyond = Curve(origin_m - starts[-1] - 1e6, curves[-1].curvature_end_per_m, curves[-1].curvature_end_per_m)
+    turned = [
+        Curve(origin_m - starts[k + 1], -curves[k].curvature_end_per_m, -curves[k].curvature_start_per_m)
+        for k in range(len(curves) - 2, -1, -1)
+    ]
+    before = Curve(origin_m - starts[0], 0.0, 0.0)
+    last = replace(beyond, curvature_start_per_m=-beyond.curvature_start_per_m, curvature_end_per_m=-beyond.curvature_end_per_m)
+    return (last, *turned, before)
