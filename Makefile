@@ -1,0 +1,71 @@
+# Every target sets up .venv by itself; python3 (3.11 or newer) and make are all it needs.
+PYTHON ?= python3
+PYTHONS ?= python3.11 python3.12 python3.13
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.setup-stamp
+BENCH_STAMP := $(VENV)/.bench-stamp
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+
+# Two test processes, each single-threaded: small networks get slower on two threads.
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
+	XLA_FLAGS="--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+WORKERS ?= 2
+ARGS ?=
+
+SECTION := yizhuang RJ WYJ --time 101
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test check lint types layers docs bench constraints clean
+
+help:  ## list the targets
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+
+setup: $(STAMP)  ## make .venv with everything development needs
+
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+		echo "error: metropilot needs Python 3.11 or newer, but '$(PYTHON)' is" \
+		"$$($(PYTHON) --version 2>/dev/null || echo missing); choose another: make PYTHON=python3.12" >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV) >/dev/null 2>&1 || { \
+		echo "error: '$(PYTHON) -m venv' failed; on Debian and Ubuntu: apt-get install python3-venv" >&2; exit 1; }
+	@echo "setup: installing into $(VENV) (once; a minute or two)"
+	@$(PIP) --editable '.[dev]'
+	@touch $@
+
+$(BENCH_STAMP): $(STAMP)
+	@$(PIP) --editable '.[dev,nlp]'
+	@touch $@
+
+demo: $(STAMP)  ## drive a real section near the energy optimum and draw it
+	$(BIN)/metropilot drive $(SECTION) --driver optimal --out demo/drive
+	$(BIN)/metropilot compare $(SECTION) --drivers optimal,manual,flat_out --out demo/compare
+	@echo "The picture of the drive: demo/drive/profile.png; the comparison: demo/compare/"
+
+test: $(STAMP)  ## run the tests (ARGS="-k protection" is passed to pytest)
+	$(ONE_THREAD) $(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
+
+check: lint types layers docs  ## lint, format, types, layers, documentation
+
+lint: $(STAMP)  ## ruff: rules and format
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(STAMP)  ## pyright
+	$(BIN)/basedpyright
+
+layers: $(STAMP)  ## imports only point left
+	$(BIN)/lint-imports --no-cache
+
+docs: $(STAMP)  ## build the documentation strictly into site/
+	$(BIN)/mkdocs build --strict --quiet
+
+bench: $(BENCH_STAMP)  ## run the benchmarks (adds the extra nlp to .venv)
+	$(BIN)/python -m benchmarks
+
+constraints:  ## resolve constraints.txt anew under each of PYTHONS
+	$(PYTHON) tools/constraints.py $(PYTHONS)
+
+clean:  ## remove what the targets made, .venv included
+	rm -rf $(VENV) site demo build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
