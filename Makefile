@@ -1,7 +1,7 @@
 # Every target sets up .venv by itself; python3 (3.11 or newer) and make are all it needs.
 PYTHON ?= python3
 PYTHONS ?= python3.11 python3.12 python3.13
-VENV := .venv
+VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-stamp
 BENCH_STAMP := $(VENV)/.bench-stamp
@@ -16,7 +16,7 @@ ARGS ?=
 SECTION := yizhuang RJ WYJ --time 101
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check lint types layers docs bench constraints clean
+.PHONY: help setup demo test check lint types layers docs bench constraints api clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -55,7 +55,7 @@ types: $(STAMP)  ## pyright
 	$(BIN)/basedpyright
 
 layers: $(STAMP)  ## imports only point left
-	$(BIN)/lint-imports --no-cache
+	$(BIN)/lint-imports --no-cache --no-logo
 
 docs: $(STAMP)  ## build the documentation strictly into site/
 	$(BIN)/mkdocs build --strict --quiet
@@ -65,6 +65,9 @@ bench: $(BENCH_STAMP)  ## run the benchmarks (adds the extra nlp to .venv)
 
 constraints:  ## resolve constraints.txt anew under each of PYTHONS
 	$(PYTHON) tools/constraints.py $(PYTHONS)
+
+api: $(STAMP)  ## write docs/api.md anew from the packages' public doors
+	$(BIN)/python tools/api_page.py
 
 clean:  ## remove what the targets made, .venv included
 	rm -rf $(VENV) site demo build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache

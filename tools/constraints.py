@@ -25,11 +25,8 @@ def resolve(interpreter: str) -> tuple[str, dict[str, str]]:
     """Return the Python version of an interpreter and the versions that pip resolves under it."""
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder, "report.json")
-        subprocess.run(
-            [interpreter, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed"]
-            + ["--report", str(report), f"{ROOT}[dev,nlp]"],
-            check=True,
-        )
+        install = f"{interpreter} -m pip install --quiet --dry-run --ignore-installed --report".split()
+        subprocess.run([*install, str(report), f"{ROOT}[dev,nlp]"], check=True)
         answer = json.loads(report.read_text())
     rows = (item["metadata"] for item in answer["install"])
     versions = {row["name"].lower().replace("_", "-"): row["version"] for row in rows}
@@ -45,7 +42,7 @@ def marker(pythons: list[str], newest: str) -> str:
 
 
 def merge(resolved: dict[str, dict[str, str]]) -> list[str]:
-    """Merge the versions of each Python, oldest first, into constraint lines, with markers only where they differ."""
+    """Merge the versions of each Python (oldest first) into lines, with markers where they differ."""
     pythons_of: dict[str, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
     for python, versions in resolved.items():
         for name, version in versions.items():
@@ -54,7 +51,8 @@ def merge(resolved: dict[str, dict[str, str]]) -> list[str]:
     lines = []
     for name, by_version in sorted(pythons_of.items()):
         for version, pythons in by_version.items():
-            lines.append(f"{name}=={version}" + (f" ; {marker(pythons, newest)}" if len(by_version) > 1 else ""))
+            suffix = f" ; {marker(pythons, newest)}" if len(by_version) > 1 else ""
+            lines.append(f"{name}=={version}{suffix}")
     return lines
 
 

@@ -1,0 +1,22 @@
+"""What every test runs under: checked shapes and types, strict numerics, reproducible searches.
+
+Nothing here imports JAX, so that a test of lines and trainsets does not pay for it.
+"""
+
+import os
+
+from hypothesis import settings
+from jaxtyping import install_import_hook
+
+# JAX reads these when it is first imported: no silent promotion of dtypes or ranks, CPU only.
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+os.environ["JAX_NUMPY_DTYPE_PROMOTION"] = "strict"
+os.environ["JAX_NUMPY_RANK_PROMOTION"] = "raise"
+os.environ["MPLBACKEND"] = "Agg"
+
+# Every annotated function of metropilot checks its arguments' types and array shapes.
+install_import_hook("metropilot", "beartype.beartype")
+
+settings.register_profile("dev", deadline=None, print_blob=True)
+settings.register_profile("ci", deadline=None, print_blob=True, derandomize=True, database=None)
+settings.load_profile("ci" if os.environ.get("CI") else "dev")

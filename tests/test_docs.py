@@ -1,0 +1,92 @@
+"""Every example in README.md and docs/ runs: Python blocks and `metropilot` command lines, in page order.
+
+One page is one test with one namespace and one empty working folder. HTML comments steer it:
+`<!-- test: skip -->` before a block leaves that block out, `<!-- test: exit 2 -->` says that its commands end
+with that code, and `<!-- test: slow -->` anywhere marks the whole page as slow.
+"""
+
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+SLOW = "<!-- test: slow -->"
+BLOCK = re.compile(
+    r"(?:<!-- test: (?P<directive>skip|exit \d+) -->\n+)?"
+    r"^```(?P<language>python|console|sh|bash)\n(?P<text>.*?)^```$",
+    re.DOTALL | re.MULTILINE,
+)
+
+
+@dataclass(frozen=True)
+class Block:
+    """One example of a page."""
+
+    language: str
+    text: str
+    line: int
+    directive: str
+
+    @property
+    def commands(self) -> list[list[str]]:
+        """The `metropilot` command lines of a shell block, continuation lines joined, prompts removed."""
+        joined = self.text.replace("\\\n", " ")
+        lines = (line.removeprefix("$ ") for line in joined.splitlines())
+        return [shlex.split(line, comments=True) for line in lines if line.startswith("metropilot ")]
+
+
+def blocks_of(text: str) -> list[Block]:
+    """Return the runnable blocks of a page in order."""
+    found = []
+    for match in BLOCK.finditer(text):
+        line = text.count("\n", 0, match.start("text"))
+        found.append(Block(match["language"], match["text"], line, match["directive"] or ""))
+    return [block for block in found if block.directive != "skip"]
+
+
+def pages() -> list:
+    """Return every page that has something to run, slow ones marked."""
+    rows = []
+    for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
+        text = path.read_text()
+        if any(block.language == "python" or block.commands for block in blocks_of(text)):
+            marks = [pytest.mark.slow] if SLOW in text else []
+            rows.append(pytest.param(path, id=path.relative_to(ROOT).as_posix(), marks=marks))
+    return rows
+
+
+def run_command(command: list[str], code: int) -> None:
+    """Run one `metropilot` line with the command of this environment."""
+    program = Path(sys.executable).with_name(command[0])
+    done = subprocess.run([program, *command[1:]], capture_output=True, text=True, check=False)
+    said = f"{shlex.join(command)}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+    assert done.returncode == code, said
+    assert "Traceback" not in done.stderr, said
+
+
+@pytest.mark.parametrize("page", pages())
+def test_examples_run(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    namespace = {"__name__": "__example__"}
+    for block in blocks_of(page.read_text()):
+        if block.language == "python":
+            exec(compile("\n" * block.line + block.text, str(page), "exec"), namespace)
+        for command in block.commands:
+            run_command(command, code=int(block.directive.removeprefix("exit ") or 0))
+
+
+def test_blocks_are_found_with_their_directives():
+    page = (
+        "<!-- test: exit 2 -->\n```console\n$ metropilot drive a \\\n  b  # why\nanswer\n```\n\n"
+        "<!-- test: skip -->\n```python\nraise ValueError\n```\n\n```python\nx = 1\n```\n"
+    )
+    shell, python = blocks_of(page)
+    assert shell.commands == [["metropilot", "drive", "a", "b"]]
+    assert shell.directive == "exit 2"
+    assert python.text == "x = 1\n"
+    assert python.commands == []
