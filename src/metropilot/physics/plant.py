@@ -1,0 +1,174 @@
+"""The plant: one step of one trainset. Batch it with ``jax.vmap``; run it alone in NumPy."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from metropilot.physics.arrays import Scalar, namespace
+from metropilot.physics.effort import (
+    brake_available_n,
+    command_force_n,
+    electric_available_n,
+    traction_available_n,
+)
+from metropilot.physics.energy import step_energy
+from metropilot.physics.integrators import INTEGRATORS
+from metropilot.physics.resistance import resistance_and_gradient
+from metropilot.physics.types import Array, Forces, State, Track, Vehicle
+
+
+class Command(NamedTuple):
+    """What reaches the trainset: the command, and whether protection has the emergency brake on.
+
+    Attributes:
+        share: Command in [-1, 1].
+        emergency: True cuts traction and applies the emergency brake, whatever ``share`` says.
+    """
+
+    share: Array
+    emergency: Array = False
+
+
+def at_rest(
+    vehicle: Vehicle, *, delay_steps: int = 0, position_m: float = 0.0, speed_mps: float = 0.0, time_s: float = 0.0
+) -> State:
+    """A state with nothing on its way through the actuation (NumPy; move it to JAX with ``jnp.asarray``).
+
+    Args:
+        vehicle: The trainset (only its number type matters).
+        delay_steps: Steps of dead time the pipeline must hold; see :func:`delay_steps`.
+        position_m: Position of the head.
+        speed_mps: Speed.
+        time_s: Time.
+    """
+    dtype = np.asarray(vehicle.mass_kg).dtype
+    zero = dtype.type(0.0)
+    return State(
+        time_s=dtype.type(time_s),
+        position_m=dtype.type(position_m),
+        speed_mps=dtype.type(speed_mps),
+        acceleration_mps2=zero,
+        share=zero,
+        pipeline=np.zeros(delay_steps + 1, dtype),
+        forces=Forces(zero, zero, zero, zero, zero),
+        traction_j=zero,
+        electric_brake_j=zero,
+        line_j=zero,
+        recovered_j=zero,
+    )
+
+
+def delay_steps(delay_s: float, dt: float) -> int:
+    """Slots a pipeline needs beyond the newest for a dead time (a static shape: decide it outside ``jit``)."""
+    return int(np.ceil(delay_s / dt - 1e-9)) if delay_s > 0 else 0
+
+
+def delayed(pipeline: Array, delay_s: Scalar, dt: Scalar) -> Scalar:
+    """The command that acts during this step: the one issued ``delay_s`` ago, blended between two periods."""
+    xp = namespace(pipeline, delay_s)
+    age = xp.clip(delay_s / dt, 0.0, pipeline.shape[0] - 1.0)
+    weights = xp.maximum(1.0 - xp.abs(xp.arange(pipeline.shape[0], dtype=pipeline.dtype) - age), 0.0)
+    return xp.sum(weights * pipeline)
+
+
+def actuate(vehicle: Vehicle, state: State, command: Command, dt: Scalar) -> tuple[Array, Scalar]:
+    """Dead time and lag (Huang25 eq. 4 with K = 1): the new pipeline and the share after both."""
+    xp = namespace(state.position_m, command.share)
+    share = xp.clip(command.share, -1.0, 1.0)
+    pipeline = xp.concatenate([xp.reshape(share, (1,)), state.pipeline[:-1]])
+    target = delayed(pipeline, vehicle.delay_s, dt)
+    keep = xp.where(vehicle.lag_s > 0, xp.exp(-dt / xp.maximum(vehicle.lag_s, 1e-6)), 0.0)
+    return pipeline, target + (state.share - target) * keep
+
+
+def wheel_force(
+    vehicle: Vehicle, state: State, share: Scalar, emergency: Scalar, resisting_n: Scalar, dt: Scalar
+) -> Scalar:
+    """Signed wheel force of this step: the effort asked for, reached no faster than the jerk limit allows."""
+    xp = namespace(state.position_m, share)
+    v = state.speed_mps
+    wanted = xp.where(emergency, -vehicle.emergency_n, command_force_n(vehicle, v, share))
+    jerk = xp.where(emergency, vehicle.emergency_jerk_mps3, vehicle.jerk_mps3)
+    target = (wanted - resisting_n) / vehicle.effective_mass_kg
+    room = jerk * dt
+    accel = xp.clip(target, state.acceleration_mps2 - room, state.acceleration_mps2 + room)
+    force = accel * vehicle.effective_mass_kg + resisting_n
+    floor = xp.where(emergency, vehicle.emergency_n, brake_available_n(vehicle, v))
+    return xp.clip(force, -floor, traction_available_n(vehicle, v))
+
+
+def split(vehicle: Vehicle, force_n: Scalar, speed_mps: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """Traction, electric and friction share of a signed wheel force: electric first, friction the rest."""
+    xp = namespace(force_n, speed_mps)
+    braking = xp.maximum(-force_n, 0.0)
+    electric = xp.minimum(braking, electric_available_n(vehicle, speed_mps))
+    return xp.maximum(force_n, 0.0), electric, braking - electric
+
+
+def step(
+    vehicle: Vehicle, track: Track, state: State, command: Command, dt: Scalar, integrator: str = "held"
+) -> State:
+    """One control period of the plant.
+
+    The wheel force is decided at the start of the period and held. A trainset that comes to a stand inside the
+    period stops there exactly (time advances only to that moment), and brakes hold it until traction exceeds
+    what holds it back.
+
+    Args:
+        vehicle: The trainset.
+        track: The section.
+        state: State at the start of the period.
+        command: Command given at the start of the period.
+        dt: Control period, s.
+        integrator: A key of ``INTEGRATORS``.
+
+    Returns:
+        The state at the end of the period, or at the stop.
+    """
+    xp = namespace(state.position_m, command.share)
+    x, v = state.position_m, state.speed_mps
+    pipeline, share = actuate(vehicle, state, command, dt)
+    resistance, gradient = resistance_and_gradient(vehicle, track, x, v)
+    force = wheel_force(vehicle, state, share, command.emergency, resistance + gradient, dt)
+    accel = (force - resistance - gradient) / vehicle.effective_mass_kg
+
+    def acceleration(at: Scalar, speed: Scalar) -> Scalar:
+        if at is x and speed is v:
+            return accel
+        r, g = resistance_and_gradient(vehicle, track, at, speed)
+        return (force - r - g) / vehicle.effective_mass_kg
+
+    moved, after = INTEGRATORS[integrator](acceleration, x, v, dt)
+    mean = (after - v) / dt
+    stops = after < 0
+    stop_s = xp.where(stops, v / xp.maximum(-mean, 1e-9), dt)
+    held_still = (v <= 0) & (accel <= 0)
+    duration = xp.where(held_still, dt, xp.where(stops, stop_s, dt))
+    moved = xp.where(held_still, 0.0, xp.where(stops, 0.5 * v * stop_s, moved))
+    after = xp.where(held_still | stops, 0.0, after)
+
+    traction, electric, friction = split(vehicle, force, v)
+    zero = xp.zeros_like(force)
+    forces = Forces(
+        xp.where(held_still, zero, traction),
+        xp.where(held_still, zero, electric),
+        xp.where(held_still, -gradient, friction),
+        xp.where(held_still, zero, resistance),
+        gradient,
+    )
+    work, braked, line, recovered = step_energy(vehicle, forces, 0.5 * (v + after), moved, duration)
+    return State(
+        time_s=state.time_s + duration,
+        position_m=x + moved,
+        speed_mps=after,
+        acceleration_mps2=xp.where(held_still, zero, accel),
+        share=share,
+        pipeline=pipeline,
+        forces=forces,
+        traction_j=state.traction_j + work,
+        electric_brake_j=state.electric_brake_j + braked,
+        line_j=state.line_j + line,
+        recovered_j=state.recovered_j + recovered,
+    )
