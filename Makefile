@@ -58,7 +58,7 @@ layers: $(STAMP)  ## imports only point left
 	$(BIN)/lint-imports --no-cache --no-logo
 
 docs: $(STAMP)  ## build the documentation strictly into site/
-	$(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 bench: $(BENCH_STAMP)  ## run the benchmarks (adds the extra nlp to .venv)
 	$(BIN)/python -m benchmarks

@@ -5,36 +5,25 @@ The root is a lazy door. ``import metropilot`` loads nothing but this file; a pa
 work on lines and trainsets ever waits for JAX.
 """
 
-from importlib import import_module
 from types import ModuleType
 
 __version__ = "0.1.0"
 
 __all__ = ["__version__"]
 
-_PACKAGES = (
-    "errors",
-    "railway",
-    "physics",
-    "protection",
-    "planning",
-    "task",
-    "drivers",
-    "learn",
-    "evaluate",
-    "studies",
-    "cli",
-    "web",
-)
-
 
 def __getattr__(name: str) -> ModuleType:
     """Import one of the packages on first use (PEP 562)."""
-    if name in _PACKAGES:
+    from importlib import import_module  # noqa: PLC0415 (the root stays weightless)
+    from importlib.util import find_spec  # noqa: PLC0415
+
+    if not name.startswith("_") and find_spec(f"{__name__}.{name}") is not None:
         return import_module(f"{__name__}.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    """List the public names, the lazy packages included."""
-    return sorted({*__all__, *_PACKAGES})
+    """List the public names: the version and the packages and modules that can be named."""
+    from pkgutil import iter_modules  # noqa: PLC0415
+
+    return sorted({*__all__, *(module.name for module in iter_modules(__path__))})
