@@ -1,0 +1,23 @@
+"""The driving problem: what is to be driven, what may go wrong, and what a driver sees."""
+
+from metropilot.task.run import (
+    CONTROL_PERIOD_S,
+    PUNCTUALITY_S,
+    STOP_TOLERANCE_M,
+    News,
+    Observation,
+    Outcome,
+    Run,
+    Scenario,
+)
+
+__all__ = [
+    "CONTROL_PERIOD_S",
+    "PUNCTUALITY_S",
+    "STOP_TOLERANCE_M",
+    "News",
+    "Observation",
+    "Outcome",
+    "Run",
+    "Scenario",
+]
