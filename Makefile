@@ -52,7 +52,7 @@ lint: $(STAMP)  ## ruff: rules and format
 	$(BIN)/ruff format --check .
 
 types: $(STAMP)  ## pyright
-	$(BIN)/basedpyright
+	$(BIN)/basedpyright --pythonpath $(BIN)/python
 
 layers: $(STAMP)  ## imports only point left
 	$(BIN)/lint-imports --no-cache --no-logo
