@@ -14,8 +14,8 @@ __all__ = ["__version__"]
 
 def __getattr__(name: str) -> ModuleType:
     """Import one of the packages on first use (PEP 562)."""
-    from importlib import import_module  # noqa: PLC0415 (the root stays weightless)
-    from importlib.util import find_spec  # noqa: PLC0415
+    from importlib import import_module
+    from importlib.util import find_spec
 
     if not name.startswith("_") and find_spec(f"{__name__}.{name}") is not None:
         return import_module(f"{__name__}.{name}")
@@ -24,6 +24,6 @@ def __getattr__(name: str) -> ModuleType:
 
 def __dir__() -> list[str]:
     """List the public names: the version and the packages and modules that can be named."""
-    from pkgutil import iter_modules  # noqa: PLC0415
+    from pkgutil import iter_modules
 
     return sorted({*__all__, *(module.name for module in iter_modules(__path__))})
