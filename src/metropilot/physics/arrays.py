@@ -1,8 +1,14 @@
-"""One array namespace for NumPy and JAX: every formula of the plant is written once, over it."""
+"""One array namespace for NumPy and JAX: every formula of the plant is written once, over it.
+
+A single drive in NumPy works on one number at a time, where NumPy's own ``where`` or ``clip`` cost a hundred times
+the arithmetic between them. :data:`scalars` gives the same few functions for single numbers; :func:`namespace`
+picks it, so that no formula knows.
+"""
 
 from __future__ import annotations
 
-from types import ModuleType
+from bisect import bisect_right
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,32 +17,73 @@ Scalar = Any
 """A 0-d float of whichever namespace is in use (NumPy scalar, JAX array or tracer)."""
 
 
-def namespace(*values: Any) -> ModuleType:
-    """``jax.numpy`` if any value lives in JAX, else ``numpy``; never imports JAX by itself."""
+def _maximum(a: Scalar, b: Scalar) -> Scalar:
+    return a if a >= b or a != a else b  # noqa: PLR0124 -- NaN wins, as in numpy.maximum
+
+
+def _minimum(a: Scalar, b: Scalar) -> Scalar:
+    return a if a <= b or a != a else b  # noqa: PLR0124 -- NaN wins, as in numpy.minimum
+
+
+def _clip(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
+    return _minimum(_maximum(x, low), high)
+
+
+def _where(condition: Scalar, yes: Any, no: Any) -> Any:
+    return yes if condition else no
+
+
+def _zeros_like(x: Scalar) -> Scalar:
+    return 0.0 * x
+
+
+scalars = SimpleNamespace(
+    maximum=_maximum, minimum=_minimum, clip=_clip, where=_where, zeros_like=_zeros_like, abs=abs, exp=np.exp
+)
+"""NumPy's functions of the same names, for single numbers."""
+
+_SINGLE = frozenset({float, int, bool, np.float64, np.float32, np.bool_, np.int64})
+
+
+def namespace(*values: Any) -> Any:
+    """``jax.numpy`` if any value lives in JAX, ``numpy`` if any is a NumPy array, else :data:`scalars`.
+
+    JAX is never imported here unless a value already lives there.
+    """
+    found: Any = scalars
     for value in values:
-        if type(value).__module__.startswith("jax"):
-            import jax.numpy as jnp
+        kind = type(value)
+        if kind in _SINGLE:
+            continue
+        if kind.__module__.startswith("jax"):
+            import jax.numpy as jnp  # noqa: PLC0415
 
             return jnp
-    return np
+        if np.ndim(value):
+            found = np
+    return found
 
 
 def locate(breaks: Any, x: Scalar) -> Scalar:
     """Index of the piece that holds at ``x``: the last break not beyond it, at least 0.
 
-    Padding breaks are infinite, so they are never chosen. Counting beats a binary search on the short,
-    padded lists of a section: it vectorises.
+    Padding breaks are infinite, so they are never chosen. In a compiled batch, counting beats a binary search on
+    the short, padded lists of a section: it vectorises.
 
     Args:
         breaks: Increasing positions. Shape (K,).
-        x: One position.
+        x: One position (in NumPy also an array of them).
     """
-    xp = namespace(breaks, x)
+    xp = namespace(x) if type(breaks) is np.ndarray else namespace(breaks, x)
+    if xp is scalars:
+        return max(bisect_right(breaks, x) - 1, 0)
+    if xp is np:
+        return np.maximum(np.searchsorted(breaks, x, side="right") - 1, 0)
     return xp.maximum(xp.sum(breaks <= x) - 1, 0)
 
 
 def to_jax(tree: Any) -> Any:
     """The same tuple of arrays in JAX: what a compiled function must close over (imports JAX)."""
-    import jax
+    import jax  # noqa: PLC0415
 
     return jax.tree.map(jax.numpy.asarray, tree)

@@ -67,17 +67,26 @@ def delay_steps(delay_s: float, dt: float) -> int:
 
 def delayed(pipeline: Array, delay_s: Scalar, dt: Scalar) -> Scalar:
     """The command that acts during this step: the one issued ``delay_s`` ago, blended between two periods."""
+    if pipeline.shape[-1] == 1:
+        return pipeline[0]
     xp = namespace(pipeline, delay_s)
     age = xp.clip(delay_s / dt, 0.0, pipeline.shape[0] - 1.0)
     weights = xp.maximum(1.0 - xp.abs(xp.arange(pipeline.shape[0], dtype=pipeline.dtype) - age), 0.0)
     return xp.sum(weights * pipeline)
 
 
+def pushed(pipeline: Array, newest: Scalar) -> Array:
+    """The pipeline one period later, the oldest command gone."""
+    xp = namespace(pipeline, newest)
+    first = xp.reshape(xp.asarray(newest, dtype=pipeline.dtype), (1,))
+    return xp.concatenate([first, pipeline[:-1]]) if pipeline.shape[-1] > 1 else first
+
+
 def actuate(vehicle: Vehicle, state: State, command: Command, dt: Scalar) -> tuple[Array, Scalar]:
     """Dead time and lag (Huang25 eq. 4 with K = 1): the new pipeline and the share after both."""
     xp = namespace(state.position_m, command.share)
     share = xp.clip(command.share, -1.0, 1.0)
-    pipeline = xp.concatenate([xp.reshape(share, (1,)), state.pipeline[:-1]])
+    pipeline = pushed(state.pipeline, share)
     target = delayed(pipeline, vehicle.delay_s, dt)
     keep = xp.where(vehicle.lag_s > 0, xp.exp(-dt / xp.maximum(vehicle.lag_s, 1e-6)), 0.0)
     return pipeline, target + (state.share - target) * keep

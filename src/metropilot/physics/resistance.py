@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from metropilot.physics.arrays import Scalar, locate, namespace
 from metropilot.physics.types import Track, Vehicle
 
 
-def potentials(track: Track, position_m: Scalar) -> Any:
-    """Altitude, curve and tunnel potential at one position. Shape (3,)."""
-    k = locate(track.node_m, position_m)
-    return track.potential[k] + track.slope[k] * (position_m - track.node_m[k])
-
-
-def felt_slopes(vehicle: Vehicle, track: Track, position_m: Scalar) -> Any:
+def felt_slopes(vehicle: Vehicle, track: Track, position_m: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     """Mean slope of each potential between tail and head; the slope at the head for a point mass.
 
     Returns:
-        Gradient (1), specific curve resistance (N/kg) and tunnel coefficient (N/(m/s)^2). Shape (3,).
+        Gradient (1), specific curve resistance (N/kg) and tunnel coefficient (N/(m/s)^2).
     """
-    xp = namespace(track.node_m, position_m)
-    head = potentials(track, position_m)
-    tail = potentials(track, position_m - vehicle.length_m)
-    at_head = track.slope[locate(track.node_m, position_m)]
-    return xp.where(vehicle.length_m > 0, (head - tail) / xp.maximum(vehicle.length_m, 1e-6), at_head)
+    xp = namespace(vehicle.length_m, position_m)
+    tail_m = position_m - vehicle.length_m
+    head, tail = locate(track.node_m, position_m), locate(track.node_m, tail_m)
+    past_head, past_tail = position_m - track.node_m[head], tail_m - track.node_m[tail]
+    per_length = 1.0 / xp.maximum(vehicle.length_m, 1e-6)
+    is_point = vehicle.length_m <= 0
+
+    def felt(j: int) -> Scalar:
+        at_head = track.slope[head, j]
+        rise = track.potential[head, j] - track.potential[tail, j]
+        rise = rise + at_head * past_head - track.slope[tail, j] * past_tail
+        return xp.where(is_point, at_head, rise * per_length)
+
+    return felt(0), felt(1), felt(2)
 
 
 def davis_n(vehicle: Vehicle, speed_mps: Scalar) -> Scalar:
@@ -40,7 +41,6 @@ def resistance_and_gradient(
     Sources: Huang25 eq. 3 (force balance), Chen23a eqs. 5 and 7. A gradient acts as the difference in altitude
     between head and tail over the length.
     """
-    felt = felt_slopes(vehicle, track, position_m)
-    curve_n = vehicle.mass_kg * felt[1]
-    tunnel_n = felt[2] * speed_mps * speed_mps
-    return davis_n(vehicle, speed_mps) + curve_n + tunnel_n, vehicle.mass_kg * vehicle.gravity_mps2 * felt[0]
+    gradient, curve_n_per_kg, tunnel = felt_slopes(vehicle, track, position_m)
+    resistance = davis_n(vehicle, speed_mps) + vehicle.mass_kg * curve_n_per_kg + tunnel * speed_mps * speed_mps
+    return resistance, vehicle.mass_kg * vehicle.gravity_mps2 * gradient
