@@ -1,0 +1,151 @@
+"""Lines, trainsets and journeys by catalogue id or from a file."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from metropilot.errors import InputError
+from metropilot.railway.journey import Journey
+from metropilot.railway.line import Line
+from metropilot.railway.node import Node, nearest
+from metropilot.railway.toml_journey import read_journey
+from metropilot.railway.toml_line import read_line
+from metropilot.railway.toml_trainset import read_trainset
+from metropilot.railway.trainset import Trainset
+from metropilot.railway.ttobench import read_ttobench
+
+_READERS: dict[str, Callable[[Node], Line | Trainset | Journey]] = {
+    "line": read_line,
+    "trainset": read_trainset,
+    "journey": read_journey,
+}
+
+
+def import_file(path: str | Path) -> Line | Trainset | Journey:
+    """Read a line, a trainset or a journey from a file: metropilot's TOML or TTOBench JSON.
+
+    Args:
+        path: A file ending in ``.toml`` or ``.json``.
+
+    Raises:
+        InputError: The file cannot be read, is of neither format, or is malformed: one line that names the file,
+            the field, the value, its unit and what is allowed.
+    """
+    path = Path(path)
+    text = _text(path)
+    if path.suffix.lower() == ".json":
+        return read_ttobench(Node(_parsed(path, text, _json, "JSON"), path), path.stem)
+    return _read_toml(text, path)
+
+
+def _read_toml(text: str, file: object) -> Line | Trainset | Journey:
+    root = Node(_parsed(file, text, tomllib.loads, "TOML"), file)
+    kind = root.text("kind", allowed=", ".join(_READERS))
+    if kind not in _READERS:
+        raise root.fail(f"unknown kind{nearest(kind, list(_READERS))}", "kind", kind, ", ".join(_READERS))
+    return _READERS[kind](root)
+
+
+def _text(path: Path) -> str:
+    if path.suffix.lower() not in {".toml", ".json"}:
+        raise InputError("unknown kind of file", file=path, allowed="a file ending in .toml or .json")
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError("not UTF-8 text", file=path, allowed="UTF-8") from error
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"cannot be read ({reason})", file=path, allowed="a readable file") from error
+
+
+def _json(text: str) -> object:
+    def refuse(name: str) -> float:
+        raise ValueError(f"{name} is not a number JSON knows")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def _parsed(file: object, text: str, parse: Callable[[str], object], name: str) -> dict[str, Any]:
+    try:
+        data = parse(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not valid {name} ({error})", file=file, allowed=f"a {name} document") from error
+    if not isinstance(data, dict):
+        raise InputError(f"not a {name} object", file=file, allowed=f"a {name} object at the top")
+    return data
+
+
+def list_lines() -> tuple[str, ...]:
+    """Ids of the lines in the catalogue."""
+    return _ids("lines")
+
+
+def list_trainsets() -> tuple[str, ...]:
+    """Ids of the trainsets in the catalogue."""
+    return _ids("trainsets")
+
+
+@lru_cache
+def _ids(folder: str) -> tuple[str, ...]:
+    names = (entry.name for entry in (files("metropilot.railway") / "catalogue" / folder).iterdir())
+    return tuple(sorted(name.removesuffix(".toml") for name in names if name.endswith(".toml")))
+
+
+@lru_cache
+def _from_catalogue(folder: str, key: str) -> Line | Trainset | Journey:
+    name = f"catalogue/{folder}/{key}.toml"
+    return _read_toml((files("metropilot.railway") / name).read_text(encoding="utf-8"), name)
+
+
+def _load(key: str | Path, folder: str, what: str, kind: type) -> Any:
+    if str(key).lower().endswith((".toml", ".json")):
+        found = import_file(key)
+        if not isinstance(found, kind):
+            other = type(found).__name__.lower()
+            raise InputError(f"describes a {other}, not a {what}", file=key, allowed=f"a file of a {what}")
+        return found
+    ids = _ids(folder)
+    if str(key) in ids:
+        return _from_catalogue(folder, str(key))
+    raise InputError(
+        f"unknown {what}{nearest(str(key), ids)}",
+        field=what,
+        value=str(key),
+        allowed=", ".join(ids) + ", or a path ending in .toml or .json",
+    )
+
+
+def load_line(id_or_path: str | Path) -> Line:
+    """A line of the catalogue, or of a file.
+
+    Args:
+        id_or_path: A catalogue id, or a path ending in ``.toml`` (metropilot) or ``.json`` (TTOBench track).
+
+    Raises:
+        InputError: No such id (the catalogue is listed), or the file is not usable.
+    """
+    return _load(id_or_path, "lines", "line", Line)
+
+
+def load_trainset(id_or_path: str | Path, load: str | None = None) -> Trainset:
+    """A trainset of the catalogue, or of a file, with one of its loads aboard.
+
+    Args:
+        id_or_path: A catalogue id or a path, as for :func:`load_line`; ``ID:LOAD`` names the load as well.
+        load: The load, e.g. ``AW2``; it wins over one named in ``id_or_path``.
+
+    Raises:
+        InputError: No such id or load, or the file is not usable.
+    """
+    key = str(id_or_path)
+    head, colon, tail = key.rpartition(":")
+    if colon and (head in list_trainsets() or head.lower().endswith((".toml", ".json"))):
+        key, load = head, load or tail
+    trainset = _load(key, "trainsets", "trainset", Trainset)
+    return trainset if load is None else trainset.loaded(load)
