@@ -1,8 +1,8 @@
 """One array namespace for NumPy and JAX: every formula of the plant is written once, over it.
 
-A single drive in NumPy works on one number at a time, where NumPy's own ``where`` or ``clip`` cost a hundred times
-the arithmetic between them. :data:`scalars` gives the same few functions for single numbers; :func:`namespace`
-picks it, so that no formula knows.
+A single drive in NumPy works on one number at a time, where NumPy's own ``where`` or ``clip`` cost a hundred
+times the arithmetic between them. :data:`scalars` gives the same few functions for single numbers;
+:func:`namespace` picks it, so that no formula knows.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def namespace(*values: Any) -> Any:
         if kind in _SINGLE:
             continue
         if kind.__module__.startswith("jax"):
-            import jax.numpy as jnp  # noqa: PLC0415
+            import jax.numpy as jnp
 
             return jnp
         if np.ndim(value):
@@ -67,8 +67,8 @@ def namespace(*values: Any) -> Any:
 def locate(breaks: Any, x: Scalar) -> Scalar:
     """Index of the piece that holds at ``x``: the last break not beyond it, at least 0.
 
-    Padding breaks are infinite, so they are never chosen. In a compiled batch, counting beats a binary search on
-    the short, padded lists of a section: it vectorises.
+    Padding breaks are infinite, so they are never chosen. In a compiled batch, counting beats a binary search
+    on the short, padded lists of a section: it vectorises.
 
     Args:
         breaks: Increasing positions. Shape (K,).
@@ -84,6 +84,6 @@ def locate(breaks: Any, x: Scalar) -> Scalar:
 
 def to_jax(tree: Any) -> Any:
     """The same tuple of arrays in JAX: what a compiled function must close over (imports JAX)."""
-    import jax  # noqa: PLC0415
+    import jax
 
     return jax.tree.map(jax.numpy.asarray, tree)

@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from metropilot.errors import InputError
 from metropilot.physics.types import Track, Vehicle
-from metropilot.railway import Curve, EffortCurve, Section, Trainset
+from metropilot.railway import Curve, Efficiency, EffortCurve, Section, Trainset
 
 SIZES = (16, 32, 64, 128, 256, 512, 1024)
 PIECES = (4, 8, 16, 32, 64)
@@ -26,7 +26,8 @@ def padded_size(count: int, sizes: Sequence[int] = SIZES) -> int:
 
 def _pad(values: ndarray, size: int, fill: float | None = None) -> ndarray:
     extra = size - values.shape[0]
-    tail = np.repeat(values[-1:], extra, axis=0) if fill is None else np.full((extra, *values.shape[1:]), fill)
+    last = values[-1:] if fill is None else np.full_like(values[-1:], fill)
+    tail = np.repeat(last, extra, axis=0)
     return np.concatenate([values, tail]) if extra else values
 
 
@@ -77,18 +78,18 @@ def vehicle_arrays(trainset: Trainset, dtype: type = np.float64, pieces: int | N
         "emergency_jerk_mps3": safe.emergency_jerk_mps3,
         "efficiency_speed_mps": speeds,
         "efficiency_share": shares,
-        "efficiency_traction": _resampled(motoring.speed_mps, motoring.effort_share, motoring.value, speeds, shares),
-        "efficiency_braking": _resampled(braking.speed_mps, braking.effort_share, braking.value, speeds, shares),
+        "efficiency_traction": _resampled(motoring, speeds, shares),
+        "efficiency_braking": _resampled(braking, speeds, shares),
         "receptivity": trainset.receptivity,
         "auxiliary_w": trainset.auxiliary_w,
     }
     return Vehicle(**{k: np.asarray(v, dtype)[()] for k, v in values.items()})
 
 
-def _resampled(speed: ndarray, share: ndarray, value: ndarray, speeds: ndarray, shares: ndarray) -> ndarray:
+def _resampled(efficiency: Efficiency, speeds: ndarray, shares: ndarray) -> ndarray:
     """A bilinear map on a finer grid that contains its own: no value changes."""
-    rows = np.stack([np.interp(shares, share, row) for row in value])
-    return np.stack([np.interp(speeds, speed, column) for column in rows.T], axis=1)
+    rows = np.stack([np.interp(shares, efficiency.effort_share, row) for row in efficiency.value])
+    return np.stack([np.interp(speeds, efficiency.speed_mps, column) for column in rows.T], axis=1)
 
 
 def track_arrays(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from metropilot.physics.arrays import Scalar, locate, namespace
 from metropilot.physics.types import Array, Vehicle
 
@@ -21,36 +23,57 @@ def curve_n(breaks_mps: Array, pieces: Array, speed_mps: Scalar) -> Scalar:
     return xp.clip(power / xp.maximum(v, 1e-3) + c0 + v * (c1 + v * (c2 + v * c3)), 0.0, cap)
 
 
+class Effort(NamedTuple):
+    """What a trainset can do at one speed, N.
+
+    Attributes:
+        traction_n: Largest traction force.
+        electric_n: Largest electric braking force.
+        brake_n: Braking force that command -1 asks for.
+    """
+
+    traction_n: Scalar
+    electric_n: Scalar
+    brake_n: Scalar
+
+    def force_n(self, command: Scalar) -> Scalar:
+        """Signed wheel force of a command in [-1, 1], traction positive, N (Chen23a eqs. 13 and 14)."""
+        xp = namespace(self.traction_n, command)
+        return xp.maximum(command, 0.0) * self.traction_n + xp.minimum(command, 0.0) * self.brake_n
+
+
+def effort_at(vehicle: Vehicle, speed_mps: Scalar) -> Effort:
+    """The three forces available at a speed, each curve looked up once."""
+    xp = namespace(vehicle.adhesion_n, speed_mps)
+    traction = curve_n(vehicle.traction_from_mps, vehicle.traction, speed_mps)
+    electric = curve_n(vehicle.brake_from_mps, vehicle.brake, speed_mps)
+    brake = xp.minimum(electric + vehicle.friction_n, vehicle.service_n)
+    return Effort(*(xp.minimum(force, vehicle.adhesion_n) for force in (traction, electric, brake)))
+
+
 def traction_available_n(vehicle: Vehicle, speed_mps: Scalar) -> Scalar:
     """Largest traction force at a speed, adhesion included, N."""
-    xp = namespace(vehicle.adhesion_n, speed_mps)
-    return xp.minimum(curve_n(vehicle.traction_from_mps, vehicle.traction, speed_mps), vehicle.adhesion_n)
+    return effort_at(vehicle, speed_mps).traction_n
 
 
 def electric_available_n(vehicle: Vehicle, speed_mps: Scalar) -> Scalar:
     """Largest electric braking force at a speed, adhesion included, N."""
-    xp = namespace(vehicle.adhesion_n, speed_mps)
-    return xp.minimum(curve_n(vehicle.brake_from_mps, vehicle.brake, speed_mps), vehicle.adhesion_n)
+    return effort_at(vehicle, speed_mps).electric_n
 
 
 def brake_available_n(vehicle: Vehicle, speed_mps: Scalar) -> Scalar:
-    """Braking force that command -1 asks for: electric and friction, up to the service rate and adhesion, N."""
-    xp = namespace(vehicle.adhesion_n, speed_mps)
-    total = curve_n(vehicle.brake_from_mps, vehicle.brake, speed_mps) + vehicle.friction_n
-    return xp.minimum(xp.minimum(total, vehicle.service_n), vehicle.adhesion_n)
+    """Braking force that command -1 asks for: electric and friction, up to service rate and adhesion, N."""
+    return effort_at(vehicle, speed_mps).brake_n
 
 
 def command_force_n(vehicle: Vehicle, speed_mps: Scalar, command: Scalar) -> Scalar:
     """Signed wheel force of a command in [-1, 1], traction positive, N (Chen23a eqs. 13 and 14)."""
-    xp = namespace(vehicle.adhesion_n, speed_mps, command)
-    positive = xp.maximum(command, 0.0) * traction_available_n(vehicle, speed_mps)
-    negative = xp.minimum(command, 0.0) * brake_available_n(vehicle, speed_mps)
-    return positive + negative
+    return effort_at(vehicle, speed_mps).force_n(command)
 
 
 def command_for_force(vehicle: Vehicle, speed_mps: Scalar, force_n: Scalar) -> Scalar:
     """The command whose force is nearest the wanted one; inverse of :func:`command_force_n`."""
     xp = namespace(vehicle.adhesion_n, speed_mps, force_n)
-    traction = xp.maximum(traction_available_n(vehicle, speed_mps), 1.0)
-    braking = xp.maximum(brake_available_n(vehicle, speed_mps), 1.0)
-    return xp.clip(xp.where(force_n >= 0, force_n / traction, force_n / braking), -1.0, 1.0)
+    effort = effort_at(vehicle, speed_mps)
+    available = xp.where(force_n >= 0, effort.traction_n, effort.brake_n)
+    return xp.clip(force_n / xp.maximum(available, 1.0), -1.0, 1.0)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from metropilot.physics.arrays import Scalar, locate, namespace
-from metropilot.physics.effort import electric_available_n, traction_available_n
+from metropilot.physics.effort import effort_at
 from metropilot.physics.types import Array, Forces, Vehicle
 
 
 def map_value(vehicle: Vehicle, values: Array, speed_mps: Scalar, share: Scalar) -> Scalar:
     """Bilinear value of an efficiency map, held outside its corners. ``values`` has shape (S, E)."""
-    if values.shape[-1] == 1 and values.shape[-2] == 1:
-        return values[0, 0]
     i, a = _bracket(vehicle.efficiency_speed_mps, speed_mps)
     j, b = _bracket(vehicle.efficiency_share, share)
     i1 = min(values.shape[0] - 1, 1) + i
@@ -36,12 +34,23 @@ def step_energy(
     Returns:
         Wheel traction, electric braking at the wheel, net at the line, recovered at the line; all J.
     """
-    xp = namespace(forces.traction_n, distance_m)
     traction_j = forces.traction_n * distance_m
     braking_j = forces.electric_brake_n * distance_m
-    up = forces.traction_n / xp.maximum(traction_available_n(vehicle, mean_speed_mps), 1.0)
-    down = forces.electric_brake_n / xp.maximum(electric_available_n(vehicle, mean_speed_mps), 1.0)
-    motoring = map_value(vehicle, vehicle.efficiency_traction, mean_speed_mps, up)
-    braking = map_value(vehicle, vehicle.efficiency_braking, mean_speed_mps, down)
+    motoring, braking = efficiencies(vehicle, forces, mean_speed_mps)
     recovered_j = braking_j * braking * vehicle.receptivity
-    return traction_j, braking_j, traction_j / motoring + vehicle.auxiliary_w * duration_s - recovered_j, recovered_j
+    line_j = traction_j / motoring + vehicle.auxiliary_w * duration_s - recovered_j
+    return traction_j, braking_j, line_j, recovered_j
+
+
+def efficiencies(vehicle: Vehicle, forces: Forces, speed_mps: Scalar) -> tuple[Scalar, Scalar]:
+    """Efficiency of traction and of electric braking, at these forces as shares of what there is."""
+    if vehicle.efficiency_traction.shape == vehicle.efficiency_braking.shape == (1, 1):
+        return vehicle.efficiency_traction[0, 0], vehicle.efficiency_braking[0, 0]
+    xp = namespace(forces.traction_n, speed_mps)
+    effort = effort_at(vehicle, speed_mps)
+    up = forces.traction_n / xp.maximum(effort.traction_n, 1.0)
+    down = forces.electric_brake_n / xp.maximum(effort.electric_n, 1.0)
+    return (
+        map_value(vehicle, vehicle.efficiency_traction, speed_mps, up),
+        map_value(vehicle, vehicle.efficiency_braking, speed_mps, down),
+    )

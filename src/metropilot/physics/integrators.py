@@ -47,4 +47,6 @@ def rk4(acceleration: Acceleration, x: Scalar, v: Scalar, dt: Scalar) -> tuple[S
     return dt * (v + 2 * v1 + 2 * v2 + v3) / 6, v + dt * (a0 + 2 * a1 + 2 * a2 + a3) / 6
 
 
-INTEGRATORS: Mapping[str, Integrator] = MappingProxyType({"euler": euler, "held": held, "heun": heun, "rk4": rk4})
+INTEGRATORS: Mapping[str, Integrator] = MappingProxyType(
+    {"euler": euler, "held": held, "heun": heun, "rk4": rk4}
+)

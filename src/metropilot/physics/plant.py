@@ -7,12 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from metropilot.physics.arrays import Scalar, namespace
-from metropilot.physics.effort import (
-    brake_available_n,
-    command_force_n,
-    electric_available_n,
-    traction_available_n,
-)
+from metropilot.physics.effort import Effort, effort_at
 from metropilot.physics.energy import step_energy
 from metropilot.physics.integrators import INTEGRATORS
 from metropilot.physics.resistance import resistance_and_gradient
@@ -32,7 +27,12 @@ class Command(NamedTuple):
 
 
 def at_rest(
-    vehicle: Vehicle, *, delay_steps: int = 0, position_m: float = 0.0, speed_mps: float = 0.0, time_s: float = 0.0
+    vehicle: Vehicle,
+    *,
+    delay_steps: int = 0,
+    position_m: float = 0.0,
+    speed_mps: float = 0.0,
+    time_s: float = 0.0,
 ) -> State:
     """A state with nothing on its way through the actuation (NumPy; move it to JAX with ``jnp.asarray``).
 
@@ -61,7 +61,7 @@ def at_rest(
 
 
 def delay_steps(delay_s: float, dt: float) -> int:
-    """Slots a pipeline needs beyond the newest for a dead time (a static shape: decide it outside ``jit``)."""
+    """Slots a pipeline needs beyond the newest for a dead time (a shape: decide it outside ``jit``)."""
     return int(np.ceil(delay_s / dt - 1e-9)) if delay_s > 0 else 0
 
 
@@ -93,26 +93,31 @@ def actuate(vehicle: Vehicle, state: State, command: Command, dt: Scalar) -> tup
 
 
 def wheel_force(
-    vehicle: Vehicle, state: State, share: Scalar, emergency: Scalar, resisting_n: Scalar, dt: Scalar
+    vehicle: Vehicle,
+    state: State,
+    effort: Effort,
+    share: Scalar,
+    emergency: Scalar,
+    resisting_n: Scalar,
+    dt: Scalar,
 ) -> Scalar:
     """Signed wheel force of this step: the effort asked for, reached no faster than the jerk limit allows."""
     xp = namespace(state.position_m, share)
-    v = state.speed_mps
-    wanted = xp.where(emergency, -vehicle.emergency_n, command_force_n(vehicle, v, share))
+    wanted = xp.where(emergency, -vehicle.emergency_n, effort.force_n(share))
     jerk = xp.where(emergency, vehicle.emergency_jerk_mps3, vehicle.jerk_mps3)
     target = (wanted - resisting_n) / vehicle.effective_mass_kg
     room = jerk * dt
     accel = xp.clip(target, state.acceleration_mps2 - room, state.acceleration_mps2 + room)
     force = accel * vehicle.effective_mass_kg + resisting_n
-    floor = xp.where(emergency, vehicle.emergency_n, brake_available_n(vehicle, v))
-    return xp.clip(force, -floor, traction_available_n(vehicle, v))
+    floor = xp.where(emergency, vehicle.emergency_n, effort.brake_n)
+    return xp.clip(force, -floor, effort.traction_n)
 
 
-def split(vehicle: Vehicle, force_n: Scalar, speed_mps: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+def split(effort: Effort, force_n: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     """Traction, electric and friction share of a signed wheel force: electric first, friction the rest."""
-    xp = namespace(force_n, speed_mps)
+    xp = namespace(force_n)
     braking = xp.maximum(-force_n, 0.0)
-    electric = xp.minimum(braking, electric_available_n(vehicle, speed_mps))
+    electric = xp.minimum(braking, effort.electric_n)
     return xp.maximum(force_n, 0.0), electric, braking - electric
 
 
@@ -121,9 +126,9 @@ def step(
 ) -> State:
     """One control period of the plant.
 
-    The wheel force is decided at the start of the period and held. A trainset that comes to a stand inside the
-    period stops there exactly (time advances only to that moment), and brakes hold it until traction exceeds
-    what holds it back.
+    The wheel force is decided at the start of the period and held. A trainset that comes to a stand inside
+    the period stops there exactly (time advances only to that moment), and a holding brake keeps it there,
+    on any gradient, until traction is asked for and exceeds what holds it back.
 
     Args:
         vehicle: The trainset.
@@ -140,7 +145,8 @@ def step(
     x, v = state.position_m, state.speed_mps
     pipeline, share = actuate(vehicle, state, command, dt)
     resistance, gradient = resistance_and_gradient(vehicle, track, x, v)
-    force = wheel_force(vehicle, state, share, command.emergency, resistance + gradient, dt)
+    effort = effort_at(vehicle, v)
+    force = wheel_force(vehicle, state, effort, share, command.emergency, resistance + gradient, dt)
     accel = (force - resistance - gradient) / vehicle.effective_mass_kg
 
     def acceleration(at: Scalar, speed: Scalar) -> Scalar:
@@ -153,13 +159,13 @@ def step(
     mean = (after - v) / dt
     stops = after < 0
     stop_s = xp.where(stops, v / xp.maximum(-mean, 1e-9), dt)
-    held_still = (v <= 0) & (accel <= 0)
+    held_still = (v <= 0) & ((accel <= 0) | (share <= 0))
     duration = xp.where(held_still, dt, xp.where(stops, stop_s, dt))
-    moved = xp.where(held_still, 0.0, xp.where(stops, 0.5 * v * stop_s, moved))
-    after = xp.where(held_still | stops, 0.0, after)
+    zero = xp.zeros_like(v)
+    moved = xp.where(held_still, zero, xp.where(stops, 0.5 * v * stop_s, moved))
+    after = xp.where(held_still | stops, zero, after)
 
-    traction, electric, friction = split(vehicle, force, v)
-    zero = xp.zeros_like(force)
+    traction, electric, friction = split(effort, force)
     forces = Forces(
         xp.where(held_still, zero, traction),
         xp.where(held_still, zero, electric),

@@ -38,9 +38,9 @@ def resistance_and_gradient(
 ) -> tuple[Scalar, Scalar]:
     """Resistance (Davis, curve, tunnel) and gradient force, N.
 
-    Sources: Huang25 eq. 3 (force balance), Chen23a eqs. 5 and 7. A gradient acts as the difference in altitude
-    between head and tail over the length.
+    Sources: Huang25 eq. 3 (force balance), Chen23a eqs. 5 and 7. A gradient acts as the difference in
+    altitude between head and tail over the length.
     """
     gradient, curve_n_per_kg, tunnel = felt_slopes(vehicle, track, position_m)
-    resistance = davis_n(vehicle, speed_mps) + vehicle.mass_kg * curve_n_per_kg + tunnel * speed_mps * speed_mps
-    return resistance, vehicle.mass_kg * vehicle.gravity_mps2 * gradient
+    track_n = vehicle.mass_kg * curve_n_per_kg + tunnel * speed_mps * speed_mps
+    return davis_n(vehicle, speed_mps) + track_n, vehicle.mass_kg * vehicle.gravity_mps2 * gradient
