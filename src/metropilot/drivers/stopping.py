@@ -1,0 +1,227 @@
+"""Stop at a point: where to begin braking, how hard, and how to let go so that nobody feels the stop.
+
+The curve is: build up to a deceleration ``b`` at the jerk limit, hold it, let it fall at a softer jerk ``J`` to
+a small deceleration ``e``, and stand. At every period the deceleration is computed anew that makes this curve
+end at the target from the state predicted for the moment the command begins to act (Huang25's heuristic online
+algorithm, papers' ``b = v^2 / (2 S)``, is the case without jerk limit). So there is nothing to integrate and
+nothing to remember: an error made earlier is an error in distance, and the next period answers it. What the
+brake really gives is the observer's business.
+
+Closed forms, with distance ``S`` and speed ``v``:
+
+* release only: deceleration falls from ``a`` to ``e`` in ``T``: ``v = (a+e)T/2``, ``S = T^2 (a/6 + e/3)``; so
+  ``e T^2 + 2 v T - 6 S = 0`` gives ``T``, and ``a = 2v/T - e``.
+* hold ``b``, then release at ``J``: ``T = (b-e)/J``, ``v_T = (b^2-e^2)/(2J)``,
+  ``S = (v^2 - v_T^2)/(2b) + T^2 (b/6 + e/3)``, which falls as ``b`` grows while ``v >= v_T``.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from metropilot.drivers.observer import Ahead, Belief, Model, look_ahead, share_for
+from metropilot.physics import Vehicle, resistance_and_gradient
+from metropilot.physics.effort import effort_at
+
+RELEASE_SHARE = 0.6
+"""Jerk of the release over the trainset's jerk limit."""
+END_SHARE = 0.4
+"""Deceleration at the stop over what the jerk limit allows to drop in one period."""
+RETURN_GAIN = 0.5
+"""How strongly a departure from the wanted deceleration is corrected beyond what the stop needs."""
+SERVICE_USE = 0.9
+"""Share of the deceleration at hand that a comfortable stop is planned with."""
+DROP_SHARE = 0.85
+"""Largest deceleration at the stop over what the jerk limit allows to drop in one period."""
+INCH_M = 0.2
+"""A trainset that would stand nearer to the target than this is left to stand."""
+HOLD_MPS2 = 0.1
+"""Least deceleration asked for to stand."""
+STRONGEST_MPS2 = 3.0
+"""Larger than any brake: where the target is too near to stop at."""
+
+
+class Curve(NamedTuple):
+    """The shape of a stop.
+
+    Attributes:
+        deceleration_mps2: Deceleration held.
+        build_jerk_mps3: Jerk at which it is built up (infinite: at once).
+        release_jerk_mps3: Jerk at which it is let go (infinite: held to the stop).
+        end_mps2: Deceleration left at the stop.
+    """
+
+    deceleration_mps2: float
+    build_jerk_mps3: float
+    release_jerk_mps3: float
+    end_mps2: float
+
+
+def weakest_gradient(model: Model, target_m: float, stretch_m: float = 400.0) -> float:
+    """The steepest downhill on the way to a stop, as an acceleration (negative downhill), m/s^2.
+
+    Args:
+        model: What the driver believes about trainset and section.
+        target_m: Where to stop.
+        stretch_m: How far before the stop to look.
+    """
+    at = np.linspace(target_m - stretch_m, target_m, 41)
+    forces = [float(resistance_and_gradient(model.vehicle, model.track, x, np.float64(0.0))[1]) for x in at]
+    return min(forces) / float(model.vehicle.effective_mass_kg)
+
+
+def comfortable_deceleration(
+    model: Model, belief: Belief, gradient_mps2: float, use: float = SERVICE_USE
+) -> float:
+    """Deceleration to plan a stop with: what is surely at hand, and no more than the trainset's own limit.
+
+    Args:
+        model: What the driver believes about trainset and section.
+        belief: The belief; a brake not yet tried counts for less, one that turned out stronger for no more.
+        gradient_mps2: From :func:`weakest_gradient`.
+        use: Share of it to plan with.
+    """
+    vehicle = model.vehicle
+    speeds = (0.0, belief.speed_mps)
+    effort = min(float(effort_at(vehicle, np.float64(v)).brake_n) for v in speeds) / float(
+        vehicle.effective_mass_kg
+    )
+    sure = min(belief.brake_gain - 2.0 * belief.brake_gain_sigma, 1.0)
+    return max(use * min(effort * sure + gradient_mps2, float(vehicle.max_deceleration_mps2)), 0.2)
+
+
+def curve_for(vehicle: Vehicle, dt: float, deceleration_mps2: float) -> Curve:
+    """The curve that a trainset's jerk limit asks for; a plain ``v^2 / (2 S)`` where there is none.
+
+    Args:
+        vehicle: The trainset as the driver knows it.
+        dt: Control period, s.
+        deceleration_mps2: Deceleration to hold.
+    """
+    jerk = float(vehicle.jerk_mps3)
+    if not np.isfinite(jerk):
+        return Curve(deceleration_mps2, np.inf, np.inf, deceleration_mps2)
+    end = min(END_SHARE * jerk * dt, deceleration_mps2)
+    return Curve(deceleration_mps2, jerk, RELEASE_SHARE * jerk, end)
+
+
+def release(speed_mps: float, distance_m: float, end_mps2: float) -> tuple[float, float]:
+    """Deceleration now, and time left, of a release that stands after a distance with ``end_mps2`` left."""
+    v, e, s = max(speed_mps, 0.0), max(end_mps2, 1e-3), max(distance_m, 1e-9)
+    time_s = 6.0 * s / (float(np.sqrt(v * v + 6.0 * e * s)) + v)
+    return 2.0 * v / time_s - e, time_s
+
+
+def braking_distance(speed_mps: float, curve: Curve) -> float:
+    """Distance to stand from a speed: hold, then release (no build-up)."""
+    v, b, e, jerk = max(speed_mps, 0.0), curve.deceleration_mps2, curve.end_mps2, curve.release_jerk_mps3
+    if b <= e or not np.isfinite(jerk):
+        return v * v / (2.0 * b)
+    b = max(min(b, float(np.sqrt(e * e + 2.0 * jerk * v))), e)
+    time_s = (b - e) / jerk
+    released = (b * b - e * e) / (2.0 * jerk)
+    return (v * v - released * released) / (2.0 * b) + time_s * time_s * (b / 6.0 + e / 3.0)
+
+
+def required_deceleration(speed_mps: float, distance_m: float, curve: Curve) -> tuple[float, float]:
+    """Deceleration that must act now for the curve to end at the target, and its mean over a short while.
+
+    Args:
+        speed_mps: Speed.
+        distance_m: Distance to go.
+        curve: Shape of the stop; its ``deceleration_mps2`` is not used, it is what is solved for.
+
+    Returns:
+        Deceleration, m/s^2, and the jerk at which it is let go from now on, m/s^3 (0 while it is held).
+    """
+    v, s, e, jerk = max(speed_mps, 0.0), distance_m, curve.end_mps2, curve.release_jerk_mps3
+    if s <= 1e-9:
+        return np.inf if v > 0 else 0.0, 0.0
+    if not np.isfinite(jerk):
+        return v * v / (2.0 * s), 0.0
+    top = float(np.sqrt(e * e + 2.0 * jerk * v))
+    if s <= braking_distance(v, curve._replace(deceleration_mps2=top)):
+        now, left = release(v, s, e)
+        return now, (now - e) / left
+    low, high = 0.0, top
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        if braking_distance(v, curve._replace(deceleration_mps2=middle)) > s:
+            low = middle
+        else:
+            high = middle
+    return high, 0.0
+
+
+def after_build_up(ahead: Ahead, curve: Curve) -> tuple[float, float]:
+    """Speed, and distance gone, when the deceleration has been built up from the one that acts now."""
+    a, v, jerk = ahead.acceleration_mps2, ahead.speed_mps, curve.build_jerk_mps3
+    missing = curve.deceleration_mps2 + a
+    if missing <= 0 or not np.isfinite(jerk):
+        return v, 0.0
+    t = missing / jerk
+    return max(v + a * t - 0.5 * jerk * t * t, 0.0), v * t + 0.5 * a * t * t - jerk * t**3 / 6.0
+
+
+class Stop(NamedTuple):
+    """What a stop needs now.
+
+    Attributes:
+        share: The command that gives it.
+        required_mps2: Deceleration that must be held for the curve to end at the target, build-up included:
+            begin braking when it reaches the deceleration you want.
+        ahead: The state it was worked out for.
+    """
+
+    share: float
+    required_mps2: float
+    ahead: Ahead
+
+
+def stop_command(model: Model, belief: Belief, target_m: float, curve: Curve) -> Stop:
+    """The command of this period on the way to a stop.
+
+    Args:
+        model: What the driver believes about trainset and section.
+        belief: From :func:`metropilot.drivers.observer.observe`.
+        target_m: Where to stop.
+        curve: Shape of the stop; departures from its deceleration are corrected gently.
+    """
+    ahead = look_ahead(model, belief)
+    v, distance = ahead.speed_mps, target_m - ahead.position_m
+    if v <= 0 and distance < INCH_M:
+        return Stop(share_for(belief, ahead, -max(curve.end_mps2, HOLD_MPS2)), 0.0, ahead)
+    required, falling = required_deceleration(v, distance, curve)
+    if falling == 0.0 and required < STRONGEST_MPS2:
+        for _ in range(3):
+            building = curve._replace(deceleration_mps2=required)
+            speed, gone = after_build_up(ahead, building)
+            required = min(required_deceleration(speed, distance - gone, curve)[0], STRONGEST_MPS2)
+        wanted = max(required + RETURN_GAIN * (required - curve.deceleration_mps2), 0.0)
+    else:
+        wanted = required - 0.5 * falling * model.dt
+        if v <= wanted * model.dt and distance > 0:
+            wanted = v * v / (2.0 * distance)
+        if distance < INCH_M:
+            wanted = max(wanted, 0.0)
+    wanted = min(wanted, strongest(v, curve, model.dt))
+    return Stop(share_for(belief, ahead, -wanted), required, ahead)
+
+
+def strongest(speed_mps: float, curve: Curve, dt: float) -> float:
+    """The deceleration from which the jerk limit still allows to let go before standing, m/s^2.
+
+    In periods of ``dt``: the last decelerates by at most ``c`` (what may drop to zero at once), the one before by
+    ``J dt`` more; ``n`` periods take ``v = n c dt + J dt^2 n (n - 1) / 2``.
+    """
+    if not np.isfinite(curve.build_jerk_mps3):
+        return STRONGEST_MPS2
+    drop = curve.build_jerk_mps3 * dt
+    last = DROP_SHARE * drop
+    half = 0.5 * drop
+    n = (half - last + float(np.sqrt((last - half) ** 2 + 4.0 * half * max(speed_mps, 0.0) / dt))) / (
+        2.0 * half
+    )
+    return last + max(n - 1.0, 0.0) * drop
