@@ -1,0 +1,368 @@
+"""The energy-optimal drive as a convex cone programme, solved by Clarabel.
+
+On a space mesh take kinetic energy ``E`` and speed ``v`` at each node, and traction ``f``, braking ``b`` and time
+``t`` on each segment, all per kg of effective mass::
+
+    minimise   sum ds (c f - d e) + p sum t
+    subject to (E' - E) / ds = f - b - r(v, E) - g          (linear: Davis in the mean v and mean 2 E)
+               v^2 <= 2 E,   t (v + v') >= 2 ds             (cones, tight at the optimum)
+               0 <= f <= F(E),  0 <= b <= B(E),  0 <= e <= min(b, R(E))
+               |E' - E| <= a ds,   E <= V^2 / 2,   sums of t within the timing points
+
+``e`` (recovered braking) exists only if it is worth something. The effort curves ``F, B, R`` are replaced by their
+tangents at the last iterate; a few passes settle them. The bound on jerk, if any, is linearised the same way: the
+change of acceleration between neighbouring segments over the time between their middles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import clarabel
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy import sparse
+
+from metropilot.errors import SolverError
+from metropilot.planning.effort_table import Specific
+from metropilot.planning.mesh import Mesh
+
+SOFT_START = 6 ** (4 / 3) / 8
+"""Under a constant jerk J from rest ``v^2/2 = SOFT_START * J^(2/3) * x^(4/3)``."""
+
+
+class Prices(NamedTuple):
+    """What the objective pays for.
+
+    Attributes:
+        traction: Cost of a joule of traction at the wheel: 1, or 1/efficiency. Shape (N,).
+        recovered: Worth of a joule of electric braking at the wheel. Shape (N,).
+        second_w: Cost of a second, W per kg of effective mass (auxiliaries).
+    """
+
+    traction: Float[ndarray, " segments"]
+    recovered: Float[ndarray, " segments"]
+    second_w: float
+
+
+@dataclass(frozen=True)
+class TimeBound:
+    """``low <= t(segments first..last) + waits <= high`` for one partial sum of the running time.
+
+    Attributes:
+        first: First segment of the sum.
+        last: One past the last segment.
+        low_s: Lower bound or None.
+        high_s: Upper bound or None.
+        waits: Indices of the dwell variables added to the sum.
+    """
+
+    first: int
+    last: int
+    low_s: float | None
+    high_s: float | None
+    waits: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Programme:
+    """Everything the cone programme is made from.
+
+    Attributes:
+        mesh: Mesh.
+        table: Trainset.
+        prices: Objective.
+        start_mps: Speed at the first node.
+        end_mps: Speed at the last node.
+        cap_mps: Speed caps, relaxed where the start is too fast. Shape (N+1,).
+        bounds: Timing.
+        dwells: Shortest and longest dwell of each free stop.
+        floor_mps: Lowest speed at each node, or None. Shape (N+1,).
+        jerk_mps3: Bound on jerk or None.
+        start_mps2: Acceleration before the first node, for the jerk bound.
+        stands: Whether the run begins from rest (the acceleration then starts from zero).
+    """
+
+    mesh: Mesh
+    table: Specific
+    prices: Prices
+    start_mps: float
+    end_mps: float
+    cap_mps: Float[ndarray, " nodes"]
+    bounds: tuple[TimeBound, ...]
+    dwells: tuple[tuple[float, float], ...] = ()
+    floor_mps: Float[ndarray, " nodes"] | None = None
+    jerk_mps3: float | None = None
+    start_mps2: float = 0.0
+    stands: bool = True
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A solved programme.
+
+    Attributes:
+        energy: Kinetic energy per kg at the nodes. Shape (N+1,).
+        speed: The programme's speeds at the nodes, at most ``sqrt(2 energy)``. Shape (N+1,).
+        traction: Per kg, on each segment. Shape (N,).
+        braking: Per kg, on each segment. Shape (N,).
+        recovered: Per kg, the electric part that is recovered. Shape (N,).
+        time: On each segment. Shape (N,).
+        dwell: Dwell at each free stop. Shape (D,).
+        second: What one second less costs: the multiplier of the last upper time bound, W per kg.
+        primal: Objective, J/kg.
+        dual: Dual objective: no drive of the programme costs less, J/kg.
+        status: The solver's word.
+    """
+
+    energy: Float[ndarray, " nodes"]
+    speed: Float[ndarray, " nodes"]
+    traction: Float[ndarray, " segments"]
+    braking: Float[ndarray, " segments"]
+    recovered: Float[ndarray, " segments"]
+    time: Float[ndarray, " segments"]
+    dwell: Float[ndarray, " dwells"]
+    second: float
+    primal: float
+    dual: float
+    status: str
+
+
+@dataclass
+class _Rows:
+    """Sparse rows ``A x <= / = b`` being collected, whole blocks at a time."""
+
+    row: list[ndarray] = field(default_factory=list)
+    col: list[ndarray] = field(default_factory=list)
+    val: list[ndarray] = field(default_factory=list)
+    rhs: list[ndarray] = field(default_factory=list)
+    count: int = 0
+
+    def add(self, terms: list[tuple[ndarray, ndarray | float]], rhs: ndarray | float, size: int) -> None:
+        """``size`` rows; each term is (column of each row, coefficient of each row)."""
+        rows = self.count + np.arange(size)
+        for col, val in terms:
+            self.row.append(rows)
+            self.col.append(np.broadcast_to(col, (size,)))
+            self.val.append(np.broadcast_to(np.asarray(val, np.float64), (size,)))
+        self.rhs.append(np.broadcast_to(np.asarray(rhs, np.float64), (size,)))
+        self.count += size
+
+    def add_cones(
+        self, triples: list[list[tuple[ndarray, float]]], rhs: list[ndarray | float], size: int
+    ) -> None:
+        """``size`` second-order cones of three rows each: ``b - A x`` of the first >= norm of the others."""
+        for part, (terms, constant) in enumerate(zip(triples, rhs, strict=True)):
+            rows = self.count + 3 * np.arange(size) + part
+            for col, val in terms:
+                self.row.append(rows)
+                self.col.append(col)
+                self.val.append(np.full(size, val))
+            if part == 0:
+                self.rhs.append(np.zeros(3 * size))
+            self.rhs[-1][part::3] = constant
+        self.count += 3 * size
+
+
+def tangent(table: Specific, values: ndarray, energy: ndarray) -> tuple[ndarray, ndarray]:
+    """Value and slope over kinetic energy of a tabulated effort at the last iterate's mid energies."""
+    speed = np.sqrt(2 * np.maximum(energy, 0.0))
+    step = table.speed_mps[1]
+    value = np.interp(speed, table.speed_mps, values)
+    ahead = np.interp(speed + step, table.speed_mps, values)
+    behind = np.interp(np.maximum(speed - step, 0.0), table.speed_mps, values)
+    slope = (ahead - behind) / (2 * step) / np.maximum(speed, 1.0)
+    return value, slope
+
+
+def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
+    """Solve the programme with its curves linearised about the kinetic energies ``energy``.
+
+    Raises:
+        SolverError: The solver did not finish (also if the timing cannot be met: check that first).
+    """
+    p = programme
+    n = p.mesh.length_m.size
+    recovers = bool(np.any(p.prices.recovered > 0))
+    names = ["E", "v", "f", "b", "t", *(["e"] if recovers else []), *(["w"] if p.dwells else [])]
+    sizes = {"E": n + 1, "v": n + 1, "f": n, "b": n, "t": n, "e": n, "w": len(p.dwells)}
+    starts = np.cumsum([0, *(sizes[k] for k in names)])
+    at = {k: s + np.arange(sizes[k]) for k, s in zip(names, starts[:-1], strict=True)}
+    total = int(starts[-1])
+    ds = p.mesh.length_m
+    cost = np.zeros(total)
+    cost[at["f"]] = ds * p.prices.traction
+    cost[at["t"]] = p.prices.second_w
+    if recovers:
+        cost[at["e"]] = -ds * p.prices.recovered
+
+    rows = _Rows()
+    _equalities(p, rows, at)
+    equal = rows.count
+    _effort_rows(p, rows, at, energy)
+    _motion_rows(p, rows, at)
+    if p.jerk_mps3 is not None:
+        _jerk_rows(p, rows, at, energy)
+    clock = _time_rows(p, rows, at)
+    inequal = rows.count - equal
+    _cone_rows(p, rows, at)
+    matrix = sparse.csc_matrix(
+        (np.concatenate(rows.val), (np.concatenate(rows.row), np.concatenate(rows.col))),
+        shape=(rows.count, total),
+    )
+    cones = [clarabel.ZeroConeT(equal), clarabel.NonnegativeConeT(inequal)]
+    cones += [clarabel.SecondOrderConeT(3)] * ((rows.count - equal - inequal) // 3)
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.presolve_enable = False
+    settings.max_threads = 1
+    zero = sparse.csc_matrix((total, total))
+    solution = clarabel.DefaultSolver(zero, cost, matrix, np.concatenate(rows.rhs), cones, settings).solve()
+    status = str(solution.status)
+    if status not in {"Solved", "AlmostSolved"}:
+        raise SolverError(f"the plan's solver stopped: {status}")
+    x = np.asarray(solution.x)
+    return Answer(
+        energy=np.maximum(x[at["E"]], 0.0),
+        speed=np.maximum(x[at["v"]], 0.0),
+        traction=np.maximum(x[at["f"]], 0.0),
+        braking=np.maximum(x[at["b"]], 0.0),
+        recovered=x[at["e"]] if recovers else np.zeros(n),
+        time=x[at["t"]],
+        dwell=x[at["w"]] if p.dwells else np.zeros(0),
+        second=float(solution.z[clock]) if clock is not None else 0.0,
+        primal=float(solution.obj_val),
+        dual=float(solution.obj_val_dual),
+        status=status,
+    )
+
+
+def _equalities(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> None:
+    """Dynamics on each segment, and the speeds at the ends and stops."""
+    ds, (a, b, c) = p.mesh.length_m, p.table.davis
+    n = ds.size
+    quad = c + p.mesh.tunnel_n / p.table.mass_kg
+    e, v = at["E"], at["v"]
+    rows.add(
+        [
+            (e[1:], 1 / ds + quad),
+            (e[:-1], -1 / ds + quad),
+            (v[1:], 0.5 * b),
+            (v[:-1], 0.5 * b),
+            (at["f"], -1.0),
+            (at["b"], 1.0),
+        ],
+        -a - p.mesh.slope_mps2,
+        n,
+    )
+    nodes = _pinned(p)
+    speeds = np.zeros(nodes.size)
+    speeds[0], speeds[-1] = p.start_mps, p.end_mps
+    rows.add([(e[nodes], 1.0)], 0.5 * speeds**2, nodes.size)
+    rows.add([(v[nodes], 1.0)], speeds, nodes.size)
+
+
+def _pinned(p: Programme) -> ndarray:
+    """The ends and the intermediate stops: nodes whose speed is given (a cone there would have no interior)."""
+    stops = p.mesh.stop[p.cap_mps[p.mesh.stop] == 0.0]
+    return np.unique(np.concatenate([[0], stops, [p.mesh.length_m.size]])).astype(int)
+
+
+def _effort_rows(p: Programme, rows: _Rows, at: dict[str, ndarray], energy: ndarray) -> None:
+    """``f <= F(E), b <= B(E), e <= R(E), e <= b`` by tangents; everything at least zero."""
+    n = p.mesh.length_m.size
+    middle = 0.5 * (energy[1:] + energy[:-1])
+    e = at["E"]
+    pairs = [("f", p.table.traction), ("b", p.table.braking)]
+    if "e" in at:
+        pairs.append(("e", p.table.electric))
+        rows.add([(at["e"], 1.0), (at["b"], -1.0)], 0.0, n)
+    for name, values in pairs:
+        value, slope = tangent(p.table, values, middle)
+        rows.add([(at[name], 1.0), (e[1:], -0.5 * slope), (e[:-1], -0.5 * slope)], value - slope * middle, n)
+        rows.add([(at[name], -1.0)], 0.0, n)
+
+
+def _motion_rows(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> None:
+    """Speed limits, acceleration and deceleration limits."""
+    ds, e = p.mesh.length_m, at["E"]
+    n = ds.size
+    inner = np.arange(1, n)
+    rows.add([(e[inner], 1.0)], 0.5 * p.cap_mps[inner] ** 2, inner.size)
+    if p.floor_mps is not None:
+        above = inner[p.floor_mps[inner] > 0]
+        rows.add([(at["v"][above], -1.0)], -p.floor_mps[above], above.size)
+    if np.isfinite(p.table.acceleration):
+        rows.add([(e[1:], 1 / ds), (e[:-1], -1 / ds)], p.table.acceleration, n)
+    if np.isfinite(p.table.deceleration):
+        lifted = p.cap_mps[1:] > p.mesh.cap_mps[1:]
+        rows.add([(e[1:], -1 / ds), (e[:-1], 1 / ds)], p.table.deceleration + np.where(lifted, 0.5, 0.0), n)
+
+
+def _jerk_rows(p: Programme, rows: _Rows, at: dict[str, ndarray], energy: ndarray) -> None:
+    """Change of acceleration between neighbouring segments, and up from and down to standstill."""
+    ds, e = p.mesh.length_m, at["E"]
+    jerk = float(p.jerk_mps3 or 0.0)
+    speed = np.sqrt(2 * np.maximum(energy, 0.0))
+    time = 2 * ds / np.maximum(speed[1:] + speed[:-1], 0.05)
+    room = jerk * 0.5 * (time[1:] + time[:-1])
+    standing = np.isin(np.arange(1, ds.size), p.mesh.stop[p.cap_mps[p.mesh.stop] == 0.0])
+    here, there = np.flatnonzero(~standing), np.flatnonzero(~standing) + 1
+    change = [
+        (e[there + 1], 1 / ds[there]),
+        (e[there], -1 / ds[there] - 1 / ds[here]),
+        (e[here], 1 / ds[here]),
+    ]
+    rows.add(change, room[here], here.size)
+    rows.add([(c, -np.asarray(w)) for c, w in change], room[here], here.size)
+    rest_start = [0] if p.stands else []
+    rest_end = [ds.size - 1] if p.end_mps == 0 else []
+    inner = np.flatnonzero(standing)
+    first = np.array([*rest_start, *(inner + 1)], dtype=int)
+    last = np.array([*inner, *rest_end], dtype=int)
+    soft = SOFT_START * jerk ** (2 / 3)
+    rows.add([(e[first + 1], 1 / ds[first])], soft * ds[first] ** (1 / 3), first.size)
+    rows.add([(e[last], 1 / ds[last])], soft * ds[last] ** (1 / 3), last.size)
+    if not p.stands:
+        lead = np.array([0])
+        rows.add([(e[1:2], 1 / ds[:1]), (e[:1], -1 / ds[:1])], p.start_mps2 + jerk * time[lead], 1)
+        rows.add([(e[1:2], -1 / ds[:1]), (e[:1], 1 / ds[:1])], -p.start_mps2 + jerk * time[lead], 1)
+
+
+def _time_rows(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> int | None:
+    """Partial sums of time, and the range of each free dwell; returns the row of the last upper bound."""
+    clock = None
+    for bound in p.bounds:
+        columns = np.concatenate(
+            [at["t"][bound.first : bound.last], at["w"][list(bound.waits)] if bound.waits else []]
+        )
+        columns = columns.astype(int)
+        for sign, value in ((1.0, bound.high_s), (-1.0, bound.low_s)):
+            if value is None:
+                continue
+            rows.row.append(np.full(columns.size, rows.count))
+            rows.col.append(columns)
+            rows.val.append(np.full(columns.size, sign))
+            rows.rhs.append(np.array([sign * value]))
+            clock = rows.count if sign > 0 else clock
+            rows.count += 1
+    if p.dwells:
+        low, high = np.array(p.dwells).T
+        rows.add([(at["w"], 1.0)], high, len(p.dwells))
+        rows.add([(at["w"], -1.0)], -low, len(p.dwells))
+    return clock
+
+
+def _cone_rows(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> None:
+    """``v^2 <= 2 E`` at the nodes and ``t (v + v') >= 2 ds`` on the segments."""
+    ds, e, v, t = p.mesh.length_m, at["E"], at["v"], at["t"]
+    n = ds.size
+    free = np.setdiff1d(np.arange(n + 1), _pinned(p))
+    rows.add_cones([[(e[free], -1.0)], [(e[free], -1.0)], [(v[free], -1.0)]], [0.5, -0.5, 0.0], free.size)
+    rows.add_cones(
+        [[(t, -1.0), (v[1:], -1.0), (v[:-1], -1.0)], [(t, -1.0), (v[1:], 1.0), (v[:-1], 1.0)], []],
+        [0.0, 0.0, 2 * np.sqrt(2 * ds)],
+        n,
+    )

@@ -1,0 +1,283 @@
+"""The plan of a whole journey: one convex problem over every section, so that the reserve is spread by the optimum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy import ndarray
+
+from metropilot.errors import Infeasible, InputError
+from metropilot.physics import track_arrays, vehicle_arrays
+from metropilot.planning.cone_program import TimeBound
+from metropilot.planning.effort_table import specific
+from metropilot.planning.fastest import fastest_profile, times
+from metropilot.planning.mesh import Mesh, build_mesh
+from metropilot.planning.optimal import Plan, PlanOptions, explain_stall, iterate, limited
+from metropilot.railway import Journey, Line, Station, Trainset
+
+Window = tuple[float | None, float | None]
+FREE: Window = (None, None)
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """A point of the journey with what is asked of the trainset there; times since the journey's start.
+
+    Attributes:
+        position_m: Position from the journey's origin, in the direction of travel.
+        name: What to call it.
+        stop: Whether the trainset stands here.
+        arrival_s: Earliest and latest arrival (or passing), s; None is free.
+        departure_s: Earliest and latest departure, s.
+        dwell_s: Shortest and longest dwell, s; equal: fixed.
+        slowest_mps: Lowest speed, if passing.
+        fastest_mps: Highest speed, if passing.
+    """
+
+    position_m: float
+    name: str = ""
+    stop: bool = True
+    arrival_s: Window = FREE
+    departure_s: Window = FREE
+    dwell_s: tuple[float, float] = (0.0, 0.0)
+    slowest_mps: float = 0.0
+    fastest_mps: float = float("inf")
+
+
+@dataclass(frozen=True)
+class Call:
+    """One waypoint of a planned journey, times since the journey's start.
+
+    Attributes:
+        name: Waypoint.
+        position_m: Its position.
+        arrival_s: Arrival or passing.
+        departure_s: Departure.
+        running_time_s: Running time from the last stop.
+        minimum_s: Minimum running time from the last stop.
+        energy_j: Wheel traction energy from the last stop.
+    """
+
+    name: str
+    position_m: float
+    arrival_s: float
+    departure_s: float
+    running_time_s: float
+    minimum_s: float
+    energy_j: float
+
+
+@dataclass(frozen=True)
+class JourneyPlan:
+    """An optimal journey.
+
+    Attributes:
+        plan: The speed profile over the whole journey; its ``time_s`` counts running only, without dwells.
+        calls: Every waypoint in order.
+    """
+
+    plan: Plan
+    calls: tuple[Call, ...]
+
+
+def timetable_waypoints(
+    line: Line,
+    origin: Station | None = None,
+    destination: Station | None = None,
+    *,
+    total_s: float | None = None,
+) -> tuple[Waypoint, ...]:
+    """Every station from origin to destination with the line's planned times and dwells.
+
+    Args:
+        line: Line.
+        origin: First station, or None for the line's first.
+        destination: Last station, or None for the line's last.
+        total_s: None keeps the timetable: no departure before its time, no arrival after it; a number frees the intermediate times and asks only that the
+            whole journey, dwells included, takes no longer: the reserve is then spread by the optimum.
+
+    Raises:
+        InputError: The line has no planned times and no total is given.
+    """
+    stops = list(line.stations)
+    first, last = stops.index(origin or stops[0]), stops.index(destination or stops[-1])
+    way = stops[first : last + 1] if first < last else stops[last : first + 1][::-1]
+    if len(way) < 2:
+        raise InputError("a journey needs two stations", file=line.id, field="destination")
+    dwell = dict(zip((s.code for s in stops[1:-1]), line.dwell_s, strict=False))
+    points, clock = [Waypoint(0.0, way[0].code)], 0.0
+    for here, there in zip(way[:-1], way[1:], strict=True):
+        planned = line.section(here, there).planned_time_s
+        if planned is None and total_s is None:
+            raise InputError(
+                "the line has no planned running time", file=line.id, field=f"{here.code}-{there.code}"
+            )
+        clock += planned or 0.0
+        stay = dwell.get(there.code, 0.0) if there is not way[-1] else 0.0
+        position = abs(there.position_m - way[0].position_m)
+        call = Waypoint(position, there.code, dwell_s=(stay, stay))
+        if total_s is None:
+            call = replace(call, arrival_s=(None, clock))
+            if there is not way[-1]:
+                call = replace(call, departure_s=(clock + stay, None), dwell_s=(stay, float("inf")))
+        points.append(call)
+        clock += stay
+    if total_s is not None:
+        points[-1] = replace(points[-1], arrival_s=(None, total_s))
+    return tuple(points)
+
+
+def journey_waypoints(journey: Journey) -> tuple[Waypoint, ...]:
+    """A journey's timing points as waypoints: two stops at one position are arrival and departure.
+
+    Raises:
+        InputError: Timing points out of order.
+    """
+    result: list[Waypoint] = []
+    start = journey.points[0].position_m
+    zero = journey.points[0].latest_s or 0.0
+    shift = lambda t: None if t is None else t - zero  # noqa: E731 - two words, used four times below
+    for k, point in enumerate(journey.points):
+        window = (shift(point.earliest_s), shift(point.latest_s))
+        position = abs(point.position_m - start)
+        if result and position == result[-1].position_m:
+            result[-1] = replace(result[-1], departure_s=window, dwell_s=(0.0, float("inf")))
+            continue
+        if result and position < result[-1].position_m:
+            raise InputError(
+                "timing points out of order",
+                file=journey.id,
+                field=f"timing points[{k}]",
+                value=point.position_m,
+                unit="m",
+            )
+        result.append(
+            Waypoint(
+                position_m=position,
+                name=f"{point.position_m:g} m",
+                stop=point.is_stop or k == 0,
+                arrival_s=window,
+                slowest_mps=point.slowest_mps or 0.0,
+                fastest_mps=float("inf") if point.fastest_mps is None else point.fastest_mps,
+            )
+        )
+    return tuple(result)
+
+
+def plan_journey(
+    line: Line,
+    trainset: Trainset,
+    waypoints: Sequence[Waypoint],
+    options: PlanOptions | None = None,
+    *,
+    origin: Station | None = None,
+    destination: Station | None = None,
+) -> JourneyPlan:
+    """The journey of least energy through all waypoints.
+
+    Args:
+        line: Line.
+        trainset: Trainset with its load.
+        waypoints: First at position 0, last at the journey's end.
+        options: Objective, mesh and limits; its start is not used.
+        origin: Where the journey begins, or None for the line's first station.
+        destination: Where it ends, or None for the line's last station.
+
+    Raises:
+        Infeasible: A window cannot be met even flat out; the message names the waypoint and the earliest time.
+    """
+    options = options or PlanOptions()
+    section = line.section(origin or line.stations[0], destination or line.stations[-1])
+    vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
+    table = limited(specific(vehicle), options)
+    stops_m = np.array([w.position_m for w in waypoints])
+    mesh = _with_stops(build_mesh(vehicle, track, stops_m, options.spacing_m), waypoints)
+    energy = fastest_profile(table, mesh)
+    duration = times(mesh, energy)
+    if not np.isfinite(duration).all():
+        explain_stall(mesh, energy)
+    _check_windows(waypoints, mesh, duration)
+    bounds, dwells = _bounds(waypoints, mesh)
+    floor = np.zeros(mesh.node_m.size)
+    floor[mesh.stop] = [0.0 if w.stop else w.slowest_mps for w in waypoints]
+    plan = iterate(vehicle, table, mesh, energy, bounds, dwells, options, floor if floor.any() else None)
+    return JourneyPlan(plan, _calls(waypoints, mesh, plan, duration))
+
+
+def _with_stops(mesh: Mesh, waypoints: Sequence[Waypoint]) -> Mesh:
+    cap = mesh.cap_mps.copy()
+    cap[mesh.stop] = np.minimum(cap[mesh.stop], [0.0 if w.stop else w.fastest_mps for w in waypoints])
+    return mesh._replace(cap_mps=cap)
+
+
+def _check_windows(waypoints: Sequence[Waypoint], mesh: Mesh, duration: ndarray) -> None:
+    """Walk the waypoints flat out with the shortest dwells; name the first window that cannot be met."""
+    clock = 0.0
+    for k, point in enumerate(waypoints):
+        if k:
+            clock += float(duration[mesh.stop[k - 1] : mesh.stop[k]].sum())
+            latest = point.arrival_s[1]
+            if latest is not None and clock > latest + 1e-6:
+                raise Infeasible(
+                    f"{point.name} cannot be reached before {clock:.1f} s",
+                    field="journey",
+                    value=latest,
+                    unit="s",
+                    allowed=f">= {clock:.1f} s",
+                )
+            clock = max(clock, point.arrival_s[0] or 0.0)
+        clock += point.dwell_s[0]
+        clock = max(clock, point.departure_s[0] or 0.0)
+        latest = point.departure_s[1]
+        if latest is not None and clock > latest + 1e-6:
+            raise Infeasible(
+                f"{point.name} cannot be left before {clock:.1f} s",
+                field="journey",
+                value=latest,
+                unit="s",
+                allowed=f">= {clock:.1f} s",
+            )
+
+
+def _bounds(waypoints: Sequence[Waypoint], mesh: Mesh) -> tuple[list[TimeBound], list[tuple[float, float]]]:
+    """Partial sums of running time for every window; fixed dwells are constants, free ones variables."""
+    bounds: list[TimeBound] = []
+    dwells: list[tuple[float, float]] = []
+    fixed, waits = 0.0, ()
+    for k, point in enumerate(waypoints):
+        node = int(mesh.stop[k])
+        if k and point.arrival_s != FREE:
+            bounds.append(_bound(node, point.arrival_s, fixed, waits))
+        low, high = point.dwell_s
+        if high > low:
+            waits = (*waits, len(dwells))
+            dwells.append((low, min(high, 86400.0)))
+        else:
+            fixed += low
+        if point.departure_s != FREE and node < mesh.length_m.size and (k or waits):
+            bounds.append(_bound(node, point.departure_s, fixed, waits))
+    return bounds, dwells
+
+
+def _bound(node: int, window: Window, fixed: float, waits: tuple[int, ...]) -> TimeBound:
+    low, high = (None if t is None else t - fixed for t in window)
+    return TimeBound(0, node, low if low is None or low > 0 else None, high, waits)
+
+
+def _calls(waypoints: Sequence[Waypoint], mesh: Mesh, plan: Plan, fastest: ndarray) -> tuple[Call, ...]:
+    calls: list[Call] = []
+    free = iter(plan.dwell_s)
+    clock, last = 0.0, 0
+    for k, point in enumerate(waypoints):
+        node = int(mesh.stop[k])
+        running = float(plan.time_s[node] - plan.time_s[last])
+        arrival = clock + running
+        dwell = next(free) if point.dwell_s[1] > point.dwell_s[0] else point.dwell_s[0]
+        clock = arrival + dwell
+        work = float(np.sum(plan.traction_n[last:node] * mesh.length_m[last:node]))
+        minimum = float(fastest[last:node].sum())
+        calls.append(Call(point.name, point.position_m, arrival, clock, running, minimum, work))
+        last = node
+    return tuple(calls)

@@ -1,0 +1,128 @@
+"""The space mesh a plan lives on, and what the track asks for on each of its segments."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from metropilot.physics import Track, Vehicle
+
+GAUSS_X, GAUSS_W = np.polynomial.legendre.leggauss(4)
+NEAREST_M = 2.5
+END_NODES = 9
+END_STRETCH_M = 12.0
+
+
+class Mesh(NamedTuple):
+    """Nodes and segment means, SI units.
+
+    Attributes:
+        node_m: Increasing positions. Shape (N+1,).
+        length_m: Length of each segment. Shape (N,).
+        cap_mps: Largest speed at each node. Shape (N+1,).
+        slope_mps2: Mean specific force of gradient and curves on each segment, N per kg of effective mass. Shape (N,).
+        tunnel_n: Mean tunnel coefficient of each segment, N/(m/s)^2. Shape (N,).
+        stop: Indices of the nodes where the trainset stands or a time is fixed, increasing. Shape (S,).
+    """
+
+    node_m: Float[ndarray, " nodes"]
+    length_m: Float[ndarray, " segments"]
+    cap_mps: Float[ndarray, " nodes"]
+    slope_mps2: Float[ndarray, " segments"]
+    tunnel_n: Float[ndarray, " segments"]
+    stop: ndarray
+
+
+def potential_at(track: Track, position_m: Float[ndarray, "..."]) -> Float[ndarray, "... 3"]:
+    """Altitude, curve and tunnel potential at many positions (vectorised twin of the plant's look-up)."""
+    k = np.maximum(np.searchsorted(track.node_m, position_m, side="right") - 1, 0)
+    return track.potential[k] + track.slope[k] * (position_m - track.node_m[k])[..., None]
+
+
+def felt_at(vehicle: Vehicle, track: Track, position_m: Float[ndarray, "..."]) -> Float[ndarray, "... 3"]:
+    """Gradient (1), curve resistance (N/kg) and tunnel coefficient felt over the trainset's length."""
+    if vehicle.length_m > 0:
+        return (
+            potential_at(track, position_m) - potential_at(track, position_m - vehicle.length_m)
+        ) / vehicle.length_m
+    k = np.maximum(np.searchsorted(track.node_m, position_m, side="right") - 1, 0)
+    return track.slope[k]
+
+
+def limit_at(track: Track, position_m: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
+    """Speed limit of the head at many positions."""
+    k = np.maximum(np.searchsorted(track.limit_from_m, position_m, side="right") - 1, 0)
+    return track.limit_mps[k]
+
+
+def end_spacing(stretch_m: float = END_STRETCH_M, nodes: int = END_NODES) -> ndarray:
+    """Distances from a stop at which nodes lie: dense at the stop, where speed grows as its square root."""
+    return stretch_m * (np.arange(1, nodes + 1) / nodes) ** 2.5
+
+
+def build_mesh(
+    vehicle: Vehicle,
+    track: Track,
+    stops_m: Float[ndarray, " stops"],
+    spacing_m: float = 12.5,
+    cap_mps: Float[ndarray, " grid"] | None = None,
+    cap_at_m: Float[ndarray, " grid"] | None = None,
+) -> Mesh:
+    """Nodes at every stop, limit change and (where not too close) gradient change, dense near the stops.
+
+    Args:
+        vehicle: Trainset.
+        track: Track.
+        stops_m: First node, intermediate nodes that must exist (stops, timing points), last node; increasing.
+        spacing_m: Largest segment.
+        cap_mps: Further speed cap, e.g. what protection permits, at the positions ``cap_at_m``.
+        cap_at_m: Positions of ``cap_mps``.
+    """
+    first, last = float(stops_m[0]), float(stops_m[-1])
+    limits = track.limit_from_m[np.isfinite(track.limit_from_m)]
+    needed = np.concatenate([stops_m, limits])
+    needed = np.unique(needed[(needed >= first) & (needed <= last)])
+    near = np.concatenate([np.concatenate([s + end_spacing(), s - end_spacing()]) for s in stops_m])
+    slopes = track.node_m[np.isfinite(track.node_m)]
+    breaks = np.concatenate([slopes, slopes + float(vehicle.length_m)])
+    nodes = _merge(needed, near, gap=0.01)
+    nodes = _merge(nodes, breaks, gap=NEAREST_M)
+    nodes = nodes[(nodes >= first) & (nodes <= last)]
+    nodes = _filled(nodes, spacing_m)
+    length = np.diff(nodes)
+    points = nodes[:-1, None] + 0.5 * length[:, None] * (1 + GAUSS_X)
+    felt = np.einsum("skp,k->sp", felt_at(vehicle, track, points), GAUSS_W / 2)
+    ratio = vehicle.mass_kg / vehicle.effective_mass_kg
+    cap = limit_at(track, 0.5 * (nodes[:-1] + nodes[1:]))
+    node_cap = np.minimum(np.append(cap, cap[-1]), np.append(cap[0], cap))
+    if cap_mps is not None and cap_at_m is not None:
+        node_cap = np.minimum(node_cap, np.interp(nodes, cap_at_m, cap_mps))
+    return Mesh(
+        node_m=nodes,
+        length_m=length,
+        cap_mps=node_cap,
+        slope_mps2=ratio * (vehicle.gravity_mps2 * felt[:, 0] + felt[:, 1]),
+        tunnel_n=felt[:, 2],
+        stop=np.searchsorted(nodes, np.asarray(stops_m)),
+    )
+
+
+def _merge(kept: ndarray, extra: ndarray, gap: float) -> ndarray:
+    """``kept`` plus those of ``extra`` that are at least ``gap`` away from every neighbour already there."""
+    result = kept
+    for x in np.sort(extra):
+        i = np.searchsorted(result, x)
+        left = x - result[i - 1] if i > 0 else np.inf
+        right = result[i] - x if i < result.size else np.inf
+        if min(left, right) >= gap:
+            result = np.insert(result, i, x)
+    return result
+
+
+def _filled(nodes: ndarray, spacing_m: float) -> ndarray:
+    counts = np.maximum(np.ceil(np.diff(nodes) / spacing_m - 1e-9).astype(int), 1)
+    parts = [a + (b - a) * np.arange(n) / n for a, b, n in zip(nodes[:-1], nodes[1:], counts, strict=True)]
+    return np.append(np.concatenate(parts), nodes[-1])

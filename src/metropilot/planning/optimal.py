@@ -1,0 +1,319 @@
+"""The energy-optimal plan of a section, from rest or from any state, with its certificate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from metropilot.errors import Infeasible, InputError
+from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
+from metropilot.planning.cone_program import Answer, Prices, Programme, TimeBound, solve
+from metropilot.planning.effort_table import Specific, specific
+from metropilot.planning.fastest import fastest_profile, relaxed_cap, times
+from metropilot.planning.mesh import Mesh, build_mesh
+from metropilot.railway import Section, Trainset
+
+Objective = Literal["wheel", "line"]
+PASSES = 6
+SETTLED = 5e-5
+FINE_M = 2.0
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """How a plan is computed.
+
+    Attributes:
+        objective: ``wheel``: mechanical traction energy; ``line``: net electrical energy with efficiency,
+            auxiliaries and recovered braking.
+        spacing_m: Largest segment of the mesh.
+        start_m: Position the plan begins at.
+        start_mps: Speed there.
+        start_mps2: Acceleration there (only the jerk bound asks for it).
+        end_mps: Speed at the destination.
+        jerk_mps3: Bound on jerk the plan allows for, or None.
+        cap_m: Positions of a further speed cap, or None.
+        cap_mps: The cap at those positions (for instance what protection permits).
+        acceleration_mps2: Acceleration limit, or None for the trainset's.
+        deceleration_mps2: Deceleration limit, or None for the trainset's.
+    """
+
+    objective: Objective = "wheel"
+    spacing_m: float = 12.5
+    start_m: float = 0.0
+    start_mps: float = 0.0
+    start_mps2: float = 0.0
+    end_mps: float = 0.0
+    jerk_mps3: float | None = None
+    cap_m: Float[ndarray, " grid"] | None = None
+    cap_mps: Float[ndarray, " grid"] | None = None
+    acceleration_mps2: float | None = None
+    deceleration_mps2: float | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A speed profile over distance with what it costs and what nothing can undercut.
+
+    Attributes:
+        position_m: Nodes. Shape (N+1,).
+        speed_mps: Speed at the nodes. Shape (N+1,).
+        time_s: Time since the start at the nodes, dwells included. Shape (N+1,).
+        traction_n: Traction force on each segment. Shape (N,).
+        brake_n: Braking force on each segment. Shape (N,).
+        running_time_s: Total time, dwells included.
+        energy_j: Objective of the plan, evaluated on its own speed profile.
+        bound_j: Dual value: no drive of the convex problem costs less.
+        energy_wheel_j: Mechanical traction energy of the plan.
+        second_w: What the last second costs: the energy saved by one more second of running time, J/s.
+        tightness: Largest relative gap of the cones ``v^2 <= 2E`` (0: tight).
+        effort_excess: Largest share by which a force of the plan exceeds the effort curve at its own speed.
+        passes: Linearisation passes used.
+        dwell_s: Dwell at each free stop, in order.
+    """
+
+    position_m: Float[ndarray, " nodes"]
+    speed_mps: Float[ndarray, " nodes"]
+    time_s: Float[ndarray, " nodes"]
+    traction_n: Float[ndarray, " segments"]
+    brake_n: Float[ndarray, " segments"]
+    running_time_s: float
+    energy_j: float
+    bound_j: float
+    energy_wheel_j: float
+    second_w: float
+    tightness: float
+    effort_excess: float
+    passes: int
+    dwell_s: tuple[float, ...] = ()
+
+    @property
+    def gap(self) -> float:
+        """Certificate: share by which the plan's energy lies above the bound."""
+        return self.energy_j / self.bound_j - 1.0
+
+    @property
+    def energy_kwh(self) -> float:
+        """Objective, kWh."""
+        return self.energy_j / 3.6e6
+
+
+def minimum_running_time(
+    section: Section, trainset: Trainset, *, start_mps: float = 0.0, end_mps: float = 0.0
+) -> float:
+    """Running time of the flat-out run, s: no drive under these limits is faster."""
+    vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
+    return fastest_time(vehicle, track, PlanOptions(start_mps=start_mps, end_mps=end_mps))
+
+
+def fastest_time(vehicle: Vehicle, track: Track, options: PlanOptions) -> float:
+    """Flat-out time from the state in ``options`` on a mesh of ``FINE_M``, s."""
+    table = limited(specific(vehicle), options)
+    mesh = _mesh(vehicle, track, options, FINE_M)
+    energy = fastest_profile(table, mesh, options.start_mps, options.end_mps)
+    return float(times(mesh, energy).sum())
+
+
+def optimal_plan(
+    section: Section, trainset: Trainset, time_s: float, options: PlanOptions | None = None
+) -> Plan:
+    """The plan of least energy that covers the section within a running time.
+
+    Args:
+        section: Section.
+        trainset: Trainset with its load.
+        time_s: Running time (or time left, when starting on the way).
+        options: See :class:`PlanOptions`.
+
+    Raises:
+        Infeasible: The running time is below the minimum, which the message names, or the trainset cannot
+            cover the section at all.
+        SolverError: The solver did not finish.
+    """
+    return plan_arrays(
+        vehicle_arrays(trainset), track_arrays(section, trainset), time_s, options or PlanOptions()
+    )
+
+
+def plan_arrays(vehicle: Vehicle, track: Track, time_s: float, options: PlanOptions) -> Plan:
+    """:func:`optimal_plan` for arrays already built; see there."""
+    if not np.isfinite(time_s) or time_s <= 0:
+        raise InputError(
+            "running time out of range", field="time", value=time_s, unit="s", allowed="finite, > 0"
+        )
+    table = limited(specific(vehicle), options)
+    mesh = _mesh(vehicle, track, options, options.spacing_m)
+    energy = fastest_profile(table, mesh, options.start_mps, options.end_mps)
+    fastest = float(times(mesh, energy).sum())
+    if not np.isfinite(fastest):
+        explain_stall(mesh, energy)
+    if time_s < fastest:
+        exact = fastest_time(vehicle, track, options)
+        raise Infeasible(
+            f"minimum running time is {exact:.1f} s",
+            field="time",
+            value=round(time_s, 3),
+            unit="s",
+            allowed=f">= {exact:.1f} s",
+        )
+    bounds = (TimeBound(0, mesh.length_m.size, None, time_s),)
+    return iterate(vehicle, table, mesh, energy, bounds, (), options)
+
+
+def limited(table: Specific, options: PlanOptions) -> Specific:
+    """The trainset's table with the acceleration limits of the options."""
+    return table._replace(
+        acceleration=options.acceleration_mps2 or table.acceleration,
+        deceleration=options.deceleration_mps2 or table.deceleration,
+    )
+
+
+def _mesh(vehicle: Vehicle, track: Track, options: PlanOptions, spacing_m: float) -> Mesh:
+    length = float(track.length_m)
+    if not 0 <= options.start_m < length:
+        raise InputError(
+            "start outside the section",
+            field="start",
+            value=options.start_m,
+            unit="m",
+            allowed=f"0 to {length:g} m",
+        )
+    ends = np.array([options.start_m, length])
+    return build_mesh(vehicle, track, ends, spacing_m, options.cap_mps, options.cap_m)
+
+
+def explain_stall(mesh: Mesh, energy: ndarray) -> None:
+    stalled = np.flatnonzero((energy[:-1] <= 0) & (energy[1:] <= 0))
+    where = float(mesh.node_m[stalled[0]]) if stalled.size else float("nan")
+    force = float(mesh.slope_mps2[stalled[0]]) if stalled.size else float("nan")
+    raise Infeasible(
+        f"the trainset stalls at {where:.0f} m, where gradient and curve take {force:.3f} N/kg",
+        field="section",
+    )
+
+
+def _prices(
+    vehicle: Vehicle, table: Specific, mesh: Mesh, options: PlanOptions, answer: Answer | None
+) -> Prices:
+    """Prices per joule at the wheel; efficiency maps are read at the last iterate."""
+    n = mesh.length_m.size
+    if options.objective == "wheel":
+        return Prices(np.ones(n), np.zeros(n), 0.0)
+    motoring, braking = (
+        np.full(n, float(np.mean(m))) for m in (vehicle.efficiency_traction, vehicle.efficiency_braking)
+    )
+    if answer is not None and vehicle.efficiency_traction.size > 1:
+        motoring, braking = _mapped(vehicle, table, answer)
+    return Prices(
+        1.0 / motoring, braking * float(vehicle.receptivity), float(vehicle.auxiliary_w) / table.mass_kg
+    )
+
+
+def _mapped(vehicle: Vehicle, table: Specific, answer: Answer) -> tuple[ndarray, ndarray]:
+    from scipy.interpolate import RegularGridInterpolator
+
+    speed = np.sqrt(answer.energy[1:] + answer.energy[:-1])
+    result = []
+    for values, forces, curve in (
+        (vehicle.efficiency_traction, answer.traction, table.traction),
+        (vehicle.efficiency_braking, answer.recovered, table.electric),
+    ):
+        share = np.clip(forces / np.maximum(np.interp(speed, table.speed_mps, curve), 1e-6), 0.0, 1.0)
+        axes = (vehicle.efficiency_speed_mps, vehicle.efficiency_share)
+        grid = values
+        for axis in (0, 1):
+            if axes[axis].size == 1:
+                axes = tuple(np.append(a, a[-1] + 1.0) if k == axis else a for k, a in enumerate(axes))
+                grid = np.repeat(grid, 2, axis=axis)
+        inside = [np.clip(x, a[0], a[-1]) for x, a in zip((speed, share), axes, strict=True)]
+        result.append(RegularGridInterpolator(axes, grid)(np.stack(inside, axis=1)))
+    return result[0], result[1]
+
+
+def iterate(
+    vehicle: Vehicle,
+    table: Specific,
+    mesh: Mesh,
+    energy: ndarray,
+    bounds: Sequence[TimeBound],
+    dwells: Sequence[tuple[float, float]],
+    options: PlanOptions,
+    floor_mps: Float[ndarray, " nodes"] | None = None,
+) -> Plan:
+    """Solve, move the linearisation to the answer, and repeat until the energy settles."""
+    cap = relaxed_cap(table, mesh, options.start_mps)
+    answer: Answer | None = None
+    count = 0
+    last = np.inf
+    for _ in range(PASSES):
+        count += 1
+        prices = _prices(vehicle, table, mesh, options, answer)
+        programme = Programme(
+            mesh=mesh,
+            table=table,
+            prices=prices,
+            start_mps=options.start_mps,
+            end_mps=options.end_mps,
+            cap_mps=cap,
+            bounds=tuple(bounds),
+            dwells=tuple(dwells),
+            floor_mps=floor_mps,
+            jerk_mps3=options.jerk_mps3,
+            start_mps2=options.start_mps2,
+            stands=options.start_mps == 0,
+        )
+        answer = solve(programme, energy)
+        moved = float(np.max(np.abs(answer.energy - energy)) / max(float(answer.energy.max()), 1e-9))
+        energy = answer.energy
+        if abs(answer.dual - last) <= SETTLED * abs(answer.dual) or moved < 1e-3:
+            break
+        last = answer.dual
+    assert answer is not None
+    return _finished(table, mesh, answer, _prices(vehicle, table, mesh, options, answer), options, count)
+
+
+def _finished(
+    table: Specific, mesh: Mesh, answer: Answer, prices: Prices, options: PlanOptions, passes: int
+) -> Plan:
+    """Evaluate the answer's speed profile by itself: forces from the exact dynamics, times from the speeds."""
+    ds = mesh.length_m
+    speed = np.sqrt(2 * answer.energy)
+    speed[0], speed[-1] = options.start_mps, options.end_mps
+    energy = 0.5 * speed**2
+    a, b, c = table.davis
+    quad = c + mesh.tunnel_n / table.mass_kg
+    drag = a + 0.5 * b * (speed[1:] + speed[:-1]) + quad * (energy[1:] + energy[:-1]) + mesh.slope_mps2
+    effort = np.diff(energy) / ds + drag
+    traction, brake = np.maximum(effort, 0.0), np.maximum(-effort, 0.0)
+    recovered = np.minimum(
+        brake, np.interp(np.sqrt(energy[1:] + energy[:-1]), table.speed_mps, table.electric)
+    )
+    duration = times(mesh, energy)
+    wheel = float(np.sum(traction * ds))
+    cost = float(np.sum(ds * (prices.traction * traction - prices.recovered * recovered)))
+    cost += prices.second_w * float(duration.sum())
+    slack = (2 * answer.energy - answer.speed**2) / max(float(2 * answer.energy.max()), 1e-9)
+    clock = np.concatenate([[0.0], np.cumsum(duration)])
+    middle = np.sqrt(energy[1:] + energy[:-1])
+    excess = traction / np.maximum(np.interp(middle, table.speed_mps, table.traction), 1e-9) - 1.0
+    return Plan(
+        position_m=mesh.node_m,
+        speed_mps=speed,
+        time_s=clock,
+        traction_n=traction * table.mass_kg,
+        brake_n=brake * table.mass_kg,
+        running_time_s=float(clock[-1]),
+        energy_j=cost * table.mass_kg,
+        bound_j=answer.dual * table.mass_kg,
+        energy_wheel_j=wheel * table.mass_kg,
+        second_w=answer.second * table.mass_kg,
+        tightness=float(slack.max()),
+        effort_excess=float(np.max(np.where(traction > 1e-6, excess, 0.0))),
+        passes=passes,
+        dwell_s=tuple(float(w) for w in answer.dwell),
+    )
