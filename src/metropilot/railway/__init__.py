@@ -1,11 +1,20 @@
 """Lines, trainsets and journeys: schema, loaders and catalogue. NumPy only, never JAX."""
 
 from metropilot.railway.effort import Efficiency, EffortCurve, EffortPiece
-from metropilot.railway.journey import Journey, TimingPoint
-from metropilot.railway.library import import_file, list_lines, list_trainsets, load_line, load_trainset
+from metropilot.railway.journey import Journey, TimingPoint, planned_journey
+from metropilot.railway.library import (
+    import_file,
+    list_lines,
+    list_trainsets,
+    load_journey,
+    load_line,
+    load_trainset,
+)
 from metropilot.railway.line import Curve, Line, Restriction, Section, Station, Tunnel
 from metropilot.railway.profile import Steps
+from metropilot.railway.toml_write import write_journey, write_line, write_trainset
 from metropilot.railway.trainset import Actuation, Couplers, Davis, SafeBraking, Trainset
+from metropilot.railway.ttobench_write import export_ttobench
 
 __all__ = [
     "Actuation",
@@ -25,9 +34,15 @@ __all__ = [
     "TimingPoint",
     "Trainset",
     "Tunnel",
+    "export_ttobench",
     "import_file",
     "list_lines",
     "list_trainsets",
+    "load_journey",
     "load_line",
     "load_trainset",
+    "planned_journey",
+    "write_journey",
+    "write_line",
+    "write_trainset",
 ]

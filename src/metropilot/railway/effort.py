@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -41,7 +42,7 @@ class EffortCurve:
         if not self.pieces:
             raise InputError("an effort curve needs at least one piece")
         starts = [p.from_mps for p in self.pieces]
-        if starts[0] != 0.0 or any(b <= a for a, b in zip(starts[:-1], starts[1:], strict=True)):
+        if starts[0] != 0.0 or any(b <= a for a, b in pairwise(starts)):
             raise InputError(
                 "the pieces of an effort curve must begin at 0 and increase", value=starts[0], unit="m/s"
             )
@@ -54,7 +55,8 @@ class EffortCurve:
         coefficients = np.array([p.polynomial for p in self.pieces])[index]
         power = np.array([p.power_w for p in self.pieces])[index]
         cap = np.array([p.cap_n for p in self.pieces])[index]
-        value = power / np.maximum(speed, 1e-6) + np.einsum("nk,nk->n", coefficients, speed[:, None] ** np.arange(4))
+        powers = speed[..., None] ** np.arange(4)
+        value = power / np.maximum(speed, 1e-6) + (coefficients * powers).sum(axis=-1)
         return np.clip(value, 0.0, cap).reshape(np.shape(speed_mps))
 
     def scaled(self, factor: float) -> EffortCurve:
@@ -120,8 +122,20 @@ class Efficiency:
             object.__setattr__(self, name, array)
         if self.value.shape != (self.speed_mps.size, self.effort_share.size):
             raise InputError("an efficiency map needs one row per speed and one column per effort share")
-        if not ((self.value > 0) & (self.value <= 1)).all():
-            raise InputError("efficiency out of range", value=float(self.value.min()), allowed="0 < efficiency <= 1")
+        wrong = self.value[~((self.value > 0) & (self.value <= 1))]
+        if wrong.size:
+            raise InputError("efficiency out of range", value=float(wrong[0]), allowed="> 0 and <= 1")
+
+    def __eq__(self, other: object) -> bool:
+        """Equal when all three arrays are."""
+        if not isinstance(other, Efficiency):
+            return NotImplemented
+        names = ("speed_mps", "effort_share", "value")
+        return all(np.array_equal(getattr(self, n), getattr(other, n)) for n in names)
+
+    def __hash__(self) -> int:
+        """Consistent with equality."""
+        return hash((self.speed_mps.tobytes(), self.effort_share.tobytes(), self.value.tobytes()))
 
     @classmethod
     def constant(cls, value: float) -> Efficiency:

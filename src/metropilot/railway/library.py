@@ -8,10 +8,10 @@ from collections.abc import Callable
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from metropilot.errors import InputError
-from metropilot.railway.journey import Journey
+from metropilot.railway.journey import Journey, planned_journey
 from metropilot.railway.line import Line
 from metropilot.railway.node import Node, nearest
 from metropilot.railway.toml_journey import read_journey
@@ -19,6 +19,8 @@ from metropilot.railway.toml_line import read_line
 from metropilot.railway.toml_trainset import read_trainset
 from metropilot.railway.trainset import Trainset
 from metropilot.railway.ttobench import read_ttobench
+
+T = TypeVar("T", Line, Trainset, Journey)
 
 _READERS: dict[str, Callable[[Node], Line | Trainset | Journey]] = {
     "line": read_line,
@@ -34,8 +36,8 @@ def import_file(path: str | Path) -> Line | Trainset | Journey:
         path: A file ending in ``.toml`` or ``.json``.
 
     Raises:
-        InputError: The file cannot be read, is of neither format, or is malformed: one line that names the file,
-            the field, the value, its unit and what is allowed.
+        InputError: The file cannot be read, is of neither format, or is malformed: one line that names the
+            file, the field, the value, its unit and what is allowed.
     """
     path = Path(path)
     text = _text(path)
@@ -103,7 +105,7 @@ def _from_catalogue(folder: str, key: str) -> Line | Trainset | Journey:
     return _read_toml((files("metropilot.railway") / name).read_text(encoding="utf-8"), name)
 
 
-def _load(key: str | Path, folder: str, what: str, kind: type) -> Any:
+def _load(key: str | Path, folder: str, what: str, kind: type[T]) -> T:
     if str(key).lower().endswith((".toml", ".json")):
         found = import_file(key)
         if not isinstance(found, kind):
@@ -112,7 +114,9 @@ def _load(key: str | Path, folder: str, what: str, kind: type) -> Any:
         return found
     ids = _ids(folder)
     if str(key) in ids:
-        return _from_catalogue(folder, str(key))
+        found = _from_catalogue(folder, str(key))
+        if isinstance(found, kind):
+            return found
     raise InputError(
         f"unknown {what}{nearest(str(key), ids)}",
         field=what,
@@ -149,3 +153,28 @@ def load_trainset(id_or_path: str | Path, load: str | None = None) -> Trainset:
         key, load = head, load or tail
     trainset = _load(key, "trainsets", "trainset", Trainset)
     return trainset if load is None else trainset.loaded(load)
+
+
+def load_journey(id_or_path: str | Path) -> Journey:
+    """A journey from a file, or the planned timetable of a line of the catalogue.
+
+    Args:
+        id_or_path: A path ending in ``.toml`` (metropilot) or ``.json`` (TTOBench journey), or
+            ``LINE-forward`` or ``LINE-backward`` for a line of the catalogue with planned times.
+
+    Raises:
+        InputError: No such id (they are listed), or the file is not usable.
+    """
+    key = str(id_or_path)
+    if key.lower().endswith((".toml", ".json")):
+        return _load(key, "", "journey", Journey)
+    ids = [f"{line}-{way}" for line in list_lines() for way in ("forward", "backward")]
+    if key not in ids:
+        raise InputError(
+            f"unknown journey{nearest(key, ids)}",
+            field="journey",
+            value=key,
+            allowed=", ".join(ids) + ", or a path ending in .toml or .json",
+        )
+    line, _, way = key.rpartition("-")
+    return planned_journey(load_line(line), backward=way == "backward")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from metropilot.errors import InputError
 from metropilot.railway.profile import Steps
-
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,11 @@ class Restriction:
             )
         if not (np.isfinite(self.limit_mps) and self.limit_mps > 0):
             raise InputError(
-                "a restriction needs a speed", field="restriction", value=self.limit_mps, unit="m/s", allowed="> 0"
+                "a restriction needs a speed",
+                field="restriction",
+                value=self.limit_mps,
+                unit="m/s",
+                allowed="> 0",
             )
 
 
@@ -166,6 +170,9 @@ class Line:
     extra: Mapping[str, Any] = field(default_factory=dict)
     unused: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        check_line(self)
+
     def station(self, key: str) -> Station:
         """The station a user means by a code, a name, or a unique beginning of one (case, spaces ignored).
 
@@ -187,21 +194,68 @@ class Line:
     def sections(self, *, backward: bool = False) -> tuple[Section, ...]:
         """Every section between neighbouring stations, in the order a trainset meets them."""
         stops = self.stations[::-1] if backward else self.stations
-        return tuple(self.section(a, b) for a, b in zip(stops[:-1], stops[1:], strict=True))
+        return tuple(self.section(a, b) for a, b in pairwise(stops))
 
 
 def _key(text: str) -> str:
     return "".join(ch for ch in text.casefold() if ch.isalnum())
 
 
+def check_line(line: Line) -> None:
+    """Refuse a line whose parts do not fit together.
+
+    Raises:
+        InputError: Naming the field, its value and what is allowed.
+    """
+    stops = line.stations
+    if len(stops) < 2:
+        raise InputError("needs stations", field="stations", value=len(stops), allowed="at least 2")
+    for index, (before, after) in enumerate(pairwise(stops), start=1):
+        if not after.position_m > before.position_m:
+            raise InputError(
+                "must increase",
+                field=f"stations[{index}].position",
+                value=f"{after.position_m:g}",
+                unit="m",
+                allowed=f"> {before.position_m:g} m",
+            )
+    seen: set[str] = set()
+    for index, stop in enumerate(stops):
+        if _key(stop.code) in seen:
+            raise InputError(
+                "code used twice",
+                field=f"stations[{index}].code",
+                value=stop.code,
+                allowed="a code of its own",
+            )
+        seen.add(_key(stop.code))
+    wanted = {
+        "planned_forward_s": len(stops) - 1,
+        "planned_backward_s": len(stops) - 1,
+        "dwell_s": len(stops) - 2,
+    }
+    for name, length in wanted.items():
+        table = getattr(line, name)
+        if table and len(table) != length:
+            what = "one for each section" if length == len(stops) - 1 else "one for each station on the way"
+            raise InputError(
+                "wrong length", field=f"timetable.{name}", value=len(table), allowed=f"{length}, {what}"
+            )
+    slowest = float(line.limit_mps.value.min())
+    if not slowest > 0:
+        raise InputError(
+            "speed limit out of range", field="limit_mps", value=slowest, unit="m/s", allowed="> 0 m/s"
+        )
+
+
 def find_station(line: Line, key: str) -> Station:
     """See :meth:`Line.station`."""
     wanted = _key(key)
-    exact = [s for s in line.stations if wanted in {_key(s.code), _key(s.name), _key(s.pinyin), _key(s.local_name)} - {""}]
+    keys = {s.code: {_key(t) for t in (s.code, s.name, s.pinyin, s.local_name)} - {""} for s in line.stations}
+    exact = [s for s in line.stations if wanted in keys[s.code]]
     if len(exact) == 1:
         return exact[0]
-    names = [(s, {_key(s.name), _key(s.pinyin), _key(s.code)}) for s in line.stations]
-    begins = [s for s, keys in names if wanted and any(k.startswith(wanted) for k in keys)]
+    begins = [s for s in line.stations if wanted and any(k.startswith(wanted) for k in keys[s.code])]
     if len(begins) == 1:
         return begins[0]
     listed = ", ".join(f"{s.code} ({s.name})" for s in (exact or begins or line.stations))
@@ -245,16 +299,23 @@ def cut_section(line: Line, start: Station, end: Station) -> Section:
     )
 
 
+BEYOND_M = 1e6
+"""How far a mirrored line's last curve reaches: further than any line."""
+
+
 def _mirrored_curves(curves: tuple[Curve, ...], origin_m: float) -> tuple[Curve, ...]:
-    """Curves seen from the other direction; what lay beyond the last one stays as the last piece was at its end."""
+    """Curves seen from the other direction.
+
+    What lies beyond the last curve is straight on as that curve was at its end; before the first, straight.
+    """
     if not curves:
         return ()
     starts = [c.from_m for c in curves]
-    beyond = Curve(origin_m - starts[-1] - 1e6, curves[-1].curvature_end_per_m, curves[-1].curvature_end_per_m)
+    end = -curves[-1].curvature_end_per_m
+    last = Curve(origin_m - starts[-1] - BEYOND_M, end, end)
     turned = [
         Curve(origin_m - starts[k + 1], -curves[k].curvature_end_per_m, -curves[k].curvature_start_per_m)
         for k in range(len(curves) - 2, -1, -1)
     ]
     before = Curve(origin_m - starts[0], 0.0, 0.0)
-    last = replace(beyond, curvature_start_per_m=-beyond.curvature_start_per_m, curvature_end_per_m=-beyond.curvature_end_per_m)
     return (last, *turned, before)

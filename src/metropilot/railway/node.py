@@ -6,6 +6,7 @@ import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -61,13 +62,19 @@ EFFICIENCY = Bounds(0.0, 1.0, above=True)
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a table: its name, the kind of its unit, its range, and whether a cell may be empty (null)."""
+    """One column of a table.
+
+    Attributes:
+        name: What the units table calls it.
+        kind: The kind of its unit.
+        bounds: The range of its cells, in SI.
+        optional: Whether a cell may be empty (null).
+    """
 
     name: str
     kind: str
     bounds: Bounds = ANY
     optional: bool = False
-    key: str | None = None
 
 
 def shown(value: object) -> str:
@@ -105,6 +112,10 @@ class Node:
         """The error to raise about a key."""
         given = None if value is None else shown(value)
         return InputError(problem, file=self.file, field=self.at(key), value=given, allowed=allowed)
+
+    def was_read(self, key: str) -> bool:
+        """Whether anything has asked for the key."""
+        return key in self._read
 
     def __contains__(self, key: str) -> bool:
         """Whether the file gives the key."""
@@ -214,7 +225,9 @@ class Node:
             raise self._number_error("out of range", where, value, of, bounds)
         return result
 
-    def _number_error(self, problem: str, where: str, value: object, of: Unit | None, bounds: Bounds) -> InputError:
+    def _number_error(
+        self, problem: str, where: str, value: object, of: Unit | None, bounds: Bounds
+    ) -> InputError:
         return InputError(
             problem,
             file=self.file,
@@ -224,7 +237,9 @@ class Node:
             allowed=bounds.words(of),
         )
 
-    def quantities(self, key: str, kind: str, bounds: Bounds = ANY, *, unit_name: str = "") -> tuple[float, ...]:
+    def quantities(
+        self, key: str, kind: str, bounds: Bounds = ANY, *, unit_name: str = ""
+    ) -> tuple[float, ...]:
         """A list of numbers with one unit, in SI; empty where the key is missing."""
         if self.get(key) is None:
             return ()
@@ -250,7 +265,7 @@ class Node:
 
     def increasing(self, values: Sequence[float], where: str, of: Unit) -> None:
         """Check that positions or speeds increase; ``where`` is a pattern with ``{}`` for the index."""
-        for index, (before, after) in enumerate(zip(values[:-1], values[1:], strict=True), start=1):
+        for index, (before, after) in enumerate(pairwise(values), start=1):
             if not after > before:
                 raise InputError(
                     "must increase",
@@ -269,7 +284,7 @@ class Node:
         """
         known = sorted(k for k in self._read if "." not in k)
         for key in self.data:
-            if key not in self._read:
+            if key not in self._read and key not in {"units", "unit"}:
                 raise self.fail(f"unknown key{nearest(str(key), known)}", str(key), allowed=", ".join(known))
         units = self.data.get("units")
         if isinstance(units, Mapping):
@@ -284,5 +299,7 @@ def _encodable(value: str, node: Node, key: str) -> str:
     try:
         value.encode()
     except UnicodeEncodeError as error:
-        raise node.fail("must be proper Unicode", key, ascii(value), "text without lone surrogates") from error
+        raise node.fail(
+            "must be proper Unicode", key, ascii(value), "text without lone surrogates"
+        ) from error
     return value

@@ -58,16 +58,16 @@ class Steps:
     def at(self, position_m: Float[ndarray, "..."] | float) -> Float[ndarray, "..."]:
         """The value that holds at each position (right-continuous)."""
         index = np.searchsorted(self.from_m, np.asarray(position_m, dtype=np.float64), side="right") - 1
-        return self.value[np.maximum(index, 0)]
+        return np.asarray(self.value[np.maximum(index, 0)])
 
     def integral(self, position_m: Float[ndarray, "..."] | float) -> Float[ndarray, "..."]:
         """The integral of the profile from its first break to each position."""
         position = np.asarray(position_m, dtype=np.float64)
         if self.from_m.size == 1:
-            return self.value[0] * (position - self.from_m[0])
+            return np.asarray(self.value[0] * (position - self.from_m[0]))
         whole = np.concatenate([[0.0], np.cumsum(np.diff(self.from_m) * self.value[:-1])])
         index = np.clip(np.searchsorted(self.from_m, position, side="right") - 1, 0, None)
-        return whole[index] + self.value[index] * (position - self.from_m[index])
+        return np.asarray(whole[index] + self.value[index] * (position - self.from_m[index]))
 
     def window(self, start_m: float, end_m: float) -> Steps:
         """The pieces that matter between two positions, the first moved to ``start_m``."""

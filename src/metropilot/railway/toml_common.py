@@ -7,7 +7,10 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from metropilot.errors import InputError
+from metropilot.railway.journey import Journey
+from metropilot.railway.line import Line
 from metropilot.railway.node import Node
+from metropilot.railway.trainset import Trainset
 
 T = TypeVar("T")
 
@@ -71,7 +74,7 @@ class Document:
             raise self.root.fail("missing", name, allowed="a table")
         return block
 
-    def build(self, make: Callable[..., T], **fields: Any) -> T:
+    def build(self, make: Callable[..., T], **fields: object) -> T:
         """Close every table and make the object, naming the file in whatever its own checks say.
 
         Raises:
@@ -89,11 +92,11 @@ class Document:
             raise located(error, self.root.file) from error
 
 
-def header(kind: str, thing: Any, **more: Any) -> dict[str, Any]:
+def header(kind: str, thing: Line | Trainset | Journey, **more: str) -> dict[str, Any]:
     """The header of a document, without what is empty."""
     document: dict[str, Any] = {"kind": kind, "id": thing.id, **more}
     for key in ("notes", "unused"):
-        if getattr(thing, key, ()):
+        if getattr(thing, key):
             document[key] = list(getattr(thing, key))
     if thing.extra:
         document["extra"] = json.dumps(thing.extra)

@@ -18,8 +18,8 @@ _FORM_WORDS = "one of: pieces, table, force with power"
 def read_effort(block: Node) -> EffortCurve:
     """The effort curve of a block, in whichever of its three forms.
 
-    ``pieces = [{ from, polynomial, power, cap }]``, ``table = [[speed, force], ...]`` (linear between the points), or
-    ``force`` with ``power`` (the smaller of the force and the power over the speed).
+    ``pieces = [{ from, polynomial, power, cap }]``, ``table = [[speed, force], ...]`` (linear between the
+    points), or ``force`` with ``power`` (the smaller of the force and the power over the speed).
 
     Raises:
         InputError: No form or several, a bad number, speeds that do not begin at 0 and increase.
@@ -31,7 +31,9 @@ def read_effort(block: Node) -> EffortCurve:
         force = block.quantity("force", "force", POSITIVE)
         return EffortCurve.force_power(force, block.quantity("power", "power", POSITIVE))
     if forms == ["table"]:
-        rows = block.rows("table", (Column("speed", "speed", NOT_NEGATIVE), Column("force", "force", NOT_NEGATIVE)))
+        rows = block.rows(
+            "table", (Column("speed", "speed", NOT_NEGATIVE), Column("force", "force", NOT_NEGATIVE))
+        )
         _from_zero(block, [float(v) for v in rows[:, 0]], "table[{}].speed")
         return EffortCurve.table(rows[:, 0], rows[:, 1])
     pieces = [_piece(block, entry, f"pieces[{i}]") for i, entry in enumerate(block.items("pieces"))]
@@ -41,7 +43,9 @@ def read_effort(block: Node) -> EffortCurve:
 
 def _from_zero(block: Node, speeds: list[float], where: str) -> None:
     if not speeds:
-        raise block.fail("needs at least one row", where.split("[")[0], allowed="rows by increasing speed, from 0")
+        raise block.fail(
+            "needs at least one row", where.partition("[")[0], allowed="rows by increasing speed, from 0"
+        )
     if speeds[0] != 0.0:
         raise block.fail("must begin at standstill", where.format(0), f"{speeds[0]:g} m/s", "0")
     block.increasing(speeds, where, block.unit("speed", "speed"))
@@ -63,7 +67,9 @@ def _piece(block: Node, entry: object, where: str) -> EffortPiece:
     piece = EffortPiece(
         from_mps=begin,
         polynomial=(c0, c1, c2, c3),
-        power_w=0.0 if power is None else node.number(power, "power", block.unit("power", "power"), NOT_NEGATIVE),
+        power_w=0.0
+        if power is None
+        else node.number(power, "power", block.unit("power", "power"), NOT_NEGATIVE),
         cap_n=math.inf if cap is None else node.number(cap, "cap", force, POSITIVE_OR_NONE),
     )
     if not given and power is None:

@@ -32,7 +32,9 @@ def _point(block: Node, entry: object, where: str) -> TimingPoint:
     for name, kind in (("position", "length"), *POINT_FIELDS):
         raw = node.get(name)
         bounds: Bounds = ANY if name == "position" else NOT_NEGATIVE
-        values[name] = None if raw is None else node.number(raw, name, block.unit(kind_name(kind), kind), bounds)
+        values[name] = (
+            None if raw is None else node.number(raw, name, block.unit(kind_name(kind), kind), bounds)
+        )
     position = values["position"]
     if position is None:
         raise node.fail("missing", "position", allowed="a position along the line")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot.errors import InputError
 from metropilot.railway.line import Curve, Line, Station, Tunnel
 from metropilot.railway.node import ANY, NOT_NEGATIVE, POSITIVE, Bounds, Column, Node
 from metropilot.railway.profile import Steps
@@ -30,6 +32,9 @@ def read_line(root: Node) -> Line:
     stations = _stations(document.block("stations"))
     limits = steps(document.block("speed_limits"), "from", Column("speed", "speed", SPEED_LIMIT))
     gradients = document.block("gradients")
+    gradient = steps(gradients, "from", Column("gradient", "gradient", GRADIENT))
+    where = [s.position_m for s in stations]
+    check_inside(root.table("stations"), where, "list[{}].position", limits, gradient)
     curves, tunnels = document.optional("curves"), document.optional("tunnels")
     timetable = document.optional("timetable")
     return document.build(
@@ -37,7 +42,7 @@ def read_line(root: Node) -> Line:
         name=root.text("name"),
         stations=stations,
         limit_mps=limits,
-        gradient_permil=steps(gradients, "from", Column("gradient", "gradient", GRADIENT)),
+        gradient_permil=gradient,
         altitude_m=gradients.quantity("altitude", "length", ANY, 0.0),
         curves=_curves(curves) if curves else (),
         tunnels=read_tunnels(tunnels, "from", "cross_section") if tunnels else (),
@@ -69,6 +74,25 @@ def _stations(block: Node) -> tuple[Station, ...]:
     return tuple(stations)
 
 
+def check_inside(block: Node, positions: Sequence[float], where: str, limit: Steps, gradient: Steps) -> None:
+    """Refuse a station before the data of speed limits or gradients begin.
+
+    Raises:
+        InputError: Naming the station, its position and where the data begin.
+    """
+    first = max(float(limit.from_m[0]), float(gradient.from_m[0]))
+    for index, position in enumerate(positions):
+        if position < first:
+            raise InputError(
+                "outside the data of speed limits and gradients",
+                file=block.file,
+                field=block.at(where.format(index)),
+                value=f"{position:g}",
+                unit="m",
+                allowed=f">= {first:g} m",
+            )
+
+
 def steps(block: Node, position: str, value: Column) -> Steps:
     """A piecewise-constant profile from rows of position and value.
 
@@ -88,7 +112,9 @@ def placed_rows(block: Node, position: str, *values: Column) -> Float[ndarray, "
     table = block.rows("values", (Column(position, "length"), *values))
     if not len(table):
         raise block.fail("needs at least one row", "values", allowed="at least one row")
-    block.increasing([float(v) for v in table[:, 0]], f"values[{{}}].{position}", block.unit(position, "length"))
+    block.increasing(
+        [float(v) for v in table[:, 0]], f"values[{{}}].{position}", block.unit(position, "length")
+    )
     return table
 
 
@@ -111,7 +137,9 @@ def curvature(radius_m: float) -> float:
 def check_curvature(block: Node, where: str, bend: float) -> None:
     """Refuse a radius below 10 m."""
     if not CURVATURE.admit(bend):
-        raise block.fail("radius too small", where, f"{1 / bend:g} m", "a radius of 10 m or more; 0 or inf: straight")
+        raise block.fail(
+            "radius too small", where, f"{1 / bend:g} m", "a radius of 10 m or more; 0 or inf: straight"
+        )
 
 
 def read_tunnels(block: Node, position: str, section: str) -> tuple[Tunnel, ...]:
@@ -173,8 +201,7 @@ def short_radius(bend: float) -> float | None:
     """The radius in m that reads back as this curvature (0: straight), or ``None`` where none does."""
     if bend == 0.0:
         return 0.0
-    for digits in range(6, 18):
-        radius = float(f"{1.0 / bend:.{digits}g}")
-        if 1.0 / radius == bend:
-            return radius
-    return None
+    exact = 1.0 / bend
+    candidates = [float(f"{exact:.{digits}g}") for digits in range(6, 18)]
+    candidates += [math.nextafter(exact, math.inf), math.nextafter(exact, -math.inf)]
+    return next((radius for radius in candidates if 1.0 / radius == bend), None)

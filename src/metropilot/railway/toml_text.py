@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 _WIDTH = 110
@@ -38,21 +38,31 @@ def _number(value: float) -> str:
         return "inf" if value > 0 else "-inf"
     if math.isnan(value):
         return "nan"
-    return str(int(value)) if value == int(value) and abs(value) < 1e15 and math.copysign(1, value) > 0 else repr(value)
+    whole = value == int(value) and abs(value) < 1e15 and not (value == 0 and math.copysign(1.0, value) < 0)
+    return str(int(value)) if whole else repr(value)
 
 
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        return _number(value)
-    if isinstance(value, str):
-        return _text(value)
-    if isinstance(value, Mapping):
-        inner = ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items())
-        return f"{{ {inner} }}" if inner else "{}"
+def _value(value: object) -> str:
+    match value:
+        case bool():
+            text = "true" if value else "false"
+        case int():
+            text = str(value)
+        case float():
+            text = _number(value)
+        case str():
+            text = _text(value)
+        case Mapping():
+            inner = ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items())
+            text = f"{{ {inner} }}" if inner else "{}"
+        case list() | tuple():
+            text = _list(value)
+        case _:
+            raise TypeError(f"TOML has no place for {type(value).__name__}")
+    return text
+
+
+def _list(value: Sequence[object]) -> str:
     items = [_value(item) for item in value]
     flat = "[" + ", ".join(items) + "]"
     nested = any(isinstance(item, (Mapping, list, tuple)) for item in value)

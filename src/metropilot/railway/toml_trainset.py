@@ -61,7 +61,9 @@ def read_trainset(root: Node) -> Trainset:
         traction=read_effort(traction),
         electric_brake=read_effort(electric),
         friction_brake_n=friction.quantity("force", "force", NOT_NEGATIVE) if friction else 0.0,
-        service_deceleration_mps2=limits.quantity("service_deceleration", "acceleration", POSITIVE_OR_NONE, math.inf),
+        service_deceleration_mps2=limits.quantity(
+            "service_deceleration", "acceleration", POSITIVE_OR_NONE, math.inf
+        ),
         max_acceleration_mps2=limits.quantity("max_acceleration", "acceleration", POSITIVE_OR_NONE, math.inf),
         max_deceleration_mps2=limits.quantity("max_deceleration", "acceleration", POSITIVE_OR_NONE, math.inf),
         adhesion=limits.quantity("adhesion", "share", POSITIVE_OR_NONE, math.inf),
@@ -101,7 +103,9 @@ def _davis(block: Node, gravity: float) -> Davis:
     speed = block.unit("speed", "speed")
     values = block.items("davis")
     if len(values) != 3:
-        raise block.fail("wrong length", "davis", values, "three coefficients: constant, linear, quadratic in speed")
+        raise block.fail(
+            "wrong length", "davis", values, "three coefficients: constant, linear, quadratic in speed"
+        )
     a, b, c = (block.number(v, f"davis[{k}]", of, NOT_NEGATIVE) for k, v in enumerate(values))
     per_speed = speed.denominator / speed.numerator
     return Davis(a, b * per_speed, c * per_speed**2, per_mass=per_mass)
@@ -115,7 +119,9 @@ def _tunnel(block: Node) -> tuple[tuple[float, float], ...]:
         Column("tunnel", "force per speed squared", NOT_NEGATIVE),
     )
     rows = block.rows("tunnel", columns)
-    block.increasing([float(v) for v in rows[:, 0]], "tunnel[{}].cross_section", block.unit("cross_section", "area"))
+    block.increasing(
+        [float(v) for v in rows[:, 0]], "tunnel[{}].cross_section", block.unit("cross_section", "area")
+    )
     return tuple((float(area), float(force)) for area, force in rows)
 
 
@@ -132,7 +138,7 @@ def _efficiency(block: Node | None, key: str) -> Efficiency:
     }
     table.increasing(axes["speed"], "speed[{}]", speed)
     table.increasing(axes["effort_share"], "effort_share[{}]", of)
-    wanted = f"{len(axes['speed'])} rows (speeds) of {len(axes['effort_share'])} (effort shares), at least one of each"
+    wanted = f"{len(axes['speed'])} rows (speeds) of {len(axes['effort_share'])} (effort shares)"
     rows = table.items("value")
     shapes_fit = all(isinstance(row, list) and len(row) == len(axes["effort_share"]) for row in rows)
     if not (axes["speed"] and axes["effort_share"] and shapes_fit and len(rows) == len(axes["speed"])):
@@ -178,7 +184,9 @@ def _couplers(block: Node | None) -> Couplers:
     return Couplers(
         vehicles=vehicles,
         stiffness_n_per_m=block.quantity("stiffness", "stiffness", POSITIVE, default.stiffness_n_per_m),
-        damping_n_s_per_m=block.quantity("damping", "force per speed", NOT_NEGATIVE, default.damping_n_s_per_m),
+        damping_n_s_per_m=block.quantity(
+            "damping", "force per speed", NOT_NEGATIVE, default.damping_n_s_per_m
+        ),
     )
 
 
@@ -191,6 +199,8 @@ def _notches(block: Node | None) -> dict[str, tuple[float, ...]]:
     for name in table.data:
         levels = tuple(table.number(v, f"{name}[{i}]", of, ANY) for i, v in enumerate(table.items(name)))
         if not levels:
-            raise InputError("needs at least one level", file=table.file, field=table.at(name), allowed="forces")
+            raise InputError(
+                "needs at least one level", file=table.file, field=table.at(name), allowed="forces"
+            )
         result[name] = levels
     return result

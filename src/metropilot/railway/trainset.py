@@ -12,6 +12,14 @@ from metropilot.errors import InputError
 from metropilot.railway.effort import Efficiency, EffortCurve
 
 CurveFormula = Literal["none", "600/r", "6.3/(r-55)"]
+POSITIVE_FIELDS = (
+    "service_deceleration_mps2",
+    "max_acceleration_mps2",
+    "max_deceleration_mps2",
+    "max_speed_mps",
+    "adhesion",
+    "gravity_mps2",
+)
 
 
 @dataclass(frozen=True)
@@ -169,8 +177,20 @@ class Trainset:
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= low):
                 raise InputError("out of range", file=self.id, field=name, value=value, allowed=f">= {low:g}")
-        if not self.mass_kg > 0:
-            raise InputError("out of range", file=self.id, field="mass", value=self.mass_kg, unit="kg", allowed="> 0")
+        for name in POSITIVE_FIELDS:
+            value = getattr(self, name)
+            if not value > 0:
+                raise InputError("out of range", file=self.id, field=name, value=value, allowed="> 0")
+        for load, mass in self.loads.items():
+            if not (np.isfinite(mass) and mass > 0):
+                raise InputError(
+                    "out of range",
+                    file=self.id,
+                    field=f"loads.{load}",
+                    value=mass,
+                    unit="kg",
+                    allowed="> 0 kg",
+                )
 
     @property
     def mass_kg(self) -> float:
@@ -192,7 +212,5 @@ class Trainset:
 
     def ideal(self) -> Trainset:
         """The same trainset with ideal actuation: no delay, lag or jerk limit, brakes without build-up."""
-        safe = replace(
-            self.safe_braking, reaction_s=0.0, buildup_s=0.0, emergency_jerk_mps3=float("inf")
-        )
+        safe = replace(self.safe_braking, reaction_s=0.0, buildup_s=0.0, emergency_jerk_mps3=float("inf"))
         return replace(self, actuation=Actuation(), safe_braking=safe)

@@ -1,7 +1,7 @@
 """Units that input files may use, and what each is worth in SI.
 
-Conversion happens here and nowhere else: a loader asks for a unit of a kind and multiplies. Gradients are the one
-quantity kept outside SI, in permil, since the whole field speaks it.
+Conversion happens here and nowhere else: a loader asks for a unit of a kind and multiplies. Gradients are the
+one quantity kept outside SI, in permil, since the whole field speaks it.
 """
 
 from __future__ import annotations
