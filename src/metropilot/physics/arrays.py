@@ -72,14 +72,15 @@ def locate(breaks: Any, x: Scalar) -> Scalar:
 
     Args:
         breaks: Increasing positions. Shape (K,).
-        x: One position (in NumPy also an array of them).
+        x: One position, or a list of them. Shape () or (N,).
     """
     xp = namespace(x) if type(breaks) is np.ndarray else namespace(breaks, x)
     if xp is scalars:
         return max(bisect_right(breaks, x) - 1, 0)
     if xp is np:
         return np.maximum(np.searchsorted(breaks, x, side="right") - 1, 0)
-    return xp.maximum(xp.sum(breaks <= x) - 1, 0)
+    reached = breaks <= x if xp.ndim(x) == 0 else xp.expand_dims(breaks, 0) <= xp.expand_dims(x, 1)
+    return xp.maximum(xp.sum(reached, axis=-1) - 1, 0)
 
 
 def to_jax(tree: Any) -> Any:

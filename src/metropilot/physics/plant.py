@@ -67,7 +67,7 @@ def delay_steps(delay_s: float, dt: float) -> int:
 
 def delayed(pipeline: Array, delay_s: Scalar, dt: Scalar) -> Scalar:
     """The command that acts during this step: the one issued ``delay_s`` ago, blended between two periods."""
-    if pipeline.shape[-1] == 1:
+    if pipeline.shape[0] == 1:
         return pipeline[0]
     xp = namespace(pipeline, delay_s)
     age = xp.clip(delay_s / dt, 0.0, pipeline.shape[0] - 1.0)
@@ -78,8 +78,8 @@ def delayed(pipeline: Array, delay_s: Scalar, dt: Scalar) -> Scalar:
 def pushed(pipeline: Array, newest: Scalar) -> Array:
     """The pipeline one period later, the oldest command gone."""
     xp = namespace(pipeline, newest)
-    first = xp.reshape(xp.asarray(newest, dtype=pipeline.dtype), (1,))
-    return xp.concatenate([first, pipeline[:-1]]) if pipeline.shape[-1] > 1 else first
+    first = xp.expand_dims(xp.asarray(newest, dtype=pipeline.dtype), 0)
+    return xp.concatenate([first, pipeline[:-1]]) if pipeline.shape[0] > 1 else first
 
 
 def actuate(vehicle: Vehicle, state: State, command: Command, dt: Scalar) -> tuple[Array, Scalar]:
