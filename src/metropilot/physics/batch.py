@@ -16,17 +16,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from metropilot.physics.arrays import Scalar
 from metropilot.physics.build import track_arrays, vehicle_arrays
 from metropilot.physics.plant import Command, step
-from metropilot.physics.types import Array, State, Track, Vehicle
+from metropilot.physics.types import Array, Forces, State, Track, Vehicle
 from metropilot.railway import Section, Trainset
 
-Tree = TypeVar("Tree", bound=NamedTuple)
+Tree = TypeVar("Tree", Vehicle, Track, State, Forces)
 Record = Callable[[State], Any]
 
 # Where a piece begins: padded with infinity, so that it is never chosen. Everything else repeats its last.
@@ -90,7 +90,7 @@ def grid(
     return stack(vehicles * len(sections)), stack(tracks)
 
 
-def batch_size(tree: NamedTuple) -> int:
+def batch_size(tree: Vehicle | Track | State) -> int:
     """The length of the leading axis of a stacked tuple."""
     return int(np.shape(tree[0])[0])
 
