@@ -1,0 +1,114 @@
+"""The entry point: one command is imported for each call, and every error is one line."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import NoReturn
+
+import typer
+
+import metropilot
+from metropilot.errors import InputError, MetropilotError
+
+BAD_INPUT = 2
+INTERRUPTED = 130
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "drive": ("metropilot.cli.drive", "Drive one run and report it."),
+    "compare": ("metropilot.cli.compare", "Drive the same run with several drivers."),
+    "plan": ("metropilot.cli.plan", "Compute the optimal plan, its certificate, the time-energy front."),
+    "lines": ("metropilot.cli.catalogue", "List the lines of the catalogue."),
+    "trainsets": ("metropilot.cli.catalogue", "List the trainsets of the catalogue."),
+    "drivers": ("metropilot.cli.catalogue", "List the drivers."),
+    "show": ("metropilot.cli.show", "Show a line, a trainset, a driver or the folder of a run."),
+    "import": ("metropilot.cli.import_file", "Read a line, trainset or journey file and write it as TOML."),
+}
+"""Each command: the module that holds it, and its line in the help. Modules are imported on use."""
+
+
+def main(argv: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line and exit: 0 arrived safely and on time, 1 not, 2 for input that cannot be used.
+
+    Args:
+        argv: Arguments without the program's name; the process's own by default.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        code = _run(arguments)
+    except (KeyboardInterrupt, typer.Abort):
+        code = _fail("interrupted", INTERRUPTED)
+    except InputError as error:
+        code = _fail(error.line(), BAD_INPUT, error, as_json="--json" in arguments)
+    except typer.TyperException as error:
+        code = _fail(_usage(error, arguments), BAD_INPUT, as_json="--json" in arguments)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 1
+    except MetropilotError as error:
+        code = _fail(str(error), 1, as_json="--json" in arguments)
+    except Exception as error:
+        if os.environ.get("METROPILOT_DEBUG") == "1":
+            raise
+        told = f"internal error: {type(error).__name__}: {error} (METROPILOT_DEBUG=1 shows where)"
+        code = _fail(told, 1, as_json="--json" in arguments)
+    sys.exit(code)
+
+
+def _run(arguments: list[str]) -> int:
+    """Build only the command that is asked for, and run it."""
+    wanted = next((word for word in arguments if not word.startswith("-")), None)
+    app = typer.Typer(
+        name="metropilot",
+        add_completion=False,
+        no_args_is_help=False,
+        rich_markup_mode="rich",
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback(invoke_without_command=True, help=metropilot.__doc__.splitlines()[0])(_root)
+    for name, (module, summary) in COMMANDS.items():
+        if name == wanted:
+            body = getattr(import_module(module), f"{name}_command")
+            app.command(name, no_args_is_help=False)(body)
+        else:
+            app.command(name, help=summary)(_stub)
+    code = app(arguments, prog_name="metropilot", standalone_mode=False)
+    return code if isinstance(code, int) else 0
+
+
+def _stub() -> None:
+    """A command that is listed but not called."""
+
+
+def _root(context: typer.Context, *, version: bool = typer.Option(False, "--version", help="Print the version.")) -> None:
+    if version:
+        typer.echo(f"metropilot {metropilot.__version__}")
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+        raise typer.Exit(BAD_INPUT)
+
+
+def _usage(error: typer.TyperException, arguments: list[str]) -> str:
+    """A usage error on one line, with where to look."""
+    named = next((word for word in arguments if word in COMMANDS), None)
+    command = f"metropilot {named}" if named else "metropilot"
+    message = " ".join(error.format_message().split()).rstrip(".")
+    return f"{message} (see {command} --help)"
+
+
+def _fail(line: str, code: int, error: InputError | None = None, *, as_json: bool = False) -> int:
+    """Say what is wrong on one line of the error stream; as JSON on the output too where that is wanted."""
+    if as_json:
+        import json
+
+        shape = {name: getattr(error, name, None) for name in ("file", "field", "value", "unit", "allowed")}
+        message = error.message if error else line
+        sys.stdout.write(json.dumps({"error": {"message": message, **shape}}, default=str) + "\n")
+    sys.stderr.write(f"metropilot: {' '.join(line.split())}\n")
+    return code
+
+

@@ -1,0 +1,160 @@
+"""`metropilot drive`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from metropilot.cli import options as opt
+from metropilot.cli.console import console, number, print_json, table, working
+from metropilot.errors import InputError
+
+if TYPE_CHECKING:
+    from metropilot.evaluate import Kpis, Request
+
+
+def drive_command(
+    line: Annotated[str | None, typer.Argument(help="Line: catalogue id or path to a .toml or .json file.")] = None,
+    origin: Annotated[str | None, typer.Argument(help="Station of departure: code or name.")] = None,
+    destination: Annotated[str | None, typer.Argument(help="Station of arrival: code or name.")] = None,
+    time: opt.Time = None,
+    trainset: opt.TrainsetOption = "dkz32",
+    load: opt.Load = None,
+    driver: opt.Driver = "optimal",
+    options: opt.DriverOptions = None,
+    objective: opt.ObjectiveOption = "wheel",
+    dt: opt.Period = 0.2,
+    seed: opt.Seed = 0,
+    ideal: opt.Ideal = False,
+    mass_factor: opt.MassFactor = 1.0,
+    resistance_factor: opt.ResistanceFactor = 1.0,
+    delay: opt.Delay = 0.0,
+    lag: opt.Lag = 0.0,
+    speed_noise: opt.SpeedNoise = 0.0,
+    restriction: opt.Restrictions = None,
+    arrive: opt.Arrivals = None,
+    again: Annotated[
+        Path | None, typer.Option("--from", metavar="RUN.TOML", help="Drive again what this file describes.")
+    ] = None,
+    out: opt.Out = None,
+    as_json: opt.Json = False,
+) -> int:
+    """Drive one run under protection and report it.
+
+    Exit code 0: arrived safely and on time; 1: not; 2: input that cannot be used.
+
+    Examples:
+
+    metropilot drive yizhuang RJ WYJ --time 101 --out drive
+
+    metropilot drive yizhuang rongjing wanyuan --trainset dkz32:AW2 --mass-factor 1.2 --speed-noise 0.05
+
+    metropilot drive yizhuang RJ WYJ --time 101 --restriction 400-600@40@30 --arrive 116@30
+
+    metropilot drive --from drive/run.toml
+    """
+    from metropilot.evaluate import request_from_toml
+
+    if again is not None:
+        if line is not None:
+            raise InputError("a line and a run.toml cannot be driven at once", field="from", value=str(again))
+        request = request_from_toml(again)
+    else:
+        if line is None or origin is None or destination is None:
+            missing = "line" if line is None else "origin" if origin is None else "destination"
+            raise InputError("missing", field=missing, allowed="LINE ORIGIN DESTINATION, or --from RUN.TOML")
+        request = opt.request_of(
+            line=line,
+            origin=origin,
+            destination=destination,
+            time_s=time,
+            trainset=trainset,
+            load=load,
+            driver=driver,
+            options=options,
+            objective=objective,
+            dt_s=dt,
+            seed=seed,
+            ideal=ideal,
+            mass_factor=mass_factor,
+            resistance_factor=resistance_factor,
+            delay_s=delay,
+            lag_s=lag,
+            speed_noise_mps=speed_noise,
+            restrictions=restriction,
+            arrivals=arrive,
+        )
+    return run_and_report(request, out, as_json=as_json)
+
+
+def run_and_report(request: Request, out: Path | None, *, as_json: bool) -> int:
+    """Drive, print, write; the exit code."""
+    from metropilot.evaluate import check_writable, drive, kpis_of, optimum_of, write_run
+
+    if out is not None:
+        check_writable(out)
+    run, driver = request.run(), request.make_driver()
+    with working(f"driving {run.section.name} with {request.driver}"):
+        drive_ = drive(run, driver)
+        optimum = optimum_of(drive_, request.objective)
+        kpis = kpis_of(drive_, optimum, request.objective)
+    if out is not None:
+        with working(f"writing {out}"):
+            write_run(out, request, drive_, kpis, optimum)
+    if as_json:
+        print_json(kpis.as_dict())
+    else:
+        report(request, kpis)
+        if out is not None:
+            console().print(f"Written to {out}: trajectory.csv kpis.json profile.svg profile.png run.toml")
+    return 0 if kpis.success else 1
+
+
+def report(request: Request, kpis: Kpis) -> None:
+    """The drive on the screen: what was required, and what it cost."""
+    from metropilot.evaluate import checks
+
+    out = console()
+    known = request.resolved()
+    where = f"{known.line} {known.origin} → {known.destination}"
+    verdict = kpis.outcome.replace("_", " ")
+    if kpis.success:
+        verdict = "arrived safely and on time"
+    out.print(
+        f"{where}, {known.trainset} {known.load}, driver {known.driver}: {verdict}",
+        style="bold" if kpis.success else "bold red",
+    )
+    required = [(c.name, c.value, c.wanted, "✓" if c.passed else "✗ FAILED") for c in checks(kpis)]
+    out.print(table("", ("requirement", "measured", "allowed", ""), required, right=(1,)))
+    out.print(table("", ("KPI", "value", ""), rows(kpis), right=(1,)))
+
+
+def rows(kpis: Kpis) -> list[tuple[str, str, str]]:
+    """The KPIs worth a line on the screen: name, value with unit, remark."""
+    share, gap = kpis.optimality_gap_percent, kpis.certificate_gap_percent
+    objective = "at the wheel" if kpis.energy_objective == "wheel" else "net at the line"
+    certificate = "" if gap is None else f"certified within {max(gap, 0.001):.3f} %"
+    fastest = number(kpis.minimum_running_time_s, 1, "s")
+    return [
+        ("running time", number(kpis.running_time_s, 1, "s"), f"scheduled {kpis.scheduled_time_s:g} s, minimum {fastest}"),
+        ("energy at the wheel", number(kpis.energy_wheel_kwh, 2, "kWh"), "traction"),
+        (
+            "energy at the line",
+            number(kpis.energy_line_kwh, 2, "kWh"),
+            f"net of {kpis.energy_regenerated_kwh:.2f} kWh regenerated",
+        ),
+        (f"optimum {objective}", number(kpis.optimal_energy_kwh, 2, "kWh"), certificate),
+        ("above the optimum", number(share, 2, "%"), "for the running time achieved"),
+        ("highest speed", number(3.6 * kpis.max_speed_mps, 1, "km/h"), ""),
+        (
+            "acceleration",
+            f"{kpis.max_acceleration_mps2:+.2f} / {-kpis.max_deceleration_mps2:+.2f} m/s²",
+            f"r.m.s. {kpis.rms_acceleration_mps2:.2f} m/s²: {kpis.comfort_band}",
+        ),
+        ("change within 2 s", number(kpis.jerk_cheng2023_mps3, 2, "m/s²"), "jerk as in Cheng23"),
+        ("sum of command changes", number(kpis.comfort_huang2025, 2), "comfort as in Huang25"),
+        ("coasting", number(kpis.coasting_distance_m, 0, "m"), f"{kpis.regime_switches} changes of regime"),
+        ("decision time", number(kpis.decision_time_us_median, 0, "µs"), "median"),
+    ]

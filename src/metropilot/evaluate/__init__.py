@@ -1,0 +1,32 @@
+"""Drives measured: the host loop, trajectories, KPIs, comparisons, pictures and the folder of a run."""
+
+from metropilot.evaluate.folder import check_writable, filled, provenance, to_json, write_json, write_run
+from metropilot.evaluate.kpis import Check, Kpis, checks, kpis_of
+from metropilot.evaluate.optimum import Objective, Optimum, optimum_of
+from metropilot.evaluate.request import Request, make_driver, request_from_toml
+from metropilot.evaluate.rollout import Drive, drive
+from metropilot.evaluate.trajectory import COLUMNS, PHASES, Trajectory
+
+__all__ = [
+    "COLUMNS",
+    "PHASES",
+    "Check",
+    "Drive",
+    "Kpis",
+    "Objective",
+    "Optimum",
+    "Request",
+    "Trajectory",
+    "check_writable",
+    "checks",
+    "drive",
+    "filled",
+    "kpis_of",
+    "make_driver",
+    "optimum_of",
+    "provenance",
+    "request_from_toml",
+    "to_json",
+    "write_json",
+    "write_run",
+]

@@ -1,0 +1,213 @@
+"""The KPIs of a drive, as `kpis.json` holds them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from metropilot.evaluate import measures
+from metropilot.evaluate.optimum import Objective, Optimum
+from metropilot.evaluate.rollout import Drive
+from metropilot.task import PUNCTUALITY_S, STOP_TOLERANCE_M, Outcome
+
+J_PER_KWH = 3.6e6
+ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class Kpis:
+    """What a drive is judged by. A number that does not exist for this drive is None.
+
+    Attributes:
+        outcome: ``arrived``, ``overshot``, ``overspeed``, ``stalled`` or ``out_of_time``.
+        safe: No speed above the limit in force and no overshoot.
+        punctual: Within 3 s of the scheduled running time (Huang25 eq. 7).
+        mass_kg: True mass of the trainset.
+        effective_mass_kg: The same with its rotating share.
+        running_time_s: From departure to the stop.
+        scheduled_time_s: Scheduled running time as it stood at the end.
+        time_error_s: Running time minus scheduled time; positive is late.
+        minimum_running_time_s: Flat-out running time under the same limits.
+        stopping_error_m: Where the head stood minus the stop; positive is beyond it (Huang25 eq. 12).
+        energy_wheel_kwh: Mechanical traction energy at the wheel.
+        energy_regenerated_kwh: Energy the line took back.
+        energy_line_kwh: Net energy at the line: traction over efficiency, plus auxiliaries, minus regenerated.
+        energy_effort_kwh: Work of traction and of brakes at the wheel (Lu23 eq. 16).
+        energy_huang2025_jpkg: Energy index ``sum |a| v dt`` per kg (Huang25 eqs. 8 and 9).
+        energy_objective: Which energy the optimum minimises: ``wheel`` or ``line``.
+        optimal_energy_kwh: Least such energy for the achieved running time under the same limits.
+        bound_energy_kwh: The certificate: no drive of the convex problem needs less.
+        certificate_gap_percent: How far the optimal plan may be above the true optimum.
+        optimality_gap_percent: How far this drive is above the optimal plan.
+        max_overspeed_mps: Largest excess over the limit in force, 0 if none.
+        interventions: How many times protection overruled the driver.
+        max_speed_mps: Highest speed.
+        max_acceleration_mps2: Highest acceleration.
+        max_deceleration_mps2: Highest deceleration.
+        rms_acceleration_mps2: Root mean square of the acceleration, not frequency-weighted.
+        comfort_band: Band of the ISO 2631-1 scale (Lu23 Table 1) that holds it.
+        max_jerk_mps3: Largest change of acceleration between control periods over the period; the stop counts.
+        stopping_jerk_mps3: The same at the stop alone.
+        jerk_limit_mps3: Jerk limit of the trainset in service, None if it has none.
+        comfort_huang2025: Sum of the changes of the command (Huang25 eqs. 10 and 11).
+        jerk_cheng2023_mps3: Largest change of acceleration within 2 s (Cheng23 Table 1, printed as m/s^3).
+        coasting_distance_m: Distance without effort.
+        regime_switches: Changes between power, cruise, coast and brake.
+        decision_time_us_median: Median time the driver took for a decision.
+    """
+
+    outcome: str
+    safe: bool
+    punctual: bool
+    mass_kg: float
+    effective_mass_kg: float
+    running_time_s: float
+    scheduled_time_s: float
+    time_error_s: float
+    minimum_running_time_s: float | None
+    stopping_error_m: float
+    energy_wheel_kwh: float
+    energy_regenerated_kwh: float
+    energy_line_kwh: float
+    energy_effort_kwh: float
+    energy_huang2025_jpkg: float
+    energy_objective: str
+    optimal_energy_kwh: float | None
+    bound_energy_kwh: float | None
+    certificate_gap_percent: float | None
+    optimality_gap_percent: float | None
+    max_overspeed_mps: float
+    interventions: int
+    max_speed_mps: float
+    max_acceleration_mps2: float
+    max_deceleration_mps2: float
+    rms_acceleration_mps2: float
+    comfort_band: str
+    max_jerk_mps3: float
+    stopping_jerk_mps3: float
+    jerk_limit_mps3: float | None
+    comfort_huang2025: float
+    jerk_cheng2023_mps3: float
+    coasting_distance_m: float
+    regime_switches: int
+    decision_time_us_median: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers, words and None, ready for JSON."""
+        return asdict(self)
+
+    @property
+    def success(self) -> bool:
+        """Whether the run arrived safely and on time: what the exit code says."""
+        return self.outcome == Outcome.ARRIVED.value and self.safe and self.punctual
+
+
+def kpis_of(drive: Drive, optimum: Optimum | None, objective: Objective = "wheel") -> Kpis:
+    """Measure a drive.
+
+    Args:
+        drive: The drive.
+        optimum: What :func:`~metropilot.evaluate.optimum_of` found for it under the same objective.
+        objective: The energy that is compared with the optimum.
+    """
+    t, trainset = drive.trajectory, drive.trainset
+    arrived = drive.outcome is Outcome.ARRIVED
+    rms = measures.rms_acceleration(t)
+    jerk_limit = drive.run.scenario.believed(drive.run.trainset).actuation.jerk_limit_mps3
+    late = drive.running_time_s - drive.scheduled_time_s
+    return Kpis(
+        outcome=drive.outcome.value,
+        safe=drive.outcome not in (Outcome.OVERSPEED, Outcome.OVERSHOT),
+        punctual=arrived and abs(late) <= PUNCTUALITY_S,
+        mass_kg=trainset.mass_kg,
+        effective_mass_kg=trainset.effective_mass_kg,
+        running_time_s=drive.running_time_s,
+        scheduled_time_s=drive.scheduled_time_s,
+        time_error_s=late,
+        minimum_running_time_s=None if optimum is None else optimum.minimum_time_s,
+        stopping_error_m=float(t.position_m[-1]) - drive.section.length_m,
+        energy_wheel_kwh=float(t.energy_wheel_j[-1]) / J_PER_KWH,
+        energy_regenerated_kwh=drive.recovered_j / J_PER_KWH,
+        energy_line_kwh=float(t.energy_line_j[-1]) / J_PER_KWH,
+        energy_effort_kwh=measures.effort_energy_j(t) / J_PER_KWH,
+        energy_huang2025_jpkg=measures.motion_energy_jpkg(t),
+        energy_objective=objective,
+        **_against(drive, optimum, objective),
+        max_overspeed_mps=drive.max_overspeed_mps,
+        interventions=drive.interventions,
+        max_speed_mps=float(t.speed_mps.max()),
+        max_acceleration_mps2=float(max(t.acceleration_mps2.max(), 0.0)),
+        max_deceleration_mps2=float(max(-t.acceleration_mps2.min(), 0.0)),
+        rms_acceleration_mps2=rms,
+        comfort_band=measures.comfort_band(rms),
+        max_jerk_mps3=measures.max_jerk(t),
+        stopping_jerk_mps3=measures.stopping_jerk(t),
+        jerk_limit_mps3=jerk_limit if np.isfinite(jerk_limit) else None,
+        comfort_huang2025=measures.command_variation(t),
+        jerk_cheng2023_mps3=measures.window_jerk(t),
+        coasting_distance_m=measures.coasting_distance_m(t),
+        regime_switches=measures.regime_switches(t),
+        decision_time_us_median=float(np.median(drive.decision_us)),
+    )
+
+
+def _against(drive: Drive, optimum: Optimum | None, objective: Objective) -> dict[str, float | None]:
+    """The KPIs that need the optimum; None where the run did not arrive or has no plan."""
+    if optimum is None or drive.outcome is not Outcome.ARRIVED:
+        names = ("optimal_energy_kwh", "bound_energy_kwh", "certificate_gap_percent", "optimality_gap_percent")
+        return dict.fromkeys(names)
+    t, plan = drive.trajectory, optimum.plan
+    used = float((t.energy_line_j if objective == "line" else t.energy_wheel_j)[-1])
+    return {
+        "optimal_energy_kwh": plan.energy_j / J_PER_KWH,
+        "bound_energy_kwh": plan.bound_j / J_PER_KWH,
+        "certificate_gap_percent": 100.0 * (plan.energy_j / plan.bound_j - 1.0),
+        "optimality_gap_percent": 100.0 * (used / plan.energy_j - 1.0),
+    }
+
+
+class Check(NamedTuple):
+    """One requirement a drive met or did not.
+
+    Attributes:
+        name: What is required.
+        value: What was measured, with its unit.
+        wanted: What is allowed, with its unit.
+        passed: Whether it was met.
+    """
+
+    name: str
+    value: str
+    wanted: str
+    passed: bool
+
+
+def checks(kpis: Kpis) -> tuple[Check, ...]:
+    """The five requirements of a run, passed or failed."""
+    arrived = kpis.outcome not in (Outcome.STALLED.value, Outcome.OUT_OF_TIME.value)
+    stop, late, limit = kpis.stopping_error_m, kpis.time_error_s, kpis.jerk_limit_mps3
+    rows = [
+        Check(
+            "stops at the mark",
+            f"{stop:+.3f} m",
+            f"within {STOP_TOLERANCE_M:g} m",
+            arrived and abs(stop) <= STOP_TOLERANCE_M,
+        ),
+        Check("on time", f"{late:+.2f} s", f"within {PUNCTUALITY_S:g} s", arrived and abs(late) <= PUNCTUALITY_S),
+        Check(
+            "no overspeed",
+            f"{3.6 * kpis.max_overspeed_mps:.2f} km/h",
+            "0 km/h",
+            kpis.outcome != Outcome.OVERSPEED.value,
+        ),
+        Check("no intervention", str(kpis.interventions), "0", kpis.interventions == 0),
+        Check(
+            "jerk",
+            f"{kpis.max_jerk_mps3:.2f} m/s³",
+            "no limit" if limit is None else f"at most {limit:g} m/s³",
+            limit is None or kpis.max_jerk_mps3 <= limit * (1 + ROUNDING) + ROUNDING,
+        ),
+    ]
+    return tuple(rows)

@@ -1,0 +1,214 @@
+"""The picture of a drive: speed, gradient, command and energy over distance, the optimum behind it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from metropilot.evaluate.kpis import Kpis
+from metropilot.evaluate.optimum import Optimum
+from metropilot.evaluate.rollout import Drive
+from metropilot.evaluate.style import (
+    BLACK,
+    BLUE,
+    FAINT,
+    GREY,
+    KMH,
+    ORANGE,
+    PALE,
+    SKY,
+    VERMILION,
+    house_style,
+    label,
+    new_figure,
+    save,
+)
+from metropilot.physics import restrictive_profile
+from metropilot.railway import Section, Trainset
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw_gradient", "draw_limits", "draw_stations", "profile_figure", "save"]
+
+WIDTH_IN, HEIGHT_IN = 8.4, 7.2
+HEIGHTS = (10, 1.6, 2.6, 4)
+J_PER_KWH = 3.6e6
+
+
+def profile_figure(drive: Drive, kpis: Kpis, optimum: Optimum | None) -> Figure:
+    """Draw a drive.
+
+    Args:
+        drive: The drive.
+        kpis: Its KPIs, for the line under the title.
+        optimum: The optimal plan drawn behind it, if there is one.
+    """
+    with house_style():
+        figure = new_figure(WIDTH_IN, HEIGHT_IN)
+        speed, gradient, command, energy = figure.subplots(
+            4, 1, sharex=True, gridspec_kw={"height_ratios": HEIGHTS}
+        )
+        draw_speed(speed, drive, optimum)
+        draw_gradient(gradient, drive.section)
+        draw_command(command, drive)
+        draw_energy(energy, drive, optimum, kpis)
+        energy.set_xlabel(f"distance from {drive.section.origin.name} (m)")
+        stop = drive.section.length_m
+        end = max(stop, float(drive.trajectory.position_m[-1]))
+        energy.set_xlim(-0.012 * stop, end + 0.012 * stop)
+        figure.suptitle(headline(drive), x=0.012, ha="left", fontsize=11, fontweight="bold")
+        speed.set_title(subtitle(drive, kpis), loc="left", fontsize=8.5, color=GREY, pad=18)
+        return figure
+
+
+def headline(drive: Drive) -> str:
+    """What was driven, by whom."""
+    section, trainset = drive.section, drive.run.trainset
+    stations = f"{section.origin.name} – {section.destination.name}"
+    return f"{stations}, {section.length_m:.0f} m, {trainset.id} {trainset.load}, driver {drive.driver}"
+
+
+def subtitle(drive: Drive, kpis: Kpis) -> str:
+    """The drive in one line."""
+    words = [
+        f"{kpis.outcome.replace('_', ' ')} after {kpis.running_time_s:.1f} s (scheduled {kpis.scheduled_time_s:g} s)",
+        f"{100 * kpis.stopping_error_m:+.0f} cm from the stop",
+        f"{kpis.energy_wheel_kwh:.2f} kWh at the wheel, {kpis.energy_line_kwh:.2f} kWh at the line",
+    ]
+    if kpis.optimality_gap_percent is not None:
+        words.append(f"{kpis.optimality_gap_percent:+.1f} % to the optimum")
+    if kpis.interventions:
+        words.append(f"{kpis.interventions} intervention{'s' if kpis.interventions > 1 else ''}")
+    return " · ".join(words)
+
+
+def draw_speed(axes: Axes, drive: Drive, optimum: Optimum | None) -> None:
+    """Speed over distance with limit, permitted speed, plan and stations."""
+    t = drive.trajectory
+    draw_limits(axes, drive.section, drive.trainset)
+    axes.plot(t.position_m, KMH * t.permitted_mps, color=ORANGE, lw=1.0, ls=(0, (2, 1.5)), label="permitted speed")
+    if optimum is not None:
+        plan = optimum.plan
+        axes.plot(
+            *fine_profile(plan.position_m, KMH * plan.speed_mps),
+            color=SKY,
+            lw=4.5,
+            alpha=0.75,
+            solid_capstyle="round",
+            label="optimal plan, same running time",
+        )
+    axes.plot(t.position_m, KMH * t.speed_mps, color=BLUE, lw=1.5, label="driven")
+    top = max(float(KMH * t.limit_mps.max()), float(KMH * t.speed_mps.max()))
+    axes.set_ylim(0, 1.09 * top)
+    draw_stations(axes, drive.section)
+    label(axes, "")
+    axes.set_ylabel("speed (km/h)")
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, borderaxespad=0.2)
+
+
+def fine_profile(
+    position_m: Float[ndarray, " nodes"], speed: Float[ndarray, " nodes"]
+) -> tuple[Float[ndarray, " fine"], Float[ndarray, " fine"]]:
+    """A profile over distance drawn as it is between its nodes: the square of the speed is linear there."""
+    at = np.unique(np.concatenate([np.linspace(position_m[0], position_m[-1], 800), position_m]))
+    return at, np.sqrt(np.interp(at, position_m, speed**2))
+
+
+def draw_limits(axes: Axes, section: Section, trainset: Trainset) -> None:
+    """The limit for the trainset's head, shaded above, and restrictions hatched."""
+    starts, limits = restrictive_profile(section, trainset.length_m, trainset.max_speed_mps)
+    edges = np.append(starts, section.length_m + 500.0)
+    values = KMH * np.append(limits, limits[-1])
+    axes.fill_between(edges, values, 1e3, step="post", color=FAINT, lw=0, zorder=0.5)
+    axes.step(edges, values, where="post", color=BLACK, lw=1.1, label="speed limit")
+    for index, restriction in enumerate(section.restrictions):
+        axes.fill_between(
+            [restriction.from_m, restriction.to_m],
+            KMH * restriction.limit_mps,
+            1e3,
+            facecolor="none",
+            edgecolor=VERMILION,
+            hatch="////",
+            lw=0.6,
+            zorder=0.6,
+            label="temporary restriction" if index == 0 else None,
+        )
+
+
+def draw_stations(axes: Axes, section: Section) -> None:
+    """The two stations, as lines with their codes."""
+    for station, at, side in ((section.origin, 0.0, "left"), (section.destination, section.length_m, "right")):
+        axes.axvline(at, color=GREY, lw=0.8, ls=(0, (1, 1.5)), zorder=0.7)
+        nudge = 5 if side == "left" else -5
+        axes.annotate(
+            station.code,
+            (at, 0),
+            xycoords=("data", "axes fraction"),
+            xytext=(nudge, 5),
+            textcoords="offset points",
+            ha=side,
+            fontsize=8.5,
+            fontweight="bold",
+            color="#404040",
+        )
+
+
+def draw_gradient(axes: Axes, section: Section) -> None:
+    """The gradient strip: height of each step is the gradient, its number written where there is room."""
+    window = section.gradient_permil.window(-1.0, section.length_m + 1.0)
+    edges = np.append(window.from_m, section.length_m + 1.0)
+    worst = max(float(np.abs(window.value).max()), 1.0)
+    axes.stairs(window.value, edges, fill=True, color=PALE, lw=0)
+    axes.stairs(window.value, edges, color=GREY, lw=0.7, baseline=None)
+    axes.axhline(0, color="#404040", lw=0.6)
+    axes.set_ylim(-1.9 * worst, 1.9 * worst)
+    axes.set_yticks([])
+    axes.spines["left"].set_visible(False)
+    axes.grid(visible=False)
+    for left, right, value in zip(edges[:-1], edges[1:], window.value, strict=True):
+        if right - left > 0.05 * section.length_m:
+            axes.annotate(
+                f"{value:+.1f}" if value else "0",
+                (0.5 * (max(left, 0.0) + right), value),
+                xytext=(0, 2 if value >= 0 else -2),
+                textcoords="offset points",
+                ha="center",
+                va="bottom" if value >= 0 else "top",
+                fontsize=7,
+                color="#404040",
+            )
+    label(axes, "gradient (‰), uphill above the line")
+
+
+def draw_command(axes: Axes, drive: Drive) -> None:
+    """The command after protection: traction above, braking below, coasting where it is nothing."""
+    t = drive.trajectory
+    share = t.command
+    axes.fill_between(t.position_m, np.maximum(share, 0), step="post", color=BLUE, alpha=0.35, lw=0)
+    axes.fill_between(t.position_m, np.minimum(share, 0), step="post", color=VERMILION, alpha=0.45, lw=0)
+    axes.step(t.position_m, share, where="post", color="#202020", lw=0.8)
+    axes.axhline(0, color="#404040", lw=0.6)
+    axes.set_ylim(-1.12, 1.12)
+    axes.set_yticks([-1, 0, 1], ["brake", "coast", "power"])
+    label(axes, "command, share of the effort available")
+
+
+def draw_energy(axes: Axes, drive: Drive, optimum: Optimum | None, kpis: Kpis) -> None:
+    """Energy so far at the wheel and at the line, the plan's behind it."""
+    t = drive.trajectory
+    if optimum is not None and kpis.energy_objective == "wheel":
+        plan = optimum.plan
+        used = np.concatenate([[0.0], np.cumsum(plan.traction_n * np.diff(plan.position_m))]) / J_PER_KWH
+        axes.plot(plan.position_m, used, color=SKY, lw=4.5, alpha=0.75, label="optimal plan, at the wheel")
+    axes.plot(t.position_m, t.energy_wheel_j / J_PER_KWH, color=BLUE, label="driven, at the wheel")
+    axes.plot(
+        t.position_m, t.energy_line_j / J_PER_KWH, color=GREY, lw=1.1, ls=(0, (5, 2)), label="driven, net at the line"
+    )
+    axes.set_ylim(0, None)
+    axes.set_ylabel("energy (kWh)")
+    axes.legend(loc="lower right", bbox_to_anchor=(0.99, 0.02))

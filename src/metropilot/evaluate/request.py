@@ -1,0 +1,271 @@
+"""A run as a user asks for it: resolved to a :class:`~metropilot.task.Run`, written to and read from `run.toml`."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from metropilot.drivers import DRIVERS, AbstractDriver
+from metropilot.errors import Infeasible, InputError
+from metropilot.evaluate.optimum import Objective
+from metropilot.planning import minimum_running_time
+from metropilot.railway import Restriction, Section, Trainset, load_line, load_trainset
+from metropilot.task import CONTROL_PERIOD_S, News, Run, Scenario
+
+KMH = 1 / 3.6
+NUMBER = r"\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
+RESTRICTION = re.compile(rf"({NUMBER})-({NUMBER})@({NUMBER})(?:@({NUMBER}))?")
+ARRIVAL = re.compile(rf"({NUMBER})@({NUMBER})")
+FileKind = Literal["line", "trainset"]
+
+
+@dataclass(frozen=True)
+class Request:
+    """Everything that decides a run.
+
+    Attributes:
+        line: Catalogue id or path.
+        origin: Code or name of the station of departure.
+        destination: Code or name of the station of arrival.
+        time_s: Scheduled running time; None takes the line's planned time.
+        trainset: Catalogue id or path.
+        load: Load aboard; None takes the trainset's first.
+        driver: Driver id.
+        options: Options of the driver.
+        ideal: Ideal actuation: no delay, lag or jerk limit.
+        mass_factor: True over believed mass.
+        resistance_factor: True over believed Davis resistance.
+        delay_s: Dead time on top of the trainset's.
+        lag_s: Lag on top of the trainset's.
+        speed_noise_mps: Standard deviation of the measured speed.
+        restrictions: Temporary speed restrictions, ``FROM-TO@KMH`` (m, m, km/h), with ``@T`` announced at T s.
+        arrivals: New scheduled running times announced on the way, ``S@T``.
+        objective: Energy the optimum minimises.
+        dt_s: Control period.
+        seed: Seed of everything random.
+    """
+
+    line: str
+    origin: str
+    destination: str
+    time_s: float | None = None
+    trainset: str = "dkz32"
+    load: str | None = None
+    driver: str = "optimal"
+    options: Mapping[str, Any] = field(default_factory=dict)
+    ideal: bool = False
+    mass_factor: float = 1.0
+    resistance_factor: float = 1.0
+    delay_s: float = 0.0
+    lag_s: float = 0.0
+    speed_noise_mps: float = 0.0
+    restrictions: tuple[str, ...] = ()
+    arrivals: tuple[str, ...] = ()
+    objective: Objective = "wheel"
+    dt_s: float = CONTROL_PERIOD_S
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.objective not in get_args(Objective):
+            allowed = ", ".join(get_args(Objective))
+            raise InputError("unknown objective", field="objective", value=self.objective, allowed=allowed)
+        if not 0 <= self.seed < 2**63:
+            raise InputError("out of range", field="seed", value=self.seed, allowed="0 to 2^63 - 1")
+
+    def loaded(self) -> Trainset:
+        """The trainset with its load, as the driver knows it."""
+        return load_trainset(self.trainset, self.load)
+
+    def section(self) -> Section:
+        """The section with every restriction known before departure."""
+        section = load_line(self.line).section(self.origin, self.destination)
+        for text in self.restrictions:
+            restriction, at_s = parse_restriction(text, section)
+            if at_s is None:
+                section = section.restricted(restriction)
+        return section
+
+    def scenario(self, section: Section) -> Scenario:
+        """What the driver is not told, and what it is told on the way."""
+        announced = [parse_restriction(text, section) for text in self.restrictions]
+        news = [News(at_s, restriction=r) for r, at_s in announced if at_s is not None]
+        news += [parse_arrival(text) for text in self.arrivals]
+        return Scenario(
+            ideal_actuation=self.ideal,
+            mass_factor=self.mass_factor,
+            resistance_factor=self.resistance_factor,
+            extra_delay_s=self.delay_s,
+            extra_lag_s=self.lag_s,
+            speed_noise_mps=self.speed_noise_mps,
+            news=tuple(sorted(news, key=lambda item: item.at_s)),
+        )
+
+    def run(self) -> Run:
+        """The run.
+
+        Raises:
+            InputError: Something in the request cannot be used.
+            Infeasible: The scheduled time is below the minimum running time, which the message names.
+        """
+        section, trainset = self.section(), self.loaded()
+        time_s = self.time_s if self.time_s is not None else section.planned_time_s
+        if time_s is None:
+            raise InputError(
+                f"the line plans no running time for {section.name}; give one", field="time", allowed="> 0 s"
+            )
+        run = Run(section, trainset, time_s, self.scenario(section), self.dt_s, self.seed)
+        fastest = minimum_running_time(section, trainset)
+        if time_s < fastest:
+            raise Infeasible(
+                f"minimum running time is {fastest:.1f} s",
+                field="time",
+                value=time_s,
+                unit="s",
+                allowed=f"{fastest:.1f} s or more",
+            )
+        return run
+
+    def make_driver(self) -> AbstractDriver:
+        """The driver.
+
+        Raises:
+            InputError: No such driver, or no such option of it.
+        """
+        return make_driver(self.driver, self.options)
+
+    def resolved(self) -> Request:
+        """The same request with stations by code, the load named and the running time filled in."""
+        section, trainset = self.section(), self.loaded()
+        time_s = self.time_s if self.time_s is not None else section.planned_time_s
+        origin, destination = section.origin.code, section.destination.code
+        trainset_id = self.trainset.removesuffix(f":{trainset.load}")
+        return replace(
+            self, origin=origin, destination=destination, time_s=time_s, trainset=trainset_id, load=trainset.load
+        )
+
+
+def make_driver(driver_id: str, options: Mapping[str, Any] | None = None) -> AbstractDriver:
+    """A driver by id; an unknown one names the nearest.
+
+    Raises:
+        InputError: No such driver, or no such option of it.
+    """
+    if driver_id not in DRIVERS.ids():
+        near = get_close_matches(driver_id, DRIVERS.ids(), 1)
+        hint = f", did you mean {near[0]}?" if near else ""
+        raise InputError(
+            f"unknown driver{hint}", field="driver", value=driver_id, allowed=", ".join(DRIVERS.ids())
+        )
+    try:
+        return DRIVERS.make(driver_id, **(options or {}))
+    except TypeError as error:
+        raise InputError(f"the driver does not take that option ({error})", field="driver", value=driver_id) from None
+
+
+def parse_restriction(text: str, section: Section) -> tuple[Restriction, float | None]:
+    """``FROM-TO@KMH`` or ``FROM-TO@KMH@T``: the restriction, and when it is announced (None: before departure).
+
+    Raises:
+        InputError: Not of that form, or outside the section.
+    """
+    match = RESTRICTION.fullmatch(text.replace(" ", ""))
+    if match is None:
+        raise InputError(
+            "not a restriction",
+            field="restriction",
+            value=text,
+            allowed="FROM-TO@KMH or FROM-TO@KMH@T, e.g. 400-600@40 or 400-600@40@30 (m, m, km/h, s)",
+        )
+    start, end, kmh = (float(x) for x in match.groups()[:3])
+    if start >= section.length_m:
+        raise InputError(
+            "restriction begins beyond the stop",
+            field="restriction",
+            value=text,
+            allowed=f"0 to {section.length_m:g} m",
+        )
+    at_s = None if match[4] is None else float(match[4])
+    return Restriction(start, end, kmh * KMH), at_s
+
+
+def parse_arrival(text: str) -> News:
+    """``S@T``: from T s after departure the scheduled running time is S.
+
+    Raises:
+        InputError: Not of that form.
+    """
+    match = ARRIVAL.fullmatch(text.replace(" ", ""))
+    if match is None or float(match[1]) <= float(match[2]):
+        raise InputError(
+            "not a new running time",
+            field="arrive",
+            value=text,
+            allowed="S@T with S later than T, e.g. 116@30: arrive after 116 s, told after 30 s",
+        )
+    return News(float(match[2]), scheduled_time_s=float(match[1]))
+
+
+def to_table(request: Request) -> dict[str, Any]:
+    """The request as a TOML table; what is None is left out."""
+    values = {f.name: getattr(request, f.name) for f in fields(request)}
+    plain = {key: list(v) if isinstance(v, tuple) else v for key, v in values.items()}
+    plain["options"] = dict(request.options)
+    return {key: value for key, value in plain.items() if value is not None}
+
+
+def request_from_toml(path: Path) -> Request:
+    """Read the request back from a `run.toml`; paths in it count from its own folder.
+
+    Raises:
+        InputError: Not readable, not a `run.toml`, or an unknown key (the nearest one is named).
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))["run"]
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise InputError(f"cannot be read ({reason})", file=path, field="from") from None
+    except (tomllib.TOMLDecodeError, KeyError, TypeError) as error:
+        raise InputError(f"not a run.toml ({error})", file=path, field="from") from None
+    names = {f.name: f for f in fields(Request)}
+    for key in table:
+        if key not in names:
+            near = get_close_matches(key, names, 1)
+            hint = f", did you mean {near[0]}?" if near else ""
+            raise InputError(f"unknown key{hint}", file=path, field=f"run.{key}", allowed=", ".join(names))
+    values = {key: tuple(v) if isinstance(v, list) else _number(key, v) for key, v in table.items()}
+    for kind in get_args(FileKind):
+        text = str(values.get(kind, ""))
+        if text.lower().endswith((".toml", ".json")):
+            values[kind] = str(path.parent / text)
+    _check_types(path, values)
+    return Request(**values)
+
+
+def _number(key: str, value: Any) -> Any:
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    return float(value) if whole and key.endswith(("_s", "_mps", "_factor")) else value
+
+
+def _check_types(path: Path, values: Mapping[str, Any]) -> None:
+    """Each value has the type of the field's default; without a default it is text."""
+    kinds: dict[str, tuple[type, ...]] = {"time_s": (float,), "load": (str,), "options": (dict,)}
+    for f in fields(Request):
+        default = f.default
+        wanted = kinds.get(f.name) or ((str,) if not isinstance(default, bool | int | float | tuple) else (type(default),))
+        if f.name not in values:
+            if f.name in {"line", "origin", "destination"}:
+                raise InputError("missing", file=path, field=f"run.{f.name}", allowed="text")
+            continue
+        if type(values[f.name]) not in wanted:
+            raise InputError(
+                "wrong kind of value",
+                file=path,
+                field=f"run.{f.name}",
+                value=str(values[f.name]),
+                allowed=" or ".join(t.__name__ for t in wanted),
+            )

@@ -1,0 +1,178 @@
+"""The host loop: one driver drives one run under protection, in NumPy float64 (never imports JAX)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter_ns
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from metropilot.drivers import AbstractDriver
+from metropilot.evaluate.recorder import Recorder, limit_at
+from metropilot.evaluate.trajectory import Trajectory
+from metropilot.physics import Command, at_rest, delay_steps, step, track_arrays, vehicle_arrays
+from metropilot.railway import Section, Trainset
+from metropilot.task import STOP_TOLERANCE_M, Observation, Outcome, Run
+
+STALLED_S = 20.0
+GIVE_UP_M = 100.0
+OVERSPEED_MPS = 1e-6
+NOISE_CUT = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A run as it was driven.
+
+    Attributes:
+        run: What was to be driven.
+        driver: Id of the driver.
+        trajectory: Row by row.
+        outcome: How it ended.
+        running_time_s: From departure to the last stand (to the end, if it never came to one).
+        scheduled_time_s: Scheduled running time as it stood at the end.
+        section: The section with every restriction announced during the run.
+        trainset: The trainset as it really was.
+        interventions: How many times protection overruled the driver (an uninterrupted spell counts once).
+        max_overspeed_mps: Largest excess over the limit in force, 0 if none.
+        recovered_j: Energy given back to the line.
+        decision_us: Time the driver took for each decision, microseconds.
+    """
+
+    run: Run
+    driver: str
+    trajectory: Trajectory
+    outcome: Outcome
+    running_time_s: float
+    scheduled_time_s: float
+    section: Section
+    trainset: Trainset
+    interventions: int
+    max_overspeed_mps: float
+    recovered_j: float
+    decision_us: Float[ndarray, " decisions"]
+
+
+def drive(run: Run, driver: AbstractDriver) -> Drive:
+    """Let a driver drive a run until it stands at the stop, or until it plainly will not.
+
+    The run ends when the trainset stands within 0.3 m of the stop (arrived) or beyond it (overshot), has stood
+    anywhere else for 20 s (stalled), is 100 m past the stop (overshot), or has used twice its scheduled time
+    and 120 s more (out of time). A speed above the limit in force makes the outcome ``overspeed`` wherever the
+    run ended.
+
+    Args:
+        run: What is to be driven; its scenario is the truth that the driver is not told.
+        driver: Whatever gives the command.
+
+    Raises:
+        Infeasible: The driver cannot meet the scheduled time.
+    """
+    return _Loop(run, driver).to_the_end()
+
+
+class _Loop:
+    """One run in progress."""
+
+    def __init__(self, run: Run, driver: AbstractDriver) -> None:
+        self.run = run
+        self.driver = driver
+        self.trainset = run.scenario.actual(run.trainset)
+        self.vehicle = vehicle_arrays(self.trainset)
+        self.state = at_rest(self.vehicle, delay_steps=delay_steps(float(self.vehicle.delay_s), run.dt))
+        self.scheduled_time_s = run.scheduled_time_s
+        self.pending = sorted(run.scenario.news, key=lambda news: news.at_s)
+        self.random = np.random.default_rng(np.random.SeedSequence(run.seed, spawn_key=(1,)))
+        self.recorder = Recorder(self.vehicle, run.dt, self.state)
+        self.decision_us: list[float] = []
+        self.interventions = 0
+        self.overruled = False
+        self.stood_since_s = 0.0
+        self.enter(run.section)
+        self.memory = driver.init(run)
+
+    def enter(self, section: Section) -> None:
+        """Take a section as the truth: at departure, and after every new restriction."""
+        self.section = section
+        self.track = track_arrays(section, self.trainset)
+
+    def to_the_end(self) -> Drive:
+        """Step until the run is over."""
+        outcome = None
+        while outcome is None:
+            self.hear()
+            self.advance()
+            outcome = self.outcome()
+        permitted = limit_at(self.track, float(self.state.position_m))
+        standing = self.state.speed_mps <= 0
+        over = self.recorder.overspeed_mps
+        return Drive(
+            run=self.run,
+            driver=self.driver.id,
+            trajectory=self.recorder.trajectory(self.track, permitted),
+            outcome=Outcome.OVERSPEED if over > OVERSPEED_MPS else outcome,
+            running_time_s=self.stood_since_s if standing else float(self.state.time_s),
+            scheduled_time_s=self.scheduled_time_s,
+            section=self.section,
+            trainset=self.trainset,
+            interventions=self.interventions,
+            max_overspeed_mps=over,
+            recovered_j=float(self.state.recovered_j),
+            decision_us=np.array(self.decision_us),
+        )
+
+    def hear(self) -> None:
+        """Deliver the news that is due."""
+        while self.pending and self.pending[0].at_s <= self.state.time_s:
+            news = self.pending.pop(0)
+            if news.scheduled_time_s is not None:
+                self.scheduled_time_s = news.scheduled_time_s
+            if news.restriction is not None:
+                self.enter(self.section.restricted(news.restriction))
+
+    def observe(self, permitted_mps: float) -> Observation:
+        """What the driver sees: the speed with its noise, everything else as it is."""
+        speed = float(self.state.speed_mps)
+        if (sigma := self.run.scenario.speed_noise_mps) > 0:
+            noise = float(np.clip(self.random.standard_normal(), -NOISE_CUT, NOISE_CUT))
+            speed = max(speed + sigma * noise, 0.0) if speed > 0 else 0.0
+        return Observation(
+            time_s=float(self.state.time_s),
+            position_m=float(self.state.position_m),
+            speed_mps=speed,
+            acceleration_mps2=float(self.state.acceleration_mps2),
+            scheduled_time_s=self.scheduled_time_s,
+            permitted_mps=permitted_mps,
+            section=self.section,
+        )
+
+    def advance(self) -> None:
+        """One control period: decide, supervise, move."""
+        permitted = limit_at(self.track, float(self.state.position_m))
+        observation = self.observe(permitted)
+        began = perf_counter_ns()
+        share, self.memory = self.driver.act(self.memory, observation)
+        self.decision_us.append((perf_counter_ns() - began) / 1e3)
+        share = float(np.clip(share, -1.0, 1.0))
+        was_moving = self.state.speed_mps > 0
+        self.state = step(self.vehicle, self.track, self.state, Command(np.float64(share), False), self.run.dt)
+        if was_moving and self.state.speed_mps <= 0:
+            self.stood_since_s = float(self.state.time_s)
+        self.recorder.add(self.track, self.state, share, permitted)
+
+    def outcome(self) -> Outcome | None:
+        """How the run has ended, or None while it goes on."""
+        error = float(self.state.position_m) - self.section.length_m
+        now = float(self.state.time_s)
+        if self.state.speed_mps <= 0:
+            if abs(error) <= STOP_TOLERANCE_M:
+                return Outcome.ARRIVED
+            if error > 0:
+                return Outcome.OVERSHOT
+            if now - self.stood_since_s > STALLED_S:
+                return Outcome.STALLED
+        if error > GIVE_UP_M:
+            return Outcome.OVERSHOT
+        return Outcome.OUT_OF_TIME if now > 2 * self.scheduled_time_s + 120 else None

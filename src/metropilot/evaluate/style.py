@@ -1,0 +1,102 @@
+"""How every picture looks: palette, line styles, type; and how it is saved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+KMH = 3.6
+# Okabe and Ito (2008): told apart by everyone; line styles keep them apart in greyscale print.
+BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
+    "#000000",
+    "#E69F00",
+    "#56B4E9",
+    "#009E73",
+    "#F0E442",
+    "#0072B2",
+    "#D55E00",
+    "#CC79A7",
+)
+GREY, PALE, FAINT = "#6B6B6B", "#D9D9D9", "#EFEFEF"
+SERIES = (
+    (BLUE, "-"),
+    (VERMILION, (0, (6, 2))),
+    (GREEN, (0, (6, 2, 1, 2))),
+    (PURPLE, (0, (1.5, 1.5))),
+    (ORANGE, (0, (9, 2, 1, 2, 1, 2))),
+    (SKY, (0, (3, 1))),
+    (BLACK, (0, (1, 3))),
+)
+SETTINGS: Mapping[str, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 8.5,
+    "axes.labelsize": 8.5,
+    "axes.titlesize": 10,
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": "#404040",
+    "axes.labelcolor": "#202020",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#E4E4E4",
+    "grid.linewidth": 0.5,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "xtick.color": "#404040",
+    "ytick.color": "#404040",
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 3,
+    "ytick.major.size": 3,
+    "lines.linewidth": 1.4,
+    "lines.solid_capstyle": "butt",
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "legend.handlelength": 2.6,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "svg.hashsalt": "metropilot",
+    "svg.fonttype": "path",
+    "path.simplify_threshold": 0.05,
+}
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """Matplotlib with our settings and nothing of the user's."""
+    import matplotlib as mpl
+
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(SETTINGS)
+        yield
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """An empty figure that no window knows of."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save(figure: Figure, stem: Path) -> None:
+    """Write ``stem.svg`` and ``stem.png``, the same bytes for the same figure."""
+    with house_style():
+        figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None, "Creator": "metropilot"})
+        figure.savefig(stem.with_suffix(".png"), dpi=200, metadata={"Software": "metropilot"})
+
+
+def label(axes: Axes, text: str) -> None:
+    """A y label set flat above the axis, where it reads without turning the head."""
+    axes.set_title(text, loc="left", fontsize=8.5, color="#202020", pad=4)
