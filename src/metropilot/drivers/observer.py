@@ -4,8 +4,8 @@ A driver sees a position (measured well), a noisy speed and the acceleration of 
 fuses them into a state, and learns from command and answer what the data sheet does not say: the gain of
 traction and brake (a trainset 20 % heavier than believed answers with gain 1/1.2), the factor on running
 resistance, and the dead time and lag between command and force. For the last two it keeps a small bank of
-hypotheses, each with its own recursive least squares, and believes the one that predicted best; the jerk limit
-is known to the driver and is part of every prediction.
+hypotheses, each with its own recursive least squares, and believes the one that predicted best; the jerk
+limit is known to the driver and is part of every prediction.
 
 The model, per unit of believed effective mass (Huang25 eqs. 3 and 4, Chen23a eq. 1)::
 

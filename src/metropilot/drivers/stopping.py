@@ -1,11 +1,11 @@
 """Stop at a point: where to begin braking, how hard, and how to let go so that nobody feels the stop.
 
-The curve is: build up to a deceleration ``b`` at the jerk limit, hold it, let it fall at a softer jerk ``J`` to
-a small deceleration ``e``, and stand. At every period the deceleration is computed anew that makes this curve
-end at the target from the state predicted for the moment the command begins to act (Huang25's heuristic online
-algorithm, papers' ``b = v^2 / (2 S)``, is the case without jerk limit). So there is nothing to integrate and
-nothing to remember: an error made earlier is an error in distance, and the next period answers it. What the
-brake really gives is the observer's business.
+The curve is: build up to a deceleration ``b`` at the jerk limit, hold it, let it fall at a softer jerk ``J``
+to a small deceleration ``e``, and stand. At every period the deceleration is computed anew that makes this
+curve end at the target from the state predicted for the moment the command begins to act. (Without a jerk
+limit this is ``b = v^2 / (2 S)``, the rule of the heuristic online algorithm of Chen, Chen, Li and Tang, 2013.)
+So there is nothing to integrate and nothing to remember: an error made earlier is an error in distance, and the
+next period answers it. What the brake really gives is the observer's business.
 
 Closed forms, with distance ``S`` and speed ``v``:
 
@@ -17,6 +17,7 @@ Closed forms, with distance ``S`` and speed ``v``:
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -25,15 +26,15 @@ from metropilot.drivers.observer import Ahead, Belief, Model, look_ahead, share_
 from metropilot.physics import Vehicle, resistance_and_gradient
 from metropilot.physics.effort import effort_at
 
-RELEASE_SHARE = 0.6
+RELEASE_SHARE = 0.5
 """Jerk of the release over the trainset's jerk limit."""
-END_SHARE = 0.4
+END_SHARE = 0.25
 """Deceleration at the stop over what the jerk limit allows to drop in one period."""
 RETURN_GAIN = 0.5
 """How strongly a departure from the wanted deceleration is corrected beyond what the stop needs."""
 SERVICE_USE = 0.9
 """Share of the deceleration at hand that a comfortable stop is planned with."""
-DROP_SHARE = 0.85
+DROP_SHARE = 0.6
 """Largest deceleration at the stop over what the jerk limit allows to drop in one period."""
 INCH_M = 0.2
 """A trainset that would stand nearer to the target than this is left to stand."""
@@ -101,54 +102,68 @@ def curve_for(vehicle: Vehicle, dt: float, deceleration_mps2: float) -> Curve:
         deceleration_mps2: Deceleration to hold.
     """
     jerk = float(vehicle.jerk_mps3)
-    if not np.isfinite(jerk):
-        return Curve(deceleration_mps2, np.inf, np.inf, deceleration_mps2)
+    if not math.isfinite(jerk):
+        return Curve(deceleration_mps2, math.inf, math.inf, deceleration_mps2)
     end = min(END_SHARE * jerk * dt, deceleration_mps2)
     return Curve(deceleration_mps2, jerk, RELEASE_SHARE * jerk, end)
 
 
-def release(speed_mps: float, distance_m: float, end_mps2: float) -> tuple[float, float]:
-    """Deceleration now, and time left, of a release that stands after a distance with ``end_mps2`` left."""
-    v, e, s = max(speed_mps, 0.0), max(end_mps2, 1e-3), max(distance_m, 1e-9)
-    time_s = 6.0 * s / (float(np.sqrt(v * v + 6.0 * e * s)) + v)
-    return 2.0 * v / time_s - e, time_s
+def release(
+    speed_mps: float, distance_m: float, end_mps2: float, final_mps: float = 0.0
+) -> tuple[float, float]:
+    """Deceleration now, and time left, of a release that ends after a distance with ``end_mps2`` left."""
+    v, e, s = max(speed_mps, final_mps), max(end_mps2, 1e-3), max(distance_m, 1e-9)
+    p = 2.0 * (v - final_mps) + 6.0 * final_mps
+    time_s = 12.0 * s / (math.sqrt(p * p + 24.0 * e * s) + p)
+    return 2.0 * (v - final_mps) / time_s - e, time_s
 
 
-def braking_distance(speed_mps: float, curve: Curve) -> float:
-    """Distance to stand from a speed: hold, then release (no build-up)."""
-    v, b, e, jerk = max(speed_mps, 0.0), curve.deceleration_mps2, curve.end_mps2, curve.release_jerk_mps3
-    if b <= e or not np.isfinite(jerk):
-        return v * v / (2.0 * b)
-    b = max(min(b, float(np.sqrt(e * e + 2.0 * jerk * v))), e)
+def braking_distance(speed_mps: float, curve: Curve, final_mps: float = 0.0) -> float:
+    """Distance from one speed down to another: hold, then release (no build-up)."""
+    v, b, e, jerk = (
+        max(speed_mps, final_mps),
+        curve.deceleration_mps2,
+        curve.end_mps2,
+        curve.release_jerk_mps3,
+    )
+    if b <= e or not math.isfinite(jerk):
+        return (v * v - final_mps * final_mps) / (2.0 * b)
+    b = max(min(b, math.sqrt(e * e + 2.0 * jerk * (v - final_mps))), e)
     time_s = (b - e) / jerk
-    released = (b * b - e * e) / (2.0 * jerk)
-    return (v * v - released * released) / (2.0 * b) + time_s * time_s * (b / 6.0 + e / 3.0)
+    released = final_mps + (b * b - e * e) / (2.0 * jerk)
+    hold_m = (v * v - released * released) / (2.0 * b)
+    return hold_m + final_mps * time_s + time_s * time_s * (b / 6.0 + e / 3.0)
 
 
-def required_deceleration(speed_mps: float, distance_m: float, curve: Curve) -> tuple[float, float]:
-    """Deceleration that must act now for the curve to end at the target, and its mean over a short while.
+def required_deceleration(
+    speed_mps: float, distance_m: float, curve: Curve, final_mps: float = 0.0
+) -> tuple[float, float]:
+    """Deceleration that must act now for the curve to end where it should, and how fast it is let go.
 
     Args:
         speed_mps: Speed.
         distance_m: Distance to go.
         curve: Shape of the stop; its ``deceleration_mps2`` is not used, it is what is solved for.
+        final_mps: Speed to have there: 0 for a stop.
 
     Returns:
         Deceleration, m/s^2, and the jerk at which it is let go from now on, m/s^3 (0 while it is held).
     """
     v, s, e, jerk = max(speed_mps, 0.0), distance_m, curve.end_mps2, curve.release_jerk_mps3
+    if v <= final_mps:
+        return 0.0, 0.0
     if s <= 1e-9:
-        return np.inf if v > 0 else 0.0, 0.0
-    if not np.isfinite(jerk):
-        return v * v / (2.0 * s), 0.0
-    top = float(np.sqrt(e * e + 2.0 * jerk * v))
-    if s <= braking_distance(v, curve._replace(deceleration_mps2=top)):
-        now, left = release(v, s, e)
+        return math.inf, 0.0
+    if not math.isfinite(jerk):
+        return (v * v - final_mps * final_mps) / (2.0 * s), 0.0
+    top = math.sqrt(e * e + 2.0 * jerk * (v - final_mps))
+    if s <= braking_distance(v, curve._replace(deceleration_mps2=top), final_mps):
+        now, left = release(v, s, e, final_mps)
         return now, (now - e) / left
     low, high = 0.0, top
     for _ in range(30):
         middle = 0.5 * (low + high)
-        if braking_distance(v, curve._replace(deceleration_mps2=middle)) > s:
+        if braking_distance(v, curve._replace(deceleration_mps2=middle), final_mps) > s:
             low = middle
         else:
             high = middle
@@ -159,10 +174,24 @@ def after_build_up(ahead: Ahead, curve: Curve) -> tuple[float, float]:
     """Speed, and distance gone, when the deceleration has been built up from the one that acts now."""
     a, v, jerk = ahead.acceleration_mps2, ahead.speed_mps, curve.build_jerk_mps3
     missing = curve.deceleration_mps2 + a
-    if missing <= 0 or not np.isfinite(jerk):
+    if missing <= 0 or not math.isfinite(jerk):
         return v, 0.0
     t = missing / jerk
     return max(v + a * t - 0.5 * jerk * t * t, 0.0), v * t + 0.5 * a * t * t - jerk * t**3 / 6.0
+
+
+def required_ahead(
+    ahead: Ahead, distance_m: float, curve: Curve, final_mps: float = 0.0
+) -> tuple[float, float]:
+    """:func:`required_deceleration` with the build-up from the deceleration that acts now."""
+    required, falling = required_deceleration(ahead.speed_mps, distance_m, curve, final_mps)
+    if falling > 0.0 or required >= STRONGEST_MPS2:
+        return required, falling
+    for _ in range(3):
+        speed, gone = after_build_up(ahead, curve._replace(deceleration_mps2=required))
+        needed, _ = required_deceleration(speed, distance_m - gone, curve, final_mps)
+        required = min(needed, STRONGEST_MPS2)
+    return required, 0.0
 
 
 class Stop(NamedTuple):
@@ -193,12 +222,8 @@ def stop_command(model: Model, belief: Belief, target_m: float, curve: Curve) ->
     v, distance = ahead.speed_mps, target_m - ahead.position_m
     if v <= 0 and distance < INCH_M:
         return Stop(share_for(belief, ahead, -max(curve.end_mps2, HOLD_MPS2)), 0.0, ahead)
-    required, falling = required_deceleration(v, distance, curve)
+    required, falling = required_ahead(ahead, distance, curve)
     if falling == 0.0 and required < STRONGEST_MPS2:
-        for _ in range(3):
-            building = curve._replace(deceleration_mps2=required)
-            speed, gone = after_build_up(ahead, building)
-            required = min(required_deceleration(speed, distance - gone, curve)[0], STRONGEST_MPS2)
         wanted = max(required + RETURN_GAIN * (required - curve.deceleration_mps2), 0.0)
     else:
         wanted = required - 0.5 * falling * model.dt
@@ -213,15 +238,13 @@ def stop_command(model: Model, belief: Belief, target_m: float, curve: Curve) ->
 def strongest(speed_mps: float, curve: Curve, dt: float) -> float:
     """The deceleration from which the jerk limit still allows to let go before standing, m/s^2.
 
-    In periods of ``dt``: the last decelerates by at most ``c`` (what may drop to zero at once), the one before by
-    ``J dt`` more; ``n`` periods take ``v = n c dt + J dt^2 n (n - 1) / 2``.
+    In periods of ``dt``: the last one decelerates by at most ``c`` (what may drop to zero at once), the one
+    before by ``J dt`` more; ``n`` periods take ``v = n c dt + J dt^2 n (n - 1) / 2``.
     """
-    if not np.isfinite(curve.build_jerk_mps3):
+    if not math.isfinite(curve.build_jerk_mps3):
         return STRONGEST_MPS2
     drop = curve.build_jerk_mps3 * dt
     last = DROP_SHARE * drop
     half = 0.5 * drop
-    n = (half - last + float(np.sqrt((last - half) ** 2 + 4.0 * half * max(speed_mps, 0.0) / dt))) / (
-        2.0 * half
-    )
+    n = (half - last + math.sqrt((last - half) ** 2 + 4.0 * half * max(speed_mps, 0.0) / dt)) / (2.0 * half)
     return last + max(n - 1.0, 0.0) * drop
