@@ -1,7 +1,7 @@
 """The energy-optimal drive as a convex cone programme, solved by Clarabel.
 
-On a space mesh take kinetic energy ``E`` and speed ``v`` at each node, and traction ``f``, braking ``b`` and time
-``t`` on each segment, all per kg of effective mass::
+On a space mesh take kinetic energy ``E`` and speed ``v`` at each node, and traction ``f``, braking ``b`` and
+time ``t`` on each segment, all per kg of effective mass::
 
     minimise   sum ds (c f - d e) + p sum t
     subject to (E' - E) / ds = f - b - r(v, E) - g          (linear: Davis in the mean v and mean 2 E)
@@ -9,17 +9,18 @@ On a space mesh take kinetic energy ``E`` and speed ``v`` at each node, and trac
                0 <= f <= F(E),  0 <= b <= B(E),  0 <= e <= min(b, R(E))
                |E' - E| <= a ds,   E <= V^2 / 2,   sums of t within the timing points
 
-``e`` (recovered braking) exists only if it is worth something. The effort curves ``F, B, R`` are replaced by their
-tangents at the last iterate; a few passes settle them. The bound on jerk, if any, is linearised the same way: the
-change of acceleration between neighbouring segments over the time between their middles.
+``e`` (recovered braking) exists only if it is worth something. The effort curves ``F, B, R`` are replaced by
+their tangents at the last iterate; a few passes settle them. The bound on jerk, if any, is linearised the
+same way: the change of acceleration between neighbouring segments over the time between their middles.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import clarabel
+import clarabel as _clarabel
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
@@ -29,6 +30,8 @@ from metropilot.errors import SolverError
 from metropilot.planning.effort_table import Specific
 from metropilot.planning.mesh import Mesh
 
+clarabel: Any = _clarabel
+"""The solver ships no type information."""
 SOFT_START = 6 ** (4 / 3) / 8
 """Under a constant jerk J from rest ``v^2/2 = SOFT_START * J^(2/3) * x^(4/3)``."""
 
@@ -83,6 +86,8 @@ class Programme:
         jerk_mps3: Bound on jerk or None.
         start_mps2: Acceleration before the first node, for the jerk bound.
         stands: Whether the run begins from rest (the acceleration then starts from zero).
+        release_mps3: Jerk at which the brake is let go at the last node, or None for the bound on jerk.
+        late_w: Price of a second later than the last bound, W per kg, or None to forbid it.
     """
 
     mesh: Mesh
@@ -97,6 +102,8 @@ class Programme:
     jerk_mps3: float | None = None
     start_mps2: float = 0.0
     stands: bool = True
+    release_mps3: float | None = None
+    late_w: float | None = None
 
 
 @dataclass(frozen=True)
@@ -140,7 +147,7 @@ class _Rows:
     rhs: list[ndarray] = field(default_factory=list)
     count: int = 0
 
-    def add(self, terms: list[tuple[ndarray, ndarray | float]], rhs: ndarray | float, size: int) -> None:
+    def add(self, terms: Sequence[tuple[ndarray, ndarray | float]], rhs: ndarray | float, size: int) -> None:
         """``size`` rows; each term is (column of each row, coefficient of each row)."""
         rows = self.count + np.arange(size)
         for col, val in terms:
@@ -186,8 +193,9 @@ def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
     p = programme
     n = p.mesh.length_m.size
     recovers = bool(np.any(p.prices.recovered > 0))
-    names = ["E", "v", "f", "b", "t", *(["e"] if recovers else []), *(["w"] if p.dwells else [])]
-    sizes = {"E": n + 1, "v": n + 1, "f": n, "b": n, "t": n, "e": n, "w": len(p.dwells)}
+    wanted = {"e": recovers, "w": bool(p.dwells), "late": p.late_w is not None}
+    names = ["E", "v", "f", "b", "t", *(name for name, there in wanted.items() if there)]
+    sizes = {"E": n + 1, "v": n + 1, "f": n, "b": n, "t": n, "e": n, "w": len(p.dwells), "late": 1}
     starts = np.cumsum([0, *(sizes[k] for k in names)])
     at = {k: s + np.arange(sizes[k]) for k, s in zip(names, starts[:-1], strict=True)}
     total = int(starts[-1])
@@ -197,6 +205,8 @@ def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
     cost[at["t"]] = p.prices.second_w
     if recovers:
         cost[at["e"]] = -ds * p.prices.recovered
+    if p.late_w is not None:
+        cost[at["late"]] = p.late_w
 
     rows = _Rows()
     _equalities(p, rows, at)
@@ -265,7 +275,7 @@ def _equalities(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> None:
 
 
 def _pinned(p: Programme) -> ndarray:
-    """The ends and the intermediate stops: nodes whose speed is given (a cone there would have no interior)."""
+    """The ends and the stops: nodes whose speed is given (a cone there would have no interior)."""
     stops = p.mesh.stop[p.cap_mps[p.mesh.stop] == 0.0]
     return np.unique(np.concatenate([[0], stops, [p.mesh.length_m.size]])).astype(int)
 
@@ -308,6 +318,8 @@ def _jerk_rows(p: Programme, rows: _Rows, at: dict[str, ndarray], energy: ndarra
     speed = np.sqrt(2 * np.maximum(energy, 0.0))
     time = 2 * ds / np.maximum(speed[1:] + speed[:-1], 0.05)
     room = jerk * 0.5 * (time[1:] + time[:-1])
+    if p.release_mps3 is not None and p.end_mps == 0:
+        room[_releasing(p)] *= p.release_mps3 / jerk
     standing = np.isin(np.arange(1, ds.size), p.mesh.stop[p.cap_mps[p.mesh.stop] == 0.0])
     here, there = np.flatnonzero(~standing), np.flatnonzero(~standing) + 1
     change = [
@@ -323,12 +335,22 @@ def _jerk_rows(p: Programme, rows: _Rows, at: dict[str, ndarray], energy: ndarra
     first = np.array([*rest_start, *(inner + 1)], dtype=int)
     last = np.array([*inner, *rest_end], dtype=int)
     soft = SOFT_START * jerk ** (2 / 3)
+    let_go = np.full(last.size, soft)
+    if rest_end and p.release_mps3 is not None:
+        let_go[-1] = SOFT_START * p.release_mps3 ** (2 / 3)
     rows.add([(e[first + 1], 1 / ds[first])], soft * ds[first] ** (1 / 3), first.size)
-    rows.add([(e[last], 1 / ds[last])], soft * ds[last] ** (1 / 3), last.size)
+    rows.add([(e[last], 1 / ds[last])], let_go * ds[last] ** (1 / 3), last.size)
     if not p.stands:
         lead = np.array([0])
         rows.add([(e[1:2], 1 / ds[:1]), (e[:1], -1 / ds[:1])], p.start_mps2 + jerk * time[lead], 1)
         rows.add([(e[1:2], -1 / ds[:1]), (e[:1], 1 / ds[:1])], -p.start_mps2 + jerk * time[lead], 1)
+
+
+def _releasing(p: Programme) -> ndarray:
+    """Changes of acceleration that lie where the brake is let go before the last stop."""
+    rate = min(p.table.deceleration, float(p.table.braking[0]))
+    stretch = rate**3 / (6.0 * float(p.release_mps3 or 1.0) ** 2)
+    return p.mesh.node_m[1:-1] > p.mesh.node_m[-1] - stretch
 
 
 def _time_rows(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> int | None:
@@ -348,6 +370,12 @@ def _time_rows(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> int | None:
             rows.rhs.append(np.array([sign * value]))
             clock = rows.count if sign > 0 else clock
             rows.count += 1
+    if p.late_w is not None and clock is not None:
+        rows.row.append(np.array([clock, rows.count]))
+        rows.col.append(np.repeat(at["late"], 2))
+        rows.val.append(np.array([-1.0, -1.0]))
+        rows.rhs.append(np.zeros(1))
+        rows.count += 1
     if p.dwells:
         low, high = np.array(p.dwells).T
         rows.add([(at["w"], 1.0)], high, len(p.dwells))

@@ -23,7 +23,7 @@ def fastest_profile(
     Args:
         table: Trainset.
         mesh: Mesh, its caps in force.
-        start_mps: Speed at the first node; a higher one than the caps allow is braked down at the service rate.
+        start_mps: Speed at the first node; above the caps it is braked down at the service rate.
         end_mps: Speed at the last node.
 
     Returns:

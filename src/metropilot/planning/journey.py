@@ -1,7 +1,8 @@
-"""The plan of a whole journey: one convex problem over every section, so that the reserve is spread by the optimum."""
+"""The plan of a whole journey: one convex problem, so that the optimum itself spreads the reserve."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -95,8 +96,9 @@ def timetable_waypoints(
         line: Line.
         origin: First station, or None for the line's first.
         destination: Last station, or None for the line's last.
-        total_s: None keeps the timetable: no departure before its time, no arrival after it; a number frees the intermediate times and asks only that the
-            whole journey, dwells included, takes no longer: the reserve is then spread by the optimum.
+        total_s: None keeps the timetable: no departure before its time, no arrival after it. A number frees
+            the intermediate times and asks only that the whole journey, dwells included, takes no longer: the
+            reserve is then spread by the optimum.
 
     Raises:
         InputError: The line has no planned times and no total is given.
@@ -108,7 +110,7 @@ def timetable_waypoints(
         raise InputError("a journey needs two stations", file=line.id, field="destination")
     dwell = dict(zip((s.code for s in stops[1:-1]), line.dwell_s, strict=False))
     points, clock = [Waypoint(0.0, way[0].code)], 0.0
-    for here, there in zip(way[:-1], way[1:], strict=True):
+    for here, there in itertools.pairwise(way):
         planned = line.section(here, there).planned_time_s
         if planned is None and total_s is None:
             raise InputError(
@@ -186,7 +188,7 @@ def plan_journey(
         destination: Where it ends, or None for the line's last station.
 
     Raises:
-        Infeasible: A window cannot be met even flat out; the message names the waypoint and the earliest time.
+        Infeasible: A window cannot be met even flat out; the message names waypoint and earliest time.
     """
     options = options or PlanOptions()
     section = line.section(origin or line.stations[0], destination or line.stations[-1])

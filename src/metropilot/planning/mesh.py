@@ -23,7 +23,7 @@ class Mesh(NamedTuple):
         node_m: Increasing positions. Shape (N+1,).
         length_m: Length of each segment. Shape (N,).
         cap_mps: Largest speed at each node. Shape (N+1,).
-        slope_mps2: Mean specific force of gradient and curves on each segment, N per kg of effective mass. Shape (N,).
+        slope_mps2: Mean force of gradient and curves on each segment, per kg of effective mass. Shape (N,).
         tunnel_n: Mean tunnel coefficient of each segment, N/(m/s)^2. Shape (N,).
         stop: Indices of the nodes where the trainset stands or a time is fixed, increasing. Shape (S,).
     """

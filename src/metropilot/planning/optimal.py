@@ -37,6 +37,9 @@ class PlanOptions:
         start_mps2: Acceleration there (only the jerk bound asks for it).
         end_mps: Speed at the destination.
         jerk_mps3: Bound on jerk the plan allows for, or None.
+        release_mps3: Jerk at which the last brake is let go, or None for ``jerk_mps3``.
+        late_w: Price of a second later than asked for, W per kg of effective mass; None forbids it. A driver
+            that re-plans on the way sets it: then there is a plan even when the time cannot be met.
         cap_m: Positions of a further speed cap, or None.
         cap_mps: The cap at those positions (for instance what protection permits).
         acceleration_mps2: Acceleration limit, or None for the trainset's.
@@ -50,6 +53,8 @@ class PlanOptions:
     start_mps2: float = 0.0
     end_mps: float = 0.0
     jerk_mps3: float | None = None
+    release_mps3: float | None = None
+    late_w: float | None = None
     cap_m: Float[ndarray, " grid"] | None = None
     cap_mps: Float[ndarray, " grid"] | None = None
     acceleration_mps2: float | None = None
@@ -152,7 +157,7 @@ def plan_arrays(vehicle: Vehicle, track: Track, time_s: float, options: PlanOpti
     fastest = float(times(mesh, energy).sum())
     if not np.isfinite(fastest):
         explain_stall(mesh, energy)
-    if time_s < fastest:
+    if time_s < fastest and options.late_w is None:
         exact = fastest_time(vehicle, track, options)
         raise Infeasible(
             f"minimum running time is {exact:.1f} s",
@@ -188,6 +193,11 @@ def _mesh(vehicle: Vehicle, track: Track, options: PlanOptions, spacing_m: float
 
 
 def explain_stall(mesh: Mesh, energy: ndarray) -> None:
+    """Say where a trainset stalls and what holds it.
+
+    Raises:
+        Infeasible: Always.
+    """
     stalled = np.flatnonzero((energy[:-1] <= 0) & (energy[1:] <= 0))
     where = float(mesh.node_m[stalled[0]]) if stalled.size else float("nan")
     force = float(mesh.slope_mps2[stalled[0]]) if stalled.size else float("nan")
@@ -266,6 +276,8 @@ def iterate(
             jerk_mps3=options.jerk_mps3,
             start_mps2=options.start_mps2,
             stands=options.start_mps == 0,
+            release_mps3=options.release_mps3,
+            late_w=options.late_w,
         )
         answer = solve(programme, energy)
         moved = float(np.max(np.abs(answer.energy - energy)) / max(float(answer.energy.max()), 1e-9))
@@ -280,7 +292,7 @@ def iterate(
 def _finished(
     table: Specific, mesh: Mesh, answer: Answer, prices: Prices, options: PlanOptions, passes: int
 ) -> Plan:
-    """Evaluate the answer's speed profile by itself: forces from the exact dynamics, times from the speeds."""
+    """Evaluate the answer's speed profile by itself: forces from the dynamics, times from the speeds."""
     ds = mesh.length_m
     speed = np.sqrt(2 * answer.energy)
     speed[0], speed[-1] = options.start_mps, options.end_mps
