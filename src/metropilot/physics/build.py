@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from metropilot.errors import InputError
 from metropilot.physics.types import Track, Vehicle
-from metropilot.railway import Curve, Efficiency, EffortCurve, Section, Trainset
+from metropilot.railway import Curve, Efficiency, EffortCurve, SafeBraking, Section, Trainset
 
 SIZES = (16, 32, 64, 128, 256, 512, 1024)
 PIECES = (4, 8, 16, 32, 64)
@@ -75,7 +75,8 @@ def vehicle_arrays(trainset: Trainset, dtype: type = np.float64, pieces: int | N
         "delay_s": trainset.actuation.delay_s,
         "lag_s": trainset.actuation.lag_s,
         "jerk_mps3": trainset.actuation.jerk_limit_mps3,
-        "emergency_jerk_mps3": safe.emergency_jerk_mps3,
+        "emergency_jerk_mps3": emergency_jerk_mps3(safe),
+        "emergency_delay_s": safe.reaction_s,
         "efficiency_speed_mps": speeds,
         "efficiency_share": shares,
         "efficiency_traction": _resampled(motoring, speeds, shares),
@@ -84,6 +85,13 @@ def vehicle_arrays(trainset: Trainset, dtype: type = np.float64, pieces: int | N
         "auxiliary_w": trainset.auxiliary_w,
     }
     return Vehicle(**{k: np.asarray(v, dtype)[()] for k, v in values.items()})
+
+
+def emergency_jerk_mps3(safe: SafeBraking) -> float:
+    """Rate at which the emergency brake builds up: its jerk, or slower where the build-up time says so."""
+    if safe.buildup_s <= 0:
+        return safe.emergency_jerk_mps3
+    return min(safe.emergency_jerk_mps3, safe.emergency_deceleration_mps2 / safe.buildup_s)
 
 
 def _resampled(efficiency: Efficiency, speeds: ndarray, shares: ndarray) -> ndarray:

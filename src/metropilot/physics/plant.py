@@ -52,6 +52,7 @@ def at_rest(
         acceleration_mps2=zero,
         share=zero,
         pipeline=np.zeros(delay_steps + 1, dtype),
+        emergency_s=zero,
         forces=Forces(zero, zero, zero, zero, zero),
         traction_j=zero,
         electric_brake_j=zero,
@@ -146,7 +147,8 @@ def step(
     pipeline, share = actuate(vehicle, state, command, dt)
     resistance, gradient = resistance_and_gradient(vehicle, track, x, v)
     effort = effort_at(vehicle, v)
-    force = wheel_force(vehicle, state, effort, share, command.emergency, resistance + gradient, dt)
+    emergency = command.emergency & (state.emergency_s >= vehicle.emergency_delay_s - 1e-3 * dt)
+    force = wheel_force(vehicle, state, effort, share, emergency, resistance + gradient, dt)
     accel = (force - resistance - gradient) / vehicle.effective_mass_kg
 
     def acceleration(at: Scalar, speed: Scalar) -> Scalar:
@@ -181,6 +183,7 @@ def step(
         acceleration_mps2=xp.where(held_still, zero, accel),
         share=share,
         pipeline=pipeline,
+        emergency_s=xp.where(command.emergency, state.emergency_s + dt, zero),
         forces=forces,
         traction_j=state.traction_j + work,
         electric_brake_j=state.electric_brake_j + braked,

@@ -30,7 +30,9 @@ class Vehicle(NamedTuple):
         delay_s: Dead time of the actuation.
         lag_s: Time constant of the actuation.
         jerk_mps3: Limit on the change of acceleration in service.
-        emergency_jerk_mps3: The same under emergency braking.
+        emergency_jerk_mps3: The same under emergency braking, build-up included.
+        emergency_delay_s: Dead time of the emergency brake: it acts from the first control period that begins
+            this long after it was demanded.
         efficiency_speed_mps: Speeds of the efficiency maps. Shape (S,).
         efficiency_share: Effort shares of the efficiency maps. Shape (E,).
         efficiency_traction: Wheel over line power. Shape (S, E).
@@ -59,6 +61,7 @@ class Vehicle(NamedTuple):
     lag_s: Array
     jerk_mps3: Array
     emergency_jerk_mps3: Array
+    emergency_delay_s: Array
     efficiency_speed_mps: Array
     efficiency_share: Array
     efficiency_traction: Array
@@ -116,6 +119,7 @@ class State(NamedTuple):
         acceleration_mps2: Acceleration held over the last step.
         share: Command after delay and lag.
         pipeline: Commands on their way through the dead time, newest first. Shape (D,).
+        emergency_s: How long the emergency brake has been demanded without a break.
         forces: Forces held over the last step.
         traction_j: Mechanical traction energy at the wheel.
         electric_brake_j: Energy taken by the electric brake at the wheel.
@@ -129,6 +133,7 @@ class State(NamedTuple):
     acceleration_mps2: Array
     share: Array
     pipeline: Array
+    emergency_s: Array
     forces: Forces
     traction_j: Array
     electric_brake_j: Array
