@@ -1,5 +1,6 @@
 """The driving problem: what is to be driven, what may go wrong, and what a driver sees."""
 
+from metropilot.task.interface import AbstractTask, ActionSpace, Transition
 from metropilot.task.run import (
     CONTROL_PERIOD_S,
     PUNCTUALITY_S,
@@ -15,9 +16,12 @@ __all__ = [
     "CONTROL_PERIOD_S",
     "PUNCTUALITY_S",
     "STOP_TOLERANCE_M",
+    "AbstractTask",
+    "ActionSpace",
     "News",
     "Observation",
     "Outcome",
     "Run",
     "Scenario",
+    "Transition",
 ]
