@@ -3,9 +3,9 @@
 The curve is: build up to a deceleration ``b`` at the jerk limit, hold it, let it fall at a softer jerk ``J``
 to a small deceleration ``e``, and stand. At every period the deceleration is computed anew that makes this
 curve end at the target from the state predicted for the moment the command begins to act. (Without a jerk
-limit this is ``b = v^2 / (2 S)``, the rule of the heuristic online algorithm of Chen, Chen, Li and Tang, 2013.)
-So there is nothing to integrate and nothing to remember: an error made earlier is an error in distance, and the
-next period answers it. What the brake really gives is the observer's business.
+limit this is ``b = v^2 / (2 S)``, the rule of the heuristic online algorithm of Chen, Chen, Li and Tang,
+2013.) So there is nothing to integrate and nothing to remember: an error made earlier is an error in
+distance, and the next period answers it. What the brake really gives is the observer's business.
 
 Closed forms, with distance ``S`` and speed ``v``:
 
@@ -32,7 +32,7 @@ END_SHARE = 0.25
 """Deceleration at the stop over what the jerk limit allows to drop in one period."""
 RETURN_GAIN = 0.5
 """How strongly a departure from the wanted deceleration is corrected beyond what the stop needs."""
-SERVICE_USE = 0.9
+SERVICE_USE = 0.95
 """Share of the deceleration at hand that a comfortable stop is planned with."""
 DROP_SHARE = 0.6
 """Largest deceleration at the stop over what the jerk limit allows to drop in one period."""
@@ -61,16 +61,19 @@ class Curve(NamedTuple):
 
 
 def weakest_gradient(model: Model, target_m: float, stretch_m: float = 400.0) -> float:
-    """The steepest downhill on the way to a stop, as an acceleration (negative downhill), m/s^2.
+    """The worst mean gradient on the way to a stop, as an acceleration (negative downhill), m/s^2.
+
+    Braking is an exchange of energy, so what counts is the mean from where it begins to the stop.
 
     Args:
         model: What the driver believes about trainset and section.
         target_m: Where to stop.
-        stretch_m: How far before the stop to look.
+        stretch_m: How far before the stop braking may begin.
     """
-    at = np.linspace(target_m - stretch_m, target_m, 41)
+    at = np.linspace(target_m, target_m - stretch_m, 41)
     forces = [float(resistance_and_gradient(model.vehicle, model.track, x, np.float64(0.0))[1]) for x in at]
-    return min(forces) / float(model.vehicle.effective_mass_kg)
+    means = np.cumsum(forces) / np.arange(1, at.size + 1)
+    return float(means[5:].min()) / float(model.vehicle.effective_mass_kg)
 
 
 def comfortable_deceleration(
@@ -89,7 +92,7 @@ def comfortable_deceleration(
     effort = min(float(effort_at(vehicle, np.float64(v)).brake_n) for v in speeds) / float(
         vehicle.effective_mass_kg
     )
-    sure = min(belief.brake_gain - 2.0 * belief.brake_gain_sigma, 1.0)
+    sure = min(belief.brake_gain - 1.5 * belief.brake_gain_sigma, 1.0)
     return max(use * min(effort * sure + gradient_mps2, float(vehicle.max_deceleration_mps2)), 0.2)
 
 

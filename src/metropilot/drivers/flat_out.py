@@ -1,0 +1,100 @@
+"""The fastest run a driver can make: full traction, just under the limit, latest comfortable braking."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, final
+
+from metropilot.drivers.base import AbstractDriver, register
+from metropilot.drivers.cruising import Ceiling, ceiling_acceleration, ceiling_of, model_of
+from metropilot.drivers.observer import Belief, Model, first_belief, issued, look_ahead, observe, share_for
+from metropilot.drivers.stopping import (
+    comfortable_deceleration,
+    curve_for,
+    required_ahead,
+    stop_command,
+    weakest_gradient,
+)
+from metropilot.railway import Section
+from metropilot.task import Observation, Run
+
+
+class FlatOutMemory(NamedTuple):
+    """What the driver carries from one period to the next.
+
+    Attributes:
+        run: The run.
+        section: The section as last announced.
+        model: Trainset and section as believed.
+        ceiling: Speeds to keep under.
+        gradient_mps2: Steepest downhill before the stop.
+        belief: The observer's.
+        braking_mps2: Deceleration of the final braking, 0 before it.
+    """
+
+    run: Run
+    section: Section
+    model: Model
+    ceiling: Ceiling
+    gradient_mps2: float
+    belief: Belief
+    braking_mps2: float
+
+
+@final
+@register
+class FlatOut(AbstractDriver):
+    """Drives as fast as protection, comfort and the trainset allow; the scheduled time is ignored."""
+
+    id = "flat_out"
+    summary = "As fast as limits, comfort and the trainset allow"
+    source = "own"
+
+    def init(self, run: Run) -> FlatOutMemory:
+        """Look at the section once."""
+        trainset = run.scenario.believed(run.trainset)
+        model = model_of(run.section, trainset, run.dt)
+        return FlatOutMemory(
+            run=run,
+            section=run.section,
+            model=model,
+            ceiling=ceiling_of(model.track, trainset.safe_braking, run.dt),
+            gradient_mps2=weakest_gradient(model, run.section.length_m),
+            belief=first_belief(model),
+            braking_mps2=0.0,
+        )
+
+    def act(self, memory: FlatOutMemory, observation: Observation) -> tuple[float, FlatOutMemory]:
+        """Full speed until the final braking has to begin, then stop."""
+        memory = self._informed(memory, observation)
+        model = memory.model
+        belief = observe(
+            model,
+            memory.belief,
+            observation.position_m,
+            observation.speed_mps,
+            observation.acceleration_mps2,
+        )
+        share, braking = self._share(memory, belief)
+        return share, memory._replace(belief=issued(belief, share), braking_mps2=braking)
+
+    def _share(self, memory: FlatOutMemory, belief: Belief) -> tuple[float, float]:
+        model, target = memory.model, memory.section.length_m
+        comfortable = memory.braking_mps2 or comfortable_deceleration(model, belief, memory.gradient_mps2)
+        curve = curve_for(model.vehicle, model.dt, comfortable)
+        if memory.braking_mps2:
+            return stop_command(model, belief, target, curve).share, comfortable
+        ahead = look_ahead(model, belief)
+        wanted = ceiling_acceleration(model, ahead, memory.ceiling, float("inf"), curve)
+        required, _ = required_ahead(ahead, target - ahead.position_m, curve)
+        if required >= comfortable:
+            return stop_command(model, belief, target, curve).share, comfortable
+        return share_for(belief, ahead, wanted), 0.0
+
+    def _informed(self, memory: FlatOutMemory, observation: Observation) -> FlatOutMemory:
+        """Take note of a restriction announced on the way."""
+        if observation.section is memory.section:
+            return memory
+        trainset = memory.run.scenario.believed(memory.run.trainset)
+        model = model_of(observation.section, trainset, memory.run.dt)
+        ceiling = ceiling_of(model.track, trainset.safe_braking, memory.run.dt)
+        return memory._replace(section=observation.section, model=model, ceiling=ceiling)
