@@ -1,6 +1,16 @@
 """Drives measured: the host loop, trajectories, KPIs, comparisons, pictures and the folder of a run."""
 
-from metropilot.evaluate.folder import check_writable, filled, provenance, to_json, write_json, write_run
+from metropilot.evaluate.compare import Entry, Interval, Job, best, compare, jobs
+from metropilot.evaluate.folder import (
+    check_writable,
+    comparison_json,
+    filled,
+    provenance,
+    to_json,
+    write_comparison,
+    write_json,
+    write_run,
+)
 from metropilot.evaluate.kpis import Check, Kpis, checks, kpis_of
 from metropilot.evaluate.optimum import Objective, Optimum, optimum_of
 from metropilot.evaluate.request import Request, make_driver, request_from_toml
@@ -12,21 +22,29 @@ __all__ = [
     "PHASES",
     "Check",
     "Drive",
+    "Entry",
+    "Interval",
+    "Job",
     "Kpis",
     "Objective",
     "Optimum",
     "Request",
     "Trajectory",
+    "best",
     "check_writable",
     "checks",
+    "compare",
+    "comparison_json",
     "drive",
     "filled",
+    "jobs",
     "kpis_of",
     "make_driver",
     "optimum_of",
     "provenance",
     "request_from_toml",
     "to_json",
+    "write_comparison",
     "write_json",
     "write_run",
 ]

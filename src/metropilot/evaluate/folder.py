@@ -7,7 +7,7 @@ import math
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
@@ -17,6 +17,7 @@ from subprocess import DEVNULL, SubprocessError, run
 from typing import Any
 
 from metropilot.errors import InputError
+from metropilot.evaluate.compare import Entry
 from metropilot.evaluate.kpis import Kpis
 from metropilot.evaluate.optimum import Optimum
 from metropilot.evaluate.request import Request, to_table
@@ -76,13 +77,46 @@ def write_run(folder: Path, request: Request, drive: Drive, kpis: Kpis, optimum:
     Raises:
         InputError: The folder cannot be made or written.
     """
-    from metropilot.evaluate.picture import profile_figure, save
+    from metropilot.evaluate.picture import profile_figure
+    from metropilot.evaluate.style import save
 
     with filled(folder) as scratch:
         drive.trajectory.write(scratch / "trajectory.csv")
         write_json(scratch / "kpis.json", kpis.as_dict())
         save(profile_figure(drive, kpis, optimum), scratch / "profile")
         write_run_toml(scratch, request)
+
+
+def write_comparison(folder: Path, request: Request, entries: Sequence[Entry]) -> None:
+    """Write `comparison.json`, `comparison.svg`, `comparison.png` and `run.toml` of the first driver.
+
+    Args:
+        folder: Where to; made if it is not there.
+        request: What was asked for.
+        entries: What came of it.
+
+    Raises:
+        InputError: The folder cannot be made or written.
+    """
+    from metropilot.evaluate.gallery import comparison_figure
+    from metropilot.evaluate.style import save
+
+    with filled(folder) as scratch:
+        write_json(scratch / "comparison.json", comparison_json(request, entries))
+        save(comparison_figure(entries), scratch / "comparison")
+        write_run_toml(scratch, request)
+
+
+def comparison_json(request: Request, entries: Sequence[Entry]) -> dict[str, Any]:
+    """A comparison as plain values: per driver every seed's KPIs, and mean and interval of each number."""
+    first = entries[0].kpis[0].as_dict()
+    names = [key for key, value in first.items() if isinstance(value, int | float | None) and not isinstance(value, bool)]
+    drivers = []
+    for entry in entries:
+        spread = {name: found._asdict() if (found := entry.interval(name)) else None for name in names}
+        runs = [{"seed": d.run.seed, **k.as_dict()} for d, k in zip(entry.drives, entry.kpis, strict=True)]
+        drivers.append({"driver": entry.driver, "successes": entry.successes, "kpis": spread, "runs": runs})
+    return {"run": to_table(request.resolved()), "drivers": drivers}
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:

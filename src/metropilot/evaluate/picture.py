@@ -21,19 +21,18 @@ from metropilot.evaluate.style import (
     PALE,
     SKY,
     VERMILION,
+    headline,
     house_style,
     label,
     new_figure,
-    save,
 )
 from metropilot.physics import restrictive_profile
+from metropilot.planning import Plan
 from metropilot.railway import Section, Trainset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = ["draw_gradient", "draw_limits", "draw_stations", "profile_figure", "save"]
 
 WIDTH_IN, HEIGHT_IN = 8.4, 7.2
 HEIGHTS = (10, 1.6, 2.6, 4)
@@ -57,16 +56,19 @@ def profile_figure(drive: Drive, kpis: Kpis, optimum: Optimum | None) -> Figure:
         draw_gradient(gradient, drive.section)
         draw_command(command, drive)
         draw_energy(energy, drive, optimum, kpis)
-        energy.set_xlabel(f"distance from {drive.section.origin.name} (m)")
-        stop = drive.section.length_m
-        end = max(stop, float(drive.trajectory.position_m[-1]))
-        energy.set_xlim(-0.012 * stop, end + 0.012 * stop)
-        figure.suptitle(headline(drive), x=0.012, ha="left", fontsize=11, fontweight="bold")
-        speed.set_title(subtitle(drive, kpis), loc="left", fontsize=8.5, color=GREY, pad=18)
+        set_distance(energy, drive.section, float(drive.trajectory.position_m[-1]))
+        headline(speed, title(drive), subtitle(drive, kpis))
         return figure
 
 
-def headline(drive: Drive) -> str:
+def set_distance(axes: Axes, section: Section, furthest_m: float) -> None:
+    """The common distance axis: from the origin to the stop, or as far as the trainset came."""
+    margin = 0.012 * section.length_m
+    axes.set_xlim(-margin, max(section.length_m, furthest_m) + margin)
+    axes.set_xlabel(f"distance from {section.origin.name} (m)")
+
+
+def title(drive: Drive) -> str:
     """What was driven, by whom."""
     section, trainset = drive.section, drive.run.trainset
     stations = f"{section.origin.name} – {section.destination.name}"
@@ -93,22 +95,18 @@ def draw_speed(axes: Axes, drive: Drive, optimum: Optimum | None) -> None:
     draw_limits(axes, drive.section, drive.trainset)
     axes.plot(t.position_m, KMH * t.permitted_mps, color=ORANGE, lw=1.0, ls=(0, (2, 1.5)), label="permitted speed")
     if optimum is not None:
-        plan = optimum.plan
-        axes.plot(
-            *fine_profile(plan.position_m, KMH * plan.speed_mps),
-            color=SKY,
-            lw=4.5,
-            alpha=0.75,
-            solid_capstyle="round",
-            label="optimal plan, same running time",
-        )
+        draw_plan(axes, optimum.plan, "optimal plan, same running time")
     axes.plot(t.position_m, KMH * t.speed_mps, color=BLUE, lw=1.5, label="driven")
     top = max(float(KMH * t.limit_mps.max()), float(KMH * t.speed_mps.max()))
     axes.set_ylim(0, 1.09 * top)
     draw_stations(axes, drive.section)
-    label(axes, "")
     axes.set_ylabel("speed (km/h)")
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, borderaxespad=0.2)
+
+
+def draw_plan(axes: Axes, plan: Plan, name: str) -> None:
+    """A plan's speed as a broad pale band that a drive is read against."""
+    at, speed = fine_profile(plan.position_m, KMH * plan.speed_mps)
+    axes.plot(at, speed, color=SKY, lw=4.5, alpha=0.75, solid_capstyle="round", label=name)
 
 
 def fine_profile(
@@ -168,12 +166,13 @@ def draw_gradient(axes: Axes, section: Section) -> None:
     axes.axhline(0, color="#404040", lw=0.6)
     axes.set_ylim(-1.9 * worst, 1.9 * worst)
     axes.set_yticks([])
-    axes.spines["left"].set_visible(False)
+    axes.spines[["left", "bottom"]].set_visible(False)
+    axes.tick_params(bottom=False)
     axes.grid(visible=False)
     for left, right, value in zip(edges[:-1], edges[1:], window.value, strict=True):
         if right - left > 0.05 * section.length_m:
             axes.annotate(
-                f"{value:+.1f}" if value else "0",
+                f"{value:+.1f}".replace("-", "−") if value else "0",
                 (0.5 * (max(left, 0.0) + right), value),
                 xytext=(0, 2 if value >= 0 else -2),
                 textcoords="offset points",

@@ -98,5 +98,25 @@ def save(figure: Figure, stem: Path) -> None:
 
 
 def label(axes: Axes, text: str) -> None:
-    """A y label set flat above the axis, where it reads without turning the head."""
-    axes.set_title(text, loc="left", fontsize=8.5, color="#202020", pad=4)
+    """What a panel shows, set flat above it, where it reads without turning the head."""
+    axes.set_title(text, loc="left", fontsize=8, color="#404040", pad=3)
+
+
+def headline(axes: Axes, title: str, below: str) -> None:
+    """Title, a line below it, and the legend as a third line, all flush with the left edge of the axes."""
+    handles, _ = axes.get_legend_handles_labels()
+    room = 16 if len(handles) > 1 else 0
+    for text, rise, style in ((title, 22, {"fontsize": 11, "weight": "bold"}), (below, 8, {"color": GREY})):
+        axes.annotate(
+            text.replace("-", "\N{MINUS SIGN}") if style.get("color") else text,
+            (0, 1),
+            xycoords="axes fraction",
+            xytext=(0, rise + room),
+            textcoords="offset points",
+            annotation_clip=False,
+            **style,
+        )
+    if room:
+        axes.legend(
+            loc="lower left", bbox_to_anchor=(0, 1.0), ncols=len(handles), borderaxespad=0.3, borderpad=0, columnspacing=1.6
+        )

@@ -1,0 +1,96 @@
+"""`metropilot lines`, `metropilot trainsets`, `metropilot drivers`."""
+
+from __future__ import annotations
+
+from metropilot.cli import options as opt
+from metropilot.cli.console import console, print_json, table
+
+
+def lines_command(as_json: opt.Json = False) -> int:
+    """List the lines of the catalogue.
+
+    Examples:
+
+    metropilot lines
+
+    metropilot lines --json
+    """
+    from metropilot.railway import list_lines, load_line
+
+    found = [load_line(key) for key in list_lines()]
+    if as_json:
+        print_json(
+            [
+                {
+                    "id": line.id,
+                    "name": line.name,
+                    "stations": len(line.stations),
+                    "length_m": line.stations[-1].position_m - line.stations[0].position_m,
+                    "source": dict(line.source),
+                }
+                for line in found
+            ]
+        )
+        return 0
+    rows = []
+    for line in found:
+        ends = line.stations[0], line.stations[-1]
+        length = f"{(ends[1].position_m - ends[0].position_m) / 1000:.2f}"
+        rows.append((line.id, line.name, str(len(line.stations)), length, f"{ends[0].name} – {ends[1].name}"))
+    console().print(table("", ("id", "name", "stations", "km", "from – to"), rows, right=(2, 3)))
+    return 0
+
+
+def trainsets_command(as_json: opt.Json = False) -> int:
+    """List the trainsets of the catalogue.
+
+    Examples:
+
+    metropilot trainsets
+
+    metropilot trainsets --json
+    """
+    from metropilot.railway import list_trainsets, load_trainset
+
+    found = [load_trainset(key) for key in list_trainsets()]
+    if as_json:
+        print_json(
+            [
+                {
+                    "id": t.id,
+                    "name": t.name,
+                    "loads_kg": dict(t.loads),
+                    "load": t.load,
+                    "length_m": t.length_m,
+                    "max_speed_mps": t.max_speed_mps,
+                }
+                for t in found
+            ]
+        )
+        return 0
+    rows = []
+    for t in found:
+        loads = ", ".join(f"{name} {mass / 1000:.1f} t" for name, mass in t.loads.items())
+        rows.append((t.id, t.name, loads, f"{t.length_m:g}", f"{3.6 * t.max_speed_mps:g}"))
+    console().print(table("", ("id", "name", "loads", "length m", "max km/h"), rows, right=(3, 4)))
+    return 0
+
+
+def drivers_command(as_json: opt.Json = False) -> int:
+    """List the drivers.
+
+    Examples:
+
+    metropilot drivers
+
+    metropilot drivers --json
+    """
+    from metropilot.drivers import DRIVERS
+
+    found = [DRIVERS.get(key) for key in DRIVERS.ids()]
+    if as_json:
+        print_json([{"id": d.id, "summary": d.summary, "source": d.source} for d in found])
+        return 0
+    rows = [(d.id, d.summary, d.source) for d in found]
+    console().print(table("", ("id", "what it does", "source"), rows))
+    return 0

@@ -1,0 +1,163 @@
+"""`metropilot compare`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from metropilot.cli import options as opt
+from metropilot.cli.console import console, number, print_json, progress, table
+from metropilot.errors import InputError
+
+if TYPE_CHECKING:
+    from metropilot.evaluate import Entry, Kpis, Request
+
+SHOWN: tuple[tuple[str, str, float, int], ...] = (
+    ("time_error_s", "time error s", 1.0, 2),
+    ("stopping_error_m", "stop error cm", 100.0, 1),
+    ("energy_wheel_kwh", "wheel kWh", 1.0, 2),
+    ("energy_line_kwh", "line kWh", 1.0, 2),
+    ("optimality_gap_percent", "to optimum %", 1.0, 2),
+    ("max_jerk_mps3", "jerk m/s³", 1.0, 2),
+    ("comfort_huang2025", "Σ|Δu|", 1.0, 2),
+    ("regime_switches", "switches", 1.0, 0),
+    ("decision_time_us_median", "decision µs", 1.0, 0),
+)
+MAX_SEEDS = 10_000
+
+
+def compare_command(
+    line: opt.LineArgument,
+    origin: opt.OriginArgument,
+    destination: opt.DestinationArgument,
+    drivers: Annotated[
+        str, typer.Option(help="Driver ids, separated by commas.", rich_help_panel=opt.ABOUT)
+    ] = "optimal,manual,flat_out",
+    seeds: Annotated[
+        int, typer.Option(help="Drives of each driver, each with its own seed.", rich_help_panel=opt.WORLD)
+    ] = 1,
+    time: opt.Time = None,
+    trainset: opt.TrainsetOption = "dkz32",
+    load: opt.Load = None,
+    objective: opt.ObjectiveOption = "wheel",
+    dt: opt.Period = 0.2,
+    seed: opt.Seed = 0,
+    ideal: opt.Ideal = False,
+    mass_factor: opt.MassFactor = 1.0,
+    resistance_factor: opt.ResistanceFactor = 1.0,
+    delay: opt.Delay = 0.0,
+    lag: opt.Lag = 0.0,
+    speed_noise: opt.SpeedNoise = 0.0,
+    restriction: opt.Restrictions = None,
+    arrive: opt.Arrivals = None,
+    out: opt.Out = None,
+    as_json: opt.Json = False,
+) -> int:
+    """Drive the same run with several drivers.
+
+    The best of those that always arrived safely and on time is highlighted in each column. With --seeds the mean
+    over the seeds is shown with its 95 % bootstrap interval. Exit code 0: compared; 2: input that cannot be used.
+
+    Examples:
+
+    metropilot compare yizhuang RJ WYJ --time 101 --drivers optimal,manual,flat_out --out compare
+
+    metropilot compare yizhuang RJ WYJ --drivers optimal,manual --seeds 20 --speed-noise 0.05 --json
+    """
+    names = [name.strip() for name in drivers.split(",") if name.strip()]
+    if not names:
+        raise InputError("no driver given", field="drivers", value=drivers, allowed="ids separated by commas")
+    if not 1 <= seeds <= MAX_SEEDS:
+        raise InputError("out of range", field="seeds", value=seeds, allowed=f"1 to {MAX_SEEDS}")
+    request = opt.request_of(
+        line=line,
+        origin=origin,
+        destination=destination,
+        time_s=time,
+        trainset=trainset,
+        load=load,
+        driver=names[0],
+        objective=objective,
+        dt_s=dt,
+        seed=seed,
+        ideal=ideal,
+        mass_factor=mass_factor,
+        resistance_factor=resistance_factor,
+        delay_s=delay,
+        lag_s=lag,
+        speed_noise_mps=speed_noise,
+        restrictions=restriction,
+        arrivals=arrive,
+    )
+    return compare_and_report(request, names, seeds, out, as_json=as_json)
+
+
+def compare_and_report(request: Request, names: Sequence[str], seeds: int, out: Path | None, *, as_json: bool) -> int:
+    """Drive, print, write; the exit code."""
+    from metropilot.evaluate import check_writable, compare, jobs, make_driver, write_comparison
+
+    for name in names:
+        make_driver(name)
+    if out is not None:
+        check_writable(out)
+    entries = compare(request, progress(jobs(names, request.seed, seeds), "driving"))
+    if out is not None:
+        write_comparison(out, request, entries)
+    if as_json:
+        from metropilot.evaluate import comparison_json
+
+        print_json(comparison_json(request, entries))
+        return 0
+    report(request, entries, seeds)
+    if out is not None:
+        console().print(f"Written to {out}: comparison.json comparison.svg comparison.png run.toml")
+    return 0
+
+
+def report(request: Request, entries: Sequence[Entry], seeds: int) -> None:
+    """The comparison on the screen."""
+    from metropilot.evaluate import best
+
+    known = request.resolved()
+    where = f"{known.line} {known.origin} → {known.destination}, {known.trainset} {known.load}"
+    title = f"{where}, scheduled {known.time_s:g} s" + (f", {seeds} seeds" if seeds > 1 else "")
+    winners = {name: best(entries, name) for name, *_ in SHOWN}
+    rows = []
+    for entry in entries:
+        cells = [_cell(entry, name, factor, digits, winners[name]) for name, _, factor, digits in SHOWN]
+        rows.append([entry.driver, _outcomes(entry), *cells])
+    columns = ["driver", "outcome", *(words for _, words, _, _ in SHOWN)]
+    out = console()
+    out.print(table(title, columns, rows, right=range(2, len(columns))))
+    if any(winners.values()):
+        out.print("* best of those that arrived safely and on time", style="dim")
+
+
+def _cell(entry: Entry, name: str, factor: float, digits: int, winner: str | None) -> Any:
+    from rich.text import Text
+
+    found = entry.interval(name)
+    if found is None:
+        return number(None)
+    text = f"{factor * found.mean:.{digits}f}"
+    if found.high > found.low:
+        text += f" [{factor * found.low:.{digits}f}, {factor * found.high:.{digits}f}]"
+    return Text(f"*{text}", style="bold green") if winner == entry.driver else text
+
+
+def _outcomes(entry: Entry) -> str:
+    """How the drives ended: one word, or a count of each."""
+    said = [verdict(k) for k in entry.kpis]
+    if len(said) == 1:
+        return said[0]
+    return ", ".join(f"{said.count(word)} {word}" for word in dict.fromkeys(said))
+
+
+def verdict(kpis: Kpis) -> str:
+    """The outcome in words, with early and late told apart."""
+    if kpis.outcome != "arrived" or kpis.punctual:
+        return kpis.outcome.replace("_", " ")
+    return "early" if kpis.time_error_s < 0 else "late"

@@ -1,0 +1,251 @@
+"""`metropilot show`."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from metropilot.cli import options as opt
+from metropilot.cli.console import citations, console, heading, number, print_json, table
+from metropilot.errors import InputError
+
+if TYPE_CHECKING:
+    from metropilot.drivers import AbstractDriver
+    from metropilot.railway import Line, Section, Trainset
+
+SPEEDS_KMH = (0.0, 20.0, 40.0, 60.0, 80.0)
+
+
+def show_command(
+    what: Annotated[str, typer.Argument(metavar="ID|PATH", help="Line, trainset, driver, file or folder of a run.")],
+    as_json: opt.Json = False,
+) -> int:
+    """Show a line, a trainset, a driver or the folder of a run.
+
+    Examples:
+
+    metropilot show yizhuang
+
+    metropilot show dkz32:AW2
+
+    metropilot show optimal --json
+
+    metropilot show drive
+    """
+    from metropilot.drivers import DRIVERS
+    from metropilot.railway import list_lines, list_trainsets, load_line, load_trainset
+
+    if what in list_lines():
+        return show_line(load_line(what), as_json=as_json)
+    if what.partition(":")[0] in list_trainsets():
+        return show_trainset(load_trainset(what), as_json=as_json)
+    if what in DRIVERS.ids():
+        return show_driver(DRIVERS.get(what), as_json=as_json)
+    if (Path(what) / "run.toml").is_file():
+        return show_run(Path(what), as_json=as_json)
+    if Path(what).exists():
+        return show_file(Path(what), as_json=as_json)
+    known = (*list_lines(), *list_trainsets(), *DRIVERS.ids())
+    near = get_close_matches(what, known, 1)
+    hint = f", did you mean {near[0]}?" if near else ""
+    raise InputError(
+        f"nothing of that name{hint}", field="show", value=what, allowed=", ".join(known) + ", a file or a run's folder"
+    )
+
+
+def show_file(path: Path, *, as_json: bool) -> int:
+    """A line, trainset or journey file, or a `run.toml`."""
+    from metropilot.railway import Line, Trainset, import_file
+
+    if path.name == "run.toml":
+        return show_run(path.parent, as_json=as_json)
+    found = import_file(path)
+    if isinstance(found, Line):
+        return show_line(found, as_json=as_json)
+    if isinstance(found, Trainset):
+        return show_trainset(found, as_json=as_json)
+    points = [dict(vars(p)) for p in found.points]
+    if as_json:
+        print_json({"kind": "journey", "id": found.id, "line": found.line_id, "points": points})
+        return 0
+    columns = tuple(points[0])
+    rows = [[number(p[name], 1) for name in columns] for p in points]
+    console().print(table(f"journey {found.id} on {found.line_id}", columns, rows, right=range(len(columns))))
+    return 0
+
+
+def section_row(line: Line, section: Section, back: Section) -> dict[str, Any]:
+    """One section of a line, both directions' planned times."""
+    window = section.limit_mps.window(0.0, section.length_m)
+    slope = section.gradient_permil.window(0.0, section.length_m).value
+    curves = [
+        c
+        for c in section.curves
+        if c.curvature_start_per_m != 0 and -1e-9 <= c.from_m < section.length_m
+    ]
+    tightest = min((1 / abs(c.curvature_start_per_m) for c in curves), default=None)
+    return {
+        "section": section.name,
+        "length_m": section.length_m,
+        "planned_forward_s": section.planned_time_s,
+        "planned_backward_s": back.planned_time_s,
+        "limit_lowest_mps": float(window.value.min()),
+        "limit_highest_mps": float(window.value.max()),
+        "gradient_lowest_permil": float(slope.min()),
+        "gradient_highest_permil": float(slope.max()),
+        "curve_tightest_m": tightest,
+    }
+
+
+def show_line(line: Line, *, as_json: bool) -> int:
+    """Stations, sections, notes, sources."""
+    forward, backward = line.sections(), line.sections(backward=True)[::-1]
+    sections = [section_row(line, f, b) for f, b in zip(forward, backward, strict=True)]
+    if as_json:
+        stations = [dict(vars(s)) for s in line.stations]
+        print_json(
+            {
+                "kind": "line",
+                "id": line.id,
+                "name": line.name,
+                "stations": stations,
+                "sections": sections,
+                "dwell_s": list(line.dwell_s),
+                "notes": list(line.notes),
+                "unused": list(line.unused),
+                "source": dict(line.source),
+            }
+        )
+        return 0
+    out = console()
+    dwell = [None, *line.dwell_s, None] if line.dwell_s else [None] * len(line.stations)
+    rows = [
+        (s.code, s.name, s.pinyin, s.local_name, f"{s.position_m:.0f}", number(d, 0))
+        for s, d in zip(line.stations, dwell, strict=True)
+    ]
+    out.print(table(line.name, ("code", "station", "pinyin", "", "m", "dwell s"), rows, right=(4, 5)))
+    cells = [
+        (
+            r["section"],
+            f"{r['length_m']:.0f}",
+            f"{number(r['planned_forward_s'], 0)} / {number(r['planned_backward_s'], 0)}",
+            f"{3.6 * r['limit_lowest_mps']:.0f} – {3.6 * r['limit_highest_mps']:.0f}",
+            f"{r['gradient_lowest_permil']:+.1f} – {r['gradient_highest_permil']:+.1f}",
+            number(r["curve_tightest_m"], 0),
+        )
+        for r in sections
+    ]
+    columns = ("section", "length m", "planned s, there / back", "limit km/h", "gradient ‰", "tightest curve m")
+    out.print(table("", columns, cells, right=range(1, 6)))
+    heading(out, "notes", line.notes)
+    heading(out, "read, but without effect", line.unused)
+    citations(out, "sources", line.source)
+    return 0
+
+
+def show_trainset(t: Trainset, *, as_json: bool) -> int:
+    """Masses, effort at some speeds, notes, sources."""
+    import numpy as np
+
+    speeds = np.array(SPEEDS_KMH) / 3.6
+    a, b, c = t.davis.newtons(t.mass_kg)
+    resistance = a + speeds * (b + speeds * c)
+    effort = {
+        "speed_mps": speeds.tolist(),
+        "traction_n": t.traction.at(speeds).tolist(),
+        "electric_brake_n": t.electric_brake.at(speeds).tolist(),
+        "davis_n": resistance.tolist(),
+    }
+    if as_json:
+        print_json(
+            {
+                "kind": "trainset",
+                "id": t.id,
+                "name": t.name,
+                "loads_kg": dict(t.loads),
+                "load": t.load,
+                "mass_kg": t.mass_kg,
+                "effective_mass_kg": t.effective_mass_kg,
+                "length_m": t.length_m,
+                "max_speed_mps": t.max_speed_mps,
+                "max_acceleration_mps2": t.max_acceleration_mps2,
+                "max_deceleration_mps2": t.max_deceleration_mps2,
+                "actuation": dict(vars(t.actuation)),
+                "effort": effort,
+                "notes": list(t.notes),
+                "unused": list(t.unused),
+                "source": dict(t.source),
+            }
+        )
+        return 0
+    out = console()
+    masses = [(name, f"{kg / 1000:.3f}", "aboard" if name == t.load else "") for name, kg in t.loads.items()]
+    out.print(table(t.name, ("load", "mass t", ""), masses, right=(1,)))
+    rows = [
+        (f"{kmh:g}", *(f"{effort[name][k] / 1000:.1f}" for name in ("traction_n", "electric_brake_n", "davis_n")))
+        for k, kmh in enumerate(SPEEDS_KMH)
+    ]
+    columns = ("speed km/h", "traction kN", "electric brake kN", "Davis kN")
+    out.print(table(f"effort, {t.load}", columns, rows, right=range(4)))
+    heading(out, "in service", _service(t))
+    heading(out, "notes", t.notes)
+    heading(out, "read, but without effect", t.unused)
+    citations(out, "sources", t.source)
+    return 0
+
+
+def _service(t: Trainset) -> list[str]:
+    jerk = t.actuation.jerk_limit_mps3
+    return [
+        f"length {t.length_m:g} m, top speed {3.6 * t.max_speed_mps:g} km/h, rotating mass {100 * t.rotating_fraction:g} %",
+        f"acceleration up to {t.max_acceleration_mps2:g} m/s², deceleration up to {t.max_deceleration_mps2:g} m/s²",
+        f"jerk {'without limit' if jerk == float('inf') else f'up to {jerk:g} m/s³'}, "
+        f"delay {t.actuation.delay_s:g} s, lag {t.actuation.lag_s:g} s",
+        f"friction brake {t.friction_brake_n / 1000:g} kN, receptivity {100 * t.receptivity:g} %, "
+        f"auxiliaries {t.auxiliary_w / 1000:g} kW, curves {t.curve_formula}",
+    ]
+
+
+def show_driver(driver: type[AbstractDriver], *, as_json: bool) -> int:
+    """What a driver does, and the options it takes."""
+    import inspect
+
+    text = inspect.getdoc(driver) or ""
+    if as_json:
+        print_json(
+            {"kind": "driver", "id": driver.id, "summary": driver.summary, "source": driver.source, "text": text}
+        )
+        return 0
+    out = console()
+    out.print(f"{driver.id}: {driver.summary}", style="bold")
+    out.print(f"source: {driver.source}")
+    heading(out, "in full", text.splitlines())
+    return 0
+
+
+def show_run(folder: Path, *, as_json: bool) -> int:
+    """What was asked for and what came of it."""
+    try:
+        asked = tomllib.loads((folder / "run.toml").read_text(encoding="utf-8"))
+        name = "kpis.json" if (folder / "kpis.json").is_file() else "comparison.json"
+        kpis = json.loads((folder / name).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"not the folder of a run ({error})", file=folder) from None
+    if as_json:
+        print_json({"kind": "run", "folder": str(folder), **asked, "result": kpis})
+        return 0
+    out = console()
+    told = [(key, json.dumps(value, ensure_ascii=False)) for key, value in asked.get("run", {}).items()]
+    out.print(table(f"{folder}", ("run", ""), told))
+    flat = [(key, _value(value)) for key, value in kpis.items() if not isinstance(value, dict | list)]
+    out.print(table("", ("KPI", ""), flat, right=(1,)))
+    return 0
+
+
+def _value(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else "–" if value is None else str(value)

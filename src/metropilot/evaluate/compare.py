@@ -1,0 +1,127 @@
+"""Several drivers on one run, and what is random about them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from metropilot.evaluate.kpis import Kpis, kpis_of
+from metropilot.evaluate.optimum import Optimum, optimum_of
+from metropilot.evaluate.request import Request, make_driver
+from metropilot.evaluate.rollout import Drive, drive
+
+CONFIDENCE = 0.95
+RESAMPLES = 2000
+
+
+class Interval(NamedTuple):
+    """A mean over seeds with its confidence interval.
+
+    Attributes:
+        mean: Mean.
+        low: Lower end of the 95 % interval.
+        high: Upper end.
+    """
+
+    mean: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One driver of a comparison.
+
+    Attributes:
+        driver: Its id.
+        drives: One per seed.
+        kpis: One per seed.
+        optimum: What the first drive is compared with.
+    """
+
+    driver: str
+    drives: tuple[Drive, ...]
+    kpis: tuple[Kpis, ...]
+    optimum: Optimum | None
+
+    def interval(self, name: str) -> Interval | None:
+        """Mean and bootstrap interval of one KPI over the seeds; None unless every seed has the number."""
+        values = [getattr(k, name) for k in self.kpis]
+        if any(v is None for v in values):
+            return None
+        return bootstrap(np.array(values, dtype=np.float64))
+
+    @property
+    def successes(self) -> int:
+        """Seeds that arrived safely and on time."""
+        return sum(k.success for k in self.kpis)
+
+
+class Job(NamedTuple):
+    """One drive of a comparison: a driver and a seed."""
+
+    driver: str
+    seed: int
+
+
+def jobs(drivers: Sequence[str], first_seed: int, seeds: int) -> list[Job]:
+    """Every driver with every seed."""
+    return [Job(name, first_seed + k) for name in dict.fromkeys(drivers) for k in range(seeds)]
+
+
+def compare(request: Request, todo: Iterable[Job]) -> tuple[Entry, ...]:
+    """Drive the same run with several drivers and seeds.
+
+    Every driver meets the same plant and the same noise at the same seed.
+
+    Args:
+        request: The run; its driver and seed are replaced.
+        todo: What to drive, see :func:`jobs`.
+
+    Raises:
+        InputError: Something in the request, or a driver, cannot be used.
+    """
+    run = request.run()
+    found: dict[str, list[tuple[Drive, Kpis, Optimum | None]]] = {}
+    for job in todo:
+        driven = drive(replace(run, seed=job.seed), make_driver(job.driver))
+        optimum = optimum_of(driven, request.objective)
+        kpis = kpis_of(driven, optimum, request.objective)
+        found.setdefault(job.driver, []).append((driven, kpis, optimum))
+    return tuple(
+        Entry(name, tuple(d for d, _, _ in rows), tuple(k for _, k, _ in rows), rows[0][2])
+        for name, rows in found.items()
+    )
+
+
+def bootstrap(values: Float[ndarray, " seeds"]) -> Interval:
+    """Mean with its 95 % percentile-bootstrap interval; a value that never changes has no width.
+
+    Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), chapter 13; here from SciPy, with a
+    fixed seed so that a table repeats itself.
+    """
+    mean = float(values.mean())
+    if values.size < 2 or np.ptp(values) == 0:
+        return Interval(mean, mean, mean)
+    from scipy.stats import bootstrap as resample
+
+    found: Any = resample(
+        (values,),
+        np.mean,
+        confidence_level=CONFIDENCE,
+        n_resamples=RESAMPLES,
+        method="percentile",
+        rng=np.random.default_rng(0),
+    )
+    return Interval(mean, float(found.confidence_interval.low), float(found.confidence_interval.high))
+
+
+def best(entries: Sequence[Entry], name: str) -> str | None:
+    """The driver with the lowest mean of a KPI's magnitude among those that always arrived safely and on time."""
+    means = {e.driver: i.mean for e in entries if e.successes == len(e.kpis) and (i := e.interval(name))}
+    return min(means, key=lambda d: abs(means[d])) if len(means) > 1 else None

@@ -1,0 +1,181 @@
+"""Pictures of several drives at once, and of what a second costs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metropilot.evaluate.compare import Entry
+from metropilot.evaluate.picture import (
+    draw_gradient,
+    draw_limits,
+    draw_plan,
+    draw_stations,
+    fine_profile,
+    set_distance,
+)
+from metropilot.evaluate.style import (
+    BLUE,
+    GREY,
+    KMH,
+    ORANGE,
+    SERIES,
+    VERMILION,
+    headline,
+    house_style,
+    label,
+    new_figure,
+)
+from metropilot.planning import Call, Front, Plan
+from metropilot.railway import Section, Trainset
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+J_PER_KWH = 3.6e6
+
+
+def comparison_figure(entries: Sequence[Entry]) -> Figure:
+    """Speed, gradient and energy of every driver's first drive on one run.
+
+    Args:
+        entries: At least one; all on the same run.
+    """
+    with house_style():
+        figure = new_figure(8.4, 6.6)
+        speed, gradient, energy = figure.subplots(3, 1, sharex=True, gridspec_kw={"height_ratios": (10, 1.6, 5)})
+        first = entries[0].drives[0]
+        draw_limits(speed, first.section, first.trainset)
+        if entries[0].optimum is not None:
+            draw_plan(speed, entries[0].optimum.plan, f"optimum for the time of {entries[0].driver}")
+        for entry, (colour, dashes) in zip(entries, _series(len(entries)), strict=True):
+            t = entry.drives[0].trajectory
+            speed.plot(t.position_m, KMH * t.speed_mps, color=colour, ls=dashes, label=entry.driver)
+            energy.plot(t.position_m, t.energy_wheel_j / J_PER_KWH, color=colour, ls=dashes, label=entry.driver)
+        top = max(float(KMH * e.drives[0].trajectory.limit_mps.max()) for e in entries)
+        speed.set_ylim(0, 1.09 * top)
+        speed.set_ylabel("speed (km/h)")
+        draw_stations(speed, first.section)
+        draw_gradient(gradient, first.section)
+        energy.set_ylabel("energy (kWh)")
+        label(energy, "traction energy at the wheel")
+        energy.set_ylim(0, None)
+        _price_tags(energy, entries)
+        furthest = max(float(e.drives[0].trajectory.position_m[-1]) for e in entries)
+        set_distance(energy, first.section, furthest)
+        section, trainset = first.section, first.run.trainset
+        title = f"{section.origin.name} – {section.destination.name}, {section.length_m:.0f} m"
+        headline(speed, title, f"{trainset.id} {trainset.load}, scheduled {first.scheduled_time_s:g} s")
+        return figure
+
+
+def _series(count: int) -> list[tuple[str, object]]:
+    """A colour and a line style for each driver; past the palette's end they repeat."""
+    return [SERIES[k % len(SERIES)] for k in range(count)]
+
+
+def _price_tags(axes: Axes, entries: Sequence[Entry]) -> None:
+    """Each driver's total and running time at the end of its curve, pushed apart where they would collide."""
+    ends = [(float(e.drives[0].trajectory.energy_wheel_j[-1]) / J_PER_KWH, e) for e in entries]
+    gap = 0.105 * max(value for value, _ in ends)
+    height = -np.inf
+    for (value, entry), (colour, _) in sorted(zip(ends, _series(len(entries)), strict=True), key=lambda row: row[0][0]):
+        height = max(value, height + gap)
+        k = entry.kpis[0]
+        axes.annotate(
+            f"{entry.driver}  {value:.1f} kWh in {k.running_time_s:.1f} s",
+            (1.0, height),
+            xycoords=("axes fraction", "data"),
+            xytext=(-4, 3),
+            textcoords="offset points",
+            ha="right",
+            va="bottom",
+            fontsize=8,
+            color=colour,
+        )
+    axes.set_ylim(0, max(height + 1.3 * gap, 1e-6))
+
+
+def front_figure(section: Section, front: Front, objective: str) -> Figure:
+    """Optimal energy over running time, the planned time marked, and what one more second saves.
+
+    Args:
+        section: Section.
+        front: Its time-energy front.
+        objective: ``wheel`` or ``line``.
+    """
+    with house_style():
+        figure = new_figure(6.4, 4.6)
+        axes = figure.subplots()
+        energy = front.energy_j / J_PER_KWH
+        axes.plot(front.time_s, energy, color=BLUE, marker="o", ms=4, label="optimal plan")
+        axes.axvline(front.minimum_s, color=VERMILION, lw=1.1, ls=(0, (4, 2)))
+        axes.annotate(
+            f"minimum {front.minimum_s:.1f} s",
+            (front.minimum_s, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(4, -2),
+            textcoords="offset points",
+            va="top",
+            color=VERMILION,
+        )
+        planned = section.planned_time_s
+        if planned is not None and front.time_s[0] <= planned <= front.time_s[-1]:
+            at = float(np.interp(planned, front.time_s, energy))
+            axes.plot([planned], [at], marker="D", ms=6, color=ORANGE, mec="#202020", mew=0.7, ls="none")
+            text = f"planned {planned:g} s: {at:.2f} kWh"
+            axes.annotate(text, (planned, at), xytext=(8, 6), textcoords="offset points")
+        axes.set_ylim(0, 1.05 * float(energy.max()))
+        axes.set_xlabel("running time (s)")
+        axes.set_ylabel("traction energy at the wheel (kWh)" if objective == "wheel" else "net energy at the line (kWh)")
+        for k in range(0, len(front.plans), 3):
+            axes.annotate(
+                f"{front.second_w[k] / 1000:.0f} kJ/s",
+                (front.time_s[k], energy[k]),
+                xytext=(0, -13),
+                textcoords="offset points",
+                ha="center",
+                fontsize=7.5,
+                color=GREY,
+            )
+        title = f"{section.origin.name} – {section.destination.name}, {section.length_m:.0f} m"
+        headline(axes, title, "what a running time costs; small numbers: energy that one more second saves")
+        return figure
+
+
+def plan_figure(section: Section, trainset: Trainset, plan: Plan, calls: Sequence[Call] = ()) -> Figure:
+    """A plan by itself: speed with the limit, gradient, and energy over distance.
+
+    Args:
+        section: The whole way.
+        trainset: Trainset with its load.
+        plan: Its plan.
+        calls: Stops on the way of a journey.
+    """
+    with house_style():
+        figure = new_figure(8.4 if not calls else 13.0, 5.6)
+        speed, gradient, energy = figure.subplots(3, 1, sharex=True, gridspec_kw={"height_ratios": (10, 1.6, 4)})
+        draw_limits(speed, section, trainset)
+        at, profile = fine_profile(plan.position_m, KMH * plan.speed_mps)
+        speed.plot(at, profile, color=BLUE, label="optimal plan")
+        speed.set_ylim(0, 1.12 * KMH * trainset.max_speed_mps)
+        speed.set_ylabel("speed (km/h)")
+        draw_stations(speed, section)
+        for call in calls[1:-1]:
+            speed.axvline(call.position_m, color=GREY, lw=0.8, ls=(0, (1, 1.5)), zorder=0.7)
+            where = {"xycoords": ("data", "axes fraction"), "xytext": (0, -3), "textcoords": "offset points"}
+            speed.annotate(call.name, (call.position_m, 1.0), ha="center", va="top", fontsize=8, weight="bold", **where)
+        draw_gradient(gradient, section)
+        used = np.concatenate([[0.0], np.cumsum(plan.traction_n * np.diff(plan.position_m))]) / J_PER_KWH
+        energy.plot(plan.position_m, used, color=BLUE)
+        energy.set_ylim(0, None)
+        energy.set_ylabel("energy (kWh)")
+        label(energy, "traction energy at the wheel")
+        set_distance(energy, section, section.length_m)
+        title = f"{section.origin.name} – {section.destination.name}, {section.length_m:.0f} m"
+        below = f"{trainset.id} {trainset.load}, {plan.energy_j / J_PER_KWH:.2f} kWh in {plan.running_time_s:.1f} s"
+        headline(speed, title, below)
+        return figure
