@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 from metropilot.errors import InputError
+from metropilot.railway.bounds import tidy
 from metropilot.railway.line import Line
 
 
@@ -87,7 +88,7 @@ def check_journey(journey: Journey) -> None:
                 raise InputError(
                     "window ends before it begins",
                     field=f"{where}.{name}",
-                    value=f"{high:g}",
+                    value=tidy(high),
                     unit=unit,
                     allowed=f">= {low:g} {unit}",
                 )
@@ -97,7 +98,7 @@ def check_journey(journey: Journey) -> None:
             raise InputError(
                 "positions turn back",
                 field=f"timing_points[{index}].position",
-                value=f"{after.position_m:g}",
+                value=tidy(after.position_m),
                 unit="m",
                 allowed=f"{'>=' if sign > 0 else '<='} {before.position_m:g} m",
             )
@@ -111,7 +112,7 @@ def _check_times(points: tuple[TimingPoint, ...]) -> None:
             raise InputError(
                 "earlier than the timing points before it allow",
                 field=f"timing_points[{index}].latest",
-                value=f"{point.latest_s:g}",
+                value=tidy(point.latest_s),
                 unit="s",
                 allowed=f">= {reached:g} s",
             )

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from metropilot.errors import InputError
+from metropilot.railway.bounds import tidy
 from metropilot.railway.profile import Steps
 
 
@@ -215,7 +216,7 @@ def check_line(line: Line) -> None:
             raise InputError(
                 "must increase",
                 field=f"stations[{index}].position",
-                value=f"{after.position_m:g}",
+                value=tidy(after.position_m),
                 unit="m",
                 allowed=f"> {before.position_m:g} m",
             )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -14,73 +13,20 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from metropilot.errors import InputError
+from metropilot.railway.bounds import ANY, Bounds, Column, tidy
 from metropilot.railway.units import Unit, unit
 
 _SHOWN = 60
 
 
-@dataclass(frozen=True)
-class Bounds:
-    """The range a number must lie in, in SI.
-
-    Attributes:
-        low: Lowest value.
-        high: Highest value.
-        above: Whether ``low`` itself is excluded.
-        infinite: Whether plus infinity ("no bound") is a value too.
-    """
-
-    low: float = -math.inf
-    high: float = math.inf
-    above: bool = False
-    infinite: bool = False
-
-    def admit(self, value: float) -> bool:
-        """Whether the value lies in the range."""
-        if math.isinf(value):
-            return self.infinite and value > 0
-        return (value > self.low if self.above else value >= self.low) and value <= self.high
-
-    def words(self, of: Unit | None) -> str:
-        """The range in words, in the unit the file uses."""
-        name = f" {of.name}" if of and of.name not in {"1", "-"} else ""
-        low, high = (v if of is None else of.from_si(v) for v in (self.low, self.high))
-        sign = ">" if self.above else ">="
-        parts = [f"{sign} {low:g}{name}"] if math.isfinite(low) else []
-        parts += [f"<= {high:g}{name}"] if math.isfinite(high) else []
-        text = " and ".join(parts) or f"a finite number{' of' + name if name else ''}"
-        return text + (", or inf" if self.infinite else "")
-
-
-ANY = Bounds()
-POSITIVE = Bounds(0.0, above=True)
-NOT_NEGATIVE = Bounds(0.0)
-POSITIVE_OR_NONE = Bounds(0.0, above=True, infinite=True)
-SHARE = Bounds(0.0, 1.0)
-EFFICIENCY = Bounds(0.0, 1.0, above=True)
-
-
-@dataclass(frozen=True)
-class Column:
-    """One column of a table.
-
-    Attributes:
-        name: What the units table calls it.
-        kind: The kind of its unit.
-        bounds: The range of its cells, in SI.
-        optional: Whether a cell may be empty (null).
-    """
-
-    name: str
-    kind: str
-    bounds: Bounds = ANY
-    optional: bool = False
-
-
-def shown(value: object) -> str:
-    """A value short enough for one line."""
+def shown(value: object) -> str | int | float:
+    """A value short enough for one line: plain numbers as they are, everything else as text."""
     text = value if isinstance(value, str) else repr(value)
-    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
+    if len(text) > _SHOWN:
+        return text[: _SHOWN - 3] + "..."
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return tidy(value)
+    return text
 
 
 def nearest(word: str, words: Sequence[str]) -> str:
@@ -108,10 +54,19 @@ class Node:
         """Dotted path of a key."""
         return f"{self.path}.{key}" if self.path else key
 
-    def fail(self, problem: str, key: str, value: object = None, allowed: str | None = None) -> InputError:
+    def fail(
+        self,
+        problem: str,
+        key: str,
+        value: object = None,
+        allowed: str | None = None,
+        unit: str | None = None,
+    ) -> InputError:
         """The error to raise about a key."""
         given = None if value is None else shown(value)
-        return InputError(problem, file=self.file, field=self.at(key), value=given, allowed=allowed)
+        return InputError(
+            problem, file=self.file, field=self.at(key), value=given, unit=unit, allowed=allowed
+        )
 
     def was_read(self, key: str) -> bool:
         """Whether anything has asked for the key."""
@@ -271,7 +226,7 @@ class Node:
                     "must increase",
                     file=self.file,
                     field=self.at(where.format(index)),
-                    value=f"{of.from_si(after):g}",
+                    value=tidy(of.from_si(after)),
                     unit=of.name,
                     allowed=f"> {of.from_si(before):g} {of.name}",
                 )

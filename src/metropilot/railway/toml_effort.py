@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from metropilot.railway.bounds import ANY, NOT_NEGATIVE, POSITIVE, POSITIVE_OR_NONE, Column
 from metropilot.railway.effort import EffortCurve, EffortPiece
-from metropilot.railway.node import ANY, NOT_NEGATIVE, POSITIVE, POSITIVE_OR_NONE, Column, Node
+from metropilot.railway.node import Node
 
 _FORMS = ("pieces", "table", "force")
 _FORM_WORDS = "one of: pieces, table, force with power"
@@ -47,7 +48,7 @@ def _from_zero(block: Node, speeds: list[float], where: str) -> None:
             "needs at least one row", where.partition("[")[0], allowed="rows by increasing speed, from 0"
         )
     if speeds[0] != 0.0:
-        raise block.fail("must begin at standstill", where.format(0), f"{speeds[0]:g} m/s", "0")
+        raise block.fail("must begin at standstill", where.format(0), speeds[0], "0 m/s", "m/s")
     block.increasing(speeds, where, block.unit("speed", "speed"))
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from metropilot.railway.bounds import ANY, NOT_NEGATIVE, Bounds
 from metropilot.railway.journey import Journey, TimingPoint
-from metropilot.railway.node import ANY, NOT_NEGATIVE, Bounds, Node
+from metropilot.railway.node import Node
 from metropilot.railway.toml_common import Document, header, with_sources
 from metropilot.railway.units import pick
 

@@ -10,8 +10,9 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from metropilot.errors import InputError
+from metropilot.railway.bounds import ANY, NOT_NEGATIVE, POSITIVE, Bounds, Column, tidy
 from metropilot.railway.line import Curve, Line, Station, Tunnel
-from metropilot.railway.node import ANY, NOT_NEGATIVE, POSITIVE, Bounds, Column, Node
+from metropilot.railway.node import Node
 from metropilot.railway.profile import Steps
 from metropilot.railway.toml_common import Document, header, with_sources
 from metropilot.railway.units import pick
@@ -87,7 +88,7 @@ def check_inside(block: Node, positions: Sequence[float], where: str, limit: Ste
                 "outside the data of speed limits and gradients",
                 file=block.file,
                 field=block.at(where.format(index)),
-                value=f"{position:g}",
+                value=tidy(position),
                 unit="m",
                 allowed=f">= {first:g} m",
             )
@@ -138,7 +139,7 @@ def check_curvature(block: Node, where: str, bend: float) -> None:
     """Refuse a radius below 10 m."""
     if not CURVATURE.admit(bend):
         raise block.fail(
-            "radius too small", where, f"{1 / bend:g} m", "a radius of 10 m or more; 0 or inf: straight"
+            "radius too small", where, 1 / bend, "a radius of 10 m or more; 0 or inf: straight", "m"
         )
 
 

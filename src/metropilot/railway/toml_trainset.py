@@ -9,8 +9,7 @@ from typing import get_args
 import numpy as np
 
 from metropilot.errors import InputError
-from metropilot.railway.effort import Efficiency
-from metropilot.railway.node import (
+from metropilot.railway.bounds import (
     ANY,
     EFFICIENCY,
     NOT_NEGATIVE,
@@ -19,9 +18,9 @@ from metropilot.railway.node import (
     SHARE,
     Bounds,
     Column,
-    Node,
-    nearest,
 )
+from metropilot.railway.effort import Efficiency
+from metropilot.railway.node import Node, nearest
 from metropilot.railway.toml_common import Document
 from metropilot.railway.toml_effort import read_effort
 from metropilot.railway.trainset import Actuation, Couplers, CurveFormula, Davis, SafeBraking, Trainset

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from metropilot.railway.bounds import EFFICIENCY, NOT_NEGATIVE, POSITIVE, SHARE, Bounds, Column
 from metropilot.railway.effort import Efficiency, EffortCurve
-from metropilot.railway.node import EFFICIENCY, NOT_NEGATIVE, POSITIVE, SHARE, Bounds, Column, Node
+from metropilot.railway.node import Node
 from metropilot.railway.trainset import Couplers, Davis, SafeBraking, Trainset
-from metropilot.railway.ttobench import Metadata, kept, scalar
+from metropilot.railway.ttobench_common import Metadata, kept, scalar
 
 ETCS = "ETCS braking data"
 LOAD = "base"
@@ -91,7 +92,7 @@ def read_train(root: Node, stem: str) -> Trainset:
 def _couplers(root: Node) -> Couplers:
     coaches = scalar(root, "num coaches", "share", Bounds(1.0, 1000.0), 1.0)
     if coaches != int(coaches):
-        raise root.fail("must be whole", "num coaches.value", f"{coaches:g}", "a whole number from 1 to 1000")
+        raise root.fail("must be whole", "num coaches.value", coaches, "a whole number from 1 to 1000")
     return Couplers(vehicles=int(coaches))
 
 
@@ -142,7 +143,7 @@ def assumed_braking(
 ) -> SafeBraking:
     """What protection may rely on where a train file does not say.
 
-    An emergency brake of 1.2 m/s2 (assumed: Chinese metro performance), and in service 1 m/s2 or what electric
+    An emergency brake of 1.2 m/s2 (assumed: Chinese metro practice), and in service 1 m/s2 or what electric
     and friction brake give at full speed, whichever is less.
     """
     service = (float(electric.at(top_mps)) + friction_n) / effective_kg

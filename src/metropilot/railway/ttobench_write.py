@@ -15,7 +15,7 @@ from metropilot.railway.toml_effort import is_force_power
 from metropilot.railway.toml_line import short_radius
 from metropilot.railway.toml_write import save
 from metropilot.railway.trainset import Couplers, Trainset
-from metropilot.railway.ttobench import TIMING_COLUMNS
+from metropilot.railway.ttobench_track import TIMING_COLUMNS
 from metropilot.railway.ttobench_train import EFFICIENCIES, ETCS, assumed_braking
 from metropilot.railway.units import pick
 
