@@ -2,14 +2,14 @@
 
 A single drive in NumPy works on one number at a time, where NumPy's own ``where`` or ``clip`` cost a hundred
 times the arithmetic between them. :data:`scalars` gives the same few functions for single numbers;
-:func:`namespace` picks it, so that no formula knows.
+:func:`namespace` picks it, so that no formula knows. What runs dozens of times a step opts out of the
+run-time type check of the test suite: its arguments are anything by design.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, no_type_check
 
 import numpy as np
 
@@ -17,34 +17,43 @@ Scalar = Any
 """A 0-d float of whichever namespace is in use (NumPy scalar, JAX array or tracer)."""
 
 
-def _maximum(a: Scalar, b: Scalar) -> Scalar:
-    return a if a >= b or a != a else b  # noqa: PLR0124 -- NaN wins, as in numpy.maximum
+@no_type_check
+class scalars:  # noqa: N801 -- stands where a module does: numpy, jax.numpy, scalars
+    """NumPy's functions of the same names, for single numbers; NaN wins, as in NumPy."""
 
+    abs = abs
+    exp = np.exp
 
-def _minimum(a: Scalar, b: Scalar) -> Scalar:
-    return a if a <= b or a != a else b  # noqa: PLR0124 -- NaN wins, as in numpy.minimum
+    @staticmethod
+    def maximum(a: Scalar, b: Scalar) -> Scalar:
+        """The larger."""
+        return a if a >= b or a != a else b  # noqa: PLR0124
 
+    @staticmethod
+    def minimum(a: Scalar, b: Scalar) -> Scalar:
+        """The smaller."""
+        return a if a <= b or a != a else b  # noqa: PLR0124
 
-def _clip(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
-    return _minimum(_maximum(x, low), high)
+    @staticmethod
+    def clip(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
+        """Between two bounds."""
+        return scalars.minimum(scalars.maximum(x, low), high)
 
+    @staticmethod
+    def where(condition: Scalar, yes: Any, no: Any) -> Any:
+        """One or the other; both are computed, as everywhere."""
+        return yes if condition else no
 
-def _where(condition: Scalar, yes: Any, no: Any) -> Any:
-    return yes if condition else no
+    @staticmethod
+    def zeros_like(x: Scalar) -> Scalar:
+        """Zero of the same number type."""
+        return 0.0 * x
 
-
-def _zeros_like(x: Scalar) -> Scalar:
-    return 0.0 * x
-
-
-scalars = SimpleNamespace(
-    maximum=_maximum, minimum=_minimum, clip=_clip, where=_where, zeros_like=_zeros_like, abs=abs, exp=np.exp
-)
-"""NumPy's functions of the same names, for single numbers."""
 
 _SINGLE = frozenset({float, int, bool, np.float64, np.float32, np.bool_, np.int64})
 
 
+@no_type_check
 def namespace(*values: Any) -> Any:
     """``jax.numpy`` if any value lives in JAX, ``numpy`` if any is a NumPy array, else :data:`scalars`.
 
@@ -64,6 +73,7 @@ def namespace(*values: Any) -> Any:
     return found
 
 
+@no_type_check
 def locate(breaks: Any, x: Scalar) -> Scalar:
     """Index of the piece that holds at ``x``: the last break not beyond it, at least 0.
 

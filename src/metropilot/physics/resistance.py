@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import no_type_check
+
 from metropilot.physics.arrays import Scalar, locate, namespace
 from metropilot.physics.types import Track, Vehicle
 
@@ -19,6 +21,7 @@ def felt_slopes(vehicle: Vehicle, track: Track, position_m: Scalar) -> tuple[Sca
     per_length = 1.0 / xp.maximum(vehicle.length_m, 1e-6)
     is_point = vehicle.length_m <= 0
 
+    @no_type_check
     def felt(j: int) -> Scalar:
         at_head = track.slope[head, j]
         rise = track.potential[head, j] - track.potential[tail, j]
