@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, no_type_check
 
 import numpy as np
 
@@ -151,6 +151,7 @@ def step(
     force = wheel_force(vehicle, state, effort, share, emergency, resistance + gradient, dt)
     accel = (force - resistance - gradient) / vehicle.effective_mass_kg
 
+    @no_type_check
     def acceleration(at: Scalar, speed: Scalar) -> Scalar:
         if at is x and speed is v:
             return accel
