@@ -145,6 +145,10 @@ class Node:
             return unit(units.get(name), kind, file=self.file, field=units.at(name))
         return unit(self.get("unit"), kind, file=self.file, field=self.at("unit"))
 
+    def may_have_units(self, *names: str) -> None:
+        """Allow ``units`` to name quantities that the table then does not give."""
+        self._read |= {f"units.{name}" for name in names}
+
     def quantity(
         self, key: str, kind: str, bounds: Bounds = ANY, default: float | None = None, *, unit_name: str = ""
     ) -> float:
@@ -158,6 +162,7 @@ class Node:
             unit_name: Entry of ``units`` that gives the unit, where it is not the key itself.
         """
         value = self.get(key)
+        self.may_have_units(unit_name or key)
         if value is None and default is not None:
             return default
         of = self.unit(unit_name or key, kind)
@@ -196,6 +201,7 @@ class Node:
         self, key: str, kind: str, bounds: Bounds = ANY, *, unit_name: str = ""
     ) -> tuple[float, ...]:
         """A list of numbers with one unit, in SI; empty where the key is missing."""
+        self.may_have_units(unit_name or key)
         if self.get(key) is None:
             return ()
         of = self.unit(unit_name or key, kind)

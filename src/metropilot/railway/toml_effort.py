@@ -25,6 +25,7 @@ def read_effort(block: Node) -> EffortCurve:
     Raises:
         InputError: No form or several, a bad number, speeds that do not begin at 0 and increase.
     """
+    block.may_have_units("speed", "force", "power")
     forms = [form for form in _FORMS if form in block]
     if len(forms) != 1:
         raise block.fail("needs exactly one form", forms[1] if forms else "pieces", allowed=_FORM_WORDS)

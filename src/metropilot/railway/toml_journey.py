@@ -21,8 +21,9 @@ def read_journey(root: Node) -> Journey:
     """
     document = Document(root)
     block = document.block("timing_points")
+    block.may_have_units("position", "time", "speed")
     points = tuple(_point(block, entry, f"list[{i}]") for i, entry in enumerate(block.items("list")))
-    return document.build(Journey, line_id=root.text("line"), points=points)
+    return document.build(Journey, line_id=root.text("line", ""), points=points)
 
 
 def _point(block: Node, entry: object, where: str) -> TimingPoint:

@@ -105,12 +105,16 @@ def _davis(block: Node, gravity: float) -> Davis:
         raise block.fail(
             "wrong length", "davis", values, "three coefficients: constant, linear, quadratic in speed"
         )
-    a, b, c = (block.number(v, f"davis[{k}]", of, NOT_NEGATIVE) for k, v in enumerate(values))
-    per_speed = speed.denominator / speed.numerator
-    return Davis(a, b * per_speed, c * per_speed**2, per_mass=per_mass)
+    per_speed = [
+        Unit(of.name, of.kind, of.numerator * speed.denominator**k, of.denominator * speed.numerator**k)
+        for k in range(3)
+    ]
+    a, b, c = (block.number(v, f"davis[{k}]", per_speed[k], NOT_NEGATIVE) for k, v in enumerate(values))
+    return Davis(a, b, c, per_mass=per_mass)
 
 
 def _tunnel(block: Node) -> tuple[tuple[float, float], ...]:
+    block.may_have_units("cross_section", "tunnel")
     if "tunnel" not in block:
         return ()
     columns = (
@@ -125,6 +129,8 @@ def _tunnel(block: Node) -> tuple[tuple[float, float], ...]:
 
 
 def _efficiency(block: Node | None, key: str) -> Efficiency:
+    if block is not None:
+        block.may_have_units(key, "speed")
     if block is None or key not in block:
         return Efficiency.constant(1.0)
     if not isinstance(block.get(key), Mapping):

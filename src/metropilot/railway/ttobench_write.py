@@ -92,7 +92,9 @@ def _line(line: Line) -> tuple[dict[str, Any], list[str]]:
 
 def _radius(bend: float) -> float | str:
     radius = short_radius(bend)
-    return "infinity" if bend == 0.0 else 1.0 / bend if radius is None else radius
+    if bend == 0.0 or math.isinf(1.0 / bend):
+        return "infinity"
+    return 1.0 / bend if radius is None else radius
 
 
 def _journey(journey: Journey) -> tuple[dict[str, Any], list[str]]:
