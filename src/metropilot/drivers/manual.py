@@ -1,0 +1,263 @@
+"""A surrogate of a human driver: no recorded drive is public, so this one is made up, and says so.
+
+It accelerates, holds a speed within a band, coasts when the clock allows, brakes and corrects near the
+stop. What makes it human: every change of the lever comes after a reaction time, the lever has notches, the
+speed is held with hysteresis, and the points where coasting and braking begin and where it means to stop are
+missed by a scatter drawn once for the run. It knows the route and the timetable as a trained driver does, by a
+coarse forecast looked at every few seconds. It keeps its eye on the platform, not on the jerk limit: the
+last notch often lets the trainset stop with a jolt.
+
+Source: own surrogate. Huang25 compares with the best of 100 recorded drives (EITOM), which are not published;
+reaction, notches and scatter are assumed. Do not read its energy as a measured human's.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, final
+
+import numpy as np
+
+from metropilot.drivers.base import AbstractDriver, register
+from metropilot.drivers.cruising import Ceiling, ceiling_acceleration, ceiling_of, model_of
+from metropilot.drivers.forecast import Forecast, coast_point_for, cruise_for, forecast_of, time_to_go
+from metropilot.drivers.observer import (
+    Ahead,
+    Belief,
+    Model,
+    first_belief,
+    issued,
+    look_ahead,
+    observe,
+    share_for,
+)
+from metropilot.drivers.stopping import Curve, curve_for, required_ahead, stop_command
+from metropilot.railway import Section
+from metropilot.task import Observation, Run
+
+TRACTION_NOTCH = 0.25
+BRAKE_NOTCH = 0.05
+HOLD_NOTCH = 0.5
+GENTLE_BRAKE = 0.15
+LOOK_AGAIN_S = 3.0
+RESERVE_S = 0.3
+HUMAN_MARGIN_MPS = 0.7
+LATE_S = 1.0
+
+
+class Habits(NamedTuple):
+    """What a driver is like, drawn once for a run.
+
+    Attributes:
+        reaction_s: Time from seeing to moving the lever.
+        band_mps: Half width of the band a speed is held in.
+        deceleration_mps2: How hard this driver brakes.
+        onset_s: How much too early (negative: too late) braking begins.
+        coast_share: Share of the section this driver means to coast.
+        clock_s: Error of the driver's feeling for the time left.
+        aim_m: Where this driver means to stop, past the stop.
+    """
+
+    reaction_s: float
+    band_mps: float
+    deceleration_mps2: float
+    onset_s: float
+    coast_share: float
+    clock_s: float
+    aim_m: float
+
+
+class Lever(NamedTuple):
+    """The lever: where it is, and where it will be moved once the hand has reacted."""
+
+    share: float = 0.0
+    wanted: float = 0.0
+    moves_at_s: float = math.inf
+
+
+class Intent(NamedTuple):
+    """What the driver means to do: hold a speed, coast from a point, whether it powers or brakes now."""
+
+    cruise_mps: float
+    coast_from_m: float
+    looks_at_s: float = 0.0
+    powering: bool = True
+    braking: bool = False
+
+
+class ManualMemory(NamedTuple):
+    """What the driver carries from one period to the next."""
+
+    run: Run
+    section: Section
+    scheduled_time_s: float
+    habits: Habits
+    model: Model
+    ceiling: Ceiling
+    curve: Curve
+    forecast: Forecast
+    belief: Belief
+    lever: Lever
+    intent: Intent
+
+
+@final
+@register
+class Manual(AbstractDriver):
+    """A made-up human driver, seeded by the run."""
+
+    id = "manual"
+    summary = "Surrogate of a human driver: notches, reaction time, hysteresis, scatter"
+    source = "own (Huang25's recorded drives are not public)"
+
+    def init(self, run: Run) -> ManualMemory:
+        """Draw the habits and think the run through."""
+        habits = drawn_habits(run.seed)
+        return _prepared(run, run.section, run.scheduled_time_s, habits)
+
+    def act(self, memory: ManualMemory, observation: Observation) -> tuple[float, ManualMemory]:
+        """Look, decide, and move the lever when the hand is there."""
+        memory = _informed(memory, observation)
+        belief = observe(
+            memory.model,
+            memory.belief,
+            observation.position_m,
+            observation.speed_mps,
+            observation.acceleration_mps2,
+        )
+        intent = _looked_at_the_clock(memory, belief, observation)
+        wanted, intent = _decided(memory._replace(belief=belief, intent=intent))
+        lever = _moved(memory.lever, wanted, observation.time_s, memory.habits, intent)
+        memory = memory._replace(belief=issued(belief, lever.share), intent=intent, lever=lever)
+        return lever.share, memory
+
+
+def drawn_habits(seed: int) -> Habits:
+    """The habits of a driver; ranges assumed (see the module)."""
+    random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
+    return Habits(
+        reaction_s=float(random.uniform(0.4, 0.8)),
+        band_mps=float(random.uniform(0.3, 0.6)),
+        deceleration_mps2=float(random.uniform(0.55, 0.75)),
+        onset_s=float(np.clip(random.normal(0.0, 0.4), -0.8, 0.8)),
+        coast_share=float(random.uniform(0.05, 0.25)),
+        clock_s=float(np.clip(random.normal(0.0, 0.5), -1.0, 1.0)),
+        aim_m=float(np.clip(random.normal(0.0, 0.08), -0.16, 0.16)),
+    )
+
+
+def _prepared(run: Run, section: Section, scheduled_s: float, habits: Habits) -> ManualMemory:
+    trainset = run.scenario.believed(run.trainset)
+    model = model_of(section, trainset, run.dt)
+    ceiling = ceiling_of(model.track, trainset.safe_braking, run.dt, HUMAN_MARGIN_MPS)
+    forecast = forecast_of(model, ceiling, habits.deceleration_mps2)
+    left = scheduled_s - RESERVE_S - _overhead_s(model, habits, standing=True)
+    coast = section.length_m * (1.0 - habits.coast_share)
+    cruise = cruise_for(forecast, 0.0, 0.0, left, coast)
+    return ManualMemory(
+        run=run,
+        section=section,
+        scheduled_time_s=scheduled_s,
+        habits=habits,
+        model=model,
+        ceiling=ceiling,
+        curve=curve_for(model.vehicle, run.dt, habits.deceleration_mps2),
+        forecast=forecast,
+        belief=first_belief(model),
+        lever=Lever(),
+        intent=Intent(cruise, coast),
+    )
+
+
+def _overhead_s(model: Model, habits: Habits, *, standing: bool) -> float:
+    """Time the forecast does not know: reaction, build-up and release of effort."""
+    jerk = float(model.vehicle.jerk_mps3)
+    build = 1.0 / jerk if math.isfinite(jerk) else 0.0
+    start = habits.reaction_s + 0.5 * build if standing else 0.0
+    return start + habits.deceleration_mps2 * build
+
+
+def _informed(memory: ManualMemory, observation: Observation) -> ManualMemory:
+    """Take note of a new timetable or a restriction."""
+    same_time = observation.scheduled_time_s == memory.scheduled_time_s
+    if same_time and observation.section is memory.section:
+        return memory
+    fresh = _prepared(memory.run, observation.section, observation.scheduled_time_s, memory.habits)
+    intent = memory.intent._replace(looks_at_s=0.0)
+    return fresh._replace(belief=memory.belief, lever=memory.lever, intent=intent)
+
+
+def _looked_at_the_clock(memory: ManualMemory, belief: Belief, observation: Observation) -> Intent:
+    """Every few seconds: is the cruising speed still right, and from where may I coast?"""
+    intent, now = memory.intent, observation.time_s
+    if intent.braking or now < intent.looks_at_s:
+        return intent
+    x, v, forecast = belief.position_m, belief.speed_mps, memory.forecast
+    standing = v < 1.0
+    left = memory.scheduled_time_s - now + memory.habits.clock_s - RESERVE_S
+    left -= _overhead_s(memory.model, memory.habits, standing=standing)
+    cruise, coast = intent.cruise_mps, intent.coast_from_m
+    if x >= coast:
+        if time_to_go(forecast, x, v, cruise, x) > left + LATE_S:
+            coast = coast_point_for(forecast, x, v, left, cruise)
+    else:
+        meant = max(memory.section.length_m * (1.0 - memory.habits.coast_share), x)
+        cruise = cruise_for(forecast, x, v, left, meant)
+        coast = coast_point_for(forecast, x, v, left, cruise)
+    return intent._replace(cruise_mps=cruise, coast_from_m=coast, looks_at_s=now + LOOK_AGAIN_S)
+
+
+def _decided(memory: ManualMemory) -> tuple[float, Intent]:
+    """Where the lever should be, and what the driver is up to."""
+    model, belief, intent, curve = memory.model, memory.belief, memory.intent, memory.curve
+    target = memory.section.length_m + memory.habits.aim_m
+    if intent.braking:
+        return _notched(stop_command(model, belief, target, curve).share), intent
+    ahead = look_ahead(model, belief)
+    early_m = ahead.speed_mps * (memory.habits.reaction_s + memory.habits.onset_s)
+    required, _ = required_ahead(ahead, target - ahead.position_m - early_m, curve)
+    if required >= curve.deceleration_mps2:
+        return _notched(stop_command(model, belief, target, curve).share), intent._replace(braking=True)
+    sooner = ahead._replace(position_m=ahead.position_m + ahead.speed_mps * memory.habits.reaction_s)
+    limited = ceiling_acceleration(model, sooner, memory.ceiling, math.inf, curve)
+    if limited < -0.05:
+        return _notched(min(share_for(belief, ahead, limited), 0.0)), intent._replace(powering=False)
+    return _held(memory, ahead, limited)
+
+
+def _held(memory: ManualMemory, ahead: Ahead, limited_mps2: float) -> tuple[float, Intent]:
+    """Power below the band, coast above it, brake gently well above it."""
+    intent, band = memory.intent, memory.habits.band_mps
+    if ahead.position_m >= intent.coast_from_m:
+        return 0.0, intent._replace(powering=False)
+    top = min(intent.cruise_mps, memory.ceiling.at(ahead.position_m))
+    missing = top - ahead.speed_mps
+    powering = missing > 0 if intent.powering else missing > 2.0 * band
+    if missing < -3.0 * band:
+        return -GENTLE_BRAKE, intent._replace(powering=False)
+    if not powering:
+        return 0.0, intent._replace(powering=False)
+    full = share_for(
+        memory.belief, ahead, min(limited_mps2, float(memory.model.vehicle.max_acceleration_mps2))
+    )
+    share = full if missing > 6.0 * band else min(full, HOLD_NOTCH)
+    return _notched(share), intent._replace(powering=True)
+
+
+def _notched(share: float) -> float:
+    """The notch at or below a traction share, or nearest to a braking share."""
+    if share > 0:
+        return TRACTION_NOTCH * math.floor(share / TRACTION_NOTCH + 1e-9)
+    return BRAKE_NOTCH * round(share / BRAKE_NOTCH)
+
+
+def _moved(lever: Lever, wanted: float, now_s: float, habits: Habits, intent: Intent) -> Lever:
+    """The lever a period later: a change of mind takes a reaction time, half of it while braking."""
+    if now_s >= lever.moves_at_s - 1e-9:
+        lever = Lever(lever.wanted, lever.wanted)
+    if wanted != lever.share and math.isinf(lever.moves_at_s):
+        reaction = habits.reaction_s * (0.5 if intent.braking else 1.0)
+        return lever._replace(wanted=wanted, moves_at_s=now_s + reaction)
+    if wanted == lever.share:
+        return Lever(lever.share, lever.share)
+    return lever._replace(wanted=wanted)
