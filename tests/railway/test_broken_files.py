@@ -277,6 +277,12 @@ def put(document, path, value):
         (samples.journey, ["timing points", "values", 1, 0], None, ["timing points.values[1].position"]),
         (
             samples.journey,
+            ["timing points", "values", 2, 1],
+            -1,
+            ["timing points.values[2].lower time", ">= 0 s"],
+        ),
+        (
+            samples.journey,
             ["timing points", "units", "position"],
             "ft",
             ["timing points.units.position", "m, km"],

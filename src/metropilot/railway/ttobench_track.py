@@ -28,8 +28,8 @@ from metropilot.railway.ttobench_common import Metadata, kept
 TRACK_KEYS = ("metadata", "altitude", "stops", "speed limits", "gradients", "curvatures", "tunnels")
 TIMING_COLUMNS = (
     Column("position", "length"),
-    Column("lower time constraint", "time", ANY, optional=True),
-    Column("upper time constraint", "time", ANY, optional=True),
+    Column("lower time constraint", "time", NOT_NEGATIVE, optional=True),
+    Column("upper time constraint", "time", NOT_NEGATIVE, optional=True),
     Column("lower speed constraint", "speed", NOT_NEGATIVE, optional=True),
     Column("upper speed constraint", "speed", NOT_NEGATIVE, optional=True),
 )
