@@ -179,7 +179,7 @@ def specific_curve_resistance(curvature_per_m: ndarray, trainset: Trainset) -> n
 
 def _curve_steps(curves: tuple[Curve, ...], trainset: Trainset) -> tuple[ndarray, ndarray]:
     """Curve resistance as steps; a clothoid is cut into pieces of at most ``CLOTHOID_STEP_M``."""
-    if not curves:
+    if not curves or trainset.curve_formula == "none":
         return np.zeros(0), np.zeros(0)
     starts: list[float] = []
     curvatures: list[float] = []
