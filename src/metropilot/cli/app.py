@@ -13,6 +13,7 @@ import typer
 import metropilot
 from metropilot.errors import InputError, MetropilotError
 
+SUMMARY = "Compute, learn, compare and explain how a metro train should be driven, against the optimum."
 BAD_INPUT = 2
 INTERRUPTED = 130
 
@@ -68,11 +69,12 @@ def _run(arguments: list[str]) -> int:
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
-    app.callback(invoke_without_command=True, help=metropilot.__doc__.splitlines()[0])(_root)
+    app.callback(invoke_without_command=True, help=SUMMARY)(_root)
     for name, (module, summary) in COMMANDS.items():
         if name == wanted:
-            body = getattr(import_module(module), f"{name}_command")
-            app.command(name, no_args_is_help=False)(body)
+            found = import_module(module)
+            epilog = "\n\n".join(["Examples:", *found.EXAMPLES[name]])
+            app.command(name, epilog=epilog)(getattr(found, f"{name}_command"))
         else:
             app.command(name, help=summary)(_stub)
     code = app(arguments, prog_name="metropilot", standalone_mode=False)
@@ -83,7 +85,9 @@ def _stub() -> None:
     """A command that is listed but not called."""
 
 
-def _root(context: typer.Context, *, version: bool = typer.Option(False, "--version", help="Print the version.")) -> None:
+def _root(
+    context: typer.Context, *, version: bool = typer.Option(False, "--version", help="Print the version.")
+) -> None:
     if version:
         typer.echo(f"metropilot {metropilot.__version__}")
         raise typer.Exit
@@ -110,5 +114,3 @@ def _fail(line: str, code: int, error: InputError | None = None, *, as_json: boo
         sys.stdout.write(json.dumps({"error": {"message": message, **shape}}, default=str) + "\n")
     sys.stderr.write(f"metropilot: {' '.join(line.split())}\n")
     return code
-
-

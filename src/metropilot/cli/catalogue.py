@@ -5,16 +5,24 @@ from __future__ import annotations
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, print_json, table
 
+EXAMPLES = {
+    "lines": (
+        "metropilot lines",
+        "metropilot lines --json",
+    ),
+    "trainsets": (
+        "metropilot trainsets",
+        "metropilot trainsets --json",
+    ),
+    "drivers": (
+        "metropilot drivers",
+        "metropilot drivers --json",
+    ),
+}
+
 
 def lines_command(as_json: opt.Json = False) -> int:
-    """List the lines of the catalogue.
-
-    Examples:
-
-    metropilot lines
-
-    metropilot lines --json
-    """
+    """List the lines of the catalogue."""
     from metropilot.railway import list_lines, load_line
 
     found = [load_line(key) for key in list_lines()]
@@ -42,14 +50,7 @@ def lines_command(as_json: opt.Json = False) -> int:
 
 
 def trainsets_command(as_json: opt.Json = False) -> int:
-    """List the trainsets of the catalogue.
-
-    Examples:
-
-    metropilot trainsets
-
-    metropilot trainsets --json
-    """
+    """List the trainsets of the catalogue."""
     from metropilot.railway import list_trainsets, load_trainset
 
     found = [load_trainset(key) for key in list_trainsets()]
@@ -77,14 +78,7 @@ def trainsets_command(as_json: opt.Json = False) -> int:
 
 
 def drivers_command(as_json: opt.Json = False) -> int:
-    """List the drivers.
-
-    Examples:
-
-    metropilot drivers
-
-    metropilot drivers --json
-    """
+    """List the drivers."""
     from metropilot.drivers import DRIVERS
 
     found = [DRIVERS.get(key) for key in DRIVERS.ids()]

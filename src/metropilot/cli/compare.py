@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +13,8 @@ from metropilot.cli.console import console, number, print_json, progress, table
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
+    from rich.text import Text
+
     from metropilot.evaluate import Entry, Kpis, Request
 
 SHOWN: tuple[tuple[str, str, float, int], ...] = (
@@ -27,6 +29,12 @@ SHOWN: tuple[tuple[str, str, float, int], ...] = (
     ("decision_time_us_median", "decision µs", 1.0, 0),
 )
 MAX_SEEDS = 10_000
+EXAMPLES = {
+    "compare": (
+        "metropilot compare yizhuang RJ WYJ --time 101 --drivers optimal,manual,flat_out --out compare",
+        "metropilot compare yizhuang RJ WYJ --drivers optimal,manual --seeds 20 --speed-noise 0.05 --json",
+    ),
+}
 
 
 def compare_command(
@@ -58,14 +66,9 @@ def compare_command(
 ) -> int:
     """Drive the same run with several drivers.
 
-    The best of those that always arrived safely and on time is highlighted in each column. With --seeds the mean
-    over the seeds is shown with its 95 % bootstrap interval. Exit code 0: compared; 2: input that cannot be used.
-
-    Examples:
-
-    metropilot compare yizhuang RJ WYJ --time 101 --drivers optimal,manual,flat_out --out compare
-
-    metropilot compare yizhuang RJ WYJ --drivers optimal,manual --seeds 20 --speed-noise 0.05 --json
+    The best of those that always arrived safely and on time is highlighted in each column. With --seeds
+    the mean over the seeds is shown with its 95 % bootstrap interval. Exit code 0: compared; 2: input that
+    cannot be used.
     """
     names = [name.strip() for name in drivers.split(",") if name.strip()]
     if not names:
@@ -95,7 +98,9 @@ def compare_command(
     return compare_and_report(request, names, seeds, out, as_json=as_json)
 
 
-def compare_and_report(request: Request, names: Sequence[str], seeds: int, out: Path | None, *, as_json: bool) -> int:
+def compare_and_report(
+    request: Request, names: Sequence[str], seeds: int, out: Path | None, *, as_json: bool
+) -> int:
     """Drive, print, write; the exit code."""
     from metropilot.evaluate import check_writable, compare, jobs, make_driver, write_comparison
 
@@ -136,7 +141,7 @@ def report(request: Request, entries: Sequence[Entry], seeds: int) -> None:
         out.print("* best of those that arrived safely and on time", style="dim")
 
 
-def _cell(entry: Entry, name: str, factor: float, digits: int, winner: str | None) -> Any:
+def _cell(entry: Entry, name: str, factor: float, digits: int, winner: str | None) -> str | Text:
     from rich.text import Text
 
     found = entry.interval(name)

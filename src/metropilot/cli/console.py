@@ -22,19 +22,23 @@ def console() -> Console:
     return Console(width=None if sys.stdout.isatty() else 120, highlight=False, markup=False, emoji=False)
 
 
-def print_json(values: Any) -> None:
+def print_json(values: object) -> None:
     """One JSON document on the output."""
     from metropilot.evaluate import to_json
 
     sys.stdout.write(to_json(values) + "\n")
 
 
-def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]], *, right: Iterable[int] = ()) -> Table:
+def table(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]], *, right: Iterable[int] = ()
+) -> Table:
     """A table; the columns numbered in ``right`` are set flush right."""
     from rich import box
     from rich.table import Table
 
-    made = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    made = Table(
+        title=title or None, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False
+    )
     flush = set(right)
     for index, name in enumerate(columns):
         made.add_column(name, justify="right" if index in flush else "left", overflow="fold")

@@ -13,10 +13,20 @@ from metropilot.errors import InputError
 
 if TYPE_CHECKING:
     from metropilot.evaluate import Kpis, Request
+EXAMPLES = {
+    "drive": (
+        "metropilot drive yizhuang RJ WYJ --time 101 --out drive",
+        "metropilot drive yizhuang rongjing wanyuan --load AW2 --mass-factor 1.2 --speed-noise 0.05",
+        "metropilot drive yizhuang RJ WYJ --time 101 --restriction 400-600@40@30 --arrive 116@30",
+        "metropilot drive --from drive/run.toml",
+    ),
+}
 
 
 def drive_command(
-    line: Annotated[str | None, typer.Argument(help="Line: catalogue id or path to a .toml or .json file.")] = None,
+    line: Annotated[
+        str | None, typer.Argument(help="Line: catalogue id or path to a .toml or .json file.")
+    ] = None,
     origin: Annotated[str | None, typer.Argument(help="Station of departure: code or name.")] = None,
     destination: Annotated[str | None, typer.Argument(help="Station of arrival: code or name.")] = None,
     time: opt.Time = None,
@@ -44,16 +54,6 @@ def drive_command(
     """Drive one run under protection and report it.
 
     Exit code 0: arrived safely and on time; 1: not; 2: input that cannot be used.
-
-    Examples:
-
-    metropilot drive yizhuang RJ WYJ --time 101 --out drive
-
-    metropilot drive yizhuang rongjing wanyuan --trainset dkz32:AW2 --mass-factor 1.2 --speed-noise 0.05
-
-    metropilot drive yizhuang RJ WYJ --time 101 --restriction 400-600@40@30 --arrive 116@30
-
-    metropilot drive --from drive/run.toml
     """
     from metropilot.evaluate import request_from_toml
 
@@ -122,6 +122,8 @@ def report(request: Request, kpis: Kpis) -> None:
     verdict = kpis.outcome.replace("_", " ")
     if kpis.success:
         verdict = "arrived safely and on time"
+    elif verdict == "arrived":
+        verdict = f"arrived {abs(kpis.time_error_s):.1f} s {'early' if kpis.time_error_s < 0 else 'late'}"
     out.print(
         f"{where}, {known.trainset} {known.load}, driver {known.driver}: {verdict}",
         style="bold" if kpis.success else "bold red",
@@ -138,7 +140,11 @@ def rows(kpis: Kpis) -> list[tuple[str, str, str]]:
     certificate = "" if gap is None else f"certified within {max(gap, 0.001):.3f} %"
     fastest = number(kpis.minimum_running_time_s, 1, "s")
     return [
-        ("running time", number(kpis.running_time_s, 1, "s"), f"scheduled {kpis.scheduled_time_s:g} s, minimum {fastest}"),
+        (
+            "running time",
+            number(kpis.running_time_s, 1, "s"),
+            f"scheduled {kpis.scheduled_time_s:g} s, minimum {fastest}",
+        ),
         ("energy at the wheel", number(kpis.energy_wheel_kwh, 2, "kWh"), "traction"),
         (
             "energy at the line",

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,12 +13,21 @@ from metropilot.errors import InputError
 
 if TYPE_CHECKING:
     from metropilot.railway import Journey, Line, Trainset
+EXAMPLES = {
+    "import": (
+        "metropilot import CN_Songjiazhuang_Yizhuang.json --out my_line.toml",
+        "metropilot drive my_line.toml 0 1 --time 160",
+    ),
+}
 
 
 def import_command(
-    file: Annotated[Path, typer.Argument(help="TTOBench JSON or metropilot TOML: a line, a trainset or a journey.")],
+    file: Annotated[
+        Path, typer.Argument(help="TTOBench JSON or metropilot TOML: a line, a trainset or a journey.")
+    ],
     out: Annotated[
-        Path | None, typer.Option(help="File to write; NAME.toml here if not given.", rich_help_panel=opt.OUTPUT)
+        Path | None,
+        typer.Option(help="File to write; NAME.toml here if not given.", rich_help_panel=opt.OUTPUT),
     ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Write over an existing file.", rich_help_panel=opt.OUTPUT)
@@ -30,32 +38,43 @@ def import_command(
 
     Says what the file holds and which of its blocks have no effect. The written file can be used wherever a
     line or a trainset is asked for.
-
-    Examples:
-
-    metropilot import CN_Songjiazhuang_Yizhuang.json --out my_line.toml
-
-    metropilot drive my_line.toml 0 1 --time 160
     """
-    from metropilot.railway import Journey, Line, import_file, write_journey, write_line, write_trainset
+    from metropilot.railway import (
+        Journey,
+        Line,
+        import_file,
+        write_journey,
+        write_line,
+        write_trainset,
+    )
 
     found = import_file(file)
     target = out if out is not None else Path(f"{found.id}.toml")
     if target.exists() and not force:
         raise InputError("the file exists", file=target, field="out", allowed="a new name, or --force")
-    write: Callable[[Any, Path], Path]
     if isinstance(found, Line):
-        kind, write = "line", write_line
+        kind = "line"
+        write_line(found, target)
     elif isinstance(found, Journey):
-        kind, write = "journey", write_journey
+        kind = "journey"
+        write_journey(found, target)
     else:
-        kind, write = "trainset", write_trainset
-    write(found, target)
+        kind = "trainset"
+        write_trainset(found, target)
     used = contents(found)
     unused = list(getattr(found, "unused", ()))
     notes = list(getattr(found, "notes", ()))
     if as_json:
-        print_json({"kind": kind, "id": found.id, "file": str(target), "used": used, "unused": unused, "notes": notes})
+        print_json(
+            {
+                "kind": kind,
+                "id": found.id,
+                "file": str(target),
+                "used": used,
+                "unused": unused,
+                "notes": notes,
+            }
+        )
         return 0
     screen = console()
     screen.print(f"{kind} {found.id} written to {target}", style="bold")

@@ -19,7 +19,9 @@ OriginArgument = Annotated[str, typer.Argument(help="Station of departure: code 
 DestinationArgument = Annotated[str, typer.Argument(help="Station of arrival: code or name.")]
 Time = Annotated[
     float | None,
-    typer.Option("--time", help="Running time, s; the line's planned time if not given.", rich_help_panel=ABOUT),
+    typer.Option(
+        "--time", help="Running time, s; the line's planned time if not given.", rich_help_panel=ABOUT
+    ),
 ]
 TrainsetOption = Annotated[
     str, typer.Option(help="Trainset: catalogue id or path, with its load as ID:LOAD.", rich_help_panel=ABOUT)
@@ -28,7 +30,9 @@ Load = Annotated[str | None, typer.Option(help="Load aboard, e.g. AW2.", rich_he
 Driver = Annotated[str, typer.Option(help="Driver id; see `metropilot drivers`.", rich_help_panel=ABOUT)]
 DriverOptions = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="NAME=VALUE", help="Option of the driver; repeatable.", rich_help_panel=ABOUT),
+    typer.Option(
+        "--set", metavar="NAME=VALUE", help="Option of the driver; repeatable.", rich_help_panel=ABOUT
+    ),
 ]
 ObjectiveOption = Annotated[
     str, typer.Option(help="Energy to minimise: wheel or line.", rich_help_panel=ABOUT)
@@ -71,7 +75,7 @@ Out = Annotated[Path | None, typer.Option(help="Folder for the results.", rich_h
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.", rich_help_panel=OUTPUT)]
 
 
-def request_of(**given: Any) -> Request:
+def request_of(**given: Any) -> Request:  # noqa: ANN401 (the fields of Request, one by one)
     """The run a command was asked for.
 
     Args:

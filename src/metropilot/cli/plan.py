@@ -10,17 +10,33 @@ import typer
 from metropilot.cli import options as opt
 from metropilot.errors import InputError
 
+EXAMPLES = {
+    "plan": (
+        "metropilot plan yizhuang RJ WYJ --time 101",
+        "metropilot plan yizhuang RJ WYJ --front --out front",
+        "metropilot plan yizhuang YZHC SJZ --stopping --time 2100 --json",
+        "metropilot plan yizhuang --journey timetable.toml",
+    ),
+}
+
 
 def plan_command(
     line: opt.LineArgument,
-    origin: Annotated[str | None, typer.Argument(help="Station of departure; the line's first if not given.")] = None,
+    origin: Annotated[
+        str | None, typer.Argument(help="Station of departure; the line's first if not given.")
+    ] = None,
     destination: Annotated[str | None, typer.Argument(help="Station of arrival; the line's last.")] = None,
     time: Annotated[
         float | None,
-        typer.Option("--time", help="Running time, s; of a journey: the whole, dwells included.", rich_help_panel=opt.ABOUT),
+        typer.Option(
+            "--time",
+            help="Running time, s; of a journey: the whole, dwells included.",
+            rich_help_panel=opt.ABOUT,
+        ),
     ] = None,
     journey: Annotated[
-        Path | None, typer.Option(help="Journey file with timing points, .toml or .json.", rich_help_panel=opt.ABOUT)
+        Path | None,
+        typer.Option(help="Journey file with timing points, .toml or .json.", rich_help_panel=opt.ABOUT),
     ] = None,
     stopping: Annotated[
         bool, typer.Option("--stopping", help="Call at every station on the way.", rich_help_panel=opt.ABOUT)
@@ -32,41 +48,38 @@ def plan_command(
     load: opt.Load = None,
     objective: opt.ObjectiveOption = "wheel",
     jerk: Annotated[
-        float | None, typer.Option(help="Jerk limit that the plan allows for, m/s³.", rich_help_panel=opt.ABOUT)
+        float | None,
+        typer.Option(help="Jerk limit that the plan allows for, m/s³.", rich_help_panel=opt.ABOUT),
     ] = None,
     out: opt.Out = None,
     as_json: opt.Json = False,
 ) -> int:
     """Compute the optimal plan, its certificate, the time-energy front.
 
-    With two stations: one run without stops between them (with --stopping: a journey). Without: the journey over
-    the whole line. A journey keeps the line's timetable unless --time gives the whole, which the optimum then
-    spreads over the sections. Exit code 0: planned; 2: no such plan.
-
-    Examples:
-
-    metropilot plan yizhuang RJ WYJ --time 101
-
-    metropilot plan yizhuang RJ WYJ --front --out front
-
-    metropilot plan yizhuang YZHC SJZ --stopping --time 2100 --json
-
-    metropilot plan yizhuang --journey timetable.toml
+    With two stations: one run without stops between them (with --stopping: a journey). Without: the journey
+    over the whole line. A journey keeps the line's timetable unless --time gives the whole, which the optimum
+    then spreads over the sections. Exit code 0: planned; 2: no such plan.
     """
     from metropilot.cli import plan_reports as reports
     from metropilot.planning import PlanOptions
     from metropilot.railway import load_line, load_trainset
 
     if (origin is None) != (destination is None):
-        raise InputError("missing", field="destination" if origin else "origin", allowed="both stations or none")
+        raise InputError(
+            "missing", field="destination" if origin else "origin", allowed="both stations or none"
+        )
     if objective not in ("wheel", "line"):
         raise InputError("unknown objective", field="objective", value=objective, allowed="wheel, line")
     if jerk is not None and not jerk > 0:
         raise InputError("out of range", field="jerk", value=jerk, unit="m/s³", allowed="> 0")
     if time is not None and not 0 < time < float("inf"):
-        raise InputError("running time out of range", field="time", value=time, unit="s", allowed="> 0, finite")
+        raise InputError(
+            "running time out of range", field="time", value=time, unit="s", allowed="> 0, finite"
+        )
     where = load_line(line)
-    asked = reports.Asked(load_trainset(trainset, load), PlanOptions(objective=objective, jerk_mps3=jerk), out, as_json)
+    asked = reports.Asked(
+        load_trainset(trainset, load), PlanOptions(objective=objective, jerk_mps3=jerk), out, as_json
+    )
     ends = (where.station(origin), where.station(destination)) if origin and destination else None
     if out is not None:
         from metropilot.evaluate import check_writable

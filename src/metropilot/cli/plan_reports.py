@@ -52,7 +52,9 @@ def run(asked: Asked, section: Section, time_s: float | None) -> int:
 
     time_s = time_s if time_s is not None else section.planned_time_s
     if time_s is None:
-        raise InputError(f"the line plans no running time for {section.name}; give one", field="time", allowed="> 0 s")
+        raise InputError(
+            f"the line plans no running time for {section.name}; give one", field="time", allowed="> 0 s"
+        )
     with working(f"planning {section.name}"):
         plan = optimal_plan(section, asked.trainset, time_s, asked.options)
         fastest = minimum_running_time(section, asked.trainset)
@@ -68,9 +70,15 @@ def run(asked: Asked, section: Section, time_s: float | None) -> int:
     }
 
     def screen() -> None:
-        head = f"{section.line_id} {section.origin.code} → {section.destination.code}, {section.length_m:.0f} m"
+        head = (
+            f"{section.line_id} {section.origin.code} → {section.destination.code}, {section.length_m:.0f} m"
+        )
         rows = [
-            ("running time", number(plan.running_time_s, 2, "s"), f"asked {time_s:g} s, minimum {fastest:.1f} s"),
+            (
+                "running time",
+                number(plan.running_time_s, 2, "s"),
+                f"asked {time_s:g} s, minimum {fastest:.1f} s",
+            ),
             *energy_rows(plan, asked.options),
         ]
         title = f"{head}, {asked.trainset.id} {asked.trainset.load}"
@@ -84,7 +92,11 @@ def energy_rows(plan: Plan, options: PlanOptions) -> list[tuple[str, str, str]]:
     where = "at the wheel" if options.objective == "wheel" else "net at the line"
     return [
         (f"energy {where}", number(plan.energy_j / J_PER_KWH, 3, "kWh"), f"passes {plan.passes}"),
-        ("lower bound", number(plan.bound_j / J_PER_KWH, 3, "kWh"), f"certificate gap {100 * plan.gap:.4f} %"),
+        (
+            "lower bound",
+            number(plan.bound_j / J_PER_KWH, 3, "kWh"),
+            f"certificate gap {100 * plan.gap:.4f} %",
+        ),
         ("one more second saves", number(plan.second_w / 1000, 1, "kJ"), ""),
         ("highest speed", number(3.6 * float(plan.speed_mps.max()), 1, "km/h"), ""),
     ]
@@ -112,7 +124,11 @@ def summary(plan: Plan, options: PlanOptions) -> dict[str, Any]:
 
 
 def deliver(
-    asked: Asked, values: dict[str, Any], screen: Callable[[], None], plan: Plan | None, draw: Callable[[], Figure]
+    asked: Asked,
+    values: dict[str, Any],
+    screen: Callable[[], None],
+    plan: Plan | None,
+    draw: Callable[[], Figure],
 ) -> int:
     """Write what is to be written, then print."""
     written = []
@@ -149,6 +165,10 @@ def front(asked: Asked, section: Section) -> int:
 
     with working(f"planning {section.name} at twelve running times"):
         found = time_energy_front(section, asked.trainset, options=asked.options)
+        usual = section.planned_time_s
+        if usual is not None and not found.time_s[0] <= usual <= found.time_s[-1]:
+            usual = None
+        planned = None if usual is None else optimal_plan(section, asked.trainset, usual, asked.options)
     points = [
         {
             "time_s": p.running_time_s,
@@ -187,7 +207,14 @@ def front(asked: Asked, section: Section) -> int:
         title = f"{section.line_id} {section.name}, {asked.trainset.id} {asked.trainset.load}"
         console().print(table(f"{title}, minimum {found.minimum_s:.1f} s", columns, rows, right=range(5)))
 
-    return deliver(asked, values, screen, None, lambda: front_figure(section, found, asked.options.objective))
+    words = f"{asked.trainset.id} {asked.trainset.load}"
+    return deliver(
+        asked,
+        values,
+        screen,
+        None,
+        lambda: front_figure(section, found, planned, words, asked.options.objective),
+    )
 
 
 def timetable(asked: Asked, line: Line, path: Path) -> int:
@@ -196,7 +223,12 @@ def timetable(asked: Asked, line: Line, path: Path) -> int:
     ends = [_station_at(line, point.position_m, path) for point in (wanted.points[0], wanted.points[-1])]
     with working(f"planning the journey {wanted.id}"):
         found = plan_journey(
-            line, asked.trainset, journey_waypoints(wanted), asked.options, origin=ends[0], destination=ends[1]
+            line,
+            asked.trainset,
+            journey_waypoints(wanted),
+            asked.options,
+            origin=ends[0],
+            destination=ends[1],
         )
     return _journey(asked, line, found, ends[0], ends[1])
 
@@ -220,7 +252,9 @@ def journey(asked: Asked, line: Line, ends: tuple[Station, Station] | None, tota
     origin, destination = ends or (line.stations[0], line.stations[-1])
     waypoints = timetable_waypoints(line, origin, destination, total_s=total_s)
     with working(f"planning {origin.code} to {destination.code}"):
-        found = plan_journey(line, asked.trainset, waypoints, asked.options, origin=origin, destination=destination)
+        found = plan_journey(
+            line, asked.trainset, waypoints, asked.options, origin=origin, destination=destination
+        )
     return _journey(asked, line, found, origin, destination)
 
 
@@ -255,9 +289,15 @@ def _journey(asked: Asked, line: Line, found: JourneyPlan, origin: Station, dest
         title = f"{line.id} {origin.code} → {destination.code}, {asked.trainset.id} {asked.trainset.load}"
         out = console()
         out.print(table(title, columns, rows, right=range(1, 7)))
-        out.print(table("", ("whole journey", "value", ""), energy_rows(found.plan, asked.options), right=(1,)))
+        out.print(
+            table("", ("whole journey", "value", ""), energy_rows(found.plan, asked.options), right=(1,))
+        )
 
     section = line.section(origin, destination)
     return deliver(
-        asked, values, screen, found.plan, lambda: plan_figure(section, asked.trainset, found.plan, found.calls)
+        asked,
+        values,
+        screen,
+        found.plan,
+        lambda: plan_figure(section, asked.trainset, found.plan, found.calls),
     )

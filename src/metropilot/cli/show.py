@@ -19,24 +19,23 @@ if TYPE_CHECKING:
     from metropilot.railway import Line, Section, Trainset
 
 SPEEDS_KMH = (0.0, 20.0, 40.0, 60.0, 80.0)
+EXAMPLES = {
+    "show": (
+        "metropilot show yizhuang",
+        "metropilot show dkz32:AW2",
+        "metropilot show optimal --json",
+        "metropilot show drive",
+    ),
+}
 
 
 def show_command(
-    what: Annotated[str, typer.Argument(metavar="ID|PATH", help="Line, trainset, driver, file or folder of a run.")],
+    what: Annotated[
+        str, typer.Argument(metavar="ID|PATH", help="Line, trainset, driver, file or folder of a run.")
+    ],
     as_json: opt.Json = False,
 ) -> int:
-    """Show a line, a trainset, a driver or the folder of a run.
-
-    Examples:
-
-    metropilot show yizhuang
-
-    metropilot show dkz32:AW2
-
-    metropilot show optimal --json
-
-    metropilot show drive
-    """
+    """Show a line, a trainset, a driver or the folder of a run."""
     from metropilot.drivers import DRIVERS
     from metropilot.railway import list_lines, list_trainsets, load_line, load_trainset
 
@@ -54,7 +53,10 @@ def show_command(
     near = get_close_matches(what, known, 1)
     hint = f", did you mean {near[0]}?" if near else ""
     raise InputError(
-        f"nothing of that name{hint}", field="show", value=what, allowed=", ".join(known) + ", a file or a run's folder"
+        f"nothing of that name{hint}",
+        field="show",
+        value=what,
+        allowed=", ".join(known) + ", a file or a run's folder",
     )
 
 
@@ -79,14 +81,12 @@ def show_file(path: Path, *, as_json: bool) -> int:
     return 0
 
 
-def section_row(line: Line, section: Section, back: Section) -> dict[str, Any]:
+def section_row(section: Section, back: Section) -> dict[str, Any]:
     """One section of a line, both directions' planned times."""
     window = section.limit_mps.window(0.0, section.length_m)
     slope = section.gradient_permil.window(0.0, section.length_m).value
     curves = [
-        c
-        for c in section.curves
-        if c.curvature_start_per_m != 0 and -1e-9 <= c.from_m < section.length_m
+        c for c in section.curves if c.curvature_start_per_m != 0 and -1e-9 <= c.from_m < section.length_m
     ]
     tightest = min((1 / abs(c.curvature_start_per_m) for c in curves), default=None)
     return {
@@ -105,7 +105,7 @@ def section_row(line: Line, section: Section, back: Section) -> dict[str, Any]:
 def show_line(line: Line, *, as_json: bool) -> int:
     """Stations, sections, notes, sources."""
     forward, backward = line.sections(), line.sections(backward=True)[::-1]
-    sections = [section_row(line, f, b) for f, b in zip(forward, backward, strict=True)]
+    sections = [section_row(f, b) for f, b in zip(forward, backward, strict=True)]
     if as_json:
         stations = [dict(vars(s)) for s in line.stations]
         print_json(
@@ -140,7 +140,14 @@ def show_line(line: Line, *, as_json: bool) -> int:
         )
         for r in sections
     ]
-    columns = ("section", "length m", "planned s, there / back", "limit km/h", "gradient ‰", "tightest curve m")
+    columns = (
+        "section",
+        "length m",
+        "planned s, there / back",
+        "limit km/h",
+        "gradient ‰",
+        "tightest curve m",
+    )
     out.print(table("", columns, cells, right=range(1, 6)))
     heading(out, "notes", line.notes)
     heading(out, "read, but without effect", line.unused)
@@ -187,7 +194,10 @@ def show_trainset(t: Trainset, *, as_json: bool) -> int:
     masses = [(name, f"{kg / 1000:.3f}", "aboard" if name == t.load else "") for name, kg in t.loads.items()]
     out.print(table(t.name, ("load", "mass t", ""), masses, right=(1,)))
     rows = [
-        (f"{kmh:g}", *(f"{effort[name][k] / 1000:.1f}" for name in ("traction_n", "electric_brake_n", "davis_n")))
+        (
+            f"{kmh:g}",
+            *(f"{effort[name][k] / 1000:.1f}" for name in ("traction_n", "electric_brake_n", "davis_n")),
+        )
         for k, kmh in enumerate(SPEEDS_KMH)
     ]
     columns = ("speed km/h", "traction kN", "electric brake kN", "Davis kN")
@@ -201,13 +211,16 @@ def show_trainset(t: Trainset, *, as_json: bool) -> int:
 
 def _service(t: Trainset) -> list[str]:
     jerk = t.actuation.jerk_limit_mps3
+    top, rotating = 3.6 * t.max_speed_mps, 100 * t.rotating_fraction
+    up, down = t.max_acceleration_mps2, t.max_deceleration_mps2
+    smooth = "jerk without limit" if jerk == float("inf") else f"jerk up to {jerk:g} m/s³"
+    friction, aboard = t.friction_brake_n / 1000, t.auxiliary_w / 1000
     return [
-        f"length {t.length_m:g} m, top speed {3.6 * t.max_speed_mps:g} km/h, rotating mass {100 * t.rotating_fraction:g} %",
-        f"acceleration up to {t.max_acceleration_mps2:g} m/s², deceleration up to {t.max_deceleration_mps2:g} m/s²",
-        f"jerk {'without limit' if jerk == float('inf') else f'up to {jerk:g} m/s³'}, "
-        f"delay {t.actuation.delay_s:g} s, lag {t.actuation.lag_s:g} s",
-        f"friction brake {t.friction_brake_n / 1000:g} kN, receptivity {100 * t.receptivity:g} %, "
-        f"auxiliaries {t.auxiliary_w / 1000:g} kW, curves {t.curve_formula}",
+        f"length {t.length_m:g} m, top speed {top:g} km/h, rotating mass {rotating:g} %",
+        f"acceleration up to {up:g} m/s², deceleration up to {down:g} m/s²",
+        f"{smooth}, delay {t.actuation.delay_s:g} s, lag {t.actuation.lag_s:g} s",
+        f"friction brake {friction:g} kN, receptivity {100 * t.receptivity:g} %, auxiliaries {aboard:g} kW",
+        f"curve resistance {t.curve_formula}",
     ]
 
 
@@ -218,7 +231,13 @@ def show_driver(driver: type[AbstractDriver], *, as_json: bool) -> int:
     text = inspect.getdoc(driver) or ""
     if as_json:
         print_json(
-            {"kind": "driver", "id": driver.id, "summary": driver.summary, "source": driver.source, "text": text}
+            {
+                "kind": "driver",
+                "id": driver.id,
+                "summary": driver.summary,
+                "source": driver.source,
+                "text": text,
+            }
         )
         return 0
     out = console()
@@ -247,5 +266,5 @@ def show_run(folder: Path, *, as_json: bool) -> int:
     return 0
 
 
-def _value(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else "–" if value is None else str(value)
+def _value(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else "–" if value is None else str(value)

@@ -13,7 +13,8 @@ from metropilot.evaluate.folder import (
 )
 from metropilot.evaluate.kpis import Check, Kpis, checks, kpis_of
 from metropilot.evaluate.optimum import Objective, Optimum, optimum_of
-from metropilot.evaluate.request import Request, make_driver, request_from_toml
+from metropilot.evaluate.request import Request, make_driver
+from metropilot.evaluate.request_file import request_from_toml
 from metropilot.evaluate.rollout import Drive, drive
 from metropilot.evaluate.trajectory import COLUMNS, PHASES, Trajectory
 

@@ -122,6 +122,6 @@ def bootstrap(values: Float[ndarray, " seeds"]) -> Interval:
 
 
 def best(entries: Sequence[Entry], name: str) -> str | None:
-    """The driver with the lowest mean of a KPI's magnitude among those that always arrived safely and on time."""
+    """The driver with the lowest magnitude of a KPI among those that always arrived safely and on time."""
     means = {e.driver: i.mean for e in entries if e.successes == len(e.kpis) and (i := e.interval(name))}
     return min(means, key=lambda d: abs(means[d])) if len(means) > 1 else None

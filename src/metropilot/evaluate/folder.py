@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,7 +19,8 @@ from metropilot.errors import InputError
 from metropilot.evaluate.compare import Entry
 from metropilot.evaluate.kpis import Kpis
 from metropilot.evaluate.optimum import Optimum
-from metropilot.evaluate.request import Request, to_table
+from metropilot.evaluate.request import Request
+from metropilot.evaluate.request_file import FILES, is_file, to_table
 from metropilot.evaluate.rollout import Drive
 
 PACKAGES = ("clarabel", "numpy", "scipy", "matplotlib", "jax")
@@ -30,8 +30,8 @@ PACKAGES = ("clarabel", "numpy", "scipy", "matplotlib", "jax")
 def filled(folder: Path) -> Iterator[Path]:
     """A scratch folder whose files move into ``folder`` together, once all of them are written.
 
-    The files are written beside their destination and renamed over it one by one, so that an earlier result is
-    whole until a new one is, whatever goes wrong while drawing or writing.
+    The files are written beside their destination and renamed over it one by one, so that an earlier result
+    is whole until a new one is, whatever goes wrong while drawing or writing.
 
     Raises:
         InputError: The folder cannot be made or written.
@@ -42,11 +42,13 @@ def filled(folder: Path) -> Iterator[Path]:
             folder.mkdir(parents=True, exist_ok=True)
             scratch = Path(tempfile.mkdtemp(prefix=".metropilot-", dir=folder))
         except OSError as error:
-            raise InputError("cannot write to the folder", file=folder, field="out", value=error.strerror) from None
+            raise InputError(
+                "cannot write to the folder", file=folder, field="out", value=error.strerror
+            ) from None
         yield scratch
         try:
             for path in sorted(scratch.iterdir(), key=lambda p: p.name == "run.toml"):
-                os.replace(path, folder / path.name)
+                path.replace(folder / path.name)
         except OSError as error:
             raise InputError("cannot write the file", file=error.filename2, value=error.strerror) from None
     finally:
@@ -110,7 +112,11 @@ def write_comparison(folder: Path, request: Request, entries: Sequence[Entry]) -
 def comparison_json(request: Request, entries: Sequence[Entry]) -> dict[str, Any]:
     """A comparison as plain values: per driver every seed's KPIs, and mean and interval of each number."""
     first = entries[0].kpis[0].as_dict()
-    names = [key for key, value in first.items() if isinstance(value, int | float | None) and not isinstance(value, bool)]
+    names = [
+        key
+        for key, value in first.items()
+        if isinstance(value, int | float | None) and not isinstance(value, bool)
+    ]
     drivers = []
     for entry in entries:
         spread = {name: found._asdict() if (found := entry.interval(name)) else None for name in names}
@@ -124,10 +130,10 @@ def write_json(path: Path, values: Mapping[str, Any]) -> None:
     path.write_text(to_json(values) + "\n", encoding="utf-8")
 
 
-def to_json(values: Any) -> str:
+def to_json(values: object) -> str:
     """JSON text; a number that is not finite becomes null."""
 
-    def plain(value: Any) -> Any:
+    def plain(value: object) -> object:
         if isinstance(value, Mapping):
             return {str(key): plain(item) for key, item in value.items()}
         if isinstance(value, list | tuple):
@@ -142,9 +148,9 @@ def write_run_toml(folder: Path, request: Request) -> None:
     import tomli_w
 
     resolved = request.resolved()
-    for kind in ("line", "trainset"):
+    for kind in FILES:
         source = Path(getattr(resolved, kind))
-        if source.suffix.lower() in {".toml", ".json"}:
+        if is_file(source.name):
             name = f"{kind}{source.suffix.lower()}"
             shutil.copyfile(source, folder / name)
             resolved = replace(resolved, **{kind: name})
@@ -154,7 +160,7 @@ def write_run_toml(folder: Path, request: Request) -> None:
 
 
 def provenance() -> dict[str, str]:
-    """Versions of metropilot, Python and the packages that numbers depend on, and the commit where there is one."""
+    """Versions of metropilot, Python and what numbers depend on, and the commit where there is one."""
     found = {"metropilot": _version("metropilot"), "python": python_version()}
     found |= {name: _version(name) for name in PACKAGES}
     if commit := _commit():
@@ -176,7 +182,14 @@ def _commit() -> str:
         return ""
     try:
         git = ["git", "-C", str(root)]
-        said = run([*git, "describe", "--always", "--abbrev=40", "--dirty=+", "--exclude=*"], capture_output=True, text=True, stdin=DEVNULL, check=True, timeout=5)
+        said = run(
+            [*git, "describe", "--always", "--abbrev=40", "--dirty=+", "--exclude=*"],
+            capture_output=True,
+            text=True,
+            stdin=DEVNULL,
+            check=True,
+            timeout=5,
+        )
     except (OSError, SubprocessError):
         return ""
     return said.stdout.strip()

@@ -26,7 +26,7 @@ from metropilot.evaluate.style import (
     headline,
     house_style,
     label,
-    new_figure,
+    new_panels,
 )
 from metropilot.planning import Call, Front, Plan
 from metropilot.railway import Section, Trainset
@@ -45,8 +45,7 @@ def comparison_figure(entries: Sequence[Entry]) -> Figure:
         entries: At least one; all on the same run.
     """
     with house_style():
-        figure = new_figure(8.4, 6.6)
-        speed, gradient, energy = figure.subplots(3, 1, sharex=True, gridspec_kw={"height_ratios": (10, 1.6, 5)})
+        figure, (speed, gradient, energy) = new_panels(8.4, 6.6, (10, 2.2, 5))
         first = entries[0].drives[0]
         draw_limits(speed, first.section, first.trainset)
         if entries[0].optimum is not None:
@@ -54,7 +53,9 @@ def comparison_figure(entries: Sequence[Entry]) -> Figure:
         for entry, (colour, dashes) in zip(entries, _series(len(entries)), strict=True):
             t = entry.drives[0].trajectory
             speed.plot(t.position_m, KMH * t.speed_mps, color=colour, ls=dashes, label=entry.driver)
-            energy.plot(t.position_m, t.energy_wheel_j / J_PER_KWH, color=colour, ls=dashes, label=entry.driver)
+            energy.plot(
+                t.position_m, t.energy_wheel_j / J_PER_KWH, color=colour, ls=dashes, label=entry.driver
+            )
         top = max(float(KMH * e.drives[0].trajectory.limit_mps.max()) for e in entries)
         speed.set_ylim(0, 1.09 * top)
         speed.set_ylabel("speed (km/h)")
@@ -82,7 +83,9 @@ def _price_tags(axes: Axes, entries: Sequence[Entry]) -> None:
     ends = [(float(e.drives[0].trajectory.energy_wheel_j[-1]) / J_PER_KWH, e) for e in entries]
     gap = 0.105 * max(value for value, _ in ends)
     height = -np.inf
-    for (value, entry), (colour, _) in sorted(zip(ends, _series(len(entries)), strict=True), key=lambda row: row[0][0]):
+    for (value, entry), (colour, _) in sorted(
+        zip(ends, _series(len(entries)), strict=True), key=lambda row: row[0][0]
+    ):
         height = max(value, height + gap)
         k = entry.kpis[0]
         axes.annotate(
@@ -99,51 +102,68 @@ def _price_tags(axes: Axes, entries: Sequence[Entry]) -> None:
     axes.set_ylim(0, max(height + 1.3 * gap, 1e-6))
 
 
-def front_figure(section: Section, front: Front, objective: str) -> Figure:
+def front_figure(section: Section, front: Front, planned: Plan | None, words: str, objective: str) -> Figure:
     """Optimal energy over running time, the planned time marked, and what one more second saves.
 
     Args:
         section: Section.
         front: Its time-energy front.
+        planned: The plan for the line's planned time, if there is one.
+        words: The trainset.
         objective: ``wheel`` or ``line``.
     """
     with house_style():
-        figure = new_figure(6.4, 4.6)
-        axes = figure.subplots()
+        figure, (axes,) = new_panels(6.4, 4.6, (1,))
         energy = front.energy_j / J_PER_KWH
         axes.plot(front.time_s, energy, color=BLUE, marker="o", ms=4, label="optimal plan")
         axes.axvline(front.minimum_s, color=VERMILION, lw=1.1, ls=(0, (4, 2)))
         axes.annotate(
             f"minimum {front.minimum_s:.1f} s",
-            (front.minimum_s, 1.0),
+            (front.minimum_s, 0.0),
             xycoords=("data", "axes fraction"),
-            xytext=(4, -2),
+            xytext=(5, 5),
             textcoords="offset points",
-            va="top",
             color=VERMILION,
         )
-        planned = section.planned_time_s
-        if planned is not None and front.time_s[0] <= planned <= front.time_s[-1]:
-            at = float(np.interp(planned, front.time_s, energy))
-            axes.plot([planned], [at], marker="D", ms=6, color=ORANGE, mec="#202020", mew=0.7, ls="none")
-            text = f"planned {planned:g} s: {at:.2f} kWh"
-            axes.annotate(text, (planned, at), xytext=(8, 6), textcoords="offset points")
+        if planned is not None:
+            at = planned.energy_j / J_PER_KWH
+            axes.plot(
+                [planned.running_time_s],
+                [at],
+                marker="D",
+                ms=6,
+                color=ORANGE,
+                mec="#202020",
+                mew=0.7,
+                ls="none",
+            )
+            _price(
+                axes,
+                f"planned {planned.running_time_s:g} s: {at:.2f} kWh, {_saves(planned)}",
+                planned,
+                "#202020",
+            )
+        for k in range(0, len(front.plans), 2):
+            if planned is None or abs(front.time_s[k] - planned.running_time_s) > 0.06 * front.minimum_s:
+                _price(axes, _saves(front.plans[k]), front.plans[k], GREY)
         axes.set_ylim(0, 1.05 * float(energy.max()))
         axes.set_xlabel("running time (s)")
-        axes.set_ylabel("traction energy at the wheel (kWh)" if objective == "wheel" else "net energy at the line (kWh)")
-        for k in range(0, len(front.plans), 3):
-            axes.annotate(
-                f"{front.second_w[k] / 1000:.0f} kJ/s",
-                (front.time_s[k], energy[k]),
-                xytext=(0, -13),
-                textcoords="offset points",
-                ha="center",
-                fontsize=7.5,
-                color=GREY,
-            )
+        axes.set_ylabel(
+            "traction energy at the wheel (kWh)" if objective == "wheel" else "net energy at the line (kWh)"
+        )
         title = f"{section.origin.name} – {section.destination.name}, {section.length_m:.0f} m"
-        headline(axes, title, "what a running time costs; small numbers: energy that one more second saves")
+        headline(axes, title, f"{words}: what a running time costs, and what one more second saves")
         return figure
+
+
+def _saves(plan: Plan) -> str:
+    return f"{plan.second_w / 1000:.0f} kJ/s"
+
+
+def _price(axes: Axes, text: str, plan: Plan, colour: str) -> None:
+    """A remark above and right of a point of the front, where a falling curve leaves room."""
+    at = (plan.running_time_s, plan.energy_j / J_PER_KWH)
+    axes.annotate(text, at, xytext=(5, 4), textcoords="offset points", fontsize=8, color=colour)
 
 
 def plan_figure(section: Section, trainset: Trainset, plan: Plan, calls: Sequence[Call] = ()) -> Figure:
@@ -156,8 +176,7 @@ def plan_figure(section: Section, trainset: Trainset, plan: Plan, calls: Sequenc
         calls: Stops on the way of a journey.
     """
     with house_style():
-        figure = new_figure(8.4 if not calls else 13.0, 5.6)
-        speed, gradient, energy = figure.subplots(3, 1, sharex=True, gridspec_kw={"height_ratios": (10, 1.6, 4)})
+        figure, (speed, gradient, energy) = new_panels(13.0 if calls else 8.4, 5.6, (10, 2.2, 4))
         draw_limits(speed, section, trainset)
         at, profile = fine_profile(plan.position_m, KMH * plan.speed_mps)
         speed.plot(at, profile, color=BLUE, label="optimal plan")
@@ -167,7 +186,9 @@ def plan_figure(section: Section, trainset: Trainset, plan: Plan, calls: Sequenc
         for call in calls[1:-1]:
             speed.axvline(call.position_m, color=GREY, lw=0.8, ls=(0, (1, 1.5)), zorder=0.7)
             where = {"xycoords": ("data", "axes fraction"), "xytext": (0, -3), "textcoords": "offset points"}
-            speed.annotate(call.name, (call.position_m, 1.0), ha="center", va="top", fontsize=8, weight="bold", **where)
+            speed.annotate(
+                call.name, (call.position_m, 1.0), ha="center", va="top", fontsize=8, weight="bold", **where
+            )
         draw_gradient(gradient, section)
         used = np.concatenate([[0.0], np.cumsum(plan.traction_n * np.diff(plan.position_m))]) / J_PER_KWH
         energy.plot(plan.position_m, used, color=BLUE)
@@ -176,6 +197,9 @@ def plan_figure(section: Section, trainset: Trainset, plan: Plan, calls: Sequenc
         label(energy, "traction energy at the wheel")
         set_distance(energy, section, section.length_m)
         title = f"{section.origin.name} – {section.destination.name}, {section.length_m:.0f} m"
-        below = f"{trainset.id} {trainset.load}, {plan.energy_j / J_PER_KWH:.2f} kWh in {plan.running_time_s:.1f} s"
+        energy_kwh = plan.energy_j / J_PER_KWH
+        below = (
+            f"{trainset.id} {trainset.load}, {energy_kwh:.2f} kWh in {plan.running_time_s:.1f} s of running"
+        )
         headline(speed, title, below)
         return figure

@@ -33,7 +33,7 @@ class Kpis:
         stopping_error_m: Where the head stood minus the stop; positive is beyond it (Huang25 eq. 12).
         energy_wheel_kwh: Mechanical traction energy at the wheel.
         energy_regenerated_kwh: Energy the line took back.
-        energy_line_kwh: Net energy at the line: traction over efficiency, plus auxiliaries, minus regenerated.
+        energy_line_kwh: Net energy at the line: traction over efficiency and auxiliaries, less regenerated.
         energy_effort_kwh: Work of traction and of brakes at the wheel (Lu23 eq. 16).
         energy_huang2025_jpkg: Energy index ``sum |a| v dt`` per kg (Huang25 eqs. 8 and 9).
         energy_objective: Which energy the optimum minimises: ``wheel`` or ``line``.
@@ -48,7 +48,7 @@ class Kpis:
         max_deceleration_mps2: Highest deceleration.
         rms_acceleration_mps2: Root mean square of the acceleration, not frequency-weighted.
         comfort_band: Band of the ISO 2631-1 scale (Lu23 Table 1) that holds it.
-        max_jerk_mps3: Largest change of acceleration between control periods over the period; the stop counts.
+        max_jerk_mps3: Largest change of acceleration from one control period to the next; the stop counts.
         stopping_jerk_mps3: The same at the stop alone.
         jerk_limit_mps3: Jerk limit of the trainset in service, None if it has none.
         comfort_huang2025: Sum of the changes of the command (Huang25 eqs. 10 and 11).
@@ -156,7 +156,12 @@ def kpis_of(drive: Drive, optimum: Optimum | None, objective: Objective = "wheel
 def _against(drive: Drive, optimum: Optimum | None, objective: Objective) -> dict[str, float | None]:
     """The KPIs that need the optimum; None where the run did not arrive or has no plan."""
     if optimum is None or drive.outcome is not Outcome.ARRIVED:
-        names = ("optimal_energy_kwh", "bound_energy_kwh", "certificate_gap_percent", "optimality_gap_percent")
+        names = (
+            "optimal_energy_kwh",
+            "bound_energy_kwh",
+            "certificate_gap_percent",
+            "optimality_gap_percent",
+        )
         return dict.fromkeys(names)
     t, plan = drive.trajectory, optimum.plan
     used = float((t.energy_line_j if objective == "line" else t.energy_wheel_j)[-1])
@@ -195,7 +200,9 @@ def checks(kpis: Kpis) -> tuple[Check, ...]:
             f"within {STOP_TOLERANCE_M:g} m",
             arrived and abs(stop) <= STOP_TOLERANCE_M,
         ),
-        Check("on time", f"{late:+.2f} s", f"within {PUNCTUALITY_S:g} s", arrived and abs(late) <= PUNCTUALITY_S),
+        Check(
+            "on time", f"{late:+.2f} s", f"within {PUNCTUALITY_S:g} s", arrived and abs(late) <= PUNCTUALITY_S
+        ),
         Check(
             "no overspeed",
             f"{3.6 * kpis.max_overspeed_mps:.2f} km/h",

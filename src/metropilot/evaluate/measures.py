@@ -28,8 +28,8 @@ def command_variation(trajectory: Trajectory) -> float:
 def window_jerk(trajectory: Trajectory, window_s: float = CHENG2023_WINDOW_S) -> float:
     """The largest change of acceleration between two moments at most ``window_s`` apart.
 
-    Source: Cheng23, text on Table 1: "the maximum acceleration rate over the time span of 2 s". It is a change
-    over a window and no derivative, though the paper prints it in m/s^3.
+    Source: Cheng23, text on Table 1: "the maximum acceleration rate over the time span of 2 s". It is a
+    change over a window and no derivative, though the paper prints it in m/s^3.
     """
     time, accel = trajectory.time_s, trajectory.acceleration_mps2
     last = np.searchsorted(time, time + window_s + 1e-9, side="right")

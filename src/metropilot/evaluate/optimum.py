@@ -29,9 +29,9 @@ def optimum_of(drive: Drive, objective: Objective = "wheel") -> Optimum | None:
     """The optimal plan for the running time the drive achieved, under the same limits.
 
     It is computed for the trainset as it really was (with the scenario's mass and resistance) on the section
-    with every restriction that was announced, in hindsight. Acceleration and deceleration limits hold; delay,
-    lag and jerk limit do not, so the plan bounds every drive from below. A drive that did not arrive is compared
-    with the plan for its scheduled time.
+    with every restriction that was announced, in hindsight. Acceleration and deceleration limits hold;
+    delay, lag and jerk limit do not, so the plan bounds every drive from below. A drive that did not arrive
+    is compared with the plan for its scheduled time.
 
     Returns:
         None where no plan exists, not even at the minimum running time.

@@ -24,7 +24,7 @@ from metropilot.evaluate.style import (
     headline,
     house_style,
     label,
-    new_figure,
+    new_panels,
 )
 from metropilot.physics import restrictive_profile
 from metropilot.planning import Plan
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH_IN, HEIGHT_IN = 8.4, 7.2
-HEIGHTS = (10, 1.6, 2.6, 4)
+HEIGHTS = (10, 2.2, 2.6, 4.2)
 J_PER_KWH = 3.6e6
 
 
@@ -48,16 +48,13 @@ def profile_figure(drive: Drive, kpis: Kpis, optimum: Optimum | None) -> Figure:
         optimum: The optimal plan drawn behind it, if there is one.
     """
     with house_style():
-        figure = new_figure(WIDTH_IN, HEIGHT_IN)
-        speed, gradient, command, energy = figure.subplots(
-            4, 1, sharex=True, gridspec_kw={"height_ratios": HEIGHTS}
-        )
+        figure, (speed, gradient, command, energy) = new_panels(WIDTH_IN, HEIGHT_IN, HEIGHTS)
         draw_speed(speed, drive, optimum)
         draw_gradient(gradient, drive.section)
         draw_command(command, drive)
         draw_energy(energy, drive, optimum, kpis)
         set_distance(energy, drive.section, float(drive.trajectory.position_m[-1]))
-        headline(speed, title(drive), subtitle(drive, kpis))
+        headline(speed, title(drive), subtitle(kpis))
         return figure
 
 
@@ -75,15 +72,17 @@ def title(drive: Drive) -> str:
     return f"{stations}, {section.length_m:.0f} m, {trainset.id} {trainset.load}, driver {drive.driver}"
 
 
-def subtitle(drive: Drive, kpis: Kpis) -> str:
+def subtitle(kpis: Kpis) -> str:
     """The drive in one line."""
+    side = "beyond" if kpis.stopping_error_m > 0 else "short of"
+    ended = kpis.outcome.replace("_", " ")
     words = [
-        f"{kpis.outcome.replace('_', ' ')} after {kpis.running_time_s:.1f} s (scheduled {kpis.scheduled_time_s:g} s)",
-        f"{100 * kpis.stopping_error_m:+.0f} cm from the stop",
-        f"{kpis.energy_wheel_kwh:.2f} kWh at the wheel, {kpis.energy_line_kwh:.2f} kWh at the line",
+        f"{ended} after {kpis.running_time_s:.1f} s (scheduled {kpis.scheduled_time_s:g} s)",
+        f"{100 * abs(kpis.stopping_error_m):.0f} cm {side} the stop",
+        f"wheel {kpis.energy_wheel_kwh:.2f}, line {kpis.energy_line_kwh:.2f} kWh",
     ]
     if kpis.optimality_gap_percent is not None:
-        words.append(f"{kpis.optimality_gap_percent:+.1f} % to the optimum")
+        words.append(f"optimum {kpis.optimality_gap_percent:+.1f} %".replace("-", "−"))
     if kpis.interventions:
         words.append(f"{kpis.interventions} intervention{'s' if kpis.interventions > 1 else ''}")
     return " · ".join(words)
@@ -93,10 +92,16 @@ def draw_speed(axes: Axes, drive: Drive, optimum: Optimum | None) -> None:
     """Speed over distance with limit, permitted speed, plan and stations."""
     t = drive.trajectory
     draw_limits(axes, drive.section, drive.trainset)
-    axes.plot(t.position_m, KMH * t.permitted_mps, color=ORANGE, lw=1.0, ls=(0, (2, 1.5)), label="permitted speed")
+    axes.plot(
+        t.position_m, KMH * t.permitted_mps, color=ORANGE, lw=1.0, ls=(0, (2, 1.5)), label="permitted speed"
+    )
     if optimum is not None:
-        draw_plan(axes, optimum.plan, "optimal plan, same running time")
+        draw_plan(axes, optimum.plan, "optimal plan")
     axes.plot(t.position_m, KMH * t.speed_mps, color=BLUE, lw=1.5, label="driven")
+    began = np.flatnonzero(np.diff(drive.overruled.astype(int), prepend=0) > 0)
+    if began.size:
+        at = t.position_m[began], KMH * t.speed_mps[began]
+        axes.plot(*at, ls="none", marker="v", ms=6, color=VERMILION, mec=BLACK, mew=0.5, label="protection")
     top = max(float(KMH * t.limit_mps.max()), float(KMH * t.speed_mps.max()))
     axes.set_ylim(0, 1.09 * top)
     draw_stations(axes, drive.section)
@@ -140,7 +145,10 @@ def draw_limits(axes: Axes, section: Section, trainset: Trainset) -> None:
 
 def draw_stations(axes: Axes, section: Section) -> None:
     """The two stations, as lines with their codes."""
-    for station, at, side in ((section.origin, 0.0, "left"), (section.destination, section.length_m, "right")):
+    for station, at, side in (
+        (section.origin, 0.0, "left"),
+        (section.destination, section.length_m, "right"),
+    ):
         axes.axvline(at, color=GREY, lw=0.8, ls=(0, (1, 1.5)), zorder=0.7)
         nudge = 5 if side == "left" else -5
         axes.annotate(
@@ -164,7 +172,7 @@ def draw_gradient(axes: Axes, section: Section) -> None:
     axes.stairs(window.value, edges, fill=True, color=PALE, lw=0)
     axes.stairs(window.value, edges, color=GREY, lw=0.7, baseline=None)
     axes.axhline(0, color="#404040", lw=0.6)
-    axes.set_ylim(-1.9 * worst, 1.9 * worst)
+    axes.set_ylim(-2.1 * worst, 2.1 * worst)
     axes.set_yticks([])
     axes.spines[["left", "bottom"]].set_visible(False)
     axes.tick_params(bottom=False)
@@ -206,8 +214,13 @@ def draw_energy(axes: Axes, drive: Drive, optimum: Optimum | None, kpis: Kpis) -
         axes.plot(plan.position_m, used, color=SKY, lw=4.5, alpha=0.75, label="optimal plan, at the wheel")
     axes.plot(t.position_m, t.energy_wheel_j / J_PER_KWH, color=BLUE, label="driven, at the wheel")
     axes.plot(
-        t.position_m, t.energy_line_j / J_PER_KWH, color=GREY, lw=1.1, ls=(0, (5, 2)), label="driven, net at the line"
+        t.position_m,
+        t.energy_line_j / J_PER_KWH,
+        color=GREY,
+        lw=1.1,
+        ls=(0, (5, 2)),
+        label="driven, net at the line",
     )
-    axes.set_ylim(0, None)
+    axes.set_ylim(0, 1.22 * axes.get_ylim()[1])
     axes.set_ylabel("energy (kWh)")
-    axes.legend(loc="lower right", bbox_to_anchor=(0.99, 0.02))
+    axes.legend(loc="upper left", borderaxespad=0.2, labelspacing=0.3)

@@ -92,8 +92,8 @@ def limit_at(track: Track, position_m: float) -> float:
 def step_overspeed(track: Track, before: State, after: State) -> float:
     """Largest excess over the limit within one step, m/s, never negative.
 
-    The speed is linear in time over a step, so the excess is largest at one of its ends or where a lower limit
-    begins; there the speed is ``sqrt(v^2 + 2 a (s - s_0))``.
+    The speed is linear in time over a step, so the excess is largest at one of its ends or where a lower
+    limit begins; there the speed is ``sqrt(v^2 + 2 a (s - s_0))``.
     """
     x0, x1 = float(before.position_m), float(after.position_m)
     v0, v1 = float(before.speed_mps), float(after.speed_mps)
@@ -103,5 +103,7 @@ def step_overspeed(track: Track, before: State, after: State) -> float:
     for k in range(int(low), int(high)):
         share = (float(breaks[k]) - x0) / (x1 - x0)
         speed = np.sqrt(max(v0 * v0 + (v1 * v1 - v0 * v0) * share, 0.0))
-        worst = max(worst, float(speed) - float(track.limit_mps[k]), float(speed) - float(track.limit_mps[k - 1]))
+        worst = max(
+            worst, float(speed) - float(track.limit_mps[k]), float(speed) - float(track.limit_mps[k - 1])
+        )
     return worst

@@ -1,14 +1,12 @@
-"""A run as a user asks for it: resolved to a :class:`~metropilot.task.Run`, written to and read from `run.toml`."""
+"""A run as a user asks for it: resolved to a run."""
 
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
-from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 from metropilot.drivers import DRIVERS, AbstractDriver
 from metropilot.errors import Infeasible, InputError
@@ -21,7 +19,6 @@ KMH = 1 / 3.6
 NUMBER = r"\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
 RESTRICTION = re.compile(rf"({NUMBER})-({NUMBER})@({NUMBER})(?:@({NUMBER}))?")
 ARRIVAL = re.compile(rf"({NUMBER})@({NUMBER})")
-FileKind = Literal["line", "trainset"]
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,7 @@ class Request:
         delay_s: Dead time on top of the trainset's.
         lag_s: Lag on top of the trainset's.
         speed_noise_mps: Standard deviation of the measured speed.
-        restrictions: Temporary speed restrictions, ``FROM-TO@KMH`` (m, m, km/h), with ``@T`` announced at T s.
+        restrictions: Temporary speed restrictions ``FROM-TO@KMH``; with ``@T`` announced at T s.
         arrivals: New scheduled running times announced on the way, ``S@T``.
         objective: Energy the optimum minimises.
         dt_s: Control period.
@@ -145,7 +142,12 @@ class Request:
         origin, destination = section.origin.code, section.destination.code
         trainset_id = self.trainset.removesuffix(f":{trainset.load}")
         return replace(
-            self, origin=origin, destination=destination, time_s=time_s, trainset=trainset_id, load=trainset.load
+            self,
+            origin=origin,
+            destination=destination,
+            time_s=time_s,
+            trainset=trainset_id,
+            load=trainset.load,
         )
 
 
@@ -164,11 +166,13 @@ def make_driver(driver_id: str, options: Mapping[str, Any] | None = None) -> Abs
     try:
         return DRIVERS.make(driver_id, **(options or {}))
     except TypeError as error:
-        raise InputError(f"the driver does not take that option ({error})", field="driver", value=driver_id) from None
+        raise InputError(
+            f"the driver does not take that option ({error})", field="driver", value=driver_id
+        ) from None
 
 
 def parse_restriction(text: str, section: Section) -> tuple[Restriction, float | None]:
-    """``FROM-TO@KMH`` or ``FROM-TO@KMH@T``: the restriction, and when it is announced (None: before departure).
+    """``FROM-TO@KMH`` or ``FROM-TO@KMH@T``: the restriction, and when it is told (None: before departure).
 
     Raises:
         InputError: Not of that form, or outside the section.
@@ -208,64 +212,3 @@ def parse_arrival(text: str) -> News:
             allowed="S@T with S later than T, e.g. 116@30: arrive after 116 s, told after 30 s",
         )
     return News(float(match[2]), scheduled_time_s=float(match[1]))
-
-
-def to_table(request: Request) -> dict[str, Any]:
-    """The request as a TOML table; what is None is left out."""
-    values = {f.name: getattr(request, f.name) for f in fields(request)}
-    plain = {key: list(v) if isinstance(v, tuple) else v for key, v in values.items()}
-    plain["options"] = dict(request.options)
-    return {key: value for key, value in plain.items() if value is not None}
-
-
-def request_from_toml(path: Path) -> Request:
-    """Read the request back from a `run.toml`; paths in it count from its own folder.
-
-    Raises:
-        InputError: Not readable, not a `run.toml`, or an unknown key (the nearest one is named).
-    """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))["run"]
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise InputError(f"cannot be read ({reason})", file=path, field="from") from None
-    except (tomllib.TOMLDecodeError, KeyError, TypeError) as error:
-        raise InputError(f"not a run.toml ({error})", file=path, field="from") from None
-    names = {f.name: f for f in fields(Request)}
-    for key in table:
-        if key not in names:
-            near = get_close_matches(key, names, 1)
-            hint = f", did you mean {near[0]}?" if near else ""
-            raise InputError(f"unknown key{hint}", file=path, field=f"run.{key}", allowed=", ".join(names))
-    values = {key: tuple(v) if isinstance(v, list) else _number(key, v) for key, v in table.items()}
-    for kind in get_args(FileKind):
-        text = str(values.get(kind, ""))
-        if text.lower().endswith((".toml", ".json")):
-            values[kind] = str(path.parent / text)
-    _check_types(path, values)
-    return Request(**values)
-
-
-def _number(key: str, value: Any) -> Any:
-    whole = isinstance(value, int) and not isinstance(value, bool)
-    return float(value) if whole and key.endswith(("_s", "_mps", "_factor")) else value
-
-
-def _check_types(path: Path, values: Mapping[str, Any]) -> None:
-    """Each value has the type of the field's default; without a default it is text."""
-    kinds: dict[str, tuple[type, ...]] = {"time_s": (float,), "load": (str,), "options": (dict,)}
-    for f in fields(Request):
-        default = f.default
-        wanted = kinds.get(f.name) or ((str,) if not isinstance(default, bool | int | float | tuple) else (type(default),))
-        if f.name not in values:
-            if f.name in {"line", "origin", "destination"}:
-                raise InputError("missing", file=path, field=f"run.{f.name}", allowed="text")
-            continue
-        if type(values[f.name]) not in wanted:
-            raise InputError(
-                "wrong kind of value",
-                file=path,
-                field=f"run.{f.name}",
-                value=str(values[f.name]),
-                allowed=" or ".join(t.__name__ for t in wanted),
-            )

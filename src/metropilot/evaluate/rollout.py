@@ -6,20 +6,20 @@ from dataclasses import dataclass
 from time import perf_counter_ns
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from metropilot.drivers import AbstractDriver
-from metropilot.evaluate.recorder import Recorder, limit_at
+from metropilot.evaluate.recorder import Recorder
 from metropilot.evaluate.trajectory import Trajectory
 from metropilot.physics import Command, at_rest, delay_steps, step, track_arrays, vehicle_arrays
+from metropilot.protection import at_start, permitted_speed, protect, supervise
 from metropilot.railway import Section, Trainset
-from metropilot.task import STOP_TOLERANCE_M, Observation, Outcome, Run
+from metropilot.task import NOISE_CUT, STOP_TOLERANCE_M, Observation, Outcome, Run, declared_bounds
 
 STALLED_S = 20.0
 GIVE_UP_M = 100.0
 OVERSPEED_MPS = 1e-6
-NOISE_CUT = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +39,7 @@ class Drive:
         max_overspeed_mps: Largest excess over the limit in force, 0 if none.
         recovered_j: Energy given back to the line.
         decision_us: Time the driver took for each decision, microseconds.
+        overruled: Whether protection overruled the driver in each step.
     """
 
     run: Run
@@ -52,16 +53,17 @@ class Drive:
     interventions: int
     max_overspeed_mps: float
     recovered_j: float
-    decision_us: Float[ndarray, " decisions"]
+    decision_us: Float[ndarray, " steps"]
+    overruled: Bool[ndarray, " steps"]
 
 
 def drive(run: Run, driver: AbstractDriver) -> Drive:
     """Let a driver drive a run until it stands at the stop, or until it plainly will not.
 
-    The run ends when the trainset stands within 0.3 m of the stop (arrived) or beyond it (overshot), has stood
-    anywhere else for 20 s (stalled), is 100 m past the stop (overshot), or has used twice its scheduled time
-    and 120 s more (out of time). A speed above the limit in force makes the outcome ``overspeed`` wherever the
-    run ended.
+    The run ends when the trainset stands within 0.3 m of the stop (arrived) or beyond it (overshot), has
+    stood anywhere else for 20 s (stalled), is 100 m past the stop (overshot), or has used twice its scheduled
+    time and 120 s more (out of time). A speed above the limit in force makes the outcome ``overspeed``
+    wherever the run ended.
 
     Args:
         run: What is to be driven; its scenario is the truth that the driver is not told.
@@ -87,16 +89,19 @@ class _Loop:
         self.random = np.random.default_rng(np.random.SeedSequence(run.seed, spawn_key=(1,)))
         self.recorder = Recorder(self.vehicle, run.dt, self.state)
         self.decision_us: list[float] = []
-        self.interventions = 0
-        self.overruled = False
+        self.overruled: list[bool] = []
         self.stood_since_s = 0.0
+        self.bounds = declared_bounds(run)
         self.enter(run.section)
+        self.watched = at_start(self.protection)
         self.memory = driver.init(run)
 
     def enter(self, section: Section) -> None:
-        """Take a section as the truth: at departure, and after every new restriction."""
+        """Take a section as the truth: at departure, and after every new restriction, at once in force."""
         self.section = section
         self.track = track_arrays(section, self.trainset)
+        believed = self.run.scenario.believed(self.run.trainset)
+        self.protection = protect(section, believed, self.bounds)
 
     def to_the_end(self) -> Drive:
         """Step until the run is over."""
@@ -105,22 +110,22 @@ class _Loop:
             self.hear()
             self.advance()
             outcome = self.outcome()
-        permitted = limit_at(self.track, float(self.state.position_m))
         standing = self.state.speed_mps <= 0
         over = self.recorder.overspeed_mps
         return Drive(
             run=self.run,
             driver=self.driver.id,
-            trajectory=self.recorder.trajectory(self.track, permitted),
+            trajectory=self.recorder.trajectory(self.track, self.permitted()),
             outcome=Outcome.OVERSPEED if over > OVERSPEED_MPS else outcome,
             running_time_s=self.stood_since_s if standing else float(self.state.time_s),
             scheduled_time_s=self.scheduled_time_s,
             section=self.section,
             trainset=self.trainset,
-            interventions=self.interventions,
+            interventions=int(self.watched.interventions),
             max_overspeed_mps=over,
             recovered_j=float(self.state.recovered_j),
             decision_us=np.array(self.decision_us),
+            overruled=np.array(self.overruled),
         )
 
     def hear(self) -> None:
@@ -131,6 +136,10 @@ class _Loop:
                 self.scheduled_time_s = news.scheduled_time_s
             if news.restriction is not None:
                 self.enter(self.section.restricted(news.restriction))
+
+    def permitted(self) -> float:
+        """Permitted speed where the trainset is."""
+        return float(permitted_speed(self.protection, float(self.state.position_m)))
 
     def observe(self, permitted_mps: float) -> Observation:
         """What the driver sees: the speed with its noise, everything else as it is."""
@@ -150,17 +159,20 @@ class _Loop:
 
     def advance(self) -> None:
         """One control period: decide, supervise, move."""
-        permitted = limit_at(self.track, float(self.state.position_m))
+        permitted = self.permitted()
         observation = self.observe(permitted)
         began = perf_counter_ns()
         share, self.memory = self.driver.act(self.memory, observation)
         self.decision_us.append((perf_counter_ns() - began) / 1e3)
-        share = float(np.clip(share, -1.0, 1.0))
+        wanted = Command(float(share), False)
+        seen = observation.position_m, observation.speed_mps
+        command, self.watched, verdict = supervise(self.protection, self.watched, *seen, wanted)
+        self.overruled.append(bool(verdict.level > 0))
         was_moving = self.state.speed_mps > 0
-        self.state = step(self.vehicle, self.track, self.state, Command(np.float64(share), False), self.run.dt)
+        self.state = step(self.vehicle, self.track, self.state, command, self.run.dt)
         if was_moving and self.state.speed_mps <= 0:
             self.stood_since_s = float(self.state.time_s)
-        self.recorder.add(self.track, self.state, share, permitted)
+        self.recorder.add(self.track, self.state, float(command.share), permitted)
 
     def outcome(self) -> Outcome | None:
         """How the run has ended, or None while it goes on."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 KMH = 3.6
+LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.62, 0.16, 0.78, 0.46
 # Okabe and Ito (2008): told apart by everyone; line styles keep them apart in greyscale print.
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
     "#000000",
@@ -33,7 +34,7 @@ SERIES = (
     (SKY, (0, (3, 1))),
     (BLACK, (0, (1, 3))),
 )
-SETTINGS: Mapping[str, Any] = {
+SETTINGS: Any = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 8.5,
@@ -80,14 +81,34 @@ def house_style() -> Iterator[None]:
         yield
 
 
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """An empty figure that no window knows of."""
+def new_panels(width_in: float, height_in: float, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
+    """A figure that no window knows of, with panels one above the other and room for the headline.
+
+    Args:
+        width_in: Width, inches.
+        height_in: Height, inches.
+        heights: Relative heights of the panels, from the top.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    figure = Figure(figsize=(width_in, height_in))
     FigureCanvasAgg(figure)
-    return figure
+    grid = figure.add_gridspec(
+        len(heights),
+        1,
+        height_ratios=list(heights),
+        left=LEFT_IN / width_in,
+        right=1 - RIGHT_IN / width_in,
+        bottom=BOTTOM_IN / height_in,
+        top=1 - TOP_IN / height_in,
+        hspace=0.24,
+    )
+    panels = [figure.add_subplot(grid[0])]
+    panels += [figure.add_subplot(grid[k], sharex=panels[0]) for k in range(1, len(heights))]
+    for upper in panels[:-1]:
+        upper.tick_params(labelbottom=False)
+    return figure, panels
 
 
 def save(figure: Figure, stem: Path) -> None:
@@ -105,18 +126,16 @@ def label(axes: Axes, text: str) -> None:
 def headline(axes: Axes, title: str, below: str) -> None:
     """Title, a line below it, and the legend as a third line, all flush with the left edge of the axes."""
     handles, _ = axes.get_legend_handles_labels()
-    room = 16 if len(handles) > 1 else 0
-    for text, rise, style in ((title, 22, {"fontsize": 11, "weight": "bold"}), (below, 8, {"color": GREY})):
-        axes.annotate(
-            text.replace("-", "\N{MINUS SIGN}") if style.get("color") else text,
-            (0, 1),
-            xycoords="axes fraction",
-            xytext=(0, rise + room),
-            textcoords="offset points",
-            annotation_clip=False,
-            **style,
-        )
-    if room:
+    room = 15 if len(handles) > 1 else 0
+    above: Any = {"xy": (0, 1), "xycoords": "axes fraction", "textcoords": "offset points"}
+    axes.annotate(title, xytext=(0, 22 + room), fontsize=11, weight="bold", **above)
+    axes.annotate(below, xytext=(0, 8 + room), fontsize=8, color=GREY, **above)
+    if len(handles) > 1:
         axes.legend(
-            loc="lower left", bbox_to_anchor=(0, 1.0), ncols=len(handles), borderaxespad=0.3, borderpad=0, columnspacing=1.6
+            loc="lower left",
+            bbox_to_anchor=(0, 1.0),
+            ncols=len(handles),
+            borderaxespad=0.5,
+            borderpad=0,
+            columnspacing=1.6,
         )

@@ -77,7 +77,13 @@ class Trajectory:
 
     def balance_n(self, effective_mass_kg: float) -> Float[ndarray, " rows"]:
         """What is left of the identity in each row, N; zero up to rounding."""
-        forces = self.traction_n - self.electric_brake_n - self.friction_brake_n - self.resistance_n - self.gradient_n
+        forces = (
+            self.traction_n
+            - self.electric_brake_n
+            - self.friction_brake_n
+            - self.resistance_n
+            - self.gradient_n
+        )
         return forces - effective_mass_kg * self.acceleration_mps2
 
     def write(self, path: Path) -> None:

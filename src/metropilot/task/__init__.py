@@ -1,8 +1,10 @@
 """The driving problem: what is to be driven, what may go wrong, and what a driver sees."""
 
+from metropilot.task.guard import declared_bounds
 from metropilot.task.interface import AbstractTask, ActionSpace, Transition
 from metropilot.task.run import (
     CONTROL_PERIOD_S,
+    NOISE_CUT,
     PUNCTUALITY_S,
     STOP_TOLERANCE_M,
     News,
@@ -14,6 +16,7 @@ from metropilot.task.run import (
 
 __all__ = [
     "CONTROL_PERIOD_S",
+    "NOISE_CUT",
     "PUNCTUALITY_S",
     "STOP_TOLERANCE_M",
     "AbstractTask",
@@ -24,4 +27,5 @@ __all__ = [
     "Run",
     "Scenario",
     "Transition",
+    "declared_bounds",
 ]

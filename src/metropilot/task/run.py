@@ -14,6 +14,7 @@ from metropilot.railway import Actuation, Davis, Restriction, Section, Trainset
 CONTROL_PERIOD_S = 0.2
 PUNCTUALITY_S = 3.0
 STOP_TOLERANCE_M = 0.3
+NOISE_CUT = 3.0
 
 
 class Outcome(Enum):
