@@ -1,7 +1,7 @@
-"""Run under a ceiling: reach a speed, hold it, and be slow enough wherever a lower limit begins.
+"""Run under a ceiling: reach a speed, hold it, and be slow enough wherever a lower speed is permitted.
 
-The ceiling is the most restrictive speed profile, moved toward the trainset by what protection's own reaction
-needs, so that a driver that keeps under it gives protection no reason to intervene.
+The ceiling is protection's permitted-speed curve with a margin, and a driver that still accelerates stays
+further below it, so that protection never has a reason to intervene.
 """
 
 from __future__ import annotations
@@ -13,64 +13,73 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot.drivers.observer import Ahead, Model
+from metropilot.drivers.observer import Ahead, Belief, Model
 from metropilot.drivers.stopping import Curve, required_ahead
-from metropilot.physics import Track, track_arrays, vehicle_arrays
-from metropilot.railway import SafeBraking, Section, Trainset
+from metropilot.physics import track_arrays, vehicle_arrays
+from metropilot.protection import approach_margin, permitted_speed, protect
+from metropilot.railway import Section
+from metropilot.task import Run, declared_bounds
 
-MARGIN_MPS = 0.2
-"""How far below the limit a driver holds."""
+MARGIN_MPS = 0.15
+"""How far below the permitted speed a driver holds."""
 APPROACH_PER_S = 0.8
 """Acceleration for each m/s below the speed to hold."""
 EASE_SHARE = 0.4
 """Jerk at which traction is eased off before the speed is reached, over the trainset's limit."""
-HOLD_BRAKE_MPS2 = 0.3
-"""Strongest braking to hold a speed downhill."""
+SPACING_M = 2.0
+BEYOND_M = 100.0
+ACCELERATIONS_MPS2 = np.linspace(0.0, 1.5, 16)
 
 
 class Ceiling(NamedTuple):
-    """Speeds to keep under.
+    """Speeds to keep under, on a uniform grid from the origin to beyond the stop.
 
     Attributes:
-        from_m: Where each piece begins. Shape (K,).
-        speed_mps: The speed to keep, margin taken off. Shape (K,).
+        position_m: Grid. Shape (N,).
+        speed_mps: Permitted speed less the margin. Shape (N,).
+        room_mps: How far below the permitted speed each acceleration must stay. Shape (A,).
     """
 
-    from_m: Float[ndarray, " pieces"]
-    speed_mps: Float[ndarray, " pieces"]
+    position_m: Float[ndarray, " nodes"]
+    speed_mps: Float[ndarray, " nodes"]
+    room_mps: Float[ndarray, " accelerations"]
 
-    def at(self, position_m: float) -> float:
-        """The speed to keep at a position."""
-        k = int(np.searchsorted(self.from_m, position_m, side="right")) - 1
-        return float(self.speed_mps[max(k, 0)])
+    def at(self, position_m: float, way_m: float = 0.0) -> float:
+        """The lowest speed to keep from a position over a little way."""
+        first = min(max(int(position_m / SPACING_M), 0), self.position_m.size - 2)
+        last = min(int((position_m + way_m) / SPACING_M) + 2, self.position_m.size)
+        return float(self.speed_mps[first:last].min())
+
+    def acceleration_under(self, missing_mps: float) -> float:
+        """Largest acceleration this far under the ceiling, the inverse of protection's approach margin."""
+        return float(np.interp(missing_mps, self.room_mps, ACCELERATIONS_MPS2))
 
 
-def model_of(section: Section, trainset: Trainset, dt: float) -> Model:
-    """What a driver believes about trainset and section, as the plant's numbers."""
-    return Model(vehicle_arrays(trainset), track_arrays(section, trainset), dt)
+def model_of(run: Run, section: Section) -> Model:
+    """What the driver of a run believes about trainset and section, as the plant's numbers."""
+    trainset = run.scenario.believed(run.trainset)
+    return Model(vehicle_arrays(trainset), track_arrays(section, trainset), run.dt)
 
 
-def ceiling_of(track: Track, safe: SafeBraking, dt: float, margin_mps: float = MARGIN_MPS) -> Ceiling:
-    """The ceiling of a section: each lower limit begins earlier by the way gone while protection reacts.
+def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ceiling:
+    """The ceiling of a section under the protection that supervises the run.
+
+    Protection reads each measured speed as it comes, so the largest error of one adds to the margin.
 
     Args:
-        track: Its most restrictive speed profile.
-        safe: Protection's reaction and build-up.
-        dt: Control period, s.
-        margin_mps: How far to stay below.
+        run: The run.
+        section: The section with every restriction announced so far.
+        margin_mps: How far to stay below the permitted speed.
     """
-    valid = np.isfinite(track.limit_from_m)
-    start, limit = track.limit_from_m[valid], track.limit_mps[valid]
-    keep = np.maximum(limit - margin_mps, 0.5 * limit)
-    moved = start.copy()
-    reaction_s = safe.reaction_s + safe.buildup_s + dt
-    for k in range(1, start.size):
-        if limit[k] < limit[k - 1]:
-            moved[k] = start[k] - limit[k] * reaction_s
-    edges = np.unique(np.concatenate([start, moved]))
-    ends = np.append(start[1:], np.inf)
-    speeds = [float(keep[(moved <= x) & (ends > x)].min()) for x in edges]
-    return Ceiling(edges, np.array(speeds))
+    bounds = declared_bounds(run)
+    protection = protect(section, run.scenario.believed(run.trainset), bounds)
+    margin = margin_mps + bounds.speed_error_mps
+    at = np.arange(0.0, section.length_m + BEYOND_M, SPACING_M)
+    return Ceiling(
+        position_m=at,
+        speed_mps=np.maximum(np.asarray(permitted_speed(protection, at)) - margin, 0.5),
+        room_mps=np.asarray(approach_margin(protection, ACCELERATIONS_MPS2)),
+    )
 
 
 def ceiling_acceleration(
@@ -89,26 +98,58 @@ def ceiling_acceleration(
         Wanted acceleration, m/s^2.
     """
     x, v = ahead.position_m, ahead.speed_mps
-    wanted = approach(model, v, min(ceiling.at(x), cruise_mps))
-    most = float(model.vehicle.max_deceleration_mps2)
+    cap = ceiling.at(x, v * model.dt)
+    wanted = approach(model, v, min(cap, cruise_mps))
     slowing = curve._replace(end_mps2=0.0)
-    k = int(np.searchsorted(ceiling.from_m, x, side="right"))
-    horizon = x + v * v / (2.0 * curve.deceleration_mps2) + 3.0 * v + 10.0
-    while k < ceiling.from_m.size and ceiling.from_m[k] < horizon:
-        lower = min(float(ceiling.speed_mps[k]), cruise_mps)
-        if lower < v:
-            required, falling = required_ahead(ahead, float(ceiling.from_m[k]) - x, slowing, lower)
-            if required >= curve.deceleration_mps2 or falling > 0.0 or ahead.acceleration_mps2 < -0.1:
-                wanted = min(wanted, -min(required, (v - lower) / model.dt, most))
-        k += 1
+    found = lowest_ahead(ahead, ceiling, slowing)
+    if found is not None:
+        distance, lower = found
+        required, falling = required_ahead(ahead, distance, slowing, lower)
+        if required >= curve.deceleration_mps2 or falling > 0.0 or ahead.acceleration_mps2 < -0.1:
+            most = float(model.vehicle.max_deceleration_mps2)
+            wanted = min(wanted, -min(required, (v - lower) / model.dt, most))
     return wanted
+
+
+def traction_limit(belief: Belief, ahead: Ahead, ceiling: Ceiling) -> float:
+    """Largest command that protection lets pass here and now, whatever trainset carries it out and how soon.
+
+    Protection judges a command by what the trainset of the data sheet (and a lighter one) would make of it,
+    at once; holding a speed is always allowed.
+
+    Args:
+        belief: The belief.
+        ahead: The state when the command begins to act.
+        ceiling: Speeds to keep under.
+    """
+    drag = ahead.resistance_mps2 + ahead.gradient_mps2
+    here = ceiling.acceleration_under(ceiling.at(belief.position_m) - belief.speed_mps)
+    there = ceiling.acceleration_under(ceiling.at(ahead.position_m) - ahead.speed_mps)
+    believed = ahead.traction_mps2 / belief.traction_gain
+    return min(max((min(here, there) + drag) / believed, drag / ahead.traction_mps2, 0.0), 1.0)
+
+
+def lowest_ahead(ahead: Ahead, ceiling: Ceiling, curve: Curve) -> tuple[float, float] | None:
+    """Distance and speed of the point ahead that asks for the hardest braking, if any asks for it soon."""
+    x, v, b = ahead.position_m, ahead.speed_mps, curve.deceleration_mps2
+    jerk = curve.build_jerk_mps3
+    build_m = v * max(b + min(ahead.acceleration_mps2, b), 0.0) / (2.0 * jerk) if math.isfinite(jerk) else 0.0
+    first = int(x / SPACING_M) + 1
+    last = first + int((v * v / (2.0 * b) + 3.0 * v) / SPACING_M) + 2
+    lower, at = ceiling.speed_mps[first:last], ceiling.position_m[first:last]
+    release_m = lower * b / (2.0 * jerk) if math.isfinite(jerk) else 0.0
+    needed = (v * v - lower * lower) / (2.0 * np.maximum(at - x - build_m - release_m, 0.5))
+    if needed.size == 0 or needed.max() < 0.5 * b:
+        return None
+    k = int(np.argmax(needed))
+    return float(at[k]) - x, float(lower[k])
 
 
 def approach(model: Model, speed_mps: float, target_mps: float) -> float:
     """Acceleration toward a speed, eased off in time for the jerk limit, never above what service allows."""
     missing = target_mps - speed_mps
     if missing < 0:
-        return max(APPROACH_PER_S * missing, -HOLD_BRAKE_MPS2 if missing > -1.0 else -1.0)
+        return max(APPROACH_PER_S * missing, -1.0)
     jerk = EASE_SHARE * float(model.vehicle.jerk_mps3)
     eased = math.sqrt(2.0 * jerk * missing) if math.isfinite(jerk) else math.inf
     return min(float(model.vehicle.max_acceleration_mps2), APPROACH_PER_S * missing, eased)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple, final
 
 from metropilot.drivers.base import AbstractDriver, register
-from metropilot.drivers.cruising import Ceiling, ceiling_acceleration, ceiling_of, model_of
+from metropilot.drivers.cruising import Ceiling, ceiling_acceleration, ceiling_of, model_of, traction_limit
 from metropilot.drivers.observer import Belief, Model, first_belief, issued, look_ahead, observe, share_for
 from metropilot.drivers.stopping import (
     comfortable_deceleration,
@@ -51,13 +51,12 @@ class FlatOut(AbstractDriver):
 
     def init(self, run: Run) -> FlatOutMemory:
         """Look at the section once."""
-        trainset = run.scenario.believed(run.trainset)
-        model = model_of(run.section, trainset, run.dt)
+        model = model_of(run, run.section)
         return FlatOutMemory(
             run=run,
             section=run.section,
             model=model,
-            ceiling=ceiling_of(model.track, trainset.safe_braking, run.dt),
+            ceiling=ceiling_of(run, run.section),
             gradient_mps2=weakest_gradient(model, run.section.length_m),
             belief=first_belief(model),
             braking_mps2=0.0,
@@ -88,13 +87,13 @@ class FlatOut(AbstractDriver):
         required, _ = required_ahead(ahead, target - ahead.position_m, curve)
         if required >= comfortable:
             return stop_command(model, belief, target, curve).share, comfortable
-        return share_for(belief, ahead, wanted), 0.0
+        return min(share_for(belief, ahead, wanted), traction_limit(belief, ahead, memory.ceiling)), 0.0
 
     def _informed(self, memory: FlatOutMemory, observation: Observation) -> FlatOutMemory:
         """Take note of a restriction announced on the way."""
         if observation.section is memory.section:
             return memory
-        trainset = memory.run.scenario.believed(memory.run.trainset)
-        model = model_of(observation.section, trainset, memory.run.dt)
-        ceiling = ceiling_of(model.track, trainset.safe_braking, memory.run.dt)
-        return memory._replace(section=observation.section, model=model, ceiling=ceiling)
+        section = observation.section
+        return memory._replace(
+            section=section, model=model_of(memory.run, section), ceiling=ceiling_of(memory.run, section)
+        )

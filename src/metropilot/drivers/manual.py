@@ -2,9 +2,9 @@
 
 It accelerates, holds a speed within a band, coasts when the clock allows, brakes and corrects near the
 stop. What makes it human: every change of the lever comes after a reaction time, the lever has notches, the
-speed is held with hysteresis, and the points where coasting and braking begin and where it means to stop are
-missed by a scatter drawn once for the run. It knows the route and the timetable as a trained driver does, by a
-coarse forecast looked at every few seconds. It keeps its eye on the platform, not on the jerk limit: the
+speed is held with hysteresis, and the points where coasting and braking begin and where it means to stop
+are missed by a scatter drawn once for the run. It knows the route and the timetable as a trained driver does,
+by a coarse forecast looked at every few seconds. It keeps its eye on the platform, not on the jerk limit: the
 last notch often lets the trainset stop with a jolt.
 
 Source: own surrogate. Huang25 compares with the best of 100 recorded drives (EITOM), which are not published;
@@ -19,7 +19,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from metropilot.drivers.base import AbstractDriver, register
-from metropilot.drivers.cruising import Ceiling, ceiling_acceleration, ceiling_of, model_of
+from metropilot.drivers.cruising import Ceiling, ceiling_acceleration, ceiling_of, model_of, traction_limit
 from metropilot.drivers.forecast import Forecast, coast_point_for, cruise_for, forecast_of, time_to_go
 from metropilot.drivers.observer import (
     Ahead,
@@ -147,9 +147,8 @@ def drawn_habits(seed: int) -> Habits:
 
 
 def _prepared(run: Run, section: Section, scheduled_s: float, habits: Habits) -> ManualMemory:
-    trainset = run.scenario.believed(run.trainset)
-    model = model_of(section, trainset, run.dt)
-    ceiling = ceiling_of(model.track, trainset.safe_braking, run.dt, HUMAN_MARGIN_MPS)
+    model = model_of(run, section)
+    ceiling = ceiling_of(run, section, HUMAN_MARGIN_MPS)
     forecast = forecast_of(model, ceiling, habits.deceleration_mps2)
     left = scheduled_s - RESERVE_S - _overhead_s(model, habits, standing=True)
     coast = section.length_m * (1.0 - habits.coast_share)
@@ -237,10 +236,9 @@ def _held(memory: ManualMemory, ahead: Ahead, limited_mps2: float) -> tuple[floa
         return -GENTLE_BRAKE, intent._replace(powering=False)
     if not powering:
         return 0.0, intent._replace(powering=False)
-    full = share_for(
-        memory.belief, ahead, min(limited_mps2, float(memory.model.vehicle.max_acceleration_mps2))
-    )
+    full = share_for(memory.belief, ahead, limited_mps2)
     share = full if missing > 6.0 * band else min(full, HOLD_NOTCH)
+    share = min(share, traction_limit(memory.belief, ahead, memory.ceiling))
     return _notched(share), intent._replace(powering=True)
 
 
