@@ -9,9 +9,8 @@ length-averaged gradient.
 Integrator: implicit midpoint in the couplers (a tridiagonal system, solved directly), outer forces held at
 the start of the substep. It is stable for any stiffness and damping, conserves momentum always and, without
 damping and outer forces, energy. :func:`substeps` gives the number that also resolves the fastest coupler
-oscillation. Brakes and resistance oppose the motion: a vehicle they would stop within the substep meets
-them as a damper that takes exactly its speed, so that they never push it back (on a gradient it then creeps
-by a few mm/s).
+oscillation. Brakes and resistance oppose the motion: where they could stop a vehicle within the substep, they
+take exactly its speed and no more, so that they hold it and never push it back.
 """
 
 from __future__ import annotations
@@ -185,16 +184,15 @@ def _substep(consist: Consist, track: Track, bodies: Bodies, force_n: Scalar, h:
     xp = namespace(v)
     mass = consist.vehicles.effective_mass_kg
     inertia = 2.0 * mass / h
-    pushing, opposing = outer_forces_n(consist, track, bodies, force_n)
-    stops = xp.abs(v) * mass < opposing * h
-    damper = xp.where(stops, inertia, 0.0)
-    outer = pushing - xp.where(stops, 0.0, opposing * xp.sign(v))
     spring = consist.stiffness_n_per_m * bodies.extension_m
     rate = consist.damping_n_s_per_m + 0.5 * h * consist.stiffness_n_per_m
     none = xp.zeros_like(mass[:1])
     before, behind = xp.concatenate([none, rate]), xp.concatenate([rate, none])
     pull = xp.concatenate([none, spring]) - xp.concatenate([spring, none])
-    middle = solve_tridiagonal(-rate, inertia + damper + before + behind, inertia * v + outer + pull)
+    pushing, opposing = outer_forces_n(consist, track, bodies, force_n)
+    driving = pushing + pull
+    holding = xp.clip(driving + mass * v / h, -opposing, opposing)
+    middle = solve_tridiagonal(-rate, inertia + before + behind, inertia * v + driving - holding)
     opening = middle[:-1] - middle[1:]
     return Bodies(
         position_m=bodies.position_m + h * middle[0],

@@ -1,0 +1,80 @@
+"""Dead time, lag and jerk limit between a command and the wheel."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from tests.physics import cases
+
+from metropilot import physics
+from metropilot.railway import Actuation
+
+DT = 0.2
+
+
+def shares_after(actuation, commands, dt=DT):
+    trainset = cases.trainset(actuation=actuation)
+    vehicle, track = cases.plant(cases.section(), trainset)
+    slots = physics.delay_steps(actuation.delay_s, dt)
+    start = physics.at_rest(vehicle, delay_steps=slots, speed_mps=10.0)
+    return np.array([float(s.share) for s in cases.drive(vehicle, track, commands, dt, start)[1:]])
+
+
+@pytest.mark.parametrize(("delay_s", "slots"), [(0.0, 0), (0.2, 1), (0.6, 3), (0.65, 4), (0.05, 1)])
+def test_a_pipeline_has_the_slots_it_needs(delay_s, slots):
+    assert physics.delay_steps(delay_s, DT) == slots
+
+
+@pytest.mark.parametrize("periods", [0, 1, 3])
+def test_a_whole_number_of_periods_is_exact(periods):
+    commands = np.random.default_rng(0).uniform(-1.0, 1.0, 30)
+    got = shares_after(Actuation(delay_s=periods * DT), commands)
+    np.testing.assert_allclose(got, np.concatenate([np.zeros(periods), commands])[:30], atol=1e-12)
+
+
+@pytest.mark.parametrize("delay_s", [0.05, 0.13, 0.5])
+def test_a_fraction_of_a_period_is_the_mean_of_the_delayed_command_over_the_step(delay_s):
+    commands = np.random.default_rng(1).uniform(-1.0, 1.0, 30)
+    got = shares_after(Actuation(delay_s=delay_s), commands)
+    fine = np.repeat(commands, 1000)
+    late = round(delay_s / DT * 1000)
+    expected = np.concatenate([np.zeros(late), fine])[: fine.size].reshape(30, 1000).mean(axis=1)
+    np.testing.assert_allclose(got, expected, atol=1e-12)
+
+
+def test_the_lag_is_exponential_for_any_period():
+    for dt in (0.05, 0.2, 0.5):
+        got = shares_after(Actuation(lag_s=0.8), np.ones(20), dt)
+        np.testing.assert_allclose(got, 1.0 - np.exp(-dt * np.arange(1, 21) / 0.8), rtol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_acceleration_changes_no_faster_than_the_jerk_limit_while_moving(seed):
+    rng = np.random.default_rng(300 + seed)
+    actuation = Actuation(
+        float(rng.uniform(0, 0.5)), float(rng.uniform(0, 0.3)), float(rng.uniform(0.3, 1.2))
+    )
+    trainset = cases.random_trainset(rng, actuation=actuation)
+    # no cap but the jerk limit: on gentle slopes the force to follow it is always there
+    section = cases.section(cases.random_steps(rng, -3.0, 3.0))
+    vehicle, track = cases.plant(section, trainset)
+    states = cases.drive(vehicle, track, cases.random_commands(rng), DT, delay_steps=3)[1:]
+    pairs = [(a, b) for a, b in pairwise(states) if b.speed_mps > 0 and available(b, vehicle)]
+    change = [abs(float(b.acceleration_mps2 - a.acceleration_mps2)) for a, b in pairs]
+    assert len(change) > 300
+    assert max(change) <= actuation.jerk_limit_mps3 * DT * (1 + 1e-9)
+    assert max(change) > 0.99 * actuation.jerk_limit_mps3 * DT
+
+
+def available(state, vehicle):
+    """Whether the wheel force was strictly inside what there is, so that only the jerk limit shaped it."""
+    f = state.forces
+    force = f.traction_n - f.electric_brake_n - f.friction_brake_n
+    earlier = state.speed_mps - state.acceleration_mps2 * DT
+    effort = physics.traction_available_n(vehicle, earlier), physics.brake_available_n(vehicle, earlier)
+    return -0.999 * effort[1] < force < 0.999 * effort[0]
+
+
+def test_a_command_out_of_range_counts_as_full():
+    commands = np.array([5.0, -7.0, 0.5])
+    np.testing.assert_array_equal(shares_after(Actuation(), commands), [1.0, -1.0, 0.5])
