@@ -1,0 +1,159 @@
+"""What every benchmark reports: rows with units, the machine, and a page written by the command."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import re
+import subprocess
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measured number.
+
+    Attributes:
+        what: What was measured.
+        value: The number, a median where it was repeated.
+        unit: Its unit.
+        ratio: The number over the benchmark's baseline, measured in the same run; None for none.
+        target: What we aim for, in words; empty for none.
+    """
+
+    what: str
+    value: float
+    unit: str
+    ratio: float | None = None
+    target: str = ""
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """A benchmark: ``measure`` takes a minute or so and returns its rows.
+
+    Attributes:
+        name: Short name, also of its section in the page.
+        title: Heading of its table.
+        packages: Distributions whose versions matter.
+        measure: Does the work.
+        note: What a reader must know about how it was measured.
+    """
+
+    name: str
+    title: str
+    packages: tuple[str, ...]
+    measure: Callable[[], list[Row]]
+    note: str = ""
+
+
+def circumstances(packages: tuple[str, ...]) -> dict[str, str]:
+    """Machine, load, date, commit and versions."""
+    commit = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    cpu = next(
+        (line.partition(":")[2].strip() for line in _cpuinfo() if line.startswith("model name")),
+        platform.processor() or platform.machine(),
+    )
+    versions = {name: version(name) for name in packages}
+    return {
+        "machine": f"{cpu}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}",
+        "date": datetime.now(UTC).date().isoformat(),
+        "commit": commit.stdout.strip() or "unknown",
+        "versions": ", ".join(
+            [f"Python {platform.python_version()}", *(f"{k} {v}" for k, v in versions.items())]
+        ),
+    }
+
+
+def _cpuinfo() -> list[str]:
+    path = Path("/proc/cpuinfo")
+    return path.read_text().splitlines() if path.exists() else []
+
+
+def number(value: float) -> str:
+    """A number with three significant digits, thousands grouped."""
+    digits = 0 if value >= 100 else 2 if value >= 1 else 4
+    rounded = float(f"{value:.3g}")
+    return f"{rounded:,.{digits}f}"
+
+
+def cells(row: Row) -> tuple[str, str, str, str, str]:
+    """A row as text."""
+    return (
+        row.what,
+        number(row.value),
+        row.unit,
+        "" if row.ratio is None else f"{number(row.ratio)} x",
+        row.target,
+    )
+
+
+HEADINGS = ("what", "value", "unit", "ratio", "target")
+
+
+def printed(benchmark: Benchmark, rows: list[Row], about: dict[str, str]) -> Table:
+    """The table for a terminal."""
+    caption = "\n".join([f"{key}: {value}" for key, value in about.items()] + [benchmark.note])
+    table = Table(*HEADINGS, title=benchmark.title, caption=caption, caption_justify="left")
+    for row in rows:
+        table.add_row(*cells(row))
+    return table
+
+
+def markdown(benchmark: Benchmark, rows: list[Row], about: dict[str, str]) -> str:
+    """The table for the page."""
+    lines = [f"## {benchmark.title}", "", "| " + " | ".join(HEADINGS) + " |", "|---|---:|---|---:|---|"]
+    lines += ["| " + " | ".join(cells(row)) + " |" for row in rows]
+    lines += ["", benchmark.note, "", "Measured on " + "; ".join(f"{k}: {v}" for k, v in about.items()) + "."]
+    return "\n".join(lines)
+
+
+def written(page: str, name: str, text: str) -> str:
+    """The page with one benchmark's section replaced, or added at its end."""
+    begin, end = f"<!-- benchmark: {name} -->", f"<!-- end: {name} -->"
+    section = f"{begin}\n{text}\n{end}"
+    pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
+    if pattern.search(page):
+        return pattern.sub(lambda _: section, page)
+    return page.rstrip() + f"\n\n{section}\n"
+
+
+def run(benchmarks: list[Benchmark], arguments: list[str] | None = None) -> None:
+    """Command line of one or more benchmarks: measure, then print, ``--json`` or ``--write PAGE``."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Measure and report.")
+    parser.add_argument("names", nargs="*", help="which: " + ", ".join(b.name for b in benchmarks))
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.add_argument(
+        "--write", type=Path, metavar="PAGE", help="replace the benchmark's section of a page"
+    )
+    options = parser.parse_args(arguments)
+    unknown = set(options.names) - {b.name for b in benchmarks}
+    if unknown:
+        parser.error(f"unknown benchmark: {', '.join(sorted(unknown))}")
+    results = []
+    for benchmark in benchmarks:
+        if options.names and benchmark.name not in options.names:
+            continue
+        about = circumstances(benchmark.packages)
+        rows = benchmark.measure()
+        results.append({"benchmark": benchmark.name, **about, "rows": [asdict(row) for row in rows]})
+        if not options.json:
+            Console().print(printed(benchmark, rows, about))
+        if options.write:
+            page = options.write.read_text() if options.write.exists() else "# Benchmarks\n"
+            options.write.write_text(written(page, benchmark.name, markdown(benchmark, rows, about)))
+    if options.json:
+        print(json.dumps(results, indent=2))
