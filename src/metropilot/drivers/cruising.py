@@ -26,6 +26,8 @@ APPROACH_PER_S = 0.8
 """Acceleration for each m/s below the speed to hold."""
 EASE_SHARE = 0.4
 """Jerk at which traction is eased off before the speed is reached, over the trainset's limit."""
+REACTION_S = 1.0
+"""Time before protection's emergency brake acts, at most: the way gone in it counts for an acceleration."""
 SPACING_M = 2.0
 BEYOND_M = 100.0
 ACCELERATIONS_MPS2 = np.linspace(0.0, 1.5, 16)
@@ -123,7 +125,8 @@ def traction_limit(belief: Belief, ahead: Ahead, ceiling: Ceiling) -> float:
         ceiling: Speeds to keep under.
     """
     drag = ahead.resistance_mps2 + ahead.gradient_mps2
-    here = ceiling.acceleration_under(ceiling.at(belief.position_m) - belief.speed_mps)
+    here_mps = ceiling.at(belief.position_m, REACTION_S * belief.speed_mps)
+    here = ceiling.acceleration_under(here_mps - belief.speed_mps)
     there = ceiling.acceleration_under(ceiling.at(ahead.position_m) - ahead.speed_mps)
     believed = ahead.traction_mps2 / belief.traction_gain
     return min(max((min(here, there) + drag) / believed, drag / ahead.traction_mps2, 0.0), 1.0)

@@ -40,6 +40,7 @@ INCH_M = 0.2
 """A trainset that would stand nearer to the target than this is left to stand."""
 HOLD_MPS2 = 0.1
 """Least deceleration asked for to stand."""
+BISECTIONS = 20
 STRONGEST_MPS2 = 3.0
 """Larger than any brake: where the target is too near to stop at."""
 
@@ -164,7 +165,7 @@ def required_deceleration(
         now, left = release(v, s, e, final_mps)
         return now, (now - e) / left
     low, high = 0.0, top
-    for _ in range(30):
+    for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         if braking_distance(v, curve._replace(deceleration_mps2=middle), final_mps) > s:
             low = middle

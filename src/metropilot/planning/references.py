@@ -103,7 +103,11 @@ class Reference:
         k = np.clip(np.searchsorted(self.time_s, t, side="right") - 1, 0, self.time_s.size - 1)
         d, v, a, j = t - self.time_s[k], self.speed_mps[k], self.acceleration_mps2[k], self.jerk_mps3[k]
         position = self.position_m[k] + d * (v + d * (a / 2 + d * j / 6))
-        return position, np.maximum(v + d * (a + d * j / 2), 0.0), a + d * j
+        return (
+            np.asarray(position),
+            np.asarray(np.maximum(v + d * (a + d * j / 2), 0.0)),
+            np.asarray(a + d * j),
+        )
 
     def time_at(self, position_m: Float[ndarray, "*places"] | float) -> ndarray:
         """Time at which each position is passed, s (bisection: position never falls)."""

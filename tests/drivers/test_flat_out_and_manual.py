@@ -1,0 +1,92 @@
+"""The two drivers on the real line, under protection."""
+
+import numpy as np
+import pytest
+
+from metropilot.drivers import DRIVERS
+from metropilot.evaluate import drive
+from metropilot.planning import minimum_running_time
+from metropilot.railway import Restriction, load_line, load_trainset
+from metropilot.task import News, Outcome, Run, Scenario
+
+UNKNOWN = {"resistance_factor": 1.5, "extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
+
+
+@pytest.fixture(scope="module")
+def dkz32():
+    return load_trainset("dkz32")
+
+
+def section(name):
+    return load_line("yizhuang").section(*name.split("-"))
+
+
+def driven(driver, run):
+    done = drive(run, DRIVERS.make(driver))
+    return done, float(done.trajectory.position_m[-1]) - run.section.length_m
+
+
+@pytest.mark.parametrize("name", ["WYJ-RJ", "XC-SJZ", "CQN-JHL"])
+@pytest.mark.parametrize("ideal", [True, False])
+def test_flat_out_is_nearly_the_fastest_run_and_undisturbed(dkz32, name, ideal):
+    run = Run(section(name), dkz32, 200.0, Scenario(ideal_actuation=ideal))
+    done, error = driven("flat_out", run)
+    assert done.outcome is Outcome.ARRIVED
+    assert (done.interventions, done.max_overspeed_mps) == (0, 0.0)
+    assert abs(error) < 0.05
+    assert done.running_time_s < 1.06 * minimum_running_time(run.section, dkz32)
+    assert done.trajectory.acceleration_mps2.max() < 1.02
+    if not ideal:
+        assert np.abs(done.trajectory.jerk_mps3).max() <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("mass", [0.8, 1.2])
+def test_flat_out_stops_a_trainset_it_does_not_know(dkz32, mass):
+    run = Run(section("RC-RJ"), dkz32, 200.0, Scenario(mass_factor=mass, **UNKNOWN))
+    done, error = driven("flat_out", run)
+    assert done.outcome is Outcome.ARRIVED
+    assert (done.interventions, done.max_overspeed_mps) == (0, 0.0)
+    assert abs(error) < 0.2
+
+
+def test_flat_out_slows_for_a_restriction_announced_on_the_way(dkz32):
+    news = News(at_s=10.0, restriction=Restriction(700.0, 900.0, 10.0))
+    run = Run(section("RC-RJ"), dkz32, 200.0, Scenario(news=(news,)))
+    done, _ = driven("flat_out", run)
+    assert done.outcome is Outcome.ARRIVED
+    assert done.interventions == 0
+    inside = (done.trajectory.position_m > 700.0) & (done.trajectory.position_m < 900.0)
+    assert 9.0 < done.trajectory.speed_mps[inside].max() <= 10.0
+
+
+# 8 runs here; 26 sections x 7 seeds by hand: all within 3 s (extremes -2.1 and 2.9) and 0.15 m.
+@pytest.mark.parametrize(
+    ("name", "seed"), [("RJ-WYJ", 0), ("RJ-WYJ", 1), ("XHM-JG", 2), ("JHL-CQN", 3), ("SJZ-XC", 4)]
+)
+def test_manual_arrives_on_time_and_at_the_stop(dkz32, name, seed):
+    where = section(name)
+    assert where.planned_time_s is not None
+    done, error = driven("manual", Run(where, dkz32, where.planned_time_s, seed=seed))
+    assert done.outcome is Outcome.ARRIVED
+    assert (done.interventions, done.max_overspeed_mps) == (0, 0.0)
+    assert abs(done.running_time_s - where.planned_time_s) < 3.0
+    assert abs(error) < 0.3
+
+
+def test_manual_moves_a_notched_lever_after_a_reaction_time(dkz32):
+    done, _ = driven("manual", Run(section("RJ-WYJ"), dkz32, 101.0, seed=5))
+    command = done.trajectory.command
+    notches = command / np.where(command > 0, 0.25, 0.05)
+    assert np.allclose(notches, np.round(notches), atol=1e-9)
+    changes = np.flatnonzero(np.diff(command) != 0) * 0.2
+    assert changes[0] >= 0.4 - 1e-9
+    assert np.diff(changes).min() >= 0.2 - 1e-9
+
+
+def test_manual_is_one_driver_per_seed(dkz32):
+    runs = [Run(section("RJ-WYJ"), dkz32, 101.0, seed=seed) for seed in (1, 1, 2)]
+    first, again, other = (drive(run, DRIVERS.make("manual")).trajectory for run in runs)
+    assert np.array_equal(first.position_m, again.position_m)
+    assert first.position_m.shape != other.position_m.shape or not np.array_equal(
+        first.position_m, other.position_m
+    )

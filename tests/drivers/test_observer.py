@@ -1,0 +1,77 @@
+"""The observer learns a plant it was not told about from a drive of half a minute."""
+
+import numpy as np
+import pytest
+
+from metropilot.drivers.observer import Model, first_belief, issued, look_ahead, observe, share_for
+from metropilot.physics import Command, at_rest, delay_steps, step, track_arrays, vehicle_arrays
+from metropilot.railway import load_line, load_trainset
+from metropilot.task import Scenario
+
+DT = 0.2
+
+
+def driven(scenario, commands):
+    """Beliefs and states of a trainset under given commands."""
+    trainset, section = load_trainset("dkz32"), load_line("yizhuang").section("RC", "RJ")
+    model = Model(vehicle_arrays(trainset), track_arrays(section, trainset), DT)
+    actual = scenario.actual(trainset)
+    vehicle, track = vehicle_arrays(actual), track_arrays(section, actual)
+    state = at_rest(vehicle, delay_steps=delay_steps(float(vehicle.delay_s), DT))
+    belief, rng, rows = first_belief(model), np.random.default_rng(7), []
+    for command in commands:
+        noise = scenario.speed_noise_mps * np.clip(rng.standard_normal(), -3, 3)
+        speed = max(float(state.speed_mps + noise), 0.0)
+        belief = observe(model, belief, float(state.position_m), speed, float(state.acceleration_mps2))
+        belief = issued(belief, command)
+        rows.append((belief, state))
+        state = step(vehicle, track, state, Command(np.float64(command), False), DT)
+    return model, rows
+
+
+COMMANDS = np.repeat([1.0, 0.0, 0.6, 0.0, -0.5, -0.7], 25)
+
+
+@pytest.mark.parametrize("mass", [0.8, 1.0, 1.2])
+def test_gains_delay_and_resistance_are_learned(mass):
+    scenario = Scenario(
+        mass_factor=mass, resistance_factor=1.5, extra_delay_s=0.6, extra_lag_s=0.4, speed_noise_mps=0.05
+    )
+    _, rows = driven(scenario, COMMANDS)
+    belief = rows[-1][0]
+    assert belief.traction_gain == pytest.approx(1 / mass, rel=0.03)
+    # The brake weighs its load: 100 % is the service rate whatever the mass.
+    assert belief.brake_gain == pytest.approx(1.0, rel=0.05)
+    assert belief.resistance_factor == pytest.approx(1.5 / mass, rel=0.15)
+    assert belief.bank.delay_steps[belief.best] == 3
+    assert belief.bank.keep[belief.best] == pytest.approx(np.exp(-DT / 0.4))
+
+
+def test_speed_is_filtered_tenfold():
+    _, rows = driven(Scenario(speed_noise_mps=0.05), COMMANDS)
+    errors = [belief.speed_mps - float(state.speed_mps) for belief, state in rows[20:]]
+    assert np.std(errors) < 0.01
+    assert np.abs(errors).max() < 0.02
+
+
+def test_look_ahead_predicts_the_state_the_command_will_meet():
+    scenario = Scenario(mass_factor=1.2, extra_delay_s=0.6, extra_lag_s=0.4)
+    model, rows = driven(scenario, COMMANDS)
+    # The belief kept in a row has the command just given; look at the moment before.
+    (belief, _), (_, later) = rows[100], rows[103]
+    ahead = look_ahead(model, belief._replace(commands=np.append(belief.commands[1:], 0.0)))
+    assert ahead.seconds == pytest.approx(0.6)
+    assert ahead.position_m == pytest.approx(float(later.position_m), abs=0.02)
+    assert ahead.speed_mps == pytest.approx(float(later.speed_mps), abs=0.02)
+
+
+def test_share_for_gives_the_acceleration_asked_for():
+    model, rows = driven(Scenario(ideal_actuation=False), COMMANDS)
+    belief, state = rows[60]
+    ahead = look_ahead(model, belief)
+    share = share_for(belief, ahead, 0.3)
+    after = step(model.vehicle, model.track, state, Command(np.float64(share), False), DT)
+    # Within what the jerk limit lets change in one period.
+    limit = float(model.vehicle.jerk_mps3) * DT
+    wanted = np.clip(0.3, state.acceleration_mps2 - limit, state.acceleration_mps2 + limit)
+    assert float(after.acceleration_mps2) == pytest.approx(float(wanted), abs=0.01)
