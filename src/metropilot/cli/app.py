@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -69,7 +69,7 @@ def _run(arguments: list[str]) -> int:
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
-    app.callback(invoke_without_command=True, help=SUMMARY)(_root)
+    app.callback(help=SUMMARY)(_root)
     for name, (module, summary) in COMMANDS.items():
         if name == wanted:
             found = import_module(module)
@@ -77,7 +77,9 @@ def _run(arguments: list[str]) -> int:
             app.command(name, epilog=epilog)(getattr(found, f"{name}_command"))
         else:
             app.command(name, help=summary)(_stub)
-    code = app(arguments, prog_name="metropilot", standalone_mode=False)
+    code = app(arguments or ["--help"], prog_name="metropilot", standalone_mode=False)
+    if not arguments:
+        return BAD_INPUT
     return code if isinstance(code, int) else 0
 
 
@@ -85,15 +87,18 @@ def _stub() -> None:
     """A command that is listed but not called."""
 
 
-def _root(
-    context: typer.Context, *, version: bool = typer.Option(False, "--version", help="Print the version.")
-) -> None:
-    if version:
+def _say_version(wanted: bool) -> None:
+    if wanted:
         typer.echo(f"metropilot {metropilot.__version__}")
         raise typer.Exit
-    if context.invoked_subcommand is None:
-        typer.echo(context.get_help())
-        raise typer.Exit(BAD_INPUT)
+
+
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_say_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Options of the program itself."""
 
 
 def _usage(error: typer.TyperException, arguments: list[str]) -> str:

@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from metropilot.evaluate import Entry, Kpis, Request
 
 SHOWN: tuple[tuple[str, str, float, int], ...] = (
-    ("time_error_s", "time error s", 1.0, 2),
-    ("stopping_error_m", "stop error cm", 100.0, 1),
+    ("time_error_s", "time s", 1.0, 2),
+    ("stopping_error_m", "stop cm", 100.0, 1),
     ("energy_wheel_kwh", "wheel kWh", 1.0, 2),
     ("energy_line_kwh", "line kWh", 1.0, 2),
-    ("optimality_gap_percent", "to optimum %", 1.0, 2),
+    ("optimality_gap_percent", "optimum %", 1.0, 2),
     ("max_jerk_mps3", "jerk m/s³", 1.0, 2),
     ("comfort_huang2025", "Σ|Δu|", 1.0, 2),
     ("regime_switches", "switches", 1.0, 0),
-    ("decision_time_us_median", "decision µs", 1.0, 0),
+    ("decision_time_us_median", "µs", 1.0, 0),
 )
 MAX_SEEDS = 10_000
 EXAMPLES = {
@@ -137,8 +137,10 @@ def report(request: Request, entries: Sequence[Entry], seeds: int) -> None:
     columns = ["driver", "outcome", *(words for _, words, _, _ in SHOWN)]
     out = console()
     out.print(table(title, columns, rows, right=range(2, len(columns))))
+    legend = "time and stop: error; optimum: energy above it for the time achieved; µs: time of a decision"
+    out.print(legend + ("; small: 95 % interval over the seeds" if seeds > 1 else ""), style="dim")
     if any(winners.values()):
-        out.print("* best of those that arrived safely and on time", style="dim")
+        out.print("* best of those that always arrived safely and on time", style="dim")
 
 
 def _cell(entry: Entry, name: str, factor: float, digits: int, winner: str | None) -> str | Text:
@@ -147,10 +149,14 @@ def _cell(entry: Entry, name: str, factor: float, digits: int, winner: str | Non
     found = entry.interval(name)
     if found is None:
         return number(None)
-    text = f"{factor * found.mean:.{digits}f}"
+    text = Text(f"{factor * found.mean:.{digits}f}")
+    if winner == entry.driver:
+        text = Text(f"*{text}", style="bold green")
     if found.high > found.low:
-        text += f" [{factor * found.low:.{digits}f}, {factor * found.high:.{digits}f}]"
-    return Text(f"*{text}", style="bold green") if winner == entry.driver else text
+        text.append(
+            f"\n{factor * found.low:.{digits}f} … {factor * found.high:.{digits}f}", style="not bold dim"
+        )
+    return text
 
 
 def _outcomes(entry: Entry) -> str:
@@ -158,7 +164,7 @@ def _outcomes(entry: Entry) -> str:
     said = [verdict(k) for k in entry.kpis]
     if len(said) == 1:
         return said[0]
-    return ", ".join(f"{said.count(word)} {word}" for word in dict.fromkeys(said))
+    return "\n".join(f"{said.count(word)} {word}" for word in dict.fromkeys(said))
 
 
 def verdict(kpis: Kpis) -> str:

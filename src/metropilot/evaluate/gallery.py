@@ -45,7 +45,7 @@ def comparison_figure(entries: Sequence[Entry]) -> Figure:
         entries: At least one; all on the same run.
     """
     with house_style():
-        figure, (speed, gradient, energy) = new_panels(8.4, 6.6, (10, 2.2, 5))
+        figure, (speed, gradient, energy) = new_panels(8.4, 6.6, (10.0, 2.2, 5.0))
         first = entries[0].drives[0]
         draw_limits(speed, first.section, first.trainset)
         if entries[0].optimum is not None:
@@ -113,7 +113,7 @@ def front_figure(section: Section, front: Front, planned: Plan | None, words: st
         objective: ``wheel`` or ``line``.
     """
     with house_style():
-        figure, (axes,) = new_panels(6.4, 4.6, (1,))
+        figure, (axes,) = new_panels(6.4, 4.6, (1.0,))
         energy = front.energy_j / J_PER_KWH
         axes.plot(front.time_s, energy, color=BLUE, marker="o", ms=4, label="optimal plan")
         axes.axvline(front.minimum_s, color=VERMILION, lw=1.1, ls=(0, (4, 2)))
@@ -176,7 +176,7 @@ def plan_figure(section: Section, trainset: Trainset, plan: Plan, calls: Sequenc
         calls: Stops on the way of a journey.
     """
     with house_style():
-        figure, (speed, gradient, energy) = new_panels(13.0 if calls else 8.4, 5.6, (10, 2.2, 4))
+        figure, (speed, gradient, energy) = new_panels(13.0 if calls else 8.4, 5.6, (10.0, 2.2, 4.0))
         draw_limits(speed, section, trainset)
         at, profile = fine_profile(plan.position_m, KMH * plan.speed_mps)
         speed.plot(at, profile, color=BLUE, label="optimal plan")

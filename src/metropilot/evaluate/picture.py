@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH_IN, HEIGHT_IN = 8.4, 7.2
-HEIGHTS = (10, 2.2, 2.6, 4.2)
+HEIGHTS = (10.0, 2.2, 2.6, 4.2)
 J_PER_KWH = 3.6e6
 
 
@@ -221,6 +221,6 @@ def draw_energy(axes: Axes, drive: Drive, optimum: Optimum | None, kpis: Kpis) -
         ls=(0, (5, 2)),
         label="driven, net at the line",
     )
-    axes.set_ylim(0, 1.22 * axes.get_ylim()[1])
+    axes.set_ylim(0, 1.35 * axes.get_ylim()[1])
     axes.set_ylabel("energy (kWh)")
     axes.legend(loc="upper left", borderaxespad=0.2, labelspacing=0.3)

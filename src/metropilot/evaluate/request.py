@@ -80,12 +80,16 @@ class Request:
 
     def section(self) -> Section:
         """The section with every restriction known before departure."""
-        section = load_line(self.line).section(self.origin, self.destination)
+        section = self.open_section()
         for text in self.restrictions:
             restriction, at_s = parse_restriction(text, section)
             if at_s is None:
                 section = section.restricted(restriction)
         return section
+
+    def open_section(self) -> Section:
+        """The section without temporary restrictions."""
+        return load_line(self.line).section(self.origin, self.destination)
 
     def scenario(self, section: Section) -> Scenario:
         """What the driver is not told, and what it is told on the way."""
@@ -107,7 +111,8 @@ class Request:
 
         Raises:
             InputError: Something in the request cannot be used.
-            Infeasible: The scheduled time is below the minimum running time, which the message names.
+            Infeasible: The scheduled time is below the minimum running time, which the message names. A
+                temporary restriction that costs more than the reserve is no such case: the run will be late.
         """
         section, trainset = self.section(), self.loaded()
         time_s = self.time_s if self.time_s is not None else section.planned_time_s
@@ -116,7 +121,7 @@ class Request:
                 f"the line plans no running time for {section.name}; give one", field="time", allowed="> 0 s"
             )
         run = Run(section, trainset, time_s, self.scenario(section), self.dt_s, self.seed)
-        fastest = minimum_running_time(section, trainset)
+        fastest = minimum_running_time(self.open_section(), trainset)
         if time_s < fastest:
             raise Infeasible(
                 f"minimum running time is {fastest:.1f} s",

@@ -39,7 +39,7 @@ class Drive:
         max_overspeed_mps: Largest excess over the limit in force, 0 if none.
         recovered_j: Energy given back to the line.
         decision_us: Time the driver took for each decision, microseconds.
-        overruled: Whether protection overruled the driver in each step.
+        overruled: Whether protection overruled the driver in each step; a command that is no number counts.
     """
 
     run: Run
@@ -121,7 +121,7 @@ class _Loop:
             scheduled_time_s=self.scheduled_time_s,
             section=self.section,
             trainset=self.trainset,
-            interventions=int(self.watched.interventions),
+            interventions=int((np.diff(self.overruled, prepend=False) & self.overruled).sum()),
             max_overspeed_mps=over,
             recovered_j=float(self.state.recovered_j),
             decision_us=np.array(self.decision_us),
@@ -167,7 +167,7 @@ class _Loop:
         wanted = Command(float(share), False)
         seen = observation.position_m, observation.speed_mps
         command, self.watched, verdict = supervise(self.protection, self.watched, *seen, wanted)
-        self.overruled.append(bool(verdict.level > 0))
+        self.overruled.append(bool(verdict.level > 0 or not np.isfinite(wanted.share)))
         was_moving = self.state.speed_mps > 0
         self.state = step(self.vehicle, self.track, self.state, command, self.run.dt)
         if was_moving and self.state.speed_mps <= 0:

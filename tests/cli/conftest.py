@@ -1,0 +1,43 @@
+"""The command line in this process and as a user's program."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from metropilot.cli import main
+
+
+class Said(NamedTuple):
+    """What a command answered."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def metropilot(capsys):
+    """Run one command in this process (faster than a program of its own)."""
+
+    def run(*arguments):
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            main([str(a) for a in arguments])
+        return Said(stop.value.code or 0, *capsys.readouterr())
+
+    return run
+
+
+@pytest.fixture
+def program(tmp_path):
+    """Run one command as a program, as a user does."""
+
+    def run(*arguments, **more):
+        command = [Path(sys.executable).with_name("metropilot"), *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, **more)
+        return Said(done.returncode, done.stdout, done.stderr)
+
+    return run

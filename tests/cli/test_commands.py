@@ -1,0 +1,180 @@
+"""Every command: what it prints, its JSON, its files, its exit code."""
+
+import json
+import shlex
+from importlib import import_module
+
+import pytest
+
+from metropilot.cli.app import COMMANDS
+from metropilot.drivers import DRIVERS
+from metropilot.evaluate import COLUMNS
+
+RUN = ("yizhuang", "RJ", "WYJ", "--time", "101")
+EXAMPLES = {
+    line: name for name, (module, _) in COMMANDS.items() for line in import_module(module).EXAMPLES[name]
+}
+
+
+def answer(said, code=0):
+    assert said.code == code, said
+    assert said.err == ""
+    return json.loads(said.out)
+
+
+def test_drive_prints_kpis(metropilot):
+    said = metropilot("drive", *RUN, "--driver", "flat_out")
+    assert said.code == 1
+    assert "arrived 13." in said.out
+    assert "FAILED" in said.out
+
+
+def test_drive_json_and_folder_agree(metropilot, tmp_path):
+    kpis = answer(metropilot("drive", *RUN, "--driver", "flat_out", "--out", tmp_path, "--json"), 1)
+    assert kpis == json.loads((tmp_path / "kpis.json").read_text())
+    assert kpis["outcome"] == "arrived"
+    assert (tmp_path / "trajectory.csv").read_text().splitlines()[0].split(",") == list(COLUMNS)
+    again = answer(metropilot("drive", "--from", tmp_path / "run.toml", "--json"), 1)
+    del kpis["decision_time_us_median"], again["decision_time_us_median"]
+    assert again == kpis
+
+
+def test_drive_on_time_is_zero(metropilot):
+    fast = answer(metropilot("drive", *RUN, "--driver", "flat_out", "--json"), 1)
+    on_time = str(round(fast["running_time_s"]))
+    said = metropilot("drive", *RUN[:3], "--time", on_time, "--driver", "flat_out")
+    assert said.code == 0
+    assert "arrived safely and on time" in said.out
+
+
+def test_compare(metropilot, tmp_path):
+    table = answer(metropilot("compare", *RUN, "--drivers", "flat_out,manual", "--out", tmp_path, "--json"))
+    assert [d["driver"] for d in table["drivers"]] == ["flat_out", "manual"]
+    assert table["run"]["time_s"] == 101.0
+    assert (tmp_path / "comparison.png").stat().st_size > 10_000
+    said = metropilot("compare", *RUN, "--drivers", "flat_out,manual", "--seeds", "2")
+    assert said.code == 0
+    assert "early" in said.out
+    assert "95 % interval" in said.out
+
+
+def test_plan_of_a_run(metropilot, tmp_path):
+    plan = answer(metropilot("plan", *RUN, "--out", tmp_path, "--json"))
+    assert plan["running_time_s"] == pytest.approx(101, abs=0.01)
+    assert abs(plan["certificate_gap_percent"]) < 0.1
+    assert plan["bound_kwh"] <= plan["energy_kwh"] * (1 + 1e-6)
+    assert len({len(plan["profile"][k]) for k in ("position_m", "time_s", "speed_mps")}) == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["plan.csv", "plan.json", "plan.png", "plan.svg"]
+
+
+def test_plan_of_a_run_on_the_screen(metropilot):
+    assert "lower bound" in metropilot("plan", *RUN).out
+
+
+def test_front_falls(metropilot):
+    table = answer(metropilot("plan", *RUN[:3], "--front", "--json"))
+    energy = [point["energy_kwh"] for point in table["front"]]
+    assert energy == sorted(energy, reverse=True)
+
+
+def test_journey_keeps_the_timetable_or_spreads_the_total(metropilot):
+    kept = answer(metropilot("plan", "yizhuang", "WHY", "RC", "--stopping", "--json"))
+    assert [c["name"] for c in kept["calls"]] == ["WHY", "WYJ", "RJ", "RC"]
+    total = kept["calls"][-1]["arrival_s"]
+    spread = answer(metropilot("plan", "yizhuang", "WHY", "RC", "--stopping", "--time", total, "--json"))
+    assert spread["energy_kwh"] < kept["energy_kwh"]
+
+
+def test_journey_file(metropilot, tmp_path):
+    from metropilot.railway import load_line, planned_journey, write_journey
+
+    write_journey(planned_journey(load_line("yizhuang")), tmp_path / "journey.toml")
+    table = answer(metropilot("plan", "yizhuang", "--journey", tmp_path / "journey.toml", "--json"))
+    assert len(table["calls"]) == 14
+
+
+@pytest.mark.parametrize("name", ["lines", "trainsets", "drivers"])
+def test_catalogue(metropilot, name):
+    rows = answer(metropilot(name, "--json"))
+    text = metropilot(name).out
+    assert rows
+    for row in rows:
+        assert row["id"] in text
+
+
+def test_drivers_are_the_registry(metropilot):
+    assert [d["id"] for d in answer(metropilot("drivers", "--json"))] == list(DRIVERS.ids())
+
+
+@pytest.mark.parametrize(
+    ("what", "kind", "words"),
+    [
+        ("yizhuang", "line", "Songjiazhuang"),
+        ("yizhuang-ttobench", "line", "9247"),
+        ("dkz32:AW2", "trainset", "electric brake kN"),
+        ("flat_out", "driver", "source: own"),
+    ],
+)
+def test_show(metropilot, what, kind, words):
+    assert answer(metropilot("show", what, "--json"))["kind"] == kind
+    assert words in metropilot("show", what).out
+
+
+def test_show_a_run_and_a_file(metropilot, tmp_path):
+    from metropilot.railway import load_trainset, write_trainset
+
+    metropilot("drive", *RUN, "--driver", "flat_out", "--out", tmp_path / "run")
+    assert answer(metropilot("show", tmp_path / "run", "--json"))["result"]["outcome"] == "arrived"
+    assert "running_time_s" in metropilot("show", tmp_path / "run").out
+    write_trainset(load_trainset("dkz32"), tmp_path / "mine.toml")
+    assert answer(metropilot("show", tmp_path / "mine.toml", "--json"))["id"] == "dkz32"
+
+
+def test_import_writes_toml_that_drives(metropilot, tmp_path):
+    from metropilot.railway import export_ttobench, load_line
+
+    source = tmp_path / "track.json"
+    export_ttobench(load_line("yizhuang-ttobench"), source)
+    table = answer(metropilot("import", source, "--out", tmp_path / "mine.toml", "--json"))
+    assert table["kind"] == "line"
+    assert any("stations" in words for words in table["used"])
+    said = metropilot("import", source, "--out", tmp_path / "mine.toml")
+    assert said.code == 2
+    assert "exists" in said.err
+    assert metropilot("import", source, "--out", tmp_path / "mine.toml", "--force").code == 0
+    assert metropilot("show", tmp_path / "mine.toml").code == 0
+
+
+def test_help_lists_what_the_commands_say(metropilot):
+    text = " ".join(metropilot("--help").out.replace("│", " ").split())
+    for name, (module, summary) in COMMANDS.items():
+        body = getattr(import_module(module), f"{name}_command")
+        assert body.__doc__.splitlines()[0] == summary
+        assert summary in text
+        own = metropilot(name, "--help").out
+        assert "--json" in own
+        assert "Examples" in own
+
+
+def test_version(metropilot):
+    import metropilot as package
+
+    assert metropilot("--version").out.split() == ["metropilot", package.__version__]
+
+
+def test_nothing_asked_shows_the_help(metropilot):
+    said = metropilot()
+    assert said.code == 2
+    assert "Commands" in said.out
+
+
+@pytest.mark.parametrize(
+    "line", [e for e in EXAMPLES if "--from" not in e and "import" not in e and ".toml" not in e]
+)
+def test_examples_in_the_help_run(metropilot, monkeypatch, tmp_path, line):
+    monkeypatch.chdir(tmp_path)
+    if line == "metropilot show drive":
+        metropilot("drive", *RUN, "--driver", "flat_out", "--out", "drive")
+    said = metropilot(*shlex.split(line)[1:])
+    assert said.code in (0, 1), said.err
+    assert said.err == ""

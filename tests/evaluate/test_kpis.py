@@ -1,0 +1,101 @@
+"""KPIs of whole drives: the contract of `kpis.json`, the optimum, the verdict."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+
+from metropilot.evaluate import checks, drive, kpis_of, optimum_of, to_json
+from metropilot.task import Outcome
+
+DESIGN = (
+    "outcome",
+    "mass_kg",
+    "effective_mass_kg",
+    "running_time_s",
+    "scheduled_time_s",
+    "time_error_s",
+    "stopping_error_m",
+    "energy_wheel_kwh",
+    "energy_regenerated_kwh",
+    "energy_line_kwh",
+    "optimal_energy_kwh",
+    "optimality_gap_percent",
+    "max_overspeed_mps",
+    "interventions",
+    "max_acceleration_mps2",
+    "max_jerk_mps3",
+    "comfort_huang2025",
+    "jerk_cheng2023_mps3",
+    "regime_switches",
+    "decision_time_us_median",
+)
+
+
+@pytest.fixture(scope="module")
+def driven():
+    from metropilot.evaluate import Request
+
+    request = Request("yizhuang", "RJ", "WYJ", 101.0, driver="flat_out")
+    return drive(request.run(), request.make_driver())
+
+
+def test_contract(driven):
+    kpis = kpis_of(driven, optimum_of(driven)).as_dict()
+    assert set(DESIGN) <= set(kpis)
+    assert all(kpis[name] is not None for name in DESIGN)
+    assert json.loads(to_json(kpis)) == kpis
+
+
+def test_values_agree_with_the_trajectory(driven):
+    kpis, t = kpis_of(driven, optimum_of(driven)), driven.trajectory
+    assert kpis.mass_kg == 194_295
+    assert kpis.energy_wheel_kwh == pytest.approx(t.energy_wheel_j[-1] / 3.6e6)
+    assert kpis.time_error_s == pytest.approx(t.time_s[-1] - 101)
+    assert kpis.stopping_error_m == pytest.approx(t.position_m[-1] - 1280)
+    assert kpis.energy_effort_kwh > kpis.energy_wheel_kwh > kpis.optimal_energy_kwh
+    assert kpis.minimum_running_time_s <= kpis.running_time_s
+    # Flat out the highest speed is the only peak but for the platform zone's short hold.
+    assert kpis.energy_huang2025_jpkg == pytest.approx(kpis.max_speed_mps**2, rel=0.02)
+
+
+@pytest.mark.parametrize("objective", ["wheel", "line"])
+def test_the_optimum_is_below_the_drive_and_certified(driven, objective):
+    optimum = optimum_of(driven, objective)
+    kpis = kpis_of(driven, optimum, objective)
+    assert kpis.energy_objective == objective
+    assert kpis.optimality_gap_percent > 5
+    assert kpis.bound_energy_kwh <= kpis.optimal_energy_kwh * (1 + 1e-6)
+    assert abs(kpis.certificate_gap_percent) < 0.1
+    assert optimum.plan.running_time_s == pytest.approx(kpis.running_time_s, abs=1e-2)
+
+
+def test_early_is_arrived_but_no_success(driven):
+    kpis = kpis_of(driven, optimum_of(driven))
+    assert (kpis.outcome, kpis.safe, kpis.punctual, kpis.success) == ("arrived", True, False, False)
+    failed = [check.name for check in checks(kpis) if not check.passed]
+    assert failed == ["on time"]
+
+
+def test_what_did_not_arrive_has_no_optimum(driven):
+    lost = replace(driven, outcome=Outcome.OUT_OF_TIME)
+    kpis = kpis_of(lost, optimum_of(lost))
+    assert kpis.optimal_energy_kwh is None
+    assert kpis.optimality_gap_percent is None
+    assert {c.name: c.passed for c in checks(kpis)}["stops at the mark"] is False
+
+
+def test_overspeed_is_unsafe(driven):
+    kpis = kpis_of(replace(driven, outcome=Outcome.OVERSPEED, max_overspeed_mps=1.0), None)
+    assert not kpis.safe
+    assert not kpis.success
+    assert {c.name: c.passed for c in checks(kpis)}["no overspeed"] is False
+
+
+def test_json_has_no_infinities():
+    assert json.loads(to_json({"a": math.inf, "b": [math.nan, 1.0], "c": {"d": -math.inf}})) == {
+        "a": None,
+        "b": [None, 1.0],
+        "c": {"d": None},
+    }

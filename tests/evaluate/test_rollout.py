@@ -1,0 +1,109 @@
+"""The host loop: outcomes, news, noise, and protection's last word."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from metropilot.evaluate import drive
+from metropilot.evaluate.recorder import limit_at, step_overspeed
+from metropilot.physics import at_rest, track_arrays, vehicle_arrays
+from metropilot.railway import Restriction
+from metropilot.task import News, Outcome, Scenario
+
+
+def test_flat_out_arrives(request_rj):
+    driven = drive(request_rj.run(), request_rj.make_driver())
+    assert driven.outcome is Outcome.ARRIVED
+    assert abs(driven.trajectory.position_m[-1] - driven.section.length_m) <= 0.3
+    assert driven.running_time_s == driven.trajectory.time_s[-1]
+    assert driven.decision_us.size == driven.overruled.size == len(driven.trajectory) - 1
+
+
+def test_who_never_departs_stalls(request_rj, scripted):
+    driven = drive(request_rj.run(), scripted(lambda _: 0.0))
+    assert driven.outcome is Outcome.STALLED
+    assert driven.trajectory.position_m[-1] == 0.0
+    assert 20 < driven.trajectory.time_s[-1] < 21
+
+
+def test_who_never_brakes_overshoots_and_is_kept_under_the_limit(request_rj, scripted):
+    driven = drive(request_rj.run(), scripted(lambda _: 1.0))
+    assert driven.outcome is Outcome.OVERSHOT
+    assert driven.max_overspeed_mps == 0.0
+    assert driven.interventions > 0
+    assert driven.overruled.any()
+
+
+def test_who_creeps_runs_out_of_time(request_rj, scripted):
+    driven = drive(request_rj.run(), scripted(lambda o: 0.3 if o.speed_mps < 0.5 else 0.0))
+    assert driven.outcome is Outcome.OUT_OF_TIME
+    assert driven.trajectory.time_s[-1] == pytest.approx(322, abs=0.5)
+
+
+def test_a_driver_that_says_nan_is_braked(request_rj, scripted):
+    driven = drive(request_rj.run(), scripted(lambda o: 1.0 if o.time_s < 10 else float("nan")))
+    t = driven.trajectory
+    assert t.command[t.time_s >= 10].max() == -1.0
+    assert driven.interventions == 1
+    assert driven.outcome is Outcome.STALLED
+
+
+def test_speed_noise_is_cut_and_repeats_itself(request_rj, scripted):
+    run = replace(request_rj.run(), scenario=Scenario(speed_noise_mps=0.05), seed=3)
+    seen = []
+    for _ in range(2):
+        driver = scripted(lambda o: 0.5 if o.time_s < 15 else -0.3)
+        driven = drive(run, driver)
+        true = driven.trajectory.speed_mps[:-1]
+        measured = np.array([o.speed_mps for o in driver.seen])
+        moving = true > 0.2
+        assert np.abs(measured - true)[moving].max() <= 0.15 + 1e-12
+        assert np.std((measured - true)[moving]) == pytest.approx(0.05, rel=0.3)
+        assert (measured[true == 0] == 0).all()
+        seen.append(measured)
+    assert np.array_equal(*seen)
+
+
+def test_news_reach_driver_and_plant(request_rj, scripted):
+    restriction = Restriction(600.0, 800.0, 10.0)
+    news = (News(30.0, scheduled_time_s=116.0), News(10.0, restriction=restriction))
+    run = replace(request_rj.run(), scenario=Scenario(news=news))
+    driver = scripted(lambda o: 1.0)
+    driven = drive(run, driver)
+    t = driven.trajectory
+    assert {o.scheduled_time_s for o in driver.seen if o.time_s < 30} == {101.0}
+    assert {o.scheduled_time_s for o in driver.seen if o.time_s >= 30} == {116.0}
+    assert driven.scheduled_time_s == 116.0
+    assert driver.seen[0].section.restrictions == ()
+    assert driver.seen[-1].section.restrictions == (restriction,)
+    inside = (t.position_m > 600) & (t.position_m < 800)
+    assert (t.limit_mps[inside] == 10.0).all()
+    assert (t.speed_mps[inside] <= 10.0).all()
+    assert driven.max_overspeed_mps == 0.0
+
+
+def test_overspeed_is_found_between_two_rows(request_rj):
+    run = request_rj.run()
+    track = track_arrays(run.section, run.trainset)
+    vehicle = vehicle_arrays(run.trainset)
+    at = float(track.limit_from_m[np.searchsorted(track.limit_from_m, 1.0) - 1])
+    low, high = limit_at(track, at), limit_at(track, at - 0.01)
+    assert low < high, "the platform's limit begins at the origin"
+    before = at_rest(vehicle, position_m=at - 1.0, speed_mps=low + 1.0)
+    after = at_rest(vehicle, position_m=at + 1.0, speed_mps=low - 1.0)
+    # v^2 falls from (low + 1)^2 to (low - 1)^2 over 2 m: halfway it is low^2 + 1.
+    assert step_overspeed(track, before, after) == pytest.approx(np.hypot(low, 1.0) - low)
+
+
+def test_driving_never_imports_jax():
+    code = (
+        "import sys; from metropilot.evaluate import *\n"
+        "r = Request('yizhuang', 'RJ', 'WYJ', 101.0, driver='flat_out')\n"
+        "d = drive(r.run(), r.make_driver()); kpis_of(d, optimum_of(d))\n"
+        "assert 'jax' not in sys.modules and 'matplotlib' not in sys.modules"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
