@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from tests.physics import cases
+from tests.reference.replay import FORCES as REPLAYED
+from tests.reference.replay import read_rows, replay
 from tests.reference.simulator import ReferenceSimulator
 
 from metropilot import physics
@@ -101,3 +103,24 @@ def test_jax_batch_is_the_reference(many, dtype, tolerance):
             mine = getattr(rows, name)[k]
             expected = np.array([getattr(s, name) for s in other])
             np.testing.assert_allclose(mine, expected, atol=tolerance * max(np.abs(expected).max(), 1.0))
+
+
+def test_a_recorded_trajectory_replays_from_its_forces(tmp_path):
+    """One row a step with the forces held from it on, as `trajectory.csv` has them."""
+    rng = np.random.default_rng(11)
+    section, trainset = cases.random_section(rng), cases.random_trainset(rng)
+    vehicle, track = cases.plant(section, trainset)
+    states = cases.drive(vehicle, track, cases.random_commands(rng), DT, delay_steps=delays(trainset))
+    lines = [",".join(("time_s", "position_m", "speed_mps", *REPLAYED))]
+    for state, after in zip(states, [*states[1:], states[-1]], strict=True):
+        held = (getattr(after.forces, name) for name in REPLAYED)
+        row = (state.time_s, state.position_m, state.speed_mps, *held)
+        lines.append(",".join(repr(float(value)) for value in row))
+    (tmp_path / "trajectory.csv").write_text("\n".join(lines))
+    again = replay(read_rows(tmp_path / "trajectory.csv"), trainset.effective_mass_kg)
+    np.testing.assert_allclose(again.position_m, [s.position_m for s in states], atol=1e-6)
+    np.testing.assert_allclose(again.speed_mps, [s.speed_mps for s in states], atol=1e-9)
+    np.testing.assert_allclose(again.energy_wheel_j, [s.traction_j for s in states], rtol=1e-9)
+    np.testing.assert_allclose(
+        again.energy_electric_j, [s.electric_brake_j for s in states], rtol=1e-9, atol=1e-6
+    )
