@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from metropilot import physics
-from metropilot.planning import Plan, PlanOptions
+from metropilot.planning import Plan
 from metropilot.planning.effort_table import specific
 from metropilot.planning.fastest import fastest_profile
 from metropilot.planning.mesh import build_mesh
@@ -131,7 +131,7 @@ def flat_out_speed(section, trainset):
     return mesh.node_m, np.sqrt(2 * energy)
 
 
-def drive(section, trainset, cruise_mps, coast_from_m, dt=0.05):
+def drive(section, trainset, cruise_mps, coast_from_m, dt=0.1):
     """Accelerate flat out, hold a speed, coast from a place, brake along the braking curve: with the plant.
 
     Returns:
@@ -176,14 +176,17 @@ def coasting_optimum(length_m, time_s, mass_kg=200e3, traction=1.0, brake=1.0, d
     def braking_speed(v):
         return np.sqrt(max((v * v * (1 / a + 1 / r) - 2 * length_m) / (1 / r - 1 / d), 0.0))
 
-    def time(v):
+    def lateness(v):
         w = braking_speed(v)
-        return v / a + (v - w) / r + w / d
+        return v / a + (v - w) / r + w / d - time_s
 
     lowest = np.sqrt(2 * length_m / (1 / a + 1 / r))
     highest = np.sqrt(2 * length_m / (1 / a + 1 / d))
-    v = brentq(lambda v: time(v) - time_s, lowest, highest)
-    return mass_kg * traction * v * v / (2 * a), 2 * highest / 2 * (1 / a + 1 / d)
+    v = brentq(lateness, lowest, highest)
+    return mass_kg * traction * v * v / (2 * a)
 
 
-FREE = PlanOptions()
+def fastest_without_limit(length_m, traction=1.0, brake=1.0, drag=0.02):
+    """Closed form: accelerate to the middle and brake; minimum running time in s."""
+    a, d = traction - drag, brake + drag
+    return np.sqrt(2 * length_m * (1 / a + 1 / d))

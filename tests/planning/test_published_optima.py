@@ -3,23 +3,23 @@
 Provenance, each table:
 
 * ``CONTEST``: a nonlinear programme in CasADi/IPOPT on a 2 m mesh (checked at 110 s: 34.891, 34.900 and
-  34.901 MJ at 4, 2 and 1 m) for the modelling contest's section A6 to A7, and a separate accelerate-coast-brake
-  integration (34.93 MJ at 109.98 s). Energy within 0.3 %: its mesh error and the printed digits; running time
-  within 0.2 %. Where it started and ended at 0.5 m/s, so does the plan.
+  34.901 MJ at 4, 2 and 1 m) for the modelling contest's section A6 to A7, and a separate
+  accelerate-coast-brake integration (34.93 MJ at 109.98 s). Energy within 0.3 %: its mesh error and the
+  printed digits; running time within 0.2 %. Where it started and ended at 0.5 m/s, so does the plan.
 * ``SECTIONS``: the same programme, five more sections, 0.02 m/s at the ends.
-* ``TTOBENCH``: ms-eetc (direct multiple shooting, CasADi/IPOPT, 200 intervals; github dkouzoup/ms-eetc) on the
-  benchmark's own line with the stop at 9274 m as shipped, from and to 1 m/s, net energy at the line, constant
-  efficiencies. It holds the force over an interval and bounds it at both ends, so it is up to 0.4 % slow and a
-  little dear: energy within 1 %.
-* ``WIL``: the same solver on the benchmark's 29.6 km St. Gallen to Wil. Its default curve resistance (Röckl:
-  0.5/(r - 30) of the weight from 300 m, 0.65/(r - 55) below) is in these energies, though they were noted as
-  "curvature ignored": without curves ours is 4.25 kWh below at *every* running time, and that is what the formula
-  takes over the line; with it ours is within 0.1 %.
-* ``YIZHUANG``: a dynamic programme (5 m cells, 700 speed nodes, price on time) for the whole contest line at
-  planned times; its own author states an error of 1 to 2 % and prints 0.1 kWh. A grid of speeds errs upwards
-  only, so ours must lie below, by at most 1.2 % on the whole line and 3 % on a section. (A6 to A7 backward shows
-  who is right: it says 11.3 kWh, ours 11.03, and ``CONTEST``, the better programme, has that section within
-  0.06 % of ours.)
+* ``TTOBENCH``: ms-eetc (direct multiple shooting, CasADi/IPOPT, 200 intervals; github dkouzoup/ms-eetc)
+  on the benchmark's own line with the stop at 9274 m as shipped, from and to 1 m/s, net energy at the
+  line, constant efficiencies. It holds the force over an interval and bounds it at both ends, so it is up
+  to 0.4 % slow and a little dear: energy within 1 %.
+* ``WIL``: the same solver on the benchmark's 29.6 km St. Gallen to Wil. Its default curve resistance
+  (Röckl: 0.5/(r - 30) of the weight from 300 m, 0.65/(r - 55) below) is in these energies, though they
+  were noted as "curvature ignored": without curves ours is 4.25 kWh below at *every* running time, and
+  that is what the formula takes over the line; with it ours is within 0.1 %.
+* ``YIZHUANG``: a dynamic programme (5 m cells, 700 speed nodes, price on time) for the whole contest line
+  at planned times; its own author states an error of 1 to 2 % and prints 0.1 kWh. A grid of speeds errs
+  upwards only, so ours must lie below, by at most 1.2 % on the whole line and 3 % on a section. (A6 to A7
+  backward shows who is right: it says 11.3 kWh, ours 11.03, and ``CONTEST``, the better programme, has
+  that section within 0.06 % of ours.)
 """
 
 import dataclasses
@@ -179,9 +179,7 @@ def test_whole_line_at_planned_times(curves):
             plan = optimal_plan(here, trainset, seconds)
             energies.append(plan.energy_kwh)
             assert 0.97 * published - 0.05 < plan.energy_kwh < published + 0.05, section.name
-            fastest = YIZHUANG[name][
-                4
-            ]  # printed to 1 s, late for the same reason (154.16 s by SECTIONS: 156)
+            fastest = YIZHUANG[name][4]  # printed to 1 s, late for the same reason (156: 154.16 by SECTIONS)
             assert fastest - 2.0 < minimum_running_time(here, trainset) < fastest + 0.5
         totals.append(sum(energies))
     published = (189.9, 180.8) if curves else (186.4, 178.1)
