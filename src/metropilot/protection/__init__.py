@@ -1,0 +1,21 @@
+"""Permitted speed, and the supervisor that keeps every driver within the limits."""
+
+from metropilot.protection.bounds import Bounds
+from metropilot.protection.braking import permitted_braking
+from metropilot.protection.curves import protect
+from metropilot.protection.supervisor import approach_margin, permitted_speed, supervise
+from metropilot.protection.types import LEVELS, Memory, Protection, Verdict, at_start
+
+__all__ = [
+    "LEVELS",
+    "Bounds",
+    "Memory",
+    "Protection",
+    "Verdict",
+    "approach_margin",
+    "at_start",
+    "permitted_braking",
+    "permitted_speed",
+    "protect",
+    "supervise",
+]

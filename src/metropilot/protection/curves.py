@@ -1,0 +1,192 @@
+"""Protection of a section: emergency, service and permitted curve on a uniform grid (NumPy)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy import ndarray
+from numpy.lib.stride_tricks import sliding_window_view
+
+from metropilot.physics import Vehicle, davis_n, delay_steps, padded_size, vehicle_arrays
+from metropilot.physics.effort import effort_at
+from metropilot.protection.bounds import Bounds
+from metropilot.protection.ground import Ground, ground, sliding_max
+from metropilot.protection.predict import SLACK_MPS, highest_speed
+from metropilot.protection.types import Fading, Protection, Rates
+from metropilot.railway import Section, Trainset
+
+NODES = (1024, 2048, 4096, 8192, 16384, 32768, 65536, 131072)
+AHEAD = (16, 32, 64, 128, 256, 512)
+AT_ONCE_MPS3 = 1e4
+"""An immediate build-up, as a number that can be divided by."""
+SERVICE_OVER_MPS2 = 0.4
+"""The service brake comes in this much over the permitted speed for every second of reaction: less than the
+braking in flight gains on the emergency curve, so that it spares the emergency brake."""
+
+
+def protect(
+    section: Section,
+    trainset: Trainset,
+    bounds: Bounds,
+    *,
+    stop_at_m: float | None = None,
+    dtype: type = np.float64,
+    spacing_m: float = 1.0,
+) -> Protection:
+    """Protection of one section for one trainset: NumPy arrays, to be moved to JAX with ``physics.to_jax``.
+
+    Sections share one compiled program: the grid is padded to a few sizes, and its look-ahead depends on the
+    bounds and the trainset only.
+
+    Args:
+        section: Section with every restriction in force.
+        trainset: Nominal trainset.
+        bounds: What is assumed about the plant.
+        stop_at_m: End of the movement authority: the speed limit is 0 from there on. None: line limits only.
+        dtype: Number type.
+        spacing_m: Distance between nodes.
+
+    Raises:
+        InputError: The section is too long for the grid, or the look-ahead for its spacing.
+    """
+    vehicle = vehicle_arrays(trainset)
+    rates, usual = _rates(bounds), _service_rates(trainset, vehicle, bounds)
+    field = ground(section, trainset, stop_at_m, spacing_m, bounds.resistance[0])
+    top, steepest = float(field.ceiling_mps.max()), float(field.pull_mps2.max())
+    ahead = max(_look_ahead(vehicle, each, top, steepest, spacing_m) for each in (rates, usual))
+    before = int(np.ceil(_memory_m(bounds, top, field.pull_mps2) / spacing_m))
+    pull = sliding_max(field.pull_mps2, before, ahead + 1)
+    rounding = 16.0 * float(np.finfo(dtype).eps) * (np.abs(field.node_m[[0, -1]]).sum() + 0.5 * top * top)
+    emergency = np.maximum(_emergency_curve(field, bounds, before) - rounding, 0.0)
+    permitted = _permitted_curve(field, vehicle, rates, bounds, emergency, pull, ahead)
+    service = _service_curve(field, vehicle, usual, permitted, _over(rates))
+    size = padded_size(permitted.size + ahead + 2, NODES)
+    arrays = {
+        "start_m": field.node_m[0],
+        "spacing_m": spacing_m,
+        "emergency": _padded(emergency, size, 0.0),
+        "service": _padded(service, size, 0.0),
+        "pull_mps2": _padded(pull, size, pull[-1]),
+        "permitted_mps": _padded(permitted, size, 0.0),
+        "slots": np.zeros(delay_steps(bounds.delay_s, bounds.dt_s) + 1),
+    }
+    return Protection(
+        vehicle=vehicle_arrays(trainset, dtype),
+        rates=Rates(*(dtype(value) for value in rates)),
+        service_rates=Rates(*(dtype(value) for value in usual)),
+        fading=_fading(bounds, dtype),
+        ahead=np.arange(ahead, dtype=np.int32),
+        **{key: np.asarray(value, dtype)[()] for key, value in arrays.items()},
+    )
+
+
+def _rates(bounds: Bounds) -> Rates:
+    return Rates(
+        reaction_s=bounds.reaction_s,
+        brake_mps2=bounds.emergency_mps2,
+        jerk_mps3=min(bounds.emergency_jerk_mps3, AT_ONCE_MPS3),
+        mass_low=bounds.mass[0],
+        mass_high=bounds.mass[1],
+        resistance_low=bounds.resistance[0],
+        service_share=bounds.service_share,
+        speed_error_mps=bounds.speed_error_mps,
+    )
+
+
+def _service_rates(trainset: Trainset, vehicle: Vehicle, bounds: Bounds) -> Rates:
+    """The nominal service brake, late by the longest dead time and lag; the guarantee does not rest on it."""
+    speeds = np.linspace(0.0, trainset.max_speed_mps, 64)
+    available = float(np.min(effort_at(vehicle, speeds).brake_n)) / trainset.effective_mass_kg
+    return Rates(
+        reaction_s=bounds.dt_s + bounds.delay_s + bounds.lag_s,
+        brake_mps2=min(trainset.safe_braking.service_deceleration_mps2, available),
+        jerk_mps3=min(bounds.jerk_mps3, AT_ONCE_MPS3),
+        mass_low=1.0,
+        mass_high=1.0,
+        resistance_low=1.0,
+        service_share=1.0,
+        speed_error_mps=0.0,
+    )
+
+
+def _fading(bounds: Bounds, dtype: type) -> Fading:
+    keep = float(np.exp(-bounds.dt_s / bounds.lag_s)) if bounds.lag_s > 0 else 0.0
+    return Fading(dtype(keep), dtype(bounds.jerk_mps3 * bounds.dt_s))
+
+
+def _look_ahead(vehicle: Vehicle, rates: Rates, top_mps: float, pull_mps2: float, spacing_m: float) -> int:
+    """Nodes that the prediction can reach at the highest speed under full traction on the steepest fall."""
+    speeds = np.linspace(0.0, top_mps + SLACK_MPS, 64)
+    push = max(float(np.max(effort_at(vehicle, speeds).traction_n)), 0.0)
+    gain = max(push / (rates.mass_low * vehicle.effective_mass_kg) + pull_mps2, 0.0)
+    jerk = rates.jerk_mps3
+    peak = top_mps + SLACK_MPS + gain * rates.reaction_s + 0.5 * gain**2 / jerk
+    built = max(gain + rates.brake_mps2, 0.0) / jerk
+    return padded_size(int(np.ceil(peak * (rates.reaction_s + built) / spacing_m)) + 2, AHEAD)
+
+
+def _memory_m(bounds: Bounds, top_mps: float, pull_mps2: ndarray) -> float:
+    """How far back a gradient still counts: forces are held over a period, brakes have a jerk."""
+    change = float(pull_mps2.max() - pull_mps2.min())
+    lasting = bounds.dt_s + change / min(bounds.emergency_jerk_mps3, AT_ONCE_MPS3)
+    return top_mps * lasting + bounds.position_error_m
+
+
+def _over(rates: Rates) -> float:
+    """How far over the permitted speed the service brake comes in, m/s."""
+    return SERVICE_OVER_MPS2 * float(rates.reaction_s) + float(rates.speed_error_mps)
+
+
+def _emergency_curve(field: Ground, bounds: Bounds, before: int) -> ndarray:
+    """Backward from the limits with the guaranteed rate on the worst gradient; the map's end is a stop."""
+    spacing = field.node_m[1] - field.node_m[0]
+    rate = bounds.emergency_mps2 - sliding_max(field.pull_mps2, before, 1)[:-1]
+    ceiling = field.ceiling_mps
+    limit = 0.5 * np.minimum(np.append(ceiling[0], ceiling), np.append(ceiling, 0.0)) ** 2
+    curve = np.zeros_like(limit)
+    for i in range(limit.size - 2, -1, -1):
+        curve[i] = max(min(limit[i], curve[i + 1] + spacing * rate[i]), 0.0)
+    if bounds.position_error_m > 0:
+        reach = int(np.ceil(bounds.position_error_m / spacing)) + 1
+        curve = -sliding_max(-curve, reach, reach + 1)[: curve.size]
+    return curve
+
+
+def _service_curve(
+    field: Ground, vehicle: Vehicle, usual: Rates, permitted: ndarray, over_mps: float
+) -> ndarray:
+    """Backward from a little over the permitted speed with the nominal service brake and resistance."""
+    spacing = field.node_m[1] - field.node_m[0]
+    curve = 0.5 * np.where(permitted > 0, permitted + over_mps, 0.0) ** 2
+    a, b, c = (float(x) / float(vehicle.effective_mass_kg) for x in vehicle.davis_n)
+    for i in range(curve.size - 2, -1, -1):
+        v = (2.0 * curve[i + 1]) ** 0.5
+        rate = usual.brake_mps2 - field.usual_pull_mps2[i] + a + v * (b + v * c)
+        curve[i] = max(min(curve[i], curve[i + 1] + spacing * rate), 0.0)
+    return curve
+
+
+def _permitted_curve(
+    field: Ground,
+    vehicle: Vehicle,
+    rates: Rates,
+    bounds: Bounds,
+    emergency: ndarray,
+    pull: ndarray,
+    ahead: int,
+) -> ndarray:
+    """Highest speed at each node that any plant within the bounds can hold without being overruled."""
+    count = emergency.size
+    windows = sliding_window_view(_padded(emergency, count + ahead + 1, 0.0)[1:], ahead)[:count]
+    distance = (field.node_m[1] - field.node_m[0]) * np.arange(1.0, ahead + 1)
+    weight = np.maximum(bounds.mass[0] * field.weight_n, bounds.mass[1] * field.weight_n)
+
+    def holding(speed: ndarray) -> ndarray:
+        needed = weight + bounds.resistance[1] * davis_n(vehicle, speed)
+        return needed / vehicle.effective_mass_kg
+
+    speed = highest_speed(vehicle, rates, emergency, windows, distance, pull, holding)
+    return -sliding_max(-np.append(speed[:-1], 0.0), 1, 2)[:count]
+
+
+def _padded(values: ndarray, size: int, fill: float) -> ndarray:
+    return np.concatenate([values, np.full(size - values.size, fill)])

@@ -1,0 +1,134 @@
+"""The prediction behind every decision: the fastest that any plant within the bounds can do next.
+
+Written once over the array namespace; the permitted curve is computed with the same formulas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy import ndarray
+
+from metropilot.physics.arrays import Scalar, namespace
+from metropilot.physics.effort import effort_at
+from metropilot.physics.resistance import davis_n
+from metropilot.physics.types import Vehicle
+from metropilot.protection.types import Array, Rates
+
+HALVINGS = 18
+SLACK_MPS = 1.0
+"""Forces are taken at the worse of the measured speed and this much below it: it may change on the way."""
+
+
+Forces = tuple[Scalar, Scalar, Scalar]
+"""Gain of full traction, loss of full service brake, and acceleration with neither, m/s^2."""
+
+
+def fastest(vehicle: Vehicle, rates: Rates, speed_mps: Scalar, pull_mps2: Scalar) -> Forces:
+    """What an effort can do at most: gain of full traction, loss of full service brake, and neither, m/s^2.
+
+    The lightest trainset accelerates, the heaviest with the weakest service brake slows down.
+
+    Args:
+        vehicle: The nominal trainset.
+        rates: Declared bounds.
+        speed_mps: Measured speed.
+        pull_mps2: Largest pull of the gradient, less certain curve resistance.
+    """
+    xp = namespace(rates.mass_low, speed_mps)
+    low = xp.maximum(speed_mps - rates.speed_error_mps - SLACK_MPS, 0.0)
+    high = speed_mps + rates.speed_error_mps
+    slow, quick = effort_at(vehicle, low), effort_at(vehicle, high)
+    lightest = rates.mass_low * vehicle.effective_mass_kg
+    heaviest = rates.mass_high * vehicle.effective_mass_kg
+    push = xp.maximum(slow.traction_n, quick.traction_n) / lightest
+    hold = rates.service_share * xp.minimum(slow.brake_n, quick.brake_n) / heaviest
+    coast = pull_mps2 - rates.resistance_low * davis_n(vehicle, low) / heaviest
+    return push, hold, coast
+
+
+def acceleration(forces: Forces, share: Scalar) -> Scalar:
+    """Largest acceleration of a command in [-1, 1] (see :func:`fastest`), m/s^2."""
+    push, hold, coast = forces
+    xp = namespace(push, share)
+    return xp.maximum(share, 0.0) * push + xp.minimum(share, 0.0) * hold + coast
+
+
+def stays_under(
+    rates: Rates,
+    curve: Array,
+    distance_m: Array,
+    speed_mps: Scalar,
+    acceleration_mps2: Scalar,
+    pull_mps2: Scalar,
+) -> Scalar:
+    """Whether the brake, decided one period from now, still keeps under its curve.
+
+    The safe-braking model of IEEE 1474.1, as a convention, on energy over distance: the acceleration in
+    flight goes on during the reaction; then traction falls and the brake builds up at the assumed jerk, to
+    the assumed rate on the worst gradient ahead. Time is bounded from below by distance over the peak speed,
+    so every point passed on the way is checked, short zones included. Once the full rate is reached under the
+    curve, the curve itself is the proof.
+
+    Args:
+        rates: The brake and the plant until it acts.
+        curve: Braking curve at the nodes ahead, m^2/s^2. Shape (W,).
+        distance_m: Distance to each of them, the first within one spacing. Shape (W,).
+        speed_mps: Upper bound on the present speed.
+        acceleration_mps2: Upper bound on the acceleration during the reaction.
+        pull_mps2: Largest pull of the gradient over the distance.
+    """
+    xp = namespace(curve, speed_mps)
+    jerk = rates.jerk_mps3
+    spacing = distance_m[..., 1:2] - distance_m[..., 0:1]
+    rise = xp.maximum(acceleration_mps2, 0.0)
+    peak = xp.maximum(speed_mps + rise * rates.reaction_s + 0.5 * rise * rise / jerk, 1e-6)
+    rate = rates.brake_mps2 - pull_mps2
+    turn = xp.maximum(acceleration_mps2 + rate, 0.0)
+    begins = peak * rates.reaction_s
+    full = begins + peak * turn / jerk
+    beyond = xp.maximum(distance_m - full, 0.0)
+    built = xp.clip(distance_m - begins, 0.0, full - begins)
+    energy = 0.5 * speed_mps * speed_mps + acceleration_mps2 * (distance_m - beyond)
+    energy = energy - 0.5 * jerk / peak * built * built - rate * beyond
+    # The prediction is concave: between two nodes it may rise above its chord by this much at most.
+    bulge = xp.minimum(jerk * spacing * spacing / (8.0 * peak), turn * spacing / 4.0)
+    energy = xp.minimum(energy + bulge, 0.5 * peak * peak)
+    fits = (energy <= curve) | (distance_m > full + spacing)
+    return xp.all(fits & (full <= distance_m[..., -1:]), axis=-1)
+
+
+def highest_speed(
+    vehicle: Vehicle,
+    rates: Rates,
+    energy: ndarray,
+    curve: ndarray,
+    distance_m: ndarray,
+    pull_mps2: ndarray,
+    effort_mps2: Callable[[ndarray], ndarray],
+) -> ndarray:
+    """Highest speed that a driver can have at each node without being overruled, m/s (NumPy).
+
+    Args:
+        vehicle: The nominal trainset.
+        rates: The brake and the plant until it acts.
+        energy: Braking curve at the nodes, m^2/s^2. Shape (N,).
+        curve: The same at the nodes ahead of each. Shape (N, W).
+        distance_m: Distance to those. Shape (W,).
+        pull_mps2: Largest pull of the gradient. Shape (N,).
+        effort_mps2: The driver's force over the effective mass at given speeds, traction positive.
+    """
+    low, high = np.zeros(energy.shape), np.sqrt(2.0 * energy)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        speed = middle + 2.0 * rates.speed_error_mps
+        effort = effort_mps2(middle)
+        seen = np.where(effort > 0, effort / rates.mass_low, effort * rates.service_share / rates.mass_high)
+        seen = seen + fastest(vehicle, rates, speed, pull_mps2)[2]
+        ahead = stays_under(
+            rates, curve, distance_m[None, :], speed[:, None], seen[:, None], pull_mps2[:, None]
+        )
+        fits = ahead & (0.5 * speed**2 <= energy)
+        low, high = np.where(fits, middle, low), np.where(fits, high, middle)
+    return low

@@ -1,0 +1,201 @@
+"""The supervisor: the last word on every command. Pure, over NumPy or JAX; batch it with ``jax.vmap``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from metropilot.physics import Command
+from metropilot.physics.arrays import Scalar, namespace, scalars
+from metropilot.physics.plant import pushed
+from metropilot.protection.predict import Forces, acceleration, fastest, stays_under
+from metropilot.protection.types import Array, Memory, Protection, Rates, Verdict
+
+RELEASE_MPS = 0.1
+"""After an intervention the driver's command must fit at this much more speed before it passes again."""
+STANDSTILL_MPS = 0.05
+"""At or below this measured speed, plus its error, the emergency brake is released."""
+
+
+def supervise(
+    protection: Protection, memory: Memory, position_m: Scalar, speed_mps: Scalar, command: Command
+) -> tuple[Command, Memory, Verdict]:
+    """Decide what reaches the trainset in the coming period.
+
+    A command passes if, whatever plant within the declared bounds carries it out, the emergency brake decided
+    one period later would still keep every limit ahead. Otherwise the mildest of three does: traction cut
+    off, full service brake, emergency brake. So at every instant either the command passes or the emergency
+    brake is still in time: that is the guarantee, by induction. Before that, the driver's command must leave
+    time for the service brake, as the nominal plant has it; this only spares the emergency brake. The
+    emergency brake stays on until standstill. A command that is not a finite number is a full service brake,
+    one out of range is clipped, and a measurement that is not finite brings the emergency brake.
+
+    Args:
+        protection: Curves and bounds.
+        memory: From the last period.
+        position_m: Measured position of the head.
+        speed_mps: Measured speed.
+        command: The driver's command.
+
+    Returns:
+        The command to apply, the new memory, and what was decided.
+    """
+    xp = namespace(protection.start_m, position_m, command.share)
+    error = protection.rates.speed_error_mps
+    valid = xp.abs(command.share) <= 1.0
+    none = 0.0 * error
+    full = none - 1.0
+    wanted = xp.where(xp.abs(command.share) < float("inf"), xp.clip(command.share, -1.0, 1.0), full)
+    cut = xp.minimum(wanted, none)
+    margin = xp.where(memory.level > 0, RELEASE_MPS, 0.0)
+    check = Check(protection, memory, position_m, speed_mps)
+
+    level = _first(
+        xp,
+        lambda: check.passes(wanted, margin),
+        lambda: check.passes(cut, none),
+        lambda: check.emergency(full, none),
+    )
+    moving = (speed_mps <= STANDSTILL_MPS + error) ^ True
+    emergency = (level == 3) | (memory.emergency & moving) | command.emergency
+    level = xp.where(emergency, 3, level)
+    share = xp.where(level == 0, wanted, xp.where(level == 1, cut, full))
+
+    kept, acceleration_mps2 = check.effect(share)
+    overruled = (level > 0) & (command.emergency ^ True)
+    after = Memory(
+        recent=pushed(memory.recent, share),
+        share=kept,
+        acceleration_mps2=acceleration_mps2,
+        emergency=emergency,
+        level=_counted(level),
+        interventions=memory.interventions + _counted(overruled & (memory.level == 0)),
+        emergencies=memory.emergencies + _counted(emergency & (memory.emergency ^ True)),
+        invalid=memory.invalid + _counted(valid ^ True),
+    )
+    permitted = _between(protection.permitted_mps, check.node, check.way)
+    verdict = Verdict(after.level, permitted, (2.0 * check.energy(protection.emergency)) ** 0.5, valid)
+    return Command(share, emergency), after, verdict
+
+
+class Check:
+    """Everything a command is tested against, at one measured position and speed."""
+
+    def __init__(self, protection: Protection, memory: Memory, position_m: Scalar, speed_mps: Scalar) -> None:
+        self.xp = xp = namespace(protection.start_m, position_m)
+        self.protection, self.memory, self.speed_mps = protection, memory, speed_mps
+        known = xp.abs(position_m) < float("inf")
+        position = xp.where(known, position_m, protection.start_m)
+        self.measured = known & (xp.abs(speed_mps) < float("inf"))
+        self.node, self.way = on_grid(protection, position)
+        first = protection.start_m + protection.spacing_m * _like(position, self.node + 1)
+        steps = protection.ahead.astype(protection.emergency.dtype) * protection.spacing_m
+        self.distance_m = steps + (first - position)
+        self.pull_mps2 = xp.maximum(protection.pull_mps2[self.node], protection.pull_mps2[self.node + 1])
+        self.worst = fastest(protection.vehicle, protection.rates, speed_mps, self.pull_mps2)
+        self.usual = fastest(protection.vehicle, protection.service_rates, speed_mps, self.pull_mps2)
+        # The oldest command remembered has arrived; the others may still be on their way.
+        self.older = -1.0 if memory.recent.shape[0] == 1 else memory.recent[:-1].max()
+        self.fading = memory.acceleration_mps2 - protection.fading.acceleration_mps2
+
+    def energy(self, curve: Array) -> Scalar:
+        """A curve at this position, m^2/s^2."""
+        return _between(curve, self.node, self.way)
+
+    def emergency(self, share: Scalar, margin_mps: Scalar) -> Scalar:
+        """Whether the emergency brake decided one period from now is in time, whatever the plant."""
+        return self._keeps(self.protection.rates, self.protection.emergency, self.worst, share, margin_mps)
+
+    def passes(self, share: Scalar, margin_mps: Scalar) -> Scalar:
+        """The same, and whether the service brake would do on the nominal plant."""
+        curve = self.protection.service
+        service = self._keeps(self.protection.service_rates, curve, self.usual, share, margin_mps)
+        return service & self.emergency(share, margin_mps)
+
+    def _keeps(
+        self,
+        rates: Rates,
+        curve: Array,
+        forces: Forces,
+        share: Scalar,
+        margin_mps: Scalar,
+    ) -> Scalar:
+        fastest_mps2 = self.xp.maximum(acceleration(forces, self.kept(share)), self.fading)
+        speed = self.speed_mps + rates.speed_error_mps + margin_mps
+        ahead = _slice(curve, self.node + 1, self.protection.ahead.shape[0])
+        keeps = stays_under(rates, ahead, self.distance_m, speed, fastest_mps2, self.pull_mps2)
+        return keeps & (0.5 * speed * speed <= self.energy(curve)) & self.measured
+
+    def kept(self, share: Scalar) -> Scalar:
+        """Upper bound on the share in effect from now on, after dead time and lag."""
+        newest = self.xp.maximum(share, self.older)
+        return newest + self.xp.maximum(self.memory.share - newest, 0.0) * self.protection.fading.share
+
+    def effect(self, share: Scalar) -> tuple[Scalar, Scalar]:
+        """Upper bounds on the share in effect and on the acceleration over the coming period."""
+        kept = self.kept(share)
+        return kept, self.xp.maximum(acceleration(self.worst, kept), self.fading)
+
+
+def permitted_speed(protection: Protection, position_m: Array) -> Array:
+    """Permitted speed at one or many positions, m/s: a cap for planners and drivers.
+
+    Whoever holds a speed at or under it is not overruled. Whoever still accelerates by ``a`` must stay lower
+    by ``a * reaction_s`` and what the emergency brake needs to undo ``a``; see :func:`approach_margin`.
+    """
+    return _between(protection.permitted_mps, *on_grid(protection, position_m))
+
+
+def approach_margin(protection: Protection, acceleration_mps2: Array) -> Array:
+    """How far under the permitted speed a trainset must be that still accelerates, m/s.
+
+    Until the emergency brake acts the acceleration goes on, and it may be that of the lightest trainset.
+    """
+    xp = namespace(protection.start_m, acceleration_mps2)
+
+    def margin(rates: Rates) -> Array:
+        most = xp.maximum(acceleration_mps2, 0.0) * (rates.mass_high / rates.mass_low)
+        return most * rates.reaction_s + 0.5 * most * most / rates.jerk_mps3
+
+    return xp.maximum(margin(protection.rates), margin(protection.service_rates))
+
+
+def on_grid(protection: Protection, position_m: Array) -> tuple[Array, Array]:
+    """The last node not beyond a position, and the share of the way to the next."""
+    xp = namespace(protection.start_m, position_m)
+    last = protection.emergency.shape[0] - protection.ahead.shape[0] - 2.0
+    steps = (position_m - protection.start_m) / protection.spacing_m
+    whole = xp.clip(steps // 1.0, 0.0, last)
+    share = xp.clip(steps - whole, 0.0, 1.0)
+    return (int(whole) if xp is scalars else whole.astype(np.int32)), share
+
+
+def _between(values: Array, node: Array, share: Array) -> Array:
+    return values[node] + (values[node + 1] - values[node]) * share
+
+
+def _like(value: Scalar, whole: Scalar) -> Scalar:
+    return whole if isinstance(whole, int) else whole.astype(value.dtype)
+
+
+def _slice(values: Array, first: Scalar, size: int) -> Array:
+    if isinstance(first, int):
+        return values[first : first + size]
+    import jax
+
+    return jax.lax.dynamic_slice_in_dim(values, first, size)
+
+
+def _first(xp: Array, *tests: Callable[[], Scalar]) -> Scalar:
+    """Number of the first test that holds, or how many there are; single numbers need not try the rest."""
+    if xp is scalars:
+        return next((k for k, test in enumerate(tests) if test()), len(tests))
+    level = len(tests)
+    for k in reversed(range(len(tests))):
+        level = xp.where(tests[k](), k, level)
+    return level
+
+
+def _counted(value: Scalar) -> Scalar:
+    return value.astype(np.int32) if hasattr(value, "astype") else np.int32(value)

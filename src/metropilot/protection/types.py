@@ -1,0 +1,150 @@
+"""What protection is made of: plain tuples of arrays, the same in NumPy and JAX."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from metropilot.physics import Vehicle
+
+Array = Any
+
+
+class Rates(NamedTuple):
+    """What is assumed of one brake and of the plant until it acts. All 0-d.
+
+    Attributes:
+        reaction_s: From a command let pass to the brake decided one period later acting.
+        brake_mps2: Braking rate on level track.
+        jerk_mps3: Rate at which it builds up (a large finite number where it is immediate).
+        mass_low: Smallest mass factor.
+        mass_high: Largest mass factor.
+        resistance_low: Smallest resistance factor.
+        service_share: Smallest share of the nominal service brake.
+        speed_error_mps: Largest error of the measured speed.
+    """
+
+    reaction_s: Array
+    brake_mps2: Array
+    jerk_mps3: Array
+    mass_low: Array
+    mass_high: Array
+    resistance_low: Array
+    service_share: Array
+    speed_error_mps: Array
+
+
+class Fading(NamedTuple):
+    """How fast an effort let pass is sure to fade. All 0-d.
+
+    Attributes:
+        share: Share of a command's effect left after one period, at the longest lag.
+        acceleration_mps2: Least fall of an acceleration in one period (infinite: at once).
+    """
+
+    share: Array
+    acceleration_mps2: Array
+
+
+class Protection(NamedTuple):
+    """One section as protection sees it: curves on a uniform grid, padded with zero speed.
+
+    Energies are ``v^2/2`` per kilogram, so that a constant acceleration is a straight line over distance.
+
+    Attributes:
+        vehicle: The nominal trainset.
+        rates: The emergency brake and the declared bounds: what the guarantee rests on.
+        service_rates: The service brake of the nominal plant: what spares the emergency brake.
+        fading: How fast an effort fades.
+        start_m: Position of the first node. 0-d.
+        spacing_m: Distance between nodes. 0-d.
+        emergency: Emergency braking curve: from anywhere under it the guaranteed brake alone keeps the limit
+            for ever; straight between nodes, m^2/s^2. Shape (N,).
+        service: Service braking curve: from under it the nominal service brake keeps the permitted speed,
+            with a little more where that is level, m^2/s^2. Shape (N,).
+        pull_mps2: Largest acceleration that gradient, less certain curve resistance, can give from shortly
+            before a node to the end of the look-ahead. Shape (N,).
+        permitted_mps: Permitted speed: whoever holds a speed at or under it is not overruled. Shape (N,).
+        ahead: Number of each node of the look-ahead. Shape (W,).
+        slots: Commands that may still be on their way, newest first; only the shape counts. Shape (D,).
+    """
+
+    vehicle: Vehicle
+    rates: Rates
+    service_rates: Rates
+    fading: Fading
+    start_m: Array
+    spacing_m: Array
+    emergency: Array
+    service: Array
+    pull_mps2: Array
+    permitted_mps: Array
+    ahead: Array
+    slots: Array
+
+
+class Memory(NamedTuple):
+    """What the supervisor remembers from one period to the next.
+
+    Attributes:
+        recent: Commands let pass that may still be on their way, newest first. Shape (D,).
+        share: Upper bound on the share in effect after dead time and lag.
+        acceleration_mps2: Upper bound on the acceleration over the last period.
+        emergency: Whether the emergency brake is latched.
+        level: What was done last: an index into ``LEVELS``.
+        interventions: Spells in which the driver was overruled.
+        emergencies: How many of them came to the emergency brake.
+        invalid: Commands that were not finite or out of range.
+    """
+
+    recent: Array
+    share: Array
+    acceleration_mps2: Array
+    emergency: Array
+    level: Array
+    interventions: Array
+    emergencies: Array
+    invalid: Array
+
+
+class Verdict(NamedTuple):
+    """What protection made of one command.
+
+    Attributes:
+        level: What was done: an index into ``LEVELS``.
+        permitted_mps: Permitted speed at the measured position.
+        emergency_mps: Speed of the emergency braking curve there.
+        valid: Whether the driver's command was a number in [-1, 1].
+    """
+
+    level: Array
+    permitted_mps: Array
+    emergency_mps: Array
+    valid: Array
+
+
+LEVELS = ("none", "traction cut-off", "service brake", "emergency brake")
+"""What the supervisor can do to a command, the least first; ``Verdict.level`` is an index."""
+
+
+def at_start(protection: Protection, *, share: float = 0.0, acceleration_mps2: float = 0.0) -> Memory:
+    """The supervisor's memory at departure, or in a run already under way (NumPy).
+
+    Args:
+        protection: Protection of the section (only its number type and shapes matter).
+        share: No command that may still act is above this.
+        acceleration_mps2: The present acceleration is not above this.
+    """
+    dtype = np.asarray(protection.spacing_m).dtype.type
+    none = np.int32(0)
+    return Memory(
+        recent=np.full(protection.slots.shape, share, dtype),
+        share=dtype(share),
+        acceleration_mps2=dtype(acceleration_mps2),
+        emergency=np.bool_(False),
+        level=none,
+        interventions=none,
+        emergencies=none,
+        invalid=none,
+    )
