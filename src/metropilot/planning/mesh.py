@@ -12,6 +12,7 @@ from metropilot.physics import Track, Vehicle
 
 GAUSS_X, GAUSS_W = np.polynomial.legendre.leggauss(4)
 NEAREST_M = 2.5
+JUMP_MPS = 0.3
 END_NODES = 9
 END_STRETCH_M = 12.0
 
@@ -83,7 +84,11 @@ def build_mesh(
     """
     first, last = float(stops_m[0]), float(stops_m[-1])
     limits = track.limit_from_m[np.isfinite(track.limit_from_m)]
-    needed = np.concatenate([stops_m, limits])
+    jumps = np.zeros(0)
+    if cap_mps is not None and cap_at_m is not None:
+        leaps = np.flatnonzero(np.abs(np.diff(cap_mps)) > JUMP_MPS)
+        jumps = np.concatenate([cap_at_m[leaps], cap_at_m[leaps + 1]])
+    needed = np.concatenate([stops_m, limits, jumps])
     needed = np.unique(needed[(needed >= first) & (needed <= last)])
     near = np.concatenate([np.concatenate([s + end_spacing(), s - end_spacing()]) for s in stops_m])
     slopes = track.node_m[np.isfinite(track.node_m)]

@@ -166,8 +166,20 @@ def plan_arrays(vehicle: Vehicle, track: Track, time_s: float, options: PlanOpti
             unit="s",
             allowed=f">= {exact:.1f} s",
         )
-    bounds = (TimeBound(0, mesh.length_m.size, None, time_s),)
+    bounds = (TimeBound(0, mesh.length_m.size, None, time_s - float(_ramp_times(mesh, options).sum())),)
     return iterate(vehicle, table, mesh, energy, bounds, (), options)
+
+
+def _ramp_times(mesh: Mesh, options: PlanOptions) -> ndarray:
+    """Time that the jerk bound costs on the first and last segment beyond constant acceleration, s.
+
+    From rest ``x = J t^3 / 6``: the segment takes 3/2 of the time that its end speed suggests. Shape (2,).
+    """
+    jerk = options.jerk_mps3
+    if jerk is None:
+        return np.zeros(2)
+    ends = ((options.start_mps, mesh.length_m[0], jerk), (options.end_mps, mesh.length_m[-1], options.release_mps3))
+    return np.array([(6 * ds / (j or jerk)) ** (1 / 3) / 3 if v == 0 else 0.0 for v, ds, j in ends])
 
 
 def limited(table: Specific, options: PlanOptions) -> Specific:
@@ -306,6 +318,7 @@ def _finished(
         brake, np.interp(np.sqrt(energy[1:] + energy[:-1]), table.speed_mps, table.electric)
     )
     duration = times(mesh, energy)
+    duration[[0, -1]] += _ramp_times(mesh, options)
     wheel = float(np.sum(traction * ds))
     cost = float(np.sum(ds * (prices.traction * traction - prices.recovered * recovered)))
     cost += prices.second_w * float(duration.sum())
