@@ -10,9 +10,7 @@ def main() -> None:
     request = Request("yizhuang", "RJ", "WYJ", time_s=101.0, trainset="dkz32:AW2", driver="optimal")
     driven = drive(request.run(), request.make_driver())
     kpis = kpis_of(driven, optimum_of(driven))
-    print(
-        f"{kpis.outcome} after {kpis.running_time_s:.1f} s, {100 * kpis.stopping_error_m:+.1f} cm from the stop"
-    )
+    print(f"{kpis.outcome} after {kpis.running_time_s:.1f} s, {kpis.stopping_error_m:+.3f} m from the stop")
     print(f"{kpis.energy_wheel_kwh:.2f} kWh at the wheel, the optimum is {kpis.optimal_energy_kwh:.2f} kWh")
     for check in checks(kpis):
         print(f"{'ok  ' if check.passed else 'FAIL'} {check.name}: {check.value} ({check.wanted})")

@@ -9,7 +9,7 @@ from metropilot.cli import app
 
 RUN = ("drive", "yizhuang", "RJ", "WYJ", "--driver", "flat_out")
 BAD = [
-    (("drive", "yizhuang", "RJ", "XYZ"), "SJZ, XC, XHM"),
+    (("drive", "yizhuang", "RJ", "XYZ"), "SJZ (Songjiazhuang), XC"),
     (("drive", "yizhuang", "RJ", "RJ"), "same station"),
     (("drive", "yizhuang", "Yizhuang", "RJ"), "YZQ"),
     (("drive", "yizhuang", "RJ"), "destination: missing"),
@@ -18,7 +18,7 @@ BAD = [
     (("drive", "nowhere.toml", "RJ", "WYJ"), "nowhere.toml"),
     ((*RUN, "--time", "nan"), "time"),
     ((*RUN, "--time", "-5"), "time"),
-    ((*RUN, "--time", "abc"), "not a valid float"),
+    ((*RUN, "--time", "abc"), "valid number"),
     ((*RUN, "--time", "10"), "minimum running time is"),
     ((*RUN, "--trainset", "dkz23"), "dkz32"),
     ((*RUN, "--load", "AW9"), "AW0, AW2, AW3"),

@@ -18,7 +18,7 @@ BAD_INPUT = 2
 INTERRUPTED = 130
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "drive": ("metropilot.cli.drive", "Drive one run and report it."),
+    "drive": ("metropilot.cli.drive", "Drive one run under protection and report it."),
     "compare": ("metropilot.cli.compare", "Drive the same run with several drivers."),
     "plan": ("metropilot.cli.plan", "Compute the optimal plan, its certificate, the time-energy front."),
     "lines": ("metropilot.cli.catalogue", "List the lines of the catalogue."),
@@ -87,10 +87,11 @@ def _stub() -> None:
     """A command that is listed but not called."""
 
 
-def _say_version(wanted: bool) -> None:
+def _say_version(wanted: bool) -> bool:
     if wanted:
         typer.echo(f"metropilot {metropilot.__version__}")
         raise typer.Exit
+    return wanted
 
 
 def _root(
