@@ -27,7 +27,7 @@ APPROACH_PER_S = 0.8
 EASE_SHARE = 0.4
 """Jerk at which traction is eased off before the speed is reached, over the trainset's limit."""
 REACTION_S = 1.0
-"""Time before protection's emergency brake acts, at most: the way gone in it counts for an acceleration."""
+"""Time before traction can be turned into braking, delay and lag aside."""
 SPACING_M = 2.0
 BEYOND_M = 100.0
 ACCELERATIONS_MPS2 = np.linspace(0.0, 1.5, 16)
@@ -40,11 +40,13 @@ class Ceiling(NamedTuple):
         position_m: Grid. Shape (N,).
         speed_mps: Permitted speed less the margin. Shape (N,).
         room_mps: How far below the permitted speed each acceleration must stay. Shape (A,).
+        reaction_s: Traction must fit to the lower speeds permitted within the way of this time.
     """
 
     position_m: Float[ndarray, " nodes"]
     speed_mps: Float[ndarray, " nodes"]
     room_mps: Float[ndarray, " accelerations"]
+    reaction_s: float
 
     def at(self, position_m: float, way_m: float = 0.0) -> float:
         """The lowest speed to keep from a position over a little way."""
@@ -81,6 +83,7 @@ def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ce
         position_m=at,
         speed_mps=np.maximum(np.asarray(permitted_speed(protection, at)) - margin, 0.5),
         room_mps=np.asarray(approach_margin(protection, ACCELERATIONS_MPS2)),
+        reaction_s=REACTION_S + bounds.delay_s + bounds.lag_s,
     )
 
 
@@ -125,11 +128,13 @@ def traction_limit(belief: Belief, ahead: Ahead, ceiling: Ceiling) -> float:
         ceiling: Speeds to keep under.
     """
     drag = ahead.resistance_mps2 + ahead.gradient_mps2
-    here_mps = ceiling.at(belief.position_m, REACTION_S * belief.speed_mps)
+    here_mps = ceiling.at(belief.position_m, ceiling.reaction_s * belief.speed_mps)
     here = ceiling.acceleration_under(here_mps - belief.speed_mps)
-    there = ceiling.acceleration_under(ceiling.at(ahead.position_m) - ahead.speed_mps)
+    there_mps = ceiling.at(ahead.position_m, ceiling.reaction_s * ahead.speed_mps)
+    there = ceiling.acceleration_under(there_mps - ahead.speed_mps)
     believed = ahead.traction_mps2 / belief.traction_gain
-    return min(max((min(here, there) + drag) / believed, drag / ahead.traction_mps2, 0.0), 1.0)
+    hold = drag / ahead.traction_mps2 if ahead.speed_mps <= there_mps else 0.0
+    return min(max((min(here, there) + drag) / believed, hold, 0.0), 1.0)
 
 
 def lowest_ahead(ahead: Ahead, ceiling: Ceiling, curve: Curve) -> tuple[float, float] | None:
