@@ -36,7 +36,7 @@ def program(tmp_path):
     """Run one command as a program, as a user does."""
 
     def run(*arguments, **more):
-        command = [Path(sys.executable).with_name("metropilot"), *arguments]
+        command = [Path(sys.executable).with_name("metropilot"), *map(str, arguments)]
         done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, **more)
         return Said(done.returncode, done.stdout, done.stderr)
 

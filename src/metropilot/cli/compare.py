@@ -32,7 +32,7 @@ MAX_SEEDS = 10_000
 EXAMPLES = {
     "compare": (
         "metropilot compare yizhuang RJ WYJ --time 101 --drivers optimal,manual,flat_out --out compare",
-        "metropilot compare yizhuang RJ WYJ --drivers optimal,manual --seeds 20 --speed-noise 0.05 --json",
+        "metropilot compare yizhuang RJ WYJ --drivers optimal,manual --seeds 10 --speed-noise 0.05 --json",
     ),
 }
 
