@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
 
 from metropilot.drivers.base import AbstractDriver, register
 from metropilot.drivers.observer import (
+    Ahead,
     Belief,
     Model,
     first_belief,
@@ -17,12 +21,14 @@ from metropilot.drivers.observer import (
     observe,
     share_for,
 )
-from metropilot.drivers.stopping import Curve, curve_for, stop_command
+from metropilot.drivers.stopping import Curve, Stop, curve_for, stop_command
 from metropilot.errors import SolverError
-from metropilot.physics import Vehicle, track_arrays, vehicle_arrays
+from metropilot.physics import Command, Vehicle, track_arrays, vehicle_arrays
 from metropilot.planning import Plan, PlanOptions, plan_arrays
+from metropilot.planning.mesh import limit_at
+from metropilot.protection import Bounds, Memory, Protection, at_start, permitted_speed, protect, supervise
 from metropilot.railway import Section, Trainset
-from metropilot.task import Observation, Run
+from metropilot.task import Observation, Run, declared_bounds
 
 
 class Adapted(NamedTuple):
@@ -31,6 +37,30 @@ class Adapted(NamedTuple):
     traction: float = 1.0
     brake: float = 1.0
     resistance: float = 1.0
+
+
+class Ceiling(NamedTuple):
+    """What the driver keeps under, so that protection has no reason to intervene.
+
+    Attributes:
+        position_m: Uniform grid of 1 m from the origin. Shape (G,).
+        speed_mps: Speed to keep under while holding it. Shape (G,).
+        reaction_s: How long an acceleration goes on once it is not wanted any more, in protection's eyes.
+        quadratic: What its decay adds, s^3/m.
+    """
+
+    position_m: Float[ndarray, " grid"]
+    speed_mps: Float[ndarray, " grid"]
+    reaction_s: float
+    quadratic: float
+
+    def approach(self, ahead: Ahead) -> float:
+        """Largest acceleration with which the ceiling is not broken through: ``a r + q a^2 <= room``."""
+        room = float(np.interp(ahead.position_m, self.position_m, self.speed_mps)) - ahead.speed_mps
+        if room < 0:
+            return CATCH_PER_S * room
+        r, q = self.reaction_s, self.quadratic
+        return 2.0 * room / (r + math.sqrt(r * r + 4.0 * q * room))
 
 
 @dataclass(frozen=True)
@@ -45,6 +75,11 @@ class OptimalOptions:
         patience_s: Least time between two plans.
         last_plan_m: No new plan this close to the braking point.
         release_share: Jerk of the last brake's release over the trainset's limit.
+        brake_use: Share of the braking force the plan counts on; the rest answers what goes differently.
+        handover_m: How near the stop its own law takes over from the plan.
+        alarm: Where the stop needs this much more than the planned deceleration, its law takes over at once.
+        near_enough_m: Error at the stop that is not worth a correction in the last period.
+        cap_margin_mps: How far below the permitted speed the plan stays.
         reserve_s: How much earlier than scheduled the plan arrives.
         spacing_m: Mesh of the plan.
     """
@@ -55,7 +90,12 @@ class OptimalOptions:
     speed_band_mps: float = 0.5
     patience_s: float = 4.0
     last_plan_m: float = 30.0
-    release_share: float = 0.8
+    release_share: float = 0.95
+    brake_use: float = 0.98
+    handover_m: float = 60.0
+    alarm: float = 1.15
+    near_enough_m: float = 0.04
+    cap_margin_mps: float = 0.05
     reserve_s: float = 0.0
     spacing_m: float = 12.5
 
@@ -66,12 +106,17 @@ class Following:
 
     Attributes:
         trainset: The trainset as it is known.
+        run: The run.
+        guard: Protection's curves and bounds, as the trainset carries them.
+        watched: What protection remembers, kept alongside.
+        ceiling: Speeds to keep under.
         model: What it believes about trainset and section.
         belief: Where it is and how the trainset answers.
         plan: The plan in force.
         clock_s: When the plan began.
         curve: Shape of the stop.
         braking: Whether it is on its way to the stop.
+        overruled: Whether protection overruled the last command (then its answer teaches nothing).
         adapted: What the plan assumed of the trainset.
         scheduled_s: The scheduled time the plan was made for.
         section: The section the plan was made for.
@@ -79,12 +124,17 @@ class Following:
     """
 
     trainset: Trainset
+    run: Run
+    guard: Protection
+    watched: Memory
+    ceiling: Ceiling
     model: Model
     belief: Belief
     plan: Plan
     clock_s: float
     curve: Curve
     braking: bool
+    overruled: bool
     adapted: Adapted
     scheduled_s: float
     section: Section
@@ -92,6 +142,10 @@ class Following:
 
 
 LATE_W = 500.0
+CLEARING_STEPS = 7
+CATCH_PER_S = 1.0
+START_STRETCH_M = 3.0
+LAST_STRETCH_M = 30.0
 
 
 @register
@@ -110,17 +164,26 @@ class Optimal(AbstractDriver):
         trainset = run.scenario.believed(run.trainset)
         vehicle, track = vehicle_arrays(trainset), track_arrays(run.section, trainset)
         model = Model(vehicle, track, run.dt)
-        curve = self._curve(model, Adapted())
-        options = self._plan_options(model, curve)
-        plan = plan_arrays(vehicle, track, run.scheduled_time_s - self.options.reserve_s, options)
+        bounds = declared_bounds(run)
+        guard = protect(run.section, trainset, bounds)
+        ceiling = self._ceiling(model, guard, bounds)
+        options = self._plan_options(model, ceiling)
+        careful = adapted_vehicle(vehicle, Adapted(brake=self.options.brake_use))
+        plan = plan_arrays(careful, track, run.scheduled_time_s - self.options.reserve_s, options)
+        curve = self._curve(model, plan)
         return Following(
             trainset=trainset,
+            run=run,
+            guard=guard,
+            watched=at_start(guard),
+            ceiling=ceiling,
             model=model,
             belief=first_belief(model),
             plan=plan,
             clock_s=0.0,
             curve=curve,
             braking=False,
+            overruled=False,
             adapted=Adapted(),
             scheduled_s=run.scheduled_time_s,
             section=run.section,
@@ -136,14 +199,40 @@ class Optimal(AbstractDriver):
             observation.speed_mps,
             observation.acceleration_mps2,
         )
+        if memory.overruled:
+            belief = belief._replace(bank=memory.belief.bank, best=memory.belief.best)
         memory = replace(memory, belief=belief)
         if self._departs(memory, observation):
             memory = self._replanned(memory, observation)
         target = float(memory.model.track.length_m)
         stop = stop_command(memory.model, belief, target, memory.curve)
-        braking = memory.braking or stop.required_mps2 >= memory.curve.deceleration_mps2
-        share = stop.share if braking else self._follow(memory)
-        return share, replace(memory, belief=issued(belief, share), braking=braking)
+        braking = memory.braking or self._takes_over(memory, stop)
+        share = self._brake(memory, stop) if braking else self._follow(memory)
+        share, watched = _cleared(memory, observation, share)
+        return share, replace(
+            memory,
+            belief=issued(belief, share),
+            watched=watched,
+            braking=braking,
+            overruled=int(watched.level) > 0,
+        )
+
+    def _takes_over(self, memory: Following, stop: Stop) -> bool:
+        """Whether the stop's own law takes over: near the point, or where the plan would come too late."""
+        near = float(memory.model.track.length_m) - stop.ahead.position_m <= self.options.handover_m
+        rate = memory.curve.deceleration_mps2
+        return stop.required_mps2 >= (rate if near else self.options.alarm * rate)
+
+    def _brake(self, memory: Following, stop: Stop) -> float:
+        """The stop's command; in the last period the deceleration in force, where it ends near enough."""
+        ahead, dt = stop.ahead, memory.model.dt
+        rate = -ahead.acceleration_mps2
+        drop = float(memory.model.vehicle.jerk_mps3) * dt
+        if 0 < ahead.speed_mps <= rate * dt and rate <= drop:
+            short = float(memory.model.track.length_m) - ahead.position_m - ahead.speed_mps**2 / (2 * rate)
+            if abs(short) <= self.options.near_enough_m:
+                return share_for(memory.belief, ahead, -rate)
+        return stop.share
 
     def _follow(self, memory: Following) -> float:
         """The command that keeps to the plan's speed at the state where it begins to act."""
@@ -154,12 +243,13 @@ class Optimal(AbstractDriver):
         start = max(ahead.position_m, float(plan.position_m[0]))
         then = plan_speed(plan, start + max(step, 1e-3))
         planned = (then * then - here * here) / (2 * max(step, 1e-3))
-        if here < 0.5:
-            planned = _first_acceleration(plan, start, dt)
+        if np.isfinite(memory.model.vehicle.jerk_mps3):
+            planned = _ramped_acceleration(plan, start + 0.5 * step)
+        if float(plan.speed_mps[0]) == 0.0 and start - float(plan.position_m[0]) < START_STRETCH_M:
+            planned = _pull_away(plan, start + step)
         wanted = planned + self.options.speed_gain_per_s * (here - ahead.speed_mps)
-        wanted = min(
-            max(wanted, -memory.curve.deceleration_mps2), float(memory.model.vehicle.max_acceleration_mps2)
-        )
+        most = min(memory.ceiling.approach(ahead), float(memory.model.vehicle.max_acceleration_mps2))
+        wanted = max(min(wanted, most), -float(memory.model.vehicle.max_deceleration_mps2))
         effort = wanted + ahead.resistance_mps2 + ahead.gradient_mps2
         k = min(
             int(np.searchsorted(plan.position_m, start + step, side="right")) - 1, plan.traction_n.size - 1
@@ -193,22 +283,29 @@ class Optimal(AbstractDriver):
     def _replanned(self, memory: Following, observation: Observation) -> Following:
         """A plan from the state as it is, with the trainset as it has shown itself."""
         model, belief = memory.model, memory.belief
+        guard, ceiling = memory.guard, memory.ceiling
         if observation.section is not memory.section:
+            bounds = declared_bounds(memory.run)
+            guard = protect(observation.section, memory.trainset, bounds)
             model = model._replace(track=track_arrays(observation.section, memory.trainset))
+            ceiling = self._ceiling(model, guard, bounds)
         adapted = _adaptation(belief)
-        curve = self._curve(model, adapted)
         left = max(observation.scheduled_time_s - self.options.reserve_s - observation.time_s, 1.0)
         options = replace(
-            self._plan_options(model, curve),
+            self._plan_options(model, ceiling),
             start_m=max(belief.position_m, 0.0),
             start_mps=max(belief.speed_mps, 0.0),
             start_mps2=belief.acceleration_mps2,
             late_w=LATE_W,
         )
-        vehicle = adapted_vehicle(model.vehicle, adapted)
+        vehicle = adapted_vehicle(
+            model.vehicle, adapted._replace(brake=adapted.brake * self.options.brake_use)
+        )
         told = replace(
             memory,
             model=model,
+            guard=guard,
+            ceiling=ceiling,
             section=observation.section,
             scheduled_s=observation.scheduled_time_s,
             planned_at_s=observation.time_s,
@@ -221,33 +318,66 @@ class Optimal(AbstractDriver):
                 plan = plan_arrays(vehicle, model.track, left, attempt)
             except SolverError:
                 continue
-            return replace(told, plan=plan, clock_s=observation.time_s, curve=curve)
+            return replace(told, plan=plan, clock_s=observation.time_s, curve=self._curve(model, plan))
         return told
 
-    def _curve(self, model: Model, adapted: Adapted) -> Curve:
-        """The stop the plan ends with: the deceleration it brakes at, let go softly."""
+    def _curve(self, model: Model, plan: Plan) -> Curve:
+        """The stop the plan ends with: the deceleration it brakes at before it lets go."""
         vehicle = model.vehicle
-        rate = min(float(vehicle.max_deceleration_mps2), 1.02 * adapted.brake * _brake_rate(vehicle))
+        braking = -np.diff(plan.speed_mps**2) / (2 * np.diff(plan.position_m))
+        last = plan.position_m[1:] > float(plan.position_m[-1]) - LAST_STRETCH_M
+        rate = float(braking[last].max())
+        rate = min(max(rate, 0.3), float(vehicle.max_deceleration_mps2))
         curve = curve_for(vehicle, model.dt, rate)
         if np.isfinite(curve.release_jerk_mps3):
             curve = curve._replace(release_jerk_mps3=self.options.release_share * float(vehicle.jerk_mps3))
         return curve
 
-    def _plan_options(self, model: Model, curve: Curve) -> PlanOptions:
+    def _plan_options(self, model: Model, ceiling: Ceiling) -> PlanOptions:
+        """Plans allow for the jerk limit, and stay below the ceiling over a control period."""
         jerk = float(model.vehicle.jerk_mps3)
         limited = bool(np.isfinite(jerk))
+        cap = ceiling.speed_mps
+        held = int(np.ceil(float(cap.max()) * model.dt))
+        late = [np.concatenate([np.repeat(cap[:1], k), cap[: cap.size - k]]) for k in range(held + 1)]
         return PlanOptions(
             spacing_m=self.options.spacing_m,
             jerk_mps3=jerk if limited else None,
-            release_mps3=curve.release_jerk_mps3 if limited else None,
-            deceleration_mps2=curve.deceleration_mps2,
+            release_mps3=self.options.release_share * jerk if limited else None,
+            cap_m=ceiling.position_m,
+            cap_mps=np.min(late, axis=0),
+        )
+
+    def _ceiling(self, model: Model, guard: Protection, bounds: Bounds) -> Ceiling:
+        """What protection permits less a margin, and how long an acceleration goes on."""
+        rates, late = guard.rates, bounds.delay_s + bounds.lag_s
+        at = np.arange(0.0, float(model.track.length_m) + 1.0, 1.0)
+        limit = limit_at(model.track, at)
+        cap = permitted_speed(guard, at)
+        margin = self.options.cap_margin_mps + float(rates.speed_error_mps)
+        ratio = float(rates.mass_high / rates.mass_low)
+        jerk = min(float(model.vehicle.jerk_mps3), 1e6)
+        return Ceiling(
+            position_m=at,
+            speed_mps=np.maximum(np.minimum(cap, limit) - margin, 0.5),
+            reaction_s=ratio * (float(rates.reaction_s) + late),
+            quadratic=0.5 * ratio**2 / float(rates.jerk_mps3) + 0.5 / jerk,
         )
 
 
-def _brake_rate(vehicle: Vehicle) -> float:
-    from metropilot.physics import brake_available_n
-
-    return float(brake_available_n(vehicle, np.float64(5.0))) / float(vehicle.effective_mass_kg)
+def _cleared(memory: Following, observation: Observation, share: float) -> tuple[float, Memory]:
+    """The largest command up to ``share`` that protection lets pass, and what protection remembers of it."""
+    seen = observation.position_m, observation.speed_mps
+    _, after, verdict = supervise(memory.guard, memory.watched, *seen, Command(share, False))
+    if int(verdict.level) == 0:
+        return share, after
+    low, high = -1.0, share
+    for _ in range(CLEARING_STEPS):
+        middle = 0.5 * (low + high)
+        _, _, verdict = supervise(memory.guard, memory.watched, *seen, Command(middle, False))
+        low, high = (middle, high) if int(verdict.level) == 0 else (low, middle)
+    _, after, _ = supervise(memory.guard, memory.watched, *seen, Command(low, False))
+    return low, after
 
 
 def braking_room(memory: Following) -> float:
@@ -271,11 +401,17 @@ def plan_time(plan: Plan, position_m: float) -> float:
     return float(plan.time_s[k]) + (2 * gone / (v0 + v) if v0 + v > 1e-6 else 0.0)
 
 
-def _first_acceleration(plan: Plan, position_m: float, dt: float) -> float:
-    """Mean acceleration of the plan over the next period when it starts from (almost) rest."""
-    begin = plan_time(plan, position_m)
-    speeds = np.interp([begin, begin + dt], plan.time_s, plan.speed_mps)
-    return float(speeds[1] - speeds[0]) / dt
+def _ramped_acceleration(plan: Plan, position_m: float) -> float:
+    """Acceleration of a plan that allows for the jerk limit: linear between the middles of its segments."""
+    change = np.diff(plan.speed_mps**2) / (2 * np.diff(plan.position_m))
+    return float(np.interp(position_m, 0.5 * (plan.position_m[1:] + plan.position_m[:-1]), change))
+
+
+def _pull_away(plan: Plan, position_m: float) -> float:
+    """Acceleration to ask for just after departure: the largest planned near by; the plant builds it up."""
+    change = np.diff(plan.speed_mps**2) / (2 * np.diff(plan.position_m))
+    near = plan.position_m[:-1] < position_m + START_STRETCH_M
+    return float(change[near].max())
 
 
 def _adaptation(belief: Belief) -> Adapted:
