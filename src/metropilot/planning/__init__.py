@@ -10,6 +10,13 @@ from metropilot.planning.journey import (
     timetable_waypoints,
 )
 from metropilot.planning.optimal import Plan, PlanOptions, minimum_running_time, optimal_plan, plan_arrays
+from metropilot.planning.references import (
+    Reference,
+    ReferenceShape,
+    peak_speed,
+    reference,
+    reference_for_time,
+)
 
 __all__ = [
     "Call",
@@ -17,12 +24,17 @@ __all__ = [
     "JourneyPlan",
     "Plan",
     "PlanOptions",
+    "Reference",
+    "ReferenceShape",
     "Waypoint",
     "journey_waypoints",
     "minimum_running_time",
     "optimal_plan",
+    "peak_speed",
     "plan_arrays",
     "plan_journey",
+    "reference",
+    "reference_for_time",
     "time_energy_front",
     "timetable_waypoints",
 ]

@@ -3,7 +3,7 @@
 On a space mesh take kinetic energy ``E`` and speed ``v`` at each node, and traction ``f``, braking ``b`` and
 time ``t`` on each segment, all per kg of effective mass::
 
-    minimise   sum ds (c f - d e) + p sum t
+    minimise   sum ds (c(f) - d(e)) + p sum t               (c convex, d concave: lines for a constant)
     subject to (E' - E) / ds = f - b - r(v, E) - g          (linear: Davis in the mean v and mean 2 E)
                v^2 <= 2 E,   t (v + v') >= 2 ds             (cones, tight at the optimum)
                0 <= f <= F(E),  0 <= b <= B(E),  0 <= e <= min(b, R(E))
@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import clarabel as _clarabel
 import numpy as np
@@ -29,25 +29,12 @@ from scipy import sparse
 from metropilot.errors import SolverError
 from metropilot.planning.effort_table import Specific
 from metropilot.planning.mesh import Mesh
+from metropilot.planning.prices import Prices
 
 clarabel: Any = _clarabel
 """The solver ships no type information."""
 SOFT_START = 6 ** (4 / 3) / 8
 """Under a constant jerk J from rest ``v^2/2 = SOFT_START * J^(2/3) * x^(4/3)``."""
-
-
-class Prices(NamedTuple):
-    """What the objective pays for.
-
-    Attributes:
-        traction: Cost of a joule of traction at the wheel: 1, or 1/efficiency. Shape (N,).
-        recovered: Worth of a joule of electric braking at the wheel. Shape (N,).
-        second_w: Cost of a second, W per kg of effective mass (auxiliaries).
-    """
-
-    traction: Float[ndarray, " segments"]
-    recovered: Float[ndarray, " segments"]
-    second_w: float
 
 
 @dataclass(frozen=True)
@@ -121,6 +108,7 @@ class Answer:
         second: What one second less costs: the multiplier of the last upper time bound, W per kg.
         primal: Objective, J/kg.
         dual: Dual objective: no drive of the programme costs less, J/kg.
+        late: How much later than the last bound, s.
         status: The solver's word.
     """
 
@@ -134,6 +122,7 @@ class Answer:
     second: float
     primal: float
     dual: float
+    late: float
     status: str
 
 
@@ -192,26 +181,26 @@ def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
     """
     p = programme
     n = p.mesh.length_m.size
-    recovers = bool(np.any(p.prices.recovered > 0))
-    wanted = {"e": recovers, "w": bool(p.dwells), "late": p.late_w is not None}
+    recovers = bool(np.any(p.prices.recovered.slope > 0))
+    wanted = {
+        "e": recovers,
+        "w": bool(p.dwells),
+        "late": p.late_w is not None,
+        "cost": not p.prices.traction.single,
+        "gain": recovers and not p.prices.recovered.single,
+    }
     names = ["E", "v", "f", "b", "t", *(name for name, there in wanted.items() if there)]
-    sizes = {"E": n + 1, "v": n + 1, "f": n, "b": n, "t": n, "e": n, "w": len(p.dwells), "late": 1}
-    starts = np.cumsum([0, *(sizes[k] for k in names)])
-    at = {k: s + np.arange(sizes[k]) for k, s in zip(names, starts[:-1], strict=True)}
+    sizes = {"E": n + 1, "v": n + 1, "w": len(p.dwells), "late": 1}
+    starts = np.cumsum([0, *(sizes.get(k, n) for k in names)])
+    at = {k: s + np.arange(sizes.get(k, n)) for k, s in zip(names, starts[:-1], strict=True)}
     total = int(starts[-1])
-    ds = p.mesh.length_m
-    cost = np.zeros(total)
-    cost[at["f"]] = ds * p.prices.traction
-    cost[at["t"]] = p.prices.second_w
-    if recovers:
-        cost[at["e"]] = -ds * p.prices.recovered
-    if p.late_w is not None:
-        cost[at["late"]] = p.late_w
+    cost, constant = _objective(p, at, total)
 
     rows = _Rows()
     _equalities(p, rows, at)
     equal = rows.count
     _effort_rows(p, rows, at, energy)
+    _price_rows(p, rows, at)
     _motion_rows(p, rows, at)
     if p.jerk_mps3 is not None:
         _jerk_rows(p, rows, at, energy)
@@ -234,6 +223,7 @@ def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
     if status not in {"Solved", "AlmostSolved"}:
         raise SolverError(f"the plan's solver stopped: {status}")
     x = np.asarray(solution.x)
+    late = max(float(x[at["late"]][0]), 0.0) if "late" in at else 0.0
     return Answer(
         energy=np.maximum(x[at["E"]], 0.0),
         speed=np.maximum(x[at["v"]], 0.0),
@@ -243,10 +233,42 @@ def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
         time=x[at["t"]],
         dwell=x[at["w"]] if p.dwells else np.zeros(0),
         second=float(solution.z[clock]) if clock is not None else 0.0,
-        primal=float(solution.obj_val),
-        dual=float(solution.obj_val_dual),
+        primal=float(solution.obj_val) + constant,
+        dual=float(solution.obj_val_dual) + constant,
+        late=late,
         status=status,
     )
+
+
+def _objective(p: Programme, at: dict[str, ndarray], total: int) -> tuple[ndarray, float]:
+    """Cost of each variable and the constant beside it."""
+    ds, prices = p.mesh.length_m, p.prices
+    cost = np.zeros(total)
+    cost[at["E"][1:]] += 0.5 * ds * prices.energy
+    cost[at["E"][:-1]] += 0.5 * ds * prices.energy
+    if "cost" in at:
+        cost[at["cost"]] = ds
+    else:
+        cost[at["f"]] = ds * prices.traction.slope[0]
+    if "gain" in at:
+        cost[at["gain"]] = -ds
+    elif "e" in at:
+        cost[at["e"]] = -ds * prices.recovered.slope[0]
+    cost[at["t"]] = prices.second_w
+    if p.late_w is not None:
+        cost[at["late"]] = p.late_w
+    return cost, -float(np.sum(ds * prices.energy * prices.energy_at))
+
+
+def _price_rows(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> None:
+    """``cost >= slope f + offset``, ``gain <= slope e + offset`` for every line of a price with several."""
+    for name, force, lines, sign in (
+        ("cost", "f", p.prices.traction, 1.0),
+        ("gain", "e", p.prices.recovered, -1.0),
+    ):
+        if name in at:
+            for slope, offset in zip(*lines, strict=True):
+                rows.add([(at[force], sign * slope), (at[name], -sign)], -sign * offset, offset.size)
 
 
 def _equalities(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> None:

@@ -190,7 +190,7 @@ def plan_journey(
     Raises:
         Infeasible: A window cannot be met even flat out; the message names waypoint and earliest time.
     """
-    options = options or PlanOptions()
+    options = replace(options or PlanOptions(), start_m=0.0, start_mps=0.0, start_mps2=0.0, end_mps=0.0)
     section = line.section(origin or line.stations[0], destination or line.stations[-1])
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
     table = limited(specific(vehicle), options)

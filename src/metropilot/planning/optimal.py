@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -12,15 +12,22 @@ from numpy import ndarray
 
 from metropilot.errors import Infeasible, InputError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
-from metropilot.planning.cone_program import Answer, Prices, Programme, TimeBound, solve
+from metropilot.planning.cone_program import Answer, Programme, TimeBound, solve
 from metropilot.planning.effort_table import Specific, specific
 from metropilot.planning.fastest import fastest_profile, relaxed_cap, times
+from metropilot.planning.follow_map import follow_map
 from metropilot.planning.mesh import Mesh, build_mesh
+from metropilot.planning.prices import cost_per_metre, is_mapped, prices_at
 from metropilot.railway import Section, Trainset
 
 Objective = Literal["wheel", "line"]
 PASSES = 6
 SETTLED = 5e-5
+MOVED = 1e-3
+EARLY_S = 0.01
+SLOW_PER_M = 1e-6
+NOTHING_J = 1e3
+"""Below this an energy counts as none in the certificate."""
 FINE_M = 2.0
 
 
@@ -73,7 +80,7 @@ class Plan:
         brake_n: Braking force on each segment. Shape (N,).
         running_time_s: Total time, dwells included.
         energy_j: Objective of the plan, evaluated on its own speed profile.
-        bound_j: Dual value: no drive of the convex problem costs less.
+        bound_j: Dual value: no drive of the convex problem costs less (if it may be late: no drive as late).
         energy_wheel_j: Mechanical traction energy of the plan.
         second_w: What the last second costs: the energy saved by one more second of running time, J/s.
         tightness: Largest relative gap of the cones ``v^2 <= 2E`` (0: tight).
@@ -100,7 +107,7 @@ class Plan:
     @property
     def gap(self) -> float:
         """Certificate: share by which the plan's energy lies above the bound."""
-        return self.energy_j / self.bound_j - 1.0
+        return (self.energy_j - self.bound_j) / max(abs(self.bound_j), NOTHING_J)
 
     @property
     def energy_kwh(self) -> float:
@@ -178,8 +185,9 @@ def _ramp_times(mesh: Mesh, options: PlanOptions) -> ndarray:
     jerk = options.jerk_mps3
     if jerk is None:
         return np.zeros(2)
-    ends = ((options.start_mps, mesh.length_m[0], jerk), (options.end_mps, mesh.length_m[-1], options.release_mps3))
-    return np.array([(6 * ds / (j or jerk)) ** (1 / 3) / 3 if v == 0 else 0.0 for v, ds, j in ends])
+    release = options.release_mps3 or jerk
+    ends = ((options.start_mps, mesh.length_m[0], jerk), (options.end_mps, mesh.length_m[-1], release))
+    return np.array([(6 * ds / j) ** (1 / 3) / 3 if v == 0 else 0.0 for v, ds, j in ends])
 
 
 def limited(table: Specific, options: PlanOptions) -> Specific:
@@ -219,44 +227,6 @@ def explain_stall(mesh: Mesh, energy: ndarray) -> None:
     )
 
 
-def _prices(
-    vehicle: Vehicle, table: Specific, mesh: Mesh, options: PlanOptions, answer: Answer | None
-) -> Prices:
-    """Prices per joule at the wheel; efficiency maps are read at the last iterate."""
-    n = mesh.length_m.size
-    if options.objective == "wheel":
-        return Prices(np.ones(n), np.zeros(n), 0.0)
-    motoring, braking = (
-        np.full(n, float(np.mean(m))) for m in (vehicle.efficiency_traction, vehicle.efficiency_braking)
-    )
-    if answer is not None and vehicle.efficiency_traction.size > 1:
-        motoring, braking = _mapped(vehicle, table, answer)
-    return Prices(
-        1.0 / motoring, braking * float(vehicle.receptivity), float(vehicle.auxiliary_w) / table.mass_kg
-    )
-
-
-def _mapped(vehicle: Vehicle, table: Specific, answer: Answer) -> tuple[ndarray, ndarray]:
-    from scipy.interpolate import RegularGridInterpolator
-
-    speed = np.sqrt(answer.energy[1:] + answer.energy[:-1])
-    result = []
-    for values, forces, curve in (
-        (vehicle.efficiency_traction, answer.traction, table.traction),
-        (vehicle.efficiency_braking, answer.recovered, table.electric),
-    ):
-        share = np.clip(forces / np.maximum(np.interp(speed, table.speed_mps, curve), 1e-6), 0.0, 1.0)
-        axes = (vehicle.efficiency_speed_mps, vehicle.efficiency_share)
-        grid = values
-        for axis in (0, 1):
-            if axes[axis].size == 1:
-                axes = tuple(np.append(a, a[-1] + 1.0) if k == axis else a for k, a in enumerate(axes))
-                grid = np.repeat(grid, 2, axis=axis)
-        inside = [np.clip(x, a[0], a[-1]) for x, a in zip((speed, share), axes, strict=True)]
-        result.append(RegularGridInterpolator(axes, grid)(np.stack(inside, axis=1)))
-    return result[0], result[1]
-
-
 def iterate(
     vehicle: Vehicle,
     table: Specific,
@@ -267,42 +237,55 @@ def iterate(
     options: PlanOptions,
     floor_mps: Float[ndarray, " nodes"] | None = None,
 ) -> Plan:
-    """Solve, move the linearisation to the answer, and repeat until the energy settles."""
-    cap = relaxed_cap(table, mesh, options.start_mps)
-    answer: Answer | None = None
-    count = 0
-    last = np.inf
-    for _ in range(PASSES):
-        count += 1
-        prices = _prices(vehicle, table, mesh, options, answer)
-        programme = Programme(
-            mesh=mesh,
-            table=table,
-            prices=prices,
-            start_mps=options.start_mps,
-            end_mps=options.end_mps,
-            cap_mps=cap,
-            bounds=tuple(bounds),
-            dwells=tuple(dwells),
-            floor_mps=floor_mps,
-            jerk_mps3=options.jerk_mps3,
-            start_mps2=options.start_mps2,
-            stands=options.start_mps == 0,
-            release_mps3=options.release_mps3,
-            late_w=options.late_w,
-        )
-        answer = solve(programme, energy)
+    """Solve, move the linearisation to the answer, and repeat until the energy settles.
+
+    Prices of an efficiency map move along with it: see :func:`follow_map`.
+    """
+    base = Programme(
+        mesh=mesh,
+        table=table,
+        prices=prices_at(vehicle, table, options.objective, energy, None),
+        start_mps=options.start_mps,
+        end_mps=options.end_mps,
+        cap_mps=relaxed_cap(table, mesh, options.start_mps),
+        bounds=tuple(bounds),
+        dwells=tuple(dwells),
+        floor_mps=floor_mps,
+        jerk_mps3=options.jerk_mps3,
+        start_mps2=options.start_mps2,
+        stands=options.start_mps == 0,
+        release_mps3=options.release_mps3,
+        late_w=options.late_w,
+    )
+    if options.objective == "line" and is_mapped(vehicle):
+        answer, count = follow_map(vehicle, base, energy)
+        return _finished(vehicle, table, mesh, answer, options, count)
+    answer, last, count = solve(base, energy), np.inf, 1
+    while count < PASSES:
         moved = float(np.max(np.abs(answer.energy - energy)) / max(float(answer.energy.max()), 1e-9))
-        energy = answer.energy
-        if abs(answer.dual - last) <= SETTLED * abs(answer.dual) or moved < 1e-3:
+        if abs(answer.dual - last) <= SETTLED * abs(answer.dual) or moved < MOVED:
             break
-        last = answer.dual
-    assert answer is not None
-    return _finished(table, mesh, answer, _prices(vehicle, table, mesh, options, answer), options, count)
+        energy, last = answer.energy, answer.dual
+        answer, count = solve(base, energy), count + 1
+    asked = bounds[0].high_s if len(bounds) == 1 else None
+    if asked is not None and asked - float(times(mesh, answer.energy).sum()) > EARLY_S:
+        answer, count = _unhurried(base, answer), count + 1
+    return _finished(vehicle, table, mesh, answer, options, count)
+
+
+def _unhurried(base: Programme, answer: Answer) -> Answer:
+    """Of all drives that cost no more, a slow one that uses the time.
+
+    Where going slower saves nothing, as on a section that is all downhill, the optimum may arrive early; a
+    negligible price on kinetic energy breaks the tie. The bound stays that of the programme itself.
+    """
+    slow = np.full(base.mesh.length_m.size, SLOW_PER_M)
+    prices = base.prices._replace(energy=slow, energy_at=np.zeros_like(slow))
+    return replace(solve(replace(base, prices=prices), answer.energy), dual=answer.dual)
 
 
 def _finished(
-    table: Specific, mesh: Mesh, answer: Answer, prices: Prices, options: PlanOptions, passes: int
+    vehicle: Vehicle, table: Specific, mesh: Mesh, answer: Answer, options: PlanOptions, passes: int
 ) -> Plan:
     """Evaluate the answer's speed profile by itself: forces from the dynamics, times from the speeds."""
     ds = mesh.length_m
@@ -320,12 +303,14 @@ def _finished(
     duration = times(mesh, energy)
     duration[[0, -1]] += _ramp_times(mesh, options)
     wheel = float(np.sum(traction * ds))
-    cost = float(np.sum(ds * (prices.traction * traction - prices.recovered * recovered)))
-    cost += prices.second_w * float(duration.sum())
+    middle = 0.5 * (energy[1:] + energy[:-1])
+    cost = float(np.sum(ds * cost_per_metre(vehicle, table, options.objective, middle, traction, recovered)))
+    if options.objective == "line":
+        cost += float(vehicle.auxiliary_w) / table.mass_kg * float(duration.sum())
     slack = (2 * answer.energy - answer.speed**2) / max(float(2 * answer.energy.max()), 1e-9)
     clock = np.concatenate([[0.0], np.cumsum(duration)])
-    middle = np.sqrt(energy[1:] + energy[:-1])
-    excess = traction / np.maximum(np.interp(middle, table.speed_mps, table.traction), 1e-9) - 1.0
+    available = np.interp(np.sqrt(2 * middle), table.speed_mps, table.traction)
+    excess = traction / np.maximum(available, 1e-9) - 1.0
     return Plan(
         position_m=mesh.node_m,
         speed_mps=speed,
@@ -334,7 +319,7 @@ def _finished(
         brake_n=brake * table.mass_kg,
         running_time_s=float(clock[-1]),
         energy_j=cost * table.mass_kg,
-        bound_j=answer.dual * table.mass_kg,
+        bound_j=(answer.dual - (options.late_w or 0.0) * answer.late) * table.mass_kg,
         energy_wheel_j=wheel * table.mass_kg,
         second_w=answer.second * table.mass_kg,
         tightness=float(slack.max()),

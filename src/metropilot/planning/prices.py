@@ -1,0 +1,183 @@
+"""What a joule at the wheel costs at the line: constants, or maps over speed and effort made convex.
+
+With an efficiency map the traction force ``f`` costs ``c(f, v) = f / eta(v, f / F(v))`` per metre. In
+``f`` this is replaced by its lower convex hull (exact at the points of the map where losses grow with
+effort, as they do near full power; where part load is the dear one, the hull says what switching between
+nothing and more would cost), in ``v`` by its tangent at the last iterate. What braking gives back is
+treated the same way, with the upper concave hull.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from metropilot.physics import Vehicle
+from metropilot.physics.energy import map_value
+from metropilot.planning.effort_table import Specific
+
+SHARES = 11
+
+
+class Facets(NamedTuple):
+    """Straight lines over a force per kg: a cost is at least the highest, a gain at most the lowest.
+
+    Attributes:
+        slope: J at the line per J at the wheel. Shape (K, N).
+        offset: Value at force zero, m/s^2. Shape (K, N).
+    """
+
+    slope: Float[ndarray, "lines segments"]
+    offset: Float[ndarray, "lines segments"]
+
+    @property
+    def single(self) -> bool:
+        """Whether one line through zero says it all."""
+        return self.slope.shape[0] == 1
+
+
+class Prices(NamedTuple):
+    """What the objective pays for, per kg of effective mass.
+
+    Attributes:
+        traction: Cost of traction at the wheel.
+        recovered: Worth of electric braking at the wheel.
+        second_w: Cost of a second, W per kg (auxiliaries).
+        energy: Change of cost per metre with the kinetic energy in the middle of a segment, since efficiency
+            depends on speed. Shape (N,).
+        energy_at: The kinetic energy it is taken at. Shape (N,).
+    """
+
+    traction: Facets
+    recovered: Facets
+    second_w: float
+    energy: Float[ndarray, " segments"]
+    energy_at: Float[ndarray, " segments"]
+
+
+def constant_line(value: float, segments: int) -> Facets:
+    """One price for every segment."""
+    return Facets(np.full((1, segments), value), np.zeros((1, segments)))
+
+
+def is_mapped(vehicle: Vehicle) -> bool:
+    """Whether an efficiency depends on speed or effort."""
+    return vehicle.efficiency_traction.size > 1 or vehicle.efficiency_braking.size > 1
+
+
+def cost_per_metre(
+    vehicle: Vehicle, table: Specific, objective: str, middle: ndarray, traction: ndarray, electric: ndarray
+) -> Float[ndarray, " segments"]:
+    """True cost of forces held on segments, by the plant's own map, J/kg per m.
+
+    Args:
+        vehicle: Trainset.
+        table: The same, per kg.
+        objective: ``wheel`` or ``line``.
+        middle: Kinetic energy per kg. Shape (N,).
+        traction: Traction per kg. Shape (N,).
+        electric: Electric braking per kg. Shape (N,).
+    """
+    if objective == "wheel":
+        return traction
+    motoring, braking = _efficiencies(vehicle, table, middle, traction, electric)
+    return traction / motoring - electric * braking * float(vehicle.receptivity)
+
+
+def prices_at(
+    vehicle: Vehicle,
+    table: Specific,
+    objective: str,
+    energy: Float[ndarray, " nodes"],
+    forces: tuple[ndarray, ndarray] | None,
+    *,
+    averaged: bool = False,
+) -> Prices:
+    """Prices about an iterate.
+
+    Args:
+        vehicle: Trainset.
+        table: The same, per kg.
+        objective: ``wheel`` or ``line``.
+        energy: Kinetic energy per kg at the nodes of the last iterate.
+        forces: Its traction and electric braking per kg, or None before the first.
+        averaged: One price a segment, the average at these forces, instead of convex hulls over the force.
+    """
+    middle = 0.5 * (energy[1:] + energy[:-1])
+    n, none = middle.size, np.zeros(middle.size)
+    if objective == "wheel":
+        return Prices(constant_line(1.0, n), constant_line(0.0, n), 0.0, none, middle)
+    second_w = float(vehicle.auxiliary_w) / table.mass_kg
+    receptivity = float(vehicle.receptivity)
+    if not is_mapped(vehicle):
+        motoring, braking = vehicle.efficiency_traction.item(), vehicle.efficiency_braking.item()
+        lines = constant_line(1.0 / motoring, n), constant_line(braking * receptivity, n)
+        return Prices(*lines, second_w, none, middle)
+    if averaged and forces is not None:
+        motoring, braking = _efficiencies(vehicle, table, middle, *forces)
+        lines = Facets(1.0 / motoring[None], none[None]), Facets(receptivity * braking[None], none[None])
+    else:
+        lines = _hulls(vehicle, table, middle)
+    return Prices(*lines, second_w, _speed_slope(vehicle, table, objective, middle, forces), middle)
+
+
+def _efficiencies(
+    vehicle: Vehicle, table: Specific, middle: ndarray, traction: ndarray, electric: ndarray
+) -> tuple[ndarray, ndarray]:
+    speed = np.sqrt(2 * middle)
+    up = traction / np.maximum(np.interp(speed, table.speed_mps, table.traction), 1e-6)
+    down = electric / np.maximum(np.interp(speed, table.speed_mps, table.electric), 1e-6)
+    return (
+        map_value(vehicle, vehicle.efficiency_traction, speed, np.clip(up, 0.0, 1.0)),
+        map_value(vehicle, vehicle.efficiency_braking, speed, np.clip(down, 0.0, 1.0)),
+    )
+
+
+def _speed_slope(
+    vehicle: Vehicle, table: Specific, objective: str, middle: ndarray, forces: tuple[ndarray, ndarray] | None
+) -> ndarray:
+    """Change of cost with kinetic energy at held forces, by a central difference."""
+    if forces is None:
+        return np.zeros(middle.size)
+    step = 0.02 * middle + 0.05
+    faster, slower = middle + step, np.maximum(middle - step, 0.0)
+    change = cost_per_metre(vehicle, table, objective, faster, *forces)
+    change -= cost_per_metre(vehicle, table, objective, slower, *forces)
+    return change / (faster - slower)
+
+
+def _hulls(vehicle: Vehicle, table: Specific, middle: ndarray) -> tuple[Facets, Facets]:
+    """Cost of traction and worth of braking at these speeds, over the force."""
+    speed = np.sqrt(2 * middle)
+    share = np.unique(np.append(np.linspace(0.0, 1.0, SHARES), np.clip(vehicle.efficiency_share, 0.0, 1.0)))
+    at = [np.full(middle.size, s) for s in share]
+    cost = np.stack([s / map_value(vehicle, vehicle.efficiency_traction, speed, s) for s in at])
+    gain = np.stack([s * map_value(vehicle, vehicle.efficiency_braking, speed, s) for s in at])
+    traction = _facets(share, cost, np.interp(speed, table.speed_mps, table.traction))
+    loss = _facets(
+        share, -float(vehicle.receptivity) * gain, np.interp(speed, table.speed_mps, table.electric)
+    )
+    return traction, Facets(-loss.slope, -loss.offset)
+
+
+def _facets(share: ndarray, cost: ndarray, available: ndarray) -> Facets:
+    """Lower convex hull of a cost per available force over the share of it, as lines over the force."""
+    hull = np.stack([_hull(share, column) for column in cost.T], axis=1)
+    slope = np.diff(hull, axis=0) / np.diff(share)[:, None]
+    return Facets(slope, available * (hull[:-1] - slope * share[:-1, None]))
+
+
+def _hull(x: ndarray, y: ndarray) -> ndarray:
+    """The lower convex hull of points, at the same places."""
+    kept: list[int] = []
+    for k in range(x.size):
+        while len(kept) > 1:
+            i, j = kept[-2:]
+            if (y[j] - y[i]) * (x[k] - x[i]) < (y[k] - y[i]) * (x[j] - x[i]):
+                break
+            kept.pop()
+        kept.append(k)
+    return np.interp(x, x[kept], y[kept])
