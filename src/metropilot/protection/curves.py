@@ -19,8 +19,10 @@ AHEAD = (16, 32, 64, 128, 256, 512)
 AT_ONCE_MPS3 = 1e4
 """An immediate build-up, as a number that can be divided by."""
 SERVICE_OVER_MPS2 = 0.4
-"""The service brake comes in this much over the permitted speed for every second of reaction: less than the
-braking in flight gains on the emergency curve, so that it spares the emergency brake."""
+"""The service brake comes in this much over the permitted speed for every second of the emergency brake's
+reaction: less than the braking in flight gains on the emergency curve, so that it spares the emergency brake."""
+SERVICE_LATE_MPS2 = 0.1
+"""And this much for every second of delay and lag, in which a driver's effort trails a changing gradient."""
 
 
 def protect(
@@ -58,7 +60,7 @@ def protect(
     rounding = 16.0 * float(np.finfo(dtype).eps) * (np.abs(field.node_m[[0, -1]]).sum() + 0.5 * top * top)
     emergency = np.maximum(_emergency_curve(field, bounds, before) - rounding, 0.0)
     permitted = _permitted_curve(field, vehicle, rates, bounds, emergency, pull, ahead)
-    service = _service_curve(field, vehicle, usual, permitted, _over(rates))
+    service = _service_curve(field, vehicle, usual, permitted, _over(rates, bounds))
     size = padded_size(permitted.size + ahead + 2, NODES)
     arrays = {
         "start_m": field.node_m[0],
@@ -131,9 +133,10 @@ def _memory_m(bounds: Bounds, top_mps: float, pull_mps2: ndarray) -> float:
     return top_mps * lasting + bounds.position_error_m
 
 
-def _over(rates: Rates) -> float:
+def _over(rates: Rates, bounds: Bounds) -> float:
     """How far over the permitted speed the service brake comes in, m/s."""
-    return SERVICE_OVER_MPS2 * float(rates.reaction_s) + float(rates.speed_error_mps)
+    late = SERVICE_LATE_MPS2 * (bounds.delay_s + bounds.lag_s)
+    return SERVICE_OVER_MPS2 * float(rates.reaction_s) + late + bounds.speed_error_mps
 
 
 def _emergency_curve(field: Ground, bounds: Bounds, before: int) -> ndarray:

@@ -16,7 +16,7 @@ from metropilot.physics.resistance import davis_n
 from metropilot.physics.types import Vehicle
 from metropilot.protection.types import Array, Rates
 
-HALVINGS = 18
+HALVINGS = 13
 SLACK_MPS = 1.0
 """Forces are taken at the worse of the measured speed and this much below it: it may change on the way."""
 
