@@ -24,7 +24,7 @@ BAD = [
     ((*RUN, "--load", "AW9"), "AW0, AW2, AW3"),
     ((*RUN[:-1], "flat-out"), "did you mean flat_out"),
     ((*RUN, "--set", "colour"), "NAME=VALUE"),
-    ((*RUN, "--set", "colour=red"), "does not take"),
+    ((*RUN, "--set", "colour=red"), "takes no options"),
     ((*RUN, "--mass-factor", "inf"), "0.5 to 2"),
     ((*RUN, "--dt", "0"), "0.01 to 1"),
     ((*RUN, "--restriction", "here"), "FROM-TO@KMH"),

@@ -56,8 +56,17 @@ def test_the_nearest_driver_is_named(request_rj):
 
 
 def test_an_option_the_driver_does_not_take(request_rj):
-    with pytest.raises(InputError, match="does not take"):
+    with pytest.raises(InputError, match="takes no options"):
         replace(request_rj, options={"colour": 1}).make_driver()
+    with pytest.raises(InputError, match="did you mean patience_s"):
+        replace(request_rj, driver="optimal", options={"patience": 1}).make_driver()
+    with pytest.raises(InputError, match="a number"):
+        replace(request_rj, driver="optimal", options={"patience_s": "long"}).make_driver()
+
+
+def test_options_reach_the_driver(request_rj):
+    driver = replace(request_rj, driver="optimal", options={"patience_s": 6}).make_driver()
+    assert driver.options.patience_s == 6.0
 
 
 def test_restrictions(request_rj):

@@ -228,7 +228,10 @@ def show_driver(driver: type[AbstractDriver], *, as_json: bool) -> int:
     """What a driver does, and the options it takes."""
     import inspect
 
+    from metropilot.evaluate import option_defaults
+
     text = inspect.getdoc(driver) or ""
+    taken = option_defaults(driver)
     if as_json:
         print_json(
             {
@@ -236,6 +239,7 @@ def show_driver(driver: type[AbstractDriver], *, as_json: bool) -> int:
                 "id": driver.id,
                 "summary": driver.summary,
                 "source": driver.source,
+                "options": taken,
                 "text": text,
             }
         )
@@ -243,6 +247,7 @@ def show_driver(driver: type[AbstractDriver], *, as_json: bool) -> int:
     out = console()
     out.print(f"{driver.id}: {driver.summary}", style="bold")
     out.print(f"source: {driver.source}")
+    heading(out, "options (--set NAME=VALUE)", [f"{name} = {value}" for name, value in taken.items()])
     heading(out, "in full", text.splitlines())
     return 0
 

@@ -1,6 +1,7 @@
 """Drives measured: the host loop, trajectories, KPIs, comparisons, pictures and the folder of a run."""
 
 from metropilot.evaluate.compare import Entry, Interval, Job, best, compare, jobs
+from metropilot.evaluate.driver_options import make_driver, option_defaults
 from metropilot.evaluate.folder import (
     check_writable,
     comparison_json,
@@ -13,7 +14,7 @@ from metropilot.evaluate.folder import (
 )
 from metropilot.evaluate.kpis import Check, Kpis, checks, kpis_of
 from metropilot.evaluate.optimum import Objective, Optimum, optimum_of
-from metropilot.evaluate.request import Request, make_driver
+from metropilot.evaluate.request import Request
 from metropilot.evaluate.request_file import request_from_toml
 from metropilot.evaluate.rollout import Drive, drive
 from metropilot.evaluate.trajectory import COLUMNS, PHASES, Trajectory
@@ -42,6 +43,7 @@ __all__ = [
     "kpis_of",
     "make_driver",
     "optimum_of",
+    "option_defaults",
     "provenance",
     "request_from_toml",
     "to_json",

@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from metropilot.evaluate.kpis import Kpis, kpis_of
 from metropilot.evaluate.optimum import Optimum, optimum_of
-from metropilot.evaluate.request import Request, make_driver
+from metropilot.evaluate.request import Request
 from metropilot.evaluate.rollout import Drive, drive
 
 CONFIDENCE = 0.95
@@ -89,7 +89,7 @@ def compare(request: Request, todo: Iterable[Job]) -> tuple[Entry, ...]:
     run = request.run()
     found: dict[str, list[tuple[Drive, Kpis, Optimum | None]]] = {}
     for job in todo:
-        driven = drive(replace(run, seed=job.seed), make_driver(job.driver))
+        driven = drive(replace(run, seed=job.seed), replace(request, driver=job.driver).make_driver())
         optimum = optimum_of(driven, request.objective)
         kpis = kpis_of(driven, optimum, request.objective)
         found.setdefault(job.driver, []).append((driven, kpis, optimum))

@@ -51,11 +51,12 @@ def comparison_figure(entries: Sequence[Entry]) -> Figure:
         if entries[0].optimum is not None:
             draw_plan(speed, entries[0].optimum.plan, f"optimum for the time of {entries[0].driver}")
         for entry, (colour, dashes) in zip(entries, _series(len(entries)), strict=True):
+            look = {"color": colour, "ls": dashes}
             t = entry.drives[0].trajectory
-            speed.plot(t.position_m, KMH * t.speed_mps, color=colour, ls=dashes, label=entry.driver)
-            energy.plot(
-                t.position_m, t.energy_wheel_j / J_PER_KWH, color=colour, ls=dashes, label=entry.driver
-            )
+            used = t.energy_wheel_j / J_PER_KWH
+            total = f"{entry.driver}: {used[-1]:.1f} kWh in {entry.kpis[0].running_time_s:.1f} s"
+            speed.plot(t.position_m, KMH * t.speed_mps, label=entry.driver, **look)
+            energy.plot(t.position_m, used, label=total, **look)
         top = max(float(KMH * e.drives[0].trajectory.limit_mps.max()) for e in entries)
         speed.set_ylim(0, 1.09 * top)
         speed.set_ylabel("speed (km/h)")
@@ -63,8 +64,8 @@ def comparison_figure(entries: Sequence[Entry]) -> Figure:
         draw_gradient(gradient, first.section)
         energy.set_ylabel("energy (kWh)")
         label(energy, "traction energy at the wheel")
-        energy.set_ylim(0, None)
-        _price_tags(energy, entries)
+        energy.set_ylim(0, (1.1 + 0.1 * len(entries)) * energy.get_ylim()[1])
+        energy.legend(loc="upper left", borderaxespad=0.2, labelspacing=0.3)
         furthest = max(float(e.drives[0].trajectory.position_m[-1]) for e in entries)
         set_distance(energy, first.section, furthest)
         section, trainset = first.section, first.run.trainset
@@ -76,30 +77,6 @@ def comparison_figure(entries: Sequence[Entry]) -> Figure:
 def _series(count: int) -> list[tuple[str, object]]:
     """A colour and a line style for each driver; past the palette's end they repeat."""
     return [SERIES[k % len(SERIES)] for k in range(count)]
-
-
-def _price_tags(axes: Axes, entries: Sequence[Entry]) -> None:
-    """Each driver's total and running time at the end of its curve, pushed apart where they would collide."""
-    ends = [(float(e.drives[0].trajectory.energy_wheel_j[-1]) / J_PER_KWH, e) for e in entries]
-    gap = 0.105 * max(value for value, _ in ends)
-    height = -np.inf
-    for (value, entry), (colour, _) in sorted(
-        zip(ends, _series(len(entries)), strict=True), key=lambda row: row[0][0]
-    ):
-        height = max(value, height + gap)
-        k = entry.kpis[0]
-        axes.annotate(
-            f"{entry.driver}  {value:.1f} kWh in {k.running_time_s:.1f} s",
-            (1.0, height),
-            xycoords=("axes fraction", "data"),
-            xytext=(-4, 3),
-            textcoords="offset points",
-            ha="right",
-            va="bottom",
-            fontsize=8,
-            color=colour,
-        )
-    axes.set_ylim(0, max(height + 1.3 * gap, 1e-6))
 
 
 def front_figure(section: Section, front: Front, planned: Plan | None, words: str, objective: str) -> Figure:

@@ -52,7 +52,7 @@ def profile_figure(drive: Drive, kpis: Kpis, optimum: Optimum | None) -> Figure:
         draw_speed(speed, drive, optimum)
         draw_gradient(gradient, drive.section)
         draw_command(command, drive)
-        draw_energy(energy, drive, optimum, kpis)
+        draw_energy(energy, drive, optimum)
         set_distance(energy, drive.section, float(drive.trajectory.position_m[-1]))
         headline(speed, title(drive), subtitle(kpis))
         return figure
@@ -205,10 +205,10 @@ def draw_command(axes: Axes, drive: Drive) -> None:
     label(axes, "command, share of the effort available")
 
 
-def draw_energy(axes: Axes, drive: Drive, optimum: Optimum | None, kpis: Kpis) -> None:
+def draw_energy(axes: Axes, drive: Drive, optimum: Optimum | None) -> None:
     """Energy so far at the wheel and at the line, the plan's behind it."""
     t = drive.trajectory
-    if optimum is not None and kpis.energy_objective == "wheel":
+    if optimum is not None:
         plan = optimum.plan
         used = np.concatenate([[0.0], np.cumsum(plan.traction_n * np.diff(plan.position_m))]) / J_PER_KWH
         axes.plot(plan.position_m, used, color=SKY, lw=4.5, alpha=0.75, label="optimal plan, at the wheel")

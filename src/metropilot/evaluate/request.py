@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from typing import Any, get_args
 
 from metropilot.drivers import DRIVERS, AbstractDriver
 from metropilot.errors import Infeasible, InputError
+from metropilot.evaluate.driver_options import make_driver, option_defaults
 from metropilot.evaluate.optimum import Objective
 from metropilot.planning import minimum_running_time
 from metropilot.railway import Restriction, Section, Trainset, load_line, load_trainset
@@ -133,12 +133,15 @@ class Request:
         return run
 
     def make_driver(self) -> AbstractDriver:
-        """The driver.
+        """The driver; one that can choose what energy to save is told the objective.
 
         Raises:
             InputError: No such driver, or no such option of it.
         """
-        return make_driver(self.driver, self.options)
+        told = dict(self.options)
+        if self.driver in DRIVERS.ids() and "objective" in option_defaults(DRIVERS.get(self.driver)):
+            told.setdefault("objective", self.objective)
+        return make_driver(self.driver, told)
 
     def resolved(self) -> Request:
         """The same request with stations by code, the load named and the running time filled in."""
@@ -154,26 +157,6 @@ class Request:
             trainset=trainset_id,
             load=trainset.load,
         )
-
-
-def make_driver(driver_id: str, options: Mapping[str, Any] | None = None) -> AbstractDriver:
-    """A driver by id; an unknown one names the nearest.
-
-    Raises:
-        InputError: No such driver, or no such option of it.
-    """
-    if driver_id not in DRIVERS.ids():
-        near = get_close_matches(driver_id, DRIVERS.ids(), 1)
-        hint = f", did you mean {near[0]}?" if near else ""
-        raise InputError(
-            f"unknown driver{hint}", field="driver", value=driver_id, allowed=", ".join(DRIVERS.ids())
-        )
-    try:
-        return DRIVERS.make(driver_id, **(options or {}))
-    except TypeError as error:
-        raise InputError(
-            f"the driver does not take that option ({error})", field="driver", value=driver_id
-        ) from None
 
 
 def parse_restriction(text: str, section: Section) -> tuple[Restriction, float | None]:

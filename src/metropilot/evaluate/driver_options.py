@@ -1,0 +1,73 @@
+"""Drivers by name, with options by name: what a command line and a `run.toml` can say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from difflib import get_close_matches
+from inspect import signature
+from typing import Any, get_args, get_type_hints
+
+from metropilot.drivers import DRIVERS, AbstractDriver
+from metropilot.errors import InputError
+
+
+def option_class(driver: type[AbstractDriver]) -> type[Any] | None:
+    """The dataclass a driver takes as its argument ``options``; None if it takes none."""
+    if "options" not in signature(driver.__init__).parameters:
+        return None
+    hint = get_type_hints(driver.__init__)["options"]
+    return next(
+        (kind for kind in (hint, *get_args(hint)) if isinstance(kind, type) and is_dataclass(kind)), None
+    )
+
+
+def option_defaults(driver: type[AbstractDriver]) -> dict[str, Any]:
+    """The options a driver takes, with what they are if nothing is said."""
+    kind = option_class(driver)
+    if kind is None:
+        return {}
+    return {f.name: f.default for f in fields(kind) if f.default is not MISSING}
+
+
+def make_driver(driver_id: str, options: Mapping[str, Any] | None = None) -> AbstractDriver:
+    """A driver by id, with some of its options; an unknown name is answered with the nearest.
+
+    Args:
+        driver_id: Id in the registry.
+        options: Fields of the driver's options dataclass.
+
+    Raises:
+        InputError: No such driver, no such option of it, or a value of the wrong kind.
+    """
+    _known(driver_id, DRIVERS.ids(), "driver", "driver")
+    if not options:
+        return DRIVERS.make(driver_id)
+    driver = DRIVERS.get(driver_id)
+    kind, defaults = option_class(driver), option_defaults(driver)
+    if kind is None:
+        raise InputError(f"{driver_id} takes no options", field="set", value=next(iter(options)))
+    values = {}
+    for name, value in options.items():
+        _known(name, tuple(defaults), f"option of {driver_id}", "set")
+        values[name] = _like(defaults[name], name, value)
+    make: Any = driver
+    return make(options=kind(**values))
+
+
+def _known(name: str, names: tuple[str, ...], what: str, where: str) -> None:
+    if name not in names:
+        near = get_close_matches(name, names, 1)
+        hint = f", did you mean {near[0]}?" if near else ""
+        raise InputError(f"unknown {what}{hint}", field=where, value=name, allowed=", ".join(names))
+
+
+def _like(default: Any, name: str, value: Any) -> Any:  # noqa: ANN401 (whatever an option holds)
+    """The value as the kind the default is of; a whole number will do for a number."""
+    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if default is not None and type(value) is not type(default):
+        kinds = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
+        allowed = kinds.get(type(default), type(default).__name__)
+        raise InputError("wrong kind of value", field=f"set {name}", value=str(value), allowed=allowed)
+    return value
