@@ -47,12 +47,14 @@ class Ceiling(NamedTuple):
         speed_mps: Speed to keep under while holding it. Shape (G,).
         reaction_s: How long an acceleration goes on once it is not wanted any more, in protection's eyes.
         quadratic: What its decay adds, s^3/m.
+        late_s: How long a service command may be on its way at most.
     """
 
     position_m: Float[ndarray, " grid"]
     speed_mps: Float[ndarray, " grid"]
     reaction_s: float
     quadratic: float
+    late_s: float
 
     def approach(self, ahead: Ahead) -> float:
         """Largest acceleration with which the ceiling is not broken through: ``a r + q a^2 <= room``."""
@@ -76,6 +78,7 @@ class OptimalOptions:
         last_plan_m: No new plan this close to the braking point.
         release_share: Jerk of the last brake's release over the trainset's limit.
         brake_use: Share of the braking force the plan counts on; the rest answers what goes differently.
+        careful_brake_use: The same where commands act late, or the trainset answers differently than told.
         handover_m: How near the stop its own law takes over from the plan.
         alarm: Where the stop needs this much more than the planned deceleration, its law takes over at once.
         near_enough_m: Error at the stop that is not worth a correction in the last period.
@@ -92,6 +95,7 @@ class OptimalOptions:
     last_plan_m: float = 30.0
     release_share: float = 0.95
     brake_use: float = 0.98
+    careful_brake_use: float = 0.92
     handover_m: float = 60.0
     alarm: float = 1.15
     near_enough_m: float = 0.04
@@ -146,6 +150,10 @@ CLEARING_STEPS = 7
 CATCH_PER_S = 1.0
 START_STRETCH_M = 3.0
 LAST_STRETCH_M = 30.0
+SURPRISE = 0.05
+"""A traction gain this far from 1 says that the mass is not what the driver was told."""
+DOUBT = 1.0
+"""Standard deviations taken off the brake's gain then, until braking has shown it."""
 
 
 @register
@@ -168,7 +176,7 @@ class Optimal(AbstractDriver):
         guard = protect(run.section, trainset, bounds)
         ceiling = self._ceiling(model, guard, bounds)
         options = self._plan_options(model, ceiling)
-        careful = adapted_vehicle(vehicle, Adapted(brake=self.options.brake_use))
+        careful = adapted_vehicle(vehicle, Adapted(brake=self._brake_use(Adapted(), ceiling)))
         plan = plan_arrays(careful, track, run.scheduled_time_s - self.options.reserve_s, options)
         curve = self._curve(model, plan)
         return Following(
@@ -298,9 +306,8 @@ class Optimal(AbstractDriver):
             start_mps2=belief.acceleration_mps2,
             late_w=LATE_W,
         )
-        vehicle = adapted_vehicle(
-            model.vehicle, adapted._replace(brake=adapted.brake * self.options.brake_use)
-        )
+        use = self._brake_use(adapted, ceiling)
+        vehicle = adapted_vehicle(model.vehicle, adapted._replace(brake=adapted.brake * use))
         told = replace(
             memory,
             model=model,
@@ -320,6 +327,11 @@ class Optimal(AbstractDriver):
                 continue
             return replace(told, plan=plan, clock_s=observation.time_s, curve=self._curve(model, plan))
         return told
+
+    def _brake_use(self, adapted: Adapted, ceiling: Ceiling) -> float:
+        """Share of the braking force to plan with."""
+        told = ceiling.late_s == 0.0 and abs(adapted.traction - 1.0) <= SURPRISE
+        return self.options.brake_use if told else self.options.careful_brake_use
 
     def _curve(self, model: Model, plan: Plan) -> Curve:
         """The stop the plan ends with: the deceleration it brakes at before it lets go."""
@@ -362,6 +374,7 @@ class Optimal(AbstractDriver):
             speed_mps=np.maximum(np.minimum(cap, limit) - margin, 0.5),
             reaction_s=ratio * (float(rates.reaction_s) + late),
             quadratic=0.5 * ratio**2 / float(rates.jerk_mps3) + 0.5 / jerk,
+            late_s=late,
         )
 
 
@@ -415,7 +428,11 @@ def _pull_away(plan: Plan, position_m: float) -> float:
 
 
 def _adaptation(belief: Belief) -> Adapted:
-    return Adapted(belief.traction_gain, belief.brake_gain, belief.resistance_factor)
+    """What to plan with: a brake no stronger than believed before, and doubted once the mass turns out wrong."""
+    brake = belief.brake_gain
+    if abs(belief.traction_gain - 1.0) > SURPRISE:
+        brake -= DOUBT * belief.brake_gain_sigma
+    return Adapted(belief.traction_gain, min(brake, 1.0), belief.resistance_factor)
 
 
 def adapted_vehicle(vehicle: Vehicle, adapted: Adapted) -> Vehicle:
