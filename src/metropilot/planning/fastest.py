@@ -11,6 +11,9 @@ from numpy import ndarray
 from metropilot.planning.effort_table import STEP_MPS, Specific
 from metropilot.planning.mesh import Mesh
 
+NEARLY_FULL = 0.98
+"""Share of the brakes a start above a cap is braked with: the rest keeps the plan's programme feasible."""
+
 
 def fastest_profile(
     table: Specific, mesh: Mesh, start_mps: float = 0.0, end_mps: float = 0.0
@@ -38,18 +41,23 @@ def fastest_profile(
     return _sweep(table, mesh, back, end=False)
 
 
-def relaxed_cap(table: Specific, mesh: Mesh, start_mps: float) -> Float[ndarray, " nodes"]:
-    """The caps, lifted to what full braking from the start leaves where the start is already too fast."""
-    energy = np.empty(mesh.node_m.size)
+def braked_energy(table: Specific, mesh: Mesh, start_mps: float) -> Float[ndarray, " nodes"]:
+    """``v^2/2`` at each node when (nearly) full braking begins at the start, J/kg."""
+    energy = np.zeros(mesh.node_m.size)
     energy[0] = 0.5 * start_mps**2
     for k, ds in enumerate(mesh.length_m):
         v = math.sqrt(2 * energy[k])
         rate = min(table.braking[_index(table, v)] + _resistance(table, mesh, k, v), table.deceleration)
-        energy[k + 1] = max(energy[k] - 0.98 * rate * ds, 0.0)
-        if energy[k + 1] <= 0.5 * mesh.cap_mps[k + 1] ** 2:
-            energy[k + 1 :] = 0.0
+        energy[k + 1] = energy[k] - NEARLY_FULL * rate * ds
+        if energy[k + 1] <= 0:
+            energy[k + 1] = 0.0
             break
-    return np.maximum(mesh.cap_mps, np.sqrt(2 * energy))
+    return energy
+
+
+def relaxed_cap(table: Specific, mesh: Mesh, start_mps: float) -> Float[ndarray, " nodes"]:
+    """The caps, lifted to what (nearly) full braking from the start leaves where no brake could meet them."""
+    return np.maximum(mesh.cap_mps, np.sqrt(2 * braked_energy(table, mesh, start_mps)))
 
 
 def _index(table: Specific, speed: float) -> int:
