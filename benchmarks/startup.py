@@ -26,7 +26,7 @@ CASES = (
 
 
 def median_s(arguments: tuple[str, ...], runs: int = RUNS) -> tuple[float, float]:
-    """Median wall and processor time of a command, s, in fresh processes after one that warms the file cache."""
+    """Median wall and processor time of a command in a fresh process, s; the first warms the file cache."""
     walls, busy = [], []
     for _ in range(runs + 1):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)

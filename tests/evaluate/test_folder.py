@@ -33,8 +33,10 @@ def test_driven_again_to_the_same_bits(tmp_path, request_rj):
     again = request_from_toml(tmp_path / "one" / "run.toml")
     write(tmp_path / "two", again)
     assert sorted(p.name for p in (tmp_path / "one").iterdir()) == FILES
-    for name in set(FILES) - {"kpis.json"}:
+    for name in set(FILES) - {"kpis.json", "run.toml"}:
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
+    asked = [tomllib.loads((tmp_path / n / "run.toml").read_text())["run"] for n in ("one", "two")]
+    assert asked[0] == asked[1]
     one, two = (json.loads((tmp_path / n / "kpis.json").read_text()) for n in ("one", "two"))
     del one["decision_time_us_median"], two["decision_time_us_median"]
     assert one == two
