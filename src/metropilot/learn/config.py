@@ -1,0 +1,253 @@
+"""What learning is told: one frozen dataclass a learner.
+
+The CLI, the docs and the run record are derived from them; :mod:`metropilot.learn.config_reading` reads them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from metropilot.errors import InputError
+from metropilot.learn.config_base import AbstractConfig, AbstractReplayConfig
+from metropilot.learn.networks import Activation, Initialiser
+from metropilot.learn.schedules import Schedule, Scheduled
+
+FULL_IMPORTANCE = Schedule(0.4, 1.0)
+LESS_CURIOUS = Schedule(1.0, 0.05, over=0.3)
+# Beyond this the sum tree falls out of the cache; more entries seldom help a prioritised learner.
+MAX_PRIORITISED = 131_072
+
+
+@dataclass(frozen=True)
+class PPOConfig(AbstractConfig):
+    """Proximal policy optimisation; its defaults are those recommended for Chen23a, over more environments.
+
+    Attributes:
+        rollout: Steps of each environment between updates.
+        epochs: How often each rollout is gone through.
+        minibatches: Into how many each epoch is cut.
+        learning_rate: Of Adam.
+        lambda_: Of the generalised advantage (0.995 with gamma 1 suits sparse terminal rewards).
+        clip: Epsilon of the clipped ratio.
+        entropy: Weight of the entropy bonus.
+        value_weight: Weight of the critic's loss.
+        initial_std: Deviation of the actions at first.
+        min_std: Deviation never falls below (the entropy floor).
+        initial_bias: Action at first: 0.5 sets a trainset moving before anything is learned.
+    """
+
+    algorithm: ClassVar[str] = "ppo"
+
+    environments: int = 64
+    max_gradient_norm: float | None = 0.5
+    rollout: int = 128
+    epochs: int = 10
+    minibatches: int = 16
+    learning_rate: Scheduled = 3e-4
+    lambda_: float = 0.95
+    clip: Scheduled = 0.2
+    entropy: Scheduled = 0.0
+    value_weight: float = 0.5
+    initial_std: float = 0.6
+    min_std: float = 0.01
+    initial_bias: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers outside their range, and minibatches that do not divide a rollout."""
+        super().__post_init__()
+        for name in ("rollout", "epochs", "minibatches"):
+            self.within(name, 1, math.inf)
+        self.within("lambda_", 0.0, 1.0)
+        self.within("learning_rate", 0.0, math.inf)
+        self.within("clip", 0.0, 1.0, open_low=True)
+        self.within("min_std", 0.0, math.inf)
+        self.within("initial_std", self.min_std, math.inf, open_low=True)
+        if self.rollout * self.environments % self.minibatches:
+            allowed = f"a divisor of environments x rollout = {self.rollout * self.environments}"
+            raise InputError(
+                "minibatches are unequal", field="minibatches", value=self.minibatches, allowed=allowed
+            )
+
+
+@dataclass(frozen=True)
+class DQNConfig(AbstractReplayConfig):
+    """Deep Q-learning; ``double``, ``dueling`` and ``prioritised`` together are Lu23's improved DQN.
+
+    Attributes:
+        learning_rate: Of Adam.
+        double: The online network chooses the next action, the target network judges it (Lu23 eq. 8).
+        dueling: State value and advantages apart (Lu23 eq. 10).
+        prioritised: Replay by temporal-difference error (Lu23 eqs. 11 and 12).
+        priority_exponent: alpha; Lu23 uses 1.
+        priority_floor: l of Lu23 eq. 12.
+        importance: beta.
+        mask_targets: The next action of the target, too, is one the task allows.
+        epsilon: Share of random actions.
+        target_period: Copy the target every so many gradient steps; 0: follow by ``tau`` at each.
+        huber: Where the square of the error turns straight; None: nowhere.
+    """
+
+    algorithm: ClassVar[str] = "dqn"
+
+    activation: Activation = "relu"
+    initialiser: Initialiser = "he"
+    max_gradient_norm: float | None = 10.0
+    learning_rate: Scheduled = 5e-4
+    double: bool = False
+    dueling: bool = False
+    prioritised: bool = False
+    priority_exponent: float = 0.6
+    priority_floor: float = 1e-3
+    importance: Scheduled = FULL_IMPORTANCE
+    mask_targets: bool = True
+    epsilon: Scheduled = LESS_CURIOUS
+    target_period: int = 200
+    huber: float | None = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers outside their range."""
+        super().__post_init__()
+        self.within("learning_rate", 0.0, math.inf)
+        self.within("epsilon", 0.0, 1.0)
+        self.within("importance", 0.0, 1.0)
+        self.within("priority_exponent", 0.0, math.inf)
+        self.within("priority_floor", 0.0, math.inf, open_low=True)
+        self.within("target_period", 0, math.inf)
+        self.within("huber", 0.0, math.inf, open_low=True)
+        if self.prioritised:
+            self.within("buffer_size", 1, MAX_PRIORITISED)
+
+
+@dataclass(frozen=True)
+class DDPGConfig(AbstractReplayConfig):
+    """Deep deterministic policy gradient.
+
+    Attributes:
+        actor_rate: Adam's learning rate of the actor.
+        critic_rate: And of the critic.
+        noise: Deviation of the exploration noise.
+        noise_kind: White Gaussian noise, or an Ornstein-Uhlenbeck process.
+        noise_pull: theta of the Ornstein-Uhlenbeck process, per step.
+        initial_bias: Action at first, before tanh.
+    """
+
+    algorithm: ClassVar[str] = "ddpg"
+
+    activation: Activation = "relu"
+    initialiser: Initialiser = "uniform"
+    actor_rate: Scheduled = 1e-3
+    critic_rate: Scheduled = 1e-3
+    noise: Scheduled = 0.2
+    noise_kind: Literal["gaussian", "ornstein_uhlenbeck"] = "gaussian"
+    noise_pull: float = 0.15
+    initial_bias: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers outside their range."""
+        super().__post_init__()
+        for name in ("actor_rate", "critic_rate", "noise"):
+            self.within(name, 0.0, math.inf)
+        self.within("noise_pull", 0.0, 1.0)
+        self.one_of("noise_kind", ("gaussian", "ornstein_uhlenbeck"))
+
+
+@dataclass(frozen=True)
+class SACConfig(AbstractReplayConfig):
+    """Soft actor-critic with twin critics.
+
+    Attributes:
+        actor_rate: Adam's learning rate of the actor.
+        critic_rate: And of both critics.
+        temperature_rate: And of the temperature; 0 keeps it.
+        initial_temperature: alpha at first.
+        target_entropy: Per action; the usual choice is -1.
+        initial_bias: Action at first, before tanh.
+    """
+
+    algorithm: ClassVar[str] = "sac"
+
+    activation: Activation = "relu"
+    initialiser: Initialiser = "he"
+    batch_size: int = 256
+    actor_rate: Scheduled = 3e-4
+    critic_rate: Scheduled = 1e-3
+    temperature_rate: Scheduled = 3e-4
+    initial_temperature: float = 0.2
+    target_entropy: float = -1.0
+    initial_bias: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers outside their range."""
+        super().__post_init__()
+        for name in ("actor_rate", "critic_rate", "temperature_rate"):
+            self.within(name, 0.0, math.inf)
+        self.within("initial_temperature", 0.0, math.inf, open_low=True)
+
+
+@dataclass(frozen=True)
+class NAFConfig(AbstractReplayConfig):
+    """Normalised advantage functions: Q-learning with continuous actions (the STON baseline of Huang25).
+
+    Attributes:
+        learning_rate: Of Adam.
+        noise: Deviation of the exploration noise.
+        initial_bias: Action at first, before tanh.
+    """
+
+    algorithm: ClassVar[str] = "naf"
+
+    learning_rate: Scheduled = 1e-3
+    noise: Scheduled = 0.3
+    initial_bias: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers outside their range."""
+        super().__post_init__()
+        for name in ("learning_rate", "noise"):
+            self.within(name, 0.0, math.inf)
+
+
+@dataclass(frozen=True)
+class TabularConfig(AbstractConfig):
+    """Tabular Q-learning over a grid of observations (the ITOR baseline of Huang25).
+
+    Attributes:
+        bins: Cells along each observation; one number stands for all.
+        low: Lower end of the grid along each observation; outside, the outermost cell counts.
+        high: Its upper end.
+        initial_value: Every entry at first; a high one makes the learner curious.
+        learning_rate: Share of the error that an entry takes in.
+        epsilon: Share of random actions.
+        rollout: Steps of each environment in one iteration.
+    """
+
+    algorithm: ClassVar[str] = "tabular"
+
+    bins: tuple[int, ...] = (10,)
+    low: tuple[float, ...] = (-1.0,)
+    high: tuple[float, ...] = (1.0,)
+    initial_value: float = 0.0
+    learning_rate: Scheduled = 0.1
+    epsilon: Scheduled = 0.1
+    rollout: int = 32
+
+    def __post_init__(self) -> None:
+        """Refuse numbers outside their range."""
+        super().__post_init__()
+        self.within("learning_rate", 0.0, 1.0)
+        self.within("epsilon", 0.0, 1.0)
+        self.within("rollout", 1, math.inf)
+        if self.normalise_observations or self.reward_scaling:
+            name = "normalise_observations" if self.normalise_observations else "reward_scaling"
+            raise InputError("a table does not need it", field=name, value=True, allowed="false")
+        if min(self.bins) < 1 or not all(a < b for a, b in zip(self.low, self.high, strict=False)):
+            raise InputError(
+                "empty grid", field="bins, low, high", value=f"{self.bins} {self.low} {self.high}"
+            )
+
+
+CONFIGS: dict[str, type[AbstractConfig]] = {
+    kind.algorithm: kind for kind in (DDPGConfig, DQNConfig, NAFConfig, PPOConfig, SACConfig, TabularConfig)
+}

@@ -1,0 +1,200 @@
+"""Many environments side by side, reset when their episode ends: the task itself never resets."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from metropilot.task.interface import AbstractTask, Array, TaskState
+
+
+class Environments(NamedTuple):
+    """Where each environment is.
+
+    Attributes:
+        state: Of the task, with a leading axis.
+        observation: Shape (N, O).
+        returned: Reward of the running episodes so far. Shape (N,).
+        length: Their steps so far. Shape (N,).
+        terms: Their reward terms so far, each of shape (N,).
+    """
+
+    state: TaskState
+    observation: Array
+    returned: Array
+    length: Array
+    terms: dict[str, Array]
+
+
+class Finished(NamedTuple):
+    """Sums over the episodes that ended; divide by ``count``.
+
+    Attributes:
+        count: Episodes that ended. Shape ().
+        returned: Sum of their returns. Shape ().
+        length: Sum of their lengths. Shape ().
+        terms: Sum of each of their reward terms. Shape () each.
+    """
+
+    count: Array
+    returned: Array
+    length: Array
+    terms: dict[str, Array]
+
+
+class Step(NamedTuple):
+    """What one step of all environments gave, before any reset.
+
+    Attributes:
+        observation: Surviving observation after the step. Shape (N, O).
+        reward: Shape (N,).
+        terminated: Shape (N,).
+        truncated: Shape (N,), never where terminated.
+        mask: Choices allowed after the step, shape (N, count), or None.
+        finished: Sums over episodes that ended.
+    """
+
+    observation: Array
+    reward: Array
+    terminated: Array
+    truncated: Array
+    mask: Array | None
+    finished: Finished
+
+
+def start(task: AbstractTask, key: Array, count: int) -> Environments:
+    """Reset ``count`` environments, each from its own key."""
+    state, observation = jax.vmap(task.reset)(jax.random.split(key, count))
+    shapes = jax.eval_shape(
+        lambda: jax.vmap(task.step)(jax.random.split(key, count), state, _any_action(task, count))
+    )
+    zero = jnp.zeros((count,), jnp.float32)
+    terms = dict.fromkeys(shapes[1].terms, zero)
+    return Environments(state, observation.astype(jnp.float32), zero, jnp.zeros((count,), jnp.int32), terms)
+
+
+def _any_action(task: AbstractTask, count: int) -> Array:
+    """An action for each environment, only for its shape."""
+    if task.action_space.discrete:
+        return jnp.zeros((count,), jnp.int32)
+    return jnp.zeros((count, task.action_space.size), jnp.float32)
+
+
+def random_actions(task: AbstractTask, key: Array, environments: Environments) -> Array:
+    """Even over [-1, 1], or over the allowed choices."""
+    count = environments.returned.shape[0]
+    if not task.action_space.discrete:
+        return jax.random.uniform(key, (count, task.action_space.size), jnp.float32, -1.0, 1.0)
+    mask = masks(task, environments.state)
+    return random_choices(key, (count, task.action_space.count), mask)
+
+
+def random_choices(key: Array, shape: tuple[int, int], mask: Array | None) -> Array:
+    """One of the allowed choices for each environment. Mask of ``shape``; result of shape (N,), int32."""
+    if mask is None:
+        return jax.random.randint(key, shape[:1], 0, shape[1])
+    usable = mask | ~jnp.any(mask, axis=-1, keepdims=True)
+    draws = jnp.where(usable, jax.random.uniform(key, shape, jnp.float32), -1.0)
+    return jnp.argmax(draws, axis=-1).astype(jnp.int32)
+
+
+def masks(task: AbstractTask, state: TaskState) -> Array | None:
+    """Choices allowed in each environment. Shape (N, count), or None where the task allows all."""
+    return jax.vmap(task.allowed)(state)
+
+
+def advance(
+    task: AbstractTask, key: Array, environments: Environments, action: Array
+) -> tuple[Environments, Step]:
+    """Step every environment, then reset those whose episode ended.
+
+    Args:
+        task: The task.
+        key: Random key; every environment gets two of its own.
+        environments: Where they are.
+        action: Shape (N, A), or (N,) choices.
+    """
+    count = environments.returned.shape[0]
+    step_key, reset_key = jax.random.split(key)
+    state, transition = jax.vmap(task.step)(jax.random.split(step_key, count), environments.state, action)
+    observation = transition.observation.astype(jnp.float32)
+    reward = transition.reward.astype(jnp.float32)
+    terminated = transition.terminated
+    truncated = transition.truncated & ~terminated
+    done = terminated | truncated
+    returned, length = environments.returned + reward, environments.length + 1
+    terms = {
+        name: old + transition.terms[name].astype(jnp.float32) for name, old in environments.terms.items()
+    }
+    finished = Finished(
+        jnp.sum(done).astype(jnp.float32),
+        _over(done, returned),
+        _over(done, length.astype(jnp.float32)),
+        {name: _over(done, value) for name, value in terms.items()},
+    )
+    step = Step(observation, reward, terminated, truncated, masks(task, state), finished)
+    fresh = (returned, length, terms)
+    fresh = jax.tree.map(lambda x: jnp.where(done, jnp.zeros_like(x), x), fresh)
+
+    def renew(_: None) -> tuple[TaskState, Array]:
+        new_state, new_observation = jax.vmap(task.reset)(jax.random.split(reset_key, count))
+        both = (new_state, new_observation.astype(jnp.float32)), (state, observation)
+        return jax.tree.map(lambda new, old: jnp.where(_along(done, new), new, old), *both)
+
+    state, observation = jax.lax.cond(jnp.any(done), renew, lambda _: (state, observation), None)
+    return Environments(state, observation, *fresh), step
+
+
+def _over(done: Array, values: Array) -> Array:
+    """Sum of the values of ended episodes. Shape ()."""
+    return jnp.sum(jnp.where(done, values, 0.0))
+
+
+def _along(done: Array, value: Array) -> Array:
+    """``done`` with axes added behind, to go with ``value``."""
+    return jnp.reshape(done, done.shape + (1,) * (value.ndim - 1))
+
+
+def evaluate(task: AbstractTask, act: Any, key: Array, episodes: int, steps: int) -> dict[str, Array]:
+    """Mean return, length and reward terms of whole episodes, all from one key.
+
+    Args:
+        task: The task.
+        act: ``(observation, mask) -> action`` for one environment.
+        key: Where the episodes begin and what disturbs them: the same key, the same episodes.
+        episodes: How many.
+        steps: Where they are cut off.
+
+    Returns:
+        ``return``, ``length``, ``terminated`` (share that ended by itself), ``term.NAME`` each; all of shape
+        ().
+    """
+    begin = start(task, key, episodes)
+
+    def one(carry: tuple[Environments, Array, Array], k: Array) -> tuple[Any, None]:
+        now, alive, ended = carry
+        keys = jax.random.split(jax.random.fold_in(key, k), episodes)
+        action = jax.vmap(act)(now.observation, masks(task, now.state))
+        state, transition = jax.vmap(task.step)(keys, now.state, action)
+        live = alive.astype(jnp.float32)
+        terms = {
+            name: old + live * transition.terms[name].astype(jnp.float32) for name, old in now.terms.items()
+        }
+        returned = now.returned + live * transition.reward.astype(jnp.float32)
+        length = now.length + alive.astype(jnp.int32)
+        after = Environments(state, transition.observation.astype(jnp.float32), returned, length, terms)
+        ended = ended | (alive & transition.terminated)
+        return (after, alive & ~transition.terminated & ~transition.truncated, ended), None
+
+    alive = jnp.ones((episodes,), bool)
+    (last, _, ended), _ = jax.lax.scan(
+        one, (begin, alive, ~alive), jnp.arange(1, steps + 1, dtype=jnp.uint32)
+    )
+    row = {
+        "return": jnp.mean(last.returned),
+        "length": jnp.mean(last.length.astype(jnp.float32)),
+        "terminated": jnp.mean(ended.astype(jnp.float32)),
+    }
+    return row | {f"term.{name}": jnp.mean(value) for name, value in last.terms.items()}
