@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray
 
 from metropilot.drivers.base import AbstractDriver, register
+from metropilot.drivers.headroom import Headroom, cleared, headroom_of
 from metropilot.drivers.observer import (
-    Ahead,
     Belief,
     Model,
     first_belief,
@@ -21,12 +18,19 @@ from metropilot.drivers.observer import (
     observe,
     share_for,
 )
+from metropilot.drivers.plan_reading import (
+    START_STRETCH_M,
+    plan_speed,
+    plan_time,
+    pull_away,
+    ramped_acceleration,
+)
 from metropilot.drivers.stopping import Curve, Stop, curve_for, stop_command
-from metropilot.errors import SolverError
-from metropilot.physics import Command, Vehicle, track_arrays, vehicle_arrays
+from metropilot.errors import Infeasible, SolverError
+from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
 from metropilot.planning import Plan, PlanOptions, plan_arrays
-from metropilot.planning.mesh import limit_at
-from metropilot.protection import Bounds, Memory, Protection, at_start, permitted_speed, protect, supervise
+from metropilot.planning.optimal import Objective, fastest_time
+from metropilot.protection import Memory, Protection, at_start, protect
 from metropilot.railway import Section, Trainset
 from metropilot.task import Observation, Run, declared_bounds
 
@@ -39,37 +43,12 @@ class Adapted(NamedTuple):
     resistance: float = 1.0
 
 
-class Ceiling(NamedTuple):
-    """What the driver keeps under, so that protection has no reason to intervene.
-
-    Attributes:
-        position_m: Uniform grid of 1 m from the origin. Shape (G,).
-        speed_mps: Speed to keep under while holding it. Shape (G,).
-        reaction_s: How long an acceleration goes on once it is not wanted any more, in protection's eyes.
-        quadratic: What its decay adds, s^3/m.
-        late_s: How long a service command may be on its way at most.
-    """
-
-    position_m: Float[ndarray, " grid"]
-    speed_mps: Float[ndarray, " grid"]
-    reaction_s: float
-    quadratic: float
-    late_s: float
-
-    def approach(self, ahead: Ahead) -> float:
-        """Largest acceleration with which the ceiling is not broken through: ``a r + q a^2 <= room``."""
-        room = float(np.interp(ahead.position_m, self.position_m, self.speed_mps)) - ahead.speed_mps
-        if room < 0:
-            return CATCH_PER_S * room
-        r, q = self.reaction_s, self.quadratic
-        return 2.0 * room / (r + math.sqrt(r * r + 4.0 * q * room))
-
-
 @dataclass(frozen=True)
 class OptimalOptions:
     """How closely the plan is followed.
 
     Attributes:
+        objective: What the plan saves: ``wheel`` or ``line`` energy.
         speed_gain_per_s: Correction of a departure in speed.
         coast_band_mps2: Efforts below this are not given where the plan coasts.
         time_band_s: A departure in time that calls for a new plan.
@@ -87,6 +66,7 @@ class OptimalOptions:
         spacing_m: Mesh of the plan.
     """
 
+    objective: Objective = "wheel"
     speed_gain_per_s: float = 0.8
     coast_band_mps2: float = 0.03
     time_band_s: float = 0.1
@@ -113,7 +93,7 @@ class Following:
         run: The run.
         guard: Protection's curves and bounds, as the trainset carries them.
         watched: What protection remembers, kept alongside.
-        ceiling: Speeds to keep under.
+        room: Speeds to keep under.
         model: What it believes about trainset and section.
         belief: Where it is and how the trainset answers.
         plan: The plan in force.
@@ -131,7 +111,7 @@ class Following:
     run: Run
     guard: Protection
     watched: Memory
-    ceiling: Ceiling
+    room: Headroom
     model: Model
     belief: Belief
     plan: Plan
@@ -146,9 +126,6 @@ class Following:
 
 
 LATE_W = 500.0
-CLEARING_STEPS = 7
-CATCH_PER_S = 1.0
-START_STRETCH_M = 3.0
 LAST_STRETCH_M = 30.0
 SURPRISE = 0.05
 """A traction gain this far from 1 says that the mass is not what the driver was told."""
@@ -174,17 +151,26 @@ class Optimal(AbstractDriver):
         model = Model(vehicle, track, run.dt)
         bounds = declared_bounds(run)
         guard = protect(run.section, trainset, bounds)
-        ceiling = self._ceiling(model, guard, bounds)
-        options = self._plan_options(model, ceiling)
-        careful = adapted_vehicle(vehicle, Adapted(brake=self._brake_use(Adapted(), ceiling)))
-        plan = plan_arrays(careful, track, run.scheduled_time_s - self.options.reserve_s, options)
+        room = headroom_of(model, guard, bounds, self.options.cap_margin_mps)
+        options = self._plan_options(model, room)
+        minimum = fastest_time(vehicle, track, PlanOptions())
+        if run.scheduled_time_s < minimum:
+            raise Infeasible(
+                f"minimum running time is {minimum:.1f} s",
+                field="time",
+                value=run.scheduled_time_s,
+                unit="s",
+                allowed=f">= {minimum:.1f} s",
+            )
+        careful = adapted_vehicle(vehicle, Adapted(brake=self._brake_use(Adapted(), room)))
+        plan = _plan(careful, track, run.scheduled_time_s - self.options.reserve_s, options)
         curve = self._curve(model, plan)
         return Following(
             trainset=trainset,
             run=run,
             guard=guard,
             watched=at_start(guard),
-            ceiling=ceiling,
+            room=room,
             model=model,
             belief=first_belief(model),
             plan=plan,
@@ -216,7 +202,9 @@ class Optimal(AbstractDriver):
         stop = stop_command(memory.model, belief, target, memory.curve)
         braking = memory.braking or self._takes_over(memory, stop)
         share = self._brake(memory, stop) if braking else self._follow(memory)
-        share, watched = _cleared(memory, observation, share)
+        share, watched = cleared(
+            memory.guard, memory.watched, observation.position_m, observation.speed_mps, share
+        )
         return share, replace(
             memory,
             belief=issued(belief, share),
@@ -252,11 +240,11 @@ class Optimal(AbstractDriver):
         then = plan_speed(plan, start + max(step, 1e-3))
         planned = (then * then - here * here) / (2 * max(step, 1e-3))
         if np.isfinite(memory.model.vehicle.jerk_mps3):
-            planned = _ramped_acceleration(plan, start + 0.5 * step)
+            planned = ramped_acceleration(plan, start + 0.5 * step)
         if float(plan.speed_mps[0]) == 0.0 and start - float(plan.position_m[0]) < START_STRETCH_M:
-            planned = _pull_away(plan, start + step)
+            planned = pull_away(plan, start + step)
         wanted = planned + self.options.speed_gain_per_s * (here - ahead.speed_mps)
-        most = min(memory.ceiling.approach(ahead), float(memory.model.vehicle.max_acceleration_mps2))
+        most = min(memory.room.approach(ahead), float(memory.model.vehicle.max_acceleration_mps2))
         wanted = max(min(wanted, most), -float(memory.model.vehicle.max_deceleration_mps2))
         effort = wanted + ahead.resistance_mps2 + ahead.gradient_mps2
         k = min(
@@ -291,28 +279,27 @@ class Optimal(AbstractDriver):
     def _replanned(self, memory: Following, observation: Observation) -> Following:
         """A plan from the state as it is, with the trainset as it has shown itself."""
         model, belief = memory.model, memory.belief
-        guard, ceiling = memory.guard, memory.ceiling
+        guard, room = memory.guard, memory.room
         if observation.section is not memory.section:
             bounds = declared_bounds(memory.run)
             guard = protect(observation.section, memory.trainset, bounds)
             model = model._replace(track=track_arrays(observation.section, memory.trainset))
-            ceiling = self._ceiling(model, guard, bounds)
+            room = headroom_of(model, guard, bounds, self.options.cap_margin_mps)
         adapted = _adaptation(belief)
         left = max(observation.scheduled_time_s - self.options.reserve_s - observation.time_s, 1.0)
         options = replace(
-            self._plan_options(model, ceiling),
+            self._plan_options(model, room),
             start_m=max(belief.position_m, 0.0),
             start_mps=max(belief.speed_mps, 0.0),
             start_mps2=belief.acceleration_mps2,
-            late_w=LATE_W,
         )
-        use = self._brake_use(adapted, ceiling)
+        use = self._brake_use(adapted, room)
         vehicle = adapted_vehicle(model.vehicle, adapted._replace(brake=adapted.brake * use))
         told = replace(
             memory,
             model=model,
             guard=guard,
-            ceiling=ceiling,
+            room=room,
             section=observation.section,
             scheduled_s=observation.scheduled_time_s,
             planned_at_s=observation.time_s,
@@ -320,17 +307,15 @@ class Optimal(AbstractDriver):
         )
         if memory.braking:
             return told
-        for attempt in (options, replace(options, jerk_mps3=None, release_mps3=None)):
-            try:
-                plan = plan_arrays(vehicle, model.track, left, attempt)
-            except SolverError:
-                continue
-            return replace(told, plan=plan, clock_s=observation.time_s, curve=self._curve(model, plan))
-        return told
+        try:
+            plan = _plan(vehicle, model.track, left, options)
+        except SolverError:
+            return told
+        return replace(told, plan=plan, clock_s=observation.time_s, curve=self._curve(model, plan))
 
-    def _brake_use(self, adapted: Adapted, ceiling: Ceiling) -> float:
+    def _brake_use(self, adapted: Adapted, room: Headroom) -> float:
         """Share of the braking force to plan with."""
-        told = ceiling.late_s == 0.0 and abs(adapted.traction - 1.0) <= SURPRISE
+        told = room.late_s == 0.0 and abs(adapted.traction - 1.0) <= SURPRISE
         return self.options.brake_use if told else self.options.careful_brake_use
 
     def _curve(self, model: Model, plan: Plan) -> Curve:
@@ -345,52 +330,30 @@ class Optimal(AbstractDriver):
             curve = curve._replace(release_jerk_mps3=self.options.release_share * float(vehicle.jerk_mps3))
         return curve
 
-    def _plan_options(self, model: Model, ceiling: Ceiling) -> PlanOptions:
-        """Plans allow for the jerk limit, and stay below the ceiling over a control period."""
+    def _plan_options(self, model: Model, room: Headroom) -> PlanOptions:
+        """Plans allow for the jerk limit, and stay below the room over a control period."""
         jerk = float(model.vehicle.jerk_mps3)
         limited = bool(np.isfinite(jerk))
-        cap = ceiling.speed_mps
+        cap = room.speed_mps
         held = int(np.ceil(float(cap.max()) * model.dt))
         late = [np.concatenate([np.repeat(cap[:1], k), cap[: cap.size - k]]) for k in range(held + 1)]
         return PlanOptions(
+            objective=self.options.objective,
             spacing_m=self.options.spacing_m,
+            late_w=LATE_W,
             jerk_mps3=jerk if limited else None,
             release_mps3=self.options.release_share * jerk if limited else None,
-            cap_m=ceiling.position_m,
+            cap_m=room.position_m,
             cap_mps=np.min(late, axis=0),
         )
 
-    def _ceiling(self, model: Model, guard: Protection, bounds: Bounds) -> Ceiling:
-        """What protection permits less a margin, and how long an acceleration goes on."""
-        rates, late = guard.rates, bounds.delay_s + bounds.lag_s
-        at = np.arange(0.0, float(model.track.length_m) + 1.0, 1.0)
-        limit = limit_at(model.track, at)
-        cap = permitted_speed(guard, at)
-        margin = self.options.cap_margin_mps + float(rates.speed_error_mps)
-        ratio = float(rates.mass_high / rates.mass_low)
-        jerk = min(float(model.vehicle.jerk_mps3), 1e6)
-        return Ceiling(
-            position_m=at,
-            speed_mps=np.maximum(np.minimum(cap, limit) - margin, 0.5),
-            reaction_s=ratio * (float(rates.reaction_s) + late),
-            quadratic=0.5 * ratio**2 / float(rates.jerk_mps3) + 0.5 / jerk,
-            late_s=late,
-        )
 
-
-def _cleared(memory: Following, observation: Observation, share: float) -> tuple[float, Memory]:
-    """The largest command up to ``share`` that protection lets pass, and what protection remembers of it."""
-    seen = observation.position_m, observation.speed_mps
-    _, after, verdict = supervise(memory.guard, memory.watched, *seen, Command(share, False))
-    if int(verdict.level) == 0:
-        return share, after
-    low, high = -1.0, share
-    for _ in range(CLEARING_STEPS):
-        middle = 0.5 * (low + high)
-        _, _, verdict = supervise(memory.guard, memory.watched, *seen, Command(middle, False))
-        low, high = (middle, high) if int(verdict.level) == 0 else (low, middle)
-    _, after, _ = supervise(memory.guard, memory.watched, *seen, Command(low, False))
-    return low, after
+def _plan(vehicle: Vehicle, track: Track, time_s: float, options: PlanOptions) -> Plan:
+    """The plan that allows for the jerk limit or, where there is none, one that leaves it to the plant."""
+    try:
+        return plan_arrays(vehicle, track, time_s, options)
+    except SolverError:
+        return plan_arrays(vehicle, track, time_s, replace(options, jerk_mps3=None, release_mps3=None))
 
 
 def braking_room(memory: Following) -> float:
@@ -399,36 +362,8 @@ def braking_room(memory: Following) -> float:
     return v * v / (2 * memory.curve.deceleration_mps2) + v
 
 
-def plan_speed(plan: Plan, position_m: float) -> float:
-    """Speed of the plan at a position; kinetic energy is linear between its nodes."""
-    return float(np.sqrt(np.interp(position_m, plan.position_m, plan.speed_mps**2)))
-
-
-def plan_time(plan: Plan, position_m: float) -> float:
-    """Time since the plan's start at a position, at constant acceleration between its nodes."""
-    k = int(np.clip(np.searchsorted(plan.position_m, position_m, side="right") - 1, 0, plan.time_s.size - 2))
-    v0, v = float(plan.speed_mps[k]), plan_speed(plan, position_m)
-    gone = min(max(position_m, float(plan.position_m[k])), float(plan.position_m[-1])) - float(
-        plan.position_m[k]
-    )
-    return float(plan.time_s[k]) + (2 * gone / (v0 + v) if v0 + v > 1e-6 else 0.0)
-
-
-def _ramped_acceleration(plan: Plan, position_m: float) -> float:
-    """Acceleration of a plan that allows for the jerk limit: linear between the middles of its segments."""
-    change = np.diff(plan.speed_mps**2) / (2 * np.diff(plan.position_m))
-    return float(np.interp(position_m, 0.5 * (plan.position_m[1:] + plan.position_m[:-1]), change))
-
-
-def _pull_away(plan: Plan, position_m: float) -> float:
-    """Acceleration to ask for just after departure: the largest planned near by; the plant builds it up."""
-    change = np.diff(plan.speed_mps**2) / (2 * np.diff(plan.position_m))
-    near = plan.position_m[:-1] < position_m + START_STRETCH_M
-    return float(change[near].max())
-
-
 def _adaptation(belief: Belief) -> Adapted:
-    """What to plan with: a brake no stronger than believed before, and doubted once the mass turns out wrong."""
+    """What to plan with: a brake no stronger than told, and doubted once the mass turns out wrong."""
     brake = belief.brake_gain
     if abs(belief.traction_gain - 1.0) > SURPRISE:
         brake -= DOUBT * belief.brake_gain_sigma
