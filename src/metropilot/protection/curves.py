@@ -20,7 +20,7 @@ AT_ONCE_MPS3 = 1e4
 """An immediate build-up, as a number that can be divided by."""
 SERVICE_OVER_MPS2 = 0.4
 """The service brake comes in this much over the permitted speed for every second of the emergency brake's
-reaction: less than the braking in flight gains on the emergency curve, so that it spares the emergency brake."""
+reaction: less than the braking in flight gains on the emergency curve, so that it spares that brake."""
 SERVICE_LATE_MPS2 = 0.1
 """And this much for every second of delay and lag, in which a driver's effort trails a changing gradient."""
 

@@ -84,10 +84,12 @@ class Check:
 
     def __init__(self, protection: Protection, memory: Memory, position_m: Scalar, speed_mps: Scalar) -> None:
         self.xp = xp = namespace(protection.start_m, position_m)
-        self.protection, self.memory, self.speed_mps = protection, memory, speed_mps
+        self.protection, self.memory = protection, memory
         known = xp.abs(position_m) < float("inf")
+        moving = xp.abs(speed_mps) < float("inf")
         position = xp.where(known, position_m, protection.start_m)
-        self.measured = known & (xp.abs(speed_mps) < float("inf"))
+        self.speed_mps = speed_mps = xp.where(moving, speed_mps, 0.0)
+        self.measured = known & moving
         self.node, self.way = on_grid(protection, position)
         first = protection.start_m + protection.spacing_m * _like(position, self.node + 1)
         steps = protection.ahead.astype(protection.emergency.dtype) * protection.spacing_m

@@ -129,14 +129,14 @@ LEVELS = ("none", "traction cut-off", "service brake", "emergency brake")
 
 
 def at_start(protection: Protection, *, share: float = 0.0, acceleration_mps2: float = 0.0) -> Memory:
-    """The supervisor's memory at departure, or in a run already under way (NumPy).
+    """The supervisor's memory at departure, or in a run already under way (NumPy constants, also in JAX).
 
     Args:
         protection: Protection of the section (only its number type and shapes matter).
         share: No command that may still act is above this.
         acceleration_mps2: The present acceleration is not above this.
     """
-    dtype = np.asarray(protection.spacing_m).dtype.type
+    dtype = protection.spacing_m.dtype.type
     none = np.int32(0)
     return Memory(
         recent=np.full(protection.slots.shape, share, dtype),

@@ -1,0 +1,136 @@
+"""The curves against closed forms, and what they promise about the ground they stand on."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from metropilot.errors import InputError
+from metropilot.physics import restrictive_profile, track_arrays
+from metropilot.protection import Bounds, approach_margin, permitted_braking, permitted_speed, protect
+from metropilot.railway import Restriction, SafeBraking, Steps, load_line, load_trainset
+
+LINE = load_line("yizhuang")
+DKZ32 = load_trainset("dkz32")
+IDEAL = DKZ32.ideal()
+DT = 0.2
+
+
+def level(limit_mps=20.0, slope_permil=0.0, length_m=2000.0):
+    section = LINE.section("RJ", "WYJ")
+    return replace(
+        section,
+        length_m=length_m,
+        limit_mps=Steps(np.array([-500.0]), np.array([limit_mps])),
+        gradient_permil=Steps(np.array([-500.0]), np.array([slope_permil])),
+        curves=(),
+    )
+
+
+def speed(protection, values, at):
+    node = round((at - float(protection.start_m)) / float(protection.spacing_m))
+    return float(np.sqrt(2.0 * values[node]))
+
+
+@pytest.mark.parametrize("slope_permil", [0.0, -24.0, 24.0])
+def test_emergency_curve_is_the_braking_parabola(slope_permil):
+    section = level(slope_permil=slope_permil).restricted(Restriction(1000.0, 1300.0, 10.0))
+    protection = protect(section, IDEAL, Bounds.of(IDEAL, DT))
+    rate = 1.2 + 9.81 * slope_permil / 1000.0
+    for back in (10.0, 50.0, 100.0):
+        assert speed(protection, protection.emergency, 1000.0 - back) == pytest.approx(
+            np.sqrt(10.0**2 + 2.0 * rate * back), abs=1e-6
+        )
+    # Until the tail has cleared, the restriction holds.
+    assert speed(protection, protection.emergency, 1300.0 + DKZ32.length_m) == pytest.approx(10.0, abs=1e-6)
+    assert speed(protection, protection.emergency, 1301.0 + DKZ32.length_m) == pytest.approx(20.0, abs=1e-6)
+
+
+def test_the_curves_keep_their_order_under_the_limit_everywhere():
+    for trainset in (DKZ32, IDEAL):
+        for section in LINE.sections():
+            protection = protect(section, trainset, Bounds.of(trainset, DT))
+            at = np.arange(0.0, section.length_m, 0.37)
+            starts, speeds = restrictive_profile(section, trainset.length_m, trainset.max_speed_mps)
+            limit = speeds[np.searchsorted(starts, at, side="right") - 1]
+            node = np.floor(at - float(protection.start_m)).astype(int)
+            share = at - float(protection.start_m) - node
+            emergency = protection.emergency[node] * (1 - share) + protection.emergency[node + 1] * share
+            assert (np.sqrt(2.0 * emergency) <= limit + 1e-9).all()
+            assert (permitted_speed(protection, at) <= np.sqrt(2.0 * emergency)).all()
+
+
+@pytest.mark.parametrize(
+    ("trainset", "dt", "most_mps"),
+    [(IDEAL, 0.1, 0.05), (IDEAL, 0.2, 0.1), (DKZ32, 0.1, 0.35), (DKZ32, 0.2, 0.45)],
+)
+def test_little_speed_is_lost_where_the_limit_is_level(trainset, dt, most_mps):
+    for section in LINE.sections() + LINE.sections(backward=True):
+        protection = protect(section, trainset, Bounds.of(trainset, dt))
+        at = np.arange(-3.0, section.length_m + 300.0)
+        track = track_arrays(section, trainset)
+        around = track.limit_mps[np.searchsorted(track.limit_from_m, at, side="right") - 1]
+        limit = around[3:-300]
+        loss = limit - permitted_speed(protection, at[3:-300])
+        # Level from 3 m before to 300 m ahead.
+        cruising = np.lib.stride_tricks.sliding_window_view(around, 304).min(axis=1)[: limit.size] >= limit
+        assert (loss[cruising] <= most_mps).all(), (section.name, loss[cruising].max())
+
+
+def test_wider_bounds_never_permit_more():
+    section = LINE.section("XHM", "JG")
+    nominal = Bounds.of(DKZ32, DT)
+    at = np.arange(0.0, section.length_m)
+    before = permitted_speed(protect(section, DKZ32, nominal), at)
+    for wider in (
+        {"mass": (0.7, 1.3)},
+        {"resistance": (0.2, 1.8)},
+        {"emergency_reaction_s": 1.0},
+        {"emergency_jerk_mps3": 0.8},
+        {"emergency_mps2": 1.0},
+        {"speed_error_mps": 0.2},
+        {"position_error_m": 5.0},
+        {"dt_s": 0.4},
+    ):
+        after = permitted_speed(protect(section, DKZ32, replace(nominal, **wider)), at)
+        assert (after <= before + 0.01).all(), wider
+        assert after.mean() < before.mean(), wider
+
+
+def test_a_braking_driver_may_be_a_little_faster():
+    section = level().restricted(Restriction(1000.0, 1300.0, 10.0))
+    protection = protect(section, DKZ32, Bounds.of(DKZ32, DT))
+    at = np.arange(900.0, 1000.0)
+    braking = permitted_braking(protection, track_arrays(section, DKZ32), at, 0.9)
+    assert (braking >= permitted_speed(protection, at) - 0.05).all()
+    assert (braking > permitted_speed(protection, at) + 0.1).any()
+
+
+def test_margin_of_an_acceleration():
+    protection = protect(level(), DKZ32, Bounds.of(DKZ32, DT))
+    margin = approach_margin(protection, np.array([-1.0, 0.0, 0.5, 1.0]))
+    assert margin[0] == margin[1] == 0.0
+    # 1.0 m/s^2 may be 1.5 in the lightest trainset: 0.6 s of it, then 1.5 m/s^3 to undo it.
+    assert margin[3] == pytest.approx(1.5 * 0.6 + 1.5**2 / (2 * 1.5))
+
+
+def test_bounds_come_from_the_catalogue():
+    bounds = Bounds.of(DKZ32, 0.2, extra_delay_s=0.6)
+    assert (bounds.delay_s, bounds.lag_s, bounds.jerk_mps3) == (0.6, 0.0, 1.0)
+    assert bounds.reaction_s == pytest.approx(0.6)  # one period, and 0.3 s in whole periods
+    slow = replace(DKZ32, safe_braking=SafeBraking(buildup_s=2.0, emergency_jerk_mps3=1.5))
+    assert Bounds.of(slow, 0.2).emergency_jerk_mps3 == pytest.approx(0.6)
+    assert Bounds.of(IDEAL, 0.2).reaction_s == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"dt_s": 0.0}, {"mass": (1.1, 1.2)}, {"delay_s": -1.0}, {"lag_s": np.nan}, {"delay_s": np.inf}]
+)
+def test_bounds_out_of_range(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        replace(Bounds(dt_s=0.2), **wrong)
+
+
+def test_a_section_too_long_for_its_spacing():
+    with pytest.raises(InputError, match="too long"):
+        protect(level(length_m=200_000.0), IDEAL, Bounds.of(IDEAL, DT))

@@ -1,0 +1,191 @@
+"""What the supervisor does to one command after another."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from metropilot import physics
+from metropilot.physics import Command
+from metropilot.protection import LEVELS, Bounds, at_start, permitted_speed, protect, supervise
+from metropilot.railway import Restriction, load_line, load_trainset
+
+LINE = load_line("yizhuang")
+SECTION = LINE.section("RJ", "WYJ")
+DKZ32 = load_trainset("dkz32")
+IDEAL = DKZ32.ideal()
+DT = 0.2
+
+
+class Ride:
+    """A plant under supervision, one period at a time."""
+
+    def __init__(self, trainset=DKZ32, section=SECTION, x=0.0, v=0.0, **options):
+        self.protection = protect(section, trainset, Bounds.of(trainset, DT), **options)
+        self.vehicle, self.track = physics.vehicle_arrays(trainset), physics.track_arrays(section, trainset)
+        self.state = physics.at_rest(self.vehicle, position_m=x, speed_mps=v)
+        self.memory = at_start(self.protection)
+        self.levels, self.shares, self.speeds = [], [], []
+
+    def go(self, share, steps=1, emergency=False):
+        for _ in range(steps):
+            seen = self.state.position_m, self.state.speed_mps
+            command, self.memory, verdict = supervise(
+                self.protection, self.memory, *seen, Command(np.float64(share), emergency)
+            )
+            self.state = physics.step(self.vehicle, self.track, self.state, command, DT)
+            self.levels.append(LEVELS[verdict.level])
+            self.shares.append(float(command.share))
+            self.speeds.append(float(self.state.speed_mps))
+        return self
+
+
+def test_a_modest_driver_is_left_alone():
+    ride = Ride().go(0.6, 40).go(0.0, 50).go(-0.8, 40)
+    assert set(ride.levels) == {"none"}
+    assert ride.shares == [0.6] * 40 + [0.0] * 50 + [-0.8] * 40
+    assert ride.memory.interventions == 0
+
+
+def test_full_traction_ends_in_a_cut_off_not_in_an_emergency():
+    for trainset in (DKZ32, IDEAL):
+        ride = Ride(trainset).go(1.0, 250)
+        assert ride.memory.emergencies == 0
+        assert ride.memory.interventions > 0
+        assert {"none", "traction cut-off"} <= set(ride.levels)
+        over = max(ride.speeds) - float(ride.track.limit_mps.max())
+        assert -1.2 < over <= 0.0
+
+
+def test_a_lower_limit_ahead_is_met_with_the_service_brake():
+    section = SECTION.restricted(Restriction(700.0, 900.0, 8.0))
+    ride = Ride(section=section).go(1.0, 260)
+    assert ride.memory.emergencies == 0
+    assert "service brake" in ride.levels
+    assert max(ride.speeds) > 12.0
+
+
+@pytest.mark.parametrize("share", [np.nan, np.inf, -np.inf])
+def test_what_is_no_number_is_a_full_service_brake(share):
+    ride = Ride(IDEAL, v=10.0, x=300.0).go(share, 3)
+    assert ride.shares == [-1.0] * 3
+    assert ride.memory.invalid == 3
+
+
+def test_what_is_out_of_range_is_clipped_and_counted():
+    ride = Ride(v=5.0, x=300.0).go(7.0).go(-3.0).go(1.0)
+    assert ride.shares == [1.0, -1.0, 1.0]
+    assert ride.memory.invalid == 2
+    assert ride.memory.interventions == 0
+
+
+@pytest.mark.parametrize("seen", [(np.nan, 10.0), (300.0, np.nan), (300.0, np.inf), (-np.inf, 3.0)])
+def test_a_lost_measurement_is_an_emergency(seen):
+    ride = Ride(v=10.0, x=300.0)
+    command, memory, verdict = supervise(
+        ride.protection, ride.memory, *map(np.float64, seen), Command(0.5, False)
+    )
+    assert command.emergency
+    assert LEVELS[verdict.level] == "emergency brake"
+    assert memory.emergencies == 1
+
+
+def test_the_emergency_brake_holds_until_standstill_and_then_lets_go():
+    ride = Ride(v=15.0, x=300.0).go(0.5, emergency=True)
+    steps = 0
+    while ride.state.speed_mps > 0.0:
+        ride.go(1.0)
+        steps += 1
+    assert set(ride.levels) == {"emergency brake"}
+    # 15 m/s at 1.2 m/s^2 and more, after 0.4 s of reaction and 0.8 s of build-up.
+    assert 10.0 < steps * DT < 15.0
+    ride.go(0.5, 10)
+    assert ride.levels[-1] == "none"
+    assert ride.state.speed_mps > 0.0
+    # The driver asked for it: not an intervention until it asked for traction against it.
+    assert ride.memory.emergencies == 1
+
+
+def test_the_end_of_the_authority_is_never_passed():
+    for trainset in (DKZ32, IDEAL):
+        for end in (400.0, 777.7, SECTION.length_m):
+            ride = Ride(trainset, stop_at_m=end).go(1.0, 700)
+            assert ride.state.position_m <= end
+            assert ride.state.position_m > end - 40.0
+            assert ride.speeds[-1] < 0.5
+
+
+def test_a_restriction_announced_too_late_brakes_at_once_and_holds_where_it_can():
+    announced = Ride(v=20.0, x=500.0).go(0.0, 5)
+    section = SECTION.restricted(Restriction(announced.state.position_m + 20.0, 900.0, 8.0))
+    announced.protection = protect(section, DKZ32, Bounds.of(DKZ32, DT))
+    announced.go(1.0)
+    assert announced.levels[-1] == "emergency brake"
+    before = announced.state.speed_mps
+    announced.go(1.0, 200)
+    # From 20 to 8 m/s takes 140 m: over the limit at first, and nowhere after the braking distance.
+    assert before > 19.0
+    assert announced.memory.emergencies == 1
+    assert all(b <= a + 0.25 for a, b in pairwise(announced.speeds[6:30]))
+
+
+def test_a_restriction_announced_in_time_is_kept():
+    ride = Ride(v=20.0, x=300.0).go(0.0, 5)
+    section = SECTION.restricted(Restriction(ride.state.position_m + 320.0, 900.0, 8.0))
+    ride.protection = protect(section, DKZ32, Bounds.of(DKZ32, DT))
+    track = physics.track_arrays(section, DKZ32)
+    for _ in range(200):
+        ride.go(1.0)
+        k = np.searchsorted(track.limit_from_m, ride.state.position_m, side="right") - 1
+        assert ride.state.speed_mps <= track.limit_mps[k]
+    assert ride.memory.emergencies == 0
+
+
+def test_jax_decides_as_numpy_does():
+    shares = np.random.default_rng(1).uniform(-0.5, 1.0, 300)
+    ride = Ride(x=20.0)
+    for share in shares:
+        ride.go(share)
+    fresh = Ride(x=20.0)
+    with physics.double_precision():
+        start = jax.tree.map(jnp.asarray, (fresh.state, fresh.memory))
+        protection, vehicle, track = jax.tree.map(jnp.asarray, (fresh.protection, fresh.vehicle, fresh.track))
+
+        def body(carry, share):
+            state, memory = carry
+            seen = state.position_m, state.speed_mps
+            command, memory, verdict = supervise(
+                protection, memory, *seen, Command(share, jnp.asarray(False))
+            )
+            state = physics.step(vehicle, track, state, command, jnp.asarray(DT))
+            return (state, memory), (state.speed_mps, verdict.level)
+
+        (_, memory), (speeds, levels) = jax.jit(lambda c, s: jax.lax.scan(body, c, s))(
+            start, jnp.asarray(shares)
+        )
+        assert [LEVELS[k] for k in np.asarray(levels)] == ride.levels
+        np.testing.assert_allclose(np.asarray(speeds), ride.speeds, atol=1e-9)
+        assert memory.interventions == ride.memory.interventions
+
+
+def test_sections_share_one_compiled_program():
+    shapes = set()
+    for section in (
+        LINE.sections()[3],
+        LINE.sections()[7],
+        SECTION.restricted(Restriction(300.0, 400.0, 5.0)),
+    ):
+        protection = protect(section, DKZ32.loaded("AW3"), Bounds.of(DKZ32, DT), dtype=np.float32)
+        shapes.add(tuple(np.shape(leaf) for leaf in jax.tree.leaves(protection)))
+        assert {np.asarray(leaf).dtype.kind for leaf in jax.tree.leaves(protection)} == {"f", "i"}
+    assert len(shapes) <= 2
+
+
+def test_the_permitted_speed_is_for_many_positions_at_once():
+    protection = protect(SECTION, IDEAL, replace(Bounds.of(IDEAL, DT), position_error_m=1.0))
+    at = np.linspace(0.0, 1000.0, 7)
+    assert permitted_speed(protection, at).shape == (7,)
+    np.testing.assert_allclose(permitted_speed(protection, at), [permitted_speed(protection, x) for x in at])
