@@ -16,8 +16,7 @@ same way: the change of acceleration between neighbouring segments over the time
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import clarabel as _clarabel
@@ -30,9 +29,11 @@ from metropilot.errors import SolverError
 from metropilot.planning.effort_table import Specific
 from metropilot.planning.mesh import Mesh
 from metropilot.planning.prices import Prices
+from metropilot.planning.rows import Rows
 
 clarabel: Any = _clarabel
 """The solver ships no type information."""
+SLOWEST_J = 1e-4
 SOFT_START = 6 ** (4 / 3) / 8
 """Under a constant jerk J from rest ``v^2/2 = SOFT_START * J^(2/3) * x^(4/3)``."""
 
@@ -75,6 +76,8 @@ class Programme:
         stands: Whether the run begins from rest (the acceleration then starts from zero).
         release_mps3: Jerk at which the brake is let go at the last node, or None for the bound on jerk.
         late_w: Price of a second later than the last bound, W per kg, or None to forbid it.
+        strictly_early: Whether lower time bounds are linearised about the last iterate, rather than put on
+            the time variables, which may exceed the true times where going slower saves nothing.
     """
 
     mesh: Mesh
@@ -91,6 +94,7 @@ class Programme:
     stands: bool = True
     release_mps3: float | None = None
     late_w: float | None = None
+    strictly_early: bool = False
 
 
 @dataclass(frozen=True)
@@ -124,42 +128,6 @@ class Answer:
     dual: float
     late: float
     status: str
-
-
-@dataclass
-class _Rows:
-    """Sparse rows ``A x <= / = b`` being collected, whole blocks at a time."""
-
-    row: list[ndarray] = field(default_factory=list)
-    col: list[ndarray] = field(default_factory=list)
-    val: list[ndarray] = field(default_factory=list)
-    rhs: list[ndarray] = field(default_factory=list)
-    count: int = 0
-
-    def add(self, terms: Sequence[tuple[ndarray, ndarray | float]], rhs: ndarray | float, size: int) -> None:
-        """``size`` rows; each term is (column of each row, coefficient of each row)."""
-        rows = self.count + np.arange(size)
-        for col, val in terms:
-            self.row.append(rows)
-            self.col.append(np.broadcast_to(col, (size,)))
-            self.val.append(np.broadcast_to(np.asarray(val, np.float64), (size,)))
-        self.rhs.append(np.broadcast_to(np.asarray(rhs, np.float64), (size,)))
-        self.count += size
-
-    def add_cones(
-        self, triples: list[list[tuple[ndarray, float]]], rhs: list[ndarray | float], size: int
-    ) -> None:
-        """``size`` second-order cones of three rows each: ``b - A x`` of the first >= norm of the others."""
-        for part, (terms, constant) in enumerate(zip(triples, rhs, strict=True)):
-            rows = self.count + 3 * np.arange(size) + part
-            for col, val in terms:
-                self.row.append(rows)
-                self.col.append(col)
-                self.val.append(np.full(size, val))
-            if part == 0:
-                self.rhs.append(np.zeros(3 * size))
-            self.rhs[-1][part::3] = constant
-        self.count += 3 * size
 
 
 def tangent(table: Specific, values: ndarray, energy: ndarray) -> tuple[ndarray, ndarray]:
@@ -196,7 +164,7 @@ def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
     total = int(starts[-1])
     cost, constant = _objective(p, at, total)
 
-    rows = _Rows()
+    rows = Rows()
     _equalities(p, rows, at)
     equal = rows.count
     _effort_rows(p, rows, at, energy)
@@ -204,7 +172,7 @@ def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
     _motion_rows(p, rows, at)
     if p.jerk_mps3 is not None:
         _jerk_rows(p, rows, at, energy)
-    clock = _time_rows(p, rows, at)
+    clock = _time_rows(p, rows, at, energy)
     inequal = rows.count - equal
     _cone_rows(p, rows, at)
     matrix = sparse.csc_matrix(
@@ -260,7 +228,7 @@ def _objective(p: Programme, at: dict[str, ndarray], total: int) -> tuple[ndarra
     return cost, -float(np.sum(ds * prices.energy * prices.energy_at))
 
 
-def _price_rows(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> None:
+def _price_rows(p: Programme, rows: Rows, at: dict[str, ndarray]) -> None:
     """``cost >= slope f + offset``, ``gain <= slope e + offset`` for every line of a price with several."""
     for name, force, lines, sign in (
         ("cost", "f", p.prices.traction, 1.0),
@@ -271,7 +239,7 @@ def _price_rows(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> None:
                 rows.add([(at[force], sign * slope), (at[name], -sign)], -sign * offset, offset.size)
 
 
-def _equalities(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> None:
+def _equalities(p: Programme, rows: Rows, at: dict[str, ndarray]) -> None:
     """Dynamics on each segment, and the speeds at the ends and stops."""
     ds, (a, b, c) = p.mesh.length_m, p.table.davis
     n = ds.size
@@ -302,7 +270,7 @@ def _pinned(p: Programme) -> ndarray:
     return np.unique(np.concatenate([[0], stops, [p.mesh.length_m.size]])).astype(int)
 
 
-def _effort_rows(p: Programme, rows: _Rows, at: dict[str, ndarray], energy: ndarray) -> None:
+def _effort_rows(p: Programme, rows: Rows, at: dict[str, ndarray], energy: ndarray) -> None:
     """``f <= F(E), b <= B(E), e <= R(E), e <= b`` by tangents; everything at least zero."""
     n = p.mesh.length_m.size
     middle = 0.5 * (energy[1:] + energy[:-1])
@@ -317,7 +285,7 @@ def _effort_rows(p: Programme, rows: _Rows, at: dict[str, ndarray], energy: ndar
         rows.add([(at[name], -1.0)], 0.0, n)
 
 
-def _motion_rows(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> None:
+def _motion_rows(p: Programme, rows: Rows, at: dict[str, ndarray]) -> None:
     """Speed limits, acceleration and deceleration limits."""
     ds, e = p.mesh.length_m, at["E"]
     n = ds.size
@@ -333,7 +301,7 @@ def _motion_rows(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> None:
         rows.add([(e[1:], -1 / ds), (e[:-1], 1 / ds)], p.table.deceleration + np.where(lifted, 0.5, 0.0), n)
 
 
-def _jerk_rows(p: Programme, rows: _Rows, at: dict[str, ndarray], energy: ndarray) -> None:
+def _jerk_rows(p: Programme, rows: Rows, at: dict[str, ndarray], energy: ndarray) -> None:
     """Change of acceleration between neighbouring segments, and up from and down to standstill."""
     ds, e = p.mesh.length_m, at["E"]
     jerk = float(p.jerk_mps3 or 0.0)
@@ -375,29 +343,22 @@ def _releasing(p: Programme) -> ndarray:
     return p.mesh.node_m[1:-1] > p.mesh.node_m[-1] - stretch
 
 
-def _time_rows(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> int | None:
+def _time_rows(p: Programme, rows: Rows, at: dict[str, ndarray], energy: ndarray) -> int | None:
     """Partial sums of time, and the range of each free dwell; returns the row of the last upper bound."""
     clock = None
+    none = np.zeros(0, int)
     for bound in p.bounds:
-        columns = np.concatenate(
-            [at["t"][bound.first : bound.last], at["w"][list(bound.waits)] if bound.waits else []]
-        )
-        columns = columns.astype(int)
-        for sign, value in ((1.0, bound.high_s), (-1.0, bound.low_s)):
-            if value is None:
-                continue
-            rows.row.append(np.full(columns.size, rows.count))
-            rows.col.append(columns)
-            rows.val.append(np.full(columns.size, sign))
-            rows.rhs.append(np.array([sign * value]))
-            clock = rows.count if sign > 0 else clock
-            rows.count += 1
-    if p.late_w is not None and clock is not None:
-        rows.row.append(np.array([clock, rows.count]))
-        rows.col.append(np.repeat(at["late"], 2))
-        rows.val.append(np.array([-1.0, -1.0]))
-        rows.rhs.append(np.zeros(1))
-        rows.count += 1
+        waits = at["w"][list(bound.waits)] if bound.waits else none
+        part = at["t"][bound.first : bound.last]
+        if bound.high_s is not None:
+            late = at["late"] if bound is p.bounds[-1] and p.late_w is not None else none
+            clock = rows.add_sum([(part, 1.0), (waits, 1.0), (late, -1.0)], bound.high_s)
+        if bound.low_s is not None and p.strictly_early:
+            rows.add_sum(*_not_before(p, at, energy, bound, waits))
+        elif bound.low_s is not None:
+            rows.add_sum([(part, -1.0), (waits, -1.0)], -bound.low_s)
+    if "late" in at:
+        rows.add_sum([(at["late"], -1.0)], 0.0)
     if p.dwells:
         low, high = np.array(p.dwells).T
         rows.add([(at["w"], 1.0)], high, len(p.dwells))
@@ -405,7 +366,27 @@ def _time_rows(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> int | None:
     return clock
 
 
-def _cone_rows(p: Programme, rows: _Rows, at: dict[str, ndarray]) -> None:
+def _not_before(
+    p: Programme, at: dict[str, ndarray], energy: ndarray, bound: TimeBound, waits: ndarray
+) -> tuple[list[tuple[ndarray, ndarray | float]], float]:
+    """A lower bound on time by its tangent over kinetic energy.
+
+    Time is convex in the energies, so its tangent lies below it: who keeps this row is not too early.
+    """
+    part = slice(bound.first, bound.last)
+    speed = np.sqrt(2 * np.maximum(energy, SLOWEST_J))
+    total = speed[1:] + speed[:-1]
+    share = -2 * p.mesh.length_m / total**2
+    slope = np.zeros(energy.size)
+    slope[1:][part] += share[part] / speed[1:][part]
+    slope[:-1][part] += share[part] / speed[:-1][part]
+    slope[_pinned(p)] = 0.0
+    seconds = float(np.sum((2 * p.mesh.length_m / total)[part]) - slope @ energy)
+    nodes = np.arange(bound.first, bound.last + 1)
+    return [(at["E"][nodes], -slope[nodes]), (waits, -1.0)], seconds - float(bound.low_s or 0.0)
+
+
+def _cone_rows(p: Programme, rows: Rows, at: dict[str, ndarray]) -> None:
     """``v^2 <= 2 E`` at the nodes and ``t (v + v') >= 2 ds`` on the segments."""
     ds, e, v, t = p.mesh.length_m, at["E"], at["v"], at["t"]
     n = ds.size

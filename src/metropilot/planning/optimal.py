@@ -295,6 +295,19 @@ def iterate(
     if options.objective == "line" and is_mapped(vehicle):
         answer, count = follow_map(vehicle, base, energy)
         return _finished(vehicle, table, mesh, answer, options, count)
+    answer, count = _settled(base, energy)
+    if _too_early(base, answer):
+        # the bound without the stricter rows stays one with them
+        kept, more = _settled(replace(base, strictly_early=True), answer.energy)
+        answer, count = replace(kept, dual=answer.dual), count + more
+    asked = bounds[0].high_s if len(bounds) == 1 else None
+    if asked is not None and asked - float(times(mesh, answer.energy).sum()) > EARLY_S:
+        answer, count = _unhurried(base, answer), count + 1
+    return _finished(vehicle, table, mesh, answer, options, count)
+
+
+def _settled(base: Programme, energy: ndarray) -> tuple[Answer, int]:
+    """Solve about the last answer until the energy settles; the answer and the number of passes."""
     answer, last, count = solve(base, energy), np.inf, 1
     while count < PASSES:
         moved = float(np.max(np.abs(answer.energy - energy)) / max(float(answer.energy.max()), 1e-9))
@@ -302,10 +315,17 @@ def iterate(
             break
         energy, last = answer.energy, answer.dual
         answer, count = solve(base, energy), count + 1
-    asked = bounds[0].high_s if len(bounds) == 1 else None
-    if asked is not None and asked - float(times(mesh, answer.energy).sum()) > EARLY_S:
-        answer, count = _unhurried(base, answer), count + 1
-    return _finished(vehicle, table, mesh, answer, options, count)
+    return answer, count
+
+
+def _too_early(base: Programme, answer: Answer) -> bool:
+    """Whether the answer's own speeds undercut a lower time bound that its time variables keep."""
+    seconds = times(base.mesh, answer.energy)
+    return any(
+        float(seconds[b.first : b.last].sum() + answer.dwell[list(b.waits)].sum()) < b.low_s - EARLY_S
+        for b in base.bounds
+        if b.low_s is not None
+    )
 
 
 def _unhurried(base: Programme, answer: Answer) -> Answer:
