@@ -54,7 +54,7 @@ class DriverRegistry:
         """All driver ids, sorted."""
         return tuple(sorted(_REGISTRY))
 
-    def make(self, driver_id: str, **options: Any) -> AbstractDriver:
+    def make(self, driver_id: str, **options: object) -> AbstractDriver:
         """A driver by id.
 
         Raises:

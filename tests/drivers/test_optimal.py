@@ -1,0 +1,99 @@
+"""The driver `optimal` in closed loop, driven through the public door under protection."""
+
+import pytest
+
+from metropilot.drivers import DRIVERS
+from metropilot.errors import Infeasible
+from metropilot.evaluate import drive
+from metropilot.planning import minimum_running_time, optimal_plan
+from metropilot.railway import Restriction, load_line, load_trainset
+from metropilot.task import News, Outcome, Run, Scenario
+
+LATE = {"extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
+
+
+def run_of(origin="RJ", destination="WYJ", load="AW0", ratio=None, time_s=None, **scenario):
+    section = load_line("yizhuang").section(origin, destination)
+    trainset = load_trainset("dkz32", load)
+    if time_s is None:
+        time_s = minimum_running_time(section, trainset) * ratio
+    return Run(section, trainset, time_s, Scenario(**scenario))
+
+
+def check_safe_stop(done):
+    assert done.outcome is Outcome.ARRIVED
+    assert done.max_overspeed_mps == 0.0
+    assert abs(done.trajectory.position_m[-1] - done.section.length_m) <= 0.3
+
+
+def gap(done):
+    best = optimal_plan(done.section, done.trainset, done.running_time_s)
+    return float(done.trajectory.energy_wheel_j[-1]) / best.bound_j - 1.0
+
+
+# The steep descent into the stop, the shortest section, the 24 permil climb: where the driver was worst.
+@pytest.mark.parametrize(
+    ("origin", "destination", "load", "ratio"),
+    [
+        ("RJ", "WYJ", "AW0", 1.2),
+        ("CQN", "JHL", "AW2", 1.05),
+        ("WHY", "YZQ", "AW3", 1.05),
+        ("JHL", "CQN", "AW3", 1.1),
+    ],
+)
+def test_ideal_actuation_is_within_two_percent_of_the_bound(origin, destination, load, ratio):
+    run = run_of(origin, destination, load, ratio, ideal_actuation=True)
+    done = drive(run, DRIVERS.make("optimal"))
+    check_safe_stop(done)
+    assert abs(done.running_time_s - run.scheduled_time_s) <= 0.5
+    assert done.interventions == 0
+    assert -1e-3 <= gap(done) <= 0.02
+
+
+@pytest.mark.parametrize(
+    ("origin", "destination", "load", "ratio"), [("RJ", "WYJ", "AW0", 1.2), ("YZHC", "CQ", "AW2", 1.2)]
+)
+def test_with_the_jerk_limit(origin, destination, load, ratio):
+    run = run_of(origin, destination, load, ratio)
+    done = drive(run, DRIVERS.make("optimal"))
+    check_safe_stop(done)
+    assert abs(done.running_time_s - run.scheduled_time_s) <= 0.5
+    assert done.interventions == 0
+    assert abs(done.trajectory.jerk_mps3).max() <= run.trainset.actuation.jerk_limit_mps3 + 1e-9
+    assert -1e-3 <= gap(done) <= 0.04
+
+
+@pytest.mark.parametrize(("mass", "resistance"), [(1.2, 1.5), (0.8, 0.5)])
+def test_a_trainset_that_is_not_as_told(mass, resistance):
+    run = run_of("RJ", "WYJ", "AW2", 1.15, mass_factor=mass, resistance_factor=resistance, **LATE)
+    done = drive(run, DRIVERS.make("optimal"))
+    check_safe_stop(done)
+    assert abs(done.running_time_s - run.scheduled_time_s) <= 3.0
+
+
+def test_told_on_the_way_to_arrive_later_or_earlier():
+    for news, due in ((News(30.0, scheduled_time_s=116.0), 116.0), (News(10.0, scheduled_time_s=91.0), 91.0)):
+        done = drive(run_of(time_s=101.0, news=(news,)), DRIVERS.make("optimal"))
+        check_safe_stop(done)
+        assert abs(done.running_time_s - due) <= 0.5
+        assert done.interventions == 0
+
+
+def test_a_restriction_announced_on_the_way_is_kept_and_the_time_too():
+    news = News(20.0, restriction=Restriction(600.0, 930.0, 40 / 3.6))
+    done = drive(run_of(time_s=115.0, news=(news,)), DRIVERS.make("optimal"))
+    check_safe_stop(done)
+    assert abs(done.running_time_s - 115.0) <= 0.5
+    inside = (done.trajectory.position_m > 600.0) & (done.trajectory.position_m < 930.0)
+    assert done.trajectory.speed_mps[inside].max() <= 40 / 3.6
+
+
+def test_an_impossible_wish_on_the_way_is_answered_by_the_fastest_run():
+    done = drive(run_of(time_s=101.0, news=(News(60.0, scheduled_time_s=85.0),)), DRIVERS.make("optimal"))
+    check_safe_stop(done)
+    assert 85.0 < done.running_time_s < 100.0
+
+
+def test_a_time_below_the_minimum_is_refused_with_the_minimum():
+    with pytest.raises(Infeasible, match=r"minimum running time is 83\.3 s"):
+        drive(run_of(time_s=60.0), DRIVERS.make("optimal"))
