@@ -11,7 +11,7 @@ import pytest
 from metropilot import physics
 from metropilot.physics import Command
 from metropilot.protection import LEVELS, Bounds, at_start, permitted_speed, protect, supervise
-from metropilot.railway import Restriction, load_line, load_trainset
+from metropilot.railway import Restriction, Steps, load_line, load_trainset
 
 LINE = load_line("yizhuang")
 SECTION = LINE.section("RJ", "WYJ")
@@ -66,6 +66,17 @@ def test_a_lower_limit_ahead_is_met_with_the_service_brake():
     assert ride.memory.emergencies == 0
     assert "service brake" in ride.levels
     assert max(ride.speeds) > 12.0
+
+
+@pytest.mark.parametrize("below_mps", [0.001, 0.003, 0.006, 0.01])
+def test_nobody_creeps_over_the_limit_between_two_nodes(below_mps):
+    """Found by the long campaign: coasting downhill at a low limit, the peak lies inside one cell."""
+    slope = Steps(np.array([-500.0]), np.array([-8.0]))
+    limit = Steps(np.array([-500.0]), np.array([3.55856434]))
+    section = replace(SECTION, limit_mps=limit, gradient_permil=slope, curves=())
+    for start in np.linspace(650.0, 651.0, 5):
+        ride = Ride(IDEAL, section=section, x=start, v=3.55856434 - below_mps).go(0.0, 30)
+        assert max(ride.speeds) <= 3.55856434
 
 
 @pytest.mark.parametrize("share", [np.nan, np.inf, -np.inf])

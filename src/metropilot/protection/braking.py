@@ -41,9 +41,8 @@ def permitted_braking(
     return highest_speed(
         vehicle,
         protection.rates,
-        protection.emergency[node],
-        sliding_window_view(protection.emergency, count)[node + 1],
-        spacing * np.arange(1.0, count + 1),
+        sliding_window_view(protection.emergency, count)[node],
+        spacing * np.arange(count),
         protection.pull_mps2[node],
         braking,
     )

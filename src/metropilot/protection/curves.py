@@ -123,7 +123,7 @@ def _look_ahead(vehicle: Vehicle, rates: Rates, top_mps: float, pull_mps2: float
     jerk = rates.jerk_mps3
     peak = top_mps + SLACK_MPS + gain * rates.reaction_s + 0.5 * gain**2 / jerk
     built = max(gain + rates.brake_mps2, 0.0) / jerk
-    return padded_size(int(np.ceil(peak * (rates.reaction_s + built) / spacing_m)) + 2, AHEAD)
+    return padded_size(int(np.ceil(peak * (rates.reaction_s + built) / spacing_m)) + 3, AHEAD)
 
 
 def _memory_m(bounds: Bounds, top_mps: float, pull_mps2: ndarray) -> float:
@@ -179,15 +179,15 @@ def _permitted_curve(
 ) -> ndarray:
     """Highest speed at each node that any plant within the bounds can hold without being overruled."""
     count = emergency.size
-    windows = sliding_window_view(_padded(emergency, count + ahead + 1, 0.0)[1:], ahead)[:count]
-    distance = (field.node_m[1] - field.node_m[0]) * np.arange(1.0, ahead + 1)
+    windows = sliding_window_view(_padded(emergency, count + ahead, 0.0), ahead)[:count]
+    distance = (field.node_m[1] - field.node_m[0]) * np.arange(ahead)
     weight = np.maximum(bounds.mass[0] * field.weight_n, bounds.mass[1] * field.weight_n)
 
     def holding(speed: ndarray) -> ndarray:
         needed = weight + bounds.resistance[1] * davis_n(vehicle, speed)
         return needed / vehicle.effective_mass_kg
 
-    speed = highest_speed(vehicle, rates, emergency, windows, distance, pull, holding)
+    speed = highest_speed(vehicle, rates, windows, distance, pull, holding)
     return -sliding_max(-np.append(speed[:-1], 0.0), 1, 2)[:count]
 
 

@@ -71,38 +71,43 @@ def stays_under(
     so every point passed on the way is checked, short zones included. Once the full rate is reached under the
     curve, the curve itself is the proof.
 
+    Between two nodes the curve is straight and the prediction concave. It keeps under its chord plus a
+    quarter of the spacing times the change of its slope, and under the energy of its peak: either will do.
+
     Args:
         rates: The brake and the plant until it acts.
-        curve: Braking curve at the nodes ahead, m^2/s^2. Shape (W,).
-        distance_m: Distance to each of them, the first within one spacing. Shape (W,).
+        curve: Braking curve at the nodes around and ahead, m^2/s^2. Shape (W,).
+        distance_m: Distance to each of them, the first at hand or just behind. Shape (W,).
         speed_mps: Upper bound on the present speed.
         acceleration_mps2: Upper bound on the acceleration during the reaction.
         pull_mps2: Largest pull of the gradient over the distance.
     """
     xp = namespace(curve, speed_mps)
-    jerk = rates.jerk_mps3
-    spacing = distance_m[..., 1:2] - distance_m[..., 0:1]
-    rise = xp.maximum(acceleration_mps2, 0.0)
+    jerk, rate = rates.jerk_mps3, rates.brake_mps2 - pull_mps2
+    steady = xp.maximum(acceleration_mps2, -rate)
+    rise = xp.maximum(steady, 0.0)
     peak = xp.maximum(speed_mps + rise * rates.reaction_s + 0.5 * rise * rise / jerk, 1e-6)
-    rate = rates.brake_mps2 - pull_mps2
-    turn = xp.maximum(acceleration_mps2 + rate, 0.0)
     begins = peak * rates.reaction_s
-    full = begins + peak * turn / jerk
-    beyond = xp.maximum(distance_m - full, 0.0)
+    full = begins + peak * (steady + rate) / jerk
     built = xp.clip(distance_m - begins, 0.0, full - begins)
-    energy = 0.5 * speed_mps * speed_mps + acceleration_mps2 * (distance_m - beyond)
-    energy = energy - 0.5 * jerk / peak * built * built - rate * beyond
-    # The prediction is concave: between two nodes it may rise above its chord by this much at most.
-    bulge = xp.minimum(jerk * spacing * spacing / (8.0 * peak), turn * spacing / 4.0)
-    energy = xp.minimum(energy + bulge, 0.5 * peak * peak)
-    fits = (energy <= curve) | (distance_m > full + spacing)
-    return xp.all(fits & (full <= distance_m[..., -1:]), axis=-1)
+    beyond = xp.maximum(distance_m - full, 0.0)
+    slope = steady - jerk / peak * built
+    energy = 0.5 * speed_mps * speed_mps + steady * distance_m
+    energy = energy - 0.5 * jerk / peak * built * built - (steady + rate) * beyond
+
+    left, right = slice(None, -1), slice(1, None)
+    spacing = distance_m[..., right] - distance_m[..., left]
+    bulge = 0.25 * spacing * (slope[..., left] - slope[..., right])
+    room = curve - energy
+    under = xp.minimum(room[..., left], room[..., right]) >= bulge
+    level = xp.minimum(curve[..., left], curve[..., right]) >= 0.5 * peak * peak
+    cells = under | level | (distance_m[..., left] > full)
+    return xp.all(cells & (full <= distance_m[..., -1:]), axis=-1)
 
 
 def highest_speed(
     vehicle: Vehicle,
     rates: Rates,
-    energy: ndarray,
     curve: ndarray,
     distance_m: ndarray,
     pull_mps2: ndarray,
@@ -113,22 +118,20 @@ def highest_speed(
     Args:
         vehicle: The nominal trainset.
         rates: The brake and the plant until it acts.
-        energy: Braking curve at the nodes, m^2/s^2. Shape (N,).
-        curve: The same at the nodes ahead of each. Shape (N, W).
-        distance_m: Distance to those. Shape (W,).
+        curve: Braking curve from each node on, m^2/s^2. Shape (N, W).
+        distance_m: Distance to those, from 0. Shape (W,).
         pull_mps2: Largest pull of the gradient. Shape (N,).
         effort_mps2: The driver's force over the effective mass at given speeds, traction positive.
     """
-    low, high = np.zeros(energy.shape), np.sqrt(2.0 * energy)
+    low, high = np.zeros(curve.shape[0]), np.sqrt(2.0 * curve[:, 0])
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         speed = middle + 2.0 * rates.speed_error_mps
         effort = effort_mps2(middle)
         seen = np.where(effort > 0, effort / rates.mass_low, effort * rates.service_share / rates.mass_high)
         seen = seen + fastest(vehicle, rates, speed, pull_mps2)[2]
-        ahead = stays_under(
+        fits = stays_under(
             rates, curve, distance_m[None, :], speed[:, None], seen[:, None], pull_mps2[:, None]
         )
-        fits = ahead & (0.5 * speed**2 <= energy)
         low, high = np.where(fits, middle, low), np.where(fits, high, middle)
     return low

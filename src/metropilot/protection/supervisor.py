@@ -91,7 +91,7 @@ class Check:
         self.speed_mps = speed_mps = xp.where(moving, speed_mps, 0.0)
         self.measured = known & moving
         self.node, self.way = on_grid(protection, position)
-        first = protection.start_m + protection.spacing_m * _like(position, self.node + 1)
+        first = protection.start_m + protection.spacing_m * _like(position, self.node)
         steps = protection.ahead.astype(protection.emergency.dtype) * protection.spacing_m
         self.distance_m = steps + (first - position)
         self.pull_mps2 = xp.maximum(protection.pull_mps2[self.node], protection.pull_mps2[self.node + 1])
@@ -125,9 +125,8 @@ class Check:
     ) -> Scalar:
         fastest_mps2 = self.xp.maximum(acceleration(forces, self.kept(share)), self.fading)
         speed = self.speed_mps + rates.speed_error_mps + margin_mps
-        ahead = _slice(curve, self.node + 1, self.protection.ahead.shape[0])
-        keeps = stays_under(rates, ahead, self.distance_m, speed, fastest_mps2, self.pull_mps2)
-        return keeps & (0.5 * speed * speed <= self.energy(curve)) & self.measured
+        ahead = _slice(curve, self.node, self.protection.ahead.shape[0])
+        return self.measured & stays_under(rates, ahead, self.distance_m, speed, fastest_mps2, self.pull_mps2)
 
     def kept(self, share: Scalar) -> Scalar:
         """Upper bound on the share in effect from now on, after dead time and lag."""

@@ -66,7 +66,7 @@ class Protection(NamedTuple):
         pull_mps2: Largest acceleration that gradient, less certain curve resistance, can give from shortly
             before a node to the end of the look-ahead. Shape (N,).
         permitted_mps: Permitted speed: whoever holds a speed at or under it is not overruled. Shape (N,).
-        ahead: Number of each node of the look-ahead. Shape (W,).
+        ahead: Number of each node of the look-ahead, from the last one passed. Shape (W,).
         slots: Commands that may still be on their way, newest first; only the shape counts. Shape (D,).
     """
 
