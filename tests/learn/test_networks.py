@@ -1,4 +1,4 @@
-"""Networks and policies: shapes, NumPy and JAX agreeing, optimiser and statistics against a second opinion."""
+"""Networks and policies: shapes, NumPy and JAX agreeing, optimiser and statistics against others."""
 
 import jax
 import jax.numpy as jnp

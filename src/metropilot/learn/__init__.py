@@ -20,45 +20,79 @@ if TYPE_CHECKING:
     )
     from metropilot.learn.config_base import AbstractConfig
     from metropilot.learn.config_reading import config_from_mapping, config_to_mapping
+    from metropilot.learn.export import ExportReport, export_onnx
+    from metropilot.learn.history import read_history, write_history
     from metropilot.learn.loop import Loop, LoopState, default_evaluation, learn, make_loop
     from metropilot.learn.policy import Policy, PolicySpec, act
+    from metropilot.learn.policy_file import load_policy, save_policy
+    from metropilot.learn.recorded import RunRequest, learn_run
+    from metropilot.learn.runs import RunRecord, RunStore
     from metropilot.learn.schedules import Schedule
+    from metropilot.learn.session import Learned, Progress, Sitting, learn_in_chunks
 
 __all__ = [
     "CONFIGS",
     "AbstractConfig",
     "DDPGConfig",
     "DQNConfig",
+    "ExportReport",
+    "Learned",
     "Loop",
     "LoopState",
     "NAFConfig",
     "PPOConfig",
     "Policy",
     "PolicySpec",
+    "Progress",
+    "RunRecord",
+    "RunRequest",
+    "RunStore",
     "SACConfig",
     "Schedule",
+    "Sitting",
     "TabularConfig",
     "act",
     "config_from_mapping",
     "config_to_mapping",
     "default_evaluation",
+    "export_onnx",
     "learn",
+    "learn_in_chunks",
+    "learn_run",
+    "load_policy",
     "make_loop",
+    "read_history",
+    "save_policy",
+    "write_history",
 ]
 
 _HOME = {
+    "AbstractConfig": "config_base",
+    "ExportReport": "export",
+    "Learned": "session",
     "Loop": "loop",
     "LoopState": "loop",
     "Policy": "policy",
     "PolicySpec": "policy",
+    "Progress": "session",
+    "RunRecord": "runs",
+    "RunRequest": "recorded",
+    "RunStore": "runs",
     "Schedule": "schedules",
-    "AbstractConfig": "config_base",
+    "Sitting": "session",
     "act": "policy",
     "config_from_mapping": "config_reading",
     "config_to_mapping": "config_reading",
     "default_evaluation": "loop",
+    "export_onnx": "export",
     "learn": "loop",
+    "learn_in_chunks": "session",
+    "learn_run": "recorded",
+    "load_policy": "policy_file",
     "make_loop": "loop",
+    "read_history": "history",
+    "save_policy": "policy_file",
+    "write_history": "history",
 }
 
 
