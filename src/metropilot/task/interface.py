@@ -67,6 +67,6 @@ class AbstractTask(ABC):
         """One step of the episode; stepping on after its end is undefined but finite."""
 
     def allowed(self, state: TaskState) -> Array | None:
-        """Mask of the choices allowed in this state, shape (count,), or None for all (Lu23's action filter)."""
+        """Mask of the choices allowed in this state (Lu23's action filter), shape (count,); None: all."""
         del state
         return None

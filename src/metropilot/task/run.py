@@ -44,7 +44,7 @@ class News:
 
 @dataclass(frozen=True)
 class Scenario:
-    """How the plant differs from the data the driver was given: switches of the scenario, never of the driver.
+    """How the plant differs from the data the driver has: switches of the scenario, never of the driver.
 
     Attributes:
         ideal_actuation: Drop the trainset's own delay, lag and jerk limit.
@@ -128,7 +128,9 @@ class Run:
                 allowed="greater than the minimum running time, finite",
             )
         if not (np.isfinite(self.dt) and 0.01 <= self.dt <= 1.0):
-            raise InputError("control period out of range", field="dt", value=self.dt, unit="s", allowed="0.01 to 1 s")
+            raise InputError(
+                "control period out of range", field="dt", value=self.dt, unit="s", allowed="0.01 to 1 s"
+            )
 
 
 class Observation(NamedTuple):

@@ -1,0 +1,205 @@
+"""Two assists a task may give its policy: the last braking to the stop point, and keeping under the ceiling.
+
+With the stop assist a policy decides when to power, hold and coast, and how early it slows down by itself;
+when the last braking must begin, and how it ends, is given by the stop curve: build up to a deceleration at
+the jerk limit, hold it, let it go at a softer jerk to a small deceleration, stand (the closed forms of
+:mod:`metropilot.drivers.stopping`). With the ceiling assist traction is eased off, and the brake comes in,
+before protection would have to. Both are pure functions over the array namespace, the same in the compiled
+task and on the host.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from metropilot.physics import resistance_and_gradient
+from metropilot.physics.effort import effort_at
+from metropilot.task.observers import Sight
+from metropilot.task.tables import PERMITTED
+
+Array = Any
+
+RELEASE_SHARE = 0.5
+"""Jerk at which the last brake is let go, over the trainset's limit."""
+END_SHARE = 0.25
+"""Deceleration at the stop over what the jerk limit allows to drop in one period."""
+RETURN_GAIN = 0.5
+"""How strongly a departure from the planned deceleration is answered beyond what the stop needs."""
+STRONGEST_MPS2 = 3.0
+AT_ONCE_MPS3 = 1e4
+INCH_M = 0.2
+"""A trainset that stands nearer to the stop than this is left to stand."""
+HOLD_MPS2 = 0.3
+EASE_SHARE = 0.4
+"""Jerk at which traction is eased off under the ceiling, over the trainset's limit."""
+NEWTON_STEPS = 3
+
+
+@dataclass(frozen=True)
+class Assists:
+    """Which assists a task gives.
+
+    Attributes:
+        stop: The last braking to the stop point.
+        ceiling: Keeping under the permitted speed and the acceleration limit.
+        margin_mps: How far under the permitted speed.
+    """
+
+    stop: bool = True
+    ceiling: bool = True
+    margin_mps: float = 0.15
+
+
+class Needs(NamedTuple):
+    """What turns accelerations into commands here, per kilogram of effective mass.
+
+    Attributes:
+        drag_mps2: Resistance and gradient.
+        traction_mps2: Largest traction.
+        brake_mps2: Largest service braking.
+    """
+
+    drag_mps2: Array
+    traction_mps2: Array
+    brake_mps2: Array
+
+
+def needs_of(sight: Sight) -> Needs:
+    """The needs at a state, as the driver's data have it."""
+    vehicle = sight.vehicle
+    resistance, gradient = resistance_and_gradient(vehicle, sight.track, sight.position_m, sight.speed_mps)
+    effort = effort_at(vehicle, sight.speed_mps)
+    mass, xp = vehicle.effective_mass_kg, sight.xp
+    return Needs(
+        (resistance + gradient) / mass,
+        xp.maximum(effort.traction_n, 1.0) / mass,
+        xp.maximum(effort.brake_n, 1.0) / mass,
+    )
+
+
+def share_for(sight: Sight, needs: Needs, wanted_mps2: Array) -> Array:
+    """The command that gives an acceleration."""
+    xp = sight.xp
+    effort = wanted_mps2 + needs.drag_mps2
+    available = xp.where(effort >= 0, needs.traction_mps2, needs.brake_mps2)
+    return xp.clip(effort / available, -1.0, 1.0)
+
+
+def assisted(
+    assists: Assists, sight: Sight, command: Array, stopping: Array, dt: float
+) -> tuple[Array, Array]:
+    """The command after the assists, and whether the last braking is on.
+
+    Args:
+        assists: Which.
+        sight: What the driver sees.
+        command: The policy's command.
+        stopping: Whether the last braking was on.
+        dt: Control period, s.
+    """
+    if not (assists.stop or assists.ceiling):
+        return command, stopping
+    xp, needs = sight.xp, needs_of(sight)
+    if assists.ceiling:
+        command = xp.minimum(command, share_for(sight, needs, ceiling_mps2(assists, sight, dt)))
+    if assists.stop:
+        stopping, wanted = stop_mps2(sight, stopping, dt)
+        stop = share_for(sight, needs, -wanted)
+        command = xp.where(stopping, xp.minimum(stop, command) if assists.ceiling else stop, command)
+        command = xp.where(stopping & (sight.speed_mps > 0), stop, command)
+    return command, stopping
+
+
+def ceiling_mps2(assists: Assists, sight: Sight, dt: float) -> Array:
+    """Largest acceleration that protection lets pass and the trainset's limits allow.
+
+    An acceleration must stop in time for the reaction of the emergency brake even if the trainset is as
+    light as the bounds allow (:func:`metropilot.protection.approach_margin`).
+    """
+    xp, rates = sight.xp, sight.rates
+    v, x = sight.speed_mps, sight.position_m
+    spread = rates.mass_high / rates.mass_low
+
+    def permitted(at: Array) -> Array:
+        return sight.rows.ground_at(PERMITTED, sight.case, at) - assists.margin_mps - rates.speed_error_mps
+
+    here, soon = permitted(x), permitted(x + v * dt)
+    later = permitted(x + v * (dt + rates.reaction_s))
+    near = xp.minimum(here, soon) - v
+    rise = xp.maximum(xp.minimum(near, later - v), 0.0)
+    jerk = xp.minimum(sight.vehicle.jerk_mps3, AT_ONCE_MPS3)
+    upward = xp.minimum(rise / (dt + spread * rates.reaction_s), xp.sqrt(2.0 * EASE_SHARE * jerk * rise))
+    return xp.minimum(xp.where(near > 0, upward, near / dt), sight.vehicle.max_acceleration_mps2)
+
+
+def stop_mps2(sight: Sight, stopping: Array, dt: float) -> tuple[Array, Array]:
+    """Whether the last braking is on, and the deceleration it needs now, m/s^2."""
+    xp, vehicle = sight.xp, sight.vehicle
+    v, a, s = sight.speed_mps, sight.acceleration_mps2, sight.length_m - sight.position_m
+    jerk = xp.minimum(vehicle.jerk_mps3, AT_ONCE_MPS3)
+    planned = sight.stop_mps2
+    end = xp.minimum(END_SHARE * jerk * dt, planned)
+    quick, gone = _built_up(xp, v, a, planned, jerk)
+    reach = gone + _braking_distance(quick, planned, end, RELEASE_SHARE * jerk)
+    begins = s <= reach + xp.maximum(v + 0.5 * xp.maximum(a, 0.0) * dt, 0.0) * dt
+    short = (v <= 0) & (s > INCH_M)
+    stopping = (stopping | begins) & (short ^ True)
+    required, falling = _required(xp, v, s, planned, end, RELEASE_SHARE * jerk)
+    for _ in range(2):
+        quick, gone = _built_up(xp, v, a, required, jerk)
+        again, _ = _required(xp, quick, s - gone, planned, end, RELEASE_SHARE * jerk)
+        required = xp.where(falling > 0, required, again)
+    held = xp.maximum(required + RETURN_GAIN * (required - planned), 0.0)
+    let_go = required - 0.5 * falling * dt
+    last = v * v / (2.0 * xp.maximum(s, 1e-3))
+    let_go = xp.where(v <= let_go * dt, last, let_go)
+    wanted = xp.where(falling > 0, let_go, xp.where(required < STRONGEST_MPS2, held, required))
+    wanted = xp.where(jerk < AT_ONCE_MPS3, wanted, xp.minimum(last, STRONGEST_MPS2))
+    wanted = xp.where(s > 1e-3, wanted, STRONGEST_MPS2)
+    return stopping, xp.where(v > 0, wanted, HOLD_MPS2)
+
+
+def _built_up(xp: Any, v: Array, a: Array, wanted: Array, jerk: Array) -> tuple[Array, Array]:  # noqa: ANN401
+    """Speed, and distance gone, when a deceleration has been built up from the acceleration ``a``."""
+    t = xp.maximum(wanted + a, 0.0) / jerk
+    after = xp.maximum(v + a * t - 0.5 * jerk * t * t, 0.0)
+    return after, v * t + 0.5 * a * t * t - jerk * t * t * t / 6.0
+
+
+def _braking_distance(v: Array, b: Array, end: Array, jerk: Array) -> Array:
+    """Distance to a stand: hold ``b``, then release at ``jerk`` to ``end``."""
+    t = (b - end) / jerk
+    released = (b * b - end * end) / (2.0 * jerk)
+    return (v * v - released * released) / (2.0 * b) + t * t * (b / 6.0 + end / 3.0)
+
+
+def _required(
+    xp: Any,  # noqa: ANN401 (a module)
+    v: Array,
+    s: Array,
+    planned: Array,
+    end: Array,
+    jerk: Array,
+) -> tuple[Array, Array]:
+    """Deceleration whose curve ends at the stop, and the jerk at which it falls (0: it is held).
+
+    Newton's method on :func:`_braking_distance`, from the deceleration without a release.
+    """
+    s = xp.maximum(s, 1e-3)
+    top = xp.sqrt(end * end + 2.0 * jerk * v)
+    b = xp.clip(v * v / (2.0 * s), 0.05, xp.minimum(top, STRONGEST_MPS2) + 0.05)
+    for _ in range(NEWTON_STEPS):
+        t, released = (b - end) / jerk, (b * b - end * end) / (2.0 * jerk)
+        slope = (released * released - v * v) / (2.0 * b * b) - released / jerk
+        slope = slope + (2.0 * t / jerk) * (b / 6.0 + end / 3.0) + t * t / 6.0
+        step = (_braking_distance(v, b, end, jerk) - s) / xp.minimum(slope, -1e-2)
+        b = xp.clip(b - step, 0.05, STRONGEST_MPS2)
+    least = _braking_distance(v, xp.maximum(top, 0.05), end, jerk)
+    p = 2.0 * v
+    left_s = 12.0 * s / (xp.sqrt(p * p + 24.0 * end * s) + p + 1e-9)
+    now = p / xp.maximum(left_s, 1e-6) - end
+    releasing = s <= least
+    falling = xp.maximum(now - end, 0.0) / xp.maximum(left_s, 1e-6)
+    del planned
+    return xp.where(releasing, now, b), xp.where(releasing, xp.maximum(falling, 1e-6), 0.0)

@@ -1,0 +1,418 @@
+"""The driving problem as a functional, compiled environment: the plant under protection, from parts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from metropilot.errors import InputError
+from metropilot.physics import Command, Forces, State, Vehicle, delay_steps, step
+from metropilot.physics.arrays import locate
+from metropilot.protection import Memory, supervise
+from metropilot.railway import Section, Trainset
+from metropilot.task.actions import AbstractAction, RegimeAction
+from metropilot.task.assist import Assists, assisted
+from metropilot.task.interface import AbstractTask, ActionSpace, Transition
+from metropilot.task.observers import FEATURES, OBSERVERS, Sight, observe
+from metropilot.task.outcomes import CODES, RUNNING, Episode, Facts, OutcomeRule, outcome_of
+from metropilot.task.rewards import AbstractTerm, Change, Energy, Failure, Intervention, Punctuality
+from metropilot.task.run import NOISE_CUT, Outcome
+from metropilot.task.scenarios import Scenarios, Start, draw
+from metropilot.task.tables import Rows, Tables, build_tables, near_protection, near_track
+
+Array = Any
+
+
+@dataclass(frozen=True)
+class DrivingConfig:
+    """What a driving task is made of.
+
+    Attributes:
+        sections: Where.
+        trainsets: With what; a load is a trainset. Every section is driven with every one of them.
+        scenarios: What is drawn at the start of an episode.
+        ideal: Ideal actuation: no delay, lag or jerk limit but what a scenario adds.
+        observer: A name in ``OBSERVERS``, or names of features.
+        action: What an action means.
+        rewards: Terms of the reward, each name once.
+        outcomes: When an episode is over.
+        assists: What is done for the policy.
+        dt: Control period of plant and protection, s.
+        periods: Control periods to a decision.
+        most_decisions: Episodes are cut off (truncated) after so many decisions.
+        spacing_m: Distance between protection's nodes; the host uses 1 m. Coarser is stricter and faster.
+    """
+
+    sections: tuple[Section, ...]
+    trainsets: tuple[Trainset, ...]
+    scenarios: Scenarios = field(default_factory=Scenarios)
+    ideal: bool = True
+    observer: str | tuple[str, ...] = "section"
+    action: AbstractAction = field(default_factory=RegimeAction)
+    rewards: tuple[AbstractTerm, ...] = (Energy(), Punctuality(), Failure(), Intervention())
+    outcomes: OutcomeRule = field(default_factory=OutcomeRule)
+    assists: Assists = field(default_factory=Assists)
+    dt: float = 0.5
+    periods: int = 1
+    most_decisions: int = 1000
+    spacing_m: float = 4.0
+
+    def __post_init__(self) -> None:
+        if not self.sections or not self.trainsets:
+            raise InputError("a task needs sections and trainsets", field="sections")
+        unknown = set(self.features) - set(FEATURES)
+        if unknown:
+            raise InputError(
+                "unknown feature",
+                field="observer",
+                value=", ".join(sorted(unknown)),
+                allowed=", ".join(FEATURES),
+            )
+        names = [term.name for term in self.rewards]
+        if len(set(names)) != len(names):
+            raise InputError("a reward term given twice", field="rewards", value=", ".join(names))
+        if self.periods < 1 or self.most_decisions < 1:
+            raise InputError("out of range", field="periods", value=self.periods, allowed=">= 1")
+
+    @property
+    def features(self) -> tuple[str, ...]:
+        """The names of the observer's features."""
+        return (
+            OBSERVERS.get(self.observer, (self.observer,))
+            if isinstance(self.observer, str)
+            else self.observer
+        )
+
+    @property
+    def cases(self) -> tuple[tuple[Section, Trainset], ...]:
+        """Every section with every trainset as the driver knows it, sections varying slowest."""
+        known = [trainset.ideal() if self.ideal else trainset for trainset in self.trainsets]
+        return tuple((section, trainset) for section in self.sections for trainset in known)
+
+    def tables(self, dtype: type = np.float32) -> Tables:
+        """The cases as arrays (NumPy; takes about a tenth of a second a case)."""
+        bounded = [(s, t, self.scenarios.bounds(s, t, self.dt)) for s, t in self.cases]
+        return build_tables(bounded, self.spacing_m, dtype)
+
+
+class DriveState(NamedTuple):
+    """Where an episode is. All 0-d but the pipelines of plant and protection.
+
+    Attributes:
+        start: How it began.
+        plant: State of the plant.
+        watched: Protection's memory.
+        seen_mps: Speed as last measured.
+        command: Last command of the driver, assists included.
+        stopping: Whether the stop assist has begun the last braking.
+        stood_s: How long the trainset has stood.
+        decisions: Decisions taken.
+        overruled: Share of the last decision's periods in which protection overruled the command.
+        jerk_mps2: Integral of the size of the jerk.
+        max_jerk_mps3: Largest jerk.
+        max_overspeed_mps: Largest excess over the limit.
+        outcome: Number of the outcome, or ``RUNNING``.
+    """
+
+    start: Start
+    plant: State
+    watched: Memory
+    seen_mps: Array
+    command: Array
+    stopping: Array
+    stood_s: Array
+    decisions: Array
+    overruled: Array
+    jerk_mps2: Array
+    max_jerk_mps3: Array
+    max_overspeed_mps: Array
+    outcome: Array
+
+
+class DrivingTask(AbstractTask):
+    """Drive a section: on time, with little energy, under protection.
+
+    Args:
+        config: What it is made of.
+    """
+
+    def __init__(self, config: DrivingConfig) -> None:
+        self.config = config
+        self.rows = Rows(config.tables(), jax=True)
+        minimum = np.asarray(self.rows.tables.minimum_s, np.float64)
+        low, high = config.scenarios.times_s(minimum)
+        self.minimum_s = minimum
+        self.times_s = np.stack([low, high]).astype(np.float32)
+        longest = max(config.scenarios.extra_delay_s[1] + t.actuation.delay_s for _, t in config.cases)
+        self.pipeline = delay_steps(longest, config.dt) + 1
+
+    @property
+    def action_space(self) -> ActionSpace:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """What an action is."""
+        return self.config.action.space
+
+    @cached_property
+    def observation_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Length of the observation."""
+        import jax
+
+        return int(jax.eval_shape(self.reset, jax.random.key(0))[1].shape[0])
+
+    def draw(self, key: Array) -> Start:
+        """How an episode begins, drawn from the task's scenarios."""
+        import jax
+        import jax.numpy as jnp
+
+        which, key = jax.random.split(key) if self.rows.count > 1 else (key, key)
+        case = jnp.zeros((), jnp.int32)
+        if self.rows.count > 1:
+            case = jax.random.randint(which, (), 0, self.rows.count)
+        low, high = jnp.asarray(self.times_s)[:, case]
+        start = draw(self.config.scenarios, key, case, (low, high))
+        return self._on_the_way(key, start) if self.config.scenarios.on_the_way > 0 else start
+
+    def begin(self, start: Start) -> tuple[DriveState, Array]:
+        """An episode that begins as told: its state and first observation."""
+        import jax.numpy as jnp
+
+        zero = jnp.zeros((), jnp.float32)
+        count, no = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
+        plant = State(
+            time_s=start.time_s,
+            position_m=start.position_m,
+            speed_mps=start.speed_mps,
+            acceleration_mps2=zero,
+            share=zero,
+            pipeline=jnp.zeros((self.pipeline,), jnp.float32),
+            emergency_s=zero,
+            forces=Forces(zero, zero, zero, zero, zero),
+            traction_j=zero,
+            electric_brake_j=zero,
+            line_j=zero,
+            recovered_j=zero,
+        )
+        recent = jnp.zeros((self.rows.slots,), jnp.float32)
+        watched = Memory(recent, zero, zero, no, count, count, count, count)
+        state = DriveState(
+            start=start,
+            plant=plant,
+            watched=watched,
+            seen_mps=start.speed_mps,
+            command=zero,
+            stopping=no,
+            stood_s=zero,
+            decisions=count,
+            overruled=zero,
+            jerk_mps2=zero,
+            max_jerk_mps3=zero,
+            max_overspeed_mps=zero,
+            outcome=jnp.full((), RUNNING, jnp.int32),
+        )
+        return state, self.observe(state)
+
+    def reset(self, key: Array) -> tuple[DriveState, Array]:
+        """A new episode drawn from the task's scenarios."""
+        return self.begin(self.draw(key))
+
+    def step(self, key: Array, state: DriveState, action: Array) -> tuple[DriveState, Transition]:
+        """One decision: map the action, then assist, supervise and move, once in each control period."""
+        import jax
+        import jax.numpy as jnp
+
+        config = self.config
+        case = self.rows.case(state.start.case)
+        after, overruled, overspeed = state, jnp.zeros((), jnp.float32), jnp.zeros((), jnp.float32)
+        sight = self.sight(state, case)
+        wanted = config.action.command(sight, action, config.dt * config.periods)
+        for k in range(config.periods):
+            noise = jax.random.fold_in(key, k) if config.scenarios.speed_noise_mps[1] > 0 else key
+            after, over, excess = self._period(noise, after, case, wanted)
+            overruled, overspeed = overruled + over, jnp.maximum(overspeed, excess)
+        after = after._replace(decisions=state.decisions + 1, overruled=overruled / config.periods)
+        plant, start = after.plant, after.start
+        error = plant.position_m - case.length_m
+        facts = Facts(error, plant.speed_mps, plant.time_s, after.stood_s, scheduled_s(after), overspeed)
+        after = after._replace(outcome=outcome_of(config.outcomes, facts))
+        terminated = after.outcome != RUNNING
+        truncated = (after.decisions >= config.most_decisions) & ~terminated
+        change = Change(
+            wheel_j=plant.traction_j - state.plant.traction_j,
+            line_j=plant.line_j - state.plant.line_j,
+            jerk_mps2=after.jerk_mps2 - state.jerk_mps2,
+            seconds=plant.time_s - state.plant.time_s,
+            overruled=after.overruled,
+            overspeed_mps=overspeed,
+            ended=terminated,
+            arrived=after.outcome == CODES.index(Outcome.ARRIVED),
+            late_s=plant.time_s - scheduled_s(after),
+            error_m=error,
+        )
+        del start
+        terms = {term.name: term.value(change) for term in config.rewards}
+        reward = sum(terms.values(), jnp.zeros((), jnp.float32))
+        return after, Transition(self.observe(after, case), reward, terminated, truncated, terms)
+
+    def observe(self, state: DriveState, case: Tables | None = None) -> Array:
+        """The observation of a state. Shape (O,)."""
+        case = self.rows.case(state.start.case) if case is None else case
+        return observe(self.config.features, self.sight(state, case))
+
+    def sight(self, state: DriveState, case: Tables) -> Sight:
+        """What observers and actions may use of a state."""
+        plant = state.plant
+        return Sight(
+            rows=self.rows,
+            case=state.start.case,
+            vehicle=case.vehicle,
+            track=near_track(case.track, case.vehicle, plant.position_m),
+            length_m=case.length_m,
+            load=case.load,
+            stop_mps2=case.stop_mps2,
+            rates=case.protection.rates,
+            time_s=plant.time_s,
+            position_m=plant.position_m,
+            speed_mps=state.seen_mps,
+            acceleration_mps2=plant.acceleration_mps2,
+            scheduled_s=scheduled_s(state),
+            command=state.command,
+        )
+
+    def _period(
+        self, key: Array, state: DriveState, case: Tables, wanted: Array
+    ) -> tuple[DriveState, Array, Array]:
+        """One control period; also whether protection overruled the command, and the largest overspeed."""
+        import jax.numpy as jnp
+
+        config, plant, start = self.config, state.plant, state.start
+        dt = jnp.float32(config.dt)
+        sight = self.sight(state, case)
+        command, stopping = assisted(config.assists, sight, wanted, state.stopping, config.dt)
+        near = near_protection(self.rows, case.protection, start.case, plant.position_m)
+        given = Command(command, jnp.zeros((), bool))
+        given, watched, verdict = supervise(near, state.watched, plant.position_m, state.seen_mps, given)
+        actual = self._actual(case.vehicle, start)
+        after = step(actual, sight.track, plant, given, dt)
+        jerk = jnp.abs(after.acceleration_mps2 - plant.acceleration_mps2)
+        stands = after.speed_mps <= 0.0
+        excess = jnp.maximum(after.speed_mps - limit_at(case, after.position_m), 0.0)
+        state = state._replace(
+            plant=after,
+            watched=watched,
+            seen_mps=self._measured(key, after.speed_mps, start.speed_noise_mps),
+            command=command,
+            stopping=stopping,
+            stood_s=jnp.where(stands, state.stood_s + dt, 0.0),
+            jerk_mps2=state.jerk_mps2 + jerk,
+            max_jerk_mps3=jnp.maximum(state.max_jerk_mps3, jerk / dt),
+            max_overspeed_mps=jnp.maximum(state.max_overspeed_mps, excess),
+        )
+        return state, (verdict.level > 0).astype(jnp.float32), excess
+
+    def _measured(self, key: Array, speed_mps: Array, sigma_mps: Array) -> Array:
+        """The speed as measured: normal noise cut at three deviations, none at a stand."""
+        import jax
+        import jax.numpy as jnp
+
+        if self.config.scenarios.speed_noise_mps[1] <= 0:
+            return speed_mps
+        noise = jnp.clip(jax.random.normal(key, (), jnp.float32), -NOISE_CUT, NOISE_CUT)
+        return jnp.where(speed_mps > 0.0, jnp.maximum(speed_mps + sigma_mps * noise, 0.0), 0.0)
+
+    def _actual(self, vehicle: Vehicle, start: Start) -> Vehicle:
+        """The trainset as it really is in this episode; see :meth:`metropilot.task.Scenario.actual`."""
+        scenarios = self.config.scenarios
+        if scenarios.mass_factor != (1.0, 1.0):
+            m = start.mass_factor
+            vehicle = vehicle._replace(
+                mass_kg=vehicle.mass_kg * m,
+                effective_mass_kg=vehicle.effective_mass_kg * m,
+                service_n=vehicle.service_n * m,
+                emergency_n=vehicle.emergency_n * m,
+                adhesion_n=vehicle.adhesion_n * m,
+            )
+        if scenarios.resistance_factor != (1.0, 1.0):
+            vehicle = vehicle._replace(davis_n=vehicle.davis_n * start.resistance_factor)
+        if scenarios.extra_delay_s[1] > 0:
+            vehicle = vehicle._replace(delay_s=vehicle.delay_s + start.extra_delay_s)
+        if scenarios.extra_lag_s[1] > 0:
+            vehicle = vehicle._replace(lag_s=vehicle.lag_s + start.extra_lag_s)
+        return vehicle
+
+    def _on_the_way(self, key: Array, start: Start) -> Start:
+        """Move some starts to a random place, speed and time left on the way."""
+        import jax
+        import jax.numpy as jnp
+
+        chance, place, speed = jax.random.uniform(jax.random.fold_in(key, 1), (3,), jnp.float32)
+        length = self.rows.case(start.case).length_m
+        position = 0.9 * length * place
+        permitted = self.rows.ground_at(3, start.case, position)
+        stops = jnp.sqrt(2.0 * 0.7 * self.rows.case(start.case).stop_mps2 * (length - position))
+        speed = speed * jnp.maximum(jnp.minimum(permitted - 1.0, stops), 0.0)
+        to_go = self.rows.to_go_s(start.case, length - position, length, speed)
+        whole = jnp.asarray(self.rows.tables.minimum_s)[start.case]
+        left = to_go * start.scheduled_s / whole
+        moved = start._replace(position_m=position, speed_mps=speed, time_s=start.scheduled_s - left)
+        here = chance < self.config.scenarios.on_the_way
+        return jax.tree.map(lambda a, b: jnp.where(here, a, b), moved, start)
+
+
+def scheduled_s(state: DriveState) -> Array:
+    """Scheduled running time as announced by now, s."""
+    import jax.numpy as jnp
+
+    told = state.plant.time_s >= state.start.news_at_s
+    return jnp.where(told, state.start.news_s, state.start.scheduled_s)
+
+
+def limit_at(case: Tables, position_m: Array) -> Array:
+    """Speed limit of the head, m/s."""
+    return case.track.limit_mps[locate(case.track.limit_from_m, position_m)]
+
+
+def episode_of(task: DrivingTask, state: DriveState) -> Episode:
+    """KPIs of an episode so far; batch it with ``jax.vmap`` over the state."""
+    plant = state.plant
+    return Episode(
+        outcome=state.outcome,
+        case=state.start.case,
+        running_time_s=plant.time_s,
+        scheduled_s=scheduled_s(state),
+        wheel_j=plant.traction_j,
+        line_j=plant.line_j,
+        stop_error_m=plant.position_m - task.rows.case(state.start.case).length_m,
+        interventions=state.watched.interventions,
+        max_jerk_mps3=state.max_jerk_mps3,
+        jerk_mps2=state.jerk_mps2,
+        max_overspeed_mps=state.max_overspeed_mps,
+        decisions=state.decisions,
+    )
+
+
+def starts(
+    task: DrivingTask, cases: Sequence[int], scheduled_s: Sequence[float], **fields: Sequence[float]
+) -> Start:
+    """Starts from standstill for chosen cases and scheduled times, one row each.
+
+    Args:
+        task: The task.
+        cases: Row of each.
+        scheduled_s: Scheduled time of each.
+        fields: Other fields of :class:`Start`, one value a row.
+    """
+    import jax.numpy as jnp
+
+    count = len(cases)
+    default = {"mass_factor": 1.0, "resistance_factor": 1.0, "news_at_s": float("inf")}
+    values = {
+        name: jnp.asarray(fields.get(name, [default.get(name, 0.0)] * count), jnp.float32)
+        for name in Start._fields
+    }
+    values["case"] = jnp.asarray(cases, jnp.int32)
+    values["scheduled_s"] = jnp.asarray(scheduled_s, jnp.float32)
+    del task
+    return Start(**values)

@@ -1,0 +1,261 @@
+"""What a policy sees: named features, scaled to a few units, over the array namespace.
+
+The same functions serve the compiled task and a learned driver on the host. A feature is one small function
+and one row of :data:`FEATURES`; an observer is a list of their names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from metropilot.physics import Track, Vehicle
+from metropilot.physics.effort import effort_at
+from metropilot.physics.resistance import davis_n
+from metropilot.protection.types import Rates as Guaranteed
+from metropilot.task.tables import CLIMB, PERMITTED, Rows
+
+Array = Any
+
+AHEAD_M = (20.0, 50.0, 100.0, 200.0, 350.0, 600.0, 1000.0)
+SPEED_MPS = 20.0
+DISTANCE_M = 1000.0
+TIME_S = 100.0
+RESERVE_S = 10.0
+PER_KG = 1.0
+
+
+class Sight(NamedTuple):
+    """Everything a feature may use. Numbers are 0-d.
+
+    Attributes:
+        rows: The task's tables.
+        case: Row of the case.
+        vehicle: Trainset as the driver knows it.
+        track: Section.
+        length_m: Distance to the stop from the origin.
+        load: Mass over the mean mass of all cases.
+        stop_mps2: Deceleration the last braking is planned with.
+        rates: Bounds behind protection's emergency brake.
+        time_s: Time since departure.
+        position_m: Position.
+        speed_mps: Measured speed.
+        acceleration_mps2: Acceleration over the last period.
+        scheduled_s: Scheduled running time as it stands now.
+        command: Last command given.
+    """
+
+    rows: Rows
+    case: Array
+    vehicle: Vehicle
+    track: Track
+    length_m: Array
+    load: Array
+    stop_mps2: Array
+    rates: Guaranteed
+    time_s: Array
+    position_m: Array
+    speed_mps: Array
+    acceleration_mps2: Array
+    scheduled_s: Array
+    command: Array
+
+    @property
+    def xp(self) -> Any:  # noqa: ANN401 (a module)
+        """The array namespace: NumPy or JAX's."""
+        return self.rows.xp
+
+    @property
+    def left_m(self) -> Array:
+        """Distance left, not below 0."""
+        return self.xp.maximum(self.length_m - self.position_m, 0.0)
+
+    @property
+    def to_go_s(self) -> Array:
+        """Flat-out time to the stop from here and now."""
+        return self.rows.to_go_s(self.case, self.left_m, self.length_m, self.speed_mps)
+
+    @property
+    def left_s(self) -> Array:
+        """Time left until the scheduled arrival."""
+        return self.scheduled_s - self.time_s
+
+    @property
+    def permitted_mps(self) -> Array:
+        """Permitted speed here."""
+        return self.rows.ground_at(PERMITTED, self.case, self.position_m)
+
+
+Feature = Callable[[Sight], Sequence[Array]]
+
+
+def position(sight: Sight) -> Sequence[Array]:
+    """Position over the section's length."""
+    return [sight.position_m / sight.length_m]
+
+
+def speed(sight: Sight) -> Sequence[Array]:
+    """Speed."""
+    return [sight.speed_mps / SPEED_MPS]
+
+
+def acceleration(sight: Sight) -> Sequence[Array]:
+    """Acceleration over the last period."""
+    return [sight.acceleration_mps2]
+
+
+def command(sight: Sight) -> Sequence[Array]:
+    """The last command."""
+    return [sight.command]
+
+
+def distance_left(sight: Sight) -> Sequence[Array]:
+    """Distance left, plain and as the square root that braking is straight in."""
+    return [sight.left_m / DISTANCE_M, sight.xp.sqrt(sight.left_m / DISTANCE_M)]
+
+
+def time_left(sight: Sight) -> Sequence[Array]:
+    """Time left until the scheduled arrival."""
+    return [sight.left_s / TIME_S]
+
+
+def reserve(sight: Sight) -> Sequence[Array]:
+    """Time left beyond the flat-out time to go: in tens of seconds, fine near zero, and as a share."""
+    xp = sight.xp
+    spare = sight.left_s - sight.to_go_s
+    share = spare / xp.maximum(sight.to_go_s, 2.0)
+    return [spare / RESERVE_S, xp.tanh(spare / 2.0), xp.clip(share, -1.0, 2.0)]
+
+
+def mean_speed(sight: Sight) -> Sequence[Array]:
+    """Mean speed that the time left asks for, and how much faster the trainset is."""
+    xp = sight.xp
+    mean = xp.clip(sight.left_m / xp.maximum(sight.left_s, 1.0), 0.0, 40.0)
+    return [mean / SPEED_MPS, (sight.speed_mps - mean) / SPEED_MPS]
+
+
+def braking(sight: Sight) -> Sequence[Array]:
+    """Constant deceleration that stops at the stop from here."""
+    v = sight.speed_mps
+    return [sight.xp.minimum(v * v / (2.0 * sight.xp.maximum(sight.left_m, 0.1)), 2.0)]
+
+
+def permitted(sight: Sight) -> Sequence[Array]:
+    """How far the permitted speed is above the speed, here."""
+    return [sight.xp.clip((sight.permitted_mps - sight.speed_mps) / 5.0, -2.0, 4.0)]
+
+
+def permitted_ahead(sight: Sight) -> Sequence[Array]:
+    """Permitted speed at several distances ahead."""
+    ahead = (sight.rows.ground_at(PERMITTED, sight.case, sight.position_m + d) for d in AHEAD_M)
+    return [value / SPEED_MPS for value in ahead]
+
+
+def climb_ahead(sight: Sight) -> Sequence[Array]:
+    """Mean of gradient and curve resistance over several distances ahead, and over all that is left."""
+    here = sight.rows.ground_at(CLIMB, sight.case, sight.position_m)
+    parts = []
+    for d in AHEAD_M:
+        way = sight.xp.clip(sight.left_m, 1.0, d)
+        parts.append((sight.rows.ground_at(CLIMB, sight.case, sight.position_m + way) - here) / way * 5.0)
+    way = sight.xp.maximum(sight.left_m, 1.0)
+    return [*parts, (sight.rows.ground_at(CLIMB, sight.case, sight.length_m + 0.0 * way) - here) / way * 5.0]
+
+
+def efforts(sight: Sight) -> Sequence[Array]:
+    """Largest traction, largest braking and running resistance here, per kilogram."""
+    effort = effort_at(sight.vehicle, sight.speed_mps)
+    mass = sight.vehicle.effective_mass_kg * PER_KG
+    drag = davis_n(sight.vehicle, sight.speed_mps)
+    return [effort.traction_n / mass, effort.brake_n / mass, 10.0 * drag / mass]
+
+
+def load(sight: Sight) -> Sequence[Array]:
+    """Mass over the mean mass of all cases."""
+    return [3.0 * (sight.load - 1.0)]
+
+
+def delay(sight: Sight) -> Sequence[Array]:
+    """Known dead time and lag of the actuation."""
+    return [sight.vehicle.delay_s, sight.vehicle.lag_s]
+
+
+def position_m(sight: Sight) -> Sequence[Array]:
+    """Absolute position, km (Chen23a's state with ``speed``)."""
+    return [sight.position_m / DISTANCE_M]
+
+
+FEATURES: Mapping[str, Feature] = MappingProxyType(
+    {
+        f.__name__: f
+        for f in (
+            position,
+            position_m,
+            speed,
+            acceleration,
+            command,
+            distance_left,
+            time_left,
+            reserve,
+            mean_speed,
+            braking,
+            permitted,
+            permitted_ahead,
+            climb_ahead,
+            efforts,
+            load,
+            delay,
+        )
+    }
+)
+
+OBSERVERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "position_speed": ("position_m", "speed"),
+        "section": (
+            "position",
+            "speed",
+            "distance_left",
+            "time_left",
+            "reserve",
+            "mean_speed",
+            "braking",
+            "permitted",
+            "load",
+            "command",
+        ),
+        "route": (
+            "speed",
+            "distance_left",
+            "time_left",
+            "reserve",
+            "mean_speed",
+            "braking",
+            "permitted",
+            "permitted_ahead",
+            "climb_ahead",
+            "efforts",
+            "load",
+            "command",
+            "acceleration",
+        ),
+    }
+)
+"""Named observers: Chen23a's two numbers; for one section; and for any section, without absolute position."""
+
+
+def observe(features: Sequence[str], sight: Sight) -> Array:
+    """The observation: every feature in order, float32. Shape (O,)."""
+    values = [value for name in features for value in FEATURES[name](sight)]
+    return sight.xp.stack(values).astype(np.float32)
+
+
+def limited_force(sight: Sight, force_n: Array) -> Array:
+    """The command whose force is nearest the wanted one here."""
+    xp = sight.xp
+    effort = effort_at(sight.vehicle, sight.speed_mps)
+    available = xp.where(force_n >= 0, effort.traction_n, effort.brake_n)
+    return xp.clip(force_n / xp.maximum(available, 1.0), -1.0, 1.0)

@@ -1,0 +1,130 @@
+"""Tasks by name: what a learner, a benchmark or a Gymnasium id asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+from metropilot.errors import InputError
+from metropilot.railway import Section, Trainset, load_line, load_trainset
+from metropilot.task.actions import CommandAction, IncrementAction, NotchAction
+from metropilot.task.assist import Assists
+from metropilot.task.driving import DrivingConfig, DrivingTask
+from metropilot.task.rewards import Comfort, Energy, Failure, OnTime, Punctuality, StopError
+from metropilot.task.scenarios import Scenarios
+
+
+@dataclass(frozen=True)
+class TaskRow:
+    """One registered task.
+
+    Attributes:
+        summary: One line for ``metropilot tasks``.
+        config: Makes its configuration; reads the catalogue, so it is called only when asked for.
+    """
+
+    summary: str
+    config: Callable[[], DrivingConfig]
+
+
+def _loads(trainset: str = "dkz32") -> tuple[Trainset, ...]:
+    loaded = load_trainset(trainset)
+    return tuple(loaded.loaded(load) for load in loaded.loads)
+
+
+def _one() -> tuple[Section, ...]:
+    return (load_line("yizhuang").section("RJ", "WYJ"),)
+
+
+def _all() -> tuple[Section, ...]:
+    line = load_line("yizhuang")
+    return (*line.sections(), *line.sections(backward=True))
+
+
+TIMES = Scenarios(time_ratio=(1.08, 1.5), longest_s=130.0)
+DISTURBED = Scenarios(
+    time_ratio=(1.08, 1.4),
+    mass_factor=(0.9, 1.1),
+    resistance_factor=(0.8, 1.2),
+    extra_delay_s=(0.0, 0.6),
+    extra_lag_s=(0.0, 0.3),
+    speed_noise_mps=(0.0, 0.05),
+    news=0.3,
+)
+
+
+def _drive() -> DrivingConfig:
+    return DrivingConfig(_one(), _loads(), TIMES)
+
+
+def _drive_jerk() -> DrivingConfig:
+    return DrivingConfig(_one(), _loads(), TIMES, ideal=False)
+
+
+def _drive_line() -> DrivingConfig:
+    return DrivingConfig(_all(), _loads(), Scenarios(time_ratio=(1.05, 1.4)), observer="route")
+
+
+def _drive_disturbed() -> DrivingConfig:
+    return DrivingConfig(_one(), _loads(), DISTURBED, ideal=False)
+
+
+def _drive_increment() -> DrivingConfig:
+    return DrivingConfig(_one(), _loads(), TIMES, action=IncrementAction())
+
+
+def _drive_notches() -> DrivingConfig:
+    return DrivingConfig(_one(), _loads(), TIMES, action=NotchAction())
+
+
+def _drive_unassisted() -> DrivingConfig:
+    rewards = (Energy(), Punctuality(), Failure(), StopError(per_m=0.5))
+    none = Assists(stop=False, ceiling=False)
+    return DrivingConfig(_one(), _loads(), TIMES, action=CommandAction(), assists=none, rewards=rewards)
+
+
+def _chen2023a() -> DrivingConfig:
+    return DrivingConfig(
+        sections=(load_line("yizhuang").section("YZQ", "WHY"),),
+        trainsets=(load_trainset("cheng2023"),),
+        scenarios=Scenarios(time_s=(80.0, 80.0)),
+        observer="position_speed",
+        action=CommandAction(),
+        rewards=(Energy(), Comfort(weight=0.1), OnTime(bonus=100.0, allowed_s=8.0)),
+    )
+
+
+TASKS: Mapping[str, TaskRow] = MappingProxyType(
+    {
+        "drive": TaskRow("RJ to WYJ, every load and time up to 130 s, ideal actuation", _drive),
+        "drive_jerk": TaskRow("The same with the trainset's jerk limit", _drive_jerk),
+        "drive_line": TaskRow("All sections of the Yizhuang line, both ways, every load", _drive_line),
+        "drive_disturbed": TaskRow("RJ to WYJ with scatter, delay, noise and new times", _drive_disturbed),
+        "drive_increment": TaskRow("RJ to WYJ by changes of the command (Huang25)", _drive_increment),
+        "drive_notches": TaskRow("RJ to WYJ by a table of notches", _drive_notches),
+        "drive_unassisted": TaskRow("RJ to WYJ without assists: the policy brakes itself", _drive_unassisted),
+        "chen2023a": TaskRow("YZQ to WHY in 80 s from position and speed (Chen23a)", _chen2023a),
+    }
+)
+
+
+def task_config(name: str) -> DrivingConfig:
+    """The configuration of a registered task.
+
+    Raises:
+        InputError: No such task.
+    """
+    if name not in TASKS:
+        raise InputError("unknown task", field="task", value=name, allowed=", ".join(TASKS))
+    return TASKS[name].config()
+
+
+def make_task(name: str, **changes: Any) -> DrivingTask:  # noqa: ANN401 (fields of the configuration)
+    """A registered task, with some fields of its configuration changed.
+
+    Raises:
+        InputError: No such task.
+    """
+    return DrivingTask(replace(task_config(name), **changes))

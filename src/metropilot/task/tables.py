@@ -1,0 +1,239 @@
+"""A task's cases (sections with trainsets) as stacked arrays, and the few numbers of them one step needs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from metropilot.physics import Track, Vehicle, stack, track_arrays, vehicle_arrays
+from metropilot.physics.arrays import locate, namespace
+from metropilot.physics.effort import effort_at
+from metropilot.physics.resistance import felt_slopes
+from metropilot.protection import Bounds, Protection, protect
+from metropilot.railway import Section, Trainset
+
+Array = Any
+
+
+class Tables(NamedTuple):
+    """Every case of a task, one row each. A row that is the same in all cases is stored once.
+
+    Attributes:
+        vehicle: Trainset as the driver knows it.
+        track: Section.
+        protection: Its protection; the four curves are in ``ground``.
+        ground: At protection's nodes: emergency and service braking curve, pull, permitted speed, and the
+            climb from the origin (gradient and curves, J/kg). Shape (C, N, 5).
+        to_go: Flat-out time to the stop, see :class:`metropilot.task.to_go.ToGo`. Shape (C, R, V).
+        minimum_s: Minimum running time. Shape (C,).
+        length_m: Distance to the stop. Shape (C,).
+        load: Mass over the mean of all cases. Shape (C,).
+        stop_mps2: Deceleration the last braking is planned with, surely at hand. Shape (C,).
+    """
+
+    vehicle: Vehicle
+    track: Track
+    protection: Protection
+    ground: Array
+    to_go: Array
+    minimum_s: Array
+    length_m: Array
+    load: Array
+    stop_mps2: Array
+
+
+SPEED_STEP_MPS = 0.5
+"""Between the columns of ``to_go``."""
+STOP_STRETCH_M = 300.0
+STOP_USE = 0.95
+EMERGENCY, SERVICE, PULL, PERMITTED, CLIMB = range(5)
+
+
+def build_tables(
+    cases: Sequence[tuple[Section, Trainset, Bounds]], spacing_m: float, dtype: type = np.float32
+) -> Tables:
+    """Tables of the cases (NumPy).
+
+    Args:
+        cases: Sections, each with a trainset and its load, and what protection is told to expect of it.
+        spacing_m: Distance between protection's nodes.
+        dtype: Number type.
+    """
+    masses = [trainset.mass_kg for _, trainset, _ in cases]
+    rows = [_case(*case, spacing_m) for case in cases]
+    vehicles, tracks, protections, grounds, tables, lengths, stops = zip(*rows, strict=True)
+    nodes = max(ground.shape[0] for ground in grounds)
+    ahead = max((protection.ahead for protection in protections), key=len)
+    small = [p._replace(emergency=0.0, service=0.0, pull_mps2=0.0, permitted_mps=0.0) for p in protections]
+    stacked = _stack_protection(small, ahead)
+    whole = Tables(
+        vehicle=stack(vehicles),
+        track=stack(tracks),
+        protection=stacked,
+        ground=np.stack([_padded(ground, nodes + ahead.size + 2) for ground in grounds]),
+        to_go=np.stack([np.pad(t, ((0, 0), (0, _widest(tables) - t.shape[1])), mode="edge") for t in tables]),
+        minimum_s=np.array([t[-1, 0] for t in tables]),
+        length_m=np.array(lengths),
+        load=np.array(masses) / np.mean(masses),
+        stop_mps2=np.array(stops),
+    )
+    return _mapped(lambda a: a if a.dtype.kind in "iub" else a.astype(dtype), whole)
+
+
+def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float) -> tuple[Any, ...]:
+    from metropilot.task.to_go import to_go_table
+
+    vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
+    protection = protect(section, trainset, bounds, spacing_m=spacing_m)
+    used = int(np.flatnonzero(protection.permitted_mps)[-1]) + 2
+    at = protection.start_m + spacing_m * np.arange(used)
+    gradient, curve, _ = felt_slopes(vehicle, track, at)
+    weight = (vehicle.gravity_mps2 * gradient + curve) * spacing_m
+    climb = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]))])
+    curves = (protection.emergency, protection.service, protection.pull_mps2, protection.permitted_mps)
+    ground = np.stack([*(curve[:used] for curve in curves), climb], axis=1)
+    table = to_go_table(vehicle, track).time_s
+    return vehicle, track, protection, ground, table, section.length_m, _stop_mps2(vehicle, track)
+
+
+def _stop_mps2(vehicle: Vehicle, track: Track) -> float:
+    """What is surely at hand over the last stretch at any speed, and no more than the limit in service."""
+    at = float(track.length_m) - np.linspace(0.0, STOP_STRETCH_M, 41)
+    gradient, curve, _ = felt_slopes(vehicle, track, at)
+    pull = (vehicle.gravity_mps2 * gradient + curve) * vehicle.mass_kg / vehicle.effective_mass_kg
+    means = np.cumsum(pull) / np.arange(1, at.size + 1)
+    speeds = np.linspace(0.0, float(vehicle.max_speed_mps), 32)
+    brake = float(np.min(effort_at(vehicle, speeds).brake_n)) / float(vehicle.effective_mass_kg)
+    sure = min(brake + float(means[5:].min()), float(vehicle.max_deceleration_mps2))
+    return max(STOP_USE * sure, 0.2)
+
+
+def _widest(tables: Sequence[np.ndarray]) -> int:
+    return max(table.shape[1] for table in tables)
+
+
+def _padded(ground: np.ndarray, size: int) -> np.ndarray:
+    """Beyond the map nothing may move: zero curves, the rest as at its end."""
+    extra = np.repeat(ground[-1:], size - ground.shape[0], axis=0)
+    extra[:, [EMERGENCY, SERVICE, PERMITTED]] = 0.0
+    return np.concatenate([ground, extra])
+
+
+def _stack_protection(protections: Sequence[Protection], ahead: np.ndarray) -> Protection:
+    """Stacked scalars of protection; look-ahead and slots are shapes, common to all."""
+    slots = max((p.slots for p in protections), key=len)
+    plain = [p._replace(ahead=np.int32(0), slots=0.0) for p in protections]
+
+    def column(*values: Any) -> Any:  # noqa: ANN401 (numbers or tuples of them)
+        if isinstance(values[0], tuple):
+            return type(values[0])(*(column(*entries) for entries in zip(*values, strict=True)))
+        return np.stack([np.asarray(value) for value in values])
+
+    vehicle = stack([p.vehicle for p in protections])
+    stacked = column(*(p._replace(vehicle=()) for p in plain))
+    repeat = len(protections)
+    return stacked._replace(
+        vehicle=vehicle,
+        ahead=np.repeat(ahead[None].astype(np.int32), repeat, axis=0),
+        slots=np.repeat(np.asarray(slots)[None], repeat, axis=0),
+    )
+
+
+def _mapped(function: Any, tree: Any) -> Any:  # noqa: ANN401 (a tree of tuples)
+    if isinstance(tree, tuple):
+        values = [_mapped(function, entry) for entry in tree]
+        return type(tree)(*values) if hasattr(tree, "_fields") else tuple(values)
+    return function(np.asarray(tree))
+
+
+class Rows:
+    """Tables ready for use: what all cases share is a constant, the rest is looked up by case.
+
+    Args:
+        tables: From :func:`build_tables`.
+        jax: Hold them as JAX arrays.
+    """
+
+    def __init__(self, tables: Tables, *, jax: bool) -> None:
+        if jax:
+            import jax.numpy as xp
+        else:
+            xp = np
+        self.count = int(tables.minimum_s.shape[0])
+        self.xp = xp
+        self.spacing_m = float(tables.protection.spacing_m[0])
+        self.start_m = xp.asarray(tables.protection.start_m)
+        self.ahead = tables.protection.ahead[0]
+        self.slots = int(tables.protection.slots.shape[1])
+        self.ground = xp.asarray(tables.ground)
+        self.to_go = xp.asarray(tables.to_go)
+        self.tables = tables
+        small = tables._replace(ground=np.zeros(self.count), to_go=np.zeros(self.count))
+        self._shared = _mapped(lambda a: bool((a == a[:1]).all()), small)
+        self._small = _mapped(lambda a: xp.asarray(a[0] if (a == a[:1]).all() else a), small)
+
+    def case(self, case: Array) -> Tables:
+        """The row of a case, without the large tables and with the whole track."""
+        return _picked(self._small, self._shared, case)
+
+    def node(self, case: Array, position_m: Array) -> tuple[Array, Array]:
+        """The last node not beyond a position, and the share of the way to the next."""
+        xp = self.xp
+        last = self.ground.shape[1] - self.ahead.size - 2.0
+        steps = (position_m - self.start_m[case]) / self.spacing_m
+        whole = xp.clip(xp.floor(steps), 0.0, last)
+        return whole.astype(np.int32), xp.clip(steps - whole, 0.0, 1.0)
+
+    def ground_at(self, column: int, case: Array, position_m: Array) -> Array:
+        """One of the curves over the ground at one or many positions."""
+        node, way = self.node(case, position_m)
+        here = self.ground[case, node, column]
+        return here + (self.ground[case, node + 1, column] - here) * way
+
+    def to_go_s(self, case: Array, distance_m: Array, length_m: Array, speed_mps: Array) -> Array:
+        """Flat-out time to the stop, bilinear in speed and the square root of the distance left, s."""
+        xp = self.xp
+        rows, columns = self.to_go.shape[1:]
+        u = (rows - 1.0) * xp.sqrt(xp.clip(distance_m / length_m, 0.0, 1.0))
+        w = xp.clip(speed_mps / SPEED_STEP_MPS, 0.0, columns - 1.0)
+        i, j = xp.minimum(xp.floor(u), rows - 2.0), xp.minimum(xp.floor(w), columns - 2.0)
+        u, w, i, j = u - i, w - j, i.astype(np.int32), j.astype(np.int32)
+        low = self.to_go[case, i, j] * (1.0 - w) + self.to_go[case, i, j + 1] * w
+        high = self.to_go[case, i + 1, j] * (1.0 - w) + self.to_go[case, i + 1, j + 1] * w
+        return low * (1.0 - u) + high * u
+
+
+def _picked(tree: Any, shared: Any, case: Array) -> Any:  # noqa: ANN401 (a tree of tuples)
+    if isinstance(tree, tuple):
+        return type(tree)(*(_picked(a, b, case) for a, b in zip(tree, shared, strict=True)))
+    return tree if shared else tree[case]
+
+
+def near_track(track: Track, vehicle: Vehicle, position_m: Array) -> Track:
+    """The two pieces of a track that head and tail are on: all the plant asks for at this position.
+
+    Its look-ups give the same numbers as on the whole track, without carrying it along.
+    """
+    xp = namespace(track.node_m, position_m)
+    tail, head = locate(track.node_m, position_m - vehicle.length_m), locate(track.node_m, position_m)
+    both = xp.stack([tail, head])
+    return track._replace(node_m=track.node_m[both], potential=track.potential[both], slope=track.slope[both])
+
+
+def near_protection(rows: Rows, protection: Protection, case: Array, position_m: Array) -> Protection:
+    """The window of protection's curves that one decision at a position can see, its first node first."""
+    xp = rows.xp
+    node, _ = rows.node(case, position_m)
+    count = rows.ahead.size + 2
+    window = rows.ground[case, node + xp.arange(count)]
+    return protection._replace(
+        start_m=protection.start_m + node.astype(window.dtype) * rows.spacing_m,
+        emergency=window[:, EMERGENCY],
+        service=window[:, SERVICE],
+        pull_mps2=window[:2, PULL],
+        permitted_mps=window[:2, PERMITTED],
+        ahead=xp.asarray(rows.ahead),
+        slots=xp.zeros(rows.slots, window.dtype),
+    )

@@ -1,0 +1,89 @@
+"""How long it takes at least to the stop from any state on the way, as a table over distance and speed."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from metropilot.physics import Track, Vehicle
+from metropilot.planning.effort_table import STEP_MPS, Specific, specific
+from metropilot.planning.mesh import Mesh, build_mesh
+from metropilot.task.tables import SPEED_STEP_MPS
+
+SPACING_M = 5.0
+FINER = 2
+ROWS = 97
+ITERATIONS = 3
+
+
+class ToGo(NamedTuple):
+    """Flat-out time to the stop. Rows are even in the square root of the distance left.
+
+    On a braking curve speed is proportional to that square root, so the table is smooth up to the stop.
+
+    Attributes:
+        time_s: Time to go. Shape (R, V).
+        top_mps: Highest speed from which the stop and every limit ahead are still kept. Shape (R,).
+    """
+
+    time_s: Float[ndarray, "rows speeds"]
+    top_mps: Float[ndarray, " rows"]
+
+
+def to_go_table(vehicle: Vehicle, track: Track, *, rows: int = ROWS) -> ToGo:
+    """Flat-out time to the stop from every state of a grid.
+
+    Backward over the rows: from each speed full traction to the next row, up to the curve of limits and last
+    braking and along it, then what that row takes from there (linear between its speeds, the curve's own
+    among them). Forces as in :func:`metropilot.planning.fastest.fastest_profile`. A speed above the curve
+    counts as the curve's.
+
+    Args:
+        vehicle: Trainset.
+        track: Section.
+        rows: Rows of the table.
+    """
+    left = float(track.length_m) * np.linspace(1.0, 0.0, rows) ** 2
+    starts = float(track.length_m) - left
+    table = specific(vehicle)
+    mesh = build_mesh(vehicle, track, starts, SPACING_M)
+    energy = 0.5 * mesh.cap_mps**2
+    energy[-1] = 0.0
+    for k in range(mesh.length_m.size - 1, -1, -1):
+        reached = _next(table, mesh, k, energy[k + 1 : k + 2], braking=True)
+        energy[k] = min(energy[k], float(reached[0]))
+    columns = math.ceil(float(vehicle.max_speed_mps) / SPEED_STEP_MPS)
+    grid = np.linspace(0.0, columns * SPEED_STEP_MPS, columns * FINER + 1)
+    at = mesh.stop
+    top = np.sqrt(2.0 * energy[at])
+    time = np.zeros((rows, grid.size))
+    for row in range(rows - 2, -1, -1):
+        now = 0.5 * np.minimum(grid, top[row]) ** 2
+        for k in range(at[row], at[row + 1]):
+            after = np.minimum(_next(table, mesh, k, now, braking=False), energy[k + 1])
+            both = np.sqrt(2.0 * now) + np.sqrt(2.0 * after)
+            time[row] += 2.0 * mesh.length_m[k] / np.maximum(both, 1e-3)
+            now = after
+        time[row] += np.interp(np.sqrt(2.0 * now), np.minimum(grid, top[row + 1]), time[row + 1])
+    return ToGo(time[::-1, ::FINER].copy(), top[::-1].copy())
+
+
+def _next(table: Specific, mesh: Mesh, k: int, energy: ndarray, *, braking: bool) -> ndarray:
+    """``v^2/2`` at the other end of segment ``k``: forward under full traction, or backward under braking."""
+    effort = table.braking if braking else table.traction
+    most = table.deceleration if braking else table.acceleration
+    sign = 1.0 if braking else -1.0
+    a, b, c = table.davis
+    quad = c + mesh.tunnel_n[k] / table.mass_kg
+    middle, rate = energy, np.zeros_like(energy)
+    for _ in range(ITERATIONS):
+        v = np.sqrt(2.0 * middle)
+        index = np.minimum((v / STEP_MPS + 0.5).astype(int), effort.size - 1)
+        drag = a + v * (b + v * quad) + mesh.slope_mps2[k]
+        rate = np.minimum(effort[index] + sign * drag, most)
+        middle = np.maximum(energy + 0.5 * rate * mesh.length_m[k], 0.0)
+    return np.maximum(energy + rate * mesh.length_m[k], 0.0)
