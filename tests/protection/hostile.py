@@ -33,7 +33,7 @@ ATTACKS = (
     "alarm",
     "edge",
 )
-CURVES = ("emergency", "service", "pull_mps2", "permitted_mps")
+CURVES = ("emergency", "service", "pull_mps2", "usual_pull_mps2", "permitted_mps")
 CHUNK = 100
 LATE_STEPS = 16
 RESTART = 400

@@ -38,12 +38,12 @@ class Tracker:
 
     def share(self, state):
         x, v = float(state.position_m), float(state.speed_mps)
-        preview = self.behind_s + abs(self.asked) / JERK + 0.6
+        preview = self.behind_s + abs(self.asked) / JERK + 1.0
         here = self.cap[(self.at >= x) & (self.at <= x + max(v, 2.0) * preview)]
         falling = min((here[-1] - here[0]) / preview, 0.0)
         gap = float(here.min()) - v - 0.02
         easy = np.interp(gap, self.room + self.accelerations * self.behind_s, self.accelerations)
-        wanted = falling + (min(easy, gap / 3.0) if gap > 0 else gap)
+        wanted = falling + (min(easy, gap / (3.0 + 4.0 * self.behind_s)) if gap > 0 else gap)
         room = JERK * DT
         self.asked = float(np.clip(np.clip(wanted, -1.0, 1.0), self.asked - room, self.asked + room))
         held = physics.resistance_and_gradient(self.vehicle, self.track, state.position_m, state.speed_mps)

@@ -54,9 +54,11 @@ def protect(
     rates, usual = _rates(bounds), _service_rates(trainset, vehicle, bounds)
     field = ground(section, trainset, stop_at_m, spacing_m, bounds.resistance[0])
     top, steepest = float(field.ceiling_mps.max()), float(field.pull_mps2.max())
-    ahead = max(_look_ahead(vehicle, each, top, steepest, spacing_m) for each in (rates, usual))
+    reach, usual_reach = (_look_ahead(vehicle, each, top, steepest, spacing_m) for each in (rates, usual))
+    ahead = padded_size(max(reach, usual_reach), AHEAD)
     before = int(np.ceil(_memory_m(bounds, top, field.pull_mps2) / spacing_m))
-    pull = sliding_max(field.pull_mps2, before, ahead + 1)
+    pull = sliding_max(field.pull_mps2, before, reach)
+    usual_pull = sliding_max(field.usual_pull_mps2, 0, int(np.ceil(top * usual.reaction_s / spacing_m)))
     rounding = 16.0 * float(np.finfo(dtype).eps) * (np.abs(field.node_m[[0, -1]]).sum() + 0.5 * top * top)
     emergency = np.maximum(_emergency_curve(field, bounds, before) - rounding, 0.0)
     permitted = _permitted_curve(field, vehicle, rates, bounds, emergency, pull, ahead)
@@ -68,6 +70,7 @@ def protect(
         "emergency": _padded(emergency, size, 0.0),
         "service": _padded(service, size, 0.0),
         "pull_mps2": _padded(pull, size, pull[-1]),
+        "usual_pull_mps2": _padded(usual_pull, size, usual_pull[-1]),
         "permitted_mps": _padded(permitted, size, 0.0),
         "slots": np.zeros(delay_steps(bounds.delay_s, bounds.dt_s) + 1),
     }
@@ -123,7 +126,7 @@ def _look_ahead(vehicle: Vehicle, rates: Rates, top_mps: float, pull_mps2: float
     jerk = rates.jerk_mps3
     peak = top_mps + SLACK_MPS + gain * rates.reaction_s + 0.5 * gain**2 / jerk
     built = max(gain + rates.brake_mps2, 0.0) / jerk
-    return padded_size(int(np.ceil(peak * (rates.reaction_s + built) / spacing_m)) + 3, AHEAD)
+    return int(np.ceil(peak * (rates.reaction_s + built) / spacing_m)) + 3
 
 
 def _memory_m(bounds: Bounds, top_mps: float, pull_mps2: ndarray) -> float:

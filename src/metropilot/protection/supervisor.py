@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -79,6 +80,15 @@ def supervise(
     return Command(share, emergency), after, verdict
 
 
+class Brake(NamedTuple):
+    """One brake at one position: its rates, its curve ahead, the gradient's pull, what efforts do."""
+
+    rates: Rates
+    curve: Array
+    pull_mps2: Scalar
+    forces: Forces
+
+
 class Check:
     """Everything a command is tested against, at one measured position and speed."""
 
@@ -94,9 +104,8 @@ class Check:
         first = protection.start_m + protection.spacing_m * _like(position, self.node)
         steps = protection.ahead.astype(protection.emergency.dtype) * protection.spacing_m
         self.distance_m = steps + (first - position)
-        self.pull_mps2 = xp.maximum(protection.pull_mps2[self.node], protection.pull_mps2[self.node + 1])
-        self.worst = fastest(protection.vehicle, protection.rates, speed_mps, self.pull_mps2)
-        self.usual = fastest(protection.vehicle, protection.service_rates, speed_mps, self.pull_mps2)
+        self.worst = self._brake(protection.rates, protection.emergency, protection.pull_mps2)
+        self.usual = self._brake(protection.service_rates, protection.service, protection.usual_pull_mps2)
         # The oldest command remembered has arrived; the others may still be on their way.
         self.older = -1.0 if memory.recent.shape[0] == 1 else memory.recent[:-1].max()
         self.fading = memory.acceleration_mps2 - protection.fading.acceleration_mps2
@@ -107,26 +116,23 @@ class Check:
 
     def emergency(self, share: Scalar, margin_mps: Scalar) -> Scalar:
         """Whether the emergency brake decided one period from now is in time, whatever the plant."""
-        return self._keeps(self.protection.rates, self.protection.emergency, self.worst, share, margin_mps)
+        return self._in_time(self.worst, share, margin_mps)
 
     def passes(self, share: Scalar, margin_mps: Scalar) -> Scalar:
         """The same, and whether the service brake would do on the nominal plant."""
-        curve = self.protection.service
-        service = self._keeps(self.protection.service_rates, curve, self.usual, share, margin_mps)
-        return service & self.emergency(share, margin_mps)
+        return self._in_time(self.usual, share, margin_mps) & self.emergency(share, margin_mps)
 
-    def _keeps(
-        self,
-        rates: Rates,
-        curve: Array,
-        forces: Forces,
-        share: Scalar,
-        margin_mps: Scalar,
-    ) -> Scalar:
-        fastest_mps2 = self.xp.maximum(acceleration(forces, self.kept(share)), self.fading)
-        speed = self.speed_mps + rates.speed_error_mps + margin_mps
+    def _brake(self, rates: Rates, curve: Array, pulls: Array) -> Brake:
+        pull = self.xp.maximum(pulls[self.node], pulls[self.node + 1])
         ahead = _slice(curve, self.node, self.protection.ahead.shape[0])
-        return self.measured & stays_under(rates, ahead, self.distance_m, speed, fastest_mps2, self.pull_mps2)
+        return Brake(rates, ahead, pull, fastest(self.protection.vehicle, rates, self.speed_mps, pull))
+
+    def _in_time(self, brake: Brake, share: Scalar, margin_mps: Scalar) -> Scalar:
+        acting = self.xp.maximum(acceleration(brake.forces, self.kept(share)), self.fading)
+        speed = self.speed_mps + brake.rates.speed_error_mps + margin_mps
+        return self.measured & stays_under(
+            brake.rates, brake.curve, self.distance_m, speed, acting, brake.pull_mps2
+        )
 
     def kept(self, share: Scalar) -> Scalar:
         """Upper bound on the share in effect from now on, after dead time and lag."""
@@ -136,7 +142,7 @@ class Check:
     def effect(self, share: Scalar) -> tuple[Scalar, Scalar]:
         """Upper bounds on the share in effect and on the acceleration over the coming period."""
         kept = self.kept(share)
-        return kept, self.xp.maximum(acceleration(self.worst, kept), self.fading)
+        return kept, self.xp.maximum(acceleration(self.worst.forces, kept), self.fading)
 
 
 def permitted_speed(protection: Protection, position_m: Array) -> Array:

@@ -65,6 +65,7 @@ class Protection(NamedTuple):
             with a little more where that is level, m^2/s^2. Shape (N,).
         pull_mps2: Largest acceleration that gradient, less certain curve resistance, can give from shortly
             before a node to the end of the look-ahead. Shape (N,).
+        usual_pull_mps2: The same less all curve resistance, over the service brake's reaction. Shape (N,).
         permitted_mps: Permitted speed: whoever holds a speed at or under it is not overruled. Shape (N,).
         ahead: Number of each node of the look-ahead, from the last one passed. Shape (W,).
         slots: Commands that may still be on their way, newest first; only the shape counts. Shape (D,).
@@ -79,6 +80,7 @@ class Protection(NamedTuple):
     emergency: Array
     service: Array
     pull_mps2: Array
+    usual_pull_mps2: Array
     permitted_mps: Array
     ahead: Array
     slots: Array
