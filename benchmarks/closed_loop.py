@@ -116,11 +116,13 @@ def driven(case: Case) -> Result:
     done = drive(run, DRIVERS.make("optimal"))
     rows = done.trajectory
     achieved = max(done.running_time_s, minimum_running_time(section, done.trainset) * 1.0001)
-    best = optimal_plan(section, done.trainset, achieved)
+    best = optimal_plan(section, done.trainset, achieved, PlanOptions(spacing_m=5.0))
     jerk = trainset.actuation.jerk_limit_mps3
     floor = 0.0
     if case.scenario == "jerk limit":
-        limited = optimal_plan(section, done.trainset, achieved, PlanOptions(jerk_mps3=jerk, late_w=500.0))
+        limited = optimal_plan(
+            section, done.trainset, achieved, PlanOptions(jerk_mps3=jerk, late_w=500.0, spacing_m=5.0)
+        )
         floor = 100 * (limited.energy_wheel_j / best.bound_j - 1)
     return Result(
         case=case,

@@ -74,7 +74,7 @@ class OptimalOptions:
     patience_s: float = 4.0
     last_plan_m: float = 30.0
     release_share: float = 0.95
-    brake_use: float = 0.98
+    brake_use: float = 0.995
     careful_brake_use: float = 0.92
     handover_m: float = 60.0
     alarm: float = 1.15
@@ -126,6 +126,7 @@ class Following:
 
 
 LATE_W = 500.0
+LAST_METRES_M = 8.0
 LAST_STRETCH_M = 30.0
 SURPRISE = 0.05
 """A traction gain this far from 1 says that the mass is not what the driver was told."""
@@ -215,9 +216,10 @@ class Optimal(AbstractDriver):
 
     def _takes_over(self, memory: Following, stop: Stop) -> bool:
         """Whether the stop's own law takes over: near the point, or where the plan would come too late."""
-        near = float(memory.model.track.length_m) - stop.ahead.position_m <= self.options.handover_m
+        left = float(memory.model.track.length_m) - stop.ahead.position_m
         rate = memory.curve.deceleration_mps2
-        return stop.required_mps2 >= (rate if near else self.options.alarm * rate)
+        needed = rate if left <= self.options.handover_m else self.options.alarm * rate
+        return left <= LAST_METRES_M or stop.required_mps2 >= needed
 
     def _brake(self, memory: Following, stop: Stop) -> float:
         """The stop's command; in the last period the deceleration in force, where it ends near enough."""

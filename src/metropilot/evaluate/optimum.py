@@ -11,6 +11,7 @@ from metropilot.task import Outcome
 
 Objective = Literal["wheel", "line"]
 BARELY = 1e-4
+OPTIMUM_SPACING_M = 5.0
 
 
 class Optimum(NamedTuple):
@@ -36,7 +37,7 @@ def optimum_of(drive: Drive, objective: Objective = "wheel") -> Optimum | None:
     Returns:
         None where no plan exists, not even at the minimum running time.
     """
-    options = PlanOptions(objective=objective)
+    options = PlanOptions(objective=objective, spacing_m=OPTIMUM_SPACING_M)
     try:
         fastest = minimum_running_time(drive.section, drive.trainset)
         wanted = drive.running_time_s if drive.outcome is Outcome.ARRIVED else drive.scheduled_time_s
