@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from metropilot.errors import Infeasible, InputError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
-from metropilot.planning.cone_program import Answer, Programme, TimeBound, solve
+from metropilot.planning.cone_program import Answer, Programme, TimeBound, solve, tangent
 from metropilot.planning.effort_table import Specific, specific
 from metropilot.planning.fastest import braked_energy, fastest_profile, relaxed_cap, times
 from metropilot.planning.follow_map import follow_map
@@ -25,6 +25,7 @@ Objective = Literal["wheel", "line"]
 PASSES = 6
 SETTLED = 5e-5
 MOVED = 1e-3
+BINDS = 1e-4
 EARLY_S = 0.01
 HAIR = 2e-4
 """Share of the minimum running time by which a plan may be late: what meshes and tables differ by."""
@@ -296,13 +297,12 @@ def iterate(
         answer, count = follow_map(vehicle, base, energy)
         return _finished(vehicle, table, mesh, answer, options, count)
     answer, count = _settled(base, energy)
+    if _uses_less_time(base, answer):
+        answer, count = _unhurried(base, answer), count + 1
     if _too_early(base, answer):
         # the bound without the stricter rows stays one with them
         kept, more = _settled(replace(base, strictly_early=True), answer.energy)
         answer, count = replace(kept, dual=answer.dual), count + more
-    asked = bounds[0].high_s if len(bounds) == 1 else None
-    if asked is not None and asked - float(times(mesh, answer.energy).sum()) > EARLY_S:
-        answer, count = _unhurried(base, answer), count + 1
     return _finished(vehicle, table, mesh, answer, options, count)
 
 
@@ -310,12 +310,37 @@ def _settled(base: Programme, energy: ndarray) -> tuple[Answer, int]:
     """Solve about the last answer until the energy settles; the answer and the number of passes."""
     answer, last, count = solve(base, energy), np.inf, 1
     while count < PASSES:
-        moved = float(np.max(np.abs(answer.energy - energy)) / max(float(answer.energy.max()), 1e-9))
-        if abs(answer.dual - last) <= SETTLED * abs(answer.dual) or moved < MOVED:
+        if abs(answer.dual - last) <= SETTLED * abs(answer.dual) or _curves_fit(base, energy, answer):
             break
         energy, last = answer.energy, answer.dual
         answer, count = solve(base, energy), count + 1
     return answer, count
+
+
+def _curves_fit(base: Programme, energy: ndarray, answer: Answer) -> bool:
+    """Whether every effort curve the answer runs into is met where its tangent was taken.
+
+    A tangent matters only where it binds, and there it is the curve itself if the energy has not moved.
+    """
+    if base.jerk_mps3 is not None or base.strictly_early:
+        return float(np.max(np.abs(answer.energy - energy))) < MOVED * float(answer.energy.max())
+    before, after = (0.5 * (e[1:] + e[:-1]) for e in (energy, answer.energy))
+    moved = np.abs(after - before) > MOVED * float(after.max())
+    curves = (base.table.traction, answer.traction), (base.table.braking, answer.braking)
+    curves = (*curves, (base.table.electric, answer.recovered))
+    for values, force in curves:
+        value, slope = tangent(base.table, values, before)
+        binds = force > value + slope * (after - before) - BINDS * value.max()
+        if np.any(binds & moved & (force > 0)):
+            return False
+    return True
+
+
+def _uses_less_time(base: Programme, answer: Answer) -> bool:
+    """Whether the answer leaves time unused, by the programme's clock or by its own speeds."""
+    asked = base.bounds[0].high_s if len(base.bounds) == 1 else None
+    given = float(answer.time.sum()) if asked is None else asked
+    return float(given - times(base.mesh, answer.energy).sum()) > EARLY_S
 
 
 def _too_early(base: Programme, answer: Answer) -> bool:
