@@ -23,8 +23,8 @@ from metropilot.railway import Section, load_line, load_trainset
 from metropilot.task import Run, Scenario
 
 LINE, TRAINSET, LOADS = "yizhuang", "dkz32", ("AW0", "AW2", "AW3")
-RATIOS = (1.05, 1.1, 1.2, 1.4, 1.6)
-PLAN_RATIOS = (1.02, *RATIOS)
+RATIOS = (1.05, 1.1, 1.2, 1.6)
+PLAN_RATIOS = (1.02, 1.05, 1.1, 1.2, 1.4, 1.6)
 LATE = {"extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
 SCENARIOS = {
     "ideal actuation": Scenario(ideal_actuation=True),

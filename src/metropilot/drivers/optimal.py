@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
@@ -10,6 +11,7 @@ import numpy as np
 from metropilot.drivers.base import AbstractDriver, register
 from metropilot.drivers.headroom import Headroom, cleared, headroom_of
 from metropilot.drivers.observer import (
+    Ahead,
     Belief,
     Model,
     first_belief,
@@ -25,7 +27,7 @@ from metropilot.drivers.plan_reading import (
     pull_away,
     ramped_acceleration,
 )
-from metropilot.drivers.stopping import Curve, Stop, curve_for, stop_command
+from metropilot.drivers.stopping import DROP_SHARE, Curve, Stop, curve_for, stop_command
 from metropilot.errors import Infeasible, SolverError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
 from metropilot.planning import Plan, PlanOptions, plan_arrays
@@ -60,6 +62,7 @@ class OptimalOptions:
         careful_brake_use: The same where commands act late, or the trainset answers differently than told.
         handover_m: How near the stop its own law takes over from the plan.
         alarm: Where the stop needs this much more than the planned deceleration, its law takes over at once.
+        careful_alarm: The same, wherever it is, where commands act late.
         near_enough_m: Error at the stop that is not worth a correction in the last period.
         cap_margin_mps: How far below the permitted speed the plan stays.
         reserve_s: How much earlier than scheduled the plan arrives.
@@ -78,6 +81,7 @@ class OptimalOptions:
     careful_brake_use: float = 0.92
     handover_m: float = 60.0
     alarm: float = 1.15
+    careful_alarm: float = 0.95
     near_enough_m: float = 0.04
     cap_margin_mps: float = 0.05
     reserve_s: float = 0.0
@@ -127,6 +131,8 @@ class Following:
 
 LATE_W = 500.0
 LAST_METRES_M = 8.0
+CREEP_MPS = 0.06
+CREEP_M = 0.05
 LAST_STRETCH_M = 30.0
 SURPRISE = 0.05
 """A traction gain this far from 1 says that the mass is not what the driver was told."""
@@ -214,11 +220,19 @@ class Optimal(AbstractDriver):
             overruled=int(watched.level) > 0,
         )
 
+    @staticmethod
+    def _left(memory: Following, ahead: Ahead) -> float:
+        """Distance to the stop from the state where a command begins to act."""
+        return float(memory.model.track.length_m) - ahead.position_m
+
     def _takes_over(self, memory: Following, stop: Stop) -> bool:
         """Whether the stop's own law takes over: near the point, or where the plan would come too late."""
-        left = float(memory.model.track.length_m) - stop.ahead.position_m
+        left = self._left(memory, stop.ahead)
         rate = memory.curve.deceleration_mps2
-        needed = rate if left <= self.options.handover_m else self.options.alarm * rate
+        if memory.room.late_s > 0.0:
+            needed = self.options.careful_alarm * rate
+        else:
+            needed = rate if left <= self.options.handover_m else self.options.alarm * rate
         return left <= LAST_METRES_M or stop.required_mps2 >= needed
 
     def _brake(self, memory: Following, stop: Stop) -> float:
@@ -227,9 +241,11 @@ class Optimal(AbstractDriver):
         rate = -ahead.acceleration_mps2
         drop = float(memory.model.vehicle.jerk_mps3) * dt
         if 0 < ahead.speed_mps <= rate * dt and rate <= drop:
-            short = float(memory.model.track.length_m) - ahead.position_m - ahead.speed_mps**2 / (2 * rate)
+            short = self._left(memory, ahead) - ahead.speed_mps**2 / (2 * rate)
             if abs(short) <= self.options.near_enough_m:
                 return share_for(memory.belief, ahead, -rate)
+        if ahead.speed_mps < CREEP_MPS and abs(self._left(memory, ahead)) < CREEP_M and math.isfinite(drop):
+            return share_for(memory.belief, ahead, -DROP_SHARE * drop)
         return stop.share
 
     def _follow(self, memory: Following) -> float:
