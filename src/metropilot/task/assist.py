@@ -33,6 +33,8 @@ INCH_M = 0.2
 HOLD_MPS2 = 0.3
 EASE_SHARE = 0.4
 """Jerk at which traction is eased off under the ceiling, over the trainset's limit."""
+LET_GO_SHARE = 0.75
+"""Below this share of the planned deceleration the last braking was too early, and the policy drives on."""
 NEWTON_STEPS = 3
 
 
@@ -101,13 +103,15 @@ def assisted(
     if not (assists.stop or assists.ceiling):
         return command, stopping
     xp, needs = sight.xp, needs_of(sight)
+    ceiling = command
     if assists.ceiling:
-        command = xp.minimum(command, share_for(sight, needs, ceiling_mps2(assists, sight, dt)))
+        ceiling = share_for(sight, needs, ceiling_mps2(assists, sight, dt))
+        command = xp.minimum(command, ceiling)
     if assists.stop:
         stopping, wanted = stop_mps2(sight, stopping, dt)
         stop = share_for(sight, needs, -wanted)
-        command = xp.where(stopping, xp.minimum(stop, command) if assists.ceiling else stop, command)
-        command = xp.where(stopping & (sight.speed_mps > 0), stop, command)
+        highest = xp.minimum(stop, ceiling) if assists.ceiling else stop
+        command = xp.where(stopping, highest, command)
     return command, stopping
 
 
@@ -124,13 +128,14 @@ def ceiling_mps2(assists: Assists, sight: Sight, dt: float) -> Array:
     def permitted(at: Array) -> Array:
         return sight.rows.ground_at(PERMITTED, sight.case, at) - assists.margin_mps - rates.speed_error_mps
 
-    here, soon = permitted(x), permitted(x + v * dt)
-    later = permitted(x + v * (dt + rates.reaction_s))
-    near = xp.minimum(here, soon) - v
-    rise = xp.maximum(xp.minimum(near, later - v), 0.0)
     jerk = xp.minimum(sight.vehicle.jerk_mps3, AT_ONCE_MPS3)
+    ahead_s = dt + rates.reaction_s + 1.0 / jerk
+    near = xp.minimum(permitted(x), permitted(x + v * dt)) - v
+    later = permitted(x + v * ahead_s) - v
+    rise = xp.maximum(xp.minimum(near, later), 0.0)
     upward = xp.minimum(rise / (dt + spread * rates.reaction_s), xp.sqrt(2.0 * EASE_SHARE * jerk * rise))
-    return xp.minimum(xp.where(near > 0, upward, near / dt), sight.vehicle.max_acceleration_mps2)
+    downward = xp.minimum(xp.minimum(near / dt, later / ahead_s), 0.0)
+    return xp.minimum(upward + downward, sight.vehicle.max_acceleration_mps2)
 
 
 def stop_mps2(sight: Sight, stopping: Array, dt: float) -> tuple[Array, Array]:
@@ -144,12 +149,13 @@ def stop_mps2(sight: Sight, stopping: Array, dt: float) -> tuple[Array, Array]:
     reach = gone + _braking_distance(quick, planned, end, RELEASE_SHARE * jerk)
     begins = s <= reach + xp.maximum(v + 0.5 * xp.maximum(a, 0.0) * dt, 0.0) * dt
     short = (v <= 0) & (s > INCH_M)
-    stopping = (stopping | begins) & (short ^ True)
     required, falling = _required(xp, v, s, planned, end, RELEASE_SHARE * jerk)
     for _ in range(2):
         quick, gone = _built_up(xp, v, a, required, jerk)
         again, _ = _required(xp, quick, s - gone, planned, end, RELEASE_SHARE * jerk)
         required = xp.where(falling > 0, required, again)
+    early = (required < LET_GO_SHARE * planned) & (falling <= 0)
+    stopping = (stopping & (early ^ True) | begins) & (short ^ True)
     held = xp.maximum(required + RETURN_GAIN * (required - planned), 0.0)
     let_go = required - 0.5 * falling * dt
     last = v * v / (2.0 * xp.maximum(s, 1e-3))

@@ -22,7 +22,7 @@ from metropilot.task.outcomes import CODES, RUNNING, Episode, Facts, OutcomeRule
 from metropilot.task.rewards import AbstractTerm, Change, Energy, Failure, Intervention, Punctuality
 from metropilot.task.run import NOISE_CUT, Outcome
 from metropilot.task.scenarios import Scenarios, Start, draw
-from metropilot.task.tables import Rows, Tables, build_tables, near_protection, near_track
+from metropilot.task.tables import PERMITTED, Rows, Tables, build_tables, near_protection, near_track
 
 Array = Any
 
@@ -350,7 +350,7 @@ class DrivingTask(AbstractTask):
         chance, place, speed = jax.random.uniform(jax.random.fold_in(key, 1), (3,), jnp.float32)
         length = self.rows.case(start.case).length_m
         position = 0.9 * length * place
-        permitted = self.rows.ground_at(3, start.case, position)
+        permitted = self.rows.ground_at(PERMITTED, start.case, position)
         stops = jnp.sqrt(2.0 * 0.7 * self.rows.case(start.case).stop_mps2 * (length - position))
         speed = speed * jnp.maximum(jnp.minimum(permitted - 1.0, stops), 0.0)
         to_go = self.rows.to_go_s(start.case, length - position, length, speed)

@@ -23,9 +23,9 @@ class Tables(NamedTuple):
     Attributes:
         vehicle: Trainset as the driver knows it.
         track: Section.
-        protection: Its protection; the four curves are in ``ground``.
-        ground: At protection's nodes: emergency and service braking curve, pull, permitted speed, and the
-            climb from the origin (gradient and curves, J/kg). Shape (C, N, 5).
+        protection: Its protection; the curves are in ``ground``.
+        ground: At protection's nodes: its ``CURVES``, and the climb from the origin (gradient and curves,
+            J/kg). Shape (C, N, 6).
         to_go: Flat-out time to the stop, see :class:`metropilot.task.to_go.ToGo`. Shape (C, R, V).
         minimum_s: Minimum running time. Shape (C,).
         length_m: Distance to the stop. Shape (C,).
@@ -48,7 +48,9 @@ SPEED_STEP_MPS = 0.5
 """Between the columns of ``to_go``."""
 STOP_STRETCH_M = 300.0
 STOP_USE = 0.95
-EMERGENCY, SERVICE, PULL, PERMITTED, CLIMB = range(5)
+CURVES = ("emergency", "service", "permitted_mps", "pull_mps2", "usual_pull_mps2")
+"""Protection's curves in ``Tables.ground``, in this order; the climb comes last."""
+PERMITTED, CLIMB = 2, 5
 
 
 def build_tables(
@@ -65,8 +67,8 @@ def build_tables(
     rows = [_case(*case, spacing_m) for case in cases]
     vehicles, tracks, protections, grounds, tables, lengths, stops = zip(*rows, strict=True)
     nodes = max(ground.shape[0] for ground in grounds)
-    ahead = max((protection.ahead for protection in protections), key=len)
-    small = [p._replace(emergency=0.0, service=0.0, pull_mps2=0.0, permitted_mps=0.0) for p in protections]
+    ahead = np.arange(max(_look_ahead(protection) for protection in protections), dtype=np.int32)
+    small = [p._replace(**dict.fromkeys(CURVES, 0.0)) for p in protections]
     stacked = _stack_protection(small, ahead)
     whole = Tables(
         vehicle=stack(vehicles),
@@ -92,8 +94,7 @@ def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float
     gradient, curve, _ = felt_slopes(vehicle, track, at)
     weight = (vehicle.gravity_mps2 * gradient + curve) * spacing_m
     climb = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]))])
-    curves = (protection.emergency, protection.service, protection.pull_mps2, protection.permitted_mps)
-    ground = np.stack([*(curve[:used] for curve in curves), climb], axis=1)
+    ground = np.stack([*(getattr(protection, name)[:used] for name in CURVES), climb], axis=1)
     table = to_go_table(vehicle, track).time_s
     return vehicle, track, protection, ground, table, section.length_m, _stop_mps2(vehicle, track)
 
@@ -110,6 +111,18 @@ def _stop_mps2(vehicle: Vehicle, track: Track) -> float:
     return max(STOP_USE * sure, 0.2)
 
 
+def _look_ahead(protection: Protection) -> int:
+    """Nodes ahead that a decision can need at the highest speed; a look too short only makes it stricter."""
+    vehicle, most = protection.vehicle, 0.0
+    top = float(protection.permitted_mps.max()) + 1.0
+    push = float(np.max(effort_at(vehicle, np.linspace(0.0, top, 64)).traction_n)) / vehicle.effective_mass_kg
+    for rates in (protection.rates, protection.service_rates):
+        gain = push / rates.mass_low + float(protection.pull_mps2.max())
+        peak = top + gain * rates.reaction_s + 0.5 * gain**2 / rates.jerk_mps3
+        most = max(most, peak * (rates.reaction_s + (gain + rates.brake_mps2) / rates.jerk_mps3))
+    return min(int(np.ceil(most / float(protection.spacing_m))) + 2, protection.ahead.size)
+
+
 def _widest(tables: Sequence[np.ndarray]) -> int:
     return max(table.shape[1] for table in tables)
 
@@ -117,7 +130,7 @@ def _widest(tables: Sequence[np.ndarray]) -> int:
 def _padded(ground: np.ndarray, size: int) -> np.ndarray:
     """Beyond the map nothing may move: zero curves, the rest as at its end."""
     extra = np.repeat(ground[-1:], size - ground.shape[0], axis=0)
-    extra[:, [EMERGENCY, SERVICE, PERMITTED]] = 0.0
+    extra[:, : PERMITTED + 1] = 0.0
     return np.concatenate([ground, extra])
 
 
@@ -230,10 +243,7 @@ def near_protection(rows: Rows, protection: Protection, case: Array, position_m:
     window = rows.ground[case, node + xp.arange(count)]
     return protection._replace(
         start_m=protection.start_m + node.astype(window.dtype) * rows.spacing_m,
-        emergency=window[:, EMERGENCY],
-        service=window[:, SERVICE],
-        pull_mps2=window[:2, PULL],
-        permitted_mps=window[:2, PERMITTED],
+        **{name: window[:, column] for column, name in enumerate(CURVES)},
         ahead=xp.asarray(rows.ahead),
         slots=xp.zeros(rows.slots, window.dtype),
     )
