@@ -7,6 +7,7 @@ from metropilot.task.guard import declared_bounds
 from metropilot.task.interface import AbstractTask, ActionSpace, Transition
 from metropilot.task.observers import FEATURES, OBSERVERS
 from metropilot.task.outcomes import CODES, RUNNING, Episode, OutcomeRule
+from metropilot.task.perception import Perception
 from metropilot.task.registry import TASKS, make_task, task_config
 from metropilot.task.rewards import TERMS, AbstractTerm
 from metropilot.task.run import (
@@ -47,6 +48,7 @@ __all__ = [
     "Observation",
     "Outcome",
     "OutcomeRule",
+    "Perception",
     "Run",
     "Scenario",
     "Scenarios",

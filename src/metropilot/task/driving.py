@@ -19,6 +19,7 @@ from metropilot.task.assist import Assists, assisted
 from metropilot.task.interface import AbstractTask, ActionSpace, Transition
 from metropilot.task.observers import FEATURES, OBSERVERS, Sight, observe
 from metropilot.task.outcomes import CODES, RUNNING, Episode, Facts, OutcomeRule, outcome_of
+from metropilot.task.perception import Perception
 from metropilot.task.rewards import AbstractTerm, Change, Energy, Failure, Intervention, Punctuality
 from metropilot.task.run import NOISE_CUT, Outcome
 from metropilot.task.scenarios import Scenarios, Start, draw
@@ -92,6 +93,19 @@ class DrivingConfig:
         """Every section with every trainset as the driver knows it, sections varying slowest."""
         known = [trainset.ideal() if self.ideal else trainset for trainset in self.trainsets]
         return tuple((section, trainset) for section in self.sections for trainset in known)
+
+    @property
+    def perception(self) -> Perception:
+        """What a driver must know to run on the host what was learned here."""
+        mean = float(np.mean([trainset.mass_kg for _, trainset in self.cases]))
+        return Perception(
+            features=self.features,
+            action=self.action,
+            assists=self.assists,
+            period_s=self.dt * self.periods,
+            spacing_m=self.spacing_m,
+            mean_mass_kg=mean,
+        )
 
     def tables(self, dtype: type = np.float32) -> Tables:
         """The cases as arrays (NumPy; takes about a tenth of a second a case)."""
@@ -305,7 +319,7 @@ class DrivingTask(AbstractTask):
             seen_mps=self._measured(key, after.speed_mps, start.speed_noise_mps),
             command=command,
             stopping=stopping,
-            stood_s=jnp.where(stands, state.stood_s + dt, 0.0),
+            stood_s=jnp.where(stands & (plant.speed_mps <= 0.0), state.stood_s + dt, 0.0),
             jerk_mps2=state.jerk_mps2 + jerk,
             max_jerk_mps3=jnp.maximum(state.max_jerk_mps3, jerk / dt),
             max_overspeed_mps=jnp.maximum(state.max_overspeed_mps, excess),
@@ -380,7 +394,7 @@ def episode_of(task: DrivingTask, state: DriveState) -> Episode:
     return Episode(
         outcome=state.outcome,
         case=state.start.case,
-        running_time_s=plant.time_s,
+        running_time_s=plant.time_s - state.stood_s,
         scheduled_s=scheduled_s(state),
         wheel_j=plant.traction_j,
         line_j=plant.line_j,
@@ -393,14 +407,11 @@ def episode_of(task: DrivingTask, state: DriveState) -> Episode:
     )
 
 
-def starts(
-    task: DrivingTask, cases: Sequence[int], scheduled_s: Sequence[float], **fields: Sequence[float]
-) -> Start:
+def starts(cases: Sequence[int], scheduled_s: Sequence[float], **fields: Sequence[float]) -> Start:
     """Starts from standstill for chosen cases and scheduled times, one row each.
 
     Args:
-        task: The task.
-        cases: Row of each.
+        cases: Row of each in the task's cases.
         scheduled_s: Scheduled time of each.
         fields: Other fields of :class:`Start`, one value a row.
     """
@@ -414,5 +425,4 @@ def starts(
     }
     values["case"] = jnp.asarray(cases, jnp.int32)
     values["scheduled_s"] = jnp.asarray(scheduled_s, jnp.float32)
-    del task
     return Start(**values)
