@@ -152,8 +152,8 @@ def test_gaussian():
 def test_squashed_gaussian_density_integrates_to_one():
     # The log density that comes with each sample, averaged as 1 / p over many samples,
     # gives the length of (-1, 1).
-    sample = jax.vmap(lambda key: squashed_sample(key, f(0.3), f(-0.2)))
-    action, log_prob = sample(jax.random.split(jax.random.key(0), 200_000))
+    sample = jax.vmap(lambda draw: squashed_sample(draw, f(0.3), f(-0.2)))
+    action, log_prob = sample(jax.random.normal(jax.random.key(0), (200_000, 1)))
     inside = jnp.abs(action[:, 0]) < 0.9
     assert float(jnp.mean(jnp.where(inside, jnp.exp(-log_prob), 0.0))) == pytest.approx(1.8, rel=0.02)
 

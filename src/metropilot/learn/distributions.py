@@ -48,13 +48,13 @@ def floored_std(log_std: Array, floor: float) -> Array:
     return floor + jnp.exp(log_std)
 
 
-def squashed_sample(key: Array, mean: Array, log_std: Array) -> tuple[Array, Array]:
+def squashed_sample(draw: Array, mean: Array, log_std: Array) -> tuple[Array, Array]:
     """A sample of ``tanh(N(mean, std))`` and its log density (Haarnoja et al. 2018b, eq. 21).
 
     ``log(1 - tanh(x)^2)`` is written ``2 (log 2 - x - softplus(-2x))``, which does not lose digits.
 
     Args:
-        key: Random key.
+        draw: Of a standard Gaussian. Shape (A,).
         mean: Shape (A,).
         log_std: Clipped to :data:`LOG_STD`. Shape (A,).
 
@@ -62,7 +62,7 @@ def squashed_sample(key: Array, mean: Array, log_std: Array) -> tuple[Array, Arr
         Action in (-1, 1), shape (A,), and its log density, shape ().
     """
     std = jnp.exp(jnp.clip(log_std, *LOG_STD))
-    raw = mean + std * jax.random.normal(key, mean.shape, mean.dtype)
+    raw = mean + std * draw
     change = 2.0 * (LOG_2 - raw - jax.nn.softplus(-2.0 * raw))
     return jnp.tanh(raw), gaussian_log_prob(raw, mean, std) - jnp.sum(change)
 

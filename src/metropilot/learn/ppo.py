@@ -156,29 +156,40 @@ class PPO(AbstractLearner[PPOConfig]):
         self, params: Params, environments: env.Environments, key: Array
     ) -> tuple[env.Environments, Experience]:
         """Act ``rollout`` steps in every environment."""
+        act_key, step_key = jax.random.split(key)
+        shape = (self.config.rollout, self.config.environments, self.actions)
+        draw = jax.random.normal if self.continuous else jax.random.gumbel
 
-        def one(now: env.Environments, step_key: Array) -> tuple[env.Environments, Experience]:
-            act_key, env_key = jax.random.split(step_key)
+        def one(now: env.Environments, drawn: tuple[Array, Array]) -> tuple[env.Environments, Experience]:
             mask = env.masks(self.task, now.state)
-            keys = jax.random.split(act_key, self.config.environments)
-            action, log_prob = jax.vmap(self._sample, (None, 0, 0, 0))(params, now.observation, mask, keys)
+            action, log_prob = jax.vmap(self._sample, (None, 0, 0, 0))(
+                params, now.observation, mask, drawn[0]
+            )
             given = jnp.clip(action, -1.0, 1.0) if self.continuous else action
-            after, step = env.advance(self.task, env_key, now, given)
+            after, step = env.advance(self.task, drawn[1], now, given)
             return after, Experience(now.observation, action, log_prob, mask, step)
 
-        return jax.lax.scan(one, environments, jax.random.split(key, self.config.rollout))
+        keys = jax.random.split(step_key, self.config.rollout)
+        return jax.lax.scan(one, environments, (draw(act_key, shape, jnp.float32), keys))
 
     def _sample(
-        self, params: Params, observation: Array, mask: Array | None, key: Array
+        self, params: Params, observation: Array, mask: Array | None, draw: Array
     ) -> tuple[Array, Array]:
-        """An action of the exploring policy and its log probability, for one environment."""
+        """An action of the exploring policy and its log probability, for one environment.
+
+        Args:
+            params: Of the policy.
+            observation: Shape (O,).
+            mask: Shape (count,) or None.
+            draw: Standard Gaussian, or Gumbel noise for choices. Shape (actions,).
+        """
         output = network_output(self.spec, params, observation, jnp)
         if self.continuous:
             std = floored_std(params["policy.log_std"], self.config.min_std)
-            action = output + std * jax.random.normal(key, output.shape, output.dtype)
+            action = output + std * draw
             return action, gaussian_log_prob(action, output, std)
         logits = masked(output, mask)
-        choice = jax.random.categorical(key, logits).astype(jnp.int32)
+        choice = jnp.argmax(logits + draw).astype(jnp.int32)
         return choice, categorical_log_prob(logits, choice)
 
     def _density(

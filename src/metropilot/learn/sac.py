@@ -65,11 +65,12 @@ class SAC(AbstractReplayLearner[SACConfig]):
     def sample(self, params: Params, observation: Array, key: Array) -> tuple[Array, Array]:
         """Actions of the policy, shape (B, A), and their log density, shape (B,)."""
 
-        def one(x: Array, one_key: Array) -> tuple[Array, Array]:
+        def one(x: Array, draw: Array) -> tuple[Array, Array]:
             mean, log_std = jnp.split(self.actor.apply(params, "policy", x), 2)
-            return squashed_sample(one_key, mean, log_std)
+            return squashed_sample(draw, mean, log_std)
 
-        return jax.vmap(one)(observation, jax.random.split(key, observation.shape[0]))
+        draws = jax.random.normal(key, (observation.shape[0], self.actions), jnp.float32)
+        return jax.vmap(one)(observation, draws)
 
     def values(self, params: Params, observation: Array, action: Array) -> Array:
         """Both critics' values. Shape (2, B)."""
