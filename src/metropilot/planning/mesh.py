@@ -13,6 +13,8 @@ from metropilot.physics import Track, Vehicle
 GAUSS_X, GAUSS_W = np.polynomial.legendre.leggauss(4)
 NEAREST_M = 2.5
 JUMP_MPS = 0.3
+BEND_MPS2 = 0.2
+"""A cap whose slope rises by more than this has a node there: between nodes the plan runs along the chord."""
 END_NODES = 9
 END_STRETCH_M = 12.0
 
@@ -87,7 +89,8 @@ def build_mesh(
     jumps = np.zeros(0)
     if cap_mps is not None and cap_at_m is not None:
         leaps = np.flatnonzero(np.abs(np.diff(cap_mps)) > JUMP_MPS)
-        jumps = np.concatenate([cap_at_m[leaps], cap_at_m[leaps + 1]])
+        bends = np.flatnonzero(np.diff(np.diff(0.5 * cap_mps**2) / np.diff(cap_at_m)) > BEND_MPS2) + 1
+        jumps = np.concatenate([cap_at_m[leaps], cap_at_m[leaps + 1], cap_at_m[bends]])
     needed = np.concatenate([stops_m, limits, jumps])
     needed = np.unique(needed[(needed >= first) & (needed <= last)])
     near = np.concatenate([np.concatenate([s + end_spacing(), s - end_spacing()]) for s in stops_m])
