@@ -178,15 +178,9 @@ class DrivingTask(AbstractTask):
 
     def draw(self, key: Array) -> Start:
         """How an episode begins, drawn from the task's scenarios."""
-        import jax
         import jax.numpy as jnp
 
-        which, key = jax.random.split(key) if self.rows.count > 1 else (key, key)
-        case = jnp.zeros((), jnp.int32)
-        if self.rows.count > 1:
-            case = jax.random.randint(which, (), 0, self.rows.count)
-        low, high = jnp.asarray(self.times_s)[:, case]
-        start = draw(self.config.scenarios, key, case, (low, high))
+        start = draw(self.config.scenarios, key, jnp.asarray(self.times_s))
         return self._on_the_way(key, start) if self.config.scenarios.on_the_way > 0 else start
 
     def begin(self, start: Start) -> tuple[DriveState, Array]:

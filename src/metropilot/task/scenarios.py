@@ -14,6 +14,7 @@ from metropilot.task.guard import declared_bounds
 from metropilot.task.run import Run, Scenario
 
 Array = Any
+DRAWN = ("mass_factor", "resistance_factor", "extra_delay_s", "extra_lag_s", "speed_noise_mps")
 Interval = tuple[float, float]
 
 
@@ -95,8 +96,7 @@ class Scenarios:
 
     def extreme(self, end: int) -> Scenario:
         """The scenario at the low (0) or high (1) end of every interval."""
-        names = ("mass_factor", "resistance_factor", "extra_delay_s", "extra_lag_s", "speed_noise_mps")
-        return Scenario(**{name: getattr(self, name)[end] for name in names})
+        return Scenario(**{name: getattr(self, name)[end] for name in DRAWN})
 
     def times_s(self, minimum_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Shortest and longest scheduled time of each case, s."""
@@ -118,41 +118,50 @@ class Scenarios:
         )
 
 
-def draw(scenarios: Scenarios, key: Array, case: Array, times_s: tuple[Array, Array]) -> Start:
-    """One episode of a case (JAX), not yet placed on the way.
+def draw(scenarios: Scenarios, key: Array, times_s: Array) -> Start:
+    """One episode (JAX), not yet placed on the way.
+
+    As many random numbers are made as the distribution needs, all at once: a learner resets a few of its many
+    environments in every step, and pays for all of them.
 
     Args:
         scenarios: The distribution.
         key: Random key.
-        case: Row of the task's cases. Shape (), int32.
-        times_s: Shortest and longest scheduled time of that case.
+        times_s: Shortest and longest scheduled time of each case. Shape (2, C).
     """
     import jax
     import jax.numpy as jnp
 
-    share = jax.random.uniform(key, (9,), jnp.float32)
+    given = (getattr(scenarios, name) for name in DRAWN)
+    wide = [low < high for low, high in given]
+    cases = times_s.shape[1]
+    shares = iter(jax.random.uniform(key, (int(cases > 1) + 1 + sum(wide) + 3 * (scenarios.news > 0),)))
 
-    def within(k: int, interval: Interval) -> Array:
+    def within(interval: Interval) -> Array:
         low, high = interval
-        return jnp.float32(low) if low == high else low + (high - low) * share[k]
+        return low + (high - low) * next(shares) if low < high else jnp.float32(low)
 
-    low, high = times_s
-    scheduled = low + (high - low) * share[0]
-    told = share[6] < scenarios.news
-    at = within(7, scenarios.news_at) * scheduled
-    shifted = jnp.maximum(scheduled + within(8, scenarios.news_shift_s), at + 0.9 * (scheduled - at))
+    case = jnp.zeros((), jnp.int32)
+    if cases > 1:
+        case = jnp.minimum((next(shares) * cases).astype(jnp.int32), cases - 1)
+    low, high = times_s[0, case], times_s[1, case]
+    scheduled = low + (high - low) * next(shares)
     zero = jnp.zeros((), jnp.float32)
+    drawn = {name: within(getattr(scenarios, name)) for name in DRAWN}
+    news_at, news = jnp.full((), jnp.inf, jnp.float32), scheduled
+    if scenarios.news > 0:
+        told, at, shift = next(shares), next(shares), next(shares)
+        at = scheduled * (scenarios.news_at[0] + (scenarios.news_at[1] - scenarios.news_at[0]) * at)
+        low, high = scenarios.news_shift_s
+        news = jnp.maximum(scheduled + low + (high - low) * shift, at + 0.9 * (scheduled - at))
+        news_at = jnp.where(told < scenarios.news, at, jnp.inf)
     return Start(
         case=case,
         scheduled_s=scheduled,
         position_m=zero,
         speed_mps=zero,
         time_s=zero,
-        mass_factor=within(1, scenarios.mass_factor),
-        resistance_factor=within(2, scenarios.resistance_factor),
-        extra_delay_s=within(3, scenarios.extra_delay_s),
-        extra_lag_s=within(4, scenarios.extra_lag_s),
-        speed_noise_mps=within(5, scenarios.speed_noise_mps),
-        news_at_s=jnp.where(told, at, jnp.inf),
-        news_s=jnp.where(told, shifted, scheduled),
+        news_at_s=news_at,
+        news_s=news,
+        **drawn,
     )
