@@ -15,9 +15,9 @@ from metropilot.planning.mesh import Mesh, build_mesh
 from metropilot.task.tables import SPEED_STEP_MPS
 
 SPACING_M = 5.0
-FINER = 2
+FINER = 4
 ROWS = 97
-ITERATIONS = 3
+ITERATIONS = 2
 
 
 class ToGo(NamedTuple):
@@ -37,8 +37,8 @@ class ToGo(NamedTuple):
 def to_go_table(vehicle: Vehicle, track: Track, *, rows: int = ROWS) -> ToGo:
     """Flat-out time to the stop from every state of a grid.
 
-    Backward over the rows: from each speed full traction to the next row, up to the curve of limits and last
-    braking and along it, then what that row takes from there (linear between its speeds, the curve's own
+    Backward over a mesh: from each speed full traction to the next node, up to the curve of limits and last
+    braking and along it, then what that node takes from there (linear between its speeds, the curve's own
     among them). Forces as in :func:`metropilot.planning.fastest.fastest_profile`. A speed above the curve
     counts as the curve's.
 
@@ -47,10 +47,8 @@ def to_go_table(vehicle: Vehicle, track: Track, *, rows: int = ROWS) -> ToGo:
         track: Section.
         rows: Rows of the table.
     """
-    left = float(track.length_m) * np.linspace(1.0, 0.0, rows) ** 2
-    starts = float(track.length_m) - left
-    table = specific(vehicle)
-    mesh = build_mesh(vehicle, track, starts, SPACING_M)
+    length, table = float(track.length_m), specific(vehicle)
+    mesh = build_mesh(vehicle, track, np.array([0.0, length]), SPACING_M)
     energy = 0.5 * mesh.cap_mps**2
     energy[-1] = 0.0
     for k in range(mesh.length_m.size - 1, -1, -1):
@@ -58,18 +56,24 @@ def to_go_table(vehicle: Vehicle, track: Track, *, rows: int = ROWS) -> ToGo:
         energy[k] = min(energy[k], float(reached[0]))
     columns = math.ceil(float(vehicle.max_speed_mps) / SPEED_STEP_MPS)
     grid = np.linspace(0.0, columns * SPEED_STEP_MPS, columns * FINER + 1)
-    at = mesh.stop
-    top = np.sqrt(2.0 * energy[at])
-    time = np.zeros((rows, grid.size))
-    for row in range(rows - 2, -1, -1):
-        now = 0.5 * np.minimum(grid, top[row]) ** 2
-        for k in range(at[row], at[row + 1]):
-            after = np.minimum(_next(table, mesh, k, now, braking=False), energy[k + 1])
-            both = np.sqrt(2.0 * now) + np.sqrt(2.0 * after)
-            time[row] += 2.0 * mesh.length_m[k] / np.maximum(both, 1e-3)
-            now = after
-        time[row] += np.interp(np.sqrt(2.0 * now), np.minimum(grid, top[row + 1]), time[row + 1])
-    return ToGo(time[::-1, ::FINER].copy(), top[::-1].copy())
+    top = np.sqrt(2.0 * energy)
+    time = np.zeros((top.size, grid.size))
+    for k in range(top.size - 2, -1, -1):
+        now = np.minimum(grid, top[k])
+        after = _next(table, mesh, k, 0.5 * now**2, braking=False)
+        after = np.minimum(np.sqrt(2.0 * after), top[k + 1])
+        later = np.interp(after, np.minimum(grid, top[k + 1]), time[k + 1])
+        time[k] = 2.0 * mesh.length_m[k] / np.maximum(now + after, 0.3 * np.sqrt(mesh.length_m[k])) + later
+    return ToGo(_at_rows(mesh, time[:, ::FINER], rows), _at_rows(mesh, top[:, None], rows)[:, 0])
+
+
+def _at_rows(mesh: Mesh, values: ndarray, rows: int) -> ndarray:
+    """Values at the mesh's nodes, read at rows even in the square root of the distance left."""
+    left = np.sqrt(mesh.node_m[-1] - mesh.node_m[::-1])
+    at = left[-1] * np.linspace(0.0, 1.0, rows)
+    k = np.clip(np.searchsorted(left, at, side="right") - 1, 0, left.size - 2)
+    way = ((at - left[k]) / (left[k + 1] - left[k]))[:, None]
+    return values[::-1][k] * (1.0 - way) + values[::-1][k + 1] * way
 
 
 def _next(table: Specific, mesh: Mesh, k: int, energy: ndarray, *, braking: bool) -> ndarray:
