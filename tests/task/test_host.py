@@ -49,7 +49,6 @@ def config_of(ideal, **fields):
 def episode(task, act, time_s):
     """All states of one episode from standstill, and its KPIs; `act(observation, k)` decides."""
     start = jax.tree.map(lambda a: a[0], starts([0], [time_s]))
-    state, first = task.begin(start)
 
     def one(carry, k):
         state, seen, over = carry
@@ -59,10 +58,15 @@ def episode(task, act, time_s):
         kept = (after.plant.time_s, after.plant.position_m, after.plant.speed_mps, after.plant.traction_j)
         return (after, seen, over | transition.terminated), kept
 
-    run = jax.jit(lambda: jax.lax.scan(one, (state, first, jnp.zeros((), bool)), jnp.arange(STEPS)))
-    (state, _, over), rows = run()
+    @jax.jit
+    def run(start):
+        first = (*task.begin(start), jnp.zeros((), bool))
+        (state, _, over), rows = jax.lax.scan(one, first, jnp.arange(STEPS))
+        return episode_of(task, state), over, rows
+
+    kpis, over, rows = run(start)
     assert bool(over)
-    return np.stack(rows, axis=1), jax.tree.map(np.asarray, episode_of(task, state))
+    return np.stack(rows, axis=1), jax.tree.map(np.asarray, kpis)
 
 
 def compare(rows, kpis, drive):

@@ -2,7 +2,8 @@
 
 from metropilot.task.actions import ACTIONS, AbstractAction
 from metropilot.task.assist import Assists
-from metropilot.task.driving import DriveState, DrivingConfig, DrivingTask, episode_of, starts
+from metropilot.task.config import DrivingConfig
+from metropilot.task.driving import DriveState, DrivingTask, episode_of, starts
 from metropilot.task.guard import declared_bounds
 from metropilot.task.interface import AbstractTask, ActionSpace, Transition
 from metropilot.task.observers import FEATURES, OBSERVERS

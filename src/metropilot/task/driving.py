@@ -3,114 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from metropilot.errors import InputError
 from metropilot.physics import Command, Forces, State, Vehicle, delay_steps, step
 from metropilot.physics.arrays import locate
 from metropilot.protection import Memory, supervise
-from metropilot.railway import Section, Trainset
-from metropilot.task.actions import AbstractAction, RegimeAction
-from metropilot.task.assist import Assists, assisted
+from metropilot.task.assist import assisted
+from metropilot.task.config import DrivingConfig
 from metropilot.task.interface import AbstractTask, ActionSpace, Transition
-from metropilot.task.observers import FEATURES, OBSERVERS, Sight, observe
-from metropilot.task.outcomes import CODES, RUNNING, Episode, Facts, OutcomeRule, outcome_of
-from metropilot.task.perception import Perception
-from metropilot.task.rewards import AbstractTerm, Change, Energy, Failure, Intervention, Punctuality
+from metropilot.task.observers import Sight, observe
+from metropilot.task.outcomes import CODES, RUNNING, Episode, Facts, outcome_of
+from metropilot.task.rewards import Change
 from metropilot.task.run import NOISE_CUT, Outcome
-from metropilot.task.scenarios import Scenarios, Start, draw
-from metropilot.task.tables import PERMITTED, Rows, Tables, build_tables, near_protection, near_track
+from metropilot.task.scenarios import Start, draw
+from metropilot.task.tables import PERMITTED, Rows, Tables, near_protection, near_track
 
 Array = Any
-
-
-@dataclass(frozen=True)
-class DrivingConfig:
-    """What a driving task is made of.
-
-    Attributes:
-        sections: Where.
-        trainsets: With what; a load is a trainset. Every section is driven with every one of them.
-        scenarios: What is drawn at the start of an episode.
-        ideal: Ideal actuation: no delay, lag or jerk limit but what a scenario adds.
-        observer: A name in ``OBSERVERS``, or names of features.
-        action: What an action means.
-        rewards: Terms of the reward, each name once.
-        outcomes: When an episode is over.
-        assists: What is done for the policy.
-        dt: Control period of plant and protection, s.
-        periods: Control periods to a decision.
-        most_decisions: Episodes are cut off (truncated) after so many decisions.
-        spacing_m: Distance between protection's nodes; the host uses 1 m. Coarser is stricter and faster.
-    """
-
-    sections: tuple[Section, ...]
-    trainsets: tuple[Trainset, ...]
-    scenarios: Scenarios = field(default_factory=Scenarios)
-    ideal: bool = True
-    observer: str | tuple[str, ...] = "section"
-    action: AbstractAction = field(default_factory=RegimeAction)
-    rewards: tuple[AbstractTerm, ...] = (Energy(), Punctuality(), Failure(), Intervention())
-    outcomes: OutcomeRule = field(default_factory=OutcomeRule)
-    assists: Assists = field(default_factory=Assists)
-    dt: float = 0.5
-    periods: int = 1
-    most_decisions: int = 1000
-    spacing_m: float = 4.0
-
-    def __post_init__(self) -> None:
-        if not self.sections or not self.trainsets:
-            raise InputError("a task needs sections and trainsets", field="sections")
-        unknown = set(self.features) - set(FEATURES)
-        if unknown:
-            raise InputError(
-                "unknown feature",
-                field="observer",
-                value=", ".join(sorted(unknown)),
-                allowed=", ".join(FEATURES),
-            )
-        names = [term.name for term in self.rewards]
-        if len(set(names)) != len(names):
-            raise InputError("a reward term given twice", field="rewards", value=", ".join(names))
-        if self.periods < 1 or self.most_decisions < 1:
-            raise InputError("out of range", field="periods", value=self.periods, allowed=">= 1")
-
-    @property
-    def features(self) -> tuple[str, ...]:
-        """The names of the observer's features."""
-        return (
-            OBSERVERS.get(self.observer, (self.observer,))
-            if isinstance(self.observer, str)
-            else self.observer
-        )
-
-    @property
-    def cases(self) -> tuple[tuple[Section, Trainset], ...]:
-        """Every section with every trainset as the driver knows it, sections varying slowest."""
-        known = [trainset.ideal() if self.ideal else trainset for trainset in self.trainsets]
-        return tuple((section, trainset) for section in self.sections for trainset in known)
-
-    @property
-    def perception(self) -> Perception:
-        """What a driver must know to run on the host what was learned here."""
-        mean = float(np.mean([trainset.mass_kg for _, trainset in self.cases]))
-        return Perception(
-            features=self.features,
-            action=self.action,
-            assists=self.assists,
-            period_s=self.dt * self.periods,
-            spacing_m=self.spacing_m,
-            mean_mass_kg=mean,
-        )
-
-    def tables(self, dtype: type = np.float32) -> Tables:
-        """The cases as arrays (NumPy; takes about a tenth of a second a case)."""
-        bounded = [(s, t, self.scenarios.bounds(s, t, self.dt)) for s, t in self.cases]
-        return build_tables(bounded, self.spacing_m, dtype)
 
 
 class DriveState(NamedTuple):

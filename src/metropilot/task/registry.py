@@ -11,8 +11,9 @@ from metropilot.errors import InputError
 from metropilot.railway import Section, Trainset, load_line, load_trainset
 from metropilot.task.actions import CommandAction, IncrementAction, NotchAction
 from metropilot.task.assist import Assists
-from metropilot.task.driving import DrivingConfig, DrivingTask
-from metropilot.task.rewards import Comfort, Energy, Failure, OnTime, Punctuality, StopError
+from metropilot.task.config import REWARDS, DrivingConfig
+from metropilot.task.driving import DrivingTask
+from metropilot.task.rewards import Comfort, Energy, OnTime, StopError
 from metropilot.task.scenarios import Scenarios
 
 
@@ -43,7 +44,10 @@ def _all() -> tuple[Section, ...]:
     return (*line.sections(), *line.sections(backward=True))
 
 
-TIMES = Scenarios(time_ratio=(1.08, 1.5), longest_s=130.0)
+ON_THE_WAY = 0.7
+"""Episodes that begin on the way: a learner sees every state from the start (evaluate from standstill)."""
+TIMES = Scenarios(time_ratio=(1.08, 1.5), longest_s=130.0, on_the_way=ON_THE_WAY)
+LINE_TIMES = Scenarios(time_ratio=(1.05, 1.4), on_the_way=ON_THE_WAY)
 DISTURBED = Scenarios(
     time_ratio=(1.08, 1.4),
     mass_factor=(0.9, 1.1),
@@ -52,6 +56,7 @@ DISTURBED = Scenarios(
     extra_lag_s=(0.0, 0.3),
     speed_noise_mps=(0.0, 0.05),
     news=0.3,
+    on_the_way=ON_THE_WAY,
 )
 
 
@@ -64,7 +69,7 @@ def _drive_jerk() -> DrivingConfig:
 
 
 def _drive_line() -> DrivingConfig:
-    return DrivingConfig(_all(), _loads(), Scenarios(time_ratio=(1.05, 1.4)), observer="route")
+    return DrivingConfig(_all(), _loads(), LINE_TIMES, observer="route")
 
 
 def _drive_disturbed() -> DrivingConfig:
@@ -80,7 +85,7 @@ def _drive_notches() -> DrivingConfig:
 
 
 def _drive_unassisted() -> DrivingConfig:
-    rewards = (Energy(), Punctuality(), Failure(), StopError(per_m=0.5))
+    rewards = (*REWARDS, StopError(per_m=0.5))
     none = Assists(stop=False, ceiling=False)
     return DrivingConfig(_one(), _loads(), TIMES, action=CommandAction(), assists=none, rewards=rewards)
 
