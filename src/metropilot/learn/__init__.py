@@ -9,6 +9,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from metropilot.drivers.policy.policy import Policy, PolicySpec, act
+    from metropilot.drivers.policy.policy_file import load_policy, save_policy
     from metropilot.learn.config import (
         CONFIGS,
         DDPGConfig,
@@ -23,8 +25,6 @@ if TYPE_CHECKING:
     from metropilot.learn.export import ExportReport, export_onnx
     from metropilot.learn.history import read_history, write_history
     from metropilot.learn.loop import Loop, LoopState, default_evaluation, learn, make_loop
-    from metropilot.learn.policy import Policy, PolicySpec, act
-    from metropilot.learn.policy_file import load_policy, save_policy
     from metropilot.learn.recorded import RunRequest, learn_run
     from metropilot.learn.runs import RunRecord, RunStore
     from metropilot.learn.schedules import Schedule
@@ -72,15 +72,15 @@ _HOME = {
     "Learned": "session",
     "Loop": "loop",
     "LoopState": "loop",
-    "Policy": "policy",
-    "PolicySpec": "policy",
+    "Policy": "metropilot.drivers.policy.policy",
+    "PolicySpec": "metropilot.drivers.policy.policy",
     "Progress": "session",
     "RunRecord": "runs",
     "RunRequest": "recorded",
     "RunStore": "runs",
     "Schedule": "schedules",
     "Sitting": "session",
-    "act": "policy",
+    "act": "metropilot.drivers.policy.policy",
     "config_from_mapping": "config_reading",
     "config_to_mapping": "config_reading",
     "default_evaluation": "loop",
@@ -88,10 +88,10 @@ _HOME = {
     "learn": "loop",
     "learn_in_chunks": "session",
     "learn_run": "recorded",
-    "load_policy": "policy_file",
+    "load_policy": "metropilot.drivers.policy.policy_file",
     "make_loop": "loop",
     "read_history": "history",
-    "save_policy": "policy_file",
+    "save_policy": "metropilot.drivers.policy.policy_file",
     "write_history": "history",
 }
 
@@ -100,4 +100,5 @@ def __getattr__(name: str) -> Any:
     """Import a name from its private file on first use (PEP 562)."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOME.get(name, 'config')}"), name)
+    home = _HOME.get(name, "config")
+    return getattr(import_module(home if "." in home else f"{__name__}.{home}"), name)

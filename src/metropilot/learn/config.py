@@ -9,9 +9,10 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from metropilot.drivers.policy.networks import Activation
 from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig, AbstractReplayConfig
-from metropilot.learn.networks import Activation, Initialiser
+from metropilot.learn.networks import Initialiser
 from metropilot.learn.schedules import Schedule, Scheduled
 
 FULL_IMPORTANCE = Schedule(0.4, 1.0)

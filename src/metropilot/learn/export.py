@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from metropilot.drivers.policy.files import write_whole
+from metropilot.drivers.policy.policy import NORMALISED_RANGE, Policy, PolicySpec
 from metropilot.errors import InputError
-from metropilot.learn.files import write_whole
-from metropilot.learn.policy import NORMALISED_RANGE, Policy, PolicySpec
 
 OPSET = 17
 IR_VERSION = 8
@@ -191,7 +191,7 @@ def _session(runtime: Any, model: bytes) -> Any:
 
 def _parity(policy: Policy, session: Any, probes: int, seed: int) -> float:
     """Largest difference between graph and policy, one observation at a time and all together."""
-    from metropilot.learn.policy import network_output
+    from metropilot.drivers.policy.policy import network_output
 
     spec = policy.spec
     draws = np.random.default_rng(seed).normal(0.0, 2.0, (probes, spec.observation_size)).astype(np.float32)

@@ -13,6 +13,8 @@ from typing import Any, NamedTuple, final
 import jax
 import jax.numpy as jnp
 
+from metropilot.drivers.policy.networks import Params
+from metropilot.drivers.policy.policy import PolicySpec, network_output, normalise, only_policy
 from metropilot.learn import environments as env
 from metropilot.learn.config import PPOConfig
 from metropilot.learn.distributions import (
@@ -25,9 +27,8 @@ from metropilot.learn.distributions import (
 )
 from metropilot.learn.learner import AbstractLearner, Report, observation_entries
 from metropilot.learn.losses import ppo as losses
-from metropilot.learn.networks import MLP, Params
+from metropilot.learn.networks import MLP
 from metropilot.learn.optimiser import AdamState, adam_init, adam_step
-from metropilot.learn.policy import PolicySpec, network_output, normalise, only_policy
 from metropilot.learn.replay import RowLayout
 from metropilot.learn.schedules import value_at
 from metropilot.learn.statistics import (

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from metropilot.drivers.policy.policy_file import save_policy
 from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.history import write_history
-from metropilot.learn.policy_file import save_policy
 from metropilot.learn.runs import RunRecord, RunStore
 from metropilot.learn.session import Learned, Progress, Sitting, learn_in_chunks
 from metropilot.learn.tensorboard import EventWriter

@@ -18,10 +18,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from metropilot.drivers.policy.files import write_whole
 from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.config_reading import config_from_mapping, config_to_mapping
-from metropilot.learn.files import write_whole
 from metropilot.learn.provenance import commit, versions
 
 Status = Literal["running", "interrupted", "done", "failed"]

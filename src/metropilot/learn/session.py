@@ -16,12 +16,12 @@ from typing import Any
 import jax
 import numpy as np
 
+from metropilot.drivers.policy.policy import Policy
 from metropilot.errors import InputError
 from metropilot.learn.checkpoint import load_checkpoint, save_checkpoint
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.config_reading import config_to_mapping
 from metropilot.learn.loop import Evaluate, Loop, LoopState, make_loop
-from metropilot.learn.policy import Policy
 from metropilot.task.interface import AbstractTask
 
 History = dict[str, np.ndarray]

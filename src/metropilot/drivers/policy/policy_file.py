@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from metropilot.drivers.policy.networks import ACTIVATIONS
+from metropilot.drivers.policy.policy import OUTPUTS, Policy, PolicySpec
+from metropilot.drivers.policy.tensors import read_tensors, write_tensors
 from metropilot.errors import InputError
-from metropilot.learn.networks import ACTIVATIONS
-from metropilot.learn.policy import OUTPUTS, Policy, PolicySpec
-from metropilot.learn.tensors import read_tensors, write_tensors
 
 FORMAT = 1
 MAX_BYTES = 64 << 20
