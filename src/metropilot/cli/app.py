@@ -25,8 +25,11 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "trainsets": ("metropilot.cli.catalogue", "List the trainsets of the catalogue."),
     "drivers": ("metropilot.cli.catalogue", "List the drivers."),
     "show": ("metropilot.cli.show", "Show a line, a trainset, a driver or the folder of a run."),
-    "reproduce": ("metropilot.cli.reproduce", "Reproduce a paper: published, ours and optimum."),
-    "studies": ("metropilot.cli.reproduce", "List the papers that can be reproduced."),
+    "reproduce": (
+        "metropilot.cli.reproduce",
+        "Reproduce a paper: published, ours and optimum in one table, with its figures.",
+    ),
+    "studies": ("metropilot.cli.reproduce", "List the studies."),
     "import": ("metropilot.cli.import_file", "Read a line, trainset or journey file and write it as TOML."),
 }
 """Each command: the module that holds it, and its line in the help. Modules are imported on use."""
