@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from difflib import get_close_matches
@@ -30,16 +31,47 @@ def option_defaults(driver: type[AbstractDriver]) -> dict[str, Any]:
     return {f.name: f.default for f in fields(kind) if f.default is not MISSING}
 
 
+def named_option(text: str) -> tuple[str, Any]:
+    """``NAME=VALUE``; the value is a number or a truth where it reads as one.
+
+    Raises:
+        InputError: Not of that form.
+    """
+    name, equals, value = text.partition("=")
+    if not (equals and name.isidentifier()):
+        raise InputError("not an option of a driver", field="set", value=text, allowed="NAME=VALUE")
+    if value.lower() in {"true", "false"}:
+        return name, value.lower() == "true"
+    for kind in (int, float):
+        try:
+            return name, kind(value)
+        except ValueError:
+            continue
+    return name, value
+
+
+def named_driver(text: str) -> tuple[str, dict[str, Any]]:
+    """``ID`` or ``ID:NAME=VALUE:NAME=VALUE``: a driver with options on one word, as comparisons take it.
+
+    Raises:
+        InputError: What follows the colon is not an option.
+    """
+    driver_id, *options = re.split(r":(?=\w+=)", text)
+    return driver_id, dict(map(named_option, options))
+
+
 def make_driver(driver_id: str, options: Mapping[str, Any] | None = None) -> AbstractDriver:
     """A driver by id, with some of its options; an unknown name is answered with the nearest.
 
     Args:
-        driver_id: Id in the registry.
+        driver_id: Id in the registry, or ``ID:NAME=VALUE``.
         options: Fields of the driver's options dataclass.
 
     Raises:
         InputError: No such driver, no such option of it, or a value of the wrong kind.
     """
+    driver_id, named = named_driver(driver_id)
+    options = named | dict(options or {})
     _known(driver_id, DRIVERS.ids(), "driver", "driver")
     if not options:
         return DRIVERS.make(driver_id)

@@ -14,6 +14,7 @@ from typing import Any, final
 
 import numpy as np
 
+from metropilot.errors import InputError
 from metropilot.task.interface import ActionSpace
 from metropilot.task.observers import Sight, limited_force
 
@@ -37,6 +38,13 @@ class AbstractAction(ABC):
             action: Shape (size,), or an integer choice of shape ().
             period_s: Time between two decisions.
         """
+
+
+def _ordered(field: str, pair: tuple[float, float], allowed: str, *, equal: bool = False) -> None:
+    """Refuse a number that is not above another."""
+    low, high = pair
+    if not (low <= high if equal else low < high):
+        raise InputError("out of range", field=field, value=pair[1], allowed=allowed)
 
 
 @final
@@ -71,6 +79,11 @@ class RegimeAction(AbstractAction):
     coast: float = 0.2
     full: float = 0.8
 
+    def __post_init__(self) -> None:
+        """Refuse a dead zone that leaves no room for effort."""
+        _ordered("coast", (0.0, self.coast), "0 or more, below full", equal=True)
+        _ordered("full", (self.coast, self.full), "above coast")
+
     @property
     def space(self) -> ActionSpace:
         """One number."""
@@ -93,6 +106,10 @@ class IncrementAction(AbstractAction):
     """
 
     rate_per_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Refuse a command that cannot be changed."""
+        _ordered("rate_per_s", (0.0, self.rate_per_s), "above 0")
 
     @property
     def space(self) -> ActionSpace:
@@ -140,8 +157,16 @@ class GainsAction(AbstractAction):
         high: Largest of each.
     """
 
-    low: tuple[float, float] = (0.05, 0.3)
-    high: tuple[float, float] = (2.0, 1.0)
+    low: tuple[float, ...] = (0.05, 0.3)
+    high: tuple[float, ...] = (2.0, 1.0)
+
+    def __post_init__(self) -> None:
+        """Refuse ranges that are empty or have no logarithm."""
+        if not len(self.low) == len(self.high) == 2:
+            raise InputError("not a range of two gains", field="high", value=len(self.high), allowed="2")
+        for low, high in zip(self.low, self.high, strict=True):
+            _ordered("low", (0.0, low), "above 0, below high")
+            _ordered("high", (low, high), "above low")
 
     @property
     def space(self) -> ActionSpace:

@@ -146,7 +146,11 @@ def act(
     """
     if xp is None:
         import jax.numpy as xp
-    output = network_output(spec, params, observation, xp)
+    return chosen(spec, network_output(spec, params, observation, xp), mask, xp)
+
+
+def chosen(spec: PolicySpec, output: Array, mask: Array | None, xp: ModuleType) -> Array:
+    """The action that an output of the network stands for; see :func:`act`."""
     if spec.discrete:
         if mask is not None:
             output = xp.where(mask | ~mask.any(), output, -1e9)
