@@ -9,7 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from metropilot.physics import Vehicle, davis_n, delay_steps, padded_size, vehicle_arrays
 from metropilot.physics.effort import effort_at
 from metropilot.protection.bounds import Bounds
-from metropilot.protection.ground import Ground, ground, sliding_max
+from metropilot.protection.ground import BEFORE_M, Ground, ground, sliding_max
 from metropilot.protection.predict import SLACK_MPS, highest_speed
 from metropilot.protection.types import Fading, Protection, Rates
 from metropilot.railway import Section, Trainset
@@ -33,6 +33,7 @@ def protect(
     stop_at_m: float | None = None,
     dtype: type = np.float64,
     spacing_m: float = 1.0,
+    before_m: float = BEFORE_M,
 ) -> Protection:
     """Protection of one section for one trainset: NumPy arrays, to be moved to JAX with ``physics.to_jax``.
 
@@ -46,13 +47,16 @@ def protect(
         stop_at_m: End of the movement authority: the speed limit is 0 from there on. None: line limits only.
         dtype: Number type.
         spacing_m: Distance between nodes.
+        before_m: How far before the origin the map begins.
 
     Raises:
         InputError: The section is too long for the grid, or the look-ahead for its spacing.
     """
     vehicle = vehicle_arrays(trainset)
     rates, usual = _rates(bounds), _service_rates(trainset, vehicle, bounds)
-    field = ground(section, trainset, stop_at_m, spacing_m, bounds.resistance[0])
+    field = ground(section, trainset, stop_at_m, spacing_m, bounds.resistance[0], before_m)
+    if bounds.controlled:
+        field = field._replace(pull_mps2=np.maximum(field.pull_mps2, 0.0))
     top, steepest = float(field.ceiling_mps.max()), float(field.pull_mps2.max())
     reach, usual_reach = (_look_ahead(vehicle, each, top, steepest, spacing_m) for each in (rates, usual))
     ahead = padded_size(max(reach, usual_reach), AHEAD)

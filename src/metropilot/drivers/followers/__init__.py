@@ -1,0 +1,12 @@
+"""Drivers of trainsets that follow another, one file each."""
+
+from metropilot.drivers.followers import (  # noqa: F401 (importing a follower's file registers it)
+    follow_gap,
+    follow_mpc,
+    follow_pid,
+)
+from metropilot.drivers.followers.base import AbstractFollower, FollowerRegistry, register_follower
+
+FOLLOWERS = FollowerRegistry()
+
+__all__ = ["FOLLOWERS", "AbstractFollower", "FollowerRegistry", "register_follower"]
