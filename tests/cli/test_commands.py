@@ -172,7 +172,7 @@ def test_nothing_asked_shows_the_help(metropilot):
     assert "Commands" in said.out
 
 
-ELSEWHERE = ("--from", "import", ".toml", "metropilot reproduce", "metropilot learn")
+ELSEWHERE = ("--from", "import", ".toml", "metropilot reproduce", "metropilot learn", "metropilot serve")
 """Examples that need a file, or learn for minutes: the tests of their own packages run those."""
 
 

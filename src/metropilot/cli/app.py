@@ -30,6 +30,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Reproduce a paper: published, ours and optimum in one table, with its figures.",
     ),
     "studies": ("metropilot.cli.reproduce", "List the studies."),
+    "serve": ("metropilot.cli.serve", "Open the web console and the HTTP API."),
     "import": ("metropilot.cli.import_file", "Read a line, trainset or journey file and write it as TOML."),
 }
 """Each command: the module that holds it, and its line in the help. Modules are imported on use."""

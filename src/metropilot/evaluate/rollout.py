@@ -170,7 +170,7 @@ class Rollout:
 
     def advance(self) -> Moment:
         """One control period: hear the news, decide, supervise, move."""
-        self._hear()
+        self.hear()
         self._move()
         self.outcome = self._ended()
         return self.moment()
@@ -217,7 +217,7 @@ class Rollout:
             overruled=np.array(self.overruled),
         )
 
-    def _hear(self) -> None:
+    def hear(self) -> None:
         """Deliver the news that is due."""
         while self.pending and self.pending[0].at_s <= self.state.time_s:
             news = self.pending.pop(0)
