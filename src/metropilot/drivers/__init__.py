@@ -3,6 +3,7 @@
 from metropilot.drivers import (  # noqa: F401 (importing a driver's file registers it)
     flat_out,
     manual,
+    mpc,
     optimal,
     pid,
     shipped,
