@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import socket
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from metropilot.cli.console import console
+from metropilot.cli import options as opt
+from metropilot.cli.console import console, print_json
 from metropilot.errors import InputError
 
 EXAMPLES = {
@@ -36,10 +38,12 @@ def serve_command(
     workers: Annotated[int, typer.Option(min=1, help="Drives and comparisons computed at once.")] = 1,
     upload_mb: Annotated[float, typer.Option("--upload-mb", min=0.01, help="Largest upload, MB.")] = 1.0,
     job_s: Annotated[float, typer.Option("--job-s", min=1.0, help="Longest drive or comparison, s.")] = 600.0,
+    as_json: opt.Json = False,
 ) -> int:
-    """Open the console for the browser, and the HTTP API with it. Everything works without a network.
+    """Open the web console and the HTTP API.
 
-    The API is described at /api/openapi.json. Jobs and runs that a restart interrupts can be resumed.
+    Everything works without a network. The API is described at /api/openapi.json. Jobs and runs that a
+    restart interrupts can be resumed.
     """
     try:
         from metropilot.web import Settings, serve
@@ -65,7 +69,12 @@ def serve_command(
     check_writable(settings.data)
     query = "/?token=…" if settings.token else "/"
     shown = f"[{host}]" if ":" in host else host
-    console().print(f"metropilot console: http://{shown}:{settings.port}{query}  (Ctrl-C ends it)")
+    url = f"http://{shown}:{settings.port}"
+    if as_json:
+        print_json({"url": url, "openapi": f"{url}/api/openapi.json", "data": str(settings.data)})
+    else:
+        console().print(f"metropilot console: {url}{query}  (Ctrl-C ends it)")
+    sys.stdout.flush()
     serve(settings)
     return 0
 

@@ -20,6 +20,7 @@ from metropilot.web.settings import Settings
 from metropilot.web.work.setup import begin
 
 BUSY = 16
+BEHIND = 4
 
 
 def warm() -> None:
@@ -38,9 +39,9 @@ class Pools:
         self.settings = settings
         bound, context = settings.worker_bytes, get_context("spawn")
         made: dict[str, Any] = {"initializer": begin, "context": context}
-        self.answers = ProcessPool(1, initargs=[bound], **made)
-        self.jobs = ProcessPool(settings.parallel_jobs, initargs=[bound], **made)
-        self.learning = ProcessPool(1, initargs=[None], max_tasks=1, **made)
+        self.answers = ProcessPool(1, initargs=[bound, 0], **made)
+        self.jobs = ProcessPool(settings.parallel_jobs, initargs=[bound, BEHIND], **made)
+        self.learning = ProcessPool(1, initargs=[None, 2 * BEHIND], max_tasks=1, **made)
         self.asking = 0
 
     def start(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import json
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from multiprocessing import get_context
@@ -64,6 +65,7 @@ class Session:
         known: What is known of it.
         said: Everything said so far, as events of the stream.
         viewers: How many listen.
+        summary: KPIs and requirements, once it has stopped.
     """
 
     id: str
@@ -73,6 +75,7 @@ class Session:
     known: Known = field(default_factory=Known)
     said: list[bytes] = field(default_factory=list)
     viewers: int = 0
+    summary: dict[str, Any] | None = None
     left_at: float = field(default_factory=monotonic)
 
     def __post_init__(self) -> None:
@@ -173,6 +176,8 @@ class Session:
             if future is not None and not future.done():
                 future.set_result(known)
         elif kind in SHOWN and kind != "end":
+            if kind == "result":
+                self.summary = json.loads(text)
             self._say(kind, text)
 
     def _ended(self, status: str) -> None:

@@ -22,7 +22,7 @@ GIVEN_UP_S = 0.5
 
 def main(pipe: Connection, worker_bytes: int) -> None:
     """Wait for an order, then drive it; ends with the pipe."""
-    begin(worker_bytes)
+    begin(worker_bytes, 0)
     import metropilot.web.live.engine
     import metropilot.web.work.drives  # noqa: F401 (warm before the order comes)
 

@@ -16,18 +16,19 @@ ONE_THREAD = {
 }
 
 
-def begin(worker_bytes: int | None) -> None:
+def begin(worker_bytes: int | None, nice: int) -> None:
     """Set up this process; call it before anything numerical is imported.
 
     Args:
         worker_bytes: Bound on the address space; None leaves it (JAX maps far more than it uses).
+        nice: How far behind the server it queues for a core.
     """
     for name, value in ONE_THREAD.items():
         os.environ.setdefault(name, value)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     Thread(target=_outlive_nobody, daemon=True).start()
     if hasattr(os, "nice"):
-        os.nice(5)
+        os.nice(nice)
     if worker_bytes is not None:
         try:
             import resource
