@@ -51,6 +51,13 @@ Lag = Annotated[float, typer.Option(help="Lag on top of the trainset's, s.", ric
 SpeedNoise = Annotated[
     float, typer.Option(help="Standard deviation of the measured speed, m/s.", rich_help_panel=WORLD)
 ]
+Headwind = Annotated[
+    float, typer.Option(help="Wind from ahead, m/s; below 0 from behind.", rich_help_panel=WORLD)
+]
+Adhesion = Annotated[
+    float,
+    typer.Option(help="Traction over weight at which the wheels slip, e.g. 0.06.", rich_help_panel=WORLD),
+]
 Restrictions = Annotated[
     list[str] | None,
     typer.Option(

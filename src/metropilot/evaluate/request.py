@@ -40,6 +40,8 @@ class Request:
         delay_s: Dead time on top of the trainset's.
         lag_s: Lag on top of the trainset's.
         speed_noise_mps: Standard deviation of the measured speed.
+        headwind_mps: Wind from ahead; below 0 from behind.
+        adhesion: Traction or electric braking over weight at which the driven wheels slip.
         restrictions: Temporary speed restrictions ``FROM-TO@KMH``; with ``@T`` announced at T s.
         arrivals: New scheduled running times announced on the way, ``S@T``.
         objective: Energy the optimum minimises.
@@ -61,6 +63,8 @@ class Request:
     delay_s: float = 0.0
     lag_s: float = 0.0
     speed_noise_mps: float = 0.0
+    headwind_mps: float = 0.0
+    adhesion: float = float("inf")
     restrictions: tuple[str, ...] = ()
     arrivals: tuple[str, ...] = ()
     objective: Objective = "wheel"
@@ -103,6 +107,8 @@ class Request:
             extra_delay_s=self.delay_s,
             extra_lag_s=self.lag_s,
             speed_noise_mps=self.speed_noise_mps,
+            headwind_mps=self.headwind_mps,
+            adhesion=self.adhesion,
             news=tuple(sorted(news, key=lambda item: item.at_s)),
         )
 

@@ -23,7 +23,17 @@ KINDS: Mapping[str, tuple[type, ...]] = {
     "restrictions": (list,),
     "arrivals": (list,),
     **dict.fromkeys(
-        ("time_s", "mass_factor", "resistance_factor", "delay_s", "lag_s", "speed_noise_mps", "dt_s"),
+        (
+            "time_s",
+            "mass_factor",
+            "resistance_factor",
+            "delay_s",
+            "lag_s",
+            "speed_noise_mps",
+            "headwind_mps",
+            "adhesion",
+            "dt_s",
+        ),
         (float, int),
     ),
 }
