@@ -13,7 +13,7 @@ from metropilot.drivers import DRIVERS, AbstractDriver
 from metropilot.errors import InputError
 
 
-def option_class(driver: type[AbstractDriver]) -> type[Any] | None:
+def option_class(driver: type[Any]) -> type[Any] | None:
     """The dataclass a driver takes as its argument ``options``; None if it takes none."""
     if "options" not in signature(driver.__init__).parameters:
         return None
@@ -23,7 +23,7 @@ def option_class(driver: type[AbstractDriver]) -> type[Any] | None:
     )
 
 
-def option_defaults(driver: type[AbstractDriver]) -> dict[str, Any]:
+def option_defaults(driver: type[Any]) -> dict[str, Any]:
     """The options a driver takes, with what they are if nothing is said."""
     kind = option_class(driver)
     if kind is None:
@@ -73,18 +73,29 @@ def make_driver(driver_id: str, options: Mapping[str, Any] | None = None) -> Abs
     driver_id, named = named_driver(driver_id)
     options = named | dict(options or {})
     _known(driver_id, DRIVERS.ids(), "driver", "driver")
+    return with_options(DRIVERS.get(driver_id), options or {})
+
+
+def with_options(driver: type[Any], options: Mapping[str, Any]) -> Any:  # noqa: ANN401 (a driver or follower)
+    """A driver or follower with some of its options.
+
+    Args:
+        driver: Its class.
+        options: Fields of its options dataclass.
+
+    Raises:
+        InputError: No such option of it, or a value of the wrong kind.
+    """
     if not options:
-        return DRIVERS.make(driver_id)
-    driver = DRIVERS.get(driver_id)
+        return driver()
     kind, defaults = option_class(driver), option_defaults(driver)
     if kind is None:
-        raise InputError(f"{driver_id} takes no options", field="set", value=next(iter(options)))
+        raise InputError(f"{driver.id} takes no options", field="set", value=next(iter(options)))
     values = {}
     for name, value in options.items():
-        _known(name, tuple(defaults), f"option of {driver_id}", "set")
+        _known(name, tuple(defaults), f"option of {driver.id}", "set")
         values[name] = _like(defaults[name], name, value)
-    make: Any = driver
-    return make(options=kind(**values))
+    return driver(options=kind(**values))
 
 
 def _known(name: str, names: tuple[str, ...], what: str, where: str) -> None:

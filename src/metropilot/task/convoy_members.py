@@ -14,6 +14,7 @@ from metropilot.protection import Bounds, PairBounds, Protection, Separation, pr
 from metropilot.railway import Section, Trainset
 from metropilot.railway.profile import Steps
 from metropilot.task.convoy_link import Link, Quality
+from metropilot.task.guard import MASS
 from metropilot.task.run import CONTROL_PERIOD_S
 
 Array = Any
@@ -48,6 +49,7 @@ class Convoy:
         mass_factors: True over believed mass of each; empty: all 1.
         resistance_factors: True over believed Davis resistance of each; empty: all 1.
         adhesion: Largest wheel force over weight of each; empty: the trainset's own.
+        mass_bounds: Masses over the believed ones that protection is told to expect at least.
         dt: Control period, s.
     """
 
@@ -62,6 +64,7 @@ class Convoy:
     mass_factors: tuple[float, ...] = ()
     resistance_factors: tuple[float, ...] = ()
     adhesion: tuple[float, ...] = ()
+    mass_bounds: tuple[float, float] = MASS
     dt: float = CONTROL_PERIOD_S
 
     def __post_init__(self) -> None:
@@ -258,7 +261,7 @@ def declared(convoy: Convoy, k: int) -> Bounds:
     mass, drag = _factor(convoy.mass_factors, k), _factor(convoy.resistance_factors, k)
     return replace(
         usual,
-        mass=(min(0.9, mass), max(1.1, mass)),
+        mass=(min(convoy.mass_bounds[0], mass), max(convoy.mass_bounds[1], mass)),
         resistance=(min(usual.resistance[0], drag), max(usual.resistance[1], drag)),
         emergency_mps2=min(usual.emergency_mps2, rate),
         controlled=np.isfinite(rate).item(),

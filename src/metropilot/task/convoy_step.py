@@ -12,9 +12,11 @@ from metropilot.task.convoy_link import Channel, Message, opened, passed_on
 from metropilot.task.convoy_members import FAR_M, Member
 
 Array = Any
-SPARE_M, SPARE_SHARE, SILENT_S, FADING_MPS = 0.2, 0.1, 0.4, 0.1
+SPARE_M, SPARE_SHARE, SILENT_S = 0.2, 0.1, 0.4
 """What a follower keeps beyond the gap that protection needs: distance, command, time without a message where
-the link loses some; and how fast it forgets that it needed more."""
+the link loses some."""
+FADING_MPS, LONG_M, FADING_S = 0.1, 10.0, 2.0
+"""How fast it forgets that it needed more: slowly, but what is beyond a long gap soon."""
 
 
 class MemberState(NamedTuple):
@@ -140,7 +142,7 @@ def ahead_of(member: Member, state: MemberState, now_s: Array) -> Ahead:
 
 @no_type_check
 def needed(member: Member, state: MemberState, now_s: Array, period_s: Array) -> MemberState:
-    """Note how much gap protection needs for the last command to pass again: rising at once, fading slowly."""
+    """Note the gap that protection needs for the last command to pass again: up at once, down slowly."""
     if member.protection is None:
         return state
     plant, ahead = state.plant, ahead_of(member, state, now_s)
@@ -151,7 +153,8 @@ def needed(member: Member, state: MemberState, now_s: Array, period_s: Array) ->
     spare = spare_gap(member.protection, state.watched, plant.position_m, plant.speed_mps, share, ahead)
     now_m = xp.clip(ahead.rear_m - plant.position_m - spare + SPARE_M, 0.0, FAR_M)
     now_m = xp.where(member.is_head, 0.0, now_m)
-    return state._replace(needed_gap_m=xp.maximum(now_m, state.needed_gap_m - FADING_MPS * period_s))
+    rate = FADING_MPS + xp.maximum(state.needed_gap_m - LONG_M, 0.0) / FADING_S
+    return state._replace(needed_gap_m=xp.maximum(now_m, state.needed_gap_m - rate * period_s))
 
 
 @no_type_check
@@ -204,8 +207,8 @@ def moved(
         command, watched, verdict = supervise(
             member.protection, watched, plant.position_m, plant.speed_mps, command, ahead
         )
-    vehicle = controlled(member.vehicle, member.track, plant, member.most_mps2)
-    after = step(vehicle, member.track, plant, command, period_s)
+    vehicle, given = controlled(member.vehicle, member.track, plant, command, member.most_mps2)
+    after = step(vehicle, member.track, plant, given, period_s)
     return state._replace(
         plant=after, watched=watched, wanted=wanted, command=command.share, emergency=command.emergency
     ), verdict

@@ -65,7 +65,7 @@ class GapMemory(NamedTuple):
 @final
 @register_follower
 class FollowGap(AbstractFollower):
-    """Acceleration ahead, plus speed difference and gap error; a long gap is closed at a speed it can lose."""
+    """Acceleration ahead, speed difference, gap error; a long gap is closed at a speed that can be lost."""
 
     id = "follow_gap"
     summary = "Linear controller of gap and speed difference, constant gap or time gap"

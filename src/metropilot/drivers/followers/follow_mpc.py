@@ -1,8 +1,9 @@
 """The model-predictive follower: the next seconds as a small box-constrained quadratic programme.
 
-Over the horizon the acceleration ahead dies away; the own accelerations are chosen within what brakes, traction
-and jerk allow, to keep gap error, speed difference and changes of acceleration small. The Hessian never changes,
-so a fixed number of accelerated projected gradient steps (Nesterov 1983) solves it in NumPy and compiled alike.
+Over the horizon the acceleration ahead dies away; the own accelerations are chosen within what brakes,
+traction and jerk allow, to keep gap error, speed difference and changes of acceleration small. The Hessian
+never changes, so a fixed number of accelerated projected gradient steps (Nesterov 1983) solves it, in NumPy
+and compiled alike.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from metropilot.task.convoy_step import Sight
 Scalar = Any
 LIMIT_S = 1.0
 """How long before the permitted speed a follower begins to ease off."""
-UNDER_MPS = 0.3
+UNDER_MPS = 0.05
 """How far a follower stays under it."""
 STILL_MPS = 0.02
 STILL_M = 0.1
