@@ -19,8 +19,11 @@ from metropilot.task.assist import assisted
 from metropilot.task.observers import Sight, observe
 from metropilot.task.tables import Rows, Tables, build_tables
 
-PolicyFunction = Callable[[np.ndarray], Any]
-"""From an observation, float32 of shape (O,), to an action: float32 of shape (A,), or an integer choice."""
+PolicyFunction = Callable[..., Any]
+"""From an observation, float32 of shape (O,), to an action: float32 of shape (A,), or an integer choice.
+
+Where the action has a filter, the choices it allows, bool of shape (count,), come second.
+"""
 EARLY_S = 1e-6
 
 
@@ -80,11 +83,14 @@ class LearnedDriver(AbstractDriver):
         sight = self._sight(memory, observation)
         wanted, decided = memory.wanted, memory.decided
         if observation.time_s >= decided * perception.period_s - EARLY_S:
-            action = self.policy(observe(perception.features, sight))
+            seen = observe(perception.features, sight)
+            mask = perception.action.allowed(sight, perception.period_s)
+            action = self.policy(seen) if mask is None else self.policy(seen, mask)
             wanted = np.float64(perception.action.command(sight, action, perception.period_s))
             decided = int((observation.time_s + EARLY_S) / perception.period_s) + 1
         dt = memory.run.dt
         command, stopping = assisted(perception.assists, sight, wanted, memory.stopping, dt)
+        command = perception.action.settled(sight, command)
         memory = memory._replace(command=command, wanted=wanted, decided=decided, stopping=stopping)
         return float(command), memory
 

@@ -31,8 +31,8 @@ class GuardedPolicy:
         self.policy = policy
         self.path = path
 
-    def __call__(self, observation: np.ndarray) -> Any:  # noqa: ANN401 (an array, or an integer)
-        """The action for one observation of shape (O,).
+    def __call__(self, observation: np.ndarray, mask: np.ndarray | None = None) -> Any:  # noqa: ANN401 (or int)
+        """The action for one observation of shape (O,), among the choices a mask of shape (count,) allows.
 
         Raises:
             InputError: The observation is not as long as the policy's, or the answer is not finite.
@@ -50,7 +50,7 @@ class GuardedPolicy:
             output = network_output(spec, self.policy.params, observation, np)
         if not np.isfinite(output).all():
             raise InputError("the policy answers what is not a number", file=self.path, field="policy")
-        return chosen(spec, output, None, np)
+        return chosen(spec, output, mask, np)
 
 
 @dataclass(frozen=True)
