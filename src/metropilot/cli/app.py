@@ -21,6 +21,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "drive": ("metropilot.cli.drive", "Drive one run under protection and report it."),
     "compare": ("metropilot.cli.compare", "Drive the same run with several drivers."),
     "convoy": ("metropilot.cli.convoy", "Drive virtually coupled trainsets."),
+    "campaign": ("metropilot.cli.campaign", "Drive a declared matrix of runs, resumable, and report it."),
     "plan": ("metropilot.cli.plan", "Compute the optimal plan, its certificate, the time-energy front."),
     "lines": ("metropilot.cli.catalogue", "List the lines of the catalogue."),
     "trainsets": ("metropilot.cli.catalogue", "List the trainsets of the catalogue."),
