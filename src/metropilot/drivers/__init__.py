@@ -1,9 +1,12 @@
 """Drivers: anything that gives the command, one file each."""
 
 from metropilot.drivers import (  # noqa: F401 (importing a driver's file registers it)
+    ddpg_pid,
     flat_out,
+    fuzzy_pid,
     manual,
     mpc,
+    neural_pid,
     optimal,
     pid,
     shipped,

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from metropilot.planning.timed_reference import (
 from metropilot.protection import Memory, Protection, at_start, protect
 from metropilot.railway import Section
 from metropilot.task import Observation, Run, declared_bounds
+from metropilot.task.tracking import Tracked
 
 Kind = Literal["trapezoid", "s_curve", "optimal"]
 KINDS: tuple[Kind, ...] = ("trapezoid", "s_curve", "optimal")
@@ -70,24 +71,6 @@ class AbstractTrackingOptions:
             raise InputError(
                 "unknown reference", field="reference", value=self.reference, allowed=", ".join(KINDS)
             )
-
-
-class Tracked(NamedTuple):
-    """What a controller is given each period.
-
-    Attributes:
-        error_mps: Speed of the reference less speed.
-        distance_m: Position of the reference less position.
-        speed_mps: Speed.
-        reference_mps: Speed of the reference.
-        command: Command of the period before.
-    """
-
-    error_mps: float
-    distance_m: float
-    speed_mps: float
-    reference_mps: float
-    command: float
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ class PPOConfig(AbstractConfig):
         clip: Epsilon of the clipped ratio.
         entropy: Weight of the entropy bonus.
         value_weight: Weight of the critic's loss.
+        normalise_advantages: Over each minibatch; without it the scale of the rewards reaches the actor.
         initial_std: Deviation of the actions at first.
         min_std: Deviation never falls below (the entropy floor).
         initial_bias: Action at first: 0.5 sets a trainset moving before anything is learned.
@@ -51,6 +52,7 @@ class PPOConfig(AbstractConfig):
     clip: Scheduled = 0.2
     entropy: Scheduled = 0.0
     value_weight: float = 0.5
+    normalise_advantages: bool = True
     initial_std: float = 0.6
     min_std: float = 0.01
     initial_bias: float = 0.0
@@ -132,6 +134,8 @@ class DDPGConfig(AbstractReplayConfig):
         noise_kind: White Gaussian noise, or an Ornstein-Uhlenbeck process.
         noise_pull: theta of the Ornstein-Uhlenbeck process, per step.
         initial_bias: Action at first, before tanh.
+        saturation_cost: Price of the squared size, before tanh, of what the actor asks for: at the ends of
+            its range tanh lets no gradient pass, and an actor that went there does not come back.
     """
 
     algorithm: ClassVar[str] = "ddpg"
@@ -144,11 +148,12 @@ class DDPGConfig(AbstractReplayConfig):
     noise_kind: Literal["gaussian", "ornstein_uhlenbeck"] = "gaussian"
     noise_pull: float = 0.15
     initial_bias: float = 0.0
+    saturation_cost: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse numbers outside their range."""
         super().__post_init__()
-        for name in ("actor_rate", "critic_rate", "noise"):
+        for name in ("actor_rate", "critic_rate", "noise", "saturation_cost"):
             self.within(name, 0.0, math.inf)
         self.within("noise_pull", 0.0, 1.0)
         self.one_of("noise_kind", ("gaussian", "ornstein_uhlenbeck"))

@@ -1,7 +1,7 @@
 """Deep deterministic policy gradient. Source: Lillicrap et al. 2016.
 
 Deviations: actions enter the critic at its first layer; no batch normalisation or weight decay; noise is
-white by default.
+white by default; an optional price keeps the actor from the flat ends of tanh.
 """
 
 from __future__ import annotations
@@ -66,7 +66,11 @@ class DDPG(AbstractReplayLearner[DDPGConfig]):
 
     def actions_of(self, params: Params, observation: Array) -> Array:
         """The actor's actions. Shape (B, A)."""
-        return jnp.tanh(jax.vmap(lambda x: self.actor.apply(params, "policy", x))(observation))
+        return jnp.tanh(self.asked_of(params, observation))
+
+    def asked_of(self, params: Params, observation: Array) -> Array:
+        """What the actor asks for, before tanh. Shape (B, A)."""
+        return jax.vmap(lambda x: self.actor.apply(params, "policy", x))(observation)
 
     def values(self, params: Params, observation: Array, action: Array) -> Array:
         """The critic's values. Shape (B,)."""
@@ -107,9 +111,9 @@ class DDPG(AbstractReplayLearner[DDPGConfig]):
             return losses.critic_loss(value, wanted), value
 
         def actor_loss(actor: Params, critic: Params) -> Array:
-            return losses.actor_loss(
-                self.values(critic, batch.observation, self.actions_of(actor, batch.observation))
-            )
+            asked = self.asked_of(actor, batch.observation)
+            loss = losses.actor_loss(self.values(critic, batch.observation, jnp.tanh(asked)))
+            return loss + config.saturation_cost * jnp.mean(asked**2) if config.saturation_cost else loss
 
         actor, critic = subset(params, "policy."), subset(params, "critic.")
         (size, value), gradient = jax.value_and_grad(critic_loss, has_aux=True)(critic)

@@ -1,0 +1,75 @@
+"""How DDPG-PID is learned and how the others are tuned."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from metropilot.studies.cheng2023.courses import course
+from metropilot.task.incremental_pid import Errors
+from metropilot.task.tracking_task import TrackingConfig, TrackingRewards, TrackingTask
+
+if TYPE_CHECKING:
+    from metropilot.learn import DDPGConfig
+    from metropilot.task.interface import AbstractTask
+
+REWARDS = TrackingRewards(
+    speed_scale_mps=0.05, distance_scale_m=0.15, jerk_scale_mps3=10.0, parking_scale_m=0.02
+)
+"""Cheng23's five terms and weights; the scales say what counts as a small error, where the paper has 1."""
+JOB = "ddpg_pid"
+
+
+def config() -> DDPGConfig:
+    """DDPG as it is told; the paper prints none of it."""
+    from metropilot.learn import DDPGConfig, Schedule
+
+    return DDPGConfig(
+        steps=300_000,
+        environments=16,
+        evaluations=60,
+        gamma=0.9,
+        hidden=(64, 64),
+        batch_size=128,
+        updates=8,
+        buffer_size=96_000,
+        warmup=8_000,
+        actor_rate=Schedule(5e-4, 5e-5),
+        critic_rate=Schedule(1e-3, 1e-4),
+        noise=Schedule(0.6, 0.05),
+        tau=0.01,
+        saturation_cost=0.003,
+    )
+
+
+def task() -> TrackingTask:
+    """The paper's task on the base scenario."""
+    return TrackingTask(TrackingConfig((course(),), rewards=REWARDS))
+
+
+def evaluation(made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
+    """What keeps the best policy: the base scenario from standstill, judged by ``tracking_score``."""
+    import jax
+    import jax.numpy as jnp
+
+    from metropilot.drivers.ddpg_pid import ddpg_pid
+    from metropilot.drivers.policy import act
+    from metropilot.evaluate.tracking import track_compiled, tracking_kpis, tracking_score
+    from metropilot.learn.registry import make_learner
+
+    if not isinstance(made, TrackingTask):
+        raise TypeError("the tracking task is evaluated here")
+    spec, single = make_learner(config(), made).spec, made.course(0)
+
+    def evaluate(params: Mapping[str, Any], key: Any) -> dict[str, Any]:  # noqa: ANN401 (a JAX key)
+        del key
+
+        def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
+            return ddpg_pid(lambda observation: act(spec, params, observation), seen, memory)
+
+        start = Errors(jnp.float32(0.0), jnp.float32(0.0))
+        kpis = tracking_kpis(single, track_compiled(single, control, start), jnp)
+        numbers = jax.tree.map(lambda value: jnp.asarray(value, jnp.float32), kpis._asdict())
+        return {"score": tracking_score(kpis), **numbers}
+
+    return evaluate
