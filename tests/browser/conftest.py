@@ -34,6 +34,7 @@ def browser():
         pytest.skip("no browser on this machine: install Debian's chromium")
     playwright = pytest.importorskip("playwright.sync_api", reason="pip install 'metropilot[browser]'")
     with playwright.sync_playwright() as driver:
+        playwright.expect.set_options(timeout=PATIENCE_MS)
         made = driver.chromium.launch(executable_path=found, args=list(FLAGS))
         yield made
         made.close()

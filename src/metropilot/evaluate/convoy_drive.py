@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter_ns
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +17,7 @@ from metropilot.evaluate.trajectory import Trajectory
 from metropilot.physics import Command
 from metropilot.protection import permitted_speed
 from metropilot.task import Outcome
+from metropilot.task.convoy_link import Link
 from metropilot.task.convoy_members import Convoy, Member, members
 from metropilot.task.convoy_step import (
     MemberState,
@@ -100,11 +101,26 @@ def drive_convoy(convoy: Convoy, head: HeadRun, follower: AbstractFollower, seed
         follower: Who drives the others, each with a memory of its own.
         seed: Of the link's luck.
     """
-    return _Loop(convoy, head, follower, seed).to_the_end()
+    rollout = ConvoyRollout(convoy, head, follower, seed)
+    while not rollout.over:
+        rollout.advance()
+    return rollout.result()
 
 
-class _Loop:
-    """A convoy on its way."""
+@final
+class ConvoyRollout:
+    """A convoy on its way, one control period at a time: what :func:`drive_convoy` loops over.
+
+    Args:
+        convoy: What runs.
+        head: What its head does.
+        follower: Who drives the others, each with a memory of its own.
+        seed: Of the link's luck.
+
+    Attributes:
+        states: Of every trainset, the head first.
+        over: Whether all have stood a while.
+    """
 
     def __init__(self, convoy: Convoy, head: HeadRun, follower: AbstractFollower, seed: int) -> None:
         self.convoy, self.head, self.follower, self.dt = convoy, head, follower, convoy.dt
@@ -118,21 +134,34 @@ class _Loop:
         self.random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
         self.decision_us: list[list[float]] = [[] for _ in self.members]
         self.rows: list[tuple[float, list[float], list[float]]] = []
+        self.period, self.stood_s, self.over = 0, 0.0, False
 
-    def to_the_end(self) -> ConvoyDrive:
-        """Period by period until all have stood a while."""
-        stood, period = 0.0, 0
+    @property
+    def time_s(self) -> float:
+        """Time since departure."""
+        return self.period * self.dt
+
+    def advance(self) -> tuple[float, list[float], list[float]]:
+        """One control period; time, gaps and speed differences after it."""
+        now = np.float64(self.time_s)
+        self.listen(now)
+        self.move(now, self.period)
+        self.note(float(now) + self.dt)
+        still = all(s.plant.speed_mps <= 0 for s in self.states)
+        ended = now >= min(self.head.commands.size * self.dt, self.head.emergency_s + self.dt)
+        self.stood_s = self.stood_s + self.dt if still and ended else 0.0
+        self.period += 1
         longest = self.head.commands.size * self.dt + LONGEST_S
-        while stood < STAND_S and period * self.dt < longest:
-            now = np.float64(period * self.dt)
-            self.listen(now)
-            self.move(now, period)
-            self.note(float(now) + self.dt)
-            still = all(s.plant.speed_mps <= 0 for s in self.states)
-            over = now >= min(self.head.commands.size * self.dt, self.head.emergency_s + self.dt)
-            stood = stood + self.dt if still and over else 0.0
-            period += 1
-        return self.result()
+        self.over = self.stood_s >= STAND_S or self.time_s >= longest
+        return self.rows[-1]
+
+    def relink(self, link: Link) -> None:
+        """From now on every link is as good as this one; what is on its way stays so."""
+        self.members = tuple(m._replace(link=link.numbers()) for m in self.members)
+
+    def brake_head(self) -> None:
+        """Let the head make an emergency brake from now on."""
+        self.head = replace(self.head, emergency_s=min(self.head.emergency_s, self.time_s))
 
     def listen(self, now: np.float64) -> None:
         """Messages go down the convoy."""

@@ -131,6 +131,32 @@ class LiveAsked(DriveAsked):
     pace: Annotated[float, Field(ge=0, le=100)] = 1.0
 
 
+class ConvoyAsked(SectionAsked):
+    """A live convoy: the head's run, followers behind it, the link between them."""
+
+    time_s: Seconds | None = None
+    driver: Id = "optimal"
+    trainsets: Annotated[int, Field(ge=2, le=6)] = 3
+    follower: Id = "follow_gap"
+    gap_m: Annotated[float, Field(ge=0.5, le=2000, description="wanted gap, m")] = 5.92
+    start_gap_m: Annotated[float, Field(ge=0.5, le=2000)] | None = None
+    guard: Literal["coupled", "independent", "moving_block", "none"] = "coupled"
+    delay_s: Annotated[float, Field(ge=0, le=2)] = 0.0
+    jitter_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+    loss: Annotated[float, Field(ge=0, le=1, description="share of messages lost")] = 0.0
+    seed: Annotated[int, Field(ge=0, lt=2**53)] = 0
+    pace: Annotated[float, Field(ge=0, le=20)] = 1.0
+
+
+class NewLink(Asked):
+    """From now on the link of a convoy is so good."""
+
+    delay_s: Annotated[float, Field(ge=0, le=2)] = 0.0
+    jitter_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+    loss: Annotated[float, Field(ge=0, le=1)] = 0.0
+    silent: bool = False
+
+
 class NewArrival(Asked):
     """Told now: arrive when the run is so old."""
 

@@ -237,6 +237,6 @@ def file_of(service: Service, job: str, name: str) -> Path:
 
     row = service.store.job(job)
     path = service.root / "jobs" / row.id / name
-    if name not in FILES.get("drive" if row.kind == "live" else row.kind, ()) or not path.is_file():
+    if name not in FILES.get(row.kind, ()) or not path.is_file():
         raise Refused("no such file", 404, field="name", value=name)
     return path

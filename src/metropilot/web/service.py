@@ -7,12 +7,13 @@ import secrets
 from concurrent.futures import Future
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from metropilot.errors import InputError
 from metropilot.evaluate import Request
 from metropilot.web.asked import (
     CompareAsked,
+    ConvoyAsked,
     DriveAsked,
     LearnAsked,
     LiveAsked,
@@ -27,6 +28,9 @@ from metropilot.web.refused import Refused, detail_of
 from metropilot.web.settings import Settings
 from metropilot.web.store import OVER, Store, UploadRow
 from metropilot.web.work import drives, learning, plans, studying
+
+if TYPE_CHECKING:
+    from metropilot.evaluate.convoy_request import ConvoyRequest
 
 SUFFIXES = (".toml", ".json")
 SAVE_STEPS = 25
@@ -268,7 +272,7 @@ class Service:
             runs.update(record, status="interrupted")
 
     # ------------------------------------------------------------------------------------------ live runs
-    async def go_live(self, asked: LiveAsked, job: str | None = None) -> Session:
+    async def go_live(self, asked: LiveAsked | ConvoyAsked, job: str | None = None) -> Session:
         """Start a live run, or resume one that was interrupted.
 
         Raises:
@@ -278,10 +282,14 @@ class Service:
         running = [s for s in self.sessions.values() if not s.over]
         if len(running) >= self.settings.live_runs:
             raise Refused(f"at most {self.settings.live_runs} live runs at once", 429)
-        request = self.request(asked)
-        request.run()
-        self._check_drivers(request, [asked.driver])
-        order: dict[str, Any] = {"request": request, "pace": asked.pace, "root": str(self.root)}
+        convoy = isinstance(asked, ConvoyAsked)
+        request: Any = self._convoy(asked) if convoy else self._run(asked)
+        order: dict[str, Any] = {
+            "request": request,
+            "convoy": convoy,
+            "pace": asked.pace,
+            "root": str(self.root),
+        }
         if job is None:
             job = self.store.new_job("live", asked.model_dump())
             order |= {"journal": [], "step": 0}
@@ -306,7 +314,43 @@ class Service:
         row = self.store.job(job)
         if row.kind != "live" or row.status not in {"interrupted", "stopped"}:
             raise Refused(f"a {row.kind} that is {row.status} cannot be resumed", 409, field="id", value=job)
-        return await self.go_live(LiveAsked.model_validate(row.asked), job)
+        kind = ConvoyAsked if "follower" in row.asked else LiveAsked
+        return await self.go_live(kind.model_validate(row.asked), job)
+
+    def _run(self, asked: LiveAsked) -> Request:
+        request = self.request(asked)
+        request.run()
+        self._check_drivers(request, [asked.driver])
+        return request
+
+    def _convoy(self, asked: ConvoyAsked) -> ConvoyRequest:
+        from metropilot.evaluate.convoy_request import ConvoyRequest
+        from metropilot.task.convoy_link import Link
+
+        names = (
+            "line",
+            "origin",
+            "destination",
+            "trainset",
+            "load",
+            "restrictions",
+            "time_s",
+            "driver",
+            "seed",
+        )
+        head = self._run(LiveAsked.model_validate(asked.model_dump(include=set(names))))
+        made = ConvoyRequest(
+            head=head,
+            count=asked.trainsets,
+            follower=asked.follower,
+            gap_m=asked.gap_m,
+            start_gap_m=asked.start_gap_m,
+            link=Link(asked.delay_s, asked.jitter_s, asked.loss),
+            guard=asked.guard,
+        )
+        made.make_follower()
+        made.run(made.convoy())
+        return made
 
     def session(self, job: str) -> Session:
         """A live run of this server.

@@ -10,7 +10,16 @@ from fastapi.responses import StreamingResponse
 
 from metropilot.web.answers import LiveOut, Told
 from metropilot.web.api.catalogue import Key
-from metropilot.web.asked import Asked, Lever, LiveAsked, NewArrival, NewRestriction, Pace
+from metropilot.web.asked import (
+    Asked,
+    ConvoyAsked,
+    Lever,
+    LiveAsked,
+    NewArrival,
+    NewLink,
+    NewRestriction,
+    Pace,
+)
 from metropilot.web.live.session import Session
 from metropilot.web.service import Service
 
@@ -52,6 +61,21 @@ def routes(service: Service) -> APIRouter:
     async def start(asked: LiveAsked) -> dict[str, Any]:
         """Start a live run."""
         return live_out(await service.go_live(asked))
+
+    @router.post("/convoys", response_model=LiveOut, status_code=201)
+    async def convoy(asked: ConvoyAsked) -> dict[str, Any]:
+        """Start a live convoy; watched, paced and stopped like any live run."""
+        return live_out(await service.go_live(asked))
+
+    @router.post("/live/{live_id}/link", response_model=Told)
+    async def link(live_id: Key, asked: NewLink) -> dict[str, Any]:
+        """Make the link of a convoy worse, better or silent."""
+        return await tell(live_id, "link", asked)
+
+    @router.post("/live/{live_id}/emergency", response_model=Told)
+    async def emergency(live_id: Key) -> dict[str, Any]:
+        """Let the head of a convoy make an emergency brake."""
+        return await tell(live_id, "emergency", Asked())
 
     @router.get("/live", response_model=list[LiveOut])
     async def runs() -> list[dict[str, Any]]:

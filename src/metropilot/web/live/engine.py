@@ -5,26 +5,28 @@ The same events before the same steps give the same bits, so that a journal is e
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
+from pathlib import Path
 from time import monotonic
 from typing import Any
 
 import numpy as np
 
 from metropilot.errors import Infeasible, InputError, SolverError
-from metropilot.evaluate import Moment, Request, Rollout
+from metropilot.evaluate import Moment, Request, Rollout, kpis_of, optimum_of, write_run
 from metropilot.physics import track_arrays
 from metropilot.planning import Plan, PlanOptions, minimum_running_time, optimal_plan
 from metropilot.protection import LEVELS, permitted_speed, protect
 from metropilot.railway import Restriction
 from metropilot.task import News, declared_bounds
+from metropilot.web.work.drives import drive_out
 from metropilot.web.work.plain import numbers, station, window
 
 HAND_S = 3.0
 """The lever falls back to the driver unless whoever holds it says so within this time."""
 COLUMNS = (*Moment._fields, "step")
 LATE_W = 500.0
+SHORT = ("driver", "success", "kpis", "checks")
 PERMITTED_STEP_M = 5.0
 NEAREST_STEP_M = 5.0
 Event = dict[str, Any]
@@ -50,6 +52,21 @@ class Engine:
         """Time since departure."""
         return float(self.rollout.state.time_s)
 
+    @property
+    def dt_s(self) -> float:
+        """Control period."""
+        return self.rollout.run.dt
+
+    @property
+    def over(self) -> bool:
+        """Whether the run has ended."""
+        return self.rollout.outcome is not None
+
+    @property
+    def position_m(self) -> float:
+        """Of the head."""
+        return float(self.rollout.state.position_m)
+
     def advance(self) -> list[Any]:
         """One control period; the row it gives, in the order of ``COLUMNS``."""
         moment = self.rollout.advance()
@@ -67,6 +84,8 @@ class Engine:
             return self._arrival(float(event["scheduled_time_s"]))
         if kind == "restriction":
             return self._restrict(Restriction(event["from_m"], event["to_m"], event["limit_mps"]))
+        if kind != "lever":
+            raise InputError("a run cannot be told that", field="kind", value=kind)
         share = event["share"]
         by_hand = self.rollout.by_hand is not None
         self.rollout.take(share)
@@ -75,9 +94,9 @@ class Engine:
             return "the driver has the lever again" if by_hand else ""
         return "" if by_hand else "the lever is taken by hand"
 
-    def holds(self, share: float | None) -> bool:
+    def holds(self, event: Event) -> bool:
         """Whether the lever is there already; then the hand on it is felt again, and nothing changes."""
-        if share != self.rollout.by_hand:
+        if event["kind"] != "lever" or event["share"] != self.rollout.by_hand:
             return False
         self.renewed = monotonic()
         return True
@@ -217,12 +236,16 @@ class Engine:
             "by_hand": rollout.by_hand is not None,
         }
 
+    def report(self, folder: Path) -> tuple[dict[str, Any], dict[str, Any], str]:
+        """KPIs in short and the drive in full, and the outcome; files into a folder."""
+        driven = self.rollout.drive()
+        optimum = optimum_of(driven, self.request.objective)
+        kpis = kpis_of(driven, optimum, self.request.objective)
+        full = drive_out(driven, kpis, optimum)
+        write_run(folder, self.request, driven, kpis, optimum)
+        return {name: full[name] for name in SHORT}, full, kpis.outcome
+
     @property
     def minimum_s(self) -> float:
         """Minimum running time of the section as it was before departure."""
         return minimum_running_time(self.open, self.rollout.run.trainset)
-
-
-def encoded(value: object) -> bytes:
-    """One line of JSON."""
-    return json.dumps(value, separators=(",", ":"), allow_nan=False).encode()

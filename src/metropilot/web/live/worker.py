@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from multiprocessing.connection import Connection
 from pathlib import Path
 from time import monotonic
@@ -12,7 +13,10 @@ from metropilot.web.refused import detail_of
 from metropilot.web.work.setup import begin
 
 if TYPE_CHECKING:
+    from metropilot.web.live.convoy import ConvoyEngine
     from metropilot.web.live.engine import Engine
+
+    AnyEngine = Engine | ConvoyEngine
 
 FLUSH_S = 0.1
 MOST_STEPS = 40
@@ -23,8 +27,8 @@ GIVEN_UP_S = 0.5
 def main(pipe: Connection, worker_bytes: int) -> None:
     """Wait for an order, then drive it; ends with the pipe."""
     begin(worker_bytes, 0)
-    import metropilot.web.live.engine
-    import metropilot.web.work.drives  # noqa: F401 (warm before the order comes)
+    import metropilot.web.live.convoy
+    import metropilot.web.live.engine  # noqa: F401 (warm before the order comes)
 
     try:
         order = pipe.recv()
@@ -50,13 +54,11 @@ class Driving:
 
     def to_the_end(self) -> None:
         """Begin, replay, drive, report."""
-        from metropilot.web.live.engine import Engine
-
         try:
-            engine = Engine(self.order["request"])
+            engine = self._engine()
             self._replay(engine)
             self._clock(engine)
-            while engine.rollout.outcome is None and not self.stopped:
+            while not engine.over and not self.stopped:
                 self._listen(engine)
                 self._drive(engine)
             if not self.stopped:
@@ -65,43 +67,47 @@ class Driving:
             self._say("error", {"error": detail_of(error)})
         self._say("end", {"stopped": self.stopped})
 
-    def _say(self, kind: str, value: dict[str, Any]) -> None:
-        from metropilot.web.live.engine import encoded
+    def _engine(self) -> AnyEngine:
+        from metropilot.web.live.convoy import ConvoyEngine
+        from metropilot.web.live.engine import Engine
 
+        return (ConvoyEngine if self.order["convoy"] else Engine)(self.order["request"])
+
+    def _say(self, kind: str, value: dict[str, Any]) -> None:
         self.pipe.send((kind, encoded(value), {}))
 
-    def _rows(self, engine: Engine, rows: list[list[Any]]) -> None:
-        from metropilot.web.live.engine import encoded
-
+    def _rows(self, engine: AnyEngine, rows: list[list[Any]]) -> None:
         self.flushed = monotonic()
         behind = round(max(self._wanted_s() - engine.time_s, 0.0), 3)
-        known = {"time_s": engine.time_s, "position_m": float(engine.rollout.state.position_m)}
+        known = {"time_s": engine.time_s, "position_m": engine.position_m}
         known |= {"step": engine.steps, "pace": self.pace, "behind_s": behind}
         self.pipe.send(("rows", encoded({"rows": rows, "behind_s": behind, "pace": self.pace}), known))
 
-    def _replay(self, engine: Engine) -> None:
+    def _replay(self, engine: AnyEngine) -> None:
         """Do again what was done before the server went away."""
         journal = list(self.order["journal"])
         self._say("scene", engine.scene())
         rows = []
-        while engine.steps < self.order["step"] and engine.rollout.outcome is None:
+        while engine.steps < self.order["step"] and not engine.over:
             while journal and journal[0][0] <= engine.steps:
                 engine.apply(journal.pop(0)[1])
             rows.append(engine.advance())
-        engine.apply({"kind": "lever", "share": None})
+        let_go = {"kind": "lever", "share": None}
+        if not engine.holds(let_go):
+            engine.apply(let_go)
         if rows:
             self._clock(engine)
             self._rows(engine, rows)
             self._say("scene", engine.scene())
 
-    def _clock(self, engine: Engine) -> None:
+    def _clock(self, engine: AnyEngine) -> None:
         """From now on the run's clock goes at the pace."""
         self.began, self.began_s = monotonic(), engine.time_s
 
     def _wanted_s(self) -> float:
         return self.began_s + self.pace * (monotonic() - self.began)
 
-    def _listen(self, engine: Engine) -> None:
+    def _listen(self, engine: AnyEngine) -> None:
         """Take orders until the next control period is due."""
         until = monotonic() + self._due_s(engine)
         while not self.stopped:
@@ -114,14 +120,14 @@ class Driving:
             except MetropilotError as error:
                 self.pipe.send(("answer", b"", {"number": number, "error": error}))
 
-    def _due_s(self, engine: Engine) -> float:
+    def _due_s(self, engine: AnyEngine) -> float:
         """Until rows are due: a control period, but not more often than viewers need."""
         if self.pace <= 0:
             return FLUSH_S
-        due = (engine.time_s + engine.rollout.run.dt - self._wanted_s()) / self.pace
+        due = (engine.time_s + engine.dt_s - self._wanted_s()) / self.pace
         return max(due, self.flushed + FLUSH_S - monotonic(), 0.0)
 
-    def _take(self, engine: Engine, number: int, event: dict[str, Any]) -> None:
+    def _take(self, engine: AnyEngine, number: int, event: dict[str, Any]) -> None:
         if event["kind"] == "stop":
             self.stopped = True
         elif event["kind"] == "pace":
@@ -133,8 +139,8 @@ class Driving:
         if event["kind"] == "pace":
             self._rows(engine, [])
 
-    def _apply(self, engine: Engine, event: dict[str, Any]) -> None:
-        if event["kind"] == "lever" and engine.holds(event["share"]):
+    def _apply(self, engine: AnyEngine, event: dict[str, Any]) -> None:
+        if engine.holds(event):
             return
         words = engine.apply(event)
         self.pipe.send(("journal", b"", {"step": engine.steps, "event": event}))
@@ -142,14 +148,14 @@ class Driving:
             self._say("event", {"time_s": engine.time_s, "kind": event["kind"], "words": words})
             self._say("scene", engine.scene())
 
-    def _drive(self, engine: Engine) -> None:
+    def _drive(self, engine: AnyEngine) -> None:
         """The control periods that are due, at most so many before orders are heard again."""
         if self.pace <= 0:
             return
         if engine.forgotten():
             self._apply(engine, {"kind": "lever", "share": None})
-        dt, rows, began = engine.rollout.run.dt, [], monotonic()
-        while engine.time_s + dt <= self._wanted_s() + 1e-6 and engine.rollout.outcome is None:
+        dt, rows, began = engine.dt_s, [], monotonic()
+        while engine.time_s + dt <= self._wanted_s() + 1e-6 and not engine.over:
             rows.append(engine.advance())
             if len(rows) >= MOST_STEPS or monotonic() - began > FLUSH_S:
                 break
@@ -158,16 +164,15 @@ class Driving:
         if self._wanted_s() - engine.time_s > GIVEN_UP_S * max(self.pace, 1.0):
             self._clock(engine)
 
-    def _report(self, engine: Engine) -> None:
-        from metropilot.evaluate import kpis_of, optimum_of, write_run
-        from metropilot.web.work.drives import drive_out, folder_of
+    def _report(self, engine: AnyEngine) -> None:
+        from metropilot.web.work.drives import folder_of
 
-        driven = engine.rollout.drive()
-        optimum = optimum_of(driven, engine.request.objective)
-        kpis = kpis_of(driven, optimum, engine.request.objective)
-        out = drive_out(driven, kpis, optimum)
-        short = {name: out[name] for name in ("driver", "success", "kpis", "checks")}
-        self._say("result", short)
         folder: Path = folder_of(self.order["root"], self.order["job"])
-        write_run(folder, engine.request, driven, kpis, optimum)
-        self.pipe.send(("kept", b"", {"result": out, "outcome": kpis.outcome}))
+        short, full, outcome = engine.report(folder)
+        self._say("result", short)
+        self.pipe.send(("kept", b"", {"result": full, "outcome": outcome}))
+
+
+def encoded(value: object) -> bytes:
+    """One line of JSON."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False).encode()

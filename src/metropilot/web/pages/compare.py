@@ -12,7 +12,7 @@ from metropilot.web.asked import CompareAsked, PlanAsked
 from metropilot.web.pages.drive import validated
 from metropilot.web.pages.form import DisturbanceForm, SectionForm, driver_names
 from metropilot.web.pages.frame import card, empty, frame, links, number, refresh_while, table
-from metropilot.web.pages.plots import compare_figure, front_figure
+from metropilot.web.pages.plots import compare_figure, figure, front_figure
 from metropilot.web.service import Service
 
 SHOWN = (
@@ -66,8 +66,8 @@ class ComparePage:
         with ui.element("div").classes("mp-col"):
             with card("What the next second costs"):
                 self.words = ui.label("Computing the front …").classes("mp-soft").props('data-test="second"')
-                self.front_plot = ui.plotly({"data": [], "layout": {"height": 380}}).classes("mp-plot")
-                self.front_plot.props('data-test="front"')
+                self.front_plot = ui.plotly(figure([], 380)).classes("mp-plot")
+                self.front_plot.props('data-test="front"').set_visibility(False)
             with card("Drivers against each other"):
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
                 with self.result:
@@ -114,6 +114,7 @@ class ComparePage:
             f"The next second saves {second:.0f} Wh, {100 * second / 1000 / energy:.1f} %."
         )
         if self.front is not None:
+            self.front_plot.set_visibility(True)
             self.front_plot.update_figure(front_figure(self.front, (now, energy), self.entries))
 
     async def start(self) -> None:

@@ -10,10 +10,10 @@ from pydantic import ValidationError
 
 from metropilot.errors import InputError, MetropilotError
 from metropilot.web import catalogue
-from metropilot.web.asked import LiveAsked
+from metropilot.web.asked import LiveAsked, NewRestriction, PlanAsked
 from metropilot.web.pages.form import DisturbanceForm, SectionForm, driver_names
 from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, table
-from metropilot.web.pages.plots import run_figure
+from metropilot.web.pages.plots import planned_run, run_figure
 from metropilot.web.pages.strip import line_strip, section_strip
 from metropilot.web.refused import Refused
 from metropilot.web.service import Service
@@ -53,8 +53,10 @@ class DrivePage:
     def __init__(self, service: Service, run: str | None) -> None:
         self.service = service
         self.run = run if run in service.sessions else None
-        self.form = SectionForm(service, self.section_changed)
+        self.form = SectionForm(service, self.section_changed, self.time_moved)
         self.disturbances = DisturbanceForm()
+        self.wanted_s: float | None = None
+        self.planning = False
 
     def build(self) -> None:
         """Left what is asked, right what happens."""
@@ -113,7 +115,7 @@ class DrivePage:
 
     def build_news(self) -> None:
         """What the driver can be told on the way."""
-        with card("On the way", "What the driver is told while it drives."):
+        with card("On the way", "What the driver is told while it drives.", late=True):
             self.news = Problem()
             with ui.element("div").classes("mp-row"):
                 self.arrival = ui.number("Arrive after (s)", value=101, min=1, step=1).props("outlined dense")
@@ -146,6 +148,26 @@ class DrivePage:
             self.arrival.value = form.slider.value
             end = form.section["length_m"]
             self.from_m.value, self.to_m.value = round(0.55 * end, -1), round(0.7 * end, -1)
+            await self.time_moved()
+
+    async def time_moved(self) -> None:
+        """Show the plan for the time, while nothing runs; the latest time wins."""
+        self.wanted_s = self.form.time_s
+        if self.planning or self.live() is not None or self.form.section is None:
+            return
+        self.planning = True
+        try:
+            while (now := self.wanted_s) is not None:
+                self.wanted_s = None
+                with self.form.problem.watching():
+                    plan = await self.service.plan(
+                        PlanAsked.model_validate({**self.form.asked(), "time_s": now})
+                    )
+                    if self.live() is None and self.form.section is not None:
+                        self.plot.update_figure(planned_run(self.form.section, plan))
+                        self.arrival.value = now
+        finally:
+            self.planning = False
 
     def live(self) -> Any:  # noqa: ANN401 (a session or None)
         """The run that is watched, while it goes on."""
@@ -204,8 +226,6 @@ class DrivePage:
     async def restrict(self) -> None:
         """Drop a restriction on the track."""
         with self.news.watching():
-            from metropilot.web.asked import NewRestriction
-
             values = {
                 "from_m": self.from_m.value,
                 "to_m": self.to_m.value,

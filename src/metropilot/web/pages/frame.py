@@ -22,6 +22,10 @@ PAGES = (
 )
 THEME = "metropilot_theme"
 THEMES = {"auto": None, "light": False, "dark": True}
+HEAD = (
+    '<link rel="stylesheet" href="/static/console.css">'
+    '<script src="/static/live.js" defer></script><script src="/static/convoy.js" defer></script>'
+)
 NEXT_THEME = {"auto": "light", "light": "dark", "dark": "auto"}
 
 
@@ -32,9 +36,7 @@ def frame(request: Request, active: str) -> Iterator[None]:
     theme = theme if theme in THEMES else "auto"
     ui.dark_mode(THEMES[theme])
     ui.colors(primary="#0072b2", positive="#00785a", negative="#b84300", warning="#b84300")
-    ui.add_head_html(
-        '<link rel="stylesheet" href="/static/console.css"><script src="/static/live.js"></script>'
-    )
+    ui.add_head_html(HEAD)
     with ui.element("header").classes("mp-header q-header flex no-wrap items-center").props("role=banner"):
         ui.link("Skip to content", "#main").classes("mp-skip")
         ui.link("metropilot", "/").classes("mp-brand")
@@ -44,7 +46,7 @@ def frame(request: Request, active: str) -> Iterator[None]:
                 if path == active:
                     link.props("aria-current=page")
         _theme_button(theme)
-    with ui.element("main").classes("mp-main").props("id=main"):
+    with ui.element("div").classes("mp-main").props("id=main tabindex=-1"):
         yield
 
 
@@ -62,10 +64,10 @@ def _theme_button(theme: str) -> None:
 
 
 @contextmanager
-def card(title: str = "", note: str = "", *, wide: bool = False) -> Iterator[None]:
-    """A card with a heading."""
+def card(title: str = "", note: str = "", *, late: bool = False) -> Iterator[None]:
+    """A card with a heading; a late one comes last on a narrow screen."""
     with (
-        ui.element("section").classes("mp-card" + (" mp-wide" if wide else "")),
+        ui.element("section").classes("mp-card" + (" mp-late" if late else "")),
         ui.element("div").classes("mp-stack"),
     ):
         if title:
@@ -82,7 +84,11 @@ def heading(text: str) -> ui.label:
 
 def reads(items: Sequence[tuple[str, str, str]]) -> None:
     """Numbers side by side: name, value, and what the browser fills (empty: nothing)."""
-    with ui.element("div").classes("mp-reads").style(f"--mp-columns: {min(len(items), 5)}"):
+    with (
+        ui.element("div")
+        .classes("mp-reads")
+        .style(f"--mp-columns: {next(n for n in (5, 4, 3, 1) if len(items) % n == 0)}")
+    ):
         for name, value, part in items:
             with ui.element("div").classes("mp-read"):
                 ui.label(name).classes("k")

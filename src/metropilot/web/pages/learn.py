@@ -72,6 +72,7 @@ class LearnPage:
             with card("Runs"):
                 self.runs = ui.element("div").classes("w-full").props('data-test="runs"')
             self.tables = ui.element("div").classes("mp-col").props('data-test="study"')
+        self.plot.set_visibility(False)
         self.fill()
         self.look_buttons(None)
 
@@ -131,6 +132,7 @@ class LearnPage:
         name = row.run or row.id
         self.status.text = f"{name} · {row.status}" + (f" · {row.words}" if row.words else "")
         self.bar.value = row.progress
+        self.plot.set_visibility(bool(steps))
         self.plot.update_figure(history_figure(columns))
         self.look_buttons(row.status)
         self.fill()

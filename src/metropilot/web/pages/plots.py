@@ -123,21 +123,14 @@ def run_figure() -> Figure:
     )
 
 
-def filled_run(driven: dict[str, Any]) -> Figure:
-    """A finished drive in the same picture."""
-    made, columns, plan = run_figure(), driven["columns"], driven["plan"]
-    at = columns["position_m"]
-    values: dict[int, tuple[Sequence[float], Sequence[float]]] = {
-        0: (at, kmh(columns["limit_mps"])),
-        1: (at, kmh(columns["permitted_mps"])),
-        3: (at, kmh(columns["speed_mps"])),
-        6: (at, columns["command"]),
-        8: (at, kwh(columns["energy_wheel_j"])),
-        9: (at, kwh(columns["energy_line_j"])),
+def planned_run(section: dict[str, Any], plan: dict[str, Any]) -> Figure:
+    """A run before it is driven: the limit and the optimal plan."""
+    made = run_figure()
+    values = {
+        0: stairs(section["limit_mps"], section["length_m"], KMH),
+        2: (plan["position_m"], kmh(plan["speed_mps"])),
+        7: (plan["position_m"], kwh(plan["energy_wheel_so_far_j"])),
     }
-    if plan:
-        values[2] = (plan["position_m"], kmh(plan["speed_mps"]))
-        values[7] = (plan["position_m"], kwh(plan["energy_wheel_so_far_j"]))
     for index, (x, y) in values.items():
         made["data"][index]["x"], made["data"][index]["y"] = list(x), list(y)
     return made
@@ -258,6 +251,32 @@ def sections_figure(journey: dict[str, Any]) -> Figure:
         yaxis=axis("energy (kWh)", domain=[0.54, 1.0], rangemode="tozero"),
         yaxis2=axis("reserve (%)", domain=[0.0, 0.44], rangemode="tozero"),
         margin={"l": 58, "r": 14, "t": 12, "b": 70},
+    )
+
+
+MOST = 6
+"""Trainsets of a convoy that are drawn."""
+
+
+def convoy_figure() -> Figure:
+    """Gaps, speed differences and speeds over time; filled by the browser."""
+    traces = []
+    for kind, where in (("gap", "y"), ("difference", "y2")):
+        for k in range(MOST):
+            style: Trace = {"dash": DASHES[(k + 1) % len(DASHES)], "yaxis": where, "showlegend": False}
+            colour = SERIES[(k + 1) % len(SERIES)]
+            traces.append(line(f"{kind} {k + 1} to {k + 2}", [], [], colour, **style))
+    for k in range(MOST):
+        style = {"dash": DASHES[k % len(DASHES)], "yaxis": "y3", "showlegend": k < 3}
+        name = "head" if k == 0 else f"trainset {k + 1}"
+        traces.append(line(name, [], [], SERIES[k % len(SERIES)], **style))
+    return figure(
+        traces,
+        560,
+        xaxis=axis("time since departure (s)", anchor="y3"),
+        yaxis=axis("gap (m)", domain=[0.66, 1.0], rangemode="tozero"),
+        yaxis2=axis("difference (km/h)", domain=[0.36, 0.6]),
+        yaxis3=axis("speed (km/h)", domain=[0.0, 0.3], rangemode="tozero"),
     )
 
 

@@ -12,15 +12,16 @@ TOP, HILL, RAIL = 24.0, 84.0, 104.0
 NARROW = 46.0
 
 
-def section_strip(section: dict[str, Any], trainset_length_m: float = 0.0) -> str:
+def section_strip(section: dict[str, Any], trainset_length_m: float = 0.0, behind_m: float = 0.0) -> str:
     """A section with a trainset that the browser moves.
 
     Args:
         section: As :class:`metropilot.web.answers.SectionOut`.
         trainset_length_m: Drawn to scale, its head at the origin; 0 draws none.
+        behind_m: Room for a convoy behind the origin, which the browser draws.
     """
-    length = section["length_m"]
-    frame = Frame(X0 + (X1 - X0) * trainset_length_m / (length + trainset_length_m), 0.0, length)
+    length, room = section["length_m"], max(trainset_length_m, behind_m)
+    frame = Frame(X0 + (X1 - X0) * room / (length + room), 0.0, length)
     root = _root(frame, 150.0)
     _hill(root, section["gradient_permil"], frame)
     _limits(root, section["limit_mps"], frame)
@@ -29,6 +30,7 @@ def section_strip(section: dict[str, Any], trainset_length_m: float = 0.0) -> st
         _stop(root, x, 5.0)
         _text(root, x - 6 if anchor == "start" else x + 6, 146.0, stop["name"], anchor, size=12)
     SubElement(root, "g", {"class": "mp-restrictions"})
+    SubElement(root, "g", {"class": "mp-convoy"})
     if trainset_length_m > 0:
         group = SubElement(root, "g", {"class": "mp-train"})
         drawn = max(frame.scale * trainset_length_m, 14.0)

@@ -27,6 +27,15 @@ from metropilot.web.work.plans import plan_out
 
 FILES = {
     "drive": ("trajectory.csv", "kpis.json", "profile.svg", "profile.png", "run.toml"),
+    "live": (
+        "trajectory.csv",
+        "kpis.json",
+        "profile.svg",
+        "profile.png",
+        "run.toml",
+        "run.json",
+        "convoy.svg",
+    ),
     "compare": ("comparison.json", "comparison.svg", "comparison.png", "run.toml"),
 }
 
