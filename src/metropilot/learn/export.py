@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -61,7 +62,9 @@ class _Graph:
         return name
 
 
-def export_onnx(policy: Policy, path: Path, *, probes: int = 1_000, seed: int = 0) -> ExportReport:
+def export_onnx(
+    policy: Policy, path: Path, *, about: Mapping[str, Any] | None = None, probes: int = 1_000, seed: int = 0
+) -> ExportReport:
     """Write a policy as ONNX: input ``observation`` (N, O), output ``action``, (N, A) or (N,) for choices.
 
     Choices come with a second output ``values`` (N, count), so that a filter can choose again.
@@ -69,6 +72,7 @@ def export_onnx(policy: Policy, path: Path, *, probes: int = 1_000, seed: int = 
     Args:
         policy: Of one seed.
         path: Where to.
+        about: What is known about it, for the file's metadata: one JSON string each.
         probes: Random observations on which graph and policy are compared.
         seed: Of those.
 
@@ -79,6 +83,8 @@ def export_onnx(policy: Policy, path: Path, *, probes: int = 1_000, seed: int = 
     if policy.spec.output == "table":
         raise InputError("a table has no ONNX graph", field="policy", value=policy.spec.output)
     model = build(onnx, policy)
+    told = {name: json.dumps(value, sort_keys=True) for name, value in (about or {}).items()}
+    onnx.helper.set_model_props(model, told)
     text = model.SerializeToString()
     session = _session(runtime, text)
     parity = _parity(policy, session, probes, seed)
