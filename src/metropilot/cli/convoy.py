@@ -75,7 +75,7 @@ def convoy_command(
     delay: Annotated[float, typer.Option(help="Time a message takes, s.", rich_help_panel=LINK)] = 0.0,
     jitter: Annotated[float, typer.Option(help="Most time on top of it, s.", rich_help_panel=LINK)] = 0.0,
     loss: Annotated[float, typer.Option(help="Share of messages lost.", rich_help_panel=LINK)] = 0.0,
-    dt: opt.Period = 0.2,
+    dt: opt.Period = 0.1,
     seed: opt.Seed = 0,
     out: opt.Out = None,
     as_json: opt.Json = False,

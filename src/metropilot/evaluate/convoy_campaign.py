@@ -26,9 +26,9 @@ Array = Any
 HARMFUL = ("full traction", "random", "bang-bang", "stuck", "late brake", "follow_gap")
 """What followers do, each a draw of its own."""
 HEADS = 24
-PERIODS = 190
+LONGEST_S = 34.0
 EMERGENCY_S = 6.0
-ROWS = 600
+ROWS_S = 120.0
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,7 @@ class Campaign:
         loss: Largest share of lost messages.
         silence: Share of cases in which the link falls silent at some moment.
         scatter_mps2: How much less than its rate an emergency brake may give.
+        dt: Control period.
         seed: Of everything random.
     """
 
@@ -65,6 +66,7 @@ class Campaign:
     loss: float = 0.5
     silence: float = 0.1
     scatter_mps2: float = 0.01
+    dt: float = 0.2
     seed: int = 0
 
 
@@ -119,16 +121,21 @@ class Arena:
         section = load_line(campaign.line).section(campaign.origin, campaign.destination)
         trainset = load_trainset(campaign.trainset)
         convoy = Convoy(
-            section, (trainset,) * campaign.count, guard=campaign.guard, mass_bounds=campaign.mass
+            section,
+            (trainset,) * campaign.count,
+            guard=campaign.guard,
+            mass_bounds=campaign.mass,
+            dt=campaign.dt,
         )
-        # A head brakes anywhere on the line, so its followers may be anywhere too: the map reaches far back.
-        self.dt = convoy.dt
+        self.dt, self.rows = convoy.dt, round(ROWS_S / convoy.dt)
         rows = members(convoy, np.float32)
         self.members: Member = to_jax(stacked(rows))
         ahead = (None, *rows[:-1])
         first = [at_departure(m, a, self.dt) for m, a in zip(rows, ahead, strict=True)]
         self.first: MemberState = to_jax(stacked(first))
-        heads = recordings(*replace(convoy, guard="coupled").leader(), self.dt, HEADS, campaign.seed, ROWS)
+        heads = recordings(
+            *replace(convoy, guard="coupled").leader(), self.dt, HEADS, campaign.seed, self.rows
+        )
         self.heads = to_jax(stacked(heads))
         self.follower = FOLLOWERS.make("follow_gap")
         memory = [self.follower.init(m.believed, self.dt) for m in rows]
@@ -267,14 +274,16 @@ class Arena:
             shares, memory = self._shares(
                 case, sights(convoy, states, now, dt), states, memory, last, draw, now
             )
-            head = self.heads.command[case.row, jnp.minimum(case.period + k, ROWS - 1)]
+            head = self.heads.command[case.row, jnp.minimum(case.period + k, self.rows - 1)]
             wanted = jnp.where(convoy.is_head, head, shares)
             alarm = convoy.is_head & (now >= case.emergency_s)
             states = advanced(convoy, states, wanted, alarm, now, dt)
             return (states, memory, wanted, jnp.minimum(least, jnp.min(gaps_m(convoy, states)))), None
 
         begin = (states, self.memory, case.share, jnp.float32(jnp.inf))
-        (states, _, _, least), _ = jax.lax.scan(body, begin, jnp.arange(PERIODS, dtype=jnp.int32))
+        (states, _, _, least), _ = jax.lax.scan(
+            body, begin, jnp.arange(round(LONGEST_S / self.dt), dtype=jnp.int32)
+        )
         braked = 0 if states.watched is None else jnp.sum(states.watched.emergencies[1:])
         return least, start, speed, jnp.asarray(braked), jnp.all(states.plant.speed_mps <= 0.0)
 
@@ -295,7 +304,7 @@ class Arena:
         good, memory = jax.vmap(self.follower.act)(memory, seen)
         full = jnp.ones_like(last)
         noise = 2.0 * draw[:, 2] - 1.0
-        bang = jnp.where(draw[:, 3] < 0.1, jnp.sign(noise), last)
+        bang = jnp.where(draw[:, 3] < 0.05, jnp.sign(noise), last)
         late = jnp.where(seen.gap_m < 3.0, -1.0, 1.0)
         del now, states
         ways = jnp.stack([full, noise, bang, case.share, late, good])

@@ -15,14 +15,13 @@ from metropilot.task.convoy_batch import advanced, exchanged, gaps_m, sights, st
 from metropilot.task.convoy_gains import chen2023b_state, gains_of
 from metropilot.task.convoy_leaders import recordings
 from metropilot.task.convoy_link import Message, Quality, opened
-from metropilot.task.convoy_members import FAR_M, GAP_M, Convoy, Member, loaded, members
+from metropilot.task.convoy_members import CONVOY_PERIOD_S, FAR_M, GAP_M, Convoy, Member, loaded, members
 from metropilot.task.convoy_step import MemberState, at_departure
 from metropilot.task.incremental_pid import Errors, incremental_pid
 from metropilot.task.interface import AbstractTask, ActionSpace, Transition
-from metropilot.task.run import CONTROL_PERIOD_S
 
 Array = Any
-ROWS = 600
+ROWS = 1200
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class ConvoyTaskConfig:
     loss: float = 0.15
     on_the_way: float = 0.7
     emergency: float = 0.0
-    dt: float = CONTROL_PERIOD_S
+    dt: float = CONVOY_PERIOD_S
     seed: int = 0
 
 
@@ -157,7 +156,9 @@ class ConvoyTask(AbstractTask):
         state = self._exchange(state, jnp.ones((2, 2), f32))
         return state, self._observe(state)
 
-    def begin(self, row: int, mass: float = 1.0, quality: Quality | None = None) -> tuple[FollowState, Array]:
+    def begin(
+        self, row: Array, mass: float = 1.0, quality: Quality | None = None
+    ) -> tuple[FollowState, Array]:
         """An undisturbed episode from standstill behind one of the heads."""
         import jax.numpy as jnp
 

@@ -123,7 +123,7 @@ def restless_speeds(habits: Restless, random: np.random.Generator, dt: float) ->
 
 
 def recordings(
-    section: Section, trainset: Trainset, dt: float, count: int, seed: int, rows: int = 600
+    section: Section, trainset: Trainset, dt: float, count: int, seed: int, rows: int = 1200
 ) -> list[Recording]:
     """Heads to learn behind: a third S-curves of different times, the rest restless ones.
 

@@ -11,7 +11,7 @@ from metropilot.errors import InputError
 from metropilot.physics.arrays import namespace
 
 Array = Any
-SLOTS = 16
+SLOTS = 32
 """Messages that can be on their way at once: one a control period."""
 EARLY_S = 1e-4
 

@@ -15,11 +15,12 @@ from metropilot.railway import Section, Trainset
 from metropilot.railway.profile import Steps
 from metropilot.task.convoy_link import Link, Quality
 from metropilot.task.guard import MASS
-from metropilot.task.run import CONTROL_PERIOD_S
 
 Array = Any
 Guard = Literal["coupled", "independent", "moving_block", "none"]
 GUARDS: tuple[Guard, ...] = get_args(Guard)
+CONVOY_PERIOD_S = 0.1
+"""Control period of a convoy. What a PID on the speed difference leaves of the gap grows with it."""
 GAP_M = 5.92
 """Chen23b table 1: initial gap."""
 HEAD_MPS2, TAIL_MPS2, STEP_MPS2 = 0.8, 1.15, 0.35
@@ -65,7 +66,7 @@ class Convoy:
     resistance_factors: tuple[float, ...] = ()
     adhesion: tuple[float, ...] = ()
     mass_bounds: tuple[float, float] = MASS
-    dt: float = CONTROL_PERIOD_S
+    dt: float = CONVOY_PERIOD_S
 
     def __post_init__(self) -> None:
         count = len(self.trainsets)
