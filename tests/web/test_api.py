@@ -124,6 +124,19 @@ def test_a_bad_upload_names_the_field(server, tmp_path):
     assert odd.status_code == 422
 
 
+@pytest.mark.parametrize("path", ["/", "/compare", "/journey", "/convoy", "/learn", "/lines"])
+def test_pages_are_there_and_load_nothing_from_elsewhere(server, path):
+    answer = server.client.get(path)
+    assert answer.status_code == 200
+    assert "default-src 'self'" in answer.headers["content-security-policy"]
+    assert "metropilot" in answer.text
+
+
+def test_what_is_no_route_is_told_in_the_same_shape(server):
+    refused(server.get("/api/nowhere", code=404), "path")
+    refused(server.post("/api/lines", {}, code=404), "path")
+
+
 def test_no_other_file_is_readable(server):
     for path in ("/api/jobs/x/files/..%2F..%2Fconsole.sqlite", "/static/../server.py", "/console.sqlite"):
         answer = server.client.get(path)

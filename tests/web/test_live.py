@@ -83,6 +83,24 @@ def test_a_run_waits_and_is_bounded_in_number(server):
         watch(server, live)
 
 
+def test_a_convoy_keeps_apart_when_its_head_brakes(server):
+    asked = {**SECTION, "time_s": 120, "trainsets": 2, "pace": 10}
+    live = server.post("/api/convoys", asked, code=201)["id"]
+    seen = watch(server, live, until=lambda kind, data: kind == "rows" and data["rows"][-1][0] > 15)
+    server.post(f"/api/live/{live}/link", {"loss": 0.5, "delay_s": 0.3})
+    server.post(f"/api/live/{live}/emergency")
+    assert (
+        server.post(f"/api/live/{live}/arrival", {"scheduled_time_s": 500}, code=422)["error"]["field"]
+        == "kind"
+    )
+    rest = watch(server, live, after=seen[-1][0])
+    words = [data["words"] for _, kind, data in rest if kind == "event"]
+    assert words == ["link: 0.3 s late, 0 s uneven, 50 % lost", "the head makes an emergency brake"]
+    result = next(data for _, kind, data in rest if kind == "result")
+    assert result["kpis"]["contacts"] == 0
+    assert 0 < result["kpis"]["gap_min_m"] < 5.93
+
+
 def test_runs_survive_the_server(tmp_path):
     first = Server(tmp_path)
     live = first.post("/api/live", {**SECTION, "pace": 10}, code=201)["id"]

@@ -13,9 +13,11 @@ from metropilot.web import errors
 from metropilot.web.answers import Health
 from metropilot.web.api import catalogue, jobs, live, planning
 from metropilot.web.guard import Guard
+from metropilot.web.refused import Refused
 from metropilot.web.service import Service
 from metropilot.web.settings import Settings
 
+METHODS = ("GET", "POST", "PUT", "PATCH", "DELETE")
 SUMMARY = """Drive, compare, plan and learn over HTTP. SI units, in the names of the fields.
 
 Every error is `{"error": {"message", "file", "field", "value", "unit", "allowed"}}`."""
@@ -60,6 +62,12 @@ def make_api(service: Service) -> FastAPI:
 
     for module in (catalogue, planning, jobs, live):
         app.include_router(module.routes(service), prefix="/api")
+
+    @app.api_route("/api/{rest:path}", methods=list(METHODS), include_in_schema=False)
+    def nowhere(rest: str) -> None:
+        """What is no route of ours is no page either."""
+        raise Refused("no such route", 404, field="path", value=f"/api/{rest}"[:200])
+
     return app
 
 

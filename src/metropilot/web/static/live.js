@@ -156,7 +156,7 @@
       const best = plan && at(plan.position_m, plan.energy_wheel_j, last.position_m);
       this.set("against", best > 36000 ? `${((last.energy_wheel_j / best - 1) * 100).toFixed(1)}` : "–", "%");
       this.set("level", scene.levels[last.level] === "none" ? "watching" : scene.levels[last.level]);
-      this.part("level").className = last.level ? "mp-fail" : "";
+      this.part("level").className = last.level ? "v mp-fail" : "v";
       const train = this.root.querySelector(".mp-train"), svg = train && train.closest("svg");
       if (train) train.style.transform = `translateX(${(+svg.dataset.scale * last.position_m).toFixed(2)}px)`;
       const slider = this.part("slider");
