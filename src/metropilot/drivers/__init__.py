@@ -9,6 +9,7 @@ from metropilot.drivers import (  # noqa: F401 (importing a driver's file regist
     neural_pid,
     optimal,
     pid,
+    pid_lu2023,
     shipped,
 )
 from metropilot.drivers.base import AbstractDriver, DriverRegistry, register

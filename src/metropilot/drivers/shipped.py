@@ -145,3 +145,31 @@ class PpoScaled(AbstractShippedDriver):
     id: ClassVar[str] = "ppo_scaled"
     summary: ClassVar[str] = "Learned by PPO with reward scaling for RJ to WYJ, every load, up to 130 s"
     source: ClassVar[str] = "own, after Chen23a"
+
+
+@final
+@register_shipped
+class Dqn(AbstractShippedDriver):
+    """Learned by plain DQN over Lu23's twelve notches, without the filter, for 118 to 142 s.
+
+    Args:
+        options: Another policy.
+    """
+
+    id: ClassVar[str] = "dqn"
+    summary: ClassVar[str] = "Learned by DQN over twelve notches for lu2023 WHY to WYJ, 118 to 142 s"
+    source: ClassVar[str] = "Lu23"
+
+
+@final
+@register_shipped
+class ImprovedDqn(AbstractShippedDriver):
+    """Learned by double dueling DQN with prioritised replay, its choices filtered by minimum arrival time.
+
+    Args:
+        options: Another policy.
+    """
+
+    id: ClassVar[str] = "improved_dqn"
+    summary: ClassVar[str] = "Learned by improved DQN over twelve notches for lu2023 WHY to WYJ, 118 to 142 s"
+    source: ClassVar[str] = "Lu23"

@@ -14,7 +14,12 @@ from metropilot.studies.circumstances import circumstances
 from metropilot.studies.report import Report
 from metropilot.studies.study import Order, Study
 
-STUDIES: Mapping[str, str] = MappingProxyType({})
+STUDIES: Mapping[str, str] = MappingProxyType(
+    {
+        "cheng2023": "Tracking a reference: DDPG-PID against PID, fuzzy and neural PID",
+        "lu2023": "Driving by twelve notches: improved DQN against DQN, ablation, optimum over the notches",
+    }
+)
 """Id of each study, and what it is in one line. Its module ``metropilot.studies.ID`` offers ``STUDY``."""
 
 

@@ -287,7 +287,9 @@ class DrivingTask(AbstractTask):
         import jax
         import jax.numpy as jnp
 
-        chance, place, speed = jax.random.uniform(jax.random.fold_in(key, 1), (3,), jnp.float32)
+        ratio = self.config.scenarios.left_ratio
+        shares = jax.random.uniform(jax.random.fold_in(key, 1), (3 if ratio is None else 4,), jnp.float32)
+        chance, place, speed = shares[0], shares[1], shares[2]
         length = self.rows.case(start.case).length_m
         position = 0.9 * length * place
         permitted = self.rows.ground_at(PERMITTED, start.case, position)
@@ -295,7 +297,10 @@ class DrivingTask(AbstractTask):
         speed = speed * jnp.maximum(jnp.minimum(permitted - 1.0, stops), 0.0)
         to_go = self.rows.to_go_s(start.case, length - position, length, speed)
         whole = jnp.asarray(self.rows.tables.minimum_s)[start.case]
-        left = to_go * start.scheduled_s / whole
+        if ratio is None:
+            left = to_go * start.scheduled_s / whole
+        else:
+            left = to_go * (ratio[0] + (ratio[1] - ratio[0]) * shares[3])
         moved = start._replace(position_m=position, speed_mps=speed, time_s=start.scheduled_s - left)
         here = chance < self.config.scenarios.on_the_way
         return jax.tree.map(lambda a, b: jnp.where(here, a, b), moved, start)
