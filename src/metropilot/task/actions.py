@@ -51,6 +51,11 @@ class AbstractAction(ABC):
         del sight, period_s
         return None
 
+    def held(self, sight: Sight, action: Array, command: Array) -> Array:
+        """The command later in the same decision: by default as decided; a force is held, not its share."""
+        del sight, action
+        return command
+
     def settled(self, sight: Sight, command: Array) -> Array:
         """The command that is given where assists have made another of it; a notch may have to be met."""
         del sight
@@ -198,6 +203,11 @@ class NotchForceAction(AbstractAction):
         """The notch, as far as it is available."""
         del period_s
         return limited_force(sight, sight.xp.asarray(self.notches_n, np.float32)[action])
+
+    def held(self, sight: Sight, action: Array, command: Array) -> Array:
+        """The same force at another speed."""
+        del command
+        return self.command(sight, action, 0.0)
 
     def allowed(self, sight: Sight, period_s: float) -> Array | None:
         """Choices after which there is still time to arrive; the strongest is always one of them.

@@ -153,7 +153,7 @@ class DrivingTask(AbstractTask):
         def period(carry: tuple[DriveState, Array, Array], k: Array) -> tuple[Any, None]:
             now, overruled, overspeed = carry
             noise = jax.random.fold_in(key, k) if config.scenarios.speed_noise_mps[1] > 0 else key
-            now, over, excess = self._period(noise, now, case, wanted)
+            now, over, excess = self._period(noise, now, case, (action, wanted))
             return (now, overruled + over, jnp.maximum(overspeed, excess)), None
 
         carry = state, jnp.zeros((), jnp.float32), jnp.zeros((), jnp.float32)
@@ -221,7 +221,7 @@ class DrivingTask(AbstractTask):
         )
 
     def _period(
-        self, key: Array, state: DriveState, case: Tables, wanted: Array
+        self, key: Array, state: DriveState, case: Tables, decided: tuple[Array, Array]
     ) -> tuple[DriveState, Array, Array]:
         """One control period; also whether protection overruled the command, and the largest overspeed."""
         import jax.numpy as jnp
@@ -229,6 +229,7 @@ class DrivingTask(AbstractTask):
         config, plant, start = self.config, state.plant, state.start
         dt = jnp.float32(config.dt)
         sight = self.sight(state, case)
+        wanted = config.action.held(sight, *decided)
         command, stopping = assisted(config.assists, sight, wanted, state.stopping, config.dt)
         command = config.action.settled(sight, command)
         near = near_protection(self.rows, case.protection, start.case, plant.position_m)
