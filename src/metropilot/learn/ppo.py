@@ -1,8 +1,8 @@
 """Proximal policy optimisation: rollouts of many environments, epochs of minibatches.
 
 Source: Schulman et al. 2017.
-Deviations from the paper, all common: advantages normalised per minibatch, orthogonal weights with a small
-last layer, gradients clipped, Adam's epsilon 1e-5, separate networks for policy and value.
+Deviations from the paper, all common: advantages normalised per minibatch (a switch), orthogonal weights with
+a small last layer, gradients clipped, Adam's epsilon 1e-5, separate networks for policy and value.
 """
 
 from __future__ import annotations
@@ -236,7 +236,9 @@ class PPO(AbstractLearner[PPOConfig]):
         log_prob, entropy = density(both, fields["observation"], fields["action"], mask)
         value = jax.vmap(self._value, (None, 0))(both, fields["observation"])
         old = fields["log_prob"][:, 0]
-        advantage = losses.normalised(fields["advantage"][:, 0])
+        advantage = fields["advantage"][:, 0]
+        if config.normalise_advantages:
+            advantage = losses.normalised(advantage)
         policy_loss = losses.policy_loss(log_prob, old, advantage, value_at(config.clip, progress))
         value_loss = losses.value_loss(value, fields["target"][:, 0])
         bonus = jnp.mean(entropy)

@@ -16,6 +16,7 @@ from metropilot.studies.study import Order, Study
 
 STUDIES: Mapping[str, str] = MappingProxyType(
     {
+        "chen2023a": "Driving by position and speed: PPO with reward scaling against PPO and DDPG",
         "cheng2023": "Tracking a reference: DDPG-PID against PID, fuzzy and neural PID",
         "lu2023": "Driving by twelve notches: improved DQN against DQN, ablation, optimum over the notches",
     }
