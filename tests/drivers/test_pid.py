@@ -15,7 +15,7 @@ from metropilot.task import News, Outcome, Run, Scenario
 from metropilot.task.incremental_pid import Errors, Gains, incremental_pid
 
 UNKNOWN = {"resistance_factor": 1.5, "extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
-TRACKERS = ["pid", "fuzzy_pid", "neural_pid"]
+TRACKERS = ["pid", "fuzzy_pid", "neural_pid", "ddpg_pid"]
 
 
 def section(name):

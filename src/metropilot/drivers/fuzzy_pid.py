@@ -85,14 +85,14 @@ ASSUMED = Universes(0.5, 0.1, 1.0, 0.15, 0.1)
 """The textbook's universes scaled to a metro's speed errors: assumed."""
 TUNED: Mapping[str, float] = MappingProxyType(
     {
-        "kp": 4.987,
-        "ki": 1.5,
-        "kd": 1.162,
-        "error_mps": 0.4476,
-        "change_mps": 0.4046,
-        "kp_span": 0.4123,
-        "ki_span": 0.0618,
-        "kd_span": 0.6874,
+        "kp": 4.634,
+        "ki": 1.4992,
+        "kd": 0.2040,
+        "error_mps": 0.5534,
+        "change_mps": 0.00935,
+        "kp_span": 2.2557,
+        "ki_span": 0.00658,
+        "kd_span": 0.7666,
     }
 )
 """Found on the base scenario of Cheng23 by differential evolution, 1200 runs

@@ -51,12 +51,12 @@ class Rates(NamedTuple):
 TEXTBOOK = Rates(0.28, 0.04, 1.0)
 TUNED: Mapping[str, float] = MappingProxyType(
     {
-        "kp": 3.991,
-        "ki": 1.333,
-        "kd": 1.253,
-        "learning_rate": 8.672,
-        "momentum": 0.7549,
-        "error_mps": 0.03349,
+        "kp": 4.835,
+        "ki": 1.3242,
+        "kd": 0.2075,
+        "learning_rate": 5.611,
+        "momentum": 0.06274,
+        "error_mps": 0.01072,
     }
 )
 """Found on the base scenario of Cheng23 by differential evolution, 1200 runs of three networks

@@ -13,7 +13,7 @@ from metropilot.task import Run
 from metropilot.task.incremental_pid import CHENG2023_GAINS, Errors, Gains, incremental_pid
 from metropilot.task.tracking import Tracked
 
-TUNED: Mapping[str, float] = MappingProxyType({"kp": 4.999, "ki": 1.5, "kd": 0.790})
+TUNED: Mapping[str, float] = MappingProxyType({"kp": 4.986, "ki": 1.4996, "kd": 0.1019})
 """Found on the base scenario of Cheng23 by differential evolution, 1200 runs
 (:func:`metropilot.evaluate.tracking_tuning.tune`)."""
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from metropilot.studies.cheng2023.remarks import DEVIATIONS, remarks
 from metropilot.studies.cheng2023.tuned import TUNED
 from metropilot.studies.report import Report, Row
 from metropilot.studies.study import Order
+
+if TYPE_CHECKING:
+    from metropilot.studies.learning import LearnJob
 
 SEEDS = 5
 TITLE = "Tracking a reference: DDPG-PID against PID, fuzzy and neural PID (Cheng et al. 2023)"
@@ -63,18 +66,24 @@ def _made(order: Order) -> tuple[dict[int, Callable[[Any], Any]], Mapping[str, M
 
         return {0: load_gains_policy(shipped_policy("ddpg_pid"))}, TUNED
     from metropilot.evaluate.tracking_tuning import TUNABLE, tune
-    from metropilot.studies.cheng2023.learning import JOB, REWARDS, config, evaluation, task
-    from metropilot.studies.learning import LearnJob, learn_seeds
+    from metropilot.studies.learning import learn_seeds
 
-    about = {"rewards": repr(REWARDS)}
     seeds = order.choose_seeds(quick=1, paper=SEEDS)
-    jobs = [LearnJob(JOB, config(), task, seed, evaluation, about) for seed in seeds]
-    results = learn_seeds(jobs, order.folder, order.processes, order.say)
+    results = learn_seeds(jobs(seeds), order.folder, order.processes, order.say)
     tuned = {}
     for driver in TUNABLE:
         tuned[driver] = tune(driver, course()).values
         order.say(f"{driver} tuned")
     return {result.job.seed: result.policy for result in results}, tuned
+
+
+def jobs(seeds: Iterable[int]) -> list[LearnJob]:
+    """The learning runs of the study, one a seed."""
+    from metropilot.studies.cheng2023.learning import JOB, REWARDS, config, evaluation, task
+    from metropilot.studies.learning import LearnJob
+
+    about = {"rewards": repr(REWARDS)}
+    return [LearnJob(JOB, config(), task, seed, evaluation, about) for seed in seeds]
 
 
 def _raced(
