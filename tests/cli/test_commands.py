@@ -172,7 +172,12 @@ def test_nothing_asked_shows_the_help(metropilot):
     assert "Commands" in said.out
 
 
-ELSEWHERE = ("--from", "import", ".toml", "metropilot reproduce", "metropilot learn", "metropilot serve")
+ELSEWHERE = (
+    "--from",
+    "import",
+    ".toml",
+    *(f"metropilot {c}" for c in ("campaign", "reproduce", "learn", "serve")),
+)
 """Examples that need a file, or learn for minutes: the tests of their own packages run those."""
 
 
