@@ -25,6 +25,7 @@ from metropilot.evaluate.campaign import (
     summarise,
 )
 from metropilot.evaluate.campaign.declared import drawn, from_text, request_of, seed_of
+from metropilot.evaluate.campaign.leaderboard import write_leaderboard
 from metropilot.evaluate.campaign.rows import RESULTS, TIMINGS, Shard, parquet
 from metropilot.evaluate.campaign.store import Store
 from metropilot.evaluate.campaign.summary import collect, median_ranks, share_interval
@@ -224,8 +225,11 @@ def test_any_number_of_workers_gives_the_same_bits(tmp_path):
 
 def test_the_command_drives_reports_and_says_how_to_drive_the_worst_again(tmp_path, capsys):
     text = FILE.replace(', "optimal:reserve_s=1"', "").replace("RJ WYJ", "WHY YZQ").replace('"planned", ', "")
-    out = tmp_path / "out"
-    assert command("campaign", written(tmp_path, text), "--out", out, "--workers", 1, "--json") == 0
+    out, board = tmp_path / "out", tmp_path / "board.md"
+    more = ("--workers", 1, "--write-docs", board, "--json")
+    assert command("campaign", written(tmp_path, text), "--out", out, *more) == 0
+    assert "| `flat_out` | 1 | 1 of 1 |" in board.read_text()
+    assert "| WHY-YZQ |" in board.read_text()
     summary = json.loads(capsys.readouterr().out)
     assert (summary["rows"], summary["done"], summary["sitting"]["driven"]) == (1, 1, 1)
     assert summary["drivers"][0]["arrived"] == 1
@@ -251,6 +255,8 @@ def test_a_driver_that_breaks_down_is_a_failure_and_no_end(tmp_path, monkeypatch
     (row,) = summarise(tmp_path)["drivers"]
     assert (row["runs"], row["failed"], row["successes"], row["gap_median"]) == (2, 2, 0, None)
     assert "ZeroDivisionError: nobody home" in summarise(tmp_path)["worst"][0]["error"]
+    write_leaderboard(tmp_path / "board.md", tmp_path, summarise(tmp_path), 1.0, "metropilot campaign small")
+    assert "`flat_out` on WHY-YZQ AW2, as told: ZeroDivisionError" in (tmp_path / "board.md").read_text()
 
 
 def test_a_time_nobody_can_keep_is_counted_apart(tmp_path):

@@ -85,11 +85,11 @@ class _Saying:
         self.campaign, self.next_s = campaign, SAY_EVERY_S
 
     def __call__(self, progress: Progress) -> None:
-        if progress.seconds < self.next_s and progress.rows < progress.total:
+        if progress.seconds < self.next_s:
             return
         self.next_s = progress.seconds + SAY_EVERY_S
         rate = progress.driven / max(progress.seconds, 1e-9)
-        left = (progress.total - progress.rows) / rate
+        left = (progress.total - progress.rows) / max(rate, 1e-9)
         sys.stderr.write(
             f"{progress.rows} of {progress.total} runs, {rate:.1f} a second, {left:.0f} s left, "
             f"{progress.memory_mb:.0f} MB\n"

@@ -230,7 +230,7 @@ def pareto_figure(medians: Sequence[Mapping[str, Any]], cloud: Sequence[Mapping[
         marker = "osD^vP*X"[(k // len(SERIES) + k) % 8]
         points = [row for row in cloud if row["driver"] == driver]
         left.scatter(
-            [p["at"] for p in points], [p["used"] for p in points], s=3, alpha=0.15, color=colour, lw=0
+            [p["at"] for p in points], [p["used"] for p in points], s=7, alpha=0.3, color=colour, lw=0
         )
         rows = sorted((row for row in medians if row["driver"] == driver), key=lambda row: row["at"])
         at = [row["at"] for row in rows]
@@ -246,9 +246,9 @@ def pareto_figure(medians: Sequence[Mapping[str, Any]], cloud: Sequence[Mapping[
             at, ratio, yerr=ends, color=colour, ls=dashes, marker=marker, ms=4, capsize=2, label=driver
         )
     best = sorted((row["at"], row["best"]) for row in medians)
-    left.plot(*zip(*best, strict=True), color=GREY, lw=0.9, label="optimum", zorder=1)
+    left.scatter(*zip(*best, strict=True), s=22, marker="_", color=GREY, label="optimum", zorder=4)
     left.set(xlabel="running time over the minimum", ylabel="energy, Wh per tonne and km")
     right.set(xlabel="running time over the minimum", ylabel="above the optimum, %")
     right.axhline(0.0, color=GREY, lw=0.9)
-    left.legend(ncols=2)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=6)
     return figure
