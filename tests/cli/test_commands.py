@@ -176,7 +176,7 @@ ELSEWHERE = (
     "--from",
     "import",
     ".toml",
-    *(f"metropilot {c}" for c in ("campaign", "reproduce", "learn", "serve")),
+    *(f"metropilot {c}" for c in ("campaign", "reproduce", "learn", "export", "serve")),
 )
 """Examples that need a file, or learn for minutes: the tests of their own packages run those."""
 
