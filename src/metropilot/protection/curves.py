@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
+from typing import Any
+
 import numpy as np
 from numpy import ndarray
 from numpy.lib.stride_tricks import sliding_window_view
@@ -23,6 +26,10 @@ SERVICE_OVER_MPS2 = 0.4
 reaction: less than the braking in flight gains on the emergency curve, so that it spares that brake."""
 SERVICE_LATE_MPS2 = 0.1
 """And this much for every second of delay and lag, in which a driver's effort trails a changing gradient."""
+
+
+_RECENT: deque[tuple[Any, ...]] = deque(maxlen=4)
+"""What was asked for last, and the answer: a driver asks for what its host has just asked for."""
 
 
 def protect(
@@ -52,6 +59,25 @@ def protect(
     Raises:
         InputError: The section is too long for the grid, or the look-ahead for its spacing.
     """
+    more = (bounds, stop_at_m, dtype, spacing_m, before_m)
+    for known_section, known_trainset, known, answer in tuple(_RECENT):
+        if known_section is section and known_trainset is trainset and known == more:
+            return answer
+    answer = _protect(section, trainset, *more)
+    _RECENT.append((section, trainset, more, answer))
+    return answer
+
+
+def _protect(
+    section: Section,
+    trainset: Trainset,
+    bounds: Bounds,
+    stop_at_m: float | None,
+    dtype: type,
+    spacing_m: float,
+    before_m: float,
+) -> Protection:
+    """:func:`protect`, computed."""
     vehicle = vehicle_arrays(trainset)
     rates, usual = _rates(bounds), _service_rates(trainset, vehicle, bounds)
     field = ground(section, trainset, stop_at_m, spacing_m, bounds.resistance[0], before_m)
