@@ -17,6 +17,7 @@ from metropilot.studies.study import Order, Study
 STUDIES: Mapping[str, str] = MappingProxyType(
     {
         "chen2023a": "Driving by position and speed: PPO with reward scaling against PPO and DDPG",
+        "chen2023b": "Following in virtual coupling: SAC-PID against DDPG-PID, and what keeps convoys apart",
         "cheng2023": "Tracking a reference: DDPG-PID against PID, fuzzy and neural PID",
         "lu2023": "Driving by twelve notches: improved DQN against DQN, ablation, optimum over the notches",
     }

@@ -18,7 +18,7 @@ from metropilot.task.convoy_members import GAP_M
 TABLE = "Beyond the paper: "
 PERIODS_S = (4.0, 6.0, 10.0, 16.0, 25.0, 40.0)
 CAMPAIGNS = {
-    "quick": ((2, "coupled", 2_000), (2, "none", 2_000)),
+    "quick": ((2, "coupled", 2_000),),
     "paper": ((2, "coupled", 60_000), (4, "coupled", 30_000), (8, "coupled", 10_000), (2, "none", 4_000)),
 }
 SPEED_MPS = 60.0 / 3.6

@@ -76,7 +76,7 @@ def evaluation(algorithm: str, budget: str, made: AbstractTask) -> Callable[[Any
     heads, wanted = made.count, made.config.gap_m
 
     def evaluate(params: Mapping[str, Any], key: Any) -> dict[str, Any]:  # noqa: ANN401 (a JAX key)
-        state, seen = jax.vmap(lambda row: made.begin(row))(jnp.arange(heads))
+        state, seen = jax.vmap(made.begin)(jnp.arange(heads))
 
         def one(carry: Any, k: Any) -> tuple[Any, None]:  # noqa: ANN401 (pytrees)
             state, seen, alive, worst, apart, total = carry

@@ -31,16 +31,17 @@ CASE = "2 trainsets, YZQ–WHY"
 
 
 def reproduce(order: Order) -> Report:
-    """Figures 3 to 9 and beyond; quick: shipped policies, one short learning run for the curves."""
+    """Figures 3 to 9 and beyond; quick: figures 7 to 9 with the shipped policies, nothing learned."""
     from metropilot.studies.learning import learn_seeds
 
     seeds = order.choose_seeds(quick=1, paper=5)
     eta = order.options["eta"]
     runs: dict[str, list[SeedResult]] = {}
-    todo = [job for algorithm in NAMES for job in jobs(algorithm, order.budget, eta, seeds)]
-    found = learn_seeds(todo, order.folder, order.processes, order.say)
-    for k, algorithm in enumerate(NAMES):
-        runs[algorithm] = list(found[k * len(seeds) : (k + 1) * len(seeds)])
+    if not _shipped(order):
+        todo = [job for algorithm in NAMES for job in jobs(algorithm, order.budget, eta, seeds)]
+        found = learn_seeds(todo, order.folder, order.processes, order.say)
+        for k, algorithm in enumerate(NAMES):
+            runs[algorithm] = list(found[k * len(seeds) : (k + 1) * len(seeds)])
     drivers = _drivers(order, runs)
     order.say("driving")
     drives = {name: [_driven(each) for each in each_seed] for name, each_seed in drivers.items()}
@@ -48,7 +49,7 @@ def reproduce(order: Order) -> Report:
     rows += _learning_rows(runs, order.budget)
     first = {name: each[0] for name, each in drivers.items()}
     shown = {name: each[0] for name, each in drives.items()}
-    rows += rough_rows(first, (2, 4, 8) if order.budget == "paper" else (2, 4))
+    rows += rough_rows(first, (2, 4, 8) if order.budget == "paper" else (2,))
     gains = stability(first, 5)
     rows += _stability_rows(gains)
     order.say("attacking")
@@ -66,6 +67,12 @@ def reproduce(order: Order) -> Report:
     )
 
 
+def _shipped(order: Order) -> bool:
+    """Whether the shipped policies drive: in the quick study with its own eta."""
+    there = all(name in FOLLOWERS.ids() for name in NAMES.values())
+    return order.budget == "quick" and order.options["eta"] == "soft" and there
+
+
 def _drivers(order: Order, runs: dict[str, list[SeedResult]]) -> dict[str, list[AbstractFollower]]:
     """Every follower: learned ones as shipped, or one a seed; the others once."""
     from metropilot.drivers.followers.ddpg_pid_follow import DdpgPidFollow
@@ -74,8 +81,7 @@ def _drivers(order: Order, runs: dict[str, list[SeedResult]]) -> dict[str, list[
     kinds: dict[str, Any] = {"sac": SacPid, "ddpg": DdpgPidFollow}
     made: dict[str, list[AbstractFollower]] = {}
     for algorithm, name in NAMES.items():
-        shipped = order.budget == "quick" and name in FOLLOWERS.ids()
-        paths = [""] if shipped else [str(_folder(order.folder, run)) for run in runs[algorithm]]
+        paths = [""] if _shipped(order) else [str(_folder(order.folder, run)) for run in runs[algorithm]]
         made[name] = [kinds[algorithm](FollowPolicyOptions(path)) for path in paths]
     return made | {name: [FOLLOWERS.make(name)] for name in SIMPLE}
 
@@ -137,7 +143,7 @@ def _figures(
 ) -> list[Figure]:
     histories = {NAMES[algorithm]: [run.history for run in each] for algorithm, each in runs.items()}
     losses = {"sac_pid": "actor_loss", "ddpg_pid_follow": "loss"}
-    return [
+    curves = [
         Figure(
             "rewards",
             "Figs. 3 and 4: return of the episodes while learning, one line a seed.",
@@ -148,6 +154,9 @@ def _figures(
             "Figs. 5 and 6: policy loss of SAC, critic loss of DDPG, one line a seed.",
             lambda: figures.learning(histories, losses, "loss"),
         ),
+    ]
+    return [
+        *(curves if runs else ()),
         Figure(
             "profiles",
             "Fig. 7: speed of both trainsets under SAC-PID.",
