@@ -162,3 +162,15 @@ def test_assists_are_met_by_notches():
         NotchForceAction((-1.0, 1.0))
     with pytest.raises(InputError, match="margin"):
         NotchForceAction(margin=-0.1)
+
+
+def test_a_notch_is_held_as_a_force():
+    action = NotchForceAction()
+    slow, fast = lu2023_sight(speed_mps=F(16.0)), lu2023_sight(speed_mps=F(18.0))
+    share = action.command(slow, np.array(6), 3.0)
+    later = float(action.held(fast, np.array(6), share))
+    assert later > float(share)
+    assert later * float(effort_at(fast.vehicle, F(18.0)).traction_n) == pytest.approx(34e3, abs=1.0)
+    assert float(action.settled(fast, F(later))) == pytest.approx(later)
+    # a command stays what was decided
+    assert RegimeAction().held(fast, np.array([1.0]), F(0.3)) == 0.3

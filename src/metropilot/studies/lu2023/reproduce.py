@@ -12,6 +12,7 @@ from metropilot.studies.lu2023.drives import (
     arrival_rows,
     driven,
     learned_driver,
+    shipped_for,
     tracked,
 )
 from metropilot.studies.lu2023.figures import figures_of

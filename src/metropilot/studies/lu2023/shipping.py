@@ -40,9 +40,7 @@ def _shortfall(result: SeedResult, plans: Sequence[PlanCase]) -> float:
 COMMAND = "metropilot reproduce lu2023 --budget paper"
 
 
-def keep_policy(
-    path: Path, result: SeedResult, plans: Sequence[PlanCase], command: str = COMMAND
-) -> None:
+def keep_policy(path: Path, result: SeedResult, plans: Sequence[PlanCase], command: str = COMMAND) -> None:
     """Write a policy with its perception, so that any driver of policies drives it."""
     from metropilot.drivers.policy.policy_file import save_policy
     from metropilot.studies.circumstances import circumstances
