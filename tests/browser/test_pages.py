@@ -17,7 +17,7 @@ def test_compare(visit):
     second = page.locator('[data-test="second"]')
     expect(second).to_contain_text("The next second saves", timeout=PATIENCE_MS)
     before = second.inner_text()
-    page.get_by_role("slider", name="Scheduled running time").press("ArrowRight")
+    page.locator('[data-test="time"] [tabindex="0"]').press("ArrowRight")
     expect(second).to_contain_text("At 102 s")
     saves = [float(re.search(r"saves (\d+) Wh", text)[1]) for text in (before, second.inner_text())]
     assert saves[0] > saves[1] > 0

@@ -17,10 +17,11 @@ class Server:
     def __init__(self, data, *more):
         self.data = data
         command = [PROGRAM, "serve", "--port", "0", "--data", data, *map(str, more)]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self.log = (data / "server.log").open("w+")
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=self.log, text=True)
         line = self.process.stdout.readline()
         found = re.search(r"http://127\.0\.0\.1:\d+", line)
-        assert found, (line, self.process.stderr.read())
+        assert found, (line, (data / "server.log").read_text())
         self.url = found[0]
         self.client = httpx.Client(base_url=self.url, timeout=30.0)
         for _ in range(200):
@@ -28,7 +29,7 @@ class Server:
                 self.client.get("/api/health")
                 break
             except httpx.TransportError:
-                assert self.process.poll() is None, self.process.stderr.read()
+                assert self.process.poll() is None, (data / "server.log").read_text()
                 time.sleep(0.1)
 
     def get(self, path, code=200, **more):
@@ -65,4 +66,4 @@ class Server:
         except subprocess.TimeoutExpired:
             self.process.kill()
         self.process.stdout.close()
-        self.process.stderr.close()
+        self.log.close()

@@ -41,7 +41,7 @@ class Pools:
         made: dict[str, Any] = {"initializer": begin, "context": context}
         self.answers = ProcessPool(1, initargs=[bound, 0], **made)
         self.jobs = ProcessPool(settings.parallel_jobs, initargs=[bound, BEHIND], **made)
-        self.learning = ProcessPool(1, initargs=[None, 2 * BEHIND], max_tasks=1, **made)
+        self.learning = ProcessPool(1, initargs=[None, BEHIND], max_tasks=1, **made)
         self.asking = 0
 
     def start(self) -> None:

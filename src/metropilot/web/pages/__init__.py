@@ -30,4 +30,4 @@ def install(app: FastAPI, service: Service) -> None:
     pages.add_static_files("/static", Path(__file__).parent.parent / "static", max_cache_age=300)
     for module in (drive, compare, journey, convoy, learn, lines):
         module.install(service)
-    ui.run_with(app, title="metropilot", favicon=FAVICON, reconnect_timeout=10.0, show_welcome_message=False)
+    ui.run_with(app, title="metropilot", favicon=FAVICON, reconnect_timeout=30.0, show_welcome_message=False)

@@ -12,7 +12,7 @@ from metropilot.web.asked import CompareAsked, PlanAsked
 from metropilot.web.pages.drive import validated
 from metropilot.web.pages.form import DisturbanceForm, SectionForm, driver_names
 from metropilot.web.pages.frame import card, empty, frame, links, number, refresh_while, table
-from metropilot.web.pages.plots import compare_figure, figure, front_figure
+from metropilot.web.pages.plots import blank, compare_figure, front_figure
 from metropilot.web.service import Service
 
 SHOWN = (
@@ -20,11 +20,11 @@ SHOWN = (
     ("stopping_error_m", "stop (cm)", 100.0, 1),
     ("energy_wheel_kwh", "wheel (kWh)", 1.0, 2),
     ("energy_line_kwh", "line (kWh)", 1.0, 2),
-    ("optimality_gap_percent", "above optimum (%)", 1.0, 2),
+    ("optimality_gap_percent", "gap (%)", 1.0, 2),
     ("max_jerk_mps3", "jerk (m/s³)", 1.0, 2),
     ("comfort_huang2025", "Σ|Δu|", 1.0, 2),
     ("regime_switches", "switches", 1.0, 0),
-    ("interventions", "interventions", 1.0, 0),
+    ("interventions", "overruled", 1.0, 0),
     ("decision_time_us_median", "decision (µs)", 1.0, 0),
 )
 UNJUDGED = ("decision_time_us_median",)
@@ -66,8 +66,8 @@ class ComparePage:
         with ui.element("div").classes("mp-col"):
             with card("What the next second costs"):
                 self.words = ui.label("Computing the front …").classes("mp-soft").props('data-test="second"')
-                self.front_plot = ui.plotly(figure([], 380)).classes("mp-plot")
-                self.front_plot.props('data-test="front"').set_visibility(False)
+                self.front_plot = ui.plotly(blank(380)).classes("mp-plot")
+                self.front_plot.props('data-test="front"')
             with card("Drivers against each other"):
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
                 with self.result:
@@ -114,7 +114,6 @@ class ComparePage:
             f"The next second saves {second:.0f} Wh, {100 * second / 1000 / energy:.1f} %."
         )
         if self.front is not None:
-            self.front_plot.set_visibility(True)
             self.front_plot.update_figure(front_figure(self.front, (now, energy), self.entries))
 
     async def start(self) -> None:
@@ -190,7 +189,10 @@ def compare_table(entries: list[dict[str, Any]]) -> None:
         rows.append(cells)
     columns = ("driver", "outcome", *(words for _, words, _, _ in SHOWN))
     table(columns, rows, right=range(2, len(columns)), name="Comparison")
-    note = "Time and stop are errors. Bold: best of the drivers that always arrived safely and on time."
+    note = (
+        "Time and stop are errors; gap: energy above the optimum for the time achieved. "
+        "Bold: best of the drivers that always arrived safely and on time."
+    )
     seeds = "" if all(e["seeds"] == 1 for e in entries) else " In brackets: 95 % interval over the seeds."
     ui.label(note + seeds).classes("mp-soft")
 

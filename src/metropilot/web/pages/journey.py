@@ -12,7 +12,7 @@ from metropilot.web import catalogue
 from metropilot.web.asked import JourneyAsked
 from metropilot.web.pages.drive import validated
 from metropilot.web.pages.frame import Problem, card, frame, number, reads, table
-from metropilot.web.pages.plots import figure, journey_figure, sections_figure
+from metropilot.web.pages.plots import blank, journey_figure, sections_figure
 from metropilot.web.pages.strip import line_strip, names
 from metropilot.web.service import Service
 
@@ -57,11 +57,10 @@ class JourneyPage:
                 self.map = ui.html("").classes("mp-strip")
                 self.summary = ui.element("div").props('data-test="summary"')
             with card("Train graph"):
-                self.graph = ui.plotly(figure([], 460)).classes("mp-plot")
-                self.graph.props('data-test="graph"').set_visibility(False)
+                self.graph = ui.plotly(blank(460)).classes("mp-plot")
+                self.graph.props('data-test="graph"')
             with card("Sections"):
-                self.bars = ui.plotly(figure([], 400)).classes("mp-plot")
-                self.bars.set_visibility(False)
+                self.bars = ui.plotly(blank(400)).classes("mp-plot")
                 self.rows = ui.element("div").classes("w-full").props('data-test="sections"')
 
     async def line_changed(self) -> None:
@@ -110,8 +109,6 @@ class JourneyPage:
                     ("certified within", f"{max(gap, 0.001):.3f} %", ""),
                 )
             )
-        self.graph.set_visibility(True)
-        self.bars.set_visibility(True)
         self.graph.update_figure(journey_figure(found))
         self.bars.update_figure(sections_figure(found))
         rows = [

@@ -13,7 +13,7 @@ from metropilot.web import catalogue
 from metropilot.web.asked import LearnAsked, StudyAsked
 from metropilot.web.pages.drive import validated
 from metropilot.web.pages.frame import Problem, card, empty, frame, number, refresh_while, table
-from metropilot.web.pages.plots import history_figure
+from metropilot.web.pages.plots import blank, history_figure
 from metropilot.web.refused import Refused
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
@@ -68,11 +68,14 @@ class LearnPage:
                 self.bar = ui.linear_progress(value=0, show_value=False).props(
                     'aria-label="Progress" rounded'
                 )
-                self.plot = ui.plotly(history_figure({})).classes("mp-plot").props('data-test="curves"')
+                self.plot = (
+                    ui.plotly(blank(460, "Start a run, or choose one below."))
+                    .classes("mp-plot")
+                    .props('data-test="curves"')
+                )
             with card("Runs"):
                 self.runs = ui.element("div").classes("w-full").props('data-test="runs"')
             self.tables = ui.element("div").classes("mp-col").props('data-test="study"')
-        self.plot.set_visibility(False)
         self.fill()
         self.look_buttons(None)
 
@@ -132,8 +135,8 @@ class LearnPage:
         name = row.run or row.id
         self.status.text = f"{name} · {row.status}" + (f" · {row.words}" if row.words else "")
         self.bar.value = row.progress
-        self.plot.set_visibility(bool(steps))
-        self.plot.update_figure(history_figure(columns))
+        waits = blank(460, "The curves begin with the first evaluation.")
+        self.plot.update_figure(history_figure(columns) if steps else waits)
         self.look_buttons(row.status)
         self.fill()
 
@@ -168,7 +171,7 @@ class LearnPage:
                         f"{row.run or row.id} · {row.asked['task']} · seed {row.asked['seed']} · {row.status}"
                     )
                     button = ui.button(words, on_click=partial(self.choose, row.id))
-                    button.props("flat no-caps dense align=left").classes("w-full")
+                    button.props("flat no-caps dense").classes("w-full mp-item")
 
     def choose(self, job: str) -> None:
         """Show another run."""

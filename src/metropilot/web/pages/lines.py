@@ -52,7 +52,7 @@ class LinesPage:
                 with ui.element("div").classes("mp-row items-center no-wrap"):
                     words = f"{row['name']} · {row['stations']} stations · {row['length_m'] / 1000:.1f} km"
                     button = ui.button(words, on_click=partial(self.show, row["id"]))
-                    button.props("flat no-caps align=left dense").classes("grow")
+                    button.props("flat no-caps dense").classes("grow mp-item")
                     if row["uploaded"]:
                         forget = ui.button(icon="delete", on_click=partial(self.forget, row["id"]))
                         forget.props(f'flat dense round aria-label="Remove {row["id"]}"')

@@ -32,6 +32,13 @@ def figure(traces: Sequence[Trace], height: int, **layout: Any) -> Figure:  # no
     return {"data": list(traces), "layout": {**base, **layout}, "config": CONFIG}
 
 
+def blank(height: int, words: str = "computing …") -> Figure:
+    """What stands where a picture will be: its size, and why it is not there yet."""
+    said = {"text": words, "showarrow": False, "xref": "paper", "yref": "paper", "x": 0.5, "y": 0.5}
+    hidden = {"visible": False}
+    return figure([], height, xaxis=hidden, yaxis=hidden, annotations=[said])
+
+
 def axis(title: str, **more: Any) -> dict[str, Any]:  # noqa: ANN401 (Plotly's axis)
     """An axis with its unit."""
     return {"title": {"text": title, "standoff": 8}, "zeroline": False, "automargin": True, **more}

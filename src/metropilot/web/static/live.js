@@ -158,7 +158,11 @@
       this.set("level", scene.levels[last.level] === "none" ? "watching" : scene.levels[last.level]);
       this.part("level").className = last.level ? "v mp-fail" : "v";
       const train = this.root.querySelector(".mp-train"), svg = train && train.closest("svg");
-      if (train) train.style.transform = `translateX(${(+svg.dataset.scale * last.position_m).toFixed(2)}px)`;
+      if (train) {
+        const along = +svg.dataset.scale * last.position_m, box = svg.parentElement.closest(".mp-strip");
+        train.style.transform = `translateX(${along.toFixed(2)}px)`;
+        if (box.scrollWidth > box.clientWidth) box.scrollLeft = ((+svg.dataset.x0 + along) / 1000) * box.scrollWidth - box.clientWidth / 2;
+      }
       const slider = this.part("slider");
       if (slider && this.share === null) slider.value = last.wanted;
       this.draw((Plotly, el) => {
