@@ -58,7 +58,7 @@ def test_the_page_says_who_wins(report):
 
 
 def test_the_bound_of_constant_gains_holds():
-    # Sum of the errors: how much the command rises and falls, over ki; overlapping rises and falls take some off.
+    # Sum of the errors: how much the command rises and falls over ki, less what overlaps.
     variation, _ = needed()
     what = courses.course()
     for integral in (0.3, 1.5):
