@@ -106,3 +106,11 @@ def course(kind: str = "s_curve", scenario: int = 1) -> Course:
     """What is tracked in a scenario."""
     speed, factor = SCENARIOS[scenario]
     return course_of(trainset(), section(), reference_of(kind, speed), factor)
+
+
+@cache
+def optimal_kwh(scenario: int = 1) -> float:
+    """Least traction energy at the wheel in the running time of a scenario's reference, kWh."""
+    of, speed = course(scenario=scenario), SCENARIOS[scenario][0]
+    time_s = reference_of("s_curve", speed).duration_s
+    return plan_arrays(of.vehicle, of.track, time_s, PlanOptions(spacing_m=5.0)).energy_kwh
