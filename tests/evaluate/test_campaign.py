@@ -228,7 +228,7 @@ def test_the_command_drives_reports_and_says_how_to_drive_the_worst_again(tmp_pa
     out, board = tmp_path / "out", tmp_path / "board.md"
     more = ("--workers", 1, "--write-docs", board, "--json")
     assert command("campaign", written(tmp_path, text), "--out", out, *more) == 0
-    assert "| `flat_out` | 1 | 1 of 1 |" in board.read_text()
+    assert "| `flat_out` | 1 | 1 of 1 | 1 of 1 |" in board.read_text()
     assert "| WHY-YZQ |" in board.read_text()
     summary = json.loads(capsys.readouterr().out)
     assert (summary["rows"], summary["done"], summary["sitting"]["driven"]) == (1, 1, 1)
@@ -265,7 +265,7 @@ def test_a_time_nobody_can_keep_is_counted_apart(tmp_path):
     )
     run_campaign(replace(campaign, times=("planned",)), tmp_path, workers=1)
     (row,) = summarise(tmp_path)["drivers"]
-    assert (row["infeasible"], row["possible"], row["success_low"]) == (1, 0, None)
+    assert (row["impossible"], row["possible"], row["success_low"]) == (1, 0, None)
 
 
 def test_intervals():

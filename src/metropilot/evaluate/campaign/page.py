@@ -116,9 +116,10 @@ def _legend() -> str:
 
 COLUMNS = (
     ("runs", "runs", 0),
-    ("infeasible", "no time", 0),
+    ("impossible", "of them no driver keeps", 0),
     ("failed", "failed", 0),
-    ("success", "arrived on time %", 1),
+    ("safe", "safe %", 1),
+    ("success", "on time %", 1),
     ("gap", "gap median %", 2),
     ("gap_95", "95 %", 1),
     ("gap_worst", "worst %", 1),
@@ -134,20 +135,26 @@ COLUMNS = (
 )
 
 
+SHARES = {"safe": ("safe", "driven"), "success": ("successes", "possible")}
+
+
 def _cell(row: Mapping[str, Any], name: str, digits: int) -> str:
-    if name == "success":
-        if not row["possible"]:
+    if name in SHARES:
+        hits, total = row[SHARES[name][0]], row[SHARES[name][1]]
+        if not total:
             return DASH
-        share = 100.0 * row["successes"] / row["possible"]
-        return f"{share:.1f}<br><small>{100 * row['success_low']:.1f}…{100 * row['success_high']:.1f}</small>"
-    if name == "gap":
-        if row["gap_median"] is None:
-            return DASH
-        return f"{row['gap_median']:.2f}<br><small>{row['gap_low']:.2f}…{row['gap_high']:.2f}</small>"
-    value = row[name]
+        return f"{100 * hits / total:.1f}{_ends(100 * row[f'{name}_low'], 100 * row[f'{name}_high'], 1)}"
+    if name == "gap" and row["gap_median"] is not None:
+        return f"{row['gap_median']:.2f}{_ends(row['gap_low'], row['gap_high'], 2)}"
+    value = row.get(name)
     if value is None:
         return DASH
     return f"{value / 1e3 if name == 'decision_us_worst' else value:.{digits}f}"
+
+
+def _ends(low: float, high: float, digits: int) -> str:
+    """An interval, small, under its number."""
+    return f"<br><small>{low:.{digits}f}…{high:.{digits}f}</small>"
 
 
 def _table(rows: Iterable[Mapping[str, Any]], by: Sequence[str]) -> str:

@@ -14,14 +14,17 @@ if TYPE_CHECKING:
 CONFIDENCE = 0.95
 WORST = 10
 RESULTS_FILE, TIMINGS_FILE = "results.parquet", "timings.parquet"
-POSSIBLE = f"outcome <> '{INFEASIBLE}'"
+DRIVEN = f"outcome <> '{INFEASIBLE}'"
+POSSIBLE = f"{DRIVEN} AND coalesce(scheduled_time_s >= minimum_running_time_s, true)"
+"""Whether the time could be kept at all, by the trainset as it was, all restrictions known beforehand."""
 NUMBERS = f"""
     count(*) AS runs,
-    count(*) FILTER (outcome = '{INFEASIBLE}') AS infeasible,
+    count(*) FILTER ({DRIVEN}) AS driven,
+    count(*) FILTER (NOT ({POSSIBLE})) AS impossible,
     count(*) FILTER (outcome = '{FAILED}') AS failed,
     count(*) FILTER ({POSSIBLE}) AS possible,
-    count(*) FILTER (success) AS successes,
-    count(*) FILTER ({POSSIBLE} AND coalesce(safe, false)) AS safe,
+    count(*) FILTER ({POSSIBLE} AND success) AS successes,
+    count(*) FILTER ({DRIVEN} AND coalesce(safe, false)) AS safe,
     count(*) FILTER (outcome = 'arrived') AS arrived,
     count(*) FILTER (outcome = 'arrived' AND punctual) AS punctual,
     count(*) FILTER (interventions > 0) AS intervened,
@@ -29,8 +32,8 @@ NUMBERS = f"""
     median(optimality_gap_percent) AS gap_median,
     quantile_cont(optimality_gap_percent, 0.95) AS gap_95,
     max(optimality_gap_percent) AS gap_worst,
-    median(abs(time_error_s)) FILTER (outcome = 'arrived') AS late_median_s,
-    max(abs(time_error_s)) FILTER (outcome = 'arrived') AS late_worst_s,
+    median(abs(time_error_s)) FILTER (outcome = 'arrived' AND {POSSIBLE}) AS late_median_s,
+    max(abs(time_error_s)) FILTER (outcome = 'arrived' AND {POSSIBLE}) AS late_worst_s,
     max(abs(stopping_error_m)) FILTER (outcome = 'arrived') AS stop_worst_m,
     median(comfort_huang2025) FILTER (outcome = 'arrived') AS comfort_median,
     max(max_jerk_mps3) FILTER (outcome = 'arrived') AS jerk_worst_mps3,
@@ -40,9 +43,9 @@ NUMBERS = f"""
     median(processor_s) AS processor_s_median
 """
 WORST_FIRST = f"""
-    SELECT * FROM runs WHERE {POSSIBLE} ORDER BY
-        (outcome = '{FAILED}') DESC, coalesce(safe, false), success,
-        CASE WHEN success THEN NULL ELSE abs(time_error_s) END DESC NULLS LAST,
+    SELECT * FROM runs WHERE {DRIVEN} ORDER BY
+        (outcome = '{FAILED}') DESC, coalesce(safe, false), success OR NOT ({POSSIBLE}),
+        CASE WHEN success OR NOT ({POSSIBLE}) THEN NULL ELSE abs(time_error_s) END DESC NULLS LAST,
         optimality_gap_percent DESC NULLS LAST, row
     LIMIT {WORST}
 """
@@ -129,7 +132,7 @@ def grouped(database: DuckDBPyConnection, *by: str) -> list[dict[str, Any]]:
     rows = asked(database, f"SELECT {keys}, {NUMBERS} FROM runs GROUP BY ALL ORDER BY min(row)")
     for row in rows:
         row["success_low"], row["success_high"] = share_interval(row["successes"], row["possible"])
-        row["safe_low"], row["safe_high"] = share_interval(row["safe"], row["possible"])
+        row["safe_low"], row["safe_high"] = share_interval(row["safe"], row["driven"])
         low, high = median_ranks(row["compared"])
         where = " AND ".join(f"{key} = ?" for key in by)
         ends = database.execute(
