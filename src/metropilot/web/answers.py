@@ -269,6 +269,17 @@ class TaskOut(BaseModel):
     summary: str
 
 
+class RecipeOut(BaseModel):
+    """A driver that can be learned."""
+
+    driver: str
+    summary: str
+    source: str
+    task: str
+    steps_quick: int
+    steps_paper: int
+
+
 class StudyOut(BaseModel):
     """A paper reproduced; ``page`` says whether its tables are here."""
 

@@ -108,13 +108,13 @@ class JourneyAsked(Asked):
 
 
 class LearnAsked(Asked):
-    """A learning run."""
+    """A learning run of one of our recipes; what is not told is the recipe's own."""
 
-    algorithm: Id = "ppo"
-    task: Id = "drive"
-    steps: Annotated[int, Field(ge=1_000, le=50_000_000)] = 500_000
-    environments: Annotated[int, Field(ge=1, le=512)] | None = None
-    evaluations: Annotated[int, Field(ge=1, le=500)] = 25
+    driver: Id = "ppo"
+    budget: Literal["quick", "paper"] = "quick"
+    task: Id | None = None
+    steps: Annotated[int, Field(ge=1_000, le=50_000_000)] | None = None
+    evaluations: Annotated[int, Field(ge=1, le=500)] | None = None
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
 
 

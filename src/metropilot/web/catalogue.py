@@ -194,6 +194,23 @@ def task_rows() -> list[dict[str, Any]]:
     return [{"id": key, "summary": row.summary} for key, row in TASKS.items()]
 
 
+def recipe_rows() -> list[dict[str, Any]]:
+    """Which drivers can be learned, and how."""
+    from metropilot.learn.recipes import RECIPES
+
+    return [
+        {
+            "driver": key,
+            "summary": row.summary,
+            "source": row.source,
+            "task": row.task,
+            "steps_quick": row.configuration("quick").steps,
+            "steps_paper": row.configuration("paper").steps,
+        }
+        for key, row in RECIPES.items()
+    ]
+
+
 def study_rows(service: Service) -> list[dict[str, Any]]:
     """Every study, and whether a report of it is here."""
     from metropilot.studies import STUDIES

@@ -247,17 +247,11 @@ class Service:
 
     @staticmethod
     def _check_learning(asked: LearnAsked) -> None:
-        from metropilot.task import TASKS
+        from metropilot.learn.recipes import recipe
 
-        if asked.algorithm not in learning.OFFERED:
-            raise InputError(
-                "unknown algorithm",
-                field="algorithm",
-                value=asked.algorithm,
-                allowed=", ".join(learning.OFFERED),
-            )
-        if asked.task not in TASKS:
-            raise InputError("unknown task", field="task", value=asked.task, allowed=", ".join(TASKS))
+        row = recipe(asked.driver)
+        row.configuration(asked.budget, **learning.told_of(asked.model_dump()))
+        row.task_configuration(asked.task)
 
     def _mark_run(self, run: str) -> None:
         """A learning run whose process is gone is interrupted."""

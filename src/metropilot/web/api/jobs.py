@@ -14,6 +14,7 @@ from metropilot.web.answers import (
     HistoryOut,
     JobKind,
     JobOut,
+    RecipeOut,
     RunOut,
     StudyOut,
     StudyRow,
@@ -98,6 +99,11 @@ def _learning(router: APIRouter, service: Service) -> None:
     def tasks() -> list[dict[str, Any]]:
         """What can be learned."""
         return catalogue.task_rows()
+
+    @router.get("/recipes", response_model=list[RecipeOut], tags=["learning"])
+    def recipes() -> list[dict[str, Any]]:
+        """Which drivers can be learned."""
+        return catalogue.recipe_rows()
 
     @router.get("/runs", response_model=list[RunOut], tags=["learning"])
     def runs() -> list[dict[str, Any]]:

@@ -17,7 +17,6 @@ from metropilot.web.pages.plots import blank, history_figure
 from metropilot.web.refused import Refused
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
-from metropilot.web.work.learning import OFFERED
 
 POLL_S = 1.0
 GOING = ("queued", "running")
@@ -34,19 +33,22 @@ class LearnPage:
 
     def build(self) -> None:
         """Left what is asked, right the curves."""
-        tasks = {row["id"]: row["id"] for row in catalogue.task_rows()}
-        self.summaries = {row["id"]: row["summary"] for row in catalogue.task_rows()}
+        self.recipes = {row["driver"]: row for row in catalogue.recipe_rows()}
         with ui.element("div").classes("mp-col"):
             with card("Learn a driver"):
-                self.algorithm = ui.select(list(OFFERED), value="ppo", label="Algorithm")
-                self.task = ui.select(tasks, value="drive", label="Task", on_change=self.say_task)
-                self.task_words = ui.label(self.summaries.get("drive", "")).classes("mp-soft")
-                self.steps = ui.number("Environment steps", value=300_000, min=1000, step=50_000)
+                self.driver = ui.select(
+                    list(self.recipes), value="ppo", label="Driver", on_change=self.say_recipe
+                )
+                self.budget = ui.select(
+                    ["quick", "paper"], value="quick", label="Budget", on_change=self.say_recipe
+                )
+                self.words = ui.label("").classes("mp-soft")
+                self.steps = ui.number("Environment steps", min=1000, step=50_000)
                 self.seed = ui.number("Seed", value=0, min=0, step=1)
                 self.problem = Problem()
                 fields = (
-                    ("algorithm", self.algorithm),
-                    ("task", self.task),
+                    ("driver", self.driver),
+                    ("budget", self.budget),
                     ("steps", self.steps),
                     ("seed", self.seed),
                 )
@@ -69,24 +71,27 @@ class LearnPage:
                     'aria-label="Progress" rounded'
                 )
                 self.plot = (
-                    ui.plotly(blank(460, "Start a run, or choose one below."))
+                    ui.plotly(blank(560, "Start a run, or choose one below."))
                     .classes("mp-plot")
                     .props('data-test="curves"')
                 )
             with card("Runs"):
                 self.runs = ui.element("div").classes("w-full").props('data-test="runs"')
             self.tables = ui.element("div").classes("mp-col").props('data-test="study"')
+        self.say_recipe()
         self.fill()
         self.look_buttons(None)
 
-    def say_task(self) -> None:
-        """What a task is."""
-        self.task_words.text = self.summaries.get(self.task.value, "")
+    def say_recipe(self) -> None:
+        """What a recipe is, and its steps."""
+        row = self.recipes[self.driver.value]
+        self.words.text = f"{row['summary']} ({row['source']}), task {row['task']}"
+        self.steps.value = row[f"steps_{self.budget.value}"]
 
     def start(self) -> None:
         """Queue a learning run."""
         with self.problem.watching():
-            values = {"algorithm": self.algorithm.value, "task": self.task.value}
+            values = {"driver": self.driver.value, "budget": self.budget.value}
             numbers = {"steps": int(self.steps.value or 0), "seed": int(self.seed.value or 0)}
             self.job = self.service.submit(validated(LearnAsked, {**values, **numbers}))
             self.follow()
@@ -135,7 +140,7 @@ class LearnPage:
         name = row.run or row.id
         self.status.text = f"{name} · {row.status}" + (f" · {row.words}" if row.words else "")
         self.bar.value = row.progress
-        waits = blank(460, "The curves begin with the first evaluation.")
+        waits = blank(560, "The curves begin with the first evaluation.")
         self.plot.update_figure(history_figure(columns) if steps else waits)
         self.look_buttons(row.status)
         self.fill()
@@ -163,13 +168,12 @@ class LearnPage:
         self.runs.clear()
         with self.runs:
             if not rows:
-                empty("No learning run yet. A PPO run of 300 000 steps takes about half a minute.")
+                empty("No learning run yet. Quick takes about two minutes on two free cores.")
                 return
             with ui.element("div").classes("mp-stack"):
                 for row in rows:
-                    words = (
-                        f"{row.run or row.id} · {row.asked['task']} · seed {row.asked['seed']} · {row.status}"
-                    )
+                    seed = row.asked["seed"]
+                    words = f"{row.run or row.id} · {row.asked['budget']} · seed {seed} · {row.status}"
                     button = ui.button(words, on_click=partial(self.choose, row.id))
                     button.props("flat no-caps dense").classes("w-full mp-item")
 

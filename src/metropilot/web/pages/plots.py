@@ -288,19 +288,22 @@ def convoy_figure() -> Figure:
 
 
 def history_figure(columns: dict[str, list[float | None]]) -> Figure:
-    """The evaluation score of a learning run over its steps, and the reward terms it is the sum of."""
+    """A learning run over its steps: how many drives from standstill end well, and what they cost."""
     steps = columns.get("steps", [])
-    score = columns.get("evaluation.score", [])
-    traces = [line("score", steps, score, BLUE, width=2.4, mode="lines+markers")]
-    terms = [name for name in columns if name.startswith("evaluation.term.")]
-    for k, name in enumerate(terms[:6]):
-        words, dash = name.removeprefix("evaluation.term."), DASHES[(k + 1) % len(DASHES)]
-        colour = SERIES[(k + 1) % len(SERIES)]
-        traces.append(line(words, steps, columns[name], colour, width=1.6, dash=dash, yaxis="y2"))
+    share = [None if x is None else 100 * x for x in columns.get("evaluation.safe_share", [])]
+    marks: Trace = {"mode": "lines+markers"}
+    gap = columns.get("evaluation.gap_percent", [])
+    late = columns.get("evaluation.late_worst_s", [])
+    traces = [
+        line("safe and on time", steps, share, BLUE, width=2.4, **marks),
+        line("energy above the optimum, of those", steps, gap, VERMILION, dash="dash", yaxis="y2", **marks),
+        line("worst time error", steps, late, GREEN, dash="dot", yaxis="y3", **marks),
+    ]
     return figure(
         traces,
-        460,
-        xaxis=axis("environment steps", anchor="y2", rangemode="tozero"),
-        yaxis=axis("score: mean return", domain=[0.52, 1.0]),
-        yaxis2=axis("reward terms", domain=[0.0, 0.42]),
+        560,
+        xaxis=axis("environment steps", anchor="y3", rangemode="tozero"),
+        yaxis=axis("drives (%)", domain=[0.7, 1.0], range=[-3, 103]),
+        yaxis2=axis("energy (%)", domain=[0.36, 0.62], rangemode="tozero"),
+        yaxis3=axis("time (s)", domain=[0.0, 0.28], rangemode="tozero"),
     )

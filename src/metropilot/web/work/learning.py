@@ -9,13 +9,11 @@ from typing import Any
 from metropilot.web.store import Store
 
 PROGRESS = "progress.jsonl"
-OFFERED = ("ddpg", "dqn", "naf", "ppo", "sac")
 
 
-def configuration(asked: dict[str, Any]) -> dict[str, Any]:
+def told_of(asked: dict[str, Any]) -> dict[str, Any]:
     """The fields of a configuration that a learning job sets."""
-    names = ("steps", "environments", "evaluations")
-    return {name: asked[name] for name in names if asked[name] is not None}
+    return {name: asked[name] for name in ("steps", "evaluations") if asked[name] is not None}
 
 
 def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> dict[str, Any]:
@@ -29,13 +27,18 @@ def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> di
     """
     store = Store(Path(root))
     store.update(job, status="running", words="compiling")
-    from metropilot.learn import Progress, RunRequest, RunStore, Sitting, config_from_mapping, learn_run
-    from metropilot.task import make_task
+    from metropilot.learn import Progress, RunStore, Sitting, learn_run
+    from metropilot.learn.recipes import evaluation_of, new_request, resumed_request
+    from metropilot.learn.recorded import begin_run
 
-    config = config_from_mapping(asked["algorithm"], configuration(asked), file="learn")
     runs = RunStore(Path(root) / "runs")
-    about = {"name": asked["task"]}
-    record = runs.show(run) if run else runs.create(config, asked["task"], asked["seed"], about)
+    if run is not None:
+        record = runs.show(run)
+        request = resumed_request(record)
+    else:
+        what = {"budget": asked["budget"], "task": asked["task"], "seed": asked["seed"]}
+        request = new_request(asked["driver"], **what, **told_of(asked))
+        record = begin_run(runs, request)
     store.update(job, run=record.id)
     told = runs.folder(record.id) / PROGRESS
 
@@ -47,9 +50,9 @@ def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> di
         if store.stop_asked(job):
             raise KeyboardInterrupt
 
-    request = RunRequest(config, make_task(asked["task"]), asked["task"], asked["seed"])
+    sitting = Sitting(evaluate=evaluation_of(request), on_progress=progress)
     try:
-        record, learned = learn_run(runs, request, Sitting(on_progress=progress), resume=record.id)
+        record, learned = learn_run(runs, request, sitting, resume=record.id)
     except KeyboardInterrupt:
         return {"run": record.id, "stopped": True}
     return {"run": record.id, "stopped": False, "score": record.score, "seconds": learned.seconds}
