@@ -49,8 +49,8 @@ def campaign_command(
 ) -> int:
     """Drive a declared matrix of runs and report it.
 
-    Killed at any moment, the same command goes on from where it was. Exit code 0: every run that was possible
-    arrived safely and on time; 1: not; 2: input that cannot be used.
+    Killed at any moment, the same command goes on from where it was. Exit code 0: every run was safe, and
+    arrived on time where that was possible; 1: not; 2: input that cannot be used.
     """
     from metropilot.evaluate.campaign import read_campaign, run_campaign, summarise
     from metropilot.evaluate.campaign.leaderboard import write_leaderboard
@@ -75,7 +75,10 @@ def campaign_command(
         print_json(summary)
     else:
         report(summary, folder)
-    return 0 if all(row["successes"] == row["possible"] for row in summary["drivers"]) else 1
+    good = [
+        row["successes"] == row["possible"] and row["safe"] == row["driven"] for row in summary["drivers"]
+    ]
+    return 0 if all(good) else 1
 
 
 class _Saying:
