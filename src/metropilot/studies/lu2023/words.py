@@ -72,7 +72,7 @@ def remarks(rows: Sequence[Row], *, budget: str) -> list[str]:
     )
     said = [
         (
-            f"Networks of one plan each stop within {stop:.2f} m and {late:.1f} s, at most {over:.2f} m/s "
+            f"The plans of Table 5 stop within {stop:.2f} m and {late:.1f} s, at most {over:.2f} m/s "
             f"over the limit, and need at most {above:.1f} % more wheel traction energy than the optimum "
             "over the notches."
         )
