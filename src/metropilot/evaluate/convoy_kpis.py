@@ -115,7 +115,7 @@ def convoy_kpis(drive: ConvoyDrive, scheduled_time_s: float) -> ConvoyKpis:
     arrived = drive.outcome is Outcome.ARRIVED
     return ConvoyKpis(
         outcome=Outcome.OVERSPEED.value if fast else drive.outcome.value,
-        punctual=arrived and abs(head.running_time_s - scheduled_time_s) <= PUNCTUALITY_S,
+        punctual=bool(arrived and abs(head.running_time_s - scheduled_time_s) <= PUNCTUALITY_S),
         scheduled_time_s=scheduled_time_s,
         gap_min_m=float(drive.gap_m.min()),
         gap_max_m=float(drive.gap_m.max()),
