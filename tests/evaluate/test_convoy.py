@@ -36,7 +36,13 @@ def run(follower="follow_gap", emergency_s=float("inf"), **changes):
     return drive_convoy(convoy(**changes), head, FOLLOWERS.make(follower))
 
 
-@pytest.mark.parametrize("follower", FOLLOWERS.ids())
+QUICK = ("follow_gap", "sac_pid")
+"""A run costs some eight seconds with every type checked: the other followers' are left to the slow tests."""
+
+
+@pytest.mark.parametrize(
+    "follower", [pytest.param(key, marks=() if key in QUICK else pytest.mark.slow) for key in FOLLOWERS.ids()]
+)
 def test_every_follower_holds_the_gap(follower):
     drive = run(follower)
     kpis = convoy_kpis(drive, drive.time_s[-1])
@@ -48,18 +54,20 @@ def test_every_follower_holds_the_gap(follower):
     assert kpis.trainsets[1].energy_wheel_kwh == pytest.approx(kpis.trainsets[0].energy_wheel_kwh, rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits():
     first, second = (run(link=Link(0.3, 0.1, 0.2)) for _ in range(2))
     assert np.array_equal(first.gap_m, second.gap_m)
 
 
-@pytest.mark.parametrize("emergency_s", [12.0, 25.0])
+@pytest.mark.parametrize("emergency_s", [12.0, pytest.param(25.0, marks=pytest.mark.slow)])
 def test_nobody_touches_when_the_head_brakes_at_once_on_a_bad_link(emergency_s):
     drive = run("follow_pid", emergency_s, count=3, link=Link(0.3, 0.2, 0.3), mass_factors=(0.8, 1.2, 0.8))
     assert drive.contacts == 0
     assert all(t.speed_mps[-1] == 0 for t in drive.trajectories)
 
 
+@pytest.mark.slow
 def test_a_silent_link_stops_the_followers_short_of_the_head():
     drive = run(link=Link(silent_from_s=15.0))
     assert drive.contacts == 0
