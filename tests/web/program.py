@@ -23,7 +23,7 @@ class Server:
         found = re.search(r"http://127\.0\.0\.1:\d+", line)
         assert found, (line, (data / "server.log").read_text())
         self.url = found[0]
-        self.client = httpx.Client(base_url=self.url, timeout=30.0)
+        self.client = httpx.Client(base_url=self.url, timeout=120.0)
         for _ in range(200):
             try:
                 self.client.get("/api/health")
@@ -42,7 +42,7 @@ class Server:
         assert answer.status_code == code, answer.text
         return answer.json()
 
-    def wait(self, job, *, until=("done",), seconds=60):
+    def wait(self, job, *, until=("done",), seconds=240):
         """Until a job has come so far."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:

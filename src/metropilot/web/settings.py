@@ -47,7 +47,7 @@ class Settings:
     live_runs: int = 4
     upload_bytes: int = 1_000_000
     request_bytes: int = 100_000
-    answer_s: float = 20.0
+    answer_s: float = 60.0
     job_s: float = 600.0
     learn_s: float = 12 * 3600.0
     worker_bytes: int = 6 * 2**30
