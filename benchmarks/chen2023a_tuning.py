@@ -1,9 +1,9 @@
 """Search for the settings of study chen2023a: the same number of random trials for each learner.
 
-``python -m benchmarks.chen2023a_tuning LEARNER FILE [TRIALS]`` writes one JSON line a trial and goes on from
-the file it finds. PPO and PPO with reward scaling try the same settings. A trial learns a few thousand
-episodes on the study's tuning seeds, which no table reports; its score is the mean evaluation return over the
-second half of the learning.
+``python -m benchmarks.chen2023a_tuning LEARNER [TRIALS]`` writes one JSON line a trial into the folder
+``trials`` of the study, which takes its settings there, and goes on from what it finds. PPO with and without
+scaling try the same settings. A trial learns a few thousand episodes on the study's tuning seeds, which no
+table reports; its score is the mean evaluation return over the second half of the learning.
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from metropilot.learn import AbstractConfig
 from metropilot.studies.chen2023a.learners import (
     BASE_DDPG,
     BASE_PPO,
+    FOLDER,
     TRIALS,
     TUNING_EPISODES,
     TUNING_SEEDS,
     sized,
+    trials,
 )
 
 PPO_SPACE: dict[str, tuple[float, ...]] = {
@@ -60,7 +61,7 @@ def settings(base: AbstractConfig, space: dict[str, tuple[float, ...]], trials: 
 
 
 def program(base: AbstractConfig) -> Callable[[Values], dict[str, Any]]:
-    """Learns on every tuning seed, side by side; the settings are arguments, so it is compiled once."""
+    """Learns on every tuning seed in turn; the settings are arguments, so it is compiled once."""
     import jax
     import numpy as np
 
@@ -77,7 +78,7 @@ def program(base: AbstractConfig) -> Callable[[Values], dict[str, Any]]:
         told = copy.copy(config)
         for name, value in values.items():
             object.__setattr__(told, name, value)
-        return jax.vmap(lambda key: learn(told, task, key, evaluate)[1])(keys)
+        return jax.lax.map(lambda key: learn(told, task, key, evaluate)[1], keys)
 
     compiled = jax.jit(run)
     return lambda values: compiled({name: np.float32(value) for name, value in values.items()})
@@ -97,11 +98,11 @@ def trial(learned: Callable[[Values], dict[str, Any]], values: Values) -> dict[s
     return {"settings": values, "mean": float(late["score"].mean()), **told, "seconds": seconds}
 
 
-def main(learner: str, path: Path, trials: int = TRIALS) -> None:
-    """Do the trials that the file does not hold, then say which was best."""
+def main(learner: str, count: int = TRIALS) -> None:
+    """Do the trials that are not there, then say which was best."""
     base, space = BASES[learner]
-    done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    todo = settings(base, space, trials)[len(done) :]
+    done, path = trials(learner), FOLDER / f"{learner}.jsonl"
+    todo = settings(base, space, count)[len(done) :]
     learned = program(base) if todo else None
     for values in todo:
         assert learned is not None
@@ -112,4 +113,4 @@ def main(learner: str, path: Path, trials: int = TRIALS) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], Path(sys.argv[2]), *(int(n) for n in sys.argv[3:]))
+    main(sys.argv[1], *(int(n) for n in sys.argv[2:]))

@@ -149,6 +149,20 @@ class PpoScaled(AbstractShippedDriver):
 
 @final
 @register_shipped
+class Ddpg(AbstractShippedDriver):
+    """Learned by DDPG on Rongjing to Wanyuanjie, for the same runs as ``ppo``.
+
+    Args:
+        options: Another policy.
+    """
+
+    id: ClassVar[str] = "ddpg"
+    summary: ClassVar[str] = "Learned by DDPG for RJ to WYJ, every load, up to 130 s"
+    source: ClassVar[str] = "Lillicrap16, compared in Chen23a"
+
+
+@final
+@register_shipped
 class Dqn(AbstractShippedDriver):
     """Learned by plain DQN over Lu23's twelve notches, without the filter, for 118 to 142 s.
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from metropilot.learn import DDPGConfig, PPOConfig
 from metropilot.studies.chen2023a.setting import make_assisted, make_unassisted, measured
@@ -16,8 +18,8 @@ from metropilot.studies.learning import LearnJob
 if TYPE_CHECKING:
     from metropilot.learn import AbstractConfig
 
-TRIALS = 8
-"""Settings tried for each learner on :data:`TUNING_SEEDS`, see ``benchmarks/chen2023a_tuning.py``."""
+TRIALS = 6
+"""Settings tried for each learner on :data:`TUNING_SEEDS` by ``benchmarks/chen2023a_tuning.py``."""
 TUNING_SEEDS = (101, 102)
 TUNING_EPISODES = 3_000
 DECISIONS = 85
@@ -35,11 +37,26 @@ BASE_DDPG = DDPGConfig(
     gamma=1.0,
     noise=0.3,
 )
+FOLDER = Path(__file__).parent / "trials"
+
+
+def trials(learner: str) -> list[dict[str, Any]]:
+    """The trials of one learner with their scores, as the tuning wrote them."""
+    path = FOLDER / f"{learner}.jsonl"
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def tuned(learner: str, base: AbstractConfig) -> AbstractConfig:
+    """A learner with the best of its settings."""
+    found = trials(learner)
+    return replace(base, **max(found, key=lambda one: one["mean"])["settings"]) if found else base
+
+
 LEARNERS: Mapping[str, AbstractConfig] = MappingProxyType(
     {
-        "ppo": BASE_PPO,
-        "ppo_scaled": replace(BASE_PPO, reward_scaling=True),
-        "ddpg": BASE_DDPG,
+        "ppo": tuned("ppo", BASE_PPO),
+        "ppo_scaled": tuned("ppo_scaled", replace(BASE_PPO, reward_scaling=True)),
+        "ddpg": tuned("ddpg", BASE_DDPG),
     }
 )
 """As tuned."""
