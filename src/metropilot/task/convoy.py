@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from metropilot.physics import to_jax
+from metropilot.physics.arrays import namespace
 from metropilot.railway import load_line, load_trainset
 from metropilot.task.convoy_batch import advanced, exchanged, gaps_m, sights, stacked
 from metropilot.task.convoy_gains import chen2023b_state, gains_of
@@ -67,6 +68,27 @@ class ConvoyTaskConfig:
     emergency: float = 0.0
     dt: float = CONVOY_PERIOD_S
     seed: int = 0
+
+
+def follow_terms(
+    config: ConvoyTaskConfig, gap_m: Array, apart_mps: Array, change: Array, wanted_m: Array
+) -> Mapping[str, Array]:
+    """Chen23b eqs. 18 and 19, the gap counted from the wanted one (NumPy and JAX).
+
+    Args:
+        config: Weights.
+        gap_m: Gap, rear to front.
+        apart_mps: Speed ahead less own speed.
+        change: Of the command.
+        wanted_m: Wanted gap.
+    """
+    xp = namespace(gap_m, apart_mps, change)
+    return {
+        "speed": 1.0 / (1.0 + config.eta_speed * xp.abs(apart_mps)),
+        "gap": 1.0 / (1.0 + config.eta_gap * xp.abs(gap_m - wanted_m)),
+        "contact": xp.where(gap_m < 0.0, -config.contact, 0.0),
+        "effort": -config.effort * xp.abs(change),
+    }
 
 
 class FollowState(NamedTuple):
@@ -196,7 +218,7 @@ class ConvoyTask(AbstractTask):
         states = advanced(pair, state.states, jnp.stack([head, share]), alarm, now, dt)
         gap = gaps_m(pair, states)[0]
         apart = states.plant.speed_mps[0] - states.plant.speed_mps[1]
-        terms = self._terms(gap, apart, share - seen.command)
+        terms = follow_terms(config, gap, apart, share - seen.command, config.gap_m)
         contact = gap < 0.0
         after = state._replace(
             period=state.period + 1, states=states, errors=errors, contact=state.contact | contact
@@ -206,18 +228,6 @@ class ConvoyTask(AbstractTask):
         over = (after.period >= ROWS) | stand
         reward = sum(terms.values(), jnp.zeros((), jnp.float32))
         return after, Transition(self._observe(after), reward, contact, over & ~contact, terms)
-
-    def _terms(self, gap_m: Array, apart_mps: Array, change: Array) -> Mapping[str, Array]:
-        """Chen23b eqs. 18 and 19, the gap counted from the wanted one."""
-        import jax.numpy as jnp
-
-        config = self.config
-        return {
-            "speed": 1.0 / (1.0 + config.eta_speed * jnp.abs(apart_mps)),
-            "gap": 1.0 / (1.0 + config.eta_gap * jnp.abs(gap_m - config.gap_m)),
-            "contact": jnp.where(gap_m < 0.0, -config.contact, 0.0),
-            "effort": -config.effort * jnp.abs(change),
-        }
 
     def _now(self, state: FollowState) -> Array:
         import jax.numpy as jnp
