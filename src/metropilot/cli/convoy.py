@@ -33,7 +33,10 @@ def convoy_command(
     time: opt.Time = None,
     trainsets: Annotated[int, typer.Option(help="How many trainsets, 2 to 16.", rich_help_panel=CONVOY)] = 2,
     driver: Annotated[
-        str, typer.Option(help="Driver of the followers.", rich_help_panel=CONVOY)
+        str,
+        typer.Option(
+            help="Driver of the followers; see `metropilot drivers --followers`.", rich_help_panel=CONVOY
+        ),
     ] = "follow_gap",
     options: opt.DriverOptions = None,
     head: Annotated[

@@ -18,7 +18,7 @@ class AbstractFollower(ABC):
 
     Attributes:
         id: Name in the registry and on the command line.
-        summary: One line for ``metropilot drivers``.
+        summary: One line for ``metropilot drivers --followers``.
         source: Paper or "own".
     """
 
