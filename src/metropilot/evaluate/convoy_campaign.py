@@ -142,17 +142,18 @@ class Arena:
         self.memory = to_jax(stacked(memory))
         self._run = jax.jit(jax.vmap(self._case))
 
-    def run(self, cases: int, batch: int = 2000) -> Tally:
+    def run(self, cases: int, batch: int = 2000, first: int = 0) -> Tally:
         """Attack so many times.
 
         Args:
             cases: How many cases; rounded up to whole batches.
             batch: Cases side by side.
+            first: Number of the first batch: every batch has cases of its own.
         """
         import jax
 
         found = []
-        for k in range(-(-cases // batch)):
+        for k in range(first, first - (-cases // batch)):
             keys = jax.random.split(jax.random.fold_in(jax.random.key(self.campaign.seed), k), batch)
             found.append([np.asarray(values) for values in self._run(keys)])
         return Tally(*(np.concatenate(column) for column in zip(*found, strict=True)))

@@ -104,6 +104,11 @@ def learn_seeds(
     return [_read(job, place) for job, place in zip(jobs, places, strict=True)]
 
 
+def finished(jobs: Sequence[LearnJob], folder: Path) -> list[LearnJob]:
+    """Those of the jobs whose learning runs lie in the folder, done."""
+    return [job for job in jobs if _done(job, folder / f"{job.name}-{job.seed}")]
+
+
 def _identity(job: LearnJob) -> str:
     """What must be the same for a run to count as done: everything but the code."""
     from metropilot.learn import config_to_mapping

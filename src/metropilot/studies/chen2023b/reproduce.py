@@ -10,11 +10,18 @@ import numpy as np
 
 from metropilot.drivers.followers import FOLLOWERS, AbstractFollower
 from metropilot.drivers.followers.learned import FollowPolicyOptions
+from metropilot.errors import InputError
 from metropilot.evaluate.convoy_drive import ConvoyDrive, drive_convoy
 from metropilot.studies.chen2023b import figures
-from metropilot.studies.chen2023b.beyond import campaign_rows, capacity_rows, rough_rows, stability
+from metropilot.studies.chen2023b.beyond import (
+    campaign_rows,
+    capacity_rows,
+    rough_rows,
+    stability,
+    stability_rows,
+)
 from metropilot.studies.chen2023b.learning import ETAS, NAMES, jobs
-from metropilot.studies.chen2023b.remarks import DEVIATIONS, remarks
+from metropilot.studies.chen2023b.remarks import DEVIATIONS, FIRST_RETURN, LAST_RETURN, remarks
 from metropilot.studies.chen2023b.setting import PUBLISHED, SIMPLE, head_run, pair
 from metropilot.studies.report import Figure, Report, Row
 from metropilot.studies.study import Order, Study
@@ -32,16 +39,8 @@ CASE = "2 trainsets, YZQ–WHY"
 
 def reproduce(order: Order) -> Report:
     """Figures 3 to 9 and beyond; quick: figures 7 to 9 with the shipped policies, nothing learned."""
-    from metropilot.studies.learning import learn_seeds
-
     seeds = order.choose_seeds(quick=1, paper=5)
-    eta = order.options["eta"]
-    runs: dict[str, list[SeedResult]] = {}
-    if not _shipped(order):
-        todo = [job for algorithm in NAMES for job in jobs(algorithm, order.budget, eta, seeds)]
-        found = learn_seeds(todo, order.folder, order.processes, order.say)
-        for k, algorithm in enumerate(NAMES):
-            runs[algorithm] = list(found[k * len(seeds) : (k + 1) * len(seeds)])
+    runs = {} if _shipped(order) else _learned(order, seeds)
     drivers = _drivers(order, runs)
     order.say("driving")
     drives = {name: [_driven(each) for each in each_seed] for name, each_seed in drivers.items()}
@@ -49,22 +48,50 @@ def reproduce(order: Order) -> Report:
     rows += _learning_rows(runs, order.budget)
     first = {name: each[0] for name, each in drivers.items()}
     shown = {name: each[0] for name, each in drives.items()}
-    rows += rough_rows(first, (2, 4, 8) if order.budget == "paper" else (2,))
-    gains = stability(first, 5)
-    rows += _stability_rows(gains)
+    order.say("disturbing")
+    rows += rough_rows(first, (2, 4, 8) if order.budget == "paper" else (2,), order.folder)
+    order.say("swinging")
+    gains = stability(first, order.budget, order.folder)
+    rows += stability_rows(gains)
     order.say("attacking")
-    rows += campaign_rows(order.budget) + capacity_rows()
+    rows += campaign_rows(order.budget, order.folder) + capacity_rows()
     return Report(
         study="chen2023b",
         title=STUDY.title,
         budget=order.budget,
-        seeds=len(seeds),
+        seeds=max((len(each) for each in runs.values()), default=len(seeds)),
         seconds=0.0,
         rows=rows,
         figures=_figures(runs, shown, gains),
         deviations=DEVIATIONS,
-        remarks=remarks(rows),
+        remarks=[*_missing(runs, seeds), *remarks(rows)],
     )
+
+
+def _learned(order: Order, seeds: range) -> dict[str, list[SeedResult]]:
+    """Every seed's learning run, or those that the folder holds already."""
+    from metropilot.studies.learning import finished, learn_seeds
+
+    todo = [job for name in NAMES for job in jobs(name, order.budget, order.options["eta"], seeds)]
+    if order.options["learn"] == "nothing":
+        todo = finished(todo, order.folder)
+    found = learn_seeds(todo, order.folder, order.processes, order.say)
+    runs = {name: [run for run in found if run.job.config.algorithm == name] for name in NAMES}
+    for name, each in runs.items():
+        if not each:
+            raise InputError("no learning run is there", file=order.folder, field="learn", value=name)
+    return runs
+
+
+def _missing(runs: dict[str, list[SeedResult]], seeds: range) -> list[str]:
+    """Which seeds the numbers come from, where some are missing."""
+    if all(len(each) == len(seeds) for each in runs.values()):
+        return []
+    there = " and ".join(
+        f"{len(each)} of {NAMES[name]} (seeds {', '.join(str(run.job.seed) for run in each)})"
+        for name, each in runs.items()
+    )
+    return [f"Of {len(seeds)} learning runs each these were done when the page was written: {there}."]
 
 
 def _shipped(order: Order) -> bool:
@@ -118,22 +145,20 @@ def _learning_rows(runs: dict[str, list[SeedResult]], budget: str) -> list[Row]:
             Row(table, budget, name, "mean largest gap error behind 24 heads", "m").measured(
                 float(np.nanmin(run.history["evaluation.gap_error_m"])) for run in each
             ),
+            Row(table, budget, name, FIRST_RETURN, "").measured(_returns(run)[0] for run in each),
+            Row(table, budget, name, LAST_RETURN, "").measured(_returns(run)[1] for run in each),
             Row(table, budget, name, "learning time, one core", "s").measured(run.seconds for run in each),
+            Row(table, budget, name, "compilation", "s").measured(run.compile_seconds for run in each),
         ]
     return rows
 
 
-def _stability_rows(gains: dict[str, tuple[np.ndarray, np.ndarray]]) -> list[Row]:
-    return [
-        Row(
-            "Beyond the paper: string stability",
-            "5 trainsets, no protection, swings of 4 to 40 s",
-            name,
-            "largest gain of speed from one trainset to the next",
-            "",
-        ).measured([float((values[:, 1:] / values[:, :-1]).max())])
-        for name, (_, values) in gains.items()
-    ]
+def _returns(run: SeedResult) -> tuple[float, float]:
+    """Mean return of the episodes that ended in the first and in the last quarter of learning."""
+    found = run.history["return"]
+    found = found[np.isfinite(found)]
+    quarter = max(found.size // 4, 1)
+    return float(found[:quarter].mean()), float(found[-quarter:].mean())
 
 
 def _figures(
@@ -174,7 +199,7 @@ def _figures(
         ),
         Figure(
             "string_stability",
-            "Beyond the paper: amplitude of speed along a convoy of five over the head's.",
+            "Beyond the paper: the last trainset's swing of speed over the head's; above 1 it grows.",
             lambda: figures.stability(gains),
         ),
     ]
@@ -188,5 +213,5 @@ STUDY = Study(
         "Coupling Based on Soft Actor-Critic*. Actuators 2023, 12(12), 447, doi 10.3390/act12120447."
     ),
     reproduce=reproduce,
-    options={"eta": tuple(ETAS)},
+    options={"eta": tuple(ETAS), "learn": ("missing", "nothing")},
 )
