@@ -105,9 +105,9 @@ def draw(browser: Browser, url: str, name: str) -> None:
     """One picture: made, looked for, kept in few colours so that it stays small."""
     path, act = PICTURES[name]
     narrow = name == "phone"
-    size = {"width": 390, "height": 844} if narrow else {"width": 1280, "height": 900}
-    context = browser.new_context(viewport=size, color_scheme="dark" if narrow else "light")  # pyright: ignore
+    context = browser.new_context(color_scheme="dark" if narrow else "light")
     page = context.new_page()
+    page.set_viewport_size({"width": 390, "height": 844} if narrow else {"width": 1280, "height": 900})
     page.set_default_timeout(PATIENCE_MS)
     page.goto(url + path)
     act(page)
