@@ -164,10 +164,10 @@ BAD = [
     (("learn", "ppo", "--budget", "huge"), "allowed: quick, paper"),
     (("learn", "--resume", "nowhere"), "no such run"),
     (("learn", "--resume", "."), "not the folder of a learning run"),
-    (("export", "optimal"), "the driver has no policy"),
+    (("export", "optimal"), "the driver has no policy of its own"),
     (("export", "nowhere"), "no such run"),
     (("export", "nowhere.safetensors"), "No such file"),
-    (("export", "learned"), "needs a policy"),
+    (("export", "learned"), "the driver has no policy of its own"),
     (("export", "optimal", "--to", "pickle"), "allowed: onnx"),
 ]
 

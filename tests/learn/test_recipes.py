@@ -36,6 +36,8 @@ def test_recipes_can_be_followed(driver):
 def test_what_there_is_no_recipe_for_names_the_nearest():
     with pytest.raises(InputError, match="did you mean ppo_scaled"):
         recipe("ppo-scaled")
+    with pytest.raises(InputError, match="it is learned by: metropilot reproduce cheng2023"):
+        recipe("ddpg_pid")
     with pytest.raises(InputError, match="nearest is 'entropy'"):
         recipe("ppo").configuration("quick", entrpy=1.0)
     with pytest.raises(InputError, match="did you mean drive_jerk"):

@@ -13,7 +13,7 @@ from metropilot.cli.console import console, print_json, table, working
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
-    from metropilot.drivers.policy.loaded import LoadedPolicy
+    from metropilot.cli.show_learned import PolicyFile
 
 FORMATS = ("onnx",)
 EXAMPLES = {
@@ -47,12 +47,12 @@ def export_command(
 
     if to not in FORMATS:
         raise InputError("unknown format", field="to", value=to, allowed=", ".join(FORMATS))
-    name, loaded = policy_named(what)
+    name, file = policy_named(what)
     path = out or Path(f"{name}.{to}")
     with working(f"writing {path}"):
-        report = export_onnx(loaded.policy.policy, path, about=loaded.about)
+        report = export_onnx(file.policy, path, about=file.about)
     if as_json:
-        print_json(asdict(report) | {"path": str(path), "policy": str(loaded.path)})
+        print_json(asdict(report) | {"path": str(path), "policy": str(file.path)})
         return 0
     rows = [
         ("parity: largest difference of an action", f"{report.parity:.1e}", f"{report.probes} observations"),
@@ -65,25 +65,25 @@ def export_command(
     return 0
 
 
-def policy_named(what: str) -> tuple[str, LoadedPolicy]:
+def policy_named(what: str) -> tuple[str, PolicyFile]:
     """The policy that a driver's id, a run or a file means, and a short name for it.
 
     Raises:
         InputError: There is none.
     """
     from metropilot.cli.learn import found_run
+    from metropilot.cli.show_learned import read_policy
     from metropilot.drivers import DRIVERS
-    from metropilot.drivers.policy.loaded import load_driving_policy
-    from metropilot.drivers.shipped import AbstractPolicyDriver
+    from metropilot.drivers.policy.loaded import policy_path
+    from metropilot.drivers.shipped import shipped_policy
 
     path = Path(what).expanduser()
+    if not path.exists() and what.isidentifier() and shipped_policy(what).is_file():
+        return what, read_policy(shipped_policy(what))
     if what in DRIVERS.ids() and not path.exists():
-        driver = DRIVERS.make(what)
-        if not isinstance(driver, AbstractPolicyDriver):
-            words = "the driver has no policy"
-            raise InputError(words, field="export", value=what, allowed="a learned driver")
-        return what, driver.loaded
+        words = "the driver has no policy of its own"
+        raise InputError(words, field="export", value=what, allowed="a learned driver")
     if path.is_file() or path.suffix == ".safetensors":
-        return path.stem, load_driving_policy(path)
+        return path.stem, read_policy(path)
     store, record = found_run(what)
-    return record.id, load_driving_policy(store.folder(record.id))
+    return record.id, read_policy(policy_path(store.folder(record.id)))

@@ -12,7 +12,7 @@ import typer
 
 from metropilot.cli import options as opt
 from metropilot.cli.console import citations, console, heading, number, print_json, table
-from metropilot.cli.show_learned import policy_json, say_policy, show_learning_run, show_policy
+from metropilot.cli.show_learned import policy_json, read_policy, say_policy, show_learning_run, show_policy
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
@@ -95,9 +95,7 @@ def show_file(path: Path, *, as_json: bool) -> int:
     if path.name == "run.toml":
         return show_run_folder(path.parent, as_json=as_json)
     if path.suffix == ".safetensors":
-        from metropilot.drivers.policy.loaded import load_driving_policy
-
-        return show_policy(load_driving_policy(path), as_json=as_json)
+        return show_policy(read_policy(path), as_json=as_json)
     found = import_file(path)
     if isinstance(found, Line):
         return show_line(found, as_json=as_json)
@@ -260,12 +258,13 @@ def show_driver(driver: type[AbstractDriver], *, as_json: bool) -> int:
     """What a driver does, and the options it takes."""
     import inspect
 
-    from metropilot.drivers.shipped import AbstractShippedDriver
+    from metropilot.drivers.shipped import shipped_policy
     from metropilot.evaluate import option_defaults
 
     text = inspect.getdoc(driver) or ""
     taken = option_defaults(driver)
-    made = driver() if issubclass(driver, AbstractShippedDriver) else None
+    path = shipped_policy(driver.id)
+    file = read_policy(path) if path.is_file() else None
     if as_json:
         print_json(
             {
@@ -276,7 +275,7 @@ def show_driver(driver: type[AbstractDriver], *, as_json: bool) -> int:
                 "options": taken,
                 "text": text,
             }
-            | ({"policy": policy_json(made.loaded)} if made else {})
+            | ({"policy": policy_json(file)} if file else {})
         )
         return 0
     out = console()
@@ -284,8 +283,8 @@ def show_driver(driver: type[AbstractDriver], *, as_json: bool) -> int:
     out.print(f"source: {driver.source}")
     heading(out, "options (--set NAME=VALUE)", [f"{name} = {value}" for name, value in taken.items()])
     heading(out, "in full", text.splitlines())
-    if made:
-        say_policy(made.loaded)
+    if file:
+        say_policy(file)
     return 0
 
 

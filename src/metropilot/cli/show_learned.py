@@ -5,15 +5,41 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from metropilot.cli.console import console, heading, print_json, table
 
 if TYPE_CHECKING:
-    from metropilot.drivers.policy.loaded import LoadedPolicy
+    from metropilot.drivers.policy import Policy
     from metropilot.learn import RunRecord
 
-PROVENANCE = ("task", "algorithm", "seed", "steps", "seconds", "command", "commit", "created", "machine")
+APART = ("perception", "kpis", "config", "provenance")
+"""What a policy file says of itself that is shown under a heading of its own."""
+
+
+class PolicyFile(NamedTuple):
+    """A policy file as it is shown.
+
+    Attributes:
+        path: The file.
+        policy: What is in it.
+        about: What it says of itself.
+    """
+
+    path: Path
+    policy: Policy
+    about: Mapping[str, Any]
+
+
+def read_policy(path: Path) -> PolicyFile:
+    """A policy file, of a driver or of whatever else uses one.
+
+    Raises:
+        InputError: It cannot be used.
+    """
+    from metropilot.drivers.policy import load_policy
+
+    return PolicyFile(path, *load_policy(path))
 
 
 def show_learning_run(record: RunRecord, folder: Path, *, as_json: bool) -> int:
@@ -46,53 +72,51 @@ def show_learning_run(record: RunRecord, folder: Path, *, as_json: bool) -> int:
     return 0
 
 
-def show_policy(loaded: LoadedPolicy, *, as_json: bool) -> int:
+def show_policy(file: PolicyFile, *, as_json: bool) -> int:
     """A policy file: what it does and where it comes from."""
     if as_json:
-        print_json({"kind": "policy", **policy_json(loaded)})
+        print_json({"kind": "policy", **policy_json(file)})
         return 0
     out = console()
-    out.print(str(loaded.path), style="bold")
-    say_policy(loaded)
+    out.print(str(file.path), style="bold")
+    say_policy(file)
     return 0
 
 
-def policy_json(loaded: LoadedPolicy) -> dict[str, Any]:
+def policy_json(file: PolicyFile) -> dict[str, Any]:
     """A policy file as plain values."""
-    told = {"file": str(loaded.path), "network": loaded.policy.policy.spec.as_dict(), **loaded.about}
-    return told | {"perception": loaded.perception.as_dict()}
+    return {"file": str(file.path), "network": file.policy.spec.as_dict(), **file.about}
 
 
-def say_policy(loaded: LoadedPolicy) -> None:
+def say_policy(file: PolicyFile) -> None:
     """Network, perception, KPIs and provenance on the screen."""
     from metropilot.cli.learn_report import kpi_rows
 
-    out, about, seen = console(), loaded.about, loaded.perception.as_dict()
-    spec = loaded.policy.policy.spec
+    out, about, spec = console(), file.about, file.policy.spec
     layers = " - ".join(str(width) for width in (spec.observation_size, *spec.hidden, spec.width))
-    assists = seen["assists"]
-    heading(
-        out,
-        "policy",
-        [
-            f"network {layers}, {spec.activation}",
-            f"sees {', '.join(seen['features'])}",
-            f"decides every {seen['period_s']:g} s, action {_words(seen['action'])}",
-            f"assists {_words(assists)}",
-        ],
-    )
+    network = [f"network: {layers}, {spec.activation}"]
+    heading(out, "policy", network + _lines(about.get("perception")))
     kpis = about.get("kpis")
-    rows = kpi_rows(kpis) if isinstance(kpis, Mapping) else []
-    heading(out, "KPIs on its task", [f"{words}: {value} {unit}" for words, value, unit in rows])
-    told = [(name, about.get(name)) for name in PROVENANCE]
-    lines = [f"{name}: {_words(value)}" for name, value in told if value is not None and value != ""]
-    heading(out, "how it was learned", lines)
+    known = kpi_rows(kpis) if isinstance(kpis, Mapping) else []
+    rows = [f"{words}: {value} {unit}".rstrip() for words, value, unit in known]
+    heading(out, "KPIs on its task", rows or _lines(kpis))
+    told = {name: value for name, value in about.items() if name not in APART}
+    heading(out, "how it was learned", _lines(told) + _lines(about.get("provenance")))
+    heading(out, "settings", _lines(about.get("config")))
+
+
+def _lines(values: object) -> list[str]:
+    """The entries of a table of plain values, those that say nothing left out."""
+    told = values if isinstance(values, Mapping) else {}
+    return [f"{name}: {_words(value)}" for name, value in told.items() if value is not None and value != ""]
 
 
 def _words(value: Any) -> str:  # noqa: ANN401 (whatever JSON holds)
     """A plain value in words."""
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {_words(inner)}" for name, inner in value.items())
+    if isinstance(value, list):
+        return ", ".join(_words(inner) for inner in value)
     if isinstance(value, bool):
         return "yes" if value else "no"
     return value if isinstance(value, str) else json.dumps(value)

@@ -41,7 +41,7 @@ def write_history(path: Path, history: Mapping[str, np.ndarray]) -> None:
     write_whole(path, write)
 
 
-def read_history(path: Path) -> dict[str, np.ndarray]:
+def read_history(path: str | Path) -> dict[str, np.ndarray]:
     """Read a history; what is empty becomes NaN.
 
     Raises:

@@ -8,6 +8,8 @@ from difflib import get_close_matches
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from metropilot.drivers.policy import load_policy
+from metropilot.drivers.shipped import shipped_policy
 from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.config_reading import config_from_mapping
@@ -158,9 +160,18 @@ def recipe(driver: str) -> Recipe:
         InputError: There is none (the nearest is named).
     """
     if driver not in RECIPES:
-        words = f"no recipe for this driver{nearest(driver, RECIPES)}"
+        words = f"no recipe for this driver{_learned_by(driver) or nearest(driver, RECIPES)}"
         raise InputError(words, field="driver", value=driver, allowed=", ".join(RECIPES))
     return RECIPES[driver]
+
+
+def _learned_by(driver: str) -> str:
+    """What to call for a driver that is learned otherwise, as the file shipped with it says."""
+    path = shipped_policy(driver)
+    if not (driver.isidentifier() and path.is_file()):
+        return ""
+    told = load_policy(path)[1].get("provenance")
+    return f", it is learned by: {told['command']}" if isinstance(told, dict) and "command" in told else ""
 
 
 def _coarse(config: DrivingConfig) -> DrivingConfig:

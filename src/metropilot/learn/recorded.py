@@ -131,7 +131,6 @@ def _learn(
 def policy_about(record: RunRecord, perception: Perception | None) -> dict[str, Any]:
     """What a policy file says of itself: all that a driver needs, and where it comes from."""
     about: dict[str, Any] = {
-        "run": record.id,
         "driver": record.driver,
         "algorithm": record.algorithm,
         "task": dict(record.about),
@@ -139,12 +138,15 @@ def policy_about(record: RunRecord, perception: Perception | None) -> dict[str, 
         "seed": record.seed,
         "score": record.score,
         "kpis": dict(record.kpis),
-        "steps": record.steps,
-        "seconds": round(record.seconds, 1),
-        "command": record.command,
-        "commit": record.commit_id,
-        "created": record.created,
-        "machine": record.machine,
-        "versions": dict(record.versions),
+        "provenance": {
+            "run": record.id,
+            "steps": record.steps,
+            "seconds": round(record.seconds, 1),
+            "command": record.command,
+            "commit": record.commit_id,
+            "date": record.created[:10],
+            "machine": record.machine,
+            "versions": dict(record.versions),
+        },
     }
     return about | ({"perception": perception.as_dict()} if perception else {})

@@ -232,14 +232,17 @@ class NotchForceAction(AbstractAction):
         return in_time | (notches >= notches[-1])
 
     def settled(self, sight: Sight, command: Array) -> Array:
-        """The notch for a command the assists have changed: the weakest brake that is strong enough."""
+        """The notch for a command the assists have changed: the weakest brake that is strong enough.
+
+        Where no notch is (another trainset than the table is of), the stop needs the command as it is.
+        """
         xp, effort = sight.xp, effort_at(sight.vehicle, sight.speed_mps)
         notches = xp.asarray(self.notches_n, np.float32)
         wanted = xp.where(command >= 0, command * effort.traction_n, command * effort.brake_n)
         reached = xp.clip(notches, -effort.brake_n, effort.traction_n)
         # the strongest notch not above what is wanted: a weaker pull, or a stronger brake
         index = xp.sum(reached <= wanted + ROUNDING_N) - 1
-        return limited_force(sight, notches[xp.maximum(index, 0)])
+        return xp.where(index >= 0, limited_force(sight, notches[xp.maximum(index, 0)]), command)
 
 
 @final
