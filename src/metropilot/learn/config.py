@@ -13,12 +13,12 @@ from metropilot.drivers.policy.networks import Activation
 from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig, AbstractReplayConfig
 from metropilot.learn.networks import Initialiser
-from metropilot.learn.schedules import Schedule, Scheduled
+from metropilot.learn.schedules import Schedule, Scheduled, highest
 
 FULL_IMPORTANCE = Schedule(0.4, 1.0)
 LESS_CURIOUS = Schedule(1.0, 0.05, over=0.3)
-# Beyond this the sum tree falls out of the cache; more entries seldom help a prioritised learner.
-MAX_PRIORITISED = 131_072
+MAX_PRIORITISED = 1 << 20
+"""Priorities are summed in single precision."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,8 @@ class PPOConfig(AbstractConfig):
         value_weight: Weight of the critic's loss.
         normalise_advantages: Over each minibatch; without it the scale of the rewards reaches the actor.
         initial_std: Deviation of the actions at first.
-        min_std: Deviation never falls below (the entropy floor).
+        min_std: Deviation never falls below (the entropy floor); let it fall only once the policy is good: a
+            narrow policy learns slowly, a wide one drives differently from the one without exploration.
         initial_bias: Action at first: 0.5 sets a trainset moving before anything is learned.
     """
 
@@ -54,7 +55,7 @@ class PPOConfig(AbstractConfig):
     value_weight: float = 0.5
     normalise_advantages: bool = True
     initial_std: float = 0.6
-    min_std: float = 0.01
+    min_std: Scheduled = 0.01
     initial_bias: float = 0.0
 
     def __post_init__(self) -> None:
@@ -66,7 +67,7 @@ class PPOConfig(AbstractConfig):
         self.within("learning_rate", 0.0, math.inf)
         self.within("clip", 0.0, 1.0, open_low=True)
         self.within("min_std", 0.0, math.inf)
-        self.within("initial_std", self.min_std, math.inf, open_low=True)
+        self.within("initial_std", highest(self.min_std), math.inf, open_low=True)
         if self.rollout * self.environments % self.minibatches:
             allowed = f"a divisor of environments x rollout = {self.rollout * self.environments}"
             raise InputError(
