@@ -219,6 +219,23 @@ REPLAY: Mapping[str, Any] = MappingProxyType(
 REPLAY_QUICK: Mapping[str, Any] = MappingProxyType({"steps": 100_000, "evaluations": 8})
 BEGINS: Mapping[str, Any] = MappingProxyType({"initial_bias": 0.5})
 """An untrained policy that powers: from standstill it would otherwise learn nothing at first."""
+NOTCHES: Mapping[str, Any] = MappingProxyType(
+    {
+        "steps": 160_000,
+        "environments": 8,
+        "updates": 4,
+        "buffer_size": 40_000,
+        "gamma": 1.0,
+        "reward_factor": 0.005,
+        "hidden": (128, 256),
+        "huber": 2.0,
+        "normalise_observations": True,
+        "learning_rate": {"start": 1e-3, "end": 3e-5, "shape": "exponential"},
+        "epsilon": {"start": 0.5, "end": 0.05, "over": 0.3, "shape": "exponential"},
+        "evaluations": 20,
+    }
+)
+NOTCHES_QUICK: Mapping[str, Any] = MappingProxyType({"steps": 40_000, "evaluations": 10})
 IMPROVED: Mapping[str, Any] = MappingProxyType({"double": True, "dueling": True, "prioritised": True})
 TABLE: Mapping[str, Any] = MappingProxyType(
     {
@@ -249,14 +266,14 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         "ddpg": Recipe("DDPG", "Lillicrap16", "ddpg", "drive", {**REPLAY, **BEGINS}, REPLAY_QUICK),
         "sac": Recipe("SAC", "Haarnoja18", "sac", "drive", {**REPLAY, **BEGINS}, REPLAY_QUICK),
         "naf": Recipe("NAF", "Gu16", "naf", "drive", {**REPLAY, **BEGINS}, REPLAY_QUICK),
-        "dqn": Recipe("DQN", "Lu23", "dqn", "drive_notches", REPLAY, REPLAY_QUICK),
+        "dqn": Recipe("DQN", "Lu23", "dqn", "lu2023", NOTCHES, NOTCHES_QUICK),
         "improved_dqn": Recipe(
             "DQN, double, dueling, with prioritised replay",
             "Lu23",
             "dqn",
-            "drive_notches",
-            {**REPLAY, **IMPROVED},
-            REPLAY_QUICK,
+            "lu2023",
+            {**NOTCHES, **IMPROVED},
+            NOTCHES_QUICK,
         ),
         "tabular": Recipe(
             "Q-learning in a table, for one load and time",
