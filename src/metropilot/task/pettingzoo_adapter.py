@@ -152,7 +152,7 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         contact = any(found["gap_m"] < 0.0 for found in infos.values())
         still = all(float(state.plant.speed_mps) <= 0.0 for state in self.states)
         over = not contact and (self.period >= ROWS or (still and float(self._now()) > STANDS_S))
-        rewards = {agent: sum(found["terms"].values()) for agent, found in infos.items()}
+        rewards = {agent: float(sum(found["terms"].values())) for agent, found in infos.items()}
         observations = self._observations(seen)
         if contact or over:
             self.agents = []
