@@ -13,6 +13,10 @@ RENEWED = 8
 """At least so many environments are reset together."""
 
 
+RENEWED = 8
+"""At least so many environments are reset together."""
+
+
 class Environments(NamedTuple):
     """Where each environment is.
 
