@@ -21,6 +21,9 @@ from metropilot.task.tables import CLIMB, PERMITTED, Rows
 Array = Any
 
 AHEAD_M = (20.0, 50.0, 100.0, 200.0, 350.0, 600.0, 1000.0)
+FAR_M = (35.0, 75.0, 150.0, 275.0, 475.0, 800.0, 1500.0, 2200.0, 3500.0)
+COAST_NODES = np.linspace(0.0, 1.0, 25, dtype=np.float32) ** 1.0
+SLOWEST_J = 0.5
 SPEED_MPS = 20.0
 DISTANCE_M = 1000.0
 TIME_S = 100.0
@@ -173,6 +176,76 @@ def efforts(sight: Sight) -> Sequence[Array]:
     return [effort.traction_n / mass, effort.brake_n / mass, 10.0 * drag / mass]
 
 
+def permitted_far(sight: Sight) -> Sequence[Array]:
+    """Permitted speed further ahead, and between the distances of ``permitted_ahead``."""
+    ahead = (sight.rows.ground_at(PERMITTED, sight.case, sight.position_m + d) for d in FAR_M)
+    return [value / SPEED_MPS for value in ahead]
+
+
+def climb_far(sight: Sight) -> Sequence[Array]:
+    """Mean of gradient and curve resistance over the distances of ``permitted_far``."""
+    here = sight.rows.ground_at(CLIMB, sight.case, sight.position_m)
+    parts = []
+    for d in FAR_M:
+        way = sight.xp.clip(sight.left_m, 1.0, d)
+        parts.append((sight.rows.ground_at(CLIMB, sight.case, sight.position_m + way) - here) / way * 5.0)
+    return parts
+
+
+def efforts_ahead(sight: Sight) -> Sequence[Array]:
+    """Largest traction and running resistance at two fixed speeds, per kilogram; the last braking's rate."""
+    parts = []
+    for speed_mps in (12.0, 20.0):
+        v = sight.speed_mps * 0.0 + speed_mps
+        mass = sight.vehicle.effective_mass_kg
+        traction, drag = effort_at(sight.vehicle, v).traction_n, davis_n(sight.vehicle, v)
+        parts += [traction / mass, 10.0 * drag / mass]
+    return [*parts, sight.stop_mps2 + 0.0 * sight.speed_mps]
+
+
+def coasting(sight: Sight) -> Sequence[Array]:
+    """What is left of the time if the trainset coasts from here to the last braking, and how fast it gets there.
+
+    Kinetic energy over a few nodes ahead, falling by resistance and climb, below the permitted speed and the
+    last braking; resistance is taken at the speeds of the pass before.
+    """
+    xp, vehicle = sight.xp, sight.vehicle
+    length = xp.maximum(sight.left_m, 1.0)
+    way = COAST_NODES.reshape((-1,) + (1,) * np.ndim(sight.speed_mps)) * length
+    at = sight.position_m + way
+    climb = sight.rows.ground_at(CLIMB, sight.case, at)
+    climb = (climb - climb[0]) * vehicle.mass_kg / vehicle.effective_mass_kg
+    top = xp.minimum(sight.rows.ground_at(PERMITTED, sight.case, at), xp.sqrt(2.0 * sight.stop_mps2 * (length - way) + 1e-6))
+    energy = xp.maximum(0.5 * sight.speed_mps**2 - climb, SLOWEST_J)
+    for _ in range(2):
+        v = xp.minimum(xp.sqrt(2.0 * energy), top)
+        drag = davis_n(vehicle, v) / vehicle.effective_mass_kg
+        lost = xp.cumsum(0.5 * (drag[1:] + drag[:-1]) * (way[1:] - way[:-1]), 0)
+        energy = xp.maximum(0.5 * sight.speed_mps**2 - climb - xp.concatenate([0.0 * climb[:1], lost]), SLOWEST_J)
+    v = xp.minimum(xp.sqrt(2.0 * energy), top)
+    taken = xp.sum(2.0 * (way[1:] - way[:-1]) / (v[1:] + v[:-1] + 0.1), 0)
+    spare = xp.clip(sight.left_s - taken, -200.0, 200.0)
+    share = xp.clip(spare / xp.maximum(sight.left_s, 5.0), -2.0, 2.0)
+    return [spare / 50.0, xp.tanh(spare / 10.0), xp.tanh(spare / 2.0), share, xp.min(v[: -3], 0) / SPEED_MPS]
+
+
+def steady(sight: Sight) -> Sequence[Array]:
+    """What is left of the time if the trainset holds its speed up to the last braking."""
+    xp, v = sight.xp, xp_max(sight.xp, sight.speed_mps, 1.0)
+    taken = sight.left_m / v + 0.5 * v / sight.stop_mps2
+    spare = xp.clip(sight.left_s - taken, -200.0, 200.0)
+    return [spare / 50.0, xp.tanh(spare / 10.0), xp.clip(spare / xp.maximum(sight.left_s, 5.0), -2.0, 2.0)]
+
+
+def xp_max(xp, a, b):
+    return xp.maximum(a, b)
+
+
+def jerk(sight: Sight) -> Sequence[Array]:
+    """How long an effort takes to build up."""
+    return [sight.xp.minimum(1.0 / sight.vehicle.jerk_mps3, 4.0) + 0.0 * sight.speed_mps]
+
+
 def load(sight: Sight) -> Sequence[Array]:
     """Mass over the mean mass of all cases."""
     return [3.0 * (sight.load - 1.0)]
@@ -208,6 +281,12 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
             efforts,
             load,
             delay,
+            permitted_far,
+            climb_far,
+            efforts_ahead,
+            coasting,
+            steady,
+            jerk,
         )
     }
 )
@@ -241,6 +320,10 @@ OBSERVERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "load",
             "command",
             "acceleration",
+        ),
+        "line": (
+            "speed", "distance_left", "time_left", "reserve", "mean_speed", "braking", "permitted", "permitted_ahead", "permitted_far",
+            "climb_ahead", "climb_far", "efforts", "efforts_ahead", "coasting", "steady", "jerk",
         ),
     }
 )

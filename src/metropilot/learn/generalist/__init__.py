@@ -1,0 +1,1 @@
+"""One driver for every line: random worlds, lessons from the optimal plan, a network that imitates it."""
