@@ -1,5 +1,5 @@
 """States labelled by the optimal plan. python teach.py SEED COUNT OUT"""
-import sys,time; sys.path.insert(0,'/tmp/lead')
+import sys,time; sys.path.insert(0,'prototype')
 import numpy as np
 from gen import section, trainset
 from dataclasses import replace
