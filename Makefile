@@ -5,6 +5,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-stamp
 BENCH_STAMP := $(VENV)/.bench-stamp
+WEB_STAMP := $(VENV)/.web-stamp
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 # Two test processes, each single-threaded: small networks get slower on two threads.
@@ -16,10 +17,10 @@ ARGS ?=
 SECTION := yizhuang RJ WYJ --time 101
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check lint types layers docs bench constraints api clean
+.PHONY: help setup demo test test-web serve check lint types layers docs bench constraints api clean
 
 help:  ## list the targets
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
 setup: $(STAMP)  ## make .venv with everything development needs
 
@@ -37,13 +38,23 @@ $(BENCH_STAMP): $(STAMP)
 	@$(PIP) --editable '.[dev,nlp]'
 	@touch $@
 
+$(WEB_STAMP): $(STAMP)
+	@$(PIP) --editable '.[dev,browser]'
+	@touch $@
+
 demo: $(STAMP)  ## drive a real section near the energy optimum and draw it
 	$(BIN)/metropilot drive $(SECTION) --driver optimal --out demo/drive
 	$(BIN)/metropilot compare $(SECTION) --drivers optimal,manual,flat_out --out demo/compare
 	@echo "The picture of the drive: demo/drive/profile.png; the comparison: demo/compare/"
 
 test: $(STAMP)  ## run the tests (ARGS="-k protection" is passed to pytest)
-	$(ONE_THREAD) $(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
+	$(ONE_THREAD) $(BIN)/python -m pytest -n $(WORKERS) --ignore tests/browser $(ARGS)
+
+test-web: $(WEB_STAMP)  ## click through the console in headless Chromium (says so where there is none)
+	$(BIN)/python -m pytest tests/browser $(ARGS)
+
+serve: $(STAMP)  ## open the console at http://127.0.0.1:8060
+	$(BIN)/metropilot serve
 
 check: lint types layers docs  ## lint, format, types, layers, documentation
 

@@ -1,6 +1,6 @@
 """Run all benchmarks, or those named: ``python -m benchmarks plant --write docs/benchmarks.md``."""
 
-from benchmarks import learn, plan, plant, startup, task
+from benchmarks import learn, learned, plan, plant, startup, task
 from benchmarks.report import run
 
-run([plan.BENCHMARK, plant.BENCHMARK, startup.BENCHMARK, task.BENCHMARK, learn.BENCHMARK])
+run([plan.BENCHMARK, plant.BENCHMARK, startup.BENCHMARK, task.BENCHMARK, learn.BENCHMARK, learned.BENCHMARK])

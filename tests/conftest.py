@@ -3,7 +3,10 @@
 Nothing here imports JAX, so that a test of lines and trainsets does not pay for it.
 """
 
+import atexit
 import os
+import shutil
+import tempfile
 
 from hypothesis import settings
 from jaxtyping import install_import_hook
@@ -13,6 +16,11 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ["JAX_NUMPY_DTYPE_PROMOTION"] = "strict"
 os.environ["JAX_NUMPY_RANK_PROMOTION"] = "raise"
 os.environ["MPLBACKEND"] = "Agg"
+# Learning runs and compiled programs of all test processes go into one folder of their own, never the user's.
+if "METROPILOT_TEST_HOME" not in os.environ:
+    os.environ["METROPILOT_TEST_HOME"] = tempfile.mkdtemp(prefix="metropilot-tests-")
+    atexit.register(shutil.rmtree, os.environ["METROPILOT_TEST_HOME"], ignore_errors=True)
+os.environ["METROPILOT_HOME"] = os.environ["METROPILOT_TEST_HOME"]
 
 # Every annotated function of metropilot checks its arguments' types and array shapes.
 install_import_hook("metropilot", "beartype.beartype")

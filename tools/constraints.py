@@ -16,7 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 TARGET = ROOT / "constraints.txt"
 HEADER = """\
-# Exact versions of everything that development installs (extras dev and nlp).
+# Exact versions of everything that development installs (extras dev, nlp and browser).
 # Written by `make constraints`; do not edit by hand.
 """
 
@@ -26,7 +26,7 @@ def resolve(interpreter: str) -> tuple[str, dict[str, str]]:
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder, "report.json")
         install = f"{interpreter} -m pip install --quiet --dry-run --ignore-installed --report".split()
-        subprocess.run([*install, str(report), f"{ROOT}[dev,nlp]"], check=True)
+        subprocess.run([*install, str(report), f"{ROOT}[dev,nlp,browser]"], check=True)
         answer = json.loads(report.read_text())
     rows = (item["metadata"] for item in answer["install"])
     versions = {row["name"].lower().replace("_", "-"): row["version"] for row in rows}

@@ -11,6 +11,7 @@ import pytest
 
 from metropilot.cli.app import COMMANDS
 from metropilot.drivers import DRIVERS
+from metropilot.drivers.followers import FOLLOWERS
 from metropilot.evaluate import COLUMNS
 
 RUN = ("yizhuang", "RJ", "WYJ", "--time", "101")
@@ -97,10 +98,10 @@ def test_journey_file(metropilot, tmp_path):
     assert len(table["calls"]) == 14
 
 
-@pytest.mark.parametrize("name", ["lines", "trainsets", "drivers"])
+@pytest.mark.parametrize("name", ["lines", "trainsets", "drivers", "drivers --followers"])
 def test_catalogue(metropilot, name):
-    rows = answer(metropilot(name, "--json"))
-    text = metropilot(name).out
+    rows = answer(metropilot(*name.split(), "--json"))
+    text = metropilot(*name.split()).out
     assert rows
     for row in rows:
         assert row["id"] in text
@@ -108,6 +109,8 @@ def test_catalogue(metropilot, name):
 
 def test_drivers_are_the_registry(metropilot):
     assert [d["id"] for d in answer(metropilot("drivers", "--json"))] == list(DRIVERS.ids())
+    followers = answer(metropilot("drivers", "--followers", "--json"))
+    assert [d["id"] for d in followers] == list(FOLLOWERS.ids())
 
 
 @pytest.mark.parametrize(
@@ -172,9 +175,16 @@ def test_nothing_asked_shows_the_help(metropilot):
     assert "Commands" in said.out
 
 
-@pytest.mark.parametrize(
-    "line", [e for e in EXAMPLES if "--from" not in e and "import" not in e and ".toml" not in e]
+ELSEWHERE = (
+    "--from",
+    "import",
+    ".toml",
+    *(f"metropilot {c}" for c in ("campaign", "reproduce", "learn", "export", "serve")),
 )
+"""Examples that need a file, or learn for minutes: the tests of their own packages run those."""
+
+
+@pytest.mark.parametrize("line", [e for e in EXAMPLES if not any(part in e for part in ELSEWHERE)])
 def test_examples_in_the_help_run(program, line):
     if line == "metropilot show drive":
         program("drive", *RUN, "--driver", "flat_out", "--out", "drive")

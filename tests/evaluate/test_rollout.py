@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metropilot.evaluate import drive
+from metropilot.evaluate import Rollout, drive
 from metropilot.evaluate.recorder import limit_at, step_overspeed
 from metropilot.physics import at_rest, track_arrays, vehicle_arrays
 from metropilot.railway import Restriction
@@ -107,3 +107,56 @@ def test_driving_never_imports_jax():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_run_stepped_by_hand_gives_the_same_bits(request_rj):
+    whole = drive(request_rj.run(), request_rj.make_driver())
+    rollout = Rollout(request_rj.run(), request_rj.make_driver())
+    seen = []
+    while rollout.outcome is None:
+        seen.append(rollout.advance())
+    stepped = rollout.drive()
+    np.testing.assert_array_equal(stepped.trajectory.speed_mps, whole.trajectory.speed_mps)
+    np.testing.assert_array_equal([m.speed_mps for m in seen], whole.trajectory.speed_mps[1:])
+    assert seen[-1].energy_wheel_j == whole.trajectory.energy_wheel_j[-1]
+
+
+def test_no_drive_before_the_end(request_rj):
+    rollout = Rollout(request_rj.run(), request_rj.make_driver())
+    rollout.advance()
+    with pytest.raises(ValueError, match="not over"):
+        rollout.drive()
+
+
+def test_told_on_the_way_is_as_told_beforehand(request_rj):
+    news = News(30.2, scheduled_time_s=125.0)
+    before = replace(request_rj, driver="optimal")
+    planned = drive(
+        replace(before.run(), scenario=replace(before.run().scenario, news=(news,))), before.make_driver()
+    )
+    rollout = Rollout(before.run(), before.make_driver())
+    while rollout.outcome is None:
+        if rollout.moment().time_s >= 30.1 and not rollout.pending and rollout.scheduled_time_s != 125.0:
+            rollout.tell(news)
+        rollout.advance()
+    told = rollout.drive()
+    np.testing.assert_array_equal(told.trajectory.speed_mps, planned.trajectory.speed_mps)
+    assert told.running_time_s == pytest.approx(125.0, abs=3.0)
+
+
+def test_a_hand_on_the_lever_is_supervised_and_gives_it_back(request_rj):
+    request = replace(request_rj, driver="optimal")
+    rollout = Rollout(request.run(), request.make_driver())
+    while rollout.outcome is None:
+        now = rollout.moment().time_s
+        if abs(now - 20.0) < 0.1:
+            rollout.take(1.0)
+        if abs(now - 40.0) < 0.1:
+            rollout.take(None)
+        seen = rollout.advance()
+        if 20.2 < now < 39.8:
+            assert seen.wanted == 1.0
+    driven = rollout.drive()
+    assert driven.interventions > 0
+    assert driven.max_overspeed_mps == 0.0
+    assert driven.outcome is Outcome.ARRIVED

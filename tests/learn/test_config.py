@@ -45,7 +45,7 @@ def test_schedules_and_tuples_are_read():
             "clip: schedule out of range, 0.2 to 0 (allowed: above 0, at most 1)",
         ),
         ("ppo", {"initial_std": 0.01}, "initial_std: out of range: 0.01 (allowed: above 0.01)"),
-        ("dqn", {"prioritised": True, "buffer_size": 1_000_000}, "at most 131072"),
+        ("dqn", {"prioritised": True, "buffer_size": 2_000_000}, "at most 1048576"),
         ("dqn", {"buffer_size": 1_001, "environments": 8}, "a multiple of environments = 8"),
         ("sac", {"tau": 0.0}, "tau: out of range: 0.0 (allowed: above 0, at most 1)"),
         ("tabular", {"reward_scaling": True}, "a table does not need it"),

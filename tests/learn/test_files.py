@@ -205,7 +205,7 @@ def test_a_run_leaves_everything_needed_to_show_resume_and_drive_it(tmp_path):
     assert names == {"run.toml", "history.parquet", "policy.safetensors", "checkpoint.safetensors"}
     assert read_history(folder / "history.parquet")["steps"].tolist() == [64.0, 128.0]
     loaded, about = load_policy(folder / "policy.safetensors")
-    assert about["run"] == record.id
+    assert about["provenance"]["run"] == record.id
     assert about["task"] == {"line": "none", "name": "integrator"}
     np.testing.assert_array_equal(loaded.params["policy.0.weight"], learned.policy.params["policy.0.weight"])
     # A run cannot go on with another configuration, and is not spoiled by the attempt.

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from metropilot.drivers.policy.networks import dueling
 from metropilot.learn.distributions import (
     categorical_entropy,
     categorical_log_prob,
@@ -15,7 +16,7 @@ from metropilot.learn.distributions import (
     squashed_sample,
 )
 from metropilot.learn.losses import ddpg, dqn, naf, ppo, sac, tabular
-from metropilot.learn.networks import dueling, lower_triangle
+from metropilot.learn.networks import lower_triangle
 
 
 def f(*values):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from tests.learn.problems import CONTINUOUS, KINDS, TWO_CHOICES, Probe
 
+from metropilot.drivers.policy.policy import act
 from metropilot.learn.config import DDPGConfig, DQNConfig, NAFConfig, PPOConfig, SACConfig, TabularConfig
-from metropilot.learn.policy import act
 from metropilot.learn.registry import make_learner
 
 GAMMA = 0.8

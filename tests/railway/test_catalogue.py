@@ -158,6 +158,28 @@ class TestCheng2023:
         assert a == pytest.approx(0.6841 * 300 * 9.81)
 
 
+@pytest.mark.parametrize(("key", "zone"), [("lu2023", 80), ("lu2023-restricted", 55)])
+def test_lu2023_section(key, zone):
+    # Lu23 Table 2, and section 4.2 for the restriction; the column headed % is permil
+    section = load_line(key).section("WHY", "WYJ")
+    assert section.length_m == 1538.0
+    at = np.array([0.0, 119.0, 121.0, 179.0, 181.0, 566.0, 568.0, 601.0, 891.0, 893.0, 929.0, 931.0, 1381.0])
+    gradient = [0, 0, -2, -2, -2, -2, 5, 5, 5, 3, 3, 3, 0]
+    limit = [55, 55, 55, 55, 80, 80, 80, zone, zone, zone, zone, 80, 55]
+    np.testing.assert_allclose(section.gradient_permil.at(at), gradient)
+    np.testing.assert_allclose(section.limit_mps.at(at) * 3.6, limit)
+    np.testing.assert_allclose(section.limit_mps.at(np.array([1369.0, 1371.0])) * 3.6, [80, 55])
+
+
+def test_lu2023_trainset_is_a_point_mass_with_the_strongest_notches():
+    trainset = load_trainset("lu2023")
+    assert (trainset.mass_kg, trainset.length_m, trainset.rotating_fraction) == (194300.0, 0.0, 0.0)
+    levels = trainset.notches["lu2023"]
+    assert (levels[0], levels[-1], len(levels)) == (-149e3, 180e3, 12)
+    assert float(trainset.traction.at(0.0)) == levels[-1]
+    assert float(trainset.electric_brake.at(80 * KMH)) == -levels[0]
+
+
 def test_beijing_subway_of_ttobench():
     trainset = load_trainset("cn_beijing_subway")
     assert trainset.mass_kg == 278000

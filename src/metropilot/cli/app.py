@@ -20,11 +20,23 @@ INTERRUPTED = 130
 COMMANDS: dict[str, tuple[str, str]] = {
     "drive": ("metropilot.cli.drive", "Drive one run under protection and report it."),
     "compare": ("metropilot.cli.compare", "Drive the same run with several drivers."),
+    "convoy": ("metropilot.cli.convoy", "Drive virtually coupled trainsets."),
+    "campaign": ("metropilot.cli.campaign", "Drive a declared matrix of runs, resumable, and report it."),
     "plan": ("metropilot.cli.plan", "Compute the optimal plan, its certificate, the time-energy front."),
+    "learn": ("metropilot.cli.learn", "Learn a driver, or go on learning one."),
+    "runs": ("metropilot.cli.runs", "List the learning runs, the newest first."),
+    "export": ("metropilot.cli.export", "Write a learned driver's policy in another format."),
     "lines": ("metropilot.cli.catalogue", "List the lines of the catalogue."),
     "trainsets": ("metropilot.cli.catalogue", "List the trainsets of the catalogue."),
     "drivers": ("metropilot.cli.catalogue", "List the drivers."),
-    "show": ("metropilot.cli.show", "Show a line, a trainset, a driver or the folder of a run."),
+    "tasks": ("metropilot.cli.runs", "List the tasks that can be learned."),
+    "show": ("metropilot.cli.show", "Show a line, a trainset, a driver, a policy or a run."),
+    "reproduce": (
+        "metropilot.cli.reproduce",
+        "Reproduce a paper: published, ours and optimum in one table, with its figures.",
+    ),
+    "studies": ("metropilot.cli.reproduce", "List the studies."),
+    "serve": ("metropilot.cli.serve", "Open the web console and the HTTP API."),
     "import": ("metropilot.cli.import_file", "Read a line, trainset or journey file and write it as TOML."),
 }
 """Each command: the module that holds it, and its line in the help. Modules are imported on use."""

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import typer
+
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, print_json, table
 
@@ -17,6 +21,7 @@ EXAMPLES = {
     "drivers": (
         "metropilot drivers",
         "metropilot drivers --json",
+        "metropilot drivers --followers",
     ),
 }
 
@@ -77,14 +82,24 @@ def trainsets_command(as_json: opt.Json = False) -> int:
     return 0
 
 
-def drivers_command(as_json: opt.Json = False) -> int:
-    """List the drivers."""
+def drivers_command(
+    followers: Annotated[
+        bool,
+        typer.Option("--followers", help="List instead the drivers of trainsets that follow in a convoy."),
+    ] = False,
+    as_json: opt.Json = False,
+) -> int:
+    """List the drivers, or those of trainsets that follow in a convoy."""
     from metropilot.drivers import DRIVERS
+    from metropilot.drivers.followers import FOLLOWERS
 
-    found = [DRIVERS.get(key) for key in DRIVERS.ids()]
+    registry = FOLLOWERS if followers else DRIVERS
+    found = [registry.get(key) for key in registry.ids()]
     if as_json:
         print_json([{"id": d.id, "summary": d.summary, "source": d.source} for d in found])
         return 0
     rows = [(d.id, d.summary, d.source) for d in found]
     console().print(table("", ("id", "what it does", "source"), rows))
+    if not followers:
+        console().print("Drivers that follow in a convoy: metropilot drivers --followers")
     return 0

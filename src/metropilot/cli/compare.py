@@ -59,6 +59,8 @@ def compare_command(
     delay: opt.Delay = 0.0,
     lag: opt.Lag = 0.0,
     speed_noise: opt.SpeedNoise = 0.0,
+    headwind: opt.Headwind = 0.0,
+    adhesion: opt.Adhesion = float("inf"),
     restriction: opt.Restrictions = None,
     arrive: opt.Arrivals = None,
     out: opt.Out = None,
@@ -92,6 +94,8 @@ def compare_command(
         delay_s=delay,
         lag_s=lag,
         speed_noise_mps=speed_noise,
+        headwind_mps=headwind,
+        adhesion=adhesion,
         restrictions=restriction,
         arrivals=arrive,
     )

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from metropilot.errors import InputError
-
 if TYPE_CHECKING:
     from metropilot.evaluate import Request
 
@@ -53,6 +51,13 @@ Lag = Annotated[float, typer.Option(help="Lag on top of the trainset's, s.", ric
 SpeedNoise = Annotated[
     float, typer.Option(help="Standard deviation of the measured speed, m/s.", rich_help_panel=WORLD)
 ]
+Headwind = Annotated[
+    float, typer.Option(help="Wind from ahead, m/s; below 0 from behind.", rich_help_panel=WORLD)
+]
+Adhesion = Annotated[
+    float,
+    typer.Option(help="Traction over weight at which the wheels slip, e.g. 0.06.", rich_help_panel=WORLD),
+]
 Restrictions = Annotated[
     list[str] | None,
     typer.Option(
@@ -82,27 +87,9 @@ def request_of(**given: Any) -> Request:  # noqa: ANN401 (the fields of Request,
         given: Fields of :class:`~metropilot.evaluate.Request`; lists that were not given are None.
     """
     from metropilot.evaluate import Request
+    from metropilot.evaluate.driver_options import named_option
 
     given["restrictions"] = tuple(given.get("restrictions") or ())
     given["arrivals"] = tuple(given.get("arrivals") or ())
-    given["options"] = dict(map(driver_option, given.get("options") or ()))
+    given["options"] = dict(map(named_option, given.get("options") or ()))
     return Request(**given)
-
-
-def driver_option(text: str) -> tuple[str, Any]:
-    """``NAME=VALUE``; the value is a number or a truth where it reads as one.
-
-    Raises:
-        InputError: Not of that form.
-    """
-    name, equals, value = text.partition("=")
-    if not (equals and name.isidentifier()):
-        raise InputError("not an option of a driver", field="set", value=text, allowed="NAME=VALUE")
-    if value.lower() in {"true", "false"}:
-        return name, value.lower() == "true"
-    for kind in (int, float):
-        try:
-            return name, kind(value)
-        except ValueError:
-            continue
-    return name, value

@@ -12,10 +12,12 @@ import typer
 
 from metropilot.cli import options as opt
 from metropilot.cli.console import citations, console, heading, number, print_json, table
+from metropilot.cli.show_learned import policy_json, read_policy, say_policy, show_learning_run, show_policy
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
     from metropilot.drivers import AbstractDriver
+    from metropilot.learn import RunRecord
     from metropilot.railway import Line, Section, Trainset
 
 SPEEDS_KMH = (0.0, 20.0, 40.0, 60.0, 80.0)
@@ -31,11 +33,11 @@ EXAMPLES = {
 
 def show_command(
     what: Annotated[
-        str, typer.Argument(metavar="ID|PATH", help="Line, trainset, driver, file or folder of a run.")
+        str, typer.Argument(metavar="ID|PATH", help="Line, trainset, driver, file, run or its folder.")
     ],
     as_json: opt.Json = False,
 ) -> int:
-    """Show a line, a trainset, a driver or the folder of a run."""
+    """Show a line, a trainset, a driver, a policy or a run."""
     from metropilot.drivers import DRIVERS
     from metropilot.railway import list_lines, list_trainsets, load_line, load_trainset
 
@@ -46,9 +48,11 @@ def show_command(
     if what in DRIVERS.ids():
         return show_driver(DRIVERS.get(what), as_json=as_json)
     if (Path(what) / "run.toml").is_file():
-        return show_run(Path(what), as_json=as_json)
+        return show_run_folder(Path(what), as_json=as_json)
     if Path(what).exists():
         return show_file(Path(what), as_json=as_json)
+    if (found := run_of_id(what)) is not None:
+        return show_learning_run(*found, as_json=as_json)
     known = (*list_lines(), *list_trainsets(), *DRIVERS.ids())
     near = get_close_matches(what, known, 1)
     hint = f", did you mean {near[0]}?" if near else ""
@@ -60,12 +64,38 @@ def show_command(
     )
 
 
+def run_of_id(what: str) -> tuple[RunRecord, Path] | None:
+    """The learning run of the user's whose id this is, or begins so, and its folder."""
+    from metropilot.learn import RunStore
+    from metropilot.learn.home import runs_folder
+
+    store = RunStore(runs_folder())
+    try:
+        record = store.show(what)
+    except InputError:
+        return None
+    return record, store.folder(record.id)
+
+
+def show_run_folder(folder: Path, *, as_json: bool) -> int:
+    """The folder of a learning run, or of a drive."""
+    from metropilot.cli.learn import found_run
+    from metropilot.learn.runs import read_record
+
+    if read_record(folder / "run.toml") is None:
+        return show_run(folder, as_json=as_json)
+    store, record = found_run(str(folder))
+    return show_learning_run(record, store.folder(record.id), as_json=as_json)
+
+
 def show_file(path: Path, *, as_json: bool) -> int:
-    """A line, trainset or journey file, or a `run.toml`."""
+    """A line, trainset, journey or policy file, or a `run.toml`."""
     from metropilot.railway import Line, Trainset, import_file
 
     if path.name == "run.toml":
-        return show_run(path.parent, as_json=as_json)
+        return show_run_folder(path.parent, as_json=as_json)
+    if path.suffix == ".safetensors":
+        return show_policy(read_policy(path), as_json=as_json)
     found = import_file(path)
     if isinstance(found, Line):
         return show_line(found, as_json=as_json)
@@ -228,10 +258,13 @@ def show_driver(driver: type[AbstractDriver], *, as_json: bool) -> int:
     """What a driver does, and the options it takes."""
     import inspect
 
+    from metropilot.drivers.shipped import shipped_policy
     from metropilot.evaluate import option_defaults
 
     text = inspect.getdoc(driver) or ""
     taken = option_defaults(driver)
+    path = shipped_policy(driver.id)
+    file = read_policy(path) if path.is_file() else None
     if as_json:
         print_json(
             {
@@ -242,6 +275,7 @@ def show_driver(driver: type[AbstractDriver], *, as_json: bool) -> int:
                 "options": taken,
                 "text": text,
             }
+            | ({"policy": policy_json(file)} if file else {})
         )
         return 0
     out = console()
@@ -249,6 +283,8 @@ def show_driver(driver: type[AbstractDriver], *, as_json: bool) -> int:
     out.print(f"source: {driver.source}")
     heading(out, "options (--set NAME=VALUE)", [f"{name} = {value}" for name, value in taken.items()])
     heading(out, "in full", text.splitlines())
+    if file:
+        say_policy(file)
     return 0
 
 

@@ -1,6 +1,17 @@
 """Drivers: anything that gives the command, one file each."""
 
-from metropilot.drivers import flat_out, manual, optimal  # noqa: F401 (importing a driver's file registers it)
+from metropilot.drivers import (  # noqa: F401 (importing a driver's file registers it)
+    ddpg_pid,
+    flat_out,
+    fuzzy_pid,
+    manual,
+    mpc,
+    neural_pid,
+    optimal,
+    pid,
+    pid_lu2023,
+    shipped,
+)
 from metropilot.drivers.base import AbstractDriver, DriverRegistry, register
 
 DRIVERS = DriverRegistry()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, TypeVar, final
 
 from metropilot.errors import InputError
 from metropilot.task import Observation, Run
@@ -37,10 +37,11 @@ class AbstractDriver(ABC):
         """The command in [-1, 1] for the coming control period, and the memory to bring next time."""
 
 
+DriverClass = TypeVar("DriverClass", bound=type[AbstractDriver])
 _REGISTRY: dict[str, type[AbstractDriver]] = {}
 
 
-def register(driver: type[AbstractDriver]) -> type[AbstractDriver]:
+def register(driver: DriverClass) -> DriverClass:
     """Add a driver to the registry (class decorator)."""
     _REGISTRY[driver.id] = driver
     return driver

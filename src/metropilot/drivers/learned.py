@@ -19,8 +19,11 @@ from metropilot.task.assist import assisted
 from metropilot.task.observers import Sight, observe
 from metropilot.task.tables import Rows, Tables, build_tables
 
-PolicyFunction = Callable[[np.ndarray], Any]
-"""From an observation, float32 of shape (O,), to an action: float32 of shape (A,), or an integer choice."""
+PolicyFunction = Callable[..., Any]
+"""From an observation, float32 of shape (O,), to an action: float32 of shape (A,), or an integer choice.
+
+Where the action has a filter, the choices it allows, bool of shape (count,), come second.
+"""
 EARLY_S = 1e-6
 
 
@@ -33,7 +36,8 @@ class LearnedMemory(NamedTuple):
         rows: What it sees of it, as tables.
         case: The one row of them.
         command: Last command.
-        wanted: Command the policy asked for at its last decision.
+        action: Action of the policy's last decision.
+        wanted: Command it asked for.
         decided: Decisions taken.
         stopping: Whether the last braking has begun.
     """
@@ -43,6 +47,7 @@ class LearnedMemory(NamedTuple):
     rows: Rows
     case: Tables
     command: np.float64
+    action: Any
     wanted: np.float64
     decided: int
     stopping: np.bool_
@@ -69,7 +74,7 @@ class LearnedDriver(AbstractDriver):
         """Build the tables the policy sees."""
         rows = self._rows(run, run.section)
         zero = np.float64(0.0)
-        return LearnedMemory(run, run.section, rows, rows.case(0), zero, zero, 0, np.bool_(False))
+        return LearnedMemory(run, run.section, rows, rows.case(0), zero, None, zero, 0, np.bool_(False))
 
     def act(self, memory: LearnedMemory, observation: Observation) -> tuple[float, LearnedMemory]:
         """Decide if it is time to, then what the assists make of the decision."""
@@ -78,14 +83,20 @@ class LearnedDriver(AbstractDriver):
             rows = self._rows(memory.run, observation.section)
             memory = memory._replace(section=observation.section, rows=rows, case=rows.case(0))
         sight = self._sight(memory, observation)
-        wanted, decided = memory.wanted, memory.decided
+        action, wanted, decided = memory.action, memory.wanted, memory.decided
         if observation.time_s >= decided * perception.period_s - EARLY_S:
-            action = self.policy(observe(perception.features, sight))
+            seen = observe(perception.features, sight)
+            mask = perception.action.allowed(sight, perception.period_s)
+            action = self.policy(seen) if mask is None else self.policy(seen, mask)
             wanted = np.float64(perception.action.command(sight, action, perception.period_s))
             decided = int((observation.time_s + EARLY_S) / perception.period_s) + 1
+        command = perception.action.held(sight, action, wanted)
         dt = memory.run.dt
-        command, stopping = assisted(perception.assists, sight, wanted, memory.stopping, dt)
-        memory = memory._replace(command=command, wanted=wanted, decided=decided, stopping=stopping)
+        command, stopping = assisted(perception.assists, sight, command, memory.stopping, dt)
+        command = perception.action.settled(sight, command)
+        memory = memory._replace(
+            command=command, action=action, wanted=wanted, decided=decided, stopping=stopping
+        )
         return float(command), memory
 
     def _rows(self, run: Run, section: Section) -> Rows:

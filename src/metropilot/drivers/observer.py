@@ -24,7 +24,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from metropilot.physics import Track, Vehicle, resistance_and_gradient
-from metropilot.physics.effort import effort_at
+from metropilot.physics.effort import curve_n, effort_at
 
 MAX_EXTRA_DELAY_S = 1.0
 EXTRA_LAGS_S = (0.0, 0.2, 0.4, 0.6)
@@ -148,13 +148,26 @@ class Ahead(NamedTuple):
     brake_mps2: float
 
 
-def first_belief(model: Model, position_m: float = 0.0, speed_mps: float = 0.0) -> Belief:
+def weighs_load(vehicle: Vehicle) -> bool:
+    """Whether full service braking is a rate at any load: there is force to spare for a heavier one."""
+    spare = 1.0 + 2.0 * MASS_SIGMA
+    speeds = np.linspace(0.0, float(vehicle.max_speed_mps), 9)
+    electric = min(float(curve_n(vehicle.brake_from_mps, vehicle.brake, v)) for v in speeds)
+    force = min(electric + float(vehicle.friction_n), float(vehicle.adhesion_n))
+    return spare * float(vehicle.service_n) <= force
+
+
+def first_belief(
+    model: Model, position_m: float = 0.0, speed_mps: float = 0.0, *, weighed_brakes: bool = False
+) -> Belief:
     """The belief before anything was observed: the data sheet, and any delay up to a second more.
 
     Args:
         model: What the driver believes about trainset and section.
         position_m: Where it starts.
         speed_mps: How fast it starts.
+        weighed_brakes: The brake is controlled to a rate at any load (see :func:`weighs_load`): a wrong mass
+            moves the gain of traction alone.
     """
     dt = model.dt
     known = round(float(model.vehicle.delay_s) / dt)
@@ -163,7 +176,8 @@ def first_belief(model: Model, position_m: float = 0.0, speed_mps: float = 0.0) 
     steps, lag = (x.ravel() for x in np.meshgrid(known + extra, lags, indexing="ij"))
     count = steps.size
     covariance = np.diag([EFFORT_SIGMA**2, EFFORT_SIGMA**2, RESISTANCE_SIGMA**2])
-    covariance[:2, :2] += MASS_SIGMA**2
+    weighs = 1 if weighed_brakes else 2
+    covariance[:weighs, :weighs] += MASS_SIGMA**2
     bank = Bank(
         delay_steps=steps,
         keep=np.where(lag > 0, np.exp(-dt / np.maximum(lag, 1e-6)), 0.0),

@@ -19,6 +19,7 @@ from metropilot.drivers.observer import (
     look_ahead,
     observe,
     share_for,
+    weighs_load,
 )
 from metropilot.drivers.plan_reading import (
     START_STRETCH_M,
@@ -55,11 +56,16 @@ class OptimalOptions:
         coast_band_mps2: Efforts below this are not given where the plan coasts.
         time_band_s: A departure in time that calls for a new plan.
         speed_band_mps: A departure in speed that calls for a new plan.
-        patience_s: Least time between two plans.
+        patience_s: Least time between two plans that a departure calls for.
+        period_s: A new plan at least this often, with what was learned of the trainset by then.
         last_plan_m: No new plan this close to the braking point.
         release_share: Jerk of the last brake's release over the trainset's limit.
         brake_use: Share of the braking force the plan counts on; the rest answers what goes differently.
         careful_brake_use: The same where commands act late, or the trainset answers differently than told.
+        doubt: Standard deviations taken off the brake's gain once the mass turns out wrong, until braking has
+            shown it.
+        weighed_brakes: Take a brake that is controlled to a rate at any load (as the trainset's data say) for
+            what it is: a wrong mass says nothing of its gain.
         handover_m: How near the stop its own law takes over from the plan.
         alarm: Where the stop needs this much more than the planned deceleration, its law takes over at once.
         careful_alarm: The same, wherever it is, where commands act late.
@@ -75,10 +81,13 @@ class OptimalOptions:
     time_band_s: float = 0.1
     speed_band_mps: float = 0.5
     patience_s: float = 4.0
+    period_s: float = math.inf
     last_plan_m: float = 30.0
     release_share: float = 0.95
     brake_use: float = 0.995
     careful_brake_use: float = 0.92
+    doubt: float = 1.0
+    weighed_brakes: bool = False
     handover_m: float = 60.0
     alarm: float = 1.15
     careful_alarm: float = 0.95
@@ -134,10 +143,9 @@ LAST_METRES_M = 8.0
 CREEP_MPS = 0.06
 CREEP_M = 0.05
 LAST_STRETCH_M = 30.0
+EARLY_S = 1e-6
 SURPRISE = 0.05
 """A traction gain this far from 1 says that the mass is not what the driver was told."""
-DOUBT = 1.0
-"""Standard deviations taken off the brake's gain then, until braking has shown it."""
 
 
 @register
@@ -179,7 +187,7 @@ class Optimal(AbstractDriver):
             watched=at_start(guard),
             room=room,
             model=model,
-            belief=first_belief(model),
+            belief=first_belief(model, weighed_brakes=self.options.weighed_brakes and weighs_load(vehicle)),
             plan=plan,
             clock_s=0.0,
             curve=curve,
@@ -279,16 +287,19 @@ class Optimal(AbstractDriver):
         news = observation.scheduled_time_s != memory.scheduled_s or observation.section is not memory.section
         if news:
             return True
-        if memory.braking or observation.time_s - memory.planned_at_s < self.options.patience_s:
+        since_s = observation.time_s - memory.planned_at_s + EARLY_S
+        if memory.braking or since_s < min(self.options.patience_s, self.options.period_s):
             return False
         plan, belief = memory.plan, memory.belief
         if float(memory.model.track.length_m) - belief.position_m < self.options.last_plan_m + braking_room(
             memory
         ):
             return False
+        if since_s >= self.options.period_s:
+            return True
         late = observation.time_s - memory.clock_s - plan_time(plan, belief.position_m)
         off = belief.speed_mps - plan_speed(plan, belief.position_m)
-        now = _adaptation(belief)
+        now = self._adaptation(belief)
         learned = (
             max(abs(now.traction - memory.adapted.traction), abs(now.brake - memory.adapted.brake)) > 0.04
         )
@@ -303,7 +314,7 @@ class Optimal(AbstractDriver):
             guard = protect(observation.section, memory.trainset, bounds)
             model = model._replace(track=track_arrays(observation.section, memory.trainset))
             room = headroom_of(model, guard, bounds, self.options.cap_margin_mps)
-        adapted = _adaptation(belief)
+        adapted = self._adaptation(belief)
         left = max(observation.scheduled_time_s - self.options.reserve_s - observation.time_s, 1.0)
         options = replace(
             self._plan_options(model, room),
@@ -326,10 +337,17 @@ class Optimal(AbstractDriver):
         if memory.braking:
             return told
         try:
-            plan = _plan(vehicle, model.track, left, options)
+            plan = _plan(vehicle, model.track, left, options, memory.plan)
         except SolverError:
             return told
         return replace(told, plan=plan, clock_s=observation.time_s, curve=self._curve(model, plan))
+
+    def _adaptation(self, belief: Belief) -> Adapted:
+        """What to plan with: a brake no stronger than told, and doubted once the mass turns out wrong."""
+        brake = belief.brake_gain
+        if abs(belief.traction_gain - 1.0) > SURPRISE:
+            brake -= self.options.doubt * belief.brake_gain_sigma
+        return Adapted(belief.traction_gain, min(brake, 1.0), belief.resistance_factor)
 
     def _brake_use(self, adapted: Adapted, room: Headroom) -> float:
         """Share of the braking force to plan with."""
@@ -366,10 +384,12 @@ class Optimal(AbstractDriver):
         )
 
 
-def _plan(vehicle: Vehicle, track: Track, time_s: float, options: PlanOptions) -> Plan:
+def _plan(
+    vehicle: Vehicle, track: Track, time_s: float, options: PlanOptions, about: Plan | None = None
+) -> Plan:
     """The plan that allows for the jerk limit or, where there is none, one that leaves it to the plant."""
     try:
-        return plan_arrays(vehicle, track, time_s, options)
+        return plan_arrays(vehicle, track, time_s, options, about)
     except SolverError:
         return plan_arrays(vehicle, track, time_s, replace(options, jerk_mps3=None, release_mps3=None))
 
@@ -378,14 +398,6 @@ def braking_room(memory: Following) -> float:
     """Distance the stop needs from the present speed."""
     v = memory.belief.speed_mps
     return v * v / (2 * memory.curve.deceleration_mps2) + v
-
-
-def _adaptation(belief: Belief) -> Adapted:
-    """What to plan with: a brake no stronger than told, and doubted once the mass turns out wrong."""
-    brake = belief.brake_gain
-    if abs(belief.traction_gain - 1.0) > SURPRISE:
-        brake -= DOUBT * belief.brake_gain_sigma
-    return Adapted(belief.traction_gain, min(brake, 1.0), belief.resistance_factor)
 
 
 def adapted_vehicle(vehicle: Vehicle, adapted: Adapted) -> Vehicle:

@@ -124,12 +124,12 @@ def release(
 
 def braking_distance(speed_mps: float, curve: Curve, final_mps: float = 0.0) -> float:
     """Distance from one speed down to another: hold, then release (no build-up)."""
-    v, b, e, jerk = (
-        max(speed_mps, final_mps),
-        curve.deceleration_mps2,
-        curve.end_mps2,
-        curve.release_jerk_mps3,
-    )
+    v, e, jerk = max(speed_mps, final_mps), curve.end_mps2, curve.release_jerk_mps3
+    return _distance(v, curve.deceleration_mps2, e, jerk, final_mps)
+
+
+def _distance(v: float, b: float, e: float, jerk: float, final_mps: float) -> float:
+    """:func:`braking_distance` from a speed not below the final one; plain numbers, for it is asked often."""
     if b <= e or not math.isfinite(jerk):
         return (v * v - final_mps * final_mps) / (2.0 * b)
     b = max(min(b, math.sqrt(e * e + 2.0 * jerk * (v - final_mps))), e)
@@ -161,13 +161,13 @@ def required_deceleration(
     if not math.isfinite(jerk):
         return (v * v - final_mps * final_mps) / (2.0 * s), 0.0
     top = math.sqrt(e * e + 2.0 * jerk * (v - final_mps))
-    if s <= braking_distance(v, curve._replace(deceleration_mps2=top), final_mps):
+    if s <= _distance(v, top, e, jerk, final_mps):
         now, left = release(v, s, e, final_mps)
         return now, (now - e) / left
     low, high = 0.0, top
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        if braking_distance(v, curve._replace(deceleration_mps2=middle), final_mps) > s:
+        if _distance(v, middle, e, jerk, final_mps) > s:
             low = middle
         else:
             high = middle

@@ -16,7 +16,7 @@ from metropilot.evaluate.kpis import Check, Kpis, checks, kpis_of
 from metropilot.evaluate.optimum import Objective, Optimum, optimum_of
 from metropilot.evaluate.request import Request
 from metropilot.evaluate.request_file import request_from_toml
-from metropilot.evaluate.rollout import Drive, drive
+from metropilot.evaluate.rollout import Drive, Moment, Rollout, drive
 from metropilot.evaluate.trajectory import COLUMNS, PHASES, Trajectory
 
 __all__ = [
@@ -28,9 +28,11 @@ __all__ = [
     "Interval",
     "Job",
     "Kpis",
+    "Moment",
     "Objective",
     "Optimum",
     "Request",
+    "Rollout",
     "Trajectory",
     "best",
     "check_writable",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from difflib import get_close_matches
@@ -12,7 +13,7 @@ from metropilot.drivers import DRIVERS, AbstractDriver
 from metropilot.errors import InputError
 
 
-def option_class(driver: type[AbstractDriver]) -> type[Any] | None:
+def option_class(driver: type[Any]) -> type[Any] | None:
     """The dataclass a driver takes as its argument ``options``; None if it takes none."""
     if "options" not in signature(driver.__init__).parameters:
         return None
@@ -22,7 +23,7 @@ def option_class(driver: type[AbstractDriver]) -> type[Any] | None:
     )
 
 
-def option_defaults(driver: type[AbstractDriver]) -> dict[str, Any]:
+def option_defaults(driver: type[Any]) -> dict[str, Any]:
     """The options a driver takes, with what they are if nothing is said."""
     kind = option_class(driver)
     if kind is None:
@@ -30,29 +31,71 @@ def option_defaults(driver: type[AbstractDriver]) -> dict[str, Any]:
     return {f.name: f.default for f in fields(kind) if f.default is not MISSING}
 
 
+def named_option(text: str) -> tuple[str, Any]:
+    """``NAME=VALUE``; the value is a number or a truth where it reads as one.
+
+    Raises:
+        InputError: Not of that form.
+    """
+    name, equals, value = text.partition("=")
+    if not (equals and name.isidentifier()):
+        raise InputError("not an option of a driver", field="set", value=text, allowed="NAME=VALUE")
+    if value.lower() in {"true", "false"}:
+        return name, value.lower() == "true"
+    for kind in (int, float):
+        try:
+            return name, kind(value)
+        except ValueError:
+            continue
+    return name, value
+
+
+def named_driver(text: str) -> tuple[str, dict[str, Any]]:
+    """``ID`` or ``ID:NAME=VALUE:NAME=VALUE``: a driver with options on one word, as comparisons take it.
+
+    Raises:
+        InputError: What follows the colon is not an option.
+    """
+    driver_id, *options = re.split(r":(?=\w+=)", text)
+    return driver_id, dict(map(named_option, options))
+
+
 def make_driver(driver_id: str, options: Mapping[str, Any] | None = None) -> AbstractDriver:
     """A driver by id, with some of its options; an unknown name is answered with the nearest.
 
     Args:
-        driver_id: Id in the registry.
+        driver_id: Id in the registry, or ``ID:NAME=VALUE``.
         options: Fields of the driver's options dataclass.
 
     Raises:
         InputError: No such driver, no such option of it, or a value of the wrong kind.
     """
+    driver_id, named = named_driver(driver_id)
+    options = named | dict(options or {})
     _known(driver_id, DRIVERS.ids(), "driver", "driver")
+    return with_options(DRIVERS.get(driver_id), options or {})
+
+
+def with_options(driver: type[Any], options: Mapping[str, Any]) -> Any:  # noqa: ANN401 (a driver or follower)
+    """A driver or follower with some of its options.
+
+    Args:
+        driver: Its class.
+        options: Fields of its options dataclass.
+
+    Raises:
+        InputError: No such option of it, or a value of the wrong kind.
+    """
     if not options:
-        return DRIVERS.make(driver_id)
-    driver = DRIVERS.get(driver_id)
+        return driver()
     kind, defaults = option_class(driver), option_defaults(driver)
     if kind is None:
-        raise InputError(f"{driver_id} takes no options", field="set", value=next(iter(options)))
+        raise InputError(f"{driver.id} takes no options", field="set", value=next(iter(options)))
     values = {}
     for name, value in options.items():
-        _known(name, tuple(defaults), f"option of {driver_id}", "set")
+        _known(name, tuple(defaults), f"option of {driver.id}", "set")
         values[name] = _like(defaults[name], name, value)
-    make: Any = driver
-    return make(options=kind(**values))
+    return driver(options=kind(**values))
 
 
 def _known(name: str, names: tuple[str, ...], what: str, where: str) -> None:

@@ -15,12 +15,13 @@ from platform import python_version
 from subprocess import DEVNULL, SubprocessError, run
 from typing import Any
 
+from metropilot.drivers.policy.loaded import policy_path
 from metropilot.errors import InputError
 from metropilot.evaluate.compare import Entry
 from metropilot.evaluate.kpis import Kpis
 from metropilot.evaluate.optimum import Optimum
 from metropilot.evaluate.request import Request
-from metropilot.evaluate.request_file import FILES, is_file, to_table
+from metropilot.evaluate.request_file import FILES, POLICY, is_file, to_table
 from metropilot.evaluate.rollout import Drive
 
 PACKAGES = ("clarabel", "numpy", "scipy", "matplotlib", "jax")
@@ -144,7 +145,7 @@ def to_json(values: object) -> str:
 
 
 def write_run_toml(folder: Path, request: Request) -> None:
-    """Write `run.toml` and, beside it, the line and trainset files it was read from."""
+    """Write `run.toml` and, beside it, the line, trainset and policy files it was read from."""
     import tomli_w
 
     resolved = request.resolved()
@@ -154,6 +155,10 @@ def write_run_toml(folder: Path, request: Request) -> None:
             name = f"{kind}{source.suffix.lower()}"
             shutil.copyfile(source, folder / name)
             resolved = replace(resolved, **{kind: name})
+    if resolved.options.get(POLICY):
+        source = policy_path(resolved.options[POLICY])
+        shutil.copyfile(source, folder / source.name)
+        resolved = replace(resolved, options={**resolved.options, POLICY: source.name})
     table = {"run": to_table(resolved), "made_with": provenance()}
     head = "# Drive it again: metropilot drive --from run.toml\n\n"
     (folder / "run.toml").write_text(head + tomli_w.dumps(table), encoding="utf-8")

@@ -91,3 +91,15 @@ def comfort_band(acceleration_mps2: float) -> str:
         if acceleration_mps2 <= upper:
             return words
     return "extremely uncomfortable"
+
+
+def comfort_band_shares(trajectory: Trajectory) -> dict[str, float]:
+    """Share of the running time whose acceleration lies in each band of the ISO 2631-1 scale (Lu23 Table 1).
+
+    The paper's bands overlap; an acceleration counts for the mildest that holds it. The shares sum to 1.
+    """
+    duration = trajectory.duration_s
+    bands = [comfort_band(float(abs(a))) for a in trajectory.acceleration_mps2]
+    names = [*(words for _, words in COMFORT_BANDS), "extremely uncomfortable"]
+    total = max(float(duration.sum()), 1e-9)
+    return {name: float(duration[[band == name for band in bands]].sum()) / total for name in names}

@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 from metropilot.drivers import DRIVERS, AbstractDriver
 from metropilot.errors import Infeasible, InputError
-from metropilot.evaluate.driver_options import make_driver, option_defaults
+from metropilot.evaluate.driver_options import make_driver, named_driver, option_defaults
 from metropilot.evaluate.optimum import Objective
 from metropilot.planning import minimum_running_time
 from metropilot.railway import Restriction, Section, Trainset, load_line, load_trainset
@@ -40,6 +40,8 @@ class Request:
         delay_s: Dead time on top of the trainset's.
         lag_s: Lag on top of the trainset's.
         speed_noise_mps: Standard deviation of the measured speed.
+        headwind_mps: Wind from ahead; below 0 from behind.
+        adhesion: Traction or electric braking over weight at which the driven wheels slip.
         restrictions: Temporary speed restrictions ``FROM-TO@KMH``; with ``@T`` announced at T s.
         arrivals: New scheduled running times announced on the way, ``S@T``.
         objective: Energy the optimum minimises.
@@ -61,6 +63,8 @@ class Request:
     delay_s: float = 0.0
     lag_s: float = 0.0
     speed_noise_mps: float = 0.0
+    headwind_mps: float = 0.0
+    adhesion: float = float("inf")
     restrictions: tuple[str, ...] = ()
     arrivals: tuple[str, ...] = ()
     objective: Objective = "wheel"
@@ -103,6 +107,8 @@ class Request:
             extra_delay_s=self.delay_s,
             extra_lag_s=self.lag_s,
             speed_noise_mps=self.speed_noise_mps,
+            headwind_mps=self.headwind_mps,
+            adhesion=self.adhesion,
             news=tuple(sorted(news, key=lambda item: item.at_s)),
         )
 
@@ -139,18 +145,22 @@ class Request:
             InputError: No such driver, or no such option of it.
         """
         told = dict(self.options)
-        if self.driver in DRIVERS.ids() and "objective" in option_defaults(DRIVERS.get(self.driver)):
+        driver_id, _ = named_driver(self.driver)
+        if driver_id in DRIVERS.ids() and "objective" in option_defaults(DRIVERS.get(driver_id)):
             told.setdefault("objective", self.objective)
         return make_driver(self.driver, told)
 
     def resolved(self) -> Request:
-        """The same request with stations by code, the load named and the running time filled in."""
+        """The same request with stations by code, the load named, driver and options apart, and a time."""
         section, trainset = self.section(), self.loaded()
         time_s = self.time_s if self.time_s is not None else section.planned_time_s
         origin, destination = section.origin.code, section.destination.code
         trainset_id = self.trainset.removesuffix(f":{trainset.load}")
+        driver_id, named = named_driver(self.driver)
         return replace(
             self,
+            driver=driver_id,
+            options=named | dict(self.options),
             origin=origin,
             destination=destination,
             time_s=time_s,

@@ -14,6 +14,8 @@ from metropilot.evaluate.request import Request
 
 NAMES = tuple(f.name for f in fields(Request))
 FILES = ("line", "trainset")
+POLICY = "policy"
+"""The option of a driver that is a path."""
 KINDS: Mapping[str, tuple[type, ...]] = {
     "options": (dict,),
     "ideal": (bool,),
@@ -21,7 +23,17 @@ KINDS: Mapping[str, tuple[type, ...]] = {
     "restrictions": (list,),
     "arrivals": (list,),
     **dict.fromkeys(
-        ("time_s", "mass_factor", "resistance_factor", "delay_s", "lag_s", "speed_noise_mps", "dt_s"),
+        (
+            "time_s",
+            "mass_factor",
+            "resistance_factor",
+            "delay_s",
+            "lag_s",
+            "speed_noise_mps",
+            "headwind_mps",
+            "adhesion",
+            "dt_s",
+        ),
         (float, int),
     ),
 }
@@ -65,6 +77,9 @@ def request_from_toml(path: Path) -> Request:
     for name in FILES:
         if name in values and is_file(values[name]):
             values[name] = str(path.parent / values[name])
+    policy = values.get("options", {}).get(POLICY)
+    if isinstance(policy, str) and policy:
+        values["options"] = {**values["options"], POLICY: str(path.parent / policy)}
     return Request(**values)
 
 

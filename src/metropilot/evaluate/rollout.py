@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from time import perf_counter_ns
+from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,7 +16,7 @@ from metropilot.evaluate.trajectory import Trajectory
 from metropilot.physics import Command, at_rest, delay_steps, step, track_arrays, vehicle_arrays
 from metropilot.protection import at_start, permitted_speed, protect, supervise
 from metropilot.railway import Section, Trainset
-from metropilot.task import NOISE_CUT, STOP_TOLERANCE_M, Observation, Outcome, Run, declared_bounds
+from metropilot.task import NOISE_CUT, STOP_TOLERANCE_M, News, Observation, Outcome, Run, declared_bounds
 
 STALLED_S = 20.0
 GIVE_UP_M = 100.0
@@ -72,11 +73,59 @@ def drive(run: Run, driver: AbstractDriver) -> Drive:
     Raises:
         Infeasible: The driver cannot meet the scheduled time.
     """
-    return _Loop(run, driver).to_the_end()
+    rollout = Rollout(run, driver)
+    while rollout.outcome is None:
+        rollout.advance()
+    return rollout.drive()
 
 
-class _Loop:
-    """One run in progress."""
+class Moment(NamedTuple):
+    """A run at the end of a control period.
+
+    Attributes:
+        time_s: Time since departure.
+        position_m: Head of the trainset from the section's origin.
+        speed_mps: Speed.
+        acceleration_mps2: Acceleration over the period.
+        wanted: What the driver asked for.
+        command: What protection let pass.
+        level: What protection did: an index into :data:`metropilot.protection.LEVELS`.
+        permitted_mps: Speed protection permits here.
+        energy_wheel_j: Traction energy at the wheel so far.
+        energy_line_j: Net energy at the line so far.
+    """
+
+    time_s: float
+    position_m: float
+    speed_mps: float
+    acceleration_mps2: float
+    wanted: float
+    command: float
+    level: int
+    permitted_mps: float
+    energy_wheel_j: float
+    energy_line_j: float
+
+
+@final
+class Rollout:
+    """A run in progress, one control period at a time: what :func:`drive` loops over.
+
+    Whoever steps it may tell the driver news on the way, or take the lever for a while; both happen at the
+    beginning of the next period, so that the same calls at the same times give the same bits.
+
+    Args:
+        run: What is to be driven.
+        driver: Whatever gives the command.
+
+    Attributes:
+        outcome: How the run has ended, None while it goes on (see :func:`drive`).
+        scheduled_time_s: Scheduled running time as it stands.
+        section: The section with every restriction announced so far.
+
+    Raises:
+        Infeasible: The driver cannot meet the scheduled time.
+    """
 
     def __init__(self, run: Run, driver: AbstractDriver) -> None:
         self.run = run
@@ -95,6 +144,9 @@ class _Loop:
         self.enter(run.section)
         self.watched = at_start(self.protection)
         self.memory = driver.init(run)
+        self.by_hand: float | None = None
+        self.wanted, self.command, self.level = 0.0, 0.0, 0
+        self.outcome: Outcome | None = None
 
     def enter(self, section: Section) -> None:
         """Take a section as the truth: at departure, and after every new restriction, at once in force."""
@@ -103,20 +155,57 @@ class _Loop:
         believed = self.run.scenario.believed(self.run.trainset)
         self.protection = protect(section, believed, self.bounds)
 
-    def to_the_end(self) -> Drive:
-        """Step until the run is over."""
-        outcome = None
-        while outcome is None:
-            self.hear()
-            self.advance()
-            outcome = self.outcome()
+    def tell(self, news: News) -> None:
+        """Tell the driver something on the way; what is due already is told at once."""
+        self.pending = sorted([*self.pending, news], key=lambda item: item.at_s)
+
+    def take(self, share: float | None) -> None:
+        """Take the lever and hold it at a share, or (None) give it back to the driver.
+
+        A driver who gets it back prepares anew: for the run as it was, with all the news of the way.
+        """
+        if share is None and self.by_hand is not None:
+            self.memory = self.driver.init(self.run)
+        self.by_hand = share
+
+    def advance(self) -> Moment:
+        """One control period: hear the news, decide, supervise, move."""
+        self.hear()
+        self._move()
+        self.outcome = self._ended()
+        return self.moment()
+
+    def moment(self) -> Moment:
+        """The run as it is."""
+        state = self.state
+        return Moment(
+            time_s=float(state.time_s),
+            position_m=float(state.position_m),
+            speed_mps=float(state.speed_mps),
+            acceleration_mps2=float(state.acceleration_mps2),
+            wanted=self.wanted,
+            command=self.command,
+            level=self.level,
+            permitted_mps=self.permitted(),
+            energy_wheel_j=float(state.traction_j),
+            energy_line_j=float(state.line_j),
+        )
+
+    def drive(self) -> Drive:
+        """The run as it was driven, once it is over.
+
+        Raises:
+            ValueError: It is not over.
+        """
+        if self.outcome is None:
+            raise ValueError("the run is not over")
         standing = self.state.speed_mps <= 0
         over = self.recorder.overspeed_mps
         return Drive(
             run=self.run,
             driver=self.driver.id,
             trajectory=self.recorder.trajectory(self.track, self.permitted()),
-            outcome=Outcome.OVERSPEED if over > OVERSPEED_MPS else outcome,
+            outcome=Outcome.OVERSPEED if over > OVERSPEED_MPS else self.outcome,
             running_time_s=self.stood_since_s if standing else float(self.state.time_s),
             scheduled_time_s=self.scheduled_time_s,
             section=self.section,
@@ -157,12 +246,15 @@ class _Loop:
             section=self.section,
         )
 
-    def advance(self) -> None:
-        """One control period: decide, supervise, move."""
+    def _move(self) -> None:
+        """Decide, supervise, move."""
         permitted = self.permitted()
         observation = self.observe(permitted)
         began = perf_counter_ns()
-        share, self.memory = self.driver.act(self.memory, observation)
+        if self.by_hand is None:
+            share, self.memory = self.driver.act(self.memory, observation)
+        else:
+            share = self.by_hand
         self.decision_us.append((perf_counter_ns() - began) / 1e3)
         wanted = Command(float(share), False)
         seen = observation.position_m, observation.speed_mps
@@ -173,8 +265,9 @@ class _Loop:
         if was_moving and self.state.speed_mps <= 0:
             self.stood_since_s = float(self.state.time_s)
         self.recorder.add(self.track, self.state, float(command.share), permitted)
+        self.wanted, self.command, self.level = wanted.share, float(command.share), int(verdict.level)
 
-    def outcome(self) -> Outcome | None:
+    def _ended(self) -> Outcome | None:
         """How the run has ended, or None while it goes on."""
         error = float(self.state.position_m) - self.section.length_m
         now = float(self.state.time_s)

@@ -9,15 +9,16 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from metropilot.drivers.policy.networks import Activation
 from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig, AbstractReplayConfig
-from metropilot.learn.networks import Activation, Initialiser
-from metropilot.learn.schedules import Schedule, Scheduled
+from metropilot.learn.networks import Initialiser
+from metropilot.learn.schedules import Schedule, Scheduled, highest
 
 FULL_IMPORTANCE = Schedule(0.4, 1.0)
 LESS_CURIOUS = Schedule(1.0, 0.05, over=0.3)
-# Beyond this the sum tree falls out of the cache; more entries seldom help a prioritised learner.
-MAX_PRIORITISED = 131_072
+MAX_PRIORITISED = 1 << 20
+"""Priorities are summed in single precision."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,10 @@ class PPOConfig(AbstractConfig):
         clip: Epsilon of the clipped ratio.
         entropy: Weight of the entropy bonus.
         value_weight: Weight of the critic's loss.
+        normalise_advantages: Over each minibatch; without it the scale of the rewards reaches the actor.
         initial_std: Deviation of the actions at first.
-        min_std: Deviation never falls below (the entropy floor).
+        min_std: Deviation never falls below (the entropy floor); let it fall only once the policy is good: a
+            narrow policy learns slowly, a wide one drives differently from the one without exploration.
         initial_bias: Action at first: 0.5 sets a trainset moving before anything is learned.
     """
 
@@ -50,8 +53,9 @@ class PPOConfig(AbstractConfig):
     clip: Scheduled = 0.2
     entropy: Scheduled = 0.0
     value_weight: float = 0.5
+    normalise_advantages: bool = True
     initial_std: float = 0.6
-    min_std: float = 0.01
+    min_std: Scheduled = 0.01
     initial_bias: float = 0.0
 
     def __post_init__(self) -> None:
@@ -63,7 +67,7 @@ class PPOConfig(AbstractConfig):
         self.within("learning_rate", 0.0, math.inf)
         self.within("clip", 0.0, 1.0, open_low=True)
         self.within("min_std", 0.0, math.inf)
-        self.within("initial_std", self.min_std, math.inf, open_low=True)
+        self.within("initial_std", highest(self.min_std), math.inf, open_low=True)
         if self.rollout * self.environments % self.minibatches:
             allowed = f"a divisor of environments x rollout = {self.rollout * self.environments}"
             raise InputError(
@@ -131,6 +135,8 @@ class DDPGConfig(AbstractReplayConfig):
         noise_kind: White Gaussian noise, or an Ornstein-Uhlenbeck process.
         noise_pull: theta of the Ornstein-Uhlenbeck process, per step.
         initial_bias: Action at first, before tanh.
+        saturation_cost: Price of the squared size, before tanh, of what the actor asks for: at the ends of
+            its range tanh lets no gradient pass, and an actor that went there does not come back.
     """
 
     algorithm: ClassVar[str] = "ddpg"
@@ -143,11 +149,12 @@ class DDPGConfig(AbstractReplayConfig):
     noise_kind: Literal["gaussian", "ornstein_uhlenbeck"] = "gaussian"
     noise_pull: float = 0.15
     initial_bias: float = 0.0
+    saturation_cost: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse numbers outside their range."""
         super().__post_init__()
-        for name in ("actor_rate", "critic_rate", "noise"):
+        for name in ("actor_rate", "critic_rate", "noise", "saturation_cost"):
             self.within(name, 0.0, math.inf)
         self.within("noise_pull", 0.0, 1.0)
         self.one_of("noise_kind", ("gaussian", "ornstein_uhlenbeck"))

@@ -7,8 +7,9 @@ from abc import ABC
 from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
+from metropilot.drivers.policy.networks import Activation
 from metropilot.errors import InputError
-from metropilot.learn.networks import Activation, Initialiser
+from metropilot.learn.networks import Initialiser
 from metropilot.learn.schedules import Schedule, highest, lowest
 
 Keep = Literal["best", "last"]

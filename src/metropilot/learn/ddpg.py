@@ -1,7 +1,7 @@
 """Deep deterministic policy gradient. Source: Lillicrap et al. 2016.
 
 Deviations: actions enter the critic at its first layer; no batch normalisation or weight decay; noise is
-white by default.
+white by default; an optional price keeps the actor from the flat ends of tanh.
 """
 
 from __future__ import annotations
@@ -11,13 +11,14 @@ from typing import Any, final
 import jax
 import jax.numpy as jnp
 
+from metropilot.drivers.policy.networks import Params
+from metropilot.drivers.policy.policy import PolicySpec
 from metropilot.learn.config import DDPGConfig
 from metropilot.learn.learner import needs_continuous
 from metropilot.learn.losses import ddpg as losses
-from metropilot.learn.networks import MLP, Params
+from metropilot.learn.networks import MLP
 from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
-from metropilot.learn.policy import PolicySpec
 from metropilot.learn.schedules import value_at
 from metropilot.task.interface import AbstractTask, Array
 
@@ -65,7 +66,11 @@ class DDPG(AbstractReplayLearner[DDPGConfig]):
 
     def actions_of(self, params: Params, observation: Array) -> Array:
         """The actor's actions. Shape (B, A)."""
-        return jnp.tanh(jax.vmap(lambda x: self.actor.apply(params, "policy", x))(observation))
+        return jnp.tanh(self.asked_of(params, observation))
+
+    def asked_of(self, params: Params, observation: Array) -> Array:
+        """What the actor asks for, before tanh. Shape (B, A)."""
+        return jax.vmap(lambda x: self.actor.apply(params, "policy", x))(observation)
 
     def values(self, params: Params, observation: Array, action: Array) -> Array:
         """The critic's values. Shape (B,)."""
@@ -106,9 +111,9 @@ class DDPG(AbstractReplayLearner[DDPGConfig]):
             return losses.critic_loss(value, wanted), value
 
         def actor_loss(actor: Params, critic: Params) -> Array:
-            return losses.actor_loss(
-                self.values(critic, batch.observation, self.actions_of(actor, batch.observation))
-            )
+            asked = self.asked_of(actor, batch.observation)
+            loss = losses.actor_loss(self.values(critic, batch.observation, jnp.tanh(asked)))
+            return loss + config.saturation_cost * jnp.mean(asked**2) if config.saturation_cost else loss
 
         actor, critic = subset(params, "policy."), subset(params, "critic.")
         (size, value), gradient = jax.value_and_grad(critic_loss, has_aux=True)(critic)

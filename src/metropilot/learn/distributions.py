@@ -38,7 +38,7 @@ def gaussian_entropy(std: Array) -> Array:
     return jnp.sum(jnp.log(std) + 0.5 * (1.0 + LOG_2PI))
 
 
-def floored_std(log_std: Array, floor: float) -> Array:
+def floored_std(log_std: Array, floor: Array | float) -> Array:
     """Standard deviation ``floor + exp(log_std)``: never below the floor, and never without gradient.
 
     Args:

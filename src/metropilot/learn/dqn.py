@@ -10,15 +10,16 @@ from typing import Any, final
 import jax
 import jax.numpy as jnp
 
+from metropilot.drivers.policy.networks import Params
+from metropilot.drivers.policy.policy import PolicySpec, network_output
 from metropilot.learn.config import DQNConfig
 from metropilot.learn.distributions import masked
 from metropilot.learn.environments import random_choices
 from metropilot.learn.learner import needs_choices
 from metropilot.learn.losses import dqn as losses
-from metropilot.learn.networks import MLP, Params
+from metropilot.learn.networks import MLP
 from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
-from metropilot.learn.policy import PolicySpec, network_output
 from metropilot.learn.schedules import value_at
 from metropilot.task.interface import AbstractTask, Array
 

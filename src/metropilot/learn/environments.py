@@ -9,6 +9,9 @@ import jax.numpy as jnp
 
 from metropilot.task.interface import AbstractTask, Array, TaskState
 
+RENEWED = 8
+"""At least so many environments are reset together."""
+
 
 class Environments(NamedTuple):
     """Where each environment is.
@@ -138,23 +141,33 @@ def advance(
     fresh = (returned, length, terms)
     fresh = jax.tree.map(lambda x: jnp.where(done, jnp.zeros_like(x), x), fresh)
 
-    def renew(_: None) -> tuple[TaskState, Array]:
-        new_state, new_observation = jax.vmap(task.reset)(jax.random.split(reset_key, count))
-        both = (new_state, new_observation.astype(jnp.float32)), (state, observation)
-        return jax.tree.map(lambda new, old: jnp.where(_along(done, new), new, old), *both)
-
-    state, observation = jax.lax.cond(jnp.any(done), renew, lambda _: (state, observation), None)
+    state, observation = _renewed(task, reset_key, done, (state, observation))
     return Environments(state, observation, *fresh), step
+
+
+def _renewed(task: AbstractTask, key: Array, done: Array, now: tuple[TaskState, Array]) -> tuple[Any, Any]:
+    """States and observations with a fresh episode wherever one ended.
+
+    Few of many environments end in one step, and a new episode costs as much as a step: so many are begun at
+    a time as usually end, again until none is left.
+    """
+    count = done.shape[0]
+    some = min(count, max(RENEWED, count // 64))
+
+    def renew(carry: tuple[Array, Any]) -> tuple[Array, Any]:
+        ended, old = carry
+        index = jnp.nonzero(ended, size=some, fill_value=count)[0]
+        state, observation = jax.vmap(task.reset)(jax.vmap(jax.random.fold_in, (None, 0))(key, index))
+        new = state, observation.astype(jnp.float32)
+        put = jax.tree.map(lambda a, b: a.at[index].set(b, mode="drop"), old, new)
+        return ended.at[index].set(False, mode="drop"), put
+
+    return jax.lax.while_loop(lambda carry: jnp.any(carry[0]), renew, (done, now))[1]
 
 
 def _over(done: Array, values: Array) -> Array:
     """Sum of the values of ended episodes. Shape ()."""
     return jnp.sum(jnp.where(done, values, 0.0))
-
-
-def _along(done: Array, value: Array) -> Array:
-    """``done`` with axes added behind, to go with ``value``."""
-    return jnp.reshape(done, done.shape + (1,) * (value.ndim - 1))
 
 
 def evaluate(task: AbstractTask, act: Any, key: Array, episodes: int, steps: int) -> dict[str, Array]:

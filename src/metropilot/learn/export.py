@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from metropilot.drivers.policy.files import write_whole
+from metropilot.drivers.policy.policy import NORMALISED_RANGE, Policy, PolicySpec
 from metropilot.errors import InputError
-from metropilot.learn.files import write_whole
-from metropilot.learn.policy import NORMALISED_RANGE, Policy, PolicySpec
 
 OPSET = 17
 IR_VERSION = 8
@@ -61,7 +62,9 @@ class _Graph:
         return name
 
 
-def export_onnx(policy: Policy, path: Path, *, probes: int = 1_000, seed: int = 0) -> ExportReport:
+def export_onnx(
+    policy: Policy, path: Path, *, about: Mapping[str, Any] | None = None, probes: int = 1_000, seed: int = 0
+) -> ExportReport:
     """Write a policy as ONNX: input ``observation`` (N, O), output ``action``, (N, A) or (N,) for choices.
 
     Choices come with a second output ``values`` (N, count), so that a filter can choose again.
@@ -69,6 +72,7 @@ def export_onnx(policy: Policy, path: Path, *, probes: int = 1_000, seed: int = 
     Args:
         policy: Of one seed.
         path: Where to.
+        about: What is known about it, for the file's metadata: one JSON string each.
         probes: Random observations on which graph and policy are compared.
         seed: Of those.
 
@@ -79,6 +83,8 @@ def export_onnx(policy: Policy, path: Path, *, probes: int = 1_000, seed: int = 
     if policy.spec.output == "table":
         raise InputError("a table has no ONNX graph", field="policy", value=policy.spec.output)
     model = build(onnx, policy)
+    told = {name: json.dumps(value, sort_keys=True) for name, value in (about or {}).items()}
+    onnx.helper.set_model_props(model, told)
     text = model.SerializeToString()
     session = _session(runtime, text)
     parity = _parity(policy, session, probes, seed)
@@ -191,7 +197,7 @@ def _session(runtime: Any, model: bytes) -> Any:
 
 def _parity(policy: Policy, session: Any, probes: int, seed: int) -> float:
     """Largest difference between graph and policy, one observation at a time and all together."""
-    from metropilot.learn.policy import network_output
+    from metropilot.drivers.policy.policy import network_output
 
     spec = policy.spec
     draws = np.random.default_rng(seed).normal(0.0, 2.0, (probes, spec.observation_size)).astype(np.float32)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from metropilot.drivers.policy.files import write_whole
 from metropilot.errors import InputError
-from metropilot.learn.files import write_whole
 
 
 def write_history(path: Path, history: Mapping[str, np.ndarray]) -> None:
@@ -41,7 +41,7 @@ def write_history(path: Path, history: Mapping[str, np.ndarray]) -> None:
     write_whole(path, write)
 
 
-def read_history(path: Path) -> dict[str, np.ndarray]:
+def read_history(path: str | Path) -> dict[str, np.ndarray]:
     """Read a history; what is empty becomes NaN.
 
     Raises:

@@ -7,11 +7,11 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax.numpy as jnp
 
+from metropilot.drivers.policy.networks import Params
+from metropilot.drivers.policy.policy import PolicySpec
 from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.environments import Finished
-from metropilot.learn.networks import Params
-from metropilot.learn.policy import PolicySpec
 from metropilot.learn.statistics import Moments, deviation
 from metropilot.task.interface import AbstractTask, Array
 

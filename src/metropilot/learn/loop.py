@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from metropilot.drivers.policy.networks import Params
+from metropilot.drivers.policy.policy import Policy, act
 from metropilot.learn import environments as env
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.learner import AbstractLearner, LearnerState
-from metropilot.learn.networks import Params
-from metropilot.learn.policy import Policy, act
 from metropilot.learn.registry import make_learner
 from metropilot.task.interface import AbstractTask, Array
 

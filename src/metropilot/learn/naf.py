@@ -10,13 +10,14 @@ from typing import Any, final
 import jax
 import jax.numpy as jnp
 
+from metropilot.drivers.policy.networks import Params
+from metropilot.drivers.policy.policy import PolicySpec
 from metropilot.learn.config import NAFConfig
 from metropilot.learn.learner import needs_continuous
 from metropilot.learn.losses import naf as losses
-from metropilot.learn.networks import MLP, Params, lower_triangle
+from metropilot.learn.networks import MLP, lower_triangle
 from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
-from metropilot.learn.policy import PolicySpec
 from metropilot.learn.schedules import value_at
 from metropilot.task.interface import AbstractTask, Array
 

@@ -14,12 +14,12 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
+from metropilot.drivers.policy.networks import Params
+from metropilot.drivers.policy.policy import normalise, only_policy
 from metropilot.learn import environments as env
 from metropilot.learn import replay
 from metropilot.learn.config_base import AbstractReplayConfig
 from metropilot.learn.learner import AbstractLearner, Report, observation_entries
-from metropilot.learn.networks import Params
-from metropilot.learn.policy import normalise, only_policy
 from metropilot.learn.schedules import value_at
 from metropilot.learn.statistics import (
     Moments,

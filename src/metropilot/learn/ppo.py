@@ -1,8 +1,8 @@
 """Proximal policy optimisation: rollouts of many environments, epochs of minibatches.
 
 Source: Schulman et al. 2017.
-Deviations from the paper, all common: advantages normalised per minibatch, orthogonal weights with a small
-last layer, gradients clipped, Adam's epsilon 1e-5, separate networks for policy and value.
+Deviations from the paper, all common: advantages normalised per minibatch (a switch), orthogonal weights with
+a small last layer, gradients clipped, Adam's epsilon 1e-5, separate networks for policy and value.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from typing import Any, NamedTuple, final
 import jax
 import jax.numpy as jnp
 
+from metropilot.drivers.policy.networks import Params
+from metropilot.drivers.policy.policy import PolicySpec, network_output, normalise, only_policy
 from metropilot.learn import environments as env
 from metropilot.learn.config import PPOConfig
 from metropilot.learn.distributions import (
@@ -25,9 +27,8 @@ from metropilot.learn.distributions import (
 )
 from metropilot.learn.learner import AbstractLearner, Report, observation_entries
 from metropilot.learn.losses import ppo as losses
-from metropilot.learn.networks import MLP, Params
+from metropilot.learn.networks import MLP
 from metropilot.learn.optimiser import AdamState, adam_init, adam_step
-from metropilot.learn.policy import PolicySpec, network_output, normalise, only_policy
 from metropilot.learn.replay import RowLayout
 from metropilot.learn.schedules import value_at
 from metropilot.learn.statistics import (
@@ -114,7 +115,7 @@ class PPO(AbstractLearner[PPOConfig]):
         actor_key, critic_key, env_key, key = jax.random.split(key, 4)
         params = self.actor.init("policy", actor_key) | self.critic.init("value", critic_key)
         if self.continuous:
-            log_std = jnp.log(jnp.float32(config.initial_std - config.min_std))
+            log_std = jnp.log(jnp.float32(config.initial_std) - value_at(config.min_std, 0.0))
             params["policy.log_std"] = jnp.full((self.actions,), log_std)
         environments = env.start(self.task, env_key, config.environments)
         observed = moments_init(self.task.observation_size)
@@ -128,7 +129,9 @@ class PPO(AbstractLearner[PPOConfig]):
         if config.normalise_observations:
             state = state._replace(observed=moments_update(state.observed, state.environments.observation))
         statistics = self._statistics(state.observed)
-        environments, experience = self._roll(state.params | statistics, state.environments, roll_key)
+        environments, experience = self._roll(
+            state.params | statistics, state.environments, roll_key, value_at(config.min_std, progress)
+        )
         done = experience.step.terminated | experience.step.truncated
         reward, scale = experience.step.reward * config.reward_factor, state.scale
         if config.reward_scaling:
@@ -153,7 +156,7 @@ class PPO(AbstractLearner[PPOConfig]):
         return observation_entries(observed) if self.config.normalise_observations else {}
 
     def _roll(
-        self, params: Params, environments: env.Environments, key: Array
+        self, params: Params, environments: env.Environments, key: Array, floor: Array | float
     ) -> tuple[env.Environments, Experience]:
         """Act ``rollout`` steps in every environment."""
         act_key, step_key = jax.random.split(key)
@@ -162,8 +165,8 @@ class PPO(AbstractLearner[PPOConfig]):
 
         def one(now: env.Environments, drawn: tuple[Array, Array]) -> tuple[env.Environments, Experience]:
             mask = env.masks(self.task, now.state)
-            action, log_prob = jax.vmap(self._sample, (None, 0, 0, 0))(
-                params, now.observation, mask, drawn[0]
+            action, log_prob = jax.vmap(self._sample, (None, 0, 0, 0, None))(
+                params, now.observation, mask, drawn[0], floor
             )
             given = jnp.clip(action, -1.0, 1.0) if self.continuous else action
             after, step = env.advance(self.task, drawn[1], now, given)
@@ -173,7 +176,7 @@ class PPO(AbstractLearner[PPOConfig]):
         return jax.lax.scan(one, environments, (draw(act_key, shape, jnp.float32), keys))
 
     def _sample(
-        self, params: Params, observation: Array, mask: Array | None, draw: Array
+        self, params: Params, observation: Array, mask: Array | None, draw: Array, floor: Array | float
     ) -> tuple[Array, Array]:
         """An action of the exploring policy and its log probability, for one environment.
 
@@ -182,10 +185,11 @@ class PPO(AbstractLearner[PPOConfig]):
             observation: Shape (O,).
             mask: Shape (count,) or None.
             draw: Standard Gaussian, or Gumbel noise for choices. Shape (actions,).
+            floor: Least deviation.
         """
         output = network_output(self.spec, params, observation, jnp)
         if self.continuous:
-            std = floored_std(params["policy.log_std"], self.config.min_std)
+            std = floored_std(params["policy.log_std"], floor)
             action = output + std * draw
             return action, gaussian_log_prob(action, output, std)
         logits = masked(output, mask)
@@ -193,12 +197,17 @@ class PPO(AbstractLearner[PPOConfig]):
         return choice, categorical_log_prob(logits, choice)
 
     def _density(
-        self, params: Params, observation: Array, action: Array, mask: Array | None
+        self,
+        params: Params,
+        observation: Array,
+        action: Array,
+        mask: Array | None,
+        floor: Array | float,
     ) -> tuple[Array, Array]:
         """Log probability of an action, shape (A,), and entropy, for one environment."""
         output = network_output(self.spec, params, observation, jnp)
         if self.continuous:
-            std = floored_std(params["policy.log_std"], self.config.min_std)
+            std = floored_std(params["policy.log_std"], floor)
             return gaussian_log_prob(action, output, std), gaussian_entropy(std)
         logits = masked(output, mask)
         return categorical_log_prob(logits, action[0].astype(jnp.int32)), categorical_entropy(logits)
@@ -231,11 +240,14 @@ class PPO(AbstractLearner[PPOConfig]):
         """The whole loss of one minibatch (Schulman et al. 2017, eq. 9)."""
         config, fields = self.config, self.layout.unpack(rows)
         both = params | statistics
-        density = jax.vmap(self._density, (None, 0, 0, 0))
-        log_prob, entropy = density(both, fields["observation"], fields["action"], mask)
+        density = jax.vmap(self._density, (None, 0, 0, 0, None))
+        floor = value_at(config.min_std, progress)
+        log_prob, entropy = density(both, fields["observation"], fields["action"], mask, floor)
         value = jax.vmap(self._value, (None, 0))(both, fields["observation"])
         old = fields["log_prob"][:, 0]
-        advantage = losses.normalised(fields["advantage"][:, 0])
+        advantage = fields["advantage"][:, 0]
+        if config.normalise_advantages:
+            advantage = losses.normalised(advantage)
         policy_loss = losses.policy_loss(log_prob, old, advantage, value_at(config.clip, progress))
         value_loss = losses.value_loss(value, fields["target"][:, 0])
         bonus = jnp.mean(entropy)

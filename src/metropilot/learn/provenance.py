@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from platform import python_version
+from platform import machine as architecture
+from platform import processor, python_version
 from subprocess import DEVNULL, SubprocessError, run
 
 PACKAGES = ("metropilot", "jax", "jaxlib", "numpy", "safetensors")
@@ -20,6 +22,15 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
+
+
+@cache
+def machine() -> str:
+    """The processor and how many threads it runs."""
+    path = Path("/proc/cpuinfo")
+    lines = path.read_text().splitlines() if path.exists() else []
+    model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
+    return f"{model or processor() or architecture()}, {os.cpu_count()} cores"
 
 
 @cache

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from metropilot.drivers.policy.loaded import FILE as POLICY_FILE
+from metropilot.drivers.policy.policy_file import save_policy
 from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig
+from metropilot.learn.evaluation import kpis_kept, kpis_of_row
 from metropilot.learn.history import write_history
-from metropilot.learn.policy_file import save_policy
+from metropilot.learn.locks import at_work
 from metropilot.learn.runs import RunRecord, RunStore
 from metropilot.learn.session import Learned, Progress, Sitting, learn_in_chunks
 from metropilot.learn.tensorboard import EventWriter
+from metropilot.task import Perception
 from metropilot.task.interface import AbstractTask
 
 
@@ -27,6 +32,9 @@ class RunRequest:
         seed: Of everything random.
         about: What identifies the task: line, section, trainset.
         tensorboard: Also write event files.
+        driver: Id of the driver that is learned; empty where it has none.
+        perception: What a driver must know to use the policy; None: it cannot be driven.
+        command: The command line that asks for it.
     """
 
     config: AbstractConfig
@@ -35,6 +43,9 @@ class RunRequest:
     seed: int = 0
     about: Mapping[str, Any] | None = None
     tensorboard: bool = False
+    driver: str = ""
+    perception: Perception | None = None
+    command: str = ""
 
 
 def learn_run(
@@ -49,29 +60,51 @@ def learn_run(
         resume: Id of the run to go on with; None begins a new one.
 
     Raises:
-        InputError: No such run, or it was of another configuration, task or seed.
+        InputError: No such run, it was of another configuration, task or seed, or it is being learned now.
     """
-    about = dict(request.about or {}) | {"name": request.name}
-    record = store.show(resume) if resume else store.create(request.config, request.name, request.seed, about)
+    record = store.show(resume) if resume else begin_run(store, request)
     if resume and record.task != request.name:
         raise InputError(
             "the run learned another task", field="task", value=request.name, allowed=record.task
         )
-    folder = store.folder(record.id)
-    given = sitting or Sitting()
+    with at_work(store.folder(record.id)):
+        return _learn(store, request, sitting or Sitting(), record, resume=bool(resume))
+
+
+def begin_run(store: RunStore, request: RunRequest, run_id: str | None = None) -> RunRecord:
+    """A new run's folder and record; :func:`learn_run` then goes on with it.
+
+    Raises:
+        InputError: The folder cannot be written.
+    """
+    more = {"driver": request.driver, "command": request.command} | ({"id": run_id} if run_id else {})
+    return store.create(request.config, request.name, request.seed, _about(request), **more)
+
+
+def _about(request: RunRequest) -> dict[str, Any]:
+    """What identifies the task."""
+    return dict(request.about or {}) | {"name": request.name}
+
+
+def _learn(
+    store: RunStore, request: RunRequest, given: Sitting, record: RunRecord, *, resume: bool
+) -> tuple[RunRecord, Learned]:
+    """The learning itself, with the folder's lock held."""
+    folder, about = store.folder(record.id), _about(request)
     events = EventWriter(folder) if request.tensorboard else None
-    reached = {"steps": record.steps, "seconds": record.seconds}
+    before, record = record, store.update(record, status="running")
+    reached: dict[str, Any] = {}
 
     def progress(now: Progress) -> None:
-        reached.update(steps=now.steps, seconds=now.seconds)
+        reached.update(steps=now.steps, seconds=now.seconds, kpis=kpis_of_row(now.row))
+        store.update(record, **reached)
         if events:
             events.write(now.steps, now.row)
         if given.on_progress:
             given.on_progress(now)
 
     checkpoint = folder / "checkpoint.safetensors"
-    whole = replace(given, on_progress=progress, checkpoint=checkpoint, resume=bool(resume), about=about)
-    before, record = record, store.update(record, status="running")
+    whole = replace(given, on_progress=progress, checkpoint=checkpoint, resume=resume, about=about)
     try:
         learned = learn_in_chunks(request.config, request.task, request.seed, whole)
     except InputError:
@@ -85,10 +118,35 @@ def learn_run(
         if events:
             events.close()
     write_history(folder / "history.parquet", learned.history)
-    metadata = {"run": record.id, "algorithm": record.algorithm, "seed": record.seed, "task": about}
-    metadata |= {"commit": record.commit_id, "versions": dict(record.versions), "config": dict(record.config)}
-    finite = learned.score if abs(learned.score) < float("inf") else None
-    save_policy(folder / "policy.safetensors", learned.policy, metadata | {"score": finite})
+    finite = learned.score if math.isfinite(learned.score) else None
     steps = int(learned.history["steps"][-1])
-    record = store.update(record, status="done", score=finite, seconds=learned.seconds, steps=steps)
+    kpis = kpis_kept(learned.history, request.config.keep)
+    done: dict[str, Any] = {"status": "done", "score": finite, "seconds": learned.seconds}
+    record = replace(record, **done, steps=steps, kpis=kpis)
+    save_policy(folder / POLICY_FILE, learned.policy, policy_about(record, request.perception))
+    store.save(record)
     return record, learned
+
+
+def policy_about(record: RunRecord, perception: Perception | None) -> dict[str, Any]:
+    """What a policy file says of itself: all that a driver needs, and where it comes from."""
+    about: dict[str, Any] = {
+        "driver": record.driver,
+        "algorithm": record.algorithm,
+        "task": dict(record.about),
+        "config": dict(record.config),
+        "seed": record.seed,
+        "score": record.score,
+        "kpis": dict(record.kpis),
+        "provenance": {
+            "run": record.id,
+            "steps": record.steps,
+            "seconds": round(record.seconds, 1),
+            "command": record.command,
+            "commit": record.commit_id,
+            "date": record.created[:10],
+            "machine": record.machine,
+            "versions": dict(record.versions),
+        },
+    }
+    return about | ({"perception": perception.as_dict()} if perception else {})

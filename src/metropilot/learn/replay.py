@@ -116,17 +116,20 @@ def tree_set(tree: Tree, indices: Array, values: Array) -> Tree:
     return tuple(levels)
 
 
-def tree_find(tree: Tree, mass: Array) -> Array:
+def tree_find(tree: Tree, mass: Array) -> tuple[Array, Array]:
     """The leaf under each point of the cumulated sum, never one of value zero.
+
+    Leaves must be read here and nowhere else: a second read that nothing orders before the next write makes
+    XLA copy all of them in every step.
 
     Args:
         tree: The sum tree.
         mass: Points in [0, total). Shape (B,).
 
     Returns:
-        Leaf indices. Shape (B,), int32.
+        Leaf indices, shape (B,), int32, and their values, shape (B,).
     """
-    indices = jnp.zeros(mass.shape, jnp.int32)
+    indices, value = jnp.zeros(mass.shape, jnp.int32), mass
     for level in reversed(tree):
         children = indices[:, None] * BRANCHES + jnp.arange(BRANCHES, dtype=jnp.int32)[None, :]
         values = level[children]
@@ -134,10 +137,11 @@ def tree_find(tree: Tree, mass: Array) -> Array:
         past = jnp.sum(upto <= mass[:, None], axis=1)
         last = BRANCHES - 1 - jnp.argmax((values > 0.0)[:, ::-1], axis=1)
         choice = jnp.minimum(past, last).astype(jnp.int32)
-        before = jnp.take_along_axis(upto - values, choice[:, None], axis=1)[:, 0]
+        value = jnp.take_along_axis(values, choice[:, None], axis=1)[:, 0]
+        before = jnp.take_along_axis(upto, choice[:, None], axis=1)[:, 0] - value
         mass = jnp.maximum(mass - before, 0.0)
         indices = indices * BRANCHES + choice
-    return indices
+    return indices, value
 
 
 class Prioritised(NamedTuple):
@@ -179,8 +183,8 @@ def prioritised_sample(
     """
     total = tree_total(memory.tree)
     points = (jnp.arange(batch, dtype=jnp.float32) + jax.random.uniform(key, (batch,), jnp.float32)) / batch
-    indices = tree_find(memory.tree, points * total)
-    share = memory.tree[0][indices] / total
+    indices, value = tree_find(memory.tree, points * total)
+    share = value / total
     weights = (memory.ring.size.astype(jnp.float32) * share) ** -beta
     return memory.ring.rows[indices], indices, weights / jnp.max(weights)
 

@@ -2,7 +2,8 @@
 
 A run is a folder with ``run.toml`` (resolved configuration, seed, versions, commit, result),
 ``history.parquet``, ``policy.safetensors`` and ``checkpoint.safetensors``. The index is an SQLite file beside
-them; lost or damaged, it is made anew from the folders.
+them; lost or damaged, it is made anew from the folders. A run that says it is running while no process holds
+its folder's lock was interrupted, and is shown so.
 """
 
 from __future__ import annotations
@@ -13,16 +14,17 @@ import sqlite3
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from metropilot.drivers.policy.files import write_whole
 from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.config_reading import config_from_mapping, config_to_mapping
-from metropilot.learn.files import write_whole
-from metropilot.learn.provenance import commit, versions
+from metropilot.learn.locks import is_at_work
+from metropilot.learn.provenance import commit, machine, versions
 
 Status = Literal["running", "interrupted", "done", "failed"]
 INDEX = "index.sqlite"
@@ -30,9 +32,11 @@ SCHEMA = """
 CREATE TABLE IF NOT EXISTS runs (
     id TEXT PRIMARY KEY, algorithm TEXT NOT NULL, task TEXT NOT NULL, seed INTEGER NOT NULL, status TEXT NOT
     NULL, created TEXT NOT NULL, seconds REAL NOT NULL, steps INTEGER NOT NULL, score REAL, commit_id TEXT NOT
-    NULL, config TEXT NOT NULL, about TEXT NOT NULL, versions TEXT NOT NULL
+    NULL, config TEXT NOT NULL, about TEXT NOT NULL, versions TEXT NOT NULL, driver TEXT NOT NULL, command
+    TEXT NOT NULL, machine TEXT NOT NULL, kpis TEXT NOT NULL
 )
 """
+SCHEMA_VERSION = 2
 COLUMNS = (
     "id",
     "algorithm",
@@ -47,8 +51,12 @@ COLUMNS = (
     "config",
     "about",
     "versions",
+    "driver",
+    "command",
+    "machine",
+    "kpis",
 )
-PLAIN = {"config", "about", "versions"}
+PLAIN = {"config", "about", "versions", "kpis"}
 
 
 @dataclass(frozen=True)
@@ -69,6 +77,10 @@ class RunRecord:
         config: The resolved configuration as plain values.
         about: What else identifies the task: line, section, trainset.
         versions: Of Python and packages.
+        driver: Id of the driver that was learned; empty where it has none.
+        command: The command line that began it; empty where none did.
+        machine: Where it began.
+        kpis: Of the policy kept, by driving the task from standstill; before the end, of the last one driven.
     """
 
     id: str
@@ -84,6 +96,10 @@ class RunRecord:
     config: Mapping[str, Any]
     about: Mapping[str, Any]
     versions: Mapping[str, str]
+    driver: str = ""
+    command: str = ""
+    machine: str = ""
+    kpis: Mapping[str, float] = field(default_factory=dict)
 
     def configuration(self) -> AbstractConfig:
         """The configuration as learners take it."""
@@ -95,24 +111,36 @@ class RunStore:
 
     Args:
         root: The folder; made when the first run is.
+        indexed: Whether there is an index; without one, only single runs can be looked at.
     """
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, *, indexed: bool = True) -> None:
         self.root = root
+        self.indexed = indexed
 
     def folder(self, run_id: str) -> Path:
         """Where a run's files are."""
         return self.root / run_id
 
-    def create(self, config: AbstractConfig, task: str, seed: int, about: Mapping[str, Any]) -> RunRecord:
+    def create(
+        self, config: AbstractConfig, task: str, seed: int, about: Mapping[str, Any], **more: str
+    ) -> RunRecord:
         """A new run: its folder, its ``run.toml`` and its row.
+
+        Args:
+            config: Which learner and what it is told.
+            task: What is learned, in a word.
+            seed: Of everything random.
+            about: What else identifies the task.
+            more: ``id``, ``driver`` and ``command`` of the record.
 
         Raises:
             InputError: The folder cannot be written.
         """
         now = datetime.now(UTC)
+        name = f"{more.get('driver') or config.algorithm}-{now:%Y%m%d-%H%M%S}-{secrets.token_hex(2)}"
         record = RunRecord(
-            id=f"{config.algorithm}-{now:%Y%m%d-%H%M%S}-{secrets.token_hex(2)}",
+            id=more.get("id", name),
             algorithm=config.algorithm,
             task=task,
             seed=seed,
@@ -125,6 +153,9 @@ class RunStore:
             config=config_to_mapping(config),
             about=dict(about),
             versions=versions(),
+            driver=more.get("driver", ""),
+            command=more.get("command", ""),
+            machine=machine(),
         )
         self.save(record)
         return record
@@ -150,8 +181,9 @@ class RunStore:
         table = {name: value for name, value in asdict(record).items() if value is not None}
         text = tomli_w.dumps(table).encode()
         write_whole(self.folder(record.id) / "run.toml", lambda partial: partial.write_bytes(text))
-        with self._index() as database:
-            _insert(database, record)
+        if self.indexed:
+            with self._index() as database:
+                _insert(database, record)
 
     def recent(
         self, *, algorithm: str = "", task: str = "", status: str = "", limit: int = 100
@@ -164,6 +196,7 @@ class RunStore:
             status: Only of this one.
             limit: At most so many.
         """
+        self._settle()
         wanted = {"algorithm": algorithm, "task": task, "status": status}
         wanted = {name: value for name, value in wanted.items() if value}
         where = " AND ".join(f"{name} = ?" for name in wanted) or "1"
@@ -173,6 +206,7 @@ class RunStore:
 
     def find(self, words: str, limit: int = 100) -> list[RunRecord]:
         """Runs in whose id, task, configuration or identity every word occurs, the newest first."""
+        self._settle()
         parts = [
             f"%{word.replace('~', '~~').replace('%', '~%').replace('_', '~_')}%" for word in words.split()
         ]
@@ -186,6 +220,9 @@ class RunStore:
         Raises:
             InputError: None does, or several.
         """
+        if not self.indexed:
+            return settled(self, record_of(self.folder(run_id)))
+        self._settle()
         found = self._select("WHERE substr(id, 1, ?) = ? ORDER BY id LIMIT 6", (len(run_id), run_id))
         exact = [record for record in found if record.id == run_id]
         if exact or len(found) == 1:
@@ -205,6 +242,11 @@ class RunStore:
             for record in records:
                 _insert(database, record)
         return len(records)
+
+    def _settle(self) -> None:
+        """Find the runs whose process is gone."""
+        for record in self._select("WHERE status = 'running'", ()):
+            settled(self, record)
 
     def _select(self, rest: str, values: tuple[Any, ...]) -> list[RunRecord]:
         if not self.root.is_dir():
@@ -231,18 +273,44 @@ class RunStore:
         database = sqlite3.connect(self.root / INDEX, timeout=30.0)
         try:
             database.execute("PRAGMA journal_mode = WAL")
+            (version,) = database.execute("PRAGMA user_version").fetchone()
+            tables = database.execute("SELECT name FROM sqlite_master WHERE name = 'runs'").fetchall()
+            if tables and version != SCHEMA_VERSION:
+                raise sqlite3.DatabaseError("an index of another version")
             database.execute(SCHEMA)
+            database.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
         except sqlite3.DatabaseError:
             database.close()
             raise
         return database
 
 
+def settled(store: RunStore, record: RunRecord) -> RunRecord:
+    """The record, its status put right if it is running no more."""
+    if record.status != "running" or is_at_work(store.folder(record.id)):
+        return record
+    return store.update(record, status="interrupted")
+
+
+def record_of(folder: Path) -> RunRecord:
+    """The record of a learning run's folder.
+
+    Raises:
+        InputError: It is not one.
+    """
+    record = read_record(folder / "run.toml")
+    if record is None:
+        raise InputError("not the folder of a learning run", file=folder, allowed="see `metropilot runs`")
+    return record
+
+
 def read_record(path: Path) -> RunRecord | None:
-    """A record from its ``run.toml``, or None if that is damaged."""
+    """A record from its ``run.toml``, or None if that is damaged; its id is the folder's name."""
+    kinds = {"seed": int, "steps": int, "seconds": float, "score": float, **dict.fromkeys(PLAIN, dict)}
     try:
-        table: dict[str, Any] = {"score": None, **tomllib.loads(path.read_text())}
-        return RunRecord(**table)
+        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        fits = all(type(value) is kinds.get(name, str) for name, value in table.items())
+        return replace(RunRecord(**{"score": None, **table}), id=path.resolve().parent.name) if fits else None
     except (OSError, ValueError, TypeError):
         return None
 

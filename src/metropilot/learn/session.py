@@ -16,12 +16,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from metropilot.drivers.policy.policy import Policy
 from metropilot.errors import InputError
 from metropilot.learn.checkpoint import load_checkpoint, save_checkpoint
+from metropilot.learn.compile_cache import keep_compiled
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.config_reading import config_to_mapping
 from metropilot.learn.loop import Evaluate, Loop, LoopState, make_loop
-from metropilot.learn.policy import Policy
 from metropilot.task.interface import AbstractTask
 
 History = dict[str, np.ndarray]
@@ -107,6 +108,7 @@ def learn_in_chunks(
         InputError: The checkpoint is damaged, or of another run.
     """
     sitting = sitting or Sitting()
+    keep_compiled()
     loop = make_loop(config, task, sitting.evaluate)
     identity = _identity(config, seed, sitting)
     state, columns, seconds = _begin(loop, seed, sitting, identity)

@@ -7,14 +7,14 @@ from typing import NamedTuple, final
 import jax
 import jax.numpy as jnp
 
+from metropilot.drivers.policy.networks import Params
+from metropilot.drivers.policy.policy import PolicySpec, table_cell
 from metropilot.errors import InputError
 from metropilot.learn import environments as env
 from metropilot.learn.config import TabularConfig
 from metropilot.learn.distributions import masked
 from metropilot.learn.learner import AbstractLearner, Report, needs_choices
 from metropilot.learn.losses import tabular as losses
-from metropilot.learn.networks import Params
-from metropilot.learn.policy import PolicySpec, table_cell
 from metropilot.learn.schedules import value_at
 from metropilot.task.interface import AbstractTask, Array
 

@@ -11,6 +11,7 @@ from metropilot.physics.batch import (
     stack,
 )
 from metropilot.physics.build import padded_size, restrictive_profile, track_arrays, vehicle_arrays
+from metropilot.physics.deceleration import controlled
 from metropilot.physics.effort import (
     brake_available_n,
     command_for_force,
@@ -51,6 +52,7 @@ __all__ = [
     "command_for_force",
     "command_force_n",
     "consist",
+    "controlled",
     "davis_n",
     "delay_steps",
     "double_precision",

@@ -9,6 +9,7 @@ from metropilot.planning.journey import (
     plan_journey,
     timetable_waypoints,
 )
+from metropilot.planning.notches import NotchOptions, NotchPlan, notch_plan
 from metropilot.planning.optimal import Plan, PlanOptions, minimum_running_time, optimal_plan, plan_arrays
 from metropilot.planning.references import (
     Reference,
@@ -22,6 +23,8 @@ __all__ = [
     "Call",
     "Front",
     "JourneyPlan",
+    "NotchOptions",
+    "NotchPlan",
     "Plan",
     "PlanOptions",
     "Reference",
@@ -29,6 +32,7 @@ __all__ = [
     "Waypoint",
     "journey_waypoints",
     "minimum_running_time",
+    "notch_plan",
     "optimal_plan",
     "peak_speed",
     "plan_arrays",

@@ -156,8 +156,13 @@ def optimal_plan(
     )
 
 
-def plan_arrays(vehicle: Vehicle, track: Track, time_s: float, options: PlanOptions) -> Plan:
-    """:func:`optimal_plan` for arrays already built; see there."""
+def plan_arrays(
+    vehicle: Vehicle, track: Track, time_s: float, options: PlanOptions, about: Plan | None = None
+) -> Plan:
+    """:func:`optimal_plan` for arrays already built; see there.
+
+    ``about`` is a plan of much the same drive, made before: starting from its speeds saves passes.
+    """
     if not np.isfinite(time_s) or time_s <= 0:
         raise InputError(
             "running time out of range", field="time", value=time_s, unit="s", allowed="finite, > 0"
@@ -171,6 +176,9 @@ def plan_arrays(vehicle: Vehicle, track: Track, time_s: float, options: PlanOpti
     if options.late_w is None:
         _check_stop(table, mesh, options)
         time_s = _possible(vehicle, track, time_s, fastest, options)
+    if about is not None:
+        known = np.interp(mesh.node_m, about.position_m, 0.5 * about.speed_mps**2)
+        energy = np.minimum(energy, known)
     bounds = (TimeBound(0, mesh.length_m.size, None, time_s - float(_ramp_times(mesh, options).sum())),)
     return iterate(vehicle, table, mesh, energy, bounds, (), options)
 

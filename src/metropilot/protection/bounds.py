@@ -29,6 +29,8 @@ class Bounds:
         emergency_jerk_mps3: Slowest removal of traction and build-up of the emergency brake.
         speed_error_mps: Largest error of the measured speed.
         position_error_m: Largest error of the measured position.
+        controlled: Whether the emergency brake is controlled to its rate on any gradient, so that a climb
+            adds nothing to it.
     """
 
     dt_s: float
@@ -43,6 +45,7 @@ class Bounds:
     emergency_jerk_mps3: float = float("inf")
     speed_error_mps: float = 0.0
     position_error_m: float = 0.0
+    controlled: bool = False
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
+from typing import Any
+
 import numpy as np
 from numpy import ndarray
 from numpy.lib.stride_tricks import sliding_window_view
@@ -9,7 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from metropilot.physics import Vehicle, davis_n, delay_steps, padded_size, vehicle_arrays
 from metropilot.physics.effort import effort_at
 from metropilot.protection.bounds import Bounds
-from metropilot.protection.ground import Ground, ground, sliding_max
+from metropilot.protection.ground import BEFORE_M, Ground, ground, sliding_max
 from metropilot.protection.predict import SLACK_MPS, highest_speed
 from metropilot.protection.types import Fading, Protection, Rates
 from metropilot.railway import Section, Trainset
@@ -25,6 +28,10 @@ SERVICE_LATE_MPS2 = 0.1
 """And this much for every second of delay and lag, in which a driver's effort trails a changing gradient."""
 
 
+_RECENT: deque[tuple[Any, ...]] = deque(maxlen=4)
+"""What was asked for last, and the answer: a driver asks for what its host has just asked for."""
+
+
 def protect(
     section: Section,
     trainset: Trainset,
@@ -33,6 +40,7 @@ def protect(
     stop_at_m: float | None = None,
     dtype: type = np.float64,
     spacing_m: float = 1.0,
+    before_m: float = BEFORE_M,
 ) -> Protection:
     """Protection of one section for one trainset: NumPy arrays, to be moved to JAX with ``physics.to_jax``.
 
@@ -46,13 +54,35 @@ def protect(
         stop_at_m: End of the movement authority: the speed limit is 0 from there on. None: line limits only.
         dtype: Number type.
         spacing_m: Distance between nodes.
+        before_m: How far before the origin the map begins.
 
     Raises:
         InputError: The section is too long for the grid, or the look-ahead for its spacing.
     """
+    more = (bounds, stop_at_m, dtype, spacing_m, before_m)
+    for known_section, known_trainset, known, answer in tuple(_RECENT):
+        if known_section is section and known_trainset is trainset and known == more:
+            return answer
+    answer = _protect(section, trainset, *more)
+    _RECENT.append((section, trainset, more, answer))
+    return answer
+
+
+def _protect(
+    section: Section,
+    trainset: Trainset,
+    bounds: Bounds,
+    stop_at_m: float | None,
+    dtype: type,
+    spacing_m: float,
+    before_m: float,
+) -> Protection:
+    """:func:`protect`, computed."""
     vehicle = vehicle_arrays(trainset)
     rates, usual = _rates(bounds), _service_rates(trainset, vehicle, bounds)
-    field = ground(section, trainset, stop_at_m, spacing_m, bounds.resistance[0])
+    field = ground(section, trainset, stop_at_m, spacing_m, bounds.resistance[0], before_m)
+    if bounds.controlled:
+        field = field._replace(pull_mps2=np.maximum(field.pull_mps2, 0.0))
     top, steepest = float(field.ceiling_mps.max()), float(field.pull_mps2.max())
     reach, usual_reach = (_look_ahead(vehicle, each, top, steepest, spacing_m) for each in (rates, usual))
     ahead = padded_size(max(reach, usual_reach), AHEAD)

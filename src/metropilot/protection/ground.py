@@ -37,7 +37,12 @@ class Ground(NamedTuple):
 
 
 def ground(
-    section: Section, trainset: Trainset, stop_at_m: float | None, spacing_m: float, resistance_low: float
+    section: Section,
+    trainset: Trainset,
+    stop_at_m: float | None,
+    spacing_m: float,
+    resistance_low: float,
+    before_m: float = BEFORE_M,
 ) -> Ground:
     """Lay the grid over a section.
 
@@ -47,11 +52,12 @@ def ground(
         stop_at_m: End of the movement authority, if there is one.
         spacing_m: Distance between nodes.
         resistance_low: Share of the curve resistance that is certain.
+        before_m: How far before the origin the grid begins.
 
     Raises:
         InputError: The section is too long for the spacing.
     """
-    nodes = _nodes(section, stop_at_m, spacing_m)
+    nodes = _nodes(section, stop_at_m, spacing_m, before_m)
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
     gradient, curve, _ = felt_slopes(vehicle, track, nodes)
     return Ground(
@@ -69,10 +75,10 @@ def sliding_max(cells: ndarray, back: int, ahead: int) -> ndarray:
     return sliding_window_view(wide, back + ahead).max(axis=1)
 
 
-def _nodes(section: Section, stop_at_m: float | None, spacing_m: float) -> ndarray:
+def _nodes(section: Section, stop_at_m: float | None, spacing_m: float, before_m: float) -> ndarray:
     """Uniform grid; an authority end lies on a node, so that nothing is lost there to rounding."""
     anchor = section.length_m if stop_at_m is None else stop_at_m
-    first = -int(np.ceil((anchor + BEFORE_M) / spacing_m))
+    first = -int(np.ceil((anchor + before_m) / spacing_m))
     last = int(np.ceil((section.length_m + AFTER_M - anchor) / spacing_m))
     if last - first > MOST_NODES:
         raise InputError(

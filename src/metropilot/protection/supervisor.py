@@ -11,6 +11,7 @@ from metropilot.physics import Command
 from metropilot.physics.arrays import Scalar, namespace, scalars
 from metropilot.physics.plant import pushed
 from metropilot.protection.predict import Forces, acceleration, fastest, stays_under
+from metropilot.protection.separation import Ahead, braking, least_gap
 from metropilot.protection.types import Array, Memory, Protection, Rates, Verdict
 
 RELEASE_MPS = 0.1
@@ -20,7 +21,12 @@ STANDSTILL_MPS = 0.05
 
 
 def supervise(
-    protection: Protection, memory: Memory, position_m: Scalar, speed_mps: Scalar, command: Command
+    protection: Protection,
+    memory: Memory,
+    position_m: Scalar,
+    speed_mps: Scalar,
+    command: Command,
+    ahead: Ahead | None = None,
 ) -> tuple[Command, Memory, Verdict]:
     """Decide what reaches the trainset in the coming period.
 
@@ -32,12 +38,16 @@ def supervise(
     emergency brake stays on until standstill. A command that is not a finite number is a full service brake,
     one out of range is clipped, and a measurement that is not finite brings the emergency brake.
 
+    Behind another trainset the authority moves: the same brake must also keep clear of that trainset, however
+    hard it brakes within what is declared of it (see :mod:`metropilot.protection.separation`).
+
     Args:
         protection: Curves and bounds.
         memory: From the last period.
         position_m: Measured position of the head.
         speed_mps: Measured speed.
         command: The driver's command.
+        ahead: The trainset ahead as last heard of, if there is one.
 
     Returns:
         The command to apply, the new memory, and what was decided.
@@ -50,7 +60,7 @@ def supervise(
     wanted = xp.where(xp.abs(command.share) < float("inf"), xp.clip(command.share, -1.0, 1.0), full)
     cut = xp.minimum(wanted, none)
     margin = xp.where(memory.level > 0, RELEASE_MPS, 0.0)
-    check = Check(protection, memory, position_m, speed_mps)
+    check = Check(protection, memory, position_m, speed_mps, ahead)
 
     level = _first(
         xp,
@@ -92,7 +102,14 @@ class Brake(NamedTuple):
 class Check:
     """Everything a command is tested against, at one measured position and speed."""
 
-    def __init__(self, protection: Protection, memory: Memory, position_m: Scalar, speed_mps: Scalar) -> None:
+    def __init__(
+        self,
+        protection: Protection,
+        memory: Memory,
+        position_m: Scalar,
+        speed_mps: Scalar,
+        ahead: Ahead | None = None,
+    ) -> None:
         self.xp = xp = namespace(protection.start_m, position_m)
         self.protection, self.memory = protection, memory
         known = xp.abs(position_m) < float("inf")
@@ -100,6 +117,7 @@ class Check:
         position = xp.where(known, position_m, protection.start_m)
         self.speed_mps = speed_mps = xp.where(moving, speed_mps, 0.0)
         self.measured = known & moving
+        self.ahead, self.position_m = ahead, position
         self.node, self.way = on_grid(protection, position)
         first = protection.start_m + protection.spacing_m * _like(position, self.node)
         steps = protection.ahead.astype(protection.emergency.dtype) * protection.spacing_m
@@ -116,11 +134,12 @@ class Check:
 
     def emergency(self, share: Scalar, margin_mps: Scalar) -> Scalar:
         """Whether the emergency brake decided one period from now is in time, whatever the plant."""
-        return self._in_time(self.worst, share, margin_mps)
+        return self._in_time(self.worst, share, margin_mps) & self._clear(share, margin_mps, 0.0)
 
     def passes(self, share: Scalar, margin_mps: Scalar) -> Scalar:
         """The same, and whether the service brake would do on the nominal plant."""
-        return self._in_time(self.usual, share, margin_mps) & self.emergency(share, margin_mps)
+        in_time = self._in_time(self.usual, share, margin_mps) & self._in_time(self.worst, share, margin_mps)
+        return in_time & self._clear(share, margin_mps, 1.0)
 
     def _brake(self, rates: Rates, curve: Array, pulls: Array) -> Brake:
         pull = self.xp.maximum(pulls[self.node], pulls[self.node + 1])
@@ -133,6 +152,27 @@ class Check:
         return self.measured & stays_under(
             brake.rates, brake.curve, self.distance_m, speed, acting, brake.pull_mps2
         )
+
+    def _clear(self, share: Scalar, margin_mps: Scalar, rooms: float) -> Scalar:
+        """Whether the emergency brake decided one period from now keeps clear of the trainset ahead.
+
+        Args:
+            share: Command let pass until then.
+            margin_mps: Speed to allow on top of the measured one.
+            rooms: How many times its ``room_m`` must be left.
+        """
+        if self.ahead is None:
+            return self.measured
+        bounds = self.ahead.bounds
+        return self.least_gap(self.ahead, share, margin_mps) >= bounds.margin_m + rooms * bounds.room_m
+
+    def least_gap(self, ahead: Ahead, share: Scalar, margin_mps: Scalar) -> Scalar:
+        """Smallest gap to come if a command passes now and both brake as hard as they must thereafter."""
+        rates = self.worst.rates
+        acting = self.xp.maximum(acceleration(self.worst.forces, self.kept(share)), self.fading)
+        speed = self.speed_mps + rates.speed_error_mps + margin_mps
+        motion = braking(speed, acting, rates.reaction_s, rates.jerk_mps3, ahead.bounds.held_mps2)
+        return least_gap(ahead, self.position_m, motion)
 
     def kept(self, share: Scalar) -> Scalar:
         """Upper bound on the share in effect from now on, after dead time and lag."""
@@ -152,6 +192,18 @@ def permitted_speed(protection: Protection, position_m: Array) -> Array:
     by ``a * reaction_s`` and what the emergency brake needs to undo ``a``; see :func:`approach_margin`.
     """
     return _between(protection.permitted_mps, *on_grid(protection, position_m))
+
+
+def spare_gap(
+    protection: Protection, memory: Memory, position_m: Scalar, speed_mps: Scalar, share: Scalar, ahead: Ahead
+) -> Scalar:
+    """How much nearer the trainset ahead could be for a command still to pass, m; negative: it does not pass.
+
+    For drivers that follow: whoever keeps it above zero is not overruled on account of the trainset ahead.
+    """
+    check = Check(protection, memory, position_m, speed_mps, ahead)
+    bounds = ahead.bounds
+    return check.least_gap(ahead, share, 0.0 * speed_mps) - bounds.margin_m - bounds.room_m
 
 
 def approach_margin(protection: Protection, acceleration_mps2: Array) -> Array:

@@ -14,10 +14,18 @@ from typing import Any, final
 
 import numpy as np
 
+from metropilot.errors import InputError
+from metropilot.physics import resistance_and_gradient
+from metropilot.physics.effort import effort_at
 from metropilot.task.interface import ActionSpace
 from metropilot.task.observers import Sight, limited_force
 
 Array = Any
+
+LU2023_N = (-149e3, -132e3, -99e3, -66e3, -33e3, 0.0, 34e3, 68e3, 102e3, 136e3, 170e3, 180e3)
+"""The twelve actions of Lu23 Table 3."""
+ROUNDING_N = 200.0
+"""Forces this near to a notch are that notch (single precision)."""
 
 
 class AbstractAction(ABC):
@@ -37,6 +45,28 @@ class AbstractAction(ABC):
             action: Shape (size,), or an integer choice of shape ().
             period_s: Time between two decisions.
         """
+
+    def allowed(self, sight: Sight, period_s: float) -> Array | None:
+        """Which choices are allowed here (a filter), shape (count,); None: all."""
+        del sight, period_s
+        return None
+
+    def held(self, sight: Sight, action: Array, command: Array) -> Array:
+        """The command later in the same decision: by default as decided; a force is held, not its share."""
+        del sight, action
+        return command
+
+    def settled(self, sight: Sight, command: Array) -> Array:
+        """The command that is given where assists have made another of it; a notch may have to be met."""
+        del sight
+        return command
+
+
+def _ordered(field: str, pair: tuple[float, float], allowed: str, *, equal: bool = False) -> None:
+    """Refuse a number that is not above another."""
+    low, high = pair
+    if not (low <= high if equal else low < high):
+        raise InputError("out of range", field=field, value=pair[1], allowed=allowed)
 
 
 @final
@@ -71,6 +101,11 @@ class RegimeAction(AbstractAction):
     coast: float = 0.2
     full: float = 0.8
 
+    def __post_init__(self) -> None:
+        """Refuse a dead zone that leaves no room for effort."""
+        _ordered("coast", (0.0, self.coast), "0 or more, below full", equal=True)
+        _ordered("full", (self.coast, self.full), "above coast")
+
     @property
     def space(self) -> ActionSpace:
         """One number."""
@@ -93,6 +128,10 @@ class IncrementAction(AbstractAction):
     """
 
     rate_per_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Refuse a command that cannot be changed."""
+        _ordered("rate_per_s", (0.0, self.rate_per_s), "above 0")
 
     @property
     def space(self) -> ActionSpace:
@@ -132,6 +171,82 @@ class NotchAction(AbstractAction):
 
 @final
 @dataclass(frozen=True)
+class NotchForceAction(AbstractAction):
+    """One of a table of forces, and nothing else: what the assists make of a choice is a notch, too.
+
+    Attributes:
+        notches_n: Forces in N, increasing, braking negative, 0 (coasting) among them.
+        in_time: Choices after which even flat out is too late are not allowed (Lu23 section 3.3.4).
+        margin: The filter counts the flat-out time this share longer: what keeping clear of protection costs,
+            and the steps of the notches.
+    """
+
+    notches_n: tuple[float, ...] = LU2023_N
+    in_time: bool = True
+    margin: float = 0.05
+
+    def __post_init__(self) -> None:
+        """Refuse a table that cannot pull, coast and brake."""
+        notches = self.notches_n
+        if 0.0 not in notches or list(notches) != sorted(set(notches)) or not notches[0] < 0 < notches[-1]:
+            allowed = "increasing forces in N, the first below 0, 0 among them, the last above 0"
+            raise InputError("no table of notches", field="notches_n", value=str(notches), allowed=allowed)
+        if not 0.0 <= self.margin <= 1.0:
+            raise InputError("out of range", field="margin", value=self.margin, allowed="0 to 1")
+
+    @property
+    def space(self) -> ActionSpace:
+        """One choice a notch."""
+        return ActionSpace(count=len(self.notches_n))
+
+    def command(self, sight: Sight, action: Array, period_s: float) -> Array:
+        """The notch, as far as it is available."""
+        del period_s
+        return limited_force(sight, sight.xp.asarray(self.notches_n, np.float32)[action])
+
+    def held(self, sight: Sight, action: Array, command: Array) -> Array:
+        """The same force at another speed."""
+        del command
+        return self.command(sight, action, 0.0)
+
+    def allowed(self, sight: Sight, period_s: float) -> Array | None:
+        """Choices after which there is still time to arrive; the strongest is always one of them.
+
+        Where each notch leads in one decision (at the resistance here), and what the flat-out run takes from
+        there, against the time left (Lu23 section 3.3.4, steps a to c: ``T - t_k < t_lim`` chooses again).
+        The flat-out time is that of the plant with its resistance and limits, not of a speed that changes at
+        once.
+        """
+        if not self.in_time:
+            return None
+        xp, vehicle, v = sight.xp, sight.vehicle, sight.speed_mps
+        resistance, gradient = resistance_and_gradient(vehicle, sight.track, sight.position_m, v)
+        effort = effort_at(vehicle, v)
+        notches = xp.asarray(self.notches_n, np.float32)
+        force = xp.clip(notches, -effort.brake_n, effort.traction_n)
+        rate = (force - resistance - gradient) / vehicle.effective_mass_kg
+        after = xp.maximum(v + rate * period_s, 0.0)
+        left_m = xp.maximum(sight.left_m - 0.5 * (v + after) * period_s, 0.0)
+        to_go = sight.rows.to_go_s(sight.case, left_m, sight.length_m, after)
+        in_time = sight.left_s - period_s >= (1.0 + self.margin) * to_go
+        return in_time | (notches >= notches[-1])
+
+    def settled(self, sight: Sight, command: Array) -> Array:
+        """The notch for a command the assists have changed: the weakest brake that is strong enough.
+
+        Where no notch is (another trainset than the table is of), the stop needs the command as it is.
+        """
+        xp, effort = sight.xp, effort_at(sight.vehicle, sight.speed_mps)
+        notches = xp.asarray(self.notches_n, np.float32)
+        wanted = xp.where(command >= 0, command * effort.traction_n, command * effort.brake_n)
+        reached = xp.clip(notches, -effort.brake_n, effort.traction_n)
+        # the strongest notch not above what is wanted: a weaker pull, or a stronger brake
+        index = xp.sum(reached <= wanted + ROUNDING_N) - 1
+        return xp.where(index >= 0, limited_force(sight, notches[xp.maximum(index, 0)]), command)
+
+
+@final
+@dataclass(frozen=True)
 class GainsAction(AbstractAction):
     """Gains of a controller that holds a share of the permitted speed; each spans a range logarithmically.
 
@@ -140,8 +255,16 @@ class GainsAction(AbstractAction):
         high: Largest of each.
     """
 
-    low: tuple[float, float] = (0.05, 0.3)
-    high: tuple[float, float] = (2.0, 1.0)
+    low: tuple[float, ...] = (0.05, 0.3)
+    high: tuple[float, ...] = (2.0, 1.0)
+
+    def __post_init__(self) -> None:
+        """Refuse ranges that are empty or have no logarithm."""
+        if not len(self.low) == len(self.high) == 2:
+            raise InputError("not a range of two gains", field="high", value=len(self.high), allowed="2")
+        for low, high in zip(self.low, self.high, strict=True):
+            _ordered("low", (0.0, low), "above 0, below high")
+            _ordered("high", (low, high), "above low")
 
     @property
     def space(self) -> ActionSpace:
@@ -167,6 +290,7 @@ ACTIONS: Mapping[str, type[AbstractAction]] = MappingProxyType(
         "regime": RegimeAction,
         "increment": IncrementAction,
         "notches": NotchAction,
+        "notch_forces": NotchForceAction,
         "gains": GainsAction,
     }
 )

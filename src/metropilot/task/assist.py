@@ -46,11 +46,14 @@ class Assists:
         stop: The last braking to the stop point.
         ceiling: Keeping under the permitted speed and the acceleration limit.
         margin_mps: How far under the permitted speed.
+        stop_mps2: Deceleration of the last braking; 0: what is surely at hand at any speed, which is very
+            little for a brake that fades, while a low limit before the stop may allow much more.
     """
 
     stop: bool = True
     ceiling: bool = True
     margin_mps: float = 0.15
+    stop_mps2: float = 0.0
 
 
 class Needs(NamedTuple):
@@ -103,6 +106,8 @@ def assisted(
     if not (assists.stop or assists.ceiling):
         return command, stopping
     xp, needs = sight.xp, needs_of(sight)
+    if assists.stop_mps2 > 0.0:
+        sight = sight._replace(stop_mps2=xp.asarray(assists.stop_mps2, sight.speed_mps.dtype))
     ceiling = command
     if assists.ceiling:
         ceiling = share_for(sight, needs, ceiling_mps2(assists, sight, dt))

@@ -23,6 +23,9 @@ from metropilot.task.tables import PERMITTED, Rows, Tables, near_protection, nea
 
 Array = Any
 
+UNROLLED = 2
+"""More control periods to a decision than this are a loop: unrolled, each would be compiled again."""
+
 
 class DriveState(NamedTuple):
     """Where an episode is. All 0-d but the pipelines of plant and protection.
@@ -144,15 +147,24 @@ class DrivingTask(AbstractTask):
 
         config = self.config
         case = self.rows.case(state.start.case)
-        after, overruled, overspeed = state, jnp.zeros((), jnp.float32), jnp.zeros((), jnp.float32)
         sight = self.sight(state, case)
         wanted = config.action.command(sight, action, config.dt * config.periods)
-        for k in range(config.periods):
+
+        def period(carry: tuple[DriveState, Array, Array], k: Array) -> tuple[Any, None]:
+            now, overruled, overspeed = carry
             noise = jax.random.fold_in(key, k) if config.scenarios.speed_noise_mps[1] > 0 else key
-            after, over, excess = self._period(noise, after, case, wanted)
-            overruled, overspeed = overruled + over, jnp.maximum(overspeed, excess)
+            now, over, excess = self._period(noise, now, case, (action, wanted))
+            return (now, overruled + over, jnp.maximum(overspeed, excess)), None
+
+        carry = state, jnp.zeros((), jnp.float32), jnp.zeros((), jnp.float32)
+        if config.periods > UNROLLED:
+            carry, _ = jax.lax.scan(period, carry, jnp.arange(config.periods, dtype=jnp.uint32))
+        else:
+            for k in range(config.periods):
+                carry, _ = period(carry, k)
+        after, overruled, overspeed = carry
         after = after._replace(decisions=state.decisions + 1, overruled=overruled / config.periods)
-        plant, start = after.plant, after.start
+        plant = after.plant
         error = plant.position_m - case.length_m
         facts = Facts(error, plant.speed_mps, plant.time_s, after.stood_s, scheduled_s(after), overspeed)
         after = after._replace(outcome=outcome_of(config.outcomes, facts))
@@ -167,13 +179,21 @@ class DrivingTask(AbstractTask):
             overspeed_mps=overspeed,
             ended=terminated,
             arrived=after.outcome == CODES.index(Outcome.ARRIVED),
-            late_s=plant.time_s - scheduled_s(after),
+            late_s=plant.time_s - after.stood_s - scheduled_s(after),
             error_m=error,
+            braked_j=plant.electric_brake_j - state.plant.electric_brake_j,
+            acceleration_mps2=plant.acceleration_mps2,
+            before_mps2=state.plant.acceleration_mps2,
+            speed_mps=plant.speed_mps,
         )
-        del start
         terms = {term.name: term.value(change) for term in config.rewards}
         reward = sum(terms.values(), jnp.zeros((), jnp.float32))
         return after, Transition(self.observe(after, case), reward, terminated, truncated, terms)
+
+    def allowed(self, state: DriveState) -> Array | None:
+        """Choices the action's filter allows in this state. Shape (count,), or None: all."""
+        case = self.rows.case(state.start.case)
+        return self.config.action.allowed(self.sight(state, case), self.config.dt * self.config.periods)
 
     def observe(self, state: DriveState, case: Tables | None = None) -> Array:
         """The observation of a state. Shape (O,)."""
@@ -201,7 +221,7 @@ class DrivingTask(AbstractTask):
         )
 
     def _period(
-        self, key: Array, state: DriveState, case: Tables, wanted: Array
+        self, key: Array, state: DriveState, case: Tables, decided: tuple[Array, Array]
     ) -> tuple[DriveState, Array, Array]:
         """One control period; also whether protection overruled the command, and the largest overspeed."""
         import jax.numpy as jnp
@@ -209,7 +229,9 @@ class DrivingTask(AbstractTask):
         config, plant, start = self.config, state.plant, state.start
         dt = jnp.float32(config.dt)
         sight = self.sight(state, case)
+        wanted = config.action.held(sight, *decided)
         command, stopping = assisted(config.assists, sight, wanted, state.stopping, config.dt)
+        command = config.action.settled(sight, command)
         near = near_protection(self.rows, case.protection, start.case, plant.position_m)
         given = Command(command, jnp.zeros((), bool))
         given, watched, verdict = supervise(near, state.watched, plant.position_m, state.seen_mps, given)
@@ -266,7 +288,9 @@ class DrivingTask(AbstractTask):
         import jax
         import jax.numpy as jnp
 
-        chance, place, speed = jax.random.uniform(jax.random.fold_in(key, 1), (3,), jnp.float32)
+        ratio = self.config.scenarios.left_ratio
+        shares = jax.random.uniform(jax.random.fold_in(key, 1), (3 if ratio is None else 4,), jnp.float32)
+        chance, place, speed = shares[0], shares[1], shares[2]
         length = self.rows.case(start.case).length_m
         position = 0.9 * length * place
         permitted = self.rows.ground_at(PERMITTED, start.case, position)
@@ -274,7 +298,10 @@ class DrivingTask(AbstractTask):
         speed = speed * jnp.maximum(jnp.minimum(permitted - 1.0, stops), 0.0)
         to_go = self.rows.to_go_s(start.case, length - position, length, speed)
         whole = jnp.asarray(self.rows.tables.minimum_s)[start.case]
-        left = to_go * start.scheduled_s / whole
+        if ratio is None:
+            left = to_go * start.scheduled_s / whole
+        else:
+            left = to_go * (ratio[0] + (ratio[1] - ratio[0]) * shares[3])
         moved = start._replace(position_m=position, speed_mps=speed, time_s=start.scheduled_s - left)
         here = chance < self.config.scenarios.on_the_way
         return jax.tree.map(lambda a, b: jnp.where(here, a, b), moved, start)

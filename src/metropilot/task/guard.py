@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
+from metropilot.physics import brake_available_n, vehicle_arrays
 from metropilot.protection import Bounds
+from metropilot.railway import Trainset
 from metropilot.task.run import NOISE_CUT, Run
 
 MASS = (0.9, 1.1)
@@ -24,12 +28,37 @@ def declared_bounds(run: Run) -> Bounds:
         extra_lag_s=scenario.extra_lag_s,
         speed_error_mps=NOISE_CUT * scenario.speed_noise_mps,
     )
+    resistance = _holding(bounds.resistance, scenario.resistance_factor)
+    if scenario.headwind_mps != 0.0:
+        resistance = _holding(resistance, *_resistance_ratios(run))
+    share = bounds.service_share
+    if np.isfinite(scenario.adhesion):
+        share = min(share, _braking_share(run))
     return replace(
-        bounds,
-        mass=_holding(MASS, scenario.mass_factor),
-        resistance=_holding(bounds.resistance, scenario.resistance_factor),
+        bounds, mass=_holding(MASS, scenario.mass_factor), resistance=resistance, service_share=share
     )
 
 
-def _holding(interval: tuple[float, float], value: float) -> tuple[float, float]:
-    return min(interval[0], value), max(interval[1], value)
+def _resistance_ratios(run: Run) -> tuple[float, float]:
+    """Least and largest true running resistance over the believed one, at any speed."""
+    known, actual = _known(run), run.scenario.actual(run.trainset)
+    speed = np.linspace(0.0, known.max_speed_mps, 65)
+    powers = np.stack([np.ones_like(speed), speed, speed * speed])
+    true_n, told_n = (np.array(t.davis.newtons(t.mass_kg)) @ powers for t in (actual, known))
+    ratio = true_n / np.maximum(told_n, 1e-6)
+    return max(float(ratio.min()), 0.0), float(ratio.max())
+
+
+def _braking_share(run: Run) -> float:
+    """Service braking force that the rail still takes, over the one believed, at its least."""
+    known, actual = (vehicle_arrays(t) for t in (_known(run), run.scenario.actual(run.trainset)))
+    speeds = np.linspace(0.0, float(known.max_speed_mps), 65)
+    return min(float(brake_available_n(actual, v) / brake_available_n(known, v)) for v in speeds)
+
+
+def _known(run: Run) -> Trainset:
+    return run.scenario.believed(run.trainset)
+
+
+def _holding(interval: tuple[float, float], *values: float) -> tuple[float, float]:
+    return min(interval[0], *values), max(interval[1], *values)

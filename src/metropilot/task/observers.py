@@ -122,6 +122,11 @@ def time_left(sight: Sight) -> Sequence[Array]:
     return [sight.left_s / TIME_S]
 
 
+def elapsed(sight: Sight) -> Sequence[Array]:
+    """Time since departure (with position and speed Lu23's state)."""
+    return [sight.time_s / TIME_S]
+
+
 def reserve(sight: Sight) -> Sequence[Array]:
     """Time left beyond the flat-out time to go: in tens of seconds, fine near zero, and as a share."""
     xp = sight.xp
@@ -199,6 +204,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
             command,
             distance_left,
             time_left,
+            elapsed,
             reserve,
             mean_speed,
             braking,
@@ -215,6 +221,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
 OBSERVERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "position_speed": ("position_m", "speed"),
+        "position_speed_time": ("position", "speed", "elapsed"),
         "section": (
             "position",
             "speed",
@@ -244,7 +251,7 @@ OBSERVERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         ),
     }
 )
-"""Named observers: Chen23a's two numbers; for one section; and for any section, without absolute position."""
+"""Named observers: Chen23a's two numbers, Lu23's three, one for a section, one for any section."""
 
 
 def observe(features: Sequence[str], sight: Sight) -> Array:

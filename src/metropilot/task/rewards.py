@@ -27,8 +27,12 @@ class Change(NamedTuple):
         overspeed_mps: Largest excess over the limit.
         ended: Whether the episode ended by the task's rules.
         arrived: Whether it ended at the stop.
-        late_s: Time since departure minus the scheduled running time.
+        late_s: Time since departure, less what it has stood at the end, minus the scheduled running time.
         error_m: Position minus the stop.
+        braked_j: Energy taken by the electric brake at the wheel.
+        acceleration_mps2: Acceleration at the end.
+        before_mps2: Acceleration at the end of the decision before.
+        speed_mps: Speed at the end.
     """
 
     wheel_j: Array
@@ -41,6 +45,10 @@ class Change(NamedTuple):
     arrived: Array
     late_s: Array
     error_m: Array
+    braked_j: Array
+    acceleration_mps2: Array
+    before_mps2: Array
+    speed_mps: Array
 
 
 class AbstractTerm(ABC):
@@ -247,6 +255,92 @@ class Seconds(AbstractTerm):
         return -self.per_s * change.seconds
 
 
+@final
+@dataclass(frozen=True)
+class EffortEnergy(AbstractTerm):
+    """Minus the work of traction and of the electric brake, ``mu |f dx|`` (Lu23 eq. 16).
+
+    Attributes:
+        per_j: mu.
+    """
+
+    name = "effort_energy"
+    per_j: float = 1e-5
+
+    def value(self, change: Change) -> Array:
+        """Minus the work, traction and braking alike."""
+        return -self.per_j * (change.wheel_j + change.braked_j)
+
+
+@final
+@dataclass(frozen=True)
+class StopWindow(AbstractTerm):
+    """A sum at the end: won when the trainset stands close enough to the stop, else lost (Lu23 eq. 17).
+
+    Attributes:
+        bonus: K.
+        within_m: Largest distance that wins.
+    """
+
+    name = "stop_window"
+    bonus: float = 1000.0
+    within_m: float = 0.3
+
+    def value(self, change: Change) -> Array:
+        """Plus or minus the sum, at the end only."""
+        xp = namespace(change.error_m)
+        won = change.arrived & (xp.abs(change.error_m) <= self.within_m)
+        return xp.where(change.ended, xp.where(won, self.bonus, -self.bonus), 0.0 * change.error_m)
+
+
+@final
+@dataclass(frozen=True)
+class AccelerationComfort(AbstractTerm):
+    """A small sum for every decision with a gentle acceleration, lost with a strong one (Lu23 eq. 18).
+
+    The paper prints ``P + a`` for a gentle one; that pays for acceleration, so this is ``P - |a|``.
+
+    Attributes:
+        bonus: P.
+        limit_mps2: a_lim; above it the sum is lost.
+        jump_mps2: A change of acceleration from one decision to the next beyond this ...
+        jump_price: ... costs L instead.
+    """
+
+    name = "acceleration_comfort"
+    bonus: float = 1.0
+    limit_mps2: float = 0.8
+    jump_mps2: float = 0.4
+    jump_price: float = 10.0
+
+    def value(self, change: Change) -> Array:
+        """P less the size of the acceleration, -P beyond the limit, -L after a jump up."""
+        xp = namespace(change.acceleration_mps2)
+        size = xp.abs(change.acceleration_mps2)
+        gentle = xp.where(size <= self.limit_mps2, self.bonus - size, -self.bonus)
+        return xp.where(
+            change.acceleration_mps2 - change.before_mps2 > self.jump_mps2, -self.jump_price, gentle
+        )
+
+
+@final
+@dataclass(frozen=True)
+class Moving(AbstractTerm):
+    """A very small sum for every decision after which the trainset moves (Lu23 eq. 20).
+
+    Attributes:
+        bonus: r_v.
+    """
+
+    name = "moving"
+    bonus: float = 0.01
+
+    def value(self, change: Change) -> Array:
+        """The sum where the speed is above zero."""
+        xp = namespace(change.speed_mps)
+        return xp.where(change.speed_mps > 0.0, self.bonus, 0.0 * change.speed_mps)
+
+
 TERMS: Mapping[str, type[AbstractTerm]] = MappingProxyType(
     {
         t.name: t
@@ -261,6 +355,10 @@ TERMS: Mapping[str, type[AbstractTerm]] = MappingProxyType(
             Intervention,
             Overspeed,
             Seconds,
+            EffortEnergy,
+            StopWindow,
+            AccelerationComfort,
+            Moving,
         )
     }
 )

@@ -9,12 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from metropilot.errors import InputError
-from metropilot.railway import Actuation, Davis, Restriction, Section, Trainset
+from metropilot.railway import Actuation, Davis, EffortCurve, Restriction, Section, Trainset
 
 CONTROL_PERIOD_S = 0.2
 PUNCTUALITY_S = 3.0
 STOP_TOLERANCE_M = 0.3
 NOISE_CUT = 3.0
+LEAST_ADHESION = 0.05
 
 
 class Outcome(Enum):
@@ -53,6 +54,10 @@ class Scenario:
         extra_delay_s: Dead time on top of the trainset's.
         extra_lag_s: Lag on top of the trainset's.
         speed_noise_mps: Standard deviation of the measured speed (cut at three deviations).
+        headwind_mps: Wind from ahead on the whole section; below 0 it blows from behind.
+        adhesion: Traction, or electric braking, over weight at which the driven wheels slip; infinite: dry
+            rail. Friction brakes fill up what the electric brake cannot give; the guaranteed emergency brake
+            does not depend on it (sand, track brake).
         news: What the driver is told on the way.
     """
 
@@ -62,6 +67,8 @@ class Scenario:
     extra_delay_s: float = 0.0
     extra_lag_s: float = 0.0
     speed_noise_mps: float = 0.0
+    headwind_mps: float = 0.0
+    adhesion: float = float("inf")
     news: tuple[News, ...] = ()
 
     def __post_init__(self) -> None:
@@ -71,20 +78,31 @@ class Scenario:
             ("extra_delay_s", 0.0, 5.0),
             ("extra_lag_s", 0.0, 5.0),
             ("speed_noise_mps", 0.0, 1.0),
+            ("headwind_mps", -25.0, 25.0),
         ):
             value = getattr(self, name)
             if not (np.isfinite(value) and low <= value <= high):
                 raise InputError("out of range", field=name, value=value, allowed=f"{low:g} to {high:g}")
+        if not self.adhesion >= LEAST_ADHESION:
+            raise InputError(
+                "out of range", field="adhesion", value=self.adhesion, allowed=f"{LEAST_ADHESION:g} or more"
+            )
 
     def believed(self, trainset: Trainset) -> Trainset:
         """The trainset as the driver and the planner know it."""
         return trainset.ideal() if self.ideal_actuation else trainset
 
     def actual(self, trainset: Trainset) -> Trainset:
-        """The trainset as it really is in this scenario."""
+        """The trainset as it really is in this scenario.
+
+        The air meets the trainset at ``v + w``, so that ``c (v + w)^2`` stands for ``c v^2``; exact while the
+        trainset is faster than a wind from behind, and in tunnels taken as in the open.
+        """
         known = self.believed(trainset)
         mass = known.mass_kg * self.mass_factor
         a, b, c = (x * self.resistance_factor for x in known.davis.newtons(known.mass_kg))
+        wind = self.headwind_mps
+        most_n = self.adhesion * mass * known.gravity_mps2
         actuation = Actuation(
             known.actuation.delay_s + self.extra_delay_s,
             known.actuation.lag_s + self.extra_lag_s,
@@ -93,9 +111,16 @@ class Scenario:
         return replace(
             known,
             loads={**known.loads, known.load: mass},
-            davis=Davis(a, b, c),
+            davis=Davis(a + c * wind * wind, b + 2.0 * c * wind, c),
+            traction=_capped(known.traction, most_n),
+            electric_brake=_capped(known.electric_brake, most_n),
             actuation=actuation,
         )
+
+
+def _capped(curve: EffortCurve, most_n: float) -> EffortCurve:
+    """An effort curve where no more than this can be put on the rail."""
+    return EffortCurve(tuple(replace(piece, cap_n=min(piece.cap_n, most_n)) for piece in curve.pieces))
 
 
 @dataclass(frozen=True)

@@ -68,6 +68,7 @@ class Scenarios:
         news_shift_s: By how much it changes (never below what is left of it times 0.9).
         on_the_way: Probability that an episode begins somewhere on the way, at a speed that can still stop,
             with a time left drawn like the scheduled time. Evaluate with 0.
+        left_ratio: Such an episode's time left over the flat-out time to go, instead.
     """
 
     time_ratio: Interval = (1.05, 1.5)
@@ -82,6 +83,7 @@ class Scenarios:
     news_at: Interval = (0.2, 0.6)
     news_shift_s: Interval = (-5.0, 15.0)
     on_the_way: float = 0.0
+    left_ratio: Interval | None = None
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from metropilot.learn.networks import Activation, Params, dueling, forward
+from metropilot.drivers.policy.networks import Activation, Params, activate, dueling, forward
 
 Array = Any
 Output = Literal["clip", "tanh", "argmax", "dueling", "table"]
@@ -111,16 +111,9 @@ def network_output(
     if spec.output != "dueling":
         return forward(params, "policy", x, spec.activation, xp)
     features = forward(params, "policy", x, spec.activation, xp)
-    features = _activated(spec, features, xp)
+    features = activate(spec.activation, features, xp)
     value = forward(params, "policy.value", features, spec.activation, xp)
     return dueling(value, forward(params, "policy.advantage", features, spec.activation, xp))
-
-
-def _activated(spec: PolicySpec, x: Array, xp: ModuleType) -> Array:
-    """The activation after a trunk whose last layer :func:`forward` has left linear."""
-    from metropilot.learn.networks import activate
-
-    return activate(spec.activation, x, xp)
 
 
 def table_cell(spec: PolicySpec, params: Mapping[str, Array], observation: Array, xp: ModuleType) -> Array:
@@ -137,7 +130,7 @@ def act(
     params: Mapping[str, Array],
     observation: Array,
     mask: Array | None = None,
-    xp: Any = None,
+    xp: Any = None,  # noqa: ANN401 (a module)
 ) -> Array:
     """The action of a policy that no longer explores.
 
@@ -153,7 +146,11 @@ def act(
     """
     if xp is None:
         import jax.numpy as xp
-    output = network_output(spec, params, observation, xp)
+    return chosen(spec, network_output(spec, params, observation, xp), mask, xp)
+
+
+def chosen(spec: PolicySpec, output: Array, mask: Array | None, xp: ModuleType) -> Array:
+    """The action that an output of the network stands for; see :func:`act`."""
     if spec.discrete:
         if mask is not None:
             output = xp.where(mask | ~mask.any(), output, -1e9)

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from metropilot.drivers.policy.networks import ACTIVATIONS
+from metropilot.drivers.policy.policy import OUTPUTS, Policy, PolicySpec
+from metropilot.drivers.policy.tensors import read_tensors, write_tensors
 from metropilot.errors import InputError
-from metropilot.learn.networks import ACTIVATIONS
-from metropilot.learn.policy import OUTPUTS, Policy, PolicySpec
-from metropilot.learn.tensors import read_tensors, write_tensors
 
 FORMAT = 1
 MAX_BYTES = 64 << 20
@@ -35,12 +35,13 @@ def save_policy(path: Path, policy: Policy, metadata: Mapping[str, Any]) -> None
     write_tensors(path, arrays, {"format": FORMAT, "policy": policy.spec.as_dict(), "about": dict(metadata)})
 
 
-def load_policy(path: Path) -> tuple[Policy, dict[str, Any]]:
+def load_policy(path: str | Path) -> tuple[Policy, dict[str, Any]]:
     """Read a policy and what is known about it; nothing in the file is executed.
 
     Raises:
         InputError: The file cannot be read, is damaged, or does not fit what it says of itself.
     """
+    path = Path(path)
     arrays, metadata = read_tensors(path, MAX_BYTES)
     if metadata.get("format") != FORMAT:
         raise InputError(

@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from metropilot.drivers.policy.files import write_whole
 from metropilot.errors import InputError
 
 KEY = "metropilot"
 MAX_HEADER = 1 << 20
+MAX_NUMBERS = 1 << 40
 DTYPES = {
     "F32": np.float32,
     "F64": np.float64,
@@ -37,13 +40,7 @@ def read_tensors(path: Path, max_bytes: int) -> tuple[dict[str, np.ndarray], dic
     Raises:
         InputError: The file cannot be read, is too large, damaged, or not ours.
     """
-    try:
-        size = path.stat().st_size
-        if size > max_bytes:
-            raise InputError("too large", file=path, value=size, unit="bytes", allowed=f"at most {max_bytes}")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError("cannot read the file", file=path, value=error.strerror) from None
+    data = _content(path, max_bytes)
     header, start = _header(path, data)
     metadata = _metadata(path, header.pop("__metadata__", None))
     body = memoryview(data)[start:]
@@ -77,11 +74,25 @@ def write_tensors(path: Path, arrays: dict[str, np.ndarray], metadata: dict[str,
     """
     from safetensors.numpy import save_file
 
-    from metropilot.learn.files import write_whole
-
     text = json.dumps(metadata, sort_keys=True, separators=(",", ":"), allow_nan=False)
     whole = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     write_whole(path, lambda partial: save_file(whole, partial, {KEY: text}))
+
+
+def _content(path: Path, max_bytes: int) -> bytes:
+    """What is in the file; of a device or a pipe, nothing."""
+    try:
+        if path.exists() and not path.is_file():
+            raise OSError(0, "not a file")
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            data = file.read(min(size, max_bytes) + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError("cannot read the file", file=path, value=reason) from None
+    if size > max_bytes or len(data) > size:
+        raise InputError("too large", file=path, value=size, unit="bytes", allowed=f"at most {max_bytes}")
+    return data
 
 
 def _header(path: Path, data: bytes) -> tuple[dict[str, Any], int]:
@@ -115,18 +126,21 @@ def _json(path: Path, text: bytes) -> object:
 def _entry(path: Path, name: str, entry: object, size: int) -> tuple[type, tuple[int, ...], int, int]:
     """Type, shape and place of one array, checked against the file's size."""
     problem = InputError("array is damaged", file=path, field=name[:100])
-    if not isinstance(entry, dict) or entry.get("dtype") not in DTYPES:
+    if not isinstance(entry, dict) or entry.get("dtype") not in tuple(DTYPES):
         raise problem
     shape, offsets = _counts(entry.get("shape")), _counts(entry.get("data_offsets"))
     if shape is None or offsets is None or len(offsets) != 2 or len(shape) > 32:
         raise problem
     dtype, (begin, end) = DTYPES[entry["dtype"]], offsets
+    if math.prod(max(n, 1) for n in shape) > MAX_NUMBERS:
+        raise problem
     if not begin <= end <= size or math.prod(shape) * np.dtype(dtype).itemsize != end - begin:
         raise problem
     return dtype, tuple(shape), begin, end
 
 
-def _counts(values: Any) -> list[int] | None:
+def _counts(values: object) -> list[int] | None:
     """A list of whole numbers that are not negative, or None if it is not one."""
-    fits = isinstance(values, list) and all(type(value) is int and value >= 0 for value in values)
-    return values if fits else None
+    if isinstance(values, list) and all(type(value) is int and value >= 0 for value in values):
+        return values
+    return None

@@ -1,0 +1,152 @@
+"""`metropilot campaign`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from metropilot.cli import options as opt
+from metropilot.cli.console import console, number, print_json, table
+from metropilot.errors import InputError
+
+if TYPE_CHECKING:
+    from metropilot.evaluate.campaign import Campaign, Progress
+
+EXAMPLES = {
+    "campaign": (
+        "metropilot campaign example --out campaign",
+        "metropilot campaign robustness.toml --workers 2 --json",
+        "metropilot campaign robustness.toml --cluster local --workers 2",
+        "metropilot campaign leaderboard --write-docs docs/leaderboard.md",
+    ),
+}
+SAY_EVERY_S = 5.0
+
+
+def campaign_command(
+    file: Annotated[str, typer.Argument(help="A campaign's TOML file, or the name of one that ships.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder; campaigns/NAME if not given. An unfinished one is gone on with."),
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Processes on this machine.")] = 2,
+    cluster: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Run on a Ray cluster; `local` begins one on this machine."),
+    ] = None,
+    drivers: Annotated[
+        str | None, typer.Option(help="Drivers instead of the file's own, separated by commas.")
+    ] = None,
+    write_docs: Annotated[
+        Path | None, typer.Option(metavar="PAGE.md", help="Also write the page of the documentation.")
+    ] = None,
+    as_json: opt.Json = False,
+) -> int:
+    """Drive a declared matrix of runs and report it.
+
+    Killed at any moment, the same command goes on from where it was. Exit code 0: every run was safe, and
+    arrived on time where that was possible; 1: not; 2: input that cannot be used.
+    """
+    from metropilot.evaluate.campaign import read_campaign, run_campaign, summarise
+    from metropilot.evaluate.campaign.leaderboard import write_leaderboard
+    from metropilot.evaluate.campaign.page import write_report
+    from metropilot.evaluate.campaign.summary import collect
+
+    campaign = read_campaign(file, drivers)
+    folder = out or Path("campaigns") / Path(file).stem
+    if write_docs is not None and write_docs.suffix != ".md":
+        raise InputError(
+            "not a page", field="write-docs", value=str(write_docs), allowed="a path ending in .md"
+        )
+    began = perf_counter()
+    progress = run_campaign(campaign, folder, workers, cluster, _Saying(campaign))
+    collect(folder)
+    summary = summarise(folder)
+    summary |= sitting(progress, workers, cluster)
+    write_report(folder, summary, circumstances(progress, workers, cluster))
+    if write_docs is not None:
+        write_leaderboard(write_docs, folder, summary, perf_counter() - began, f"metropilot campaign {file}")
+    if as_json:
+        print_json(summary)
+    else:
+        report(summary, folder)
+    good = [
+        row["successes"] == row["possible"] and row["safe"] == row["driven"] for row in summary["drivers"]
+    ]
+    return 0 if all(good) else 1
+
+
+class _Saying:
+    """Progress on the error stream, every few seconds."""
+
+    def __init__(self, campaign: Campaign) -> None:
+        self.campaign, self.next_s = campaign, SAY_EVERY_S
+
+    def __call__(self, progress: Progress) -> None:
+        if progress.seconds < self.next_s:
+            return
+        self.next_s = progress.seconds + SAY_EVERY_S
+        rate = progress.driven / max(progress.seconds, 1e-9)
+        left = (progress.total - progress.rows) / max(rate, 1e-9)
+        sys.stderr.write(
+            f"{progress.rows} of {progress.total} runs, {rate:.1f} a second, {left:.0f} s left, "
+            f"{progress.memory_mb:.0f} MB\n"
+        )
+
+
+def sitting(progress: Progress, workers: int, cluster: str | None) -> dict[str, Any]:
+    """What this sitting did, for the JSON."""
+    rate = progress.driven / progress.seconds if progress.driven else None
+    values = {"driven": progress.driven, "seconds": progress.seconds, "runs_per_s": rate, "workers": workers}
+    return {"sitting": values | {"cluster": cluster, "memory_mb": progress.memory_mb}}
+
+
+def circumstances(progress: Progress, workers: int, cluster: str | None) -> dict[str, str]:
+    """What the head of the report says of how it was made."""
+    from metropilot.evaluate import provenance
+
+    where = f"{workers} processes" if cluster is None else f"Ray cluster {cluster}"
+    made = ", ".join(f"{name} {text}" for name, text in provenance().items())
+    return {
+        "This sitting": f"{progress.driven} runs in {progress.seconds:.0f} s on {where}",
+        "Machine": f"{os.cpu_count()} cores",
+        "Made with": made,
+    }
+
+
+def report(summary: dict[str, Any], folder: Path) -> None:
+    """The summary on the screen."""
+    rows = []
+    for row in summary["drivers"]:
+        share = 100.0 * row["successes"] / row["possible"] if row["possible"] else None
+        rows.append(
+            [
+                row["driver"],
+                str(row["runs"]),
+                number(share, 1),
+                number(row["gap_median"], 2),
+                number(row["gap_95"], 1),
+                number(row["gap_worst"], 1),
+                number(row["late_worst_s"], 2),
+                number(row["stop_worst_m"], 3),
+                str(row["intervened"]),
+                str(row["failed"]),
+                number(row["decision_us_median"], 0),
+            ]
+        )
+    columns = (
+        *("driver", "runs", "on time %", "gap median %", "95 %", "worst %"),
+        *("time worst s", "stop worst m", "overruled", "failed", "decision µs"),
+    )
+    out = console()
+    title = f"{summary['campaign']}: {summary['done']} of {summary['rows']} runs"
+    out.print(table(title, columns, rows, right=range(1, len(columns))))
+    done = summary["sitting"]
+    if done["driven"]:
+        out.print(f"{done['driven']} runs in {done['seconds']:.1f} s, {done['runs_per_s']:.2f} a second.")
+    out.print(f"Written to {folder}: report.html results.parquet timings.parquet worst/")

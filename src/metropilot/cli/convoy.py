@@ -1,0 +1,194 @@
+"""`metropilot convoy`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from metropilot.cli import options as opt
+from metropilot.cli.console import console, number, print_json, table, working
+from metropilot.errors import InputError
+
+if TYPE_CHECKING:
+    from metropilot.evaluate.convoy_kpis import ConvoyKpis, MemberKpis
+    from metropilot.evaluate.convoy_request import ConvoyRequest
+
+EXAMPLES = {
+    "convoy": (
+        "metropilot convoy yizhuang RJ WYJ --time 115 --trainsets 2 --driver follow_gap",
+        "metropilot convoy yizhuang RJ WYJ --time 115 --driver follow_mpc --delay 0.3 --out convoy",
+        "metropilot convoy yizhuang RJ WYJ --time 130 --start-gap 200 --uncouple-at 900",
+        "metropilot convoy yizhuang YZQ WHY --trainset cheng2023 --mass-factors 1,1.2 --head-emergency 40",
+    ),
+}
+CONVOY, LINK = "The convoy", "The link between trainsets"
+
+
+def convoy_command(
+    line: opt.LineArgument,
+    origin: opt.OriginArgument,
+    destination: opt.DestinationArgument,
+    time: opt.Time = None,
+    trainsets: Annotated[int, typer.Option(help="How many trainsets, 2 to 16.", rich_help_panel=CONVOY)] = 2,
+    driver: Annotated[
+        str,
+        typer.Option(
+            help="Driver of the followers; see `metropilot drivers --followers`.", rich_help_panel=CONVOY
+        ),
+    ] = "follow_gap",
+    options: opt.DriverOptions = None,
+    head: Annotated[
+        str, typer.Option(help="Driver of the head; see `metropilot drivers`.", rich_help_panel=CONVOY)
+    ] = "optimal",
+    trainset: opt.TrainsetOption = "dkz32",
+    load: opt.Load = None,
+    gap: Annotated[float, typer.Option(help="Wanted gap, m.", rich_help_panel=CONVOY)] = 5.92,
+    start_gap: Annotated[
+        float | None,
+        typer.Option(help="Gap at departure, m: the convoy couples on the move.", rich_help_panel=CONVOY),
+    ] = None,
+    uncouple_at: Annotated[
+        float | None,
+        typer.Option(help="Where the head begins to uncouple, m from the origin.", rich_help_panel=CONVOY),
+    ] = None,
+    apart: Annotated[
+        float, typer.Option(help="Gap wanted once uncoupled, m.", rich_help_panel=CONVOY)
+    ] = 100.0,
+    guard: Annotated[
+        str,
+        typer.Option(
+            help="What protection relies on: coupled, independent, moving_block or none.",
+            rich_help_panel=CONVOY,
+        ),
+    ] = "coupled",
+    mass_factors: Annotated[
+        str | None,
+        typer.Option(
+            metavar="F,F,...",
+            help="True over believed mass of each trainset, the head first.",
+            rich_help_panel=opt.WORLD,
+        ),
+    ] = None,
+    head_emergency: Annotated[
+        float | None,
+        typer.Option(help="When the head makes an emergency brake, s.", rich_help_panel=opt.WORLD),
+    ] = None,
+    delay: Annotated[float, typer.Option(help="Time a message takes, s.", rich_help_panel=LINK)] = 0.0,
+    jitter: Annotated[float, typer.Option(help="Most time on top of it, s.", rich_help_panel=LINK)] = 0.0,
+    loss: Annotated[float, typer.Option(help="Share of messages lost.", rich_help_panel=LINK)] = 0.0,
+    dt: opt.Period = 0.1,
+    seed: opt.Seed = 0,
+    out: opt.Out = None,
+    as_json: opt.Json = False,
+) -> int:
+    """Drive virtually coupled trainsets: a head, and followers a few metres behind each other.
+
+    Exit code 0: all arrived safely, the head on time; 1: not; 2: input that cannot be used.
+    """
+    from metropilot.evaluate import Request
+    from metropilot.evaluate.convoy_request import ConvoyRequest
+    from metropilot.task.convoy_link import Link
+
+    request = ConvoyRequest(
+        head=Request(line, origin, destination, time, trainset, load, head, dt_s=dt, seed=seed),
+        count=trainsets,
+        follower=driver,
+        options=_options(options),
+        gap_m=gap,
+        start_gap_m=start_gap,
+        apart_m=apart,
+        uncouple_at_m=uncouple_at,
+        link=Link(delay, jitter, loss),
+        guard=guard,  # pyright: ignore[reportArgumentType] (checked by Convoy)
+        masses=_factors(mass_factors),
+        emergency_s=head_emergency,
+    )
+    return run_and_report(request, out, as_json=as_json)
+
+
+def _options(texts: list[str] | None) -> dict[str, Any]:
+    from metropilot.evaluate.driver_options import named_option
+
+    return dict(map(named_option, texts or ()))
+
+
+def _factors(text: str | None) -> tuple[float, ...]:
+    try:
+        return tuple(float(word) for word in text.split(",")) if text else ()
+    except ValueError:
+        raise InputError(
+            "not a list of numbers", field="mass-factors", value=text, allowed="e.g. 1,1.2,0.8"
+        ) from None
+
+
+def run_and_report(request: ConvoyRequest, out: Path | None, *, as_json: bool) -> int:
+    """Drive, print, write; the exit code."""
+    from metropilot.evaluate import check_writable
+    from metropilot.evaluate.convoy_folder import write_convoy
+    from metropilot.evaluate.convoy_kpis import convoy_kpis
+
+    if out is not None:
+        check_writable(out)
+    with working(f"driving {request.count} trainsets with {request.follower}"):
+        convoy, follower = request.convoy(), request.make_follower()
+        scheduled = request.run(convoy).scheduled_time_s
+        drive = request.drive(convoy, follower)
+        kpis = convoy_kpis(drive, scheduled)
+    if out is not None:
+        with working(f"writing {out}"):
+            write_convoy(out, request, drive, kpis)
+    if as_json:
+        print_json(kpis.as_dict())
+    else:
+        report(request, kpis)
+        if out is not None:
+            console().print(f"Written to {out}: trajectory-N.csv kpis.json convoy.svg convoy.png run.json")
+    return 0 if kpis.success else 1
+
+
+def report(request: ConvoyRequest, kpis: ConvoyKpis) -> None:
+    """The convoy on the screen."""
+    out, known = console(), request.head.resolved()
+    where = (
+        f"{known.line} {known.origin} → {known.destination}, {request.count} x {known.trainset} {known.load}"
+    )
+    verdict = "arrived safely and on time" if kpis.success else kpis.outcome.replace("_", " ")
+    verdict = f"{kpis.contacts} contacts" if kpis.contacts else verdict
+    style = "bold" if kpis.success else "bold red"
+    out.print(f"{where}, {request.follower} behind {known.driver}: {verdict}", style=style)
+    out.print(
+        f"gap {kpis.gap_min_m:.2f} to {kpis.gap_max_m:.2f} m, speed difference at most "
+        f"{kpis.speed_difference_max_mps:.3f} m/s, scheduled {kpis.scheduled_time_s:g} s"
+    )
+    columns = (
+        "trainset",
+        "driver",
+        "time",
+        "stop",
+        "gap",
+        "speed diff.",
+        "wheel",
+        "line",
+        "jerk",
+        "overruled",
+    )
+    out.print(table("", columns, map(_row, kpis.trainsets), right=range(2, len(columns))))
+
+
+def _row(member: MemberKpis) -> tuple[str, ...]:
+    """One trainset."""
+    gap = "–" if member.gap_min_m is None else f"{member.gap_min_m:.2f}–{member.gap_max_m:.2f} m"
+    return (
+        str(member.number),
+        member.driver,
+        number(member.running_time_s, 1, "s"),
+        f"{member.stopping_error_m:+.2f} m",
+        gap,
+        number(member.speed_difference_max_mps, 3, "m/s"),
+        number(member.energy_wheel_kwh, 2, "kWh"),
+        number(member.energy_line_kwh, 2, "kWh"),
+        number(member.max_jerk_mps3, 2, "m/s³"),
+        str(member.interventions),
+    )

@@ -1,0 +1,230 @@
+"""`metropilot learn`."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from metropilot.cli import options as opt
+from metropilot.cli.console import print_json
+from metropilot.errors import InputError
+
+if TYPE_CHECKING:
+    from metropilot.learn import RunRecord, RunRequest, RunStore
+    from metropilot.learn.loop import Evaluate
+
+INTERRUPTED = 130
+ASKED = "What to learn"
+EXAMPLES = {
+    "learn": (
+        "metropilot learn ppo_scaled --budget quick --out mine",
+        "metropilot learn sac --task drive_jerk --steps 200000 --set batch_size=128 --seed 1",
+        "metropilot learn --resume mine",
+    ),
+}
+
+
+def learn_command(
+    driver: Annotated[
+        str | None, typer.Argument(help="Driver to learn: ppo, ppo_scaled, ddpg, sac, naf, dqn, ...")
+    ] = None,
+    task: Annotated[
+        str | None,
+        typer.Option(
+            help="Task to learn; see `metropilot tasks`. The driver's own if not given.",
+            rich_help_panel=ASKED,
+        ),
+    ] = None,
+    budget: Annotated[
+        str | None,
+        typer.Option(help="quick (two minutes, the default) or paper (as shipped).", rich_help_panel=ASKED),
+    ] = None,
+    steps: Annotated[
+        int | None, typer.Option(help="Environment steps, in place of the budget's.", rich_help_panel=ASKED)
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of everything random; 0.", rich_help_panel=ASKED)
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="A field of the learner's configuration; repeatable.",
+            rich_help_panel=ASKED,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the run; among your runs if not given.", rich_help_panel=opt.OUTPUT),
+    ] = None,
+    resume: Annotated[
+        str | None,
+        typer.Option(metavar="RUN", help="Go on with a run: its folder or id.", rich_help_panel=opt.OUTPUT),
+    ] = None,
+    tensorboard: Annotated[
+        bool, typer.Option("--tensorboard", help="Write event files, too.", rich_help_panel=opt.OUTPUT)
+    ] = False,
+    as_json: opt.Json = False,
+) -> int:
+    """Learn a driver, or go on learning one.
+
+    Interrupted at any moment, a run goes on with --resume and ends the same. The policy kept is the one of
+    whose drives from standstill most arrive safely and on time, and then the cheapest. Exit code 0: learned;
+    2: input that cannot be used; 130: interrupted.
+    """
+    from dataclasses import replace
+
+    from metropilot.learn.recipes import evaluation_of, new_request, resumed_request
+
+    if resume is not None:
+        new = {"driver": driver, "task": task, "seed": seed, "steps": steps, "budget": budget, "out": out}
+        store, record = found_run(resume)
+        _nothing_new(new | {"set": settings or None}, record)
+        if record.status == "done":
+            return report_done(store, record, as_json=as_json)
+        request = replace(resumed_request(record), tensorboard=tensorboard)
+        return learn_and_report(store, request, record, evaluation_of(request), as_json=as_json)
+    if driver is None:
+        from metropilot.learn.recipes import RECIPES
+
+        raise InputError("missing", field="driver", allowed=", ".join(RECIPES) + ", or --resume RUN")
+    budget, seed = budget or "quick", seed or 0
+    told = dict(map(setting, settings or ())) | ({} if steps is None else {"steps": steps})
+    command = shlex.join(["metropilot", "learn", driver, *_asked(task, budget, steps, seed, settings)])
+    request = new_request(driver, budget=budget, task=task, seed=seed, command=command, **told)
+    request = replace(request, tensorboard=tensorboard)
+    if out is not None:
+        _free(out)
+    evaluate = evaluation_of(request)
+    store, record = new_run(request, out)
+    return learn_and_report(store, request, record, evaluate, as_json=as_json)
+
+
+def _asked(
+    task: str | None, budget: str, steps: int | None, seed: int, settings: list[str] | None
+) -> list[str]:
+    """The options that decide what is learned."""
+    told = [("--task", task), ("--budget", budget), ("--steps", steps), ("--seed", seed)]
+    words = [str(word) for name, value in told if value is not None for word in (name, value)]
+    return words + [word for text in settings or () for word in ("--set", text)]
+
+
+def setting(text: str) -> tuple[str, Any]:
+    """``KEY=VALUE``, the value as TOML writes it; text needs no quotes, a list no brackets.
+
+    Raises:
+        InputError: Not of that form.
+    """
+    name, equals, value = text.partition("=")
+    if not (equals and name.isidentifier() and value):
+        raise InputError("not a setting", field="set", value=text, allowed="KEY=VALUE")
+    for written in (value, f"[{value}]"):
+        try:
+            found = tomllib.loads(f"value = {written}")
+        except tomllib.TOMLDecodeError:
+            continue
+        if set(found) == {"value"}:
+            number = found["value"]
+            whole = isinstance(number, float) and number.is_integer() and "e" in value.lower()
+            return name, int(number) if whole else number
+    return name, value
+
+
+def _nothing_new(new: dict[str, Any], record: RunRecord) -> None:
+    """Refuse to change what a run learns while it goes on.
+
+    Raises:
+        InputError: Something was asked for that is not as the run has it.
+    """
+    for name, value in new.items():
+        same = {"driver": record.driver, "task": record.task, "seed": record.seed}
+        if value is not None and value != same.get(name):
+            words = "a run goes on as it was begun"
+            raise InputError(words, field=name, value=str(value), allowed="only --resume RUN")
+
+
+def _free(out: Path) -> None:
+    """Refuse a folder that holds a run already.
+
+    Raises:
+        InputError: It does.
+    """
+    if (out / "run.toml").exists():
+        words, allowed = "the folder holds a run already", f"another, or --resume {out}"
+        raise InputError(words, file=out, field="out", allowed=allowed)
+
+
+def new_run(request: RunRequest, out: Path | None) -> tuple[RunStore, RunRecord]:
+    """A new run's folder and record.
+
+    Raises:
+        InputError: The folder cannot be written.
+    """
+    from metropilot.learn import RunStore
+    from metropilot.learn.home import runs_folder
+    from metropilot.learn.recorded import begin_run
+
+    if out is None:
+        store = RunStore(runs_folder())
+        return store, begin_run(store, request)
+    out = out.expanduser().resolve()
+    store = RunStore(out.parent, indexed=False)
+    return store, begin_run(store, request, out.name)
+
+
+def found_run(text: str) -> tuple[RunStore, RunRecord]:
+    """A run by its folder, or by the beginning of its id.
+
+    Raises:
+        InputError: No such run.
+    """
+    from metropilot.learn import RunStore
+    from metropilot.learn.home import runs_folder
+
+    folder = Path(text).expanduser()
+    if folder.is_dir():
+        folder = folder.resolve()
+        store = RunStore(folder.parent, indexed=folder.parent == runs_folder().resolve())
+        return store, store.show(folder.name)
+    store = RunStore(runs_folder())
+    return store, store.show(text)
+
+
+def report_done(store: RunStore, record: RunRecord, *, as_json: bool) -> int:
+    """What came of a run; the exit code."""
+    from metropilot.cli.learn_report import learned_json, report_learned
+
+    folder = store.folder(record.id)
+    if as_json:
+        print_json(learned_json(record, folder))
+    else:
+        report_learned(record, folder)
+    return 0
+
+
+def learn_and_report(
+    store: RunStore, request: RunRequest, record: RunRecord, evaluate: Evaluate, *, as_json: bool
+) -> int:
+    """Learn with progress, then say what came of it; the exit code."""
+    from metropilot.cli.learn_report import LearnReport
+    from metropilot.learn import Sitting, learn_run
+
+    folder = store.folder(record.id)
+    with LearnReport(request, folder, quiet=as_json) as report:
+        try:
+            sitting = Sitting(evaluate=evaluate, on_progress=report.progress)
+            record, _ = learn_run(store, request, sitting, record.id)
+        except KeyboardInterrupt:
+            report.close()
+            done, again = f"{report.steps:,} steps".replace(",", " "), shlex.quote(str(folder))
+            sys.stderr.write(
+                f"metropilot: interrupted after {done}; go on with: metropilot learn --resume {again}\n"
+            )
+            return INTERRUPTED
+    return report_done(store, record, as_json=as_json)

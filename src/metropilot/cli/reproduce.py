@@ -1,0 +1,119 @@
+"""`metropilot reproduce`, `metropilot studies`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from metropilot.cli import options as opt
+from metropilot.cli.console import console, heading, print_json, table
+from metropilot.errors import InputError
+
+if TYPE_CHECKING:
+    from metropilot.studies import Report
+
+EXAMPLES = {
+    "reproduce": (
+        "metropilot reproduce chen2023a",
+        "metropilot reproduce chen2023a --budget paper --out chen2023a",
+        "metropilot reproduce cheng2023 --reference optimal --json",
+    ),
+    "studies": ("metropilot studies", "metropilot studies --json"),
+}
+
+
+def reproduce_command(
+    study: Annotated[str, typer.Argument(help="Study id; see `metropilot studies`.")],
+    budget: Annotated[
+        str, typer.Option(help="quick (about two minutes) or paper (within an hour).")
+    ] = "quick",
+    seeds: Annotated[int | None, typer.Option(help="Number of seeds; the budget's own if not given.")] = None,
+    reference: Annotated[
+        str | None, typer.Option(help="Reference to track, where the study has one.")
+    ] = None,
+    options: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Option of the study; repeatable.")
+    ] = None,
+    processes: Annotated[int, typer.Option(min=1, help="Learning runs side by side.")] = 2,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for report, figures and learning runs; studies/STUDY-BUDGET if not given."),
+    ] = None,
+    write_docs: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Also write the page of the documentation.")
+    ] = None,
+    as_json: opt.Json = False,
+) -> int:
+    """Reproduce a paper: published, ours and optimum in one table, with its figures.
+
+    Interrupted at any moment, the same command with the same folder goes on from where it was.
+    """
+    from metropilot import studies
+    from metropilot.evaluate import check_writable
+
+    given = _pairs(options) | ({"reference": reference} if reference is not None else {})
+    found = studies.load_study(study)
+    folder = out or Path("studies") / f"{study}-{budget}"
+    order = studies.Order(
+        folder=folder / "runs",
+        budget=studies.check_budget(budget),
+        seeds=seeds,
+        options=given,
+        processes=processes,
+        say=_say,
+    )
+    check_writable(folder)
+    report = studies.reproduce(study, order)
+    studies.write_report(folder, found, report)
+    if write_docs is not None:
+        studies.write_docs(write_docs, found, report)
+    if as_json:
+        print_json(report.as_dict())
+    else:
+        _report(report, folder)
+    return 0
+
+
+def studies_command(as_json: opt.Json = False) -> int:
+    """List the studies."""
+    from metropilot.studies import STUDIES
+
+    if as_json:
+        print_json([{"id": key, "summary": summary} for key, summary in STUDIES.items()])
+        return 0
+    console().print(table("", ("id", "what it reproduces"), STUDIES.items()))
+    return 0
+
+
+def _pairs(texts: list[str] | None) -> dict[str, str]:
+    """``NAME=VALUE``, split."""
+    pairs = {}
+    for text in texts or []:
+        name, sign, value = text.partition("=")
+        if not sign:
+            raise InputError("not an option of a study", field="set", value=text, allowed="NAME=VALUE")
+        pairs[name.strip()] = value.strip()
+    return pairs
+
+
+def _say(line: str) -> None:
+    """Progress, on the error stream."""
+    sys.stderr.write(f"{line}\n")
+
+
+def _report(report: Report, folder: Path) -> None:
+    """The tables on the screen."""
+    from metropilot.studies.page import numbers
+
+    out = console()
+    for name, rows in report.tables().items():
+        cells = [(r.case, r.driver, r.kpi, r.unit, *numbers(r)) for r in rows]
+        columns = ("case", "driver", "KPI", "unit", "published", "ours", "range", "optimum")
+        out.print(table(name, columns, cells, right=(4, 5, 6, 7)))
+    heading(out, "What to read from it", report.remarks)
+    heading(out, "Deviations from the paper", [f"{n}. {text}" for n, text in enumerate(report.deviations, 1)])
+    out.print(f"\n{report.seeds} seeds in {report.seconds:.0f} s.")
+    out.print(f"Written to {folder}: {report.study}.md, report.json, figures in {report.study}/")

@@ -1,0 +1,110 @@
+"""`metropilot serve`."""
+
+from __future__ import annotations
+
+import socket
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from metropilot.cli import options as opt
+from metropilot.cli.console import console, print_json
+from metropilot.errors import InputError
+
+EXAMPLES = {
+    "serve": (
+        "metropilot serve",
+        "metropilot serve --port 9000 --data console",
+        "METROPILOT_TOKEN=$(openssl rand -hex 16) metropilot serve --host 0.0.0.0",
+    ),
+}
+
+
+def serve_command(
+    host: Annotated[str, typer.Option(help="Address to listen on; any but loopback needs a token.")] = (
+        "127.0.0.1"
+    ),
+    port: Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.")] = 8060,
+    data: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Uploads, jobs and runs; a folder of the user's own."),
+    ] = None,
+    token: Annotated[
+        str | None,
+        typer.Option(envvar="METROPILOT_TOKEN", help="What a browser or program must present."),
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Drives and comparisons computed at once.")] = 1,
+    upload_mb: Annotated[float, typer.Option("--upload-mb", min=0.01, help="Largest upload, MB.")] = 1.0,
+    job_s: Annotated[float, typer.Option("--job-s", min=1.0, help="Longest drive or comparison, s.")] = 600.0,
+    as_json: opt.Json = False,
+) -> int:
+    """Open the web console and the HTTP API.
+
+    Everything works without a network. The API is described at /api/openapi.json. Jobs and runs that a
+    restart interrupts can be resumed.
+    """
+    try:
+        from metropilot.web import Settings, serve
+        from metropilot.web.settings import data_folder
+
+        import_check()
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"the web console is not installed ({error.name})", allowed="pip install 'metropilot[web]'"
+        ) from None
+    settings = Settings(
+        data=data or data_folder(),
+        host=host,
+        port=port or free_port(host),
+        token=token,
+        parallel_jobs=workers,
+        upload_bytes=int(upload_mb * 1_000_000),
+        job_s=job_s,
+    )
+    check_free(settings.host, settings.port)
+    from metropilot.evaluate import check_writable
+
+    check_writable(settings.data)
+    query = "/?token=…" if settings.token else "/"
+    shown = f"[{host}]" if ":" in host else host
+    url = f"http://{shown}:{settings.port}"
+    if as_json:
+        print_json({"url": url, "openapi": f"{url}/api/openapi.json", "data": str(settings.data)})
+    else:
+        console().print(f"metropilot console: {url}{query}  (Ctrl-C ends it)")
+    sys.stdout.flush()
+    serve(settings)
+    return 0
+
+
+def import_check() -> None:
+    """Find out whether the extra is installed."""
+    import nicegui  # noqa: F401
+    import pebble  # noqa: F401
+
+
+def free_port(host: str) -> int:
+    """A port nobody listens on."""
+    with socket.create_server((host, 0), family=_family(host)) as probe:
+        return int(probe.getsockname()[1])
+
+
+def check_free(host: str, port: int) -> None:
+    """Find out before the server starts whether it can listen.
+
+    Raises:
+        InputError: It cannot.
+    """
+    try:
+        with socket.create_server((host, port), family=_family(host)):
+            return
+    except OSError as error:
+        raise InputError(
+            f"cannot listen ({error.strerror})", field="port", value=port, allowed="a free port"
+        ) from None
+
+
+def _family(host: str) -> socket.AddressFamily:
+    return socket.AF_INET6 if ":" in host else socket.AF_INET

@@ -1,0 +1,122 @@
+"""`metropilot show` of what was learned: a run, a policy file, the provenance of a learned driver."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from metropilot.cli.console import console, heading, print_json, table
+
+if TYPE_CHECKING:
+    from metropilot.drivers.policy import Policy
+    from metropilot.learn import RunRecord
+
+APART = ("perception", "kpis", "config", "provenance")
+"""What a policy file says of itself that is shown under a heading of its own."""
+
+
+class PolicyFile(NamedTuple):
+    """A policy file as it is shown.
+
+    Attributes:
+        path: The file.
+        policy: What is in it.
+        about: What it says of itself.
+    """
+
+    path: Path
+    policy: Policy
+    about: Mapping[str, Any]
+
+
+def read_policy(path: Path) -> PolicyFile:
+    """A policy file, of a driver or of whatever else uses one.
+
+    Raises:
+        InputError: It cannot be used.
+    """
+    from metropilot.drivers.policy import load_policy
+
+    return PolicyFile(path, *load_policy(path))
+
+
+def show_learning_run(record: RunRecord, folder: Path, *, as_json: bool) -> int:
+    """What was learned, from what, and how good it is."""
+    from metropilot.cli.learn_report import clock, kpi_rows, learned_json
+
+    if as_json:
+        print_json(learned_json(record, folder))
+        return 0
+    out = console()
+    told = [
+        ("driver", record.driver or record.algorithm),
+        ("task", record.task),
+        ("seed", str(record.seed)),
+        ("status", record.status),
+        ("steps", f"{record.steps:,}".replace(",", " ")),
+        ("time", clock(record.seconds)),
+        ("begun", record.created),
+        ("command", record.command),
+        ("commit", record.commit_id),
+        ("machine", record.machine),
+        ("versions", ", ".join(f"{name} {number}" for name, number in record.versions.items())),
+    ]
+    out.print(table(str(folder), ("learning run", ""), [row for row in told if row[1]]))
+    out.print(table("", ("KPI of the policy kept", "value", ""), kpi_rows(record.kpis), right=(1,)))
+    settings = [f"{name} = {json.dumps(value)}" for name, value in record.config.items()]
+    heading(out, "settings", settings)
+    if record.status == "interrupted":
+        out.print(f"\nGo on with: metropilot learn --resume {folder}")
+    return 0
+
+
+def show_policy(file: PolicyFile, *, as_json: bool) -> int:
+    """A policy file: what it does and where it comes from."""
+    if as_json:
+        print_json({"kind": "policy", **policy_json(file)})
+        return 0
+    out = console()
+    out.print(str(file.path), style="bold")
+    say_policy(file)
+    return 0
+
+
+def policy_json(file: PolicyFile) -> dict[str, Any]:
+    """A policy file as plain values."""
+    return {"file": str(file.path), "network": file.policy.spec.as_dict(), **file.about}
+
+
+def say_policy(file: PolicyFile) -> None:
+    """Network, perception, KPIs and provenance on the screen."""
+    from metropilot.cli.learn_report import kpi_rows
+
+    out, about, spec = console(), file.about, file.policy.spec
+    layers = " - ".join(str(width) for width in (spec.observation_size, *spec.hidden, spec.width))
+    network = [f"network: {layers}, {spec.activation}"]
+    heading(out, "policy", network + _lines(about.get("perception")))
+    kpis = about.get("kpis")
+    known = kpi_rows(kpis) if isinstance(kpis, Mapping) else []
+    rows = [f"{words}: {value} {unit}".rstrip() for words, value, unit in known]
+    heading(out, "KPIs on its task", rows or _lines(kpis))
+    told = {name: value for name, value in about.items() if name not in APART}
+    heading(out, "how it was learned", _lines(told) + _lines(about.get("provenance")))
+    heading(out, "settings", _lines(about.get("config")))
+
+
+def _lines(values: object) -> list[str]:
+    """The entries of a table of plain values, those that say nothing left out."""
+    told = values if isinstance(values, Mapping) else {}
+    return [f"{name}: {_words(value)}" for name, value in told.items() if value is not None and value != ""]
+
+
+def _words(value: Any) -> str:  # noqa: ANN401 (whatever JSON holds)
+    """A plain value in words."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_words(inner)}" for name, inner in value.items())
+    if isinstance(value, list):
+        return ", ".join(_words(inner) for inner in value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return value if isinstance(value, str) else json.dumps(value)

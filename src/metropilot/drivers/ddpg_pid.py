@@ -1,0 +1,106 @@
+"""DDPG-PID: a learned network sets the gains of the incremental PID at every period (Cheng23)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar, final
+
+from metropilot.drivers.base import register
+from metropilot.drivers.policy.loaded import GuardedPolicy, policy_path
+from metropilot.drivers.policy.policy_file import load_policy
+from metropilot.drivers.shipped import shipped_policy
+from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
+from metropilot.errors import InputError
+from metropilot.task import Run
+from metropilot.task.incremental_pid import CHENG2023_UPPER, Errors, Gains, incremental_pid
+from metropilot.task.tracking import Tracked, tracking_observation
+from metropilot.task.tracking_task import gains_of
+
+OBSERVED = ("speed", "command", "speed_error", "position_error")
+"""What the policy sees, as its file must say."""
+
+
+def ddpg_pid(
+    policy: Callable[[Any], Any], seen: Tracked, errors: Errors, upper: Gains = CHENG2023_UPPER
+) -> tuple[Any, Errors]:
+    """One period: the policy's gains (Cheng23 eq. 10), then the incremental law (eqs. 15 and 16).
+
+    Args:
+        policy: From an observation of shape (4,) to three numbers in [-1, 1].
+        seen: What the controller is given.
+        errors: Speed errors of the two periods before.
+        upper: Upper limits of the gains.
+    """
+    gains = gains_of(policy(tracking_observation(seen)), upper)
+    return incremental_pid(seen.command, gains, seen.error_mps, errors)
+
+
+def load_gains_policy(path: Path) -> GuardedPolicy:
+    """A policy that sets gains, from its file.
+
+    Raises:
+        InputError: The file cannot be read, is damaged, or is of a policy that sees or sets something else.
+    """
+    policy, about = load_policy(path)
+    found = about.get("observed")
+    if found != list(OBSERVED):
+        allowed = ", ".join(OBSERVED)
+        raise InputError("does not see what ddpg_pid does", file=path, field="observed", allowed=allowed)
+    if (policy.spec.observation_size, policy.spec.actions, policy.spec.discrete) != (4, 3, False):
+        raise InputError("does not set three gains", file=path, field="policy", value=policy.spec.actions)
+    return GuardedPolicy(policy, path)
+
+
+@final
+@dataclass(frozen=True)
+class DdpgPidOptions(AbstractTrackingOptions):
+    """What it follows, and which policy sets the gains.
+
+    Attributes:
+        policy: A policy file or the folder of a learning run; empty: the one shipped.
+    """
+
+    policy: str = ""
+
+
+@final
+class DdpgPid(AbstractTracker):
+    """Tracks a reference with gains that a policy learned to set.
+
+    Args:
+        options: Reference and policy.
+    """
+
+    id: ClassVar[str] = "ddpg_pid"
+    summary: ClassVar[str] = "Incremental PID on a speed reference, gains set by a policy that DDPG learned"
+    source: ClassVar[str] = "Cheng23"
+
+    def __init__(self, options: DdpgPidOptions | None = None) -> None:
+        options = options or DdpgPidOptions()
+        super().__init__(options)
+        self.path = policy_path(options.policy) if options.policy else shipped_policy(self.id)
+
+    @cached_property
+    def policy(self) -> GuardedPolicy:
+        """The policy, read when it is first needed.
+
+        Raises:
+            InputError: The file cannot be used.
+        """
+        return load_gains_policy(self.path)
+
+    def fresh(self, run: Run) -> Errors:
+        """No errors yet."""
+        del run
+        return Errors(0.0, 0.0)
+
+    def control(self, memory: Errors, seen: Tracked) -> tuple[float, Errors]:
+        """One period: the policy's gains, then the law."""
+        return ddpg_pid(self.policy, seen, memory)
+
+
+if shipped_policy(DdpgPid.id).is_file():
+    register(DdpgPid)

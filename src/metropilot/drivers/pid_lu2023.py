@@ -1,0 +1,77 @@
+"""The PID of Lu23: it tracks the speed curve that its improved DQN drives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, final
+
+from metropilot.drivers.base import register
+from metropilot.drivers.rehearsal import rehearse
+from metropilot.drivers.shipped import ImprovedDqn, PolicyOptions, shipped_policy
+from metropilot.drivers.tracking import PERIOD_S, AbstractTracker, AbstractTrackingOptions, Following
+from metropilot.planning.timed_reference import TimedReference, sampled_profile
+from metropilot.task import Run
+from metropilot.task.incremental_pid import CHENG2023_GAINS, Errors, Gains, incremental_pid
+from metropilot.task.tracking import Tracked
+
+
+@final
+@dataclass(frozen=True)
+class PidLu2023Options(AbstractTrackingOptions):
+    """Whose curve it tracks, and its gains (the paper gives none; these are Cheng23's).
+
+    Attributes:
+        policy: Policy file whose drive is tracked; empty: that of ``improved_dqn``.
+        kp: Gain on the change of the error, 1/(m/s).
+        ki: Gain on the error, 1/(m/s) and period.
+        kd: Gain on the change of the change, 1/(m/s).
+    """
+
+    policy: str = ""
+    kp: float = CHENG2023_GAINS.proportional
+    ki: float = CHENG2023_GAINS.integral
+    kd: float = CHENG2023_GAINS.derivative
+
+
+@final
+class PidLu2023(AbstractTracker):
+    """Tracks what improved DQN would drive (Lu23 Fig. 9); a curve laid anew on the way is an S-curve.
+
+    Args:
+        options: Whose curve, and gains.
+    """
+
+    id: ClassVar[str] = "pid_lu2023"
+    summary: ClassVar[str] = "PID that tracks the curve improved_dqn would drive"
+    source: ClassVar[str] = "Lu23"
+
+    def __init__(self, options: PidLu2023Options | None = None) -> None:
+        self.given = options or PidLu2023Options()
+        super().__init__(self.given)
+        self.gains = Gains(self.given.kp, self.given.ki, self.given.kd)
+        self.curve: TimedReference | None = None
+
+    def init(self, run: Run) -> Following:
+        """Let improved DQN drive the run ahead of departure, and take its curve as the reference."""
+        learned = rehearse(run, ImprovedDqn(PolicyOptions(self.given.policy)))
+        self.curve = sampled_profile(learned.position_m, learned.speed_mps, PERIOD_S)
+        return super().init(run)
+
+    def fresh(self, run: Run) -> Errors:
+        """No errors yet."""
+        del run
+        return Errors(0.0, 0.0)
+
+    def control(self, memory: Errors, seen: Tracked) -> tuple[float, Errors]:
+        """One period of the law."""
+        return incremental_pid(seen.command, self.gains, seen.error_mps, memory)
+
+    def _laid(self, model: Any, room: Any, left_s: float, start_m: float, start_mps: float) -> TimedReference:  # noqa: ANN401
+        """The learned curve from the origin; elsewhere an S-curve."""
+        if self.curve is not None and start_m <= 0.0:
+            return self.curve
+        return super()._laid(model, room, left_s, start_m, start_mps)
+
+
+if shipped_policy("improved_dqn").is_file():
+    register(PidLu2023)

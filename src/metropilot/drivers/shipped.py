@@ -1,0 +1,189 @@
+"""Drivers that were learned: one small class and one policy file each, and one that drives any policy file.
+
+``policies/<id>.safetensors`` in this package is the policy of the driver ``<id>``; a driver whose file is not
+there is not registered. Each takes an option ``policy``: another file, or the folder of a learning run.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import ClassVar, final
+
+from metropilot.drivers.base import AbstractDriver, register
+from metropilot.drivers.learned import LearnedDriver, LearnedMemory
+from metropilot.drivers.policy.loaded import LoadedPolicy, load_driving_policy
+from metropilot.errors import InputError
+from metropilot.task import Observation, Run
+
+POLICIES = Path(__file__).parent / "policies"
+
+
+@dataclass(frozen=True)
+class PolicyOptions:
+    """Which policy drives.
+
+    Attributes:
+        policy: A policy file or the folder of a learning run; empty: the one shipped with the driver.
+    """
+
+    policy: str = ""
+
+
+class AbstractPolicyDriver(AbstractDriver):
+    """Drives by a policy file, which is read when it is first needed.
+
+    What the policy was not learned for (another section, another trainset) it still drives, as well as it
+    can; protection supervises it like any other driver.
+
+    Args:
+        options: Which policy.
+    """
+
+    def __init__(self, options: PolicyOptions | None = None) -> None:
+        self.options = options or PolicyOptions()
+
+    @property
+    @abstractmethod
+    def path(self) -> Path:
+        """The policy's file.
+
+        Raises:
+            InputError: There is none.
+        """
+
+    @cached_property
+    def loaded(self) -> LoadedPolicy:
+        """The policy, what it sees, and what is known about it.
+
+        Raises:
+            InputError: The file cannot be used.
+        """
+        return load_driving_policy(self.path)
+
+    @cached_property
+    def _driver(self) -> LearnedDriver:
+        return LearnedDriver(self.loaded.policy, self.loaded.perception)
+
+    def init(self, run: Run) -> LearnedMemory:
+        """Read the policy, and build the tables it sees."""
+        return self._driver.init(run)
+
+    def act(self, memory: LearnedMemory, observation: Observation) -> tuple[float, LearnedMemory]:
+        """The policy's command, with the assists it was learned with."""
+        return self._driver.act(memory, observation)
+
+
+class AbstractShippedDriver(AbstractPolicyDriver):
+    """A driver whose policy lies in this package."""
+
+    @property
+    def path(self) -> Path:
+        """The file given, or the one shipped."""
+        return Path(self.options.policy) if self.options.policy else shipped_policy(self.id)
+
+
+def shipped_policy(driver_id: str) -> Path:
+    """Where the policy shipped for a driver is, or would be."""
+    return POLICIES / f"{driver_id}.safetensors"
+
+
+def register_shipped(driver: type[AbstractShippedDriver]) -> type[AbstractShippedDriver]:
+    """Add a driver to the registry if its policy is there (class decorator)."""
+    if shipped_policy(driver.id).is_file():
+        register(driver)
+    return driver
+
+
+@final
+@register
+class FromFile(AbstractPolicyDriver):
+    """Any learned policy: ``--set policy=FILE``, a policy file or the folder of a learning run.
+
+    Args:
+        options: Which policy.
+    """
+
+    id: ClassVar[str] = "learned"
+    summary: ClassVar[str] = "A learned policy from a file or a learning run (--set policy=PATH)"
+    source: ClassVar[str] = "own"
+
+    @property
+    def path(self) -> Path:
+        """The file given."""
+        if not self.options.policy:
+            allowed = "--set policy=PATH, a policy file or the folder of a learning run"
+            raise InputError("the driver learned needs a policy", field="policy", allowed=allowed)
+        return Path(self.options.policy)
+
+
+@final
+@register_shipped
+class Ppo(AbstractShippedDriver):
+    """Learned by PPO on Rongjing to Wanyuanjie, every load, times from 1.08 of the minimum to 130 s.
+
+    Args:
+        options: Another policy.
+    """
+
+    id: ClassVar[str] = "ppo"
+    summary: ClassVar[str] = "Learned by PPO for RJ to WYJ, every load, up to 130 s"
+    source: ClassVar[str] = "own, after Chen23a"
+
+
+@final
+@register_shipped
+class PpoScaled(AbstractShippedDriver):
+    """Learned by PPO with reward scaling (Chen23a eq. 23), for the same runs as ``ppo``.
+
+    Args:
+        options: Another policy.
+    """
+
+    id: ClassVar[str] = "ppo_scaled"
+    summary: ClassVar[str] = "Learned by PPO with reward scaling for RJ to WYJ, every load, up to 130 s"
+    source: ClassVar[str] = "own, after Chen23a"
+
+
+@final
+@register_shipped
+class Ddpg(AbstractShippedDriver):
+    """Learned by DDPG on Rongjing to Wanyuanjie, for the same runs as ``ppo``.
+
+    Args:
+        options: Another policy.
+    """
+
+    id: ClassVar[str] = "ddpg"
+    summary: ClassVar[str] = "Learned by DDPG for RJ to WYJ, every load, up to 130 s"
+    source: ClassVar[str] = "Lillicrap16, compared in Chen23a"
+
+
+@final
+@register_shipped
+class Dqn(AbstractShippedDriver):
+    """Learned by plain DQN over Lu23's twelve notches, without the filter, for 118 to 142 s.
+
+    Args:
+        options: Another policy.
+    """
+
+    id: ClassVar[str] = "dqn"
+    summary: ClassVar[str] = "Learned by DQN over twelve notches for lu2023 WHY to WYJ, 118 to 142 s"
+    source: ClassVar[str] = "Lu23"
+
+
+@final
+@register_shipped
+class ImprovedDqn(AbstractShippedDriver):
+    """Learned by double dueling DQN with prioritised replay, its choices filtered by minimum arrival time.
+
+    Args:
+        options: Another policy.
+    """
+
+    id: ClassVar[str] = "improved_dqn"
+    summary: ClassVar[str] = "Learned by improved DQN over twelve notches for lu2023 WHY to WYJ, 118 to 142 s"
+    source: ClassVar[str] = "Lu23"

@@ -1,0 +1,274 @@
+"""What every driver that tracks a reference shares: the reference itself, the errors, the stop at the point.
+
+The controllers of Cheng23 see a reference over time and answer its speed error. Around them stands what a
+real line needs and the paper leaves out: the reference keeps to limits and effort and is laid anew when the
+schedule changes or the trainset cannot follow; the error is taken where a command begins to act; the last
+metres belong to the stop's own law; protection is asked before it has to intervene.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from metropilot.drivers.base import AbstractDriver
+from metropilot.drivers.cruising import model_of
+from metropilot.drivers.headroom import Headroom, cleared, headroom_of
+from metropilot.drivers.observer import Ahead, Belief, Model, first_belief, issued, look_ahead, observe
+from metropilot.drivers.stopping import Curve, Stop, curve_for, required_ahead, stop_command
+from metropilot.errors import InputError
+from metropilot.physics import track_arrays
+from metropilot.planning import PlanOptions, ReferenceShape, plan_arrays
+from metropilot.planning.timed_reference import (
+    Ground,
+    TimedReference,
+    reference_under_for_time,
+    sampled_profile,
+)
+from metropilot.protection import Memory, Protection, at_start, protect
+from metropilot.railway import Section
+from metropilot.task import Observation, Run, declared_bounds
+from metropilot.task.tracking import Tracked
+
+Kind = Literal["trapezoid", "s_curve", "optimal"]
+KINDS: tuple[Kind, ...] = ("trapezoid", "s_curve", "optimal")
+PERIOD_S = 0.05
+CAP_MARGIN_MPS = 0.4
+PATIENCE_S = 4.0
+HANDOVER_M = 25.0
+ALARM = 1.15
+LEAD = 0.7
+
+
+@dataclass(frozen=True)
+class AbstractTrackingOptions:
+    """What a tracking driver follows, and what is done for it.
+
+    Attributes:
+        reference: ``trapezoid``, ``s_curve`` or ``optimal`` (the energy-optimal plan).
+        acceleration_mps2: Largest acceleration of the reference.
+        deceleration_mps2: Largest deceleration of the reference.
+        jerk_mps3: Largest jerk of the S-curve.
+        effort_share: Share of traction and brake the reference may use.
+        station_stop: The last metres belong to the stop's own law; off, the controller stops by itself.
+        slip_m: A distance behind or ahead of the reference that calls for a new one.
+    """
+
+    reference: str = "s_curve"
+    acceleration_mps2: float = 0.9
+    deceleration_mps2: float = 0.8
+    jerk_mps3: float = 0.5
+    effort_share: float = 0.9
+    station_stop: bool = True
+    slip_m: float = 5.0
+
+    def __post_init__(self) -> None:
+        if self.reference not in KINDS:
+            raise InputError(
+                "unknown reference", field="reference", value=self.reference, allowed=", ".join(KINDS)
+            )
+
+
+@dataclass(frozen=True)
+class Following:
+    """The driver's memory.
+
+    Attributes:
+        run: The run.
+        section: The section the reference was laid for.
+        scheduled_s: The scheduled time it was laid for.
+        model: What is believed about trainset and section.
+        guard: Protection's curves.
+        watched: What protection remembers, kept alongside.
+        room: Speeds to keep under.
+        belief: Where it is and how the trainset answers.
+        reference: What is followed.
+        clock_s: When it began.
+        controller: The controller's own memory.
+        command: The controller's last command.
+        stop: Shape of the stop, once the stop's own law drives.
+        overruled: Whether protection would have overruled the last command.
+    """
+
+    run: Run
+    section: Section
+    scheduled_s: float
+    model: Model
+    guard: Protection
+    watched: Memory
+    room: Headroom
+    belief: Belief
+    reference: TimedReference
+    clock_s: float
+    controller: Any
+    command: float
+    stop: Curve | None
+    overruled: bool
+
+
+class AbstractTracker(AbstractDriver):
+    """A controller of the speed error with a reference to follow.
+
+    Args:
+        options: What it follows.
+    """
+
+    def __init__(self, options: AbstractTrackingOptions) -> None:
+        self.options = options
+
+    @abstractmethod
+    def fresh(self, run: Run) -> Any:  # noqa: ANN401 (each controller has its own)
+        """The controller's memory at the start of a run."""
+
+    @abstractmethod
+    def control(self, memory: Any, seen: Tracked) -> tuple[float, Any]:  # noqa: ANN401
+        """The command in [-1, 1] for this period, and the memory to bring next time."""
+
+    def init(self, run: Run) -> Following:
+        """Lay the reference for the whole section."""
+        model = model_of(run, run.section)
+        guard, room = self._limits(run, run.section, model)
+        return Following(
+            run=run,
+            section=run.section,
+            scheduled_s=run.scheduled_time_s,
+            model=model,
+            guard=guard,
+            watched=at_start(guard),
+            room=room,
+            belief=first_belief(model),
+            reference=self._laid(model, room, run.scheduled_time_s, 0.0, 0.0),
+            clock_s=0.0,
+            controller=self.fresh(run),
+            command=0.0,
+            stop=None,
+            overruled=False,
+        )
+
+    def act(self, memory: Following, observation: Observation) -> tuple[float, Following]:
+        """Take the errors, let the controller or the stop's law answer, ask protection."""
+        belief = observe(
+            memory.model,
+            memory.belief,
+            observation.position_m,
+            observation.speed_mps,
+            observation.acceleration_mps2,
+        )
+        if memory.overruled:
+            belief = belief._replace(bank=memory.belief.bank, best=memory.belief.best)
+        memory = self._informed(replace(memory, belief=belief), observation)
+        ahead = look_ahead(memory.model, belief)
+        place, speed, _ = memory.reference.at(observation.time_s - memory.clock_s + ahead.seconds)
+        seen = Tracked(
+            speed - ahead.speed_mps, place - ahead.position_m, ahead.speed_mps, speed, memory.command
+        )
+        wanted, controller = self.control(memory.controller, seen)
+        memory = replace(memory, controller=controller, command=float(wanted))
+        memory = self._handed_over(memory, ahead)
+        if memory.stop is not None:
+            share = self._stopping(memory, memory.stop).share
+        else:
+            share = _led(belief, ahead, memory.command)
+        share, watched = cleared(
+            memory.guard, memory.watched, observation.position_m, observation.speed_mps, share
+        )
+        return share, replace(
+            memory,
+            belief=issued(belief, share),
+            watched=watched,
+            overruled=int(watched.level) > 0,
+        )
+
+    def _stopping(self, memory: Following, curve: Curve) -> Stop:
+        return stop_command(memory.model, memory.belief, float(memory.model.track.length_m), curve)
+
+    def _handed_over(self, memory: Following, ahead: Ahead) -> Following:
+        """Give the last metres to the stop's own law, from the deceleration that is in force there."""
+        if memory.stop is not None or not self.options.station_stop:
+            return memory
+        vehicle, left = memory.model.vehicle, float(memory.model.track.length_m) - ahead.position_m
+        rate = min(self.options.deceleration_mps2, float(vehicle.max_deceleration_mps2))
+        curve = curve_for(vehicle, memory.model.dt, rate)
+        required, _ = required_ahead(ahead, left, curve)
+        if left > HANDOVER_M and required < ALARM * rate:
+            return memory
+        return replace(memory, stop=curve._replace(deceleration_mps2=min(max(required, 0.1), ALARM * rate)))
+
+    def _informed(self, memory: Following, observation: Observation) -> Following:
+        """Lay the reference anew after news, or where the trainset is far from it."""
+        section, model, guard, room = memory.section, memory.model, memory.guard, memory.room
+        news = observation.scheduled_time_s != memory.scheduled_s or observation.section is not section
+        clock = observation.time_s - memory.clock_s
+        place = memory.reference.at(clock)[0]
+        slipped = (
+            clock > PATIENCE_S
+            and memory.stop is None
+            and abs(place - memory.belief.position_m) > self.options.slip_m
+        )
+        if not (news or slipped):
+            return memory
+        if observation.section is not section:
+            section = observation.section
+            model = model._replace(
+                track=track_arrays(section, memory.run.scenario.believed(memory.run.trainset))
+            )
+            guard, room = self._limits(memory.run, section, model)
+        left = max(observation.scheduled_time_s - observation.time_s, 1.0)
+        reference = self._laid(model, room, left, memory.belief.position_m, memory.belief.speed_mps)
+        return replace(
+            memory,
+            section=section,
+            scheduled_s=observation.scheduled_time_s,
+            model=model,
+            guard=guard,
+            room=room,
+            reference=reference,
+            clock_s=observation.time_s,
+        )
+
+    @staticmethod
+    def _limits(run: Run, section: Section, model: Model) -> tuple[Protection, Headroom]:
+        """Protection as the trainset carries it, and the speeds to keep under it."""
+        bounds = declared_bounds(run)
+        guard = protect(section, run.scenario.believed(run.trainset), bounds)
+        return guard, headroom_of(model, guard, bounds, CAP_MARGIN_MPS)
+
+    def _laid(
+        self, model: Model, room: Headroom, left_s: float, start_m: float, start_mps: float
+    ) -> TimedReference:
+        """The reference from a state to the stop in the time left."""
+        options = self.options
+        start = min(max(start_m, 0.0), float(model.track.length_m) - 1.0)
+        if options.reference == "optimal":
+            plan_options = PlanOptions(
+                start_m=start,
+                start_mps=start_mps,
+                cap_m=room.position_m,
+                cap_mps=room.speed_mps,
+                late_w=500.0,
+            )
+            plan = plan_arrays(model.vehicle, model.track, left_s, plan_options)
+            return sampled_profile(plan.position_m, plan.speed_mps, PERIOD_S)
+        jerk = options.jerk_mps3 if options.reference == "s_curve" else math.inf
+        jerk = min(jerk, 0.8 * float(model.vehicle.jerk_mps3))
+        shape = ReferenceShape(options.acceleration_mps2, options.deceleration_mps2, jerk)
+        ground = Ground(
+            model.vehicle,
+            model.track,
+            room.position_m,
+            room.speed_mps,
+            options.effort_share,
+            start,
+            max(start_mps, 0.0),
+        )
+        return reference_under_for_time(ground, shape, left_s, PERIOD_S)
+
+
+def _led(belief: Belief, ahead: Ahead, share: float) -> float:
+    """The command that makes up for part of the trainset's lag."""
+    kept = LEAD * float(belief.bank.keep[belief.best])
+    return float(np.clip((share - kept * ahead.share) / (1.0 - kept), -1.0, 1.0))

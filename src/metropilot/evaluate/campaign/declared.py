@@ -1,0 +1,237 @@
+"""What a campaign is: a matrix whose rows are numbered, and a request for each row.
+
+Nothing of a row depends on which rows were driven before it, where, or by how many: its seed and everything
+drawn at random come from its identity. The driver is no part of that identity, so that every driver meets the
+same plant and the same noise.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from hashlib import sha256
+from math import prod
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from metropilot.evaluate.driver_options import named_driver
+from metropilot.evaluate.optimum import Objective
+from metropilot.evaluate.request import Request
+from metropilot.task import CONTROL_PERIOD_S
+
+PLANNED = "planned"
+SHARDS = 100
+LARGEST_SHARD = 50
+DRAWN = (
+    "mass_factor",
+    "resistance_factor",
+    "delay_s",
+    "lag_s",
+    "speed_noise_mps",
+    "headwind_mps",
+    "adhesion",
+)
+"""Fields of a request that a disturbance may set or draw."""
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """What goes differently than planned, in words that fit every section.
+
+    Attributes:
+        name: In the results.
+        ideal: Ideal actuation: no delay, lag or jerk limit.
+        ranges: From a field of :data:`DRAWN` to the interval it is drawn from, evenly.
+        restriction: A temporary speed restriction: from and to as shares of the section, limit in km/h, and
+            when it is announced as a share of the scheduled time (None: before departure).
+        arrival: A new running time over the scheduled one, and when it is announced as a share of that.
+    """
+
+    name: str
+    ideal: bool = False
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    restriction: tuple[float, float, float, float | None] | None = None
+    arrival: tuple[float, float] | None = None
+
+
+class Case(NamedTuple):
+    """One row: the cell of the matrix.
+
+    Attributes:
+        row: Number of the row.
+        driver: Driver id, options included.
+        line: Line, with ``origin`` and ``destination``.
+        origin: Station code.
+        destination: Station code.
+        trainset: Trainset.
+        load: Load aboard.
+        time: ``planned``, or the scheduled time over the minimum running time.
+        disturbance: What goes differently.
+        number: Which of the seeds.
+    """
+
+    row: int
+    driver: str
+    line: str
+    origin: str
+    destination: str
+    trainset: str
+    load: str
+    time: float | str
+    disturbance: Disturbance
+    number: int
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A matrix of runs.
+
+    Attributes:
+        name: Of the campaign.
+        drivers: Driver ids, each with options if any (``ID:NAME=VALUE``).
+        sections: Line, origin and destination of each.
+        trainsets: Trainset and load of each.
+        times: ``planned``, or ratios to the minimum running time.
+        disturbances: What goes differently.
+        seeds: How many of each.
+        first_seed: Base of all that is random.
+        objective: Energy the optimum minimises.
+        dt_s: Control period.
+    """
+
+    name: str
+    drivers: tuple[str, ...]
+    sections: tuple[tuple[str, str, str], ...]
+    trainsets: tuple[tuple[str, str], ...]
+    times: tuple[float | str, ...] = (PLANNED,)
+    disturbances: tuple[Disturbance, ...] = (Disturbance("as told"),)
+    seeds: int = 1
+    first_seed: int = 0
+    objective: Objective = "wheel"
+    dt_s: float = CONTROL_PERIOD_S
+
+    @property
+    def axes(self) -> tuple[int, ...]:
+        """Sections, trainsets, times, disturbances, seeds, drivers: how many; the last vary fastest."""
+        lists = (self.sections, self.trainsets, self.times, self.disturbances)
+        return (*(len(axis) for axis in lists), self.seeds, len(self.drivers))
+
+    @property
+    def rows(self) -> int:
+        """Number of runs."""
+        return prod(self.axes)
+
+    @property
+    def shard_rows(self) -> int:
+        """Rows of a shard, the piece that is driven and kept as a whole; decided by the matrix alone."""
+        return min(max(-(-self.rows // SHARDS), 1), LARGEST_SHARD)
+
+    @property
+    def shards(self) -> int:
+        """Number of shards."""
+        return -(-self.rows // self.shard_rows)
+
+    def shard(self, number: int) -> range:
+        """The rows of a shard."""
+        first = number * self.shard_rows
+        return range(first, min(first + self.shard_rows, self.rows))
+
+    def case(self, row: int) -> Case:
+        """The cell of a row."""
+        section, trainset, time, disturbance, number, driver = (
+            int(k) for k in np.unravel_index(row, self.axes)
+        )
+        return Case(
+            row,
+            self.drivers[driver],
+            *self.sections[section],
+            *self.trainsets[trainset],
+            self.times[time],
+            self.disturbances[disturbance],
+            number,
+        )
+
+    @property
+    def text(self) -> str:
+        """The whole campaign as JSON, keys sorted."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    @property
+    def digest(self) -> str:
+        """What names the campaign: the same for the same matrix."""
+        return sha256(self.text.encode()).hexdigest()[:16]
+
+
+def from_text(text: str) -> Campaign:
+    """The campaign of :attr:`Campaign.text`."""
+    values: dict[str, Any] = json.loads(text)
+    disturbances = []
+    for item in values["disturbances"]:
+        item["ranges"] = {name: tuple(interval) for name, interval in item["ranges"].items()}
+        for name in ("restriction", "arrival"):
+            item[name] = None if item[name] is None else tuple(item[name])
+        disturbances.append(Disturbance(**item))
+    for name in ("drivers", "times"):
+        values[name] = tuple(values[name])
+    for name in ("sections", "trainsets"):
+        values[name] = tuple(tuple(item) for item in values[name])
+    return Campaign(**{**values, "disturbances": tuple(disturbances)})
+
+
+def seed_of(campaign: Campaign, case: Case) -> int:
+    """The seed of a row, from everything that identifies it but the driver."""
+    cell = case._replace(row=0, driver="", disturbance=Disturbance(case.disturbance.name))
+    text = json.dumps([campaign.first_seed, cell._asdict()], sort_keys=True, default=lambda d: d.name)
+    return int.from_bytes(sha256(text.encode()).digest()[:8], "big") >> 1
+
+
+def drawn(disturbance: Disturbance, seed: int) -> dict[str, float]:
+    """What the disturbance makes of a request's fields, drawn from the row's own stream."""
+    random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
+    found = {}
+    for name in DRAWN:
+        share = float(random.random())
+        if name in disturbance.ranges:
+            low, high = disturbance.ranges[name]
+            found[name] = low if low == high else low + (high - low) * share
+    return found
+
+
+def request_of(campaign: Campaign, case: Case, scheduled_s: float, length_m: float) -> Request:
+    """The request of a row.
+
+    Args:
+        campaign: The campaign.
+        case: The row's cell.
+        scheduled_s: Its scheduled time.
+        length_m: Length of its section.
+    """
+    seed, told = seed_of(campaign, case), case.disturbance
+    driver, options = named_driver(case.driver)
+    restrictions, arrivals = (), ()
+    if told.restriction is not None:
+        start, end, kmh, announced = told.restriction
+        late = "" if announced is None else f"@{announced * scheduled_s:.1f}"
+        restrictions = (f"{start * length_m:.1f}-{end * length_m:.1f}@{kmh:g}{late}",)
+    if told.arrival is not None:
+        factor, announced = told.arrival
+        arrivals = (f"{factor * scheduled_s:.2f}@{announced * scheduled_s:.1f}",)
+    return Request(
+        line=case.line,
+        origin=case.origin,
+        destination=case.destination,
+        time_s=scheduled_s,
+        trainset=case.trainset,
+        load=case.load,
+        driver=driver,
+        options=options,
+        ideal=told.ideal,
+        restrictions=restrictions,
+        arrivals=arrivals,
+        objective=campaign.objective,
+        dt_s=campaign.dt_s,
+        seed=seed,
+        **drawn(told, seed),
+    )

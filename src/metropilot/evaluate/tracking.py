@@ -1,0 +1,164 @@
+"""How well a reference was tracked: the loop run by itself, and the columns of Cheng23's tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from metropilot.task.tracking import Course, Tracked, TrackState, advance, seen, standing
+
+Array = Any
+Memory = Any
+Namespace = Any
+Control = Callable[[Any, Tracked], tuple[Any, Any]]
+"""A controller: its memory and what it is given, to a command and its next memory."""
+JERK_WINDOW_S = 2.0
+
+
+class TrackRecord(NamedTuple):
+    """A reference as it was tracked, one row a control period. Shape (N,) each.
+
+    Attributes:
+        time_s: Start of the period.
+        reference_mps: Speed of the reference.
+        speed_mps: Speed.
+        position_m: Position.
+        error_mps: Speed of the reference less speed.
+        distance_m: Position of the reference less position.
+        command: Command given.
+        acceleration_mps2: Acceleration held over the period.
+        traction_j: Traction work up to the end of the period.
+        counted: Whether the period counts: before the end of the reference, or while the trainset moves.
+    """
+
+    time_s: Array
+    reference_mps: Array
+    speed_mps: Array
+    position_m: Array
+    error_mps: Array
+    distance_m: Array
+    command: Array
+    acceleration_mps2: Array
+    traction_j: Array
+    counted: Array
+
+
+class TrackingKpis(NamedTuple):
+    """The columns of Cheng23's tables 1, 3 and 4.
+
+    Attributes:
+        speed_total_mps: Sum of the size of the speed error over the control periods (0.2 s in the paper).
+        speed_max_mps: Largest speed error.
+        position_total_m: Sum of the size of the position error over the control periods.
+        position_max_m: Largest position error.
+        parking_m: Distance from the stop at the end.
+        energy_kwh: Traction work at the wheel.
+        jerk_mps3: Largest change of acceleration within 2 s, over 2 s.
+        periods: Control periods counted.
+        end_mps: Speed left at the end, 0 for a stand.
+    """
+
+    speed_total_mps: Array
+    speed_max_mps: Array
+    position_total_m: Array
+    position_max_m: Array
+    parking_m: Array
+    energy_kwh: Array
+    jerk_mps3: Array
+    periods: Array
+    end_mps: Array
+
+
+def track(course: Course, control: Control, memory: Memory) -> TrackRecord:
+    """Let a controller track a course, in NumPy float64.
+
+    Args:
+        course: What is tracked.
+        control: The controller.
+        memory: Its memory at the start.
+    """
+    state, rows = standing(), []
+    for _ in range(course.periods):
+        state, memory, row = _period(course, control, state, memory)
+        rows.append(row)
+    return TrackRecord(*(np.asarray(column, np.float64) for column in zip(*rows, strict=True)))
+
+
+def track_compiled(course: Course, control: Control, memory: Memory) -> TrackRecord:
+    """The same as one compiled scan; the course is of :func:`metropilot.task.tracking.compiled`."""
+    import jax
+    import jax.numpy as jnp
+
+    start: TrackState = jax.tree.map(
+        lambda x: jnp.asarray(x, jnp.int32 if np.asarray(x).dtype.kind == "i" else jnp.float32),
+        standing(),
+    )
+
+    def one(carry: tuple[TrackState, Any], _: None) -> tuple[tuple[TrackState, Any], TrackRecord]:
+        state, held, row = _period(course, control, *carry)
+        return (state, held), row
+
+    return jax.lax.scan(one, (start, memory), None, length=course.periods)[1]
+
+
+def _period(
+    course: Course, control: Control, state: TrackState, memory: Memory
+) -> tuple[TrackState, Memory, TrackRecord]:
+    given = seen(course, state)
+    command, memory = control(memory, given)
+    after = advance(course, state, command, state.errors)
+    row = TrackRecord(
+        time_s=state.period.astype(course.dt.dtype) * course.dt,
+        reference_mps=given.reference_mps,
+        speed_mps=given.speed_mps,
+        position_m=state.plant.position_m,
+        error_mps=given.error_mps,
+        distance_m=given.distance_m,
+        command=command,
+        acceleration_mps2=after.plant.acceleration_mps2,
+        traction_j=after.plant.traction_j,
+        counted=(state.period <= course.end) | (given.speed_mps > 0),
+    )
+    return after, memory, row
+
+
+def tracking_kpis(course: Course, record: TrackRecord, xp: Namespace = np) -> TrackingKpis:
+    """The columns of a table, in NumPy or (``xp=jax.numpy``) compiled.
+
+    The jerk is the largest change of acceleration between two moments at most 2 s apart, divided by 2 s:
+    "the maximum acceleration rate over the time span of 2s" in m/s^3 (Cheng23, text on Table 1).
+    """
+    counted = xp.asarray(record.counted, bool)
+    error, distance = (xp.where(counted, xp.abs(x), 0.0) for x in (record.error_mps, record.distance_m))
+    window = round(JERK_WINDOW_S / 0.2)
+    accel = record.acceleration_mps2
+    changes = [xp.max(xp.abs(accel[k:] - accel[:-k])) for k in range(1, window + 1)]
+    return TrackingKpis(
+        speed_total_mps=xp.sum(error),
+        speed_max_mps=xp.max(error),
+        position_total_m=xp.sum(distance),
+        position_max_m=xp.max(distance),
+        parking_m=xp.abs(course.track.length_m - record.position_m[-1]),
+        energy_kwh=record.traction_j[-1] / 3.6e6,
+        jerk_mps3=xp.max(xp.stack(changes)) / JERK_WINDOW_S,
+        periods=xp.sum(counted),
+        end_mps=record.speed_mps[-1],
+    )
+
+
+def tracking_score(kpis: TrackingKpis) -> Array:
+    """One number for tuning and for keeping the best policy; higher is better, 0 is perfect.
+
+    Total errors in speed and (by a fifth) position, the largest speed error, parking, jerk; a speed left at
+    the end is dear. The weights are ours.
+    """
+    return -(
+        kpis.speed_total_mps
+        + kpis.position_total_m / 5.0
+        + 5.0 * kpis.speed_max_mps
+        + 20.0 * kpis.parking_m
+        + 2.0 * kpis.jerk_mps3
+        + 20.0 * kpis.end_mps
+    )

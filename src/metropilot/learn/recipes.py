@@ -1,0 +1,289 @@
+"""How each driver of ours is learned: algorithm, configuration, task and budgets, one row a driver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from metropilot.drivers.policy import load_policy
+from metropilot.drivers.shipped import shipped_policy
+from metropilot.errors import InputError
+from metropilot.learn.config_base import AbstractConfig
+from metropilot.learn.config_reading import config_from_mapping
+from metropilot.task import TASKS, DrivingConfig, task_config
+from metropilot.task.actions import NotchAction
+
+if TYPE_CHECKING:
+    from metropilot.learn.loop import Evaluate
+    from metropilot.learn.recorded import RunRequest
+    from metropilot.learn.runs import RunRecord
+    from metropilot.task import DrivingTask
+
+BUDGETS = ("quick", "paper")
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a driver is learned.
+
+    Attributes:
+        summary: One line for ``metropilot learn --help`` and errors.
+        source: Paper or "own".
+        algorithm: ``ddpg dqn naf ppo sac tabular``.
+        task: Name of a registered task.
+        config: What the learner is told beyond its algorithm's defaults.
+        quick: What is told otherwise under the budget ``quick`` (about two minutes on two cores).
+        changes: What is changed of the task's configuration; None: nothing.
+    """
+
+    summary: str
+    source: str
+    algorithm: str
+    task: str
+    config: Mapping[str, Any] = field(default_factory=dict)
+    quick: Mapping[str, Any] = field(default_factory=dict)
+    changes: Callable[[DrivingConfig], DrivingConfig] | None = None
+
+    def configuration(self, budget: str = "paper", **told: Any) -> AbstractConfig:
+        """What the learner is told.
+
+        Args:
+            budget: ``quick`` or ``paper``.
+            told: Fields to set besides, as plain values.
+
+        Raises:
+            InputError: No such budget or field (the nearest is named), or a value out of range.
+        """
+        if budget not in BUDGETS:
+            raise InputError("unknown budget", field="budget", value=budget, allowed=", ".join(BUDGETS))
+        quick = self.quick if budget == "quick" else {}
+        return config_from_mapping(self.algorithm, {**self.config, **quick, **told})
+
+    def task_configuration(self, name: str | None = None) -> DrivingConfig:
+        """What the task is made of; another registered task than the recipe's is taken as it stands.
+
+        Raises:
+            InputError: No such task (the nearest is named).
+        """
+        if name is None or name == self.task:
+            config = task_config(self.task)
+            return self.changes(config) if self.changes else config
+        if name not in TASKS:
+            raise InputError(
+                f"unknown task{nearest(name, TASKS)}", field="task", value=name, allowed=", ".join(TASKS)
+            )
+        return task_config(name)
+
+    def make_task(self, name: str | None = None) -> DrivingTask:
+        """The task itself.
+
+        Raises:
+            InputError: No such task.
+        """
+        from metropilot.task import DrivingTask
+
+        return DrivingTask(self.task_configuration(name))
+
+
+def new_request(
+    driver: str,
+    *,
+    budget: str = "paper",
+    task: str | None = None,
+    seed: int = 0,
+    command: str = "",
+    **told: Any,
+) -> RunRequest:
+    """What to ask of :func:`metropilot.learn.learn_run` for a new run of a recipe.
+
+    Args:
+        driver: Id of the driver.
+        budget: ``quick`` or ``paper``.
+        task: Another registered task than the recipe's.
+        seed: Of everything random.
+        command: The command line that asks for it.
+        told: Fields of the learner's configuration to set, as plain values.
+
+    Raises:
+        InputError: No such driver, budget, task or field, or a value out of range.
+    """
+    row = recipe(driver)
+    return _request(driver, row.configuration(budget, **told), task or row.task, seed, command)
+
+
+def resumed_request(record: RunRecord) -> RunRequest:
+    """What to ask of :func:`metropilot.learn.learn_run` to go on with a run.
+
+    Raises:
+        InputError: The run is of no recipe, or its task is no more.
+    """
+    return _request(record.driver, record.configuration(), record.task, record.seed, record.command)
+
+
+def _request(driver: str, config: AbstractConfig, task: str, seed: int, command: str) -> RunRequest:
+    from metropilot.learn.recorded import RunRequest
+
+    made = recipe(driver).make_task(task)
+    perception = made.config.perception
+    return RunRequest(config, made, task, seed, driver=driver, perception=perception, command=command)
+
+
+def evaluation_of(request: RunRequest) -> Evaluate:
+    """The early evaluation of a run: drives of its task from standstill.
+
+    Raises:
+        InputError: The learner does not take this kind of action.
+    """
+    from metropilot.learn.driving import DrivingEvaluation
+    from metropilot.learn.registry import make_learner
+    from metropilot.task import DrivingTask
+
+    task = request.task
+    if not isinstance(task, DrivingTask):
+        raise InputError("only driving tasks are evaluated by driving", field="task", value=request.name)
+    return DrivingEvaluation(task, make_learner(request.config, task).spec)
+
+
+def nearest(name: str, names: Mapping[str, Any]) -> str:
+    """``, did you mean X?`` where something is like it."""
+    near = get_close_matches(name, names, 1)
+    return f", did you mean {near[0]}?" if near else ""
+
+
+def recipe(driver: str) -> Recipe:
+    """The recipe of a driver.
+
+    Raises:
+        InputError: There is none (the nearest is named).
+    """
+    if driver not in RECIPES:
+        words = f"no recipe for this driver{_learned_by(driver) or nearest(driver, RECIPES)}"
+        raise InputError(words, field="driver", value=driver, allowed=", ".join(RECIPES))
+    return RECIPES[driver]
+
+
+def _learned_by(driver: str) -> str:
+    """What to call for a driver that is learned otherwise, as the file shipped with it says."""
+    path = shipped_policy(driver)
+    if not (driver.isidentifier() and path.is_file()):
+        return ""
+    told = load_policy(path)[1].get("provenance")
+    return f", it is learned by: {told['command']}" if isinstance(told, dict) and "command" in told else ""
+
+
+def _coarse(config: DrivingConfig) -> DrivingConfig:
+    """One load, one scheduled time, three numbers to observe and five notches: what a table can hold."""
+    return replace(
+        config,
+        trainsets=config.trainsets[:1],
+        scenarios=replace(config.scenarios, time_ratio=(1.25, 1.25)),
+        observer=("position", "speed", "time_left"),
+        action=NotchAction((-0.5, 0.0, 0.3, 0.6, 1.0)),
+    )
+
+
+PPO: Mapping[str, Any] = MappingProxyType(
+    {
+        "steps": 16_000_000,
+        "environments": 512,
+        "rollout": 64,
+        "epochs": 4,
+        "minibatches": 16,
+        "gamma": 1.0,
+        "lambda_": 0.995,
+        "learning_rate": {"start": 1e-3, "end": 1e-4},
+        "initial_bias": 0.5,
+        "min_std": 0.08,
+        "normalise_observations": True,
+        "evaluations": 16,
+    }
+)
+PPO_QUICK: Mapping[str, Any] = MappingProxyType({"steps": 4_000_000, "evaluations": 8})
+REPLAY: Mapping[str, Any] = MappingProxyType(
+    {
+        "steps": 400_000,
+        "environments": 32,
+        "updates": 16,
+        "batch_size": 256,
+        "buffer_size": 131_072,
+        "warmup": 8_000,
+        "gamma": 0.995,
+        "n_step": 5,
+        "reward_factor": 0.1,
+        "evaluations": 16,
+    }
+)
+REPLAY_QUICK: Mapping[str, Any] = MappingProxyType({"steps": 100_000, "evaluations": 8})
+BEGINS: Mapping[str, Any] = MappingProxyType({"initial_bias": 0.5})
+"""An untrained policy that powers: from standstill it would otherwise learn nothing at first."""
+NOTCHES: Mapping[str, Any] = MappingProxyType(
+    {
+        "steps": 160_000,
+        "environments": 8,
+        "updates": 4,
+        "buffer_size": 40_000,
+        "gamma": 1.0,
+        "reward_factor": 0.005,
+        "hidden": (128, 256),
+        "huber": 2.0,
+        "normalise_observations": True,
+        "learning_rate": {"start": 1e-3, "end": 3e-5, "shape": "exponential"},
+        "epsilon": {"start": 0.5, "end": 0.05, "over": 0.3, "shape": "exponential"},
+        "evaluations": 20,
+    }
+)
+NOTCHES_QUICK: Mapping[str, Any] = MappingProxyType({"steps": 40_000, "evaluations": 10})
+IMPROVED: Mapping[str, Any] = MappingProxyType({"double": True, "dueling": True, "prioritised": True})
+TABLE: Mapping[str, Any] = MappingProxyType(
+    {
+        "steps": 20_000_000,
+        "environments": 1024,
+        "rollout": 32,
+        "gamma": 1.0,
+        "bins": (40, 24, 24),
+        "low": (0.0, 0.0, 0.0),
+        "high": (1.0, 1.2, 1.2),
+        "learning_rate": {"start": 0.3, "end": 0.02, "shape": "exponential"},
+        "epsilon": {"start": 0.5, "end": 0.05},
+        "evaluations": 16,
+    }
+)
+
+RECIPES: Mapping[str, Recipe] = MappingProxyType(
+    {
+        "ppo": Recipe("PPO", "own, after Chen23a", "ppo", "drive", PPO, PPO_QUICK),
+        "ppo_scaled": Recipe(
+            "PPO with reward scaling",
+            "own, after Chen23a",
+            "ppo",
+            "drive",
+            {**PPO, "reward_scaling": True},
+            PPO_QUICK,
+        ),
+        "ddpg": Recipe("DDPG", "Lillicrap16", "ddpg", "drive", {**REPLAY, **BEGINS}, REPLAY_QUICK),
+        "sac": Recipe("SAC", "Haarnoja18", "sac", "drive", {**REPLAY, **BEGINS}, REPLAY_QUICK),
+        "naf": Recipe("NAF", "Gu16", "naf", "drive", {**REPLAY, **BEGINS}, REPLAY_QUICK),
+        "dqn": Recipe("DQN", "Lu23", "dqn", "lu2023", NOTCHES, NOTCHES_QUICK),
+        "improved_dqn": Recipe(
+            "DQN, double, dueling, with prioritised replay",
+            "Lu23",
+            "dqn",
+            "lu2023",
+            {**NOTCHES, **IMPROVED},
+            NOTCHES_QUICK,
+        ),
+        "tabular": Recipe(
+            "Q-learning in a table, for one load and time",
+            "own, after Huang25's ITOR",
+            "tabular",
+            "drive_notches",
+            TABLE,
+            {"steps": 4_000_000, "evaluations": 8},
+            _coarse,
+        ),
+    }
+)
+"""By id of the driver."""

@@ -1,0 +1,243 @@
+"""References over time that a real section and trainset allow: limits, gradients, the effort at hand.
+
+The S-curve of :mod:`metropilot.planning.references` is drawn by hand and asks neither limits nor trainset.
+Here the trapezoid is laid under the speeds permitted and the effort at hand at each of them (forward for
+traction, backward for braking, over space), and a moving average over time bounds its jerk: averaging the
+speed over a window ``T`` keeps the distance, lengthens the run by ``T`` and leaves a jerk of at most the rate
+over ``T``. A reference that begins on the way begins half a window ahead, so that its average begins here.
+
+Source: own. What Cheng23 follows is not printed; its trainset cannot give 0.9 m/s^2 above 13 m/s nor brake at
+0.8 m/s^2 above 15 m/s, so a reference that it can follow needs the effort in it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from metropilot.errors import InputError
+from metropilot.physics import Track, Vehicle
+from metropilot.planning.effort_table import Specific, specific
+from metropilot.planning.mesh import felt_at, limit_at
+from metropilot.planning.references import Reference, ReferenceShape
+
+CELL_M = 1.0
+BISECTIONS = 24
+SLOWEST_MPS = 0.5
+LEAST_RATE_MPS2 = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class TimedReference:
+    """Position, speed and acceleration at equal steps of time, standing at the end.
+
+    Attributes:
+        period_s: Step of time.
+        position_m: Shape (N,).
+        speed_mps: Shape (N,).
+        acceleration_mps2: Shape (N,).
+        duration_s: When it stands at the end.
+    """
+
+    period_s: float
+    position_m: Float[ndarray, " times"]
+    speed_mps: Float[ndarray, " times"]
+    acceleration_mps2: Float[ndarray, " times"]
+    duration_s: float
+
+    def at(self, time_s: float) -> tuple[float, float, float]:
+        """Position, speed and acceleration at a time, linear between the steps; standing before and after."""
+        place = min(max(time_s / self.period_s, 0.0), self.position_m.size - 1.0)
+        k = min(int(place), self.position_m.size - 2)
+        share = place - k
+        x, v, a = (
+            float(y[k] + share * (y[k + 1] - y[k]))
+            for y in (self.position_m, self.speed_mps, self.acceleration_mps2)
+        )
+        return x, v, a
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """What a reference is laid under.
+
+    Attributes:
+        vehicle: Trainset.
+        track: Section.
+        cap_m: Positions of a speed to keep under beside the limits, None for none. Shape (G,).
+        cap_mps: That speed. Shape (G,).
+        effort_share: Share of the traction and braking at hand that the reference may use.
+        start_m: Where it begins.
+        start_mps: How fast.
+    """
+
+    vehicle: Vehicle
+    track: Track
+    cap_m: ndarray | None = None
+    cap_mps: ndarray | None = None
+    effort_share: float = 0.9
+    start_m: float = 0.0
+    start_mps: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.1 <= self.effort_share <= 1.0:
+            raise InputError(
+                "out of range", field="effort_share", value=self.effort_share, allowed="0.1 to 1"
+            )
+
+
+def sampled(reference: Reference, period_s: float) -> TimedReference:
+    """A reference drawn by hand at equal steps of time."""
+    count = int(np.ceil(reference.duration_s / period_s - 1e-9)) + 2
+    x, v, a = reference.at(np.arange(count) * period_s)
+    return TimedReference(period_s, x, v, np.where(v > 0, a, 0.0), reference.duration_s)
+
+
+def sampled_profile(
+    position_m: Float[ndarray, " nodes"],
+    speed_mps: Float[ndarray, " nodes"],
+    period_s: float,
+    window_s: float = 0.0,
+) -> TimedReference:
+    """A speed profile over space at equal steps of time, its speed averaged over a window of time.
+
+    Args:
+        position_m: Nodes; between them the acceleration is constant.
+        speed_mps: Speed there, above zero inside.
+        period_s: Step of time.
+        window_s: Width of the average.
+    """
+    step, pair = np.diff(position_m), speed_mps[1:] + speed_mps[:-1]
+    seconds = 2.0 * step / np.maximum(pair, 1e-6)
+    node_s = np.concatenate([[0.0], np.cumsum(seconds)])
+    rate = np.append(np.diff(speed_mps) / seconds, 0.0)
+    area = position_m[:-1] * seconds + speed_mps[:-1] * seconds**2 / 2 + rate[:-1] * seconds**3 / 6
+    areas = np.concatenate([[0.0], np.cumsum(area)])
+    duration = float(node_s[-1]) + window_s
+
+    def moments(time_s: ndarray) -> tuple[ndarray, ndarray, ndarray]:
+        """Integral of position, position and speed; steady before the first node and after the last."""
+        k = np.clip(np.searchsorted(node_s, time_s, side="right") - 1, 0, node_s.size - 1)
+        d = time_s - node_s[k]
+        a = np.where(time_s < 0, 0.0, rate[k])
+        x, v = position_m[k], speed_mps[k]
+        return areas[k] + d * (x + d * (v / 2 + d * a / 6)), x + d * (v + d * a / 2), v + d * a
+
+    times = np.arange(int(np.ceil(duration / period_s - 1e-9)) + 2) * period_s
+    now = moments(np.minimum(times, node_s[-1] + window_s))
+    if window_s <= 0:
+        x, v = now[1], now[2]
+        a = rate[np.clip(np.searchsorted(node_s, times, side="right") - 1, 0, node_s.size - 1)]
+    else:
+        then = moments(np.minimum(times, node_s[-1] + window_s) - window_s)
+        x, v, a = ((p - q) / window_s for p, q in zip(now, then, strict=True))
+    over = times >= duration
+    x, v, a = np.where(over, position_m[-1], x), np.where(over, speed_mps[-1], v), np.where(over, 0.0, a)
+    return TimedReference(period_s, x, np.maximum(v, 0.0), a, duration)
+
+
+def reference_under(
+    ground: Ground, shape: ReferenceShape, cruise_mps: float, period_s: float = 0.05
+) -> TimedReference:
+    """The fastest reference under a cruising speed, the limits and the effort at hand.
+
+    Args:
+        ground: Section, trainset and what else bounds it.
+        shape: Largest acceleration, deceleration and jerk.
+        cruise_mps: Speed not to exceed.
+        period_s: Step of time of the result.
+    """
+    at, cap, slope, table = _ground(ground, shape)
+    speed = _profile(ground, shape, np.minimum(cap, cruise_mps), slope, table, at)
+    return sampled_profile(at, speed, period_s, _window_s(shape))
+
+
+def reference_under_for_time(
+    ground: Ground, shape: ReferenceShape, time_s: float, period_s: float = 0.05
+) -> TimedReference:
+    """The reference that takes a running time; the fastest there is where that takes longer.
+
+    Args:
+        ground: Section, trainset and what else bounds it.
+        shape: Largest acceleration, deceleration and jerk.
+        time_s: Running time from here.
+        period_s: Step of time of the result.
+    """
+    at, cap, slope, table = _ground(ground, shape)
+    step = np.diff(at)
+
+    def profile(cruise: float) -> tuple[ndarray, float]:
+        speed = _profile(ground, shape, np.minimum(cap, cruise), slope, table, at)
+        return speed, float((2 * step / np.maximum(speed[1:] + speed[:-1], 1e-6)).sum())
+
+    wanted, low, high = time_s - _window_s(shape), SLOWEST_MPS, float(cap.max())
+    best, fastest = profile(high)
+    if fastest < wanted:
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            speed, took = profile(middle)
+            low, high = (middle, high) if took > wanted else (low, middle)
+            best = speed if took <= wanted else best
+    return sampled_profile(at, best, period_s, _window_s(shape))
+
+
+def _window_s(shape: ReferenceShape) -> float:
+    """Width of the average that keeps the jerk: infinite jerk needs none."""
+    return max(shape.acceleration_mps2, shape.deceleration_mps2) / shape.jerk_mps3
+
+
+def _ground(ground: Ground, shape: ReferenceShape) -> tuple[ndarray, ndarray, ndarray, Specific]:
+    """Nodes, speeds to keep under, what slopes and curves take (m/s^2), and the effort table."""
+    vehicle, track = ground.vehicle, ground.track
+    end = float(track.length_m)
+    start = min(ground.start_m + 0.5 * ground.start_mps * _window_s(shape), end - CELL_M)
+    count = max(int(np.ceil((end - start) / CELL_M)), 2)
+    at = np.linspace(start, end, count + 1)
+    cap = np.minimum(limit_at(track, at), float(vehicle.max_speed_mps))
+    if ground.cap_m is not None and ground.cap_mps is not None:
+        cap = np.minimum(cap, np.interp(at, ground.cap_m, ground.cap_mps))
+    felt = felt_at(vehicle, track, at)
+    table = specific(vehicle)
+    slope = (
+        float(vehicle.mass_kg) * (float(vehicle.gravity_mps2) * felt[:, 0] + felt[:, 1])
+        + felt[:, 2] * np.minimum(cap, 20.0) ** 2
+    ) / table.mass_kg
+    return at, _narrowed(cap, at, _window_s(shape)), slope, table
+
+
+def _narrowed(cap: ndarray, at: ndarray, window_s: float) -> ndarray:
+    """A cap that the average over the window still keeps: the lowest within the way of one window."""
+    if window_s <= 0:
+        return cap
+    reach = int(np.ceil(float(cap.max()) * window_s / float(at[1] - at[0])))
+    padded = np.concatenate([np.full(reach, cap[0]), cap, np.full(reach, cap[-1])])
+    return np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).min(axis=1)
+
+
+def _profile(
+    ground: Ground, shape: ReferenceShape, cap: ndarray, slope: ndarray, table: Specific, at: ndarray
+) -> ndarray:
+    """The fastest speeds under a cap: forward with the traction at hand, backward with the brake."""
+    grid = table.speed_mps
+    davis = table.davis[0] + grid * (table.davis[1] + grid * table.davis[2])
+    up = (ground.effort_share * table.traction - davis).tolist()
+    down = (ground.effort_share * table.braking + davis).tolist()
+    scale, last, cell = 1.0 / float(grid[1]), grid.size - 1, 2.0 * float(at[1] - at[0])
+    most_up = min(shape.acceleration_mps2, table.acceleration)
+    most_down = min(shape.deceleration_mps2, table.deceleration)
+    limit, slopes = (cap**2).tolist(), slope.tolist()
+    energy = limit[:]
+    energy[0] = min(ground.start_mps**2, energy[0])
+    for k in range(1, len(energy)):
+        before = energy[k - 1]
+        rate = min(most_up, up[min(int(before**0.5 * scale), last)] - slopes[k - 1])
+        energy[k] = min(energy[k], max(before + cell * rate, LEAST_RATE_MPS2 * cell))
+    energy[-1] = 0.0
+    for k in range(len(energy) - 2, -1, -1):
+        after = energy[k + 1]
+        rate = max(min(most_down, down[min(int(after**0.5 * scale), last)] + slopes[k]), LEAST_RATE_MPS2)
+        energy[k] = min(energy[k], after + cell * rate)
+    return np.sqrt(energy)

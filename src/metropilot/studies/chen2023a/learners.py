@@ -1,0 +1,117 @@
+"""The three learners as tuned, the ablations, and the learning runs of the study."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from metropilot.learn import DDPGConfig, PPOConfig
+from metropilot.studies.chen2023a.setting import make_assisted, make_unassisted, measured
+from metropilot.studies.learning import LearnJob
+
+if TYPE_CHECKING:
+    from metropilot.learn import AbstractConfig
+
+TRIALS = 6
+"""Settings tried for each learner on :data:`TUNING_SEEDS` by ``benchmarks/chen2023a_tuning.py``."""
+TUNING_SEEDS = (101, 102)
+TUNING_EPISODES = 3_000
+DECISIONS = 85
+"""Decisions of an episode that arrives about on time: turns the paper's episodes into steps."""
+
+FIRST_COMMAND = 0.8
+"""Mean command of every policy before it has learned: full enough to arrive in time now and then."""
+BASE_PPO = PPOConfig(environments=16, rollout=128, minibatches=16, initial_bias=FIRST_COMMAND, gamma=1.0)
+BASE_DDPG = DDPGConfig(
+    environments=16,
+    updates=4,
+    batch_size=64,
+    buffer_size=96_000,
+    initial_bias=math.atanh(FIRST_COMMAND),
+    gamma=1.0,
+    noise=0.3,
+)
+FOLDER = Path(__file__).parent / "trials"
+
+
+def trials(learner: str) -> list[dict[str, Any]]:
+    """The trials of one learner with their scores, as the tuning wrote them."""
+    path = FOLDER / f"{learner}.jsonl"
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def tuned(learner: str, base: AbstractConfig) -> AbstractConfig:
+    """A learner with the best of its settings."""
+    found = trials(learner)
+    return replace(base, **max(found, key=lambda one: one["mean"])["settings"]) if found else base
+
+
+LEARNERS: Mapping[str, AbstractConfig] = MappingProxyType(
+    {
+        "ppo": tuned("ppo", BASE_PPO),
+        "ppo_scaled": tuned("ppo_scaled", replace(BASE_PPO, reward_scaling=True)),
+        "ddpg": tuned("ddpg", BASE_DDPG),
+    }
+)
+"""As tuned."""
+
+NAMES: Mapping[str, str] = MappingProxyType(
+    {"ppo": "PPO", "ppo_scaled": "PPO, reward scaling", "ddpg": "DDPG"}
+)
+
+
+def ablations() -> dict[str, AbstractConfig]:
+    """Plain and scaled PPO with one thing changed, both with the settings tuned for the plain one."""
+    plain = LEARNERS["ppo"]
+    changes = {
+        "as tuned": {},
+        "advantages not normalised": {"normalise_advantages": False},
+        "gradients not clipped": {"max_gradient_norm": None},
+        "neither": {"normalise_advantages": False, "max_gradient_norm": None},
+    }
+    found: dict[str, AbstractConfig] = {}
+    for name, change in changes.items():
+        found[f"{name}, plain"] = replace(plain, **change)
+        found[f"{name}, scaled"] = replace(plain, reward_scaling=True, **change)
+    found["as tuned, rewards times 0.01"] = replace(plain, reward_factor=0.01)
+    return found
+
+
+def sized(config: AbstractConfig, episodes: int, chunks: int) -> AbstractConfig:
+    """A learner told to learn for about so many episodes, evaluated about so many times."""
+    a_time = config.environments * (
+        config.rollout if isinstance(config, PPOConfig) else getattr(config, "collect", 1)
+    )
+    iterations = max(1, round(episodes * DECISIONS / a_time))
+    a_chunk = max(1, round(iterations / chunks))
+    evaluations = max(1, round(iterations / a_chunk))
+    return replace(config, steps=evaluations * a_chunk * a_time, evaluations=evaluations)
+
+
+def jobs(
+    configs: Mapping[str, AbstractConfig], seeds: Sequence[int], *, assisted: bool = True, prefix: str = ""
+) -> list[LearnJob]:
+    """One learning run a learner and seed, learners varying slowest."""
+    task = make_assisted if assisted else make_unassisted
+    return [
+        LearnJob(
+            name=prefix + name.replace(", ", "-").replace(" ", "_"),
+            config=config,
+            task=task,
+            seed=seed,
+            evaluation=partial(measured, config),
+            about={"task": task.__name__, "setting": SETTING},
+        )
+        for name, config in configs.items()
+        for seed in seeds
+    ]
+
+
+SETTING = 1
+"""Raised when the task changes, so that runs kept in a folder are done anew."""

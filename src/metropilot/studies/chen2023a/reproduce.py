@@ -1,0 +1,125 @@
+"""The study, start to end: learn, measure, compare with the paper and with the optimum."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from metropilot.studies.chen2023a.deviations import deviations
+from metropilot.studies.chen2023a.figures import figures
+from metropilot.studies.chen2023a.published import EPISODES, PRESCRIBED_S, THRESHOLD_S
+from metropilot.studies.chen2023a.remarks import remarks
+from metropilot.studies.chen2023a.rows import Least, outcome_rows, paper_rows
+from metropilot.studies.report import Report, Row
+
+if TYPE_CHECKING:
+    from metropilot.learn import AbstractConfig
+    from metropilot.studies.chen2023a.measures import Course
+    from metropilot.studies.study import Order
+
+ABLATION = "Beyond the paper: what reward scaling changes"
+UNASSISTED = "Beyond the paper: the policy brakes to the stop by itself"
+BOUNDS = "Beyond the paper: what the section allows"
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is learned.
+
+    Attributes:
+        seeds: Of the three learners.
+        episodes: Each learns.
+        chunks: Points of a curve, about.
+        more_seeds: Of the ablations and of the runs without the stop assist.
+        more_episodes: These learn; 0: they are left out.
+    """
+
+    seeds: int
+    episodes: int
+    chunks: int
+    more_seeds: int = 0
+    more_episodes: int = 0
+
+
+SIZES = {"quick": Size(1, 1_500, 30), "paper": Size(5, EPISODES, 170, 2, 5_000)}
+
+
+def reproduce(order: Order) -> Report:
+    """Do the study.
+
+    Args:
+        order: ``quick``: one seed, 1,500 episodes of the three learners. ``paper``: five seeds, 20,000
+            episodes, the ablations and the runs without the stop assist.
+    """
+    from metropilot.studies.chen2023a.learners import LEARNERS, ablations
+
+    size = SIZES[order.budget]
+    seeds = order.choose_seeds(quick=size.seeds, paper=size.seeds)
+    learned = _courses(order, LEARNERS, (size.episodes, size.chunks), seeds)
+    least, bounds = _optimum()
+    rows = paper_rows(learned, least)
+    changed: Mapping[str, Sequence[Course]] = {}
+    if size.more_episodes:
+        few, short = range(min(len(seeds), size.more_seeds)), (size.more_episodes, size.chunks // 2)
+        changed = _courses(order, ablations(), short, few, prefix="ablation-")
+        rows += outcome_rows(ABLATION, changed)
+        alone = _courses(order, LEARNERS, short, few, assisted=False, prefix="unassisted-")
+        rows += outcome_rows(UNASSISTED, alone)
+    rows += bounds
+    drawn = figures(learned, least(THRESHOLD_S) or 0.0)
+    title = "Chen et al. 2023: PPO with reward scaling"
+    said = remarks(learned, changed)
+    return Report("chen2023a", title, order.budget, len(seeds), 0.0, rows, drawn, deviations(), said)
+
+
+def _courses(
+    order: Order,
+    configs: Mapping[str, AbstractConfig],
+    length: tuple[int, int],
+    seeds: Sequence[int],
+    *,
+    assisted: bool = True,
+    prefix: str = "",
+) -> dict[str, list[Course]]:
+    """Learn every one of these with every seed; how each went, by name."""
+    from metropilot.studies.chen2023a.learners import jobs, sized
+    from metropilot.studies.chen2023a.measures import course
+    from metropilot.studies.learning import learn_seeds
+
+    wanted = {name: sized(config, *length) for name, config in configs.items()}
+    todo = jobs(wanted, seeds, assisted=assisted, prefix=prefix)
+    results = learn_seeds(todo, order.folder, order.processes, order.say)
+    count = len(seeds)
+    return {name: [course(r) for r in results[k * count : (k + 1) * count]] for k, name in enumerate(wanted)}
+
+
+def _optimum() -> tuple[Least, list[Row]]:
+    """The certified front, and what the last braking of the stop assist costs."""
+    from metropilot.planning import minimum_running_time, optimal_plan
+    from metropilot.studies.chen2023a.setting import J_PER_KWH, make_assisted
+    from metropilot.task.optima import optima_of
+    from metropilot.task.registry import CHEN2023A_STOP_MPS2 as STOP_MPS2
+
+    (section, trainset), *_ = cases = make_assisted().config.cases
+    least = Least(optima_of(cases))
+    gentle = replace(trainset, max_deceleration_mps2=STOP_MPS2)
+    rows = [
+        Row(
+            BOUNDS,
+            "any",
+            "flat_out",
+            "minimum running time",
+            "s",
+            ours=minimum_running_time(section, trainset),
+        )
+    ]
+    for time_s in (PRESCRIBED_S, THRESHOLD_S):
+        case = f"{time_s:g} s"
+        rows.append(
+            Row(BOUNDS, case, "optimal", "least energy", "kWh", ours=least(time_s), optimum=least(time_s))
+        )
+        soft = optimal_plan(section, gentle, time_s).energy_wheel_j / J_PER_KWH
+        kpi = f"least energy, braking at most {STOP_MPS2:g} m/s²"
+        rows.append(Row(BOUNDS, case, "optimal", kpi, "kWh", ours=float(soft), optimum=least(time_s)))
+    return least, rows

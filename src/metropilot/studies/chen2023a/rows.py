@@ -1,0 +1,181 @@
+"""The numbers of the study beside what the paper says of its figures 5 to 19."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metropilot.studies.chen2023a import published
+from metropilot.studies.chen2023a.measures import Course, converged_at, final
+from metropilot.studies.report import Row
+
+if TYPE_CHECKING:
+    from metropilot.task.optima import Optima
+
+Courses = Mapping[str, Sequence[Course]]
+Bound = Callable[[float], "float | None"]
+AFTER = 4000.0
+"""The paper judges the running time from this episode on."""
+J_PER_KWH = 3.6e6
+LEARNING, DRIVING = "episodes with exploration", "the policy itself"
+KINDS = ((LEARNING, "learning"), (DRIVING, "driving"))
+REWARD, LOSS, TIME = "Figures 5 to 7: reward", "Figures 8 to 10: loss", "Figures 11 to 13: running time"
+ENERGY, IMPACT = "Figures 14 to 16: energy at the wheel", "Figures 17 to 19: mean impact rate"
+ORDER, STOP = "The order of the three", "Stopping error (the paper gives none)"
+
+
+@dataclass(frozen=True, eq=False)
+class Least:
+    """Certified least energy at a running time, kWh; None where the front does not reach."""
+
+    optima: Optima
+
+    def __call__(self, time_s: float) -> float | None:
+        """At one running time."""
+        found = float(self.optima.at(np.zeros(1, int), np.array([time_s]))[0]) / J_PER_KWH
+        return found if np.isfinite(found) else None
+
+
+def paper_rows(courses: Courses, least: Bound) -> list[Row]:
+    """Every row that answers a figure of the paper.
+
+    Args:
+        courses: Of every seed, by learner.
+        least: Certified least energy at a running time.
+    """
+    rows = [*reward_rows(courses), *loss_rows(courses), *time_rows(courses)]
+    return [
+        *rows,
+        *energy_rows(courses, least),
+        *impact_rows(courses),
+        *order_rows(courses),
+        *stop_rows(courses),
+    ]
+
+
+def reward_rows(courses: Courses) -> Iterator[Row]:
+    """Whether and when each learner converged, and its final return."""
+    for case, kind in KINDS:
+        for name, mine in courses.items():
+            at = convergences(mine, kind)
+            said = case == LEARNING
+            share = Row(
+                REWARD,
+                case,
+                name,
+                "share of seeds converged",
+                "",
+                published.CONVERGED[name] if said else None,
+            )
+            yield share.measured([float(np.mean([a is not None for a in at]))])
+            when = published.CONVERGED_AT.get(name) if said else None
+            row = Row(REWARD, case, name, "episodes to converge (of those that did)", "episodes", when)
+            yield row.measured(there) if (there := [a for a in at if a is not None]) else row
+            returns = [final(getattr(one, kind)["return"]) for one in mine]
+            yield Row(REWARD, case, name, "final return", "").measured(returns)
+
+
+def convergences(mine: Sequence[Course], kind: str) -> list[float | None]:
+    """Episodes after which each seed had converged."""
+    parts = [(one.episodes, getattr(one, kind)) for one in mine]
+    return [converged_at(episodes, part["running_time_s"], part["return"]) for episodes, part in parts]
+
+
+def loss_rows(courses: Courses) -> Iterator[Row]:
+    """How much the loss still moves at the end, against its size at first."""
+    for name, mine in courses.items():
+        row = Row(LOSS, "first tenth of the learning", name, "median size of the loss", "")
+        yield row.measured([_loss(one, 0) for one in mine])
+        row = Row(LOSS, "last tenth of the learning", name, "median size of the loss", "")
+        yield row.measured([_loss(one, 1) for one in mine])
+
+
+def _loss(one: Course, end: int) -> float:
+    """Median size over the first (0) or last (1) tenth of the chunks."""
+    count = max(1, one.loss.size // 10)
+    return float(np.nanmedian(np.abs(one.loss[-count:] if end else one.loss[:count])))
+
+
+def time_rows(courses: Courses) -> Iterator[Row]:
+    """Final running time, and how often it is at most 88 s after 4000 episodes."""
+    for case, kind in KINDS:
+        for name, mine in courses.items():
+            times = [final(getattr(one, kind)["running_time_s"]) for one in mine]
+            yield Row(TIME, case, name, "final running time", "s").measured(times)
+            said = "share of chunks after 4000 episodes within 88 s"
+            yield Row(TIME, case, name, said, "").measured([_kept(one, kind) for one in mine])
+
+
+def _kept(one: Course, kind: str) -> float:
+    """Share of the chunks after 4000 episodes (or half of a shorter run) within the threshold."""
+    late = one.episodes > min(AFTER, 0.5 * float(one.episodes[-1]))
+    return float(np.mean(getattr(one, kind)["running_time_s"][late] <= published.THRESHOLD_S))
+
+
+def energy_rows(courses: Courses, least: Bound) -> Iterator[Row]:
+    """Final energy of the policy beside the certified optimum in the same running time."""
+    for name, mine in courses.items():
+        arrived = [one for one in mine if final(one.driving["arrived"]) > 0.5]
+        used = [final(one.driving["energy_kwh"]) for one in arrived]
+        best = [least(final(one.driving["running_time_s"])) for one in arrived]
+        known = [(e, b) for e, b in zip(used, best, strict=True) if b is not None]
+        optimum = float(np.median([b for _, b in known])) if known else None
+        row = Row(ENERGY, DRIVING, name, "final energy", "kWh", optimum=optimum)
+        yield row.measured(used) if used else row
+        row = Row(ENERGY, DRIVING, name, "above the optimum in the same running time", "%")
+        yield row.measured([100.0 * (e / b - 1.0) for e, b in known]) if known else row
+    for name, mine in courses.items():
+        row = Row(ENERGY, LEARNING, name, "final energy", "kWh")
+        yield row.measured([final(one.learning["energy_kwh"]) for one in mine])
+
+
+def impact_rows(courses: Courses) -> Iterator[Row]:
+    """Final mean impact rate."""
+    for case, kind in KINDS:
+        for name, mine in courses.items():
+            values = [final(getattr(one, kind)["impact_mps3"]) for one in mine]
+            yield Row(IMPACT, case, name, "final mean impact rate", "m/s³").measured(values)
+
+
+def order_rows(courses: Courses) -> Iterator[Row]:
+    """Place of each learner's median: 1 uses most energy, or has the highest impact rate."""
+    for kpi, order in (("energy_kwh", published.ENERGY_ORDER), ("impact_mps3", published.IMPACT_ORDER)):
+        for case, kind in KINDS:
+            size = {
+                name: float(np.median([final(getattr(one, kind)[kpi]) for one in mine]))
+                for name, mine in courses.items()
+            }
+            ours = sorted(size, key=lambda name: -size[name])
+            words = (
+                "place in energy, 1 is most" if kpi == "energy_kwh" else "place in impact rate, 1 is highest"
+            )
+            for name in courses:
+                said = order.index(name) + 1.0 if case == LEARNING and name in order else None
+                yield Row(ORDER, case, name, words, "", said).measured([ours.index(name) + 1.0])
+
+
+def stop_rows(courses: Courses) -> Iterator[Row]:
+    """How far from the stop the policies stand at last."""
+    for name, mine in courses.items():
+        errors = [final(one.driving["stopping_error_m"]) for one in mine]
+        yield Row(STOP, DRIVING, name, "final stopping error", "m").measured(errors)
+
+
+def outcome_rows(table: str, courses: Courses) -> Iterator[Row]:
+    """For comparisons beyond the paper: whether, when and how well, one learner or variant a case."""
+    for case, mine in courses.items():
+        driver = "ddpg" if "ddpg" in case else "ppo_scaled" if "scaled" in case else "ppo"
+        at = convergences(mine, "learning")
+        share = Row(table, case, driver, "share of seeds converged", "")
+        yield share.measured([float(np.mean([a is not None for a in at]))])
+        if there := [a for a in at if a is not None]:
+            yield Row(table, case, driver, "episodes to converge (of those that did)", "episodes").measured(
+                there
+            )
+        returns = [final(one.driving["return"]) for one in mine]
+        yield Row(table, case, driver, "final return of the policy itself", "").measured(returns)
+        times = [final(one.driving["running_time_s"]) for one in mine]
+        yield Row(table, case, driver, "final running time", "s").measured(times)

@@ -1,0 +1,95 @@
+"""What is learned in the study: the section, its reward, and how a policy is measured."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from metropilot.errors import InputError
+from metropilot.studies.chen2023a.published import PRESCRIBED_S, THRESHOLD_S
+
+if TYPE_CHECKING:
+    from metropilot.drivers.policy.networks import Params
+    from metropilot.learn import AbstractConfig
+    from metropilot.learn.loop import Evaluate
+    from metropilot.task import AbstractTask, DrivingTask
+
+    Array = Any
+
+ALLOWED_S = THRESHOLD_S - PRESCRIBED_S
+DECISION_S = 1.0
+COMFORT = 0.1
+UNASSISTED_TOLERANCE_M = 5.0
+J_PER_KWH = 3.6e6
+
+
+def make_assisted() -> DrivingTask:
+    """The study's task: position and speed in, the share of the available force out, eqs. 16 and 17.
+
+    The last braking to the stop point and the speed limit are kept by the assists; see the deviations.
+    """
+    from metropilot.task import make_task
+
+    return make_task("chen2023a")
+
+
+def make_unassisted() -> DrivingTask:
+    """The same where the policy must brake to a stand by itself, within 5 m of the stop."""
+    from metropilot.task import Assists, OutcomeRule, make_task
+
+    rule = OutcomeRule(tolerance_m=UNASSISTED_TOLERANCE_M)
+    return make_task("chen2023a", assists=Assists(stop=False), outcomes=rule)
+
+
+def measured(config: AbstractConfig, task: AbstractTask) -> Evaluate:
+    """What evaluates a policy: one run from standstill without exploration; nothing in it is random.
+
+    Args:
+        config: The learner's.
+        task: One of this module's.
+
+    Returns:
+        From parameters and a key to ``score`` (the return), ``running_time_s`` (130 s unless it arrived),
+        ``energy_kwh`` (wheel), ``impact_mps3`` (mean size of the jerk), ``stopping_error_m``, ``arrived`` (1
+        or 0), each of shape ().
+
+    Raises:
+        InputError: Not a driving task.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    from metropilot.learn import act
+    from metropilot.learn.registry import make_learner
+    from metropilot.task import CODES, DrivingTask, Outcome, episode_of, starts
+
+    if not isinstance(task, DrivingTask):
+        raise InputError("not a driving task", field="task", value=type(task).__name__)
+
+    spec = make_learner(config, task).spec
+    start = jax.tree.map(lambda x: x[0], starts([0], [PRESCRIBED_S]))
+    rule = task.config.outcomes
+    longest = rule.late_ratio * PRESCRIBED_S + rule.late_s
+    decisions = int(longest / DECISION_S) + 2
+
+    def evaluate(params: Params, key: Array) -> dict[str, Array]:
+        def decide(carry: tuple[Any, Array, Array, Array], _: None) -> tuple[Any, None]:
+            state, seen, alive, returned = carry
+            after, found = task.step(key, state, act(spec, params, seen, None))
+            moved = jax.tree.map(lambda new, old: jnp.where(alive, new, old), after, state)
+            returned = returned + jnp.where(alive, found.reward, 0.0)
+            return (moved, found.observation, alive & ~(found.terminated | found.truncated), returned), None
+
+        begun = (*task.begin(start), jnp.ones((), bool), jnp.zeros((), jnp.float32))
+        (state, _, _, returned), _ = jax.lax.scan(decide, begun, None, length=decisions)
+        run = episode_of(task, state)
+        arrived = run.outcome == CODES.index(Outcome.ARRIVED)
+        return {
+            "score": returned,
+            "running_time_s": jnp.where(arrived, run.running_time_s, longest),
+            "energy_kwh": run.wheel_j / J_PER_KWH,
+            "impact_mps3": run.jerk_mps2 / jnp.maximum(run.running_time_s, 1.0),
+            "stopping_error_m": jnp.abs(run.stop_error_m),
+            "arrived": arrived.astype(jnp.float32),
+        }
+
+    return evaluate

@@ -1,0 +1,144 @@
+"""What the paper leaves open: longer convoys, bad links, string stability, collisions, capacity."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from metropilot.drivers.followers import AbstractFollower
+from metropilot.evaluate.convoy_campaign import Arena, Campaign
+from metropilot.evaluate.convoy_drive import drive_convoy
+from metropilot.evaluate.convoy_headway import Service, needed_gap_m
+from metropilot.evaluate.convoy_stability import speed_gains
+from metropilot.studies.chen2023b.kept import identity, kept
+from metropilot.studies.chen2023b.setting import head_run, pair
+from metropilot.studies.report import Row
+from metropilot.task.convoy_members import GAP_M
+
+TABLE = "Beyond the paper: "
+SWINGS = {"quick": (3, (6.0, 16.0)), "paper": (5, (4.0, 6.0, 10.0, 16.0, 25.0, 40.0))}
+"""Trainsets and periods of the head's swing."""
+SITTING, BATCH = 2_000, 1_000
+CONTACTS = "cases with a contact"
+CAMPAIGNS = {
+    "quick": ((2, "coupled", 2_000),),
+    "paper": ((2, "coupled", 60_000), (4, "coupled", 30_000), (8, "coupled", 10_000), (2, "none", 4_000)),
+}
+SPEED_MPS = 60.0 / 3.6
+
+
+def rough_rows(followers: Mapping[str, AbstractFollower], counts: Sequence[int], folder: Path) -> list[Row]:
+    """The same policy in longer convoys, with other masses and a bad link; kept, each run by itself."""
+    rows = []
+    for count in counts:
+        for name, follower in followers.items():
+            if name == "follow_mpc" and count > 2:
+                continue
+            about = {"follower": identity(follower), "count": count}
+            values = kept(folder, f"disturbed-{name}-{count}", about, partial(_rough, follower, count))
+            case = f"{count} trainsets, masses ±20 %, delay 0.3 s, loss 10 %"
+            kpis = ("contacts", ""), ("smallest gap", "m"), ("largest gap", "m"), ("interventions", "")
+            rows += [
+                Row(TABLE + "the same policy, disturbed", case, name, *kpi).measured([value])
+                for kpi, value in zip(kpis, values, strict=True)
+            ]
+    return rows
+
+
+def _rough(follower: AbstractFollower, count: int) -> list[float]:
+    """Contacts, smallest and largest gap, interventions of one disturbed run."""
+    drive = drive_convoy(pair(count, rough=True), head_run(count), follower)
+    gap = drive.gap_m
+    return [float(drive.contacts), float(gap.min()), float(gap.max()), float(sum(drive.interventions))]
+
+
+def stability(
+    followers: Mapping[str, AbstractFollower], budget: str, folder: Path
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Gains of speed over the head's for each period; (P,) and (P, N). Kept, each follower by itself."""
+    count, periods = SWINGS[budget]
+    found = {}
+    for name, follower in followers.items():
+        if name == "follow_mpc":
+            continue
+        about = {"follower": identity(follower), "count": count, "periods": periods}
+        values = kept(folder, f"stability-{name}", about, partial(_gains, follower, count, periods))
+        found[name] = (np.array(periods), np.array(values))
+    return found
+
+
+def _gains(follower: AbstractFollower, count: int, periods: Sequence[float]) -> list[list[float]]:
+    return speed_gains(pair(count, guard="none"), follower, periods).tolist()
+
+
+def stability_rows(gains: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> list[Row]:
+    """Largest gain between neighbours, over all swings."""
+    return [
+        Row(
+            TABLE + "string stability",
+            f"{values.shape[1]} trainsets, no protection, swings of {times[0]:g} to {times[-1]:g} s",
+            name,
+            "largest gain of speed from one trainset to the next",
+            "",
+        ).measured([float((values[:, 1:] / values[:, :-1]).max())])
+        for name, (times, values) in gains.items()
+    ]
+
+
+def campaign_rows(budget: str, folder: Path) -> list[Row]:
+    """Emergency brakes of the head at any moment, followers that mean harm; kept bit by bit."""
+    rows = []
+    for count, guard, cases in CAMPAIGNS[budget]:
+        found = _attacked(Campaign(count=count, guard=guard), cases, folder)
+        case = f"{count} trainsets, {cases:,} emergency brakes of the head"
+        table, who = TABLE + "trying to make them collide", f"protection {guard}"
+        rows += [
+            Row(table, case, who, CONTACTS, "").measured([float(sum(each[0] for each in found))]),
+            Row(table, case, who, "smallest gap", "m").measured([min(each[1] for each in found)]),
+        ]
+    return rows
+
+
+def _attacked(campaign: Campaign, cases: int, folder: Path) -> list[list[float]]:
+    """Contacts and smallest gap of every sitting of a campaign."""
+    arena: list[Arena] = []
+    sitting = min(SITTING, cases)
+
+    def attacked(k: int) -> list[float]:
+        if not arena:
+            arena.append(Arena(campaign))
+        tally = arena[0].run(sitting, BATCH, first=k * sitting // BATCH)
+        return [float(tally.contacts), float(tally.gap_min_m.min())]
+
+    found = []
+    for k in range(cases // sitting):
+        about = {"campaign": asdict(campaign), "sitting": k, "cases": sitting, "batch": BATCH}
+        name = f"campaign-{campaign.guard}-{campaign.count}-{k}"
+        found.append(kept(folder, name, about, partial(attacked, k)))
+    return found
+
+
+def capacity_rows() -> list[Row]:
+    """Trainsets an hour: moving block, and coupled convoys behind each other under it."""
+    rows = []
+    single = pair(2)
+    apart = needed_gap_m(single, "moving_block", SPEED_MPS)
+    for guard in ("moving_block", "independent", "coupled"):
+        gap = needed_gap_m(single, guard, SPEED_MPS)
+        case, who = "steady 60 km/h, level link", f"protection {guard}"
+        rows.append(Row(TABLE + "gap that protection needs", case, who, "gap", "m").measured([gap]))
+    for count in (1, 2, 4, 8):
+        convoy = pair(max(count, 2))
+        inside = max(GAP_M, needed_gap_m(convoy, "coupled", SPEED_MPS))
+        service = Service(count, convoy.trainsets[0].length_m, inside, apart, SPEED_MPS)
+        who, table = "moving block" if count == 1 else f"convoys of {count}", TABLE + "trainsets an hour"
+        for case, value in (
+            ("plain line, 60 km/h", service.line_per_h),
+            ("platform as long as a convoy, 30 s dwell", service.platform_per_h),
+        ):
+            rows.append(Row(table, case, who, "trainsets", "1/h").measured([value]))
+    return rows

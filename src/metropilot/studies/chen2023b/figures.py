@@ -1,0 +1,86 @@
+"""Figures 3 to 9, and string stability."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from metropilot.evaluate.convoy_drive import ConvoyDrive
+from metropilot.evaluate.style import BLACK, GREY, SERIES
+from metropilot.studies.chen2023b.setting import PUBLISHED
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Drawing
+
+Histories = Mapping[str, Sequence[Mapping[str, np.ndarray]]]
+
+
+def _panels(count: int, height: float, **options: Any) -> tuple[Drawing, Any]:  # noqa: ANN401 (matplotlib's)
+    from matplotlib import pyplot as plt
+
+    return plt.subplots(count, 1, figsize=(8, height), layout="constrained", **options)
+
+
+def learning(histories: Histories, columns: Mapping[str, str], label: str) -> Drawing:
+    """A column of the history over environment steps, one panel an algorithm, one line a seed."""
+    figure, axes = _panels(len(histories), 5.0, sharex=True)
+    for (name, runs), panel, (colour, _) in zip(histories.items(), axes, SERIES, strict=False):
+        for run in runs:
+            panel.plot(run["steps"], run[columns[name]], color=colour, linewidth=0.9)
+        panel.set_title(name, loc="left", fontsize=9)
+        panel.set_ylabel(label)
+    axes[-1].set_xlabel("environment steps")
+    return figure
+
+
+def profiles(drive: ConvoyDrive) -> Drawing:
+    """Speeds of both trainsets over time."""
+    figure, axes = _panels(1, 3.6)
+    for k, t in enumerate(drive.trajectories):
+        name = "trainset 1 (head)" if k == 0 else f"trainset {k + 1} ({drive.follower})"
+        colour, dashes = (BLACK, "-") if k == 0 else (SERIES[0][0], (0, (6, 2)))
+        axes.plot(t.time_s, t.speed_mps, color=colour, linestyle=dashes, label=name)
+    axes.set(xlabel="time (s)", ylabel="speed (m/s)")
+    axes.legend()
+    return figure
+
+
+def gaps(drives: Mapping[str, ConvoyDrive]) -> Drawing:
+    """Gaps over time, the published band behind."""
+    figure, axes = _panels(1, 4.2)
+    axes.axhspan(PUBLISHED["gap_min_m"], PUBLISHED["gap_max_m"], color="#EDEDED", zorder=0)
+    for (name, drive), (colour, dashes) in zip(drives.items(), SERIES, strict=False):
+        axes.plot(drive.time_s, drive.gap_m[:, 0], color=colour, linestyle=dashes, label=name)
+    axes.set(xlabel="time (s)", ylabel="gap (m)")
+    axes.legend(ncols=3)
+    return figure
+
+
+def differences(drives: Mapping[str, ConvoyDrive]) -> Drawing:
+    """Speed differences over time, the published bound as lines."""
+    figure, axes = _panels(1, 4.2)
+    bound = PUBLISHED["speed_difference_max_mps"]
+    for level in (-bound, bound):
+        axes.axhline(level, color=GREY, linewidth=0.8)
+    for (name, drive), (colour, dashes) in zip(drives.items(), SERIES, strict=False):
+        apart = drive.speed_difference_mps[:, 0]
+        axes.plot(drive.time_s, apart, color=colour, linestyle=dashes, label=name)
+    axes.set(xlabel="time (s)", ylabel="speed ahead less own speed (m/s)")
+    axes.legend(ncols=3)
+    return figure
+
+
+def stability(gains: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Drawing:
+    """Amplitude of the last trainset's speed over the head's, over the period of the swing."""
+    figure, axes = _panels(1, 4.0)
+    for (name, (periods, values)), (colour, dashes) in zip(gains.items(), SERIES, strict=False):
+        axes.plot(
+            periods, values[:, -1], color=colour, linestyle=dashes, marker="o", markersize=3, label=name
+        )
+    axes.axhline(1.0, color=GREY, linewidth=0.8)
+    axes.set(xlabel="period of the head's swing (s)", ylabel="speed swing of the last over the head's")
+    axes.set_xscale("log")
+    axes.legend()
+    return figure

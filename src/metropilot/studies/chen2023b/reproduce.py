@@ -1,0 +1,217 @@
+"""The study: figures 3 to 9, and what the paper left open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from metropilot.drivers.followers import FOLLOWERS, AbstractFollower
+from metropilot.drivers.followers.learned import FollowPolicyOptions
+from metropilot.errors import InputError
+from metropilot.evaluate.convoy_drive import ConvoyDrive, drive_convoy
+from metropilot.studies.chen2023b import figures
+from metropilot.studies.chen2023b.beyond import (
+    campaign_rows,
+    capacity_rows,
+    rough_rows,
+    stability,
+    stability_rows,
+)
+from metropilot.studies.chen2023b.learning import ETAS, NAMES, jobs
+from metropilot.studies.chen2023b.remarks import DEVIATIONS, FIRST_RETURN, LAST_RETURN, remarks
+from metropilot.studies.chen2023b.setting import PUBLISHED, SIMPLE, head_run, pair
+from metropilot.studies.report import Figure, Report, Row
+from metropilot.studies.study import Order, Study
+
+if TYPE_CHECKING:
+    from metropilot.studies.learning import SeedResult
+
+WORDS = {
+    "gap_min_m": ("smallest gap", "m"),
+    "gap_max_m": ("largest gap", "m"),
+    "speed_difference_max_mps": ("largest speed difference", "m/s"),
+}
+CASE = "2 trainsets, YZQ–WHY"
+
+
+def reproduce(order: Order) -> Report:
+    """Figures 3 to 9 and beyond; quick: figures 7 to 9 with the shipped policies, nothing learned."""
+    seeds = order.choose_seeds(quick=1, paper=5)
+    runs = {} if _shipped(order) else _learned(order, seeds)
+    drivers = _drivers(order, runs)
+    order.say("driving")
+    drives = {name: [_driven(each) for each in each_seed] for name, each_seed in drivers.items()}
+    rows = [row for name, each in drives.items() for row in _rows(name, each)]
+    rows += _learning_rows(runs, order.budget)
+    first = {name: each[0] for name, each in drivers.items()}
+    shown = {name: each[0] for name, each in drives.items()}
+    order.say("disturbing")
+    rows += rough_rows(first, (2, 4, 8) if order.budget == "paper" else (2,), order.folder)
+    order.say("swinging")
+    gains = stability(first, order.budget, order.folder)
+    rows += stability_rows(gains)
+    order.say("attacking")
+    rows += campaign_rows(order.budget, order.folder) + capacity_rows()
+    return Report(
+        study="chen2023b",
+        title=STUDY.title,
+        budget=order.budget,
+        seeds=max((len(each) for each in runs.values()), default=len(seeds)),
+        seconds=0.0,
+        rows=rows,
+        figures=_figures(runs, shown, gains),
+        deviations=DEVIATIONS,
+        remarks=[*_missing(runs, seeds), *remarks(rows)],
+    )
+
+
+def _learned(order: Order, seeds: range) -> dict[str, list[SeedResult]]:
+    """Every seed's learning run, or those that the folder holds already."""
+    from metropilot.studies.learning import finished, learn_seeds
+
+    todo = [job for name in NAMES for job in jobs(name, order.budget, order.options["eta"], seeds)]
+    if order.options["learn"] == "nothing":
+        todo = finished(todo, order.folder)
+    found = learn_seeds(todo, order.folder, order.processes, order.say)
+    runs = {name: [run for run in found if run.job.config.algorithm == name] for name in NAMES}
+    for name, each in runs.items():
+        if not each:
+            raise InputError("no learning run is there", file=order.folder, field="learn", value=name)
+    return runs
+
+
+def _missing(runs: dict[str, list[SeedResult]], seeds: range) -> list[str]:
+    """Which seeds the numbers come from, where some are missing."""
+    if all(len(each) == len(seeds) for each in runs.values()):
+        return []
+    there = " and ".join(
+        f"{len(each)} of {NAMES[name]} (seeds {', '.join(str(run.job.seed) for run in each)})"
+        for name, each in runs.items()
+    )
+    return [f"Of {len(seeds)} learning runs each these were done when the page was written: {there}."]
+
+
+def _shipped(order: Order) -> bool:
+    """Whether the shipped policies drive: in the quick study with its own eta."""
+    there = all(name in FOLLOWERS.ids() for name in NAMES.values())
+    return order.budget == "quick" and order.options["eta"] == "soft" and there
+
+
+def _drivers(order: Order, runs: dict[str, list[SeedResult]]) -> dict[str, list[AbstractFollower]]:
+    """Every follower: learned ones as shipped, or one a seed; the others once."""
+    from metropilot.drivers.followers.ddpg_pid_follow import DdpgPidFollow
+    from metropilot.drivers.followers.sac_pid import SacPid
+
+    kinds: dict[str, Any] = {"sac": SacPid, "ddpg": DdpgPidFollow}
+    made: dict[str, list[AbstractFollower]] = {}
+    for algorithm, name in NAMES.items():
+        paths = [""] if _shipped(order) else [str(_folder(order.folder, run)) for run in runs[algorithm]]
+        made[name] = [kinds[algorithm](FollowPolicyOptions(path)) for path in paths]
+    return made | {name: [FOLLOWERS.make(name)] for name in SIMPLE}
+
+
+def _folder(root: Path, run: SeedResult) -> Path:
+    return root / f"{run.job.name}-{run.job.seed}"
+
+
+def _driven(follower: AbstractFollower) -> ConvoyDrive:
+    return drive_convoy(pair(), head_run(), follower)
+
+
+def _rows(name: str, drives: Sequence[ConvoyDrive]) -> list[Row]:
+    """Figures 8 and 9 in numbers."""
+    values = {
+        "gap_min_m": [drive.gap_m.min() for drive in drives],
+        "gap_max_m": [drive.gap_m.max() for drive in drives],
+        "speed_difference_max_mps": [np.abs(drive.speed_difference_mps).max() for drive in drives],
+    }
+    rows = []
+    for key, measured in values.items():
+        published = PUBLISHED[key] if name == "sac_pid" else None
+        rows.append(Row("Figs. 7 to 9", CASE, name, *WORDS[key], published=published).measured(measured))
+    overruled = [float(sum(drive.interventions)) for drive in drives]
+    return [*rows, Row("Figs. 7 to 9", CASE, name, "interventions of protection", "").measured(overruled)]
+
+
+def _learning_rows(runs: dict[str, list[SeedResult]], budget: str) -> list[Row]:
+    """What learning took and came to."""
+    rows = []
+    for algorithm, each in runs.items():
+        name, table = NAMES[algorithm], "Figs. 3 to 6"
+        rows += [
+            Row(table, budget, name, "mean largest gap error behind 24 heads", "m").measured(
+                float(np.nanmin(run.history["evaluation.gap_error_m"])) for run in each
+            ),
+            Row(table, budget, name, FIRST_RETURN, "").measured(_returns(run)[0] for run in each),
+            Row(table, budget, name, LAST_RETURN, "").measured(_returns(run)[1] for run in each),
+            Row(table, budget, name, "learning time, one core", "s").measured(run.seconds for run in each),
+            Row(table, budget, name, "compilation", "s").measured(run.compile_seconds for run in each),
+        ]
+    return rows
+
+
+def _returns(run: SeedResult) -> tuple[float, float]:
+    """Mean return of the episodes that ended in the first and in the last quarter of learning."""
+    found = run.history["return"]
+    found = found[np.isfinite(found)]
+    quarter = max(found.size // 4, 1)
+    return float(found[:quarter].mean()), float(found[-quarter:].mean())
+
+
+def _figures(
+    runs: dict[str, list[SeedResult]],
+    drives: dict[str, ConvoyDrive],
+    gains: dict[str, tuple[np.ndarray, np.ndarray]],
+) -> list[Figure]:
+    histories = {NAMES[algorithm]: [run.history for run in each] for algorithm, each in runs.items()}
+    losses = {"sac_pid": "actor_loss", "ddpg_pid_follow": "loss"}
+    curves = [
+        Figure(
+            "rewards",
+            "Figs. 3 and 4: return of the episodes while learning, one line a seed.",
+            lambda: figures.learning(histories, dict.fromkeys(histories, "return"), "return of an episode"),
+        ),
+        Figure(
+            "losses",
+            "Figs. 5 and 6: policy loss of SAC, critic loss of DDPG, one line a seed.",
+            lambda: figures.learning(histories, losses, "loss"),
+        ),
+    ]
+    return [
+        *(curves if runs else ()),
+        Figure(
+            "profiles",
+            "Fig. 7: speed of both trainsets under SAC-PID.",
+            lambda: figures.profiles(drives["sac_pid"]),
+        ),
+        Figure(
+            "gap",
+            "Fig. 8: gap of every follower; the band is the published 5.88 to 5.98 m.",
+            lambda: figures.gaps(drives),
+        ),
+        Figure(
+            "speed_difference",
+            "Fig. 9: speed difference of every follower; published: below 0.15 m/s.",
+            lambda: figures.differences(drives),
+        ),
+        Figure(
+            "string_stability",
+            "Beyond the paper: the last trainset's swing of speed over the head's; above 1 it grows.",
+            lambda: figures.stability(gains),
+        ),
+    ]
+
+
+STUDY = Study(
+    id="chen2023b",
+    title="Chen et al. 2023: train tracking in virtual coupling",
+    citation=(
+        "Chen, B.; Zhang, L.; Cheng, G.; Liu, Y.; Chen, J. *A Novel Approach for Train Tracking in Virtual "
+        "Coupling Based on Soft Actor-Critic*. Actuators 2023, 12(12), 447, doi 10.3390/act12120447."
+    ),
+    reproduce=reproduce,
+    options={"eta": tuple(ETAS), "learn": ("missing", "nothing")},
+)

@@ -1,0 +1,42 @@
+"""What runs: the pair of the paper, its head's run, and the followers compared."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from metropilot.evaluate.convoy_drive import HeadRun
+from metropilot.planning.references import ReferenceShape, reference_for_time
+from metropilot.railway import load_line, load_trainset
+from metropilot.task import Outcome
+from metropilot.task.convoy_leaders import record, reference_speeds
+from metropilot.task.convoy_link import Link
+from metropilot.task.convoy_members import Convoy, Guard
+
+LINE, ORIGIN, DESTINATION, TRAINSET, TIME_S = "yizhuang", "YZQ", "WHY", "cheng2023", 100.0
+SHAPE = ReferenceShape(0.65, 0.65, 0.5)
+"""Head's S-curve: acceleration, deceleration, jerk. The paper's profile is not printed."""
+PUBLISHED = {"gap_min_m": 5.88, "gap_max_m": 5.98, "speed_difference_max_mps": 0.15}
+"""Chen23b section 4: figs. 8 and 9."""
+SIMPLE = ("follow_pid", "follow_gap", "follow_mpc")
+ROUGH = Link(delay_s=0.3, loss=0.1)
+MASSES = (1.0, 1.2, 0.8, 1.2, 0.8, 1.2, 0.8, 1.2)
+
+
+def pair(count: int = 2, *, rough: bool = False, guard: Guard = "coupled") -> Convoy:
+    """The paper's convoy, or a longer one; ``rough``: masses +-20 %, messages 0.3 s late, 10 % lost."""
+    section = load_line(LINE).section(ORIGIN, DESTINATION)
+    masses = MASSES[:count] if rough else ()
+    link = ROUGH if rough else Link()
+    return Convoy(section, (load_trainset(TRAINSET),) * count, guard=guard, link=link, mass_factors=masses)
+
+
+@lru_cache
+def head_run(count: int = 2, emergency_s: float = float("inf")) -> HeadRun:
+    """The head on its S-curve; slower where a long convoy's limits make it."""
+    convoy = pair(count)
+    section, trainset = convoy.leader()
+    fastest = min(float(section.limit_mps.at(400.0)) - 0.8, 20.0)
+    time_s = max(TIME_S, SHAPE.time_s(section.length_m, fastest) + 0.5)
+    reference = reference_for_time(section.length_m, time_s, SHAPE, fastest)
+    commands = record(section, trainset, reference_speeds(reference, convoy.dt), convoy.dt).command
+    return HeadRun("S-curve", commands, Outcome.ARRIVED, emergency_s)

@@ -1,0 +1,116 @@
+"""What is tracked: the references, and the five scenarios."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from metropilot.errors import InputError
+from metropilot.physics import track_arrays, vehicle_arrays
+from metropilot.planning import PlanOptions, ReferenceShape, plan_arrays, reference
+from metropilot.planning.timed_reference import (
+    Ground,
+    TimedReference,
+    reference_under,
+    sampled,
+    sampled_profile,
+)
+from metropilot.railway import Section, Trainset, load_line, load_trainset
+from metropilot.railway.profile import Steps
+from metropilot.task.tracking import Course, course_of
+
+DT_S = 0.2
+LENGTH_M = 1280.0
+LIMIT_MPS = 80 / 3.6
+SHAPE = ReferenceShape(0.9, 0.8, 0.5)
+GENTLE = ReferenceShape(0.75, 0.75, 0.4)
+EFFORT_SHARE = 0.9
+CRUISE_MPS = {"base": 18.3, "fast": 19.7, "slow": 17.2}
+"""Those that give the published energies 17.04, 19.36 and 15.22 kWh."""
+REFERENCES = {
+    "s_curve": "S-curve 0.9/0.8 m/s2, 0.5 m/s3, within 90 % of the effort at hand",
+    "gentle": "S-curve 0.75/0.75 m/s2, 0.4 m/s3, within 90 % of the effort at hand",
+    "trapezoid": "trapezoid 0.9/0.8 m/s2, within 90 % of the effort at hand",
+    "drawn": "S-curve 0.9/0.8 m/s2, 0.5 m/s3, as drawn: beyond the effort at hand",
+    "optimal": "energy-optimal plan in the running time of the S-curve",
+}
+SCENARIOS = {
+    1: ("base", 1.0),
+    2: ("base", 1.5),
+    3: ("base", 0.5),
+    4: ("fast", 1.0),
+    5: ("slow", 1.0),
+}
+"""Speed of the reference and factor on the running resistance (Cheng23 tables 2 to 4)."""
+NAMES = {
+    1: "scenario 1: base",
+    2: "scenario 2: resistance x 1.5",
+    3: "scenario 3: resistance x 0.5",
+    4: "scenario 4: faster reference",
+    5: "scenario 5: slower reference",
+}
+
+
+@cache
+def trainset() -> Trainset:
+    """The paper's trainset: a point mass with ideal actuation."""
+    return load_trainset("cheng2023").ideal()
+
+
+@cache
+def section() -> Section:
+    """1280 m of straight, level track, 80 km/h throughout."""
+    like = load_line("yizhuang").section("RJ", "WYJ")
+    level = Steps(np.array([0.0]), np.array([0.0]))
+    limit = Steps(np.array([0.0]), np.array([LIMIT_MPS]))
+    return replace(
+        like,
+        line_id="cheng2023",
+        length_m=LENGTH_M,
+        limit_mps=limit,
+        gradient_permil=level,
+        curves=(),
+        tunnels=(),
+    )
+
+
+def reference_of(kind: str, speed: str = "base") -> TimedReference:
+    """A reference sampled at the paper's control period.
+
+    Args:
+        kind: A name in ``REFERENCES``.
+        speed: ``base``, ``fast`` or ``slow``.
+
+    Raises:
+        InputError: No such reference.
+    """
+    if kind not in REFERENCES:
+        raise InputError("unknown reference", field="reference", value=kind, allowed=", ".join(REFERENCES))
+    cruise = CRUISE_MPS[speed]
+    if kind == "drawn":
+        return sampled(reference(LENGTH_M, cruise, SHAPE), DT_S)
+    vehicle, track = vehicle_arrays(trainset()), track_arrays(section(), trainset())
+    if kind == "optimal":
+        time_s = reference_of("s_curve", speed).duration_s
+        plan = plan_arrays(vehicle, track, time_s, PlanOptions())
+        return sampled_profile(plan.position_m, plan.speed_mps, DT_S)
+    shape = GENTLE if kind == "gentle" else SHAPE
+    shape = replace(shape, jerk_mps3=math.inf) if kind == "trapezoid" else shape
+    return reference_under(Ground(vehicle, track, effort_share=EFFORT_SHARE), shape, cruise, DT_S)
+
+
+def course(kind: str = "s_curve", scenario: int = 1) -> Course:
+    """What is tracked in a scenario."""
+    speed, factor = SCENARIOS[scenario]
+    return course_of(trainset(), section(), reference_of(kind, speed), factor)
+
+
+@cache
+def optimal_kwh(scenario: int = 1) -> float:
+    """Least traction energy at the wheel in the running time of a scenario's reference, kWh."""
+    of, speed = course(scenario=scenario), SCENARIOS[scenario][0]
+    time_s = reference_of("s_curve", speed).duration_s
+    return plan_arrays(of.vehicle, of.track, time_s, PlanOptions(spacing_m=5.0)).energy_kwh

@@ -1,0 +1,92 @@
+"""Figures 7 to 10: errors over time, speed under other resistances and other references."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metropilot.evaluate.tracking import TrackRecord
+from metropilot.studies.cheng2023.courses import NAMES
+from metropilot.studies.report import Figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Drawing
+
+Records = Mapping[tuple[str, int], TrackRecord]
+"""A record for each driver and scenario."""
+
+
+def _counted(record: TrackRecord) -> np.ndarray:
+    return np.asarray(record.counted, bool)
+
+
+def errors_figure(records: Records, field: str, label: str) -> Drawing:
+    """An error over time, one line a driver, in the base scenario."""
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(8, 4))
+    for (driver, scenario), record in records.items():
+        if scenario != 1:
+            continue
+        keep = _counted(record)
+        wide = driver == "ddpg_pid"
+        axes.plot(
+            record.time_s[keep],
+            getattr(record, field)[keep],
+            label=driver,
+            linewidth=1.8 if wide else 0.9,
+            linestyle="--" if driver.endswith("tuned") else "-",
+            zorder=3 if wide else 2,
+        )
+    axes.axhline(0.0, color="0.6", linewidth=0.6)
+    axes.set(xlabel="time in s", ylabel=label)
+    axes.legend(ncols=2, fontsize=8)
+    return figure
+
+
+def profiles_figure(records: Records, scenarios: tuple[int, ...], over: str) -> Drawing:
+    """Speed of DDPG-PID in some scenarios with its reference, the error below."""
+    from matplotlib import pyplot as plt
+
+    figure, (speeds, errors) = plt.subplots(
+        2, 1, figsize=(8, 5.5), sharex=True, height_ratios=(2, 1), layout="constrained"
+    )
+    for scenario in scenarios:
+        record = records["ddpg_pid", scenario]
+        keep = _counted(record)
+        at = getattr(record, over)[keep]
+        (line,) = speeds.plot(at, record.speed_mps[keep], label=NAMES[scenario])
+        speeds.plot(at, record.reference_mps[keep], color="0.3", linewidth=0.7, linestyle=":")
+        errors.plot(at, record.error_mps[keep], color=line.get_color(), linewidth=0.9)
+    speeds.set(ylabel="speed in m/s (dotted: reference)")
+    speeds.legend(fontsize=8)
+    errors.set(xlabel="time in s" if over == "time_s" else "position in m", ylabel="error in m/s")
+    return figure
+
+
+def figures(records: Records) -> tuple[Figure, ...]:
+    """The paper's figures 7 to 10 with our drivers."""
+    return (
+        Figure(
+            "speed_errors",
+            "Speed error over time in the base scenario, all drivers (Cheng23 fig. 7).",
+            lambda: errors_figure(records, "error_mps", "speed error in m/s"),
+        ),
+        Figure(
+            "position_errors",
+            "Position error over time in the base scenario, all drivers (Cheng23 fig. 8).",
+            lambda: errors_figure(records, "distance_m", "position error in m"),
+        ),
+        Figure(
+            "resistance",
+            "DDPG-PID under half, plain and one and a half times the resistance (Cheng23 fig. 9).",
+            lambda: profiles_figure(records, (1, 2, 3), "time_s"),
+        ),
+        Figure(
+            "references",
+            "DDPG-PID on the base, the faster and the slower reference (Cheng23 fig. 10).",
+            lambda: profiles_figure(records, (1, 4, 5), "position_m"),
+        ),
+    )

@@ -1,0 +1,80 @@
+"""How DDPG-PID is learned and how the others are tuned."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from metropilot.studies.cheng2023.courses import course
+from metropilot.task.incremental_pid import Errors
+from metropilot.task.tracking_task import TrackingConfig, TrackingRewards, TrackingTask
+
+if TYPE_CHECKING:
+    from metropilot.learn import DDPGConfig
+    from metropilot.task.interface import AbstractTask
+
+REWARDS = TrackingRewards(
+    weights=(0.2, 0.2, 2.0, 0.2, 0.2),
+    speed_scale_mps=0.03,
+    distance_scale_m=0.25,
+    jerk_scale_mps3=10.0,
+    parking_scale_m=0.05,
+)
+"""Cheng23's five terms; the scales say what counts as a small error, where the paper has 1, and parking, paid
+once in a run, weighs ten times the paper's."""
+JOB = "ddpg_pid"
+
+
+def config() -> DDPGConfig:
+    """DDPG as it is told; the paper prints none of it."""
+    from metropilot.learn import DDPGConfig, Schedule
+
+    return DDPGConfig(
+        steps=120_000,
+        environments=16,
+        evaluations=80,
+        gamma=0.985,
+        hidden=(64, 64),
+        batch_size=128,
+        updates=8,
+        buffer_size=96_000,
+        warmup=8_000,
+        actor_rate=Schedule(5e-4, 1e-4),
+        critic_rate=Schedule(1e-3, 2e-4),
+        noise=Schedule(0.5, 0.02, over=0.7),
+        tau=0.01,
+        saturation_cost=0.003,
+    )
+
+
+def task() -> TrackingTask:
+    """The paper's task on the base scenario."""
+    return TrackingTask(TrackingConfig((course(),), rewards=REWARDS))
+
+
+def evaluation(made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
+    """What keeps the best policy: the base scenario from standstill, judged by ``tracking_score``."""
+    import jax
+    import jax.numpy as jnp
+
+    from metropilot.drivers.ddpg_pid import ddpg_pid
+    from metropilot.drivers.policy import act
+    from metropilot.evaluate.tracking import track_compiled, tracking_kpis, tracking_score
+    from metropilot.learn.registry import make_learner
+
+    if not isinstance(made, TrackingTask):
+        raise TypeError("the tracking task is evaluated here")
+    spec, single = make_learner(config(), made).spec, made.course(0)
+
+    def evaluate(params: Mapping[str, Any], key: Any) -> dict[str, Any]:  # noqa: ANN401 (a JAX key)
+        del key
+
+        def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
+            return ddpg_pid(lambda observation: act(spec, params, observation), seen, memory)
+
+        start = Errors(jnp.float32(0.0), jnp.float32(0.0))
+        kpis = tracking_kpis(single, track_compiled(single, control, start), jnp)
+        numbers = jax.tree.map(lambda value: jnp.asarray(value, jnp.float32), kpis._asdict())
+        return {"score": tracking_score(kpis), **numbers}
+
+    return evaluate

@@ -1,0 +1,123 @@
+"""The study: tune or take what was tuned, learn or take what was learned, track, report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from metropilot.evaluate.tracking import TrackingKpis, TrackRecord, track, tracking_kpis
+from metropilot.studies.cheng2023 import rows as table
+from metropilot.studies.cheng2023.controllers import Contestant, contestants
+from metropilot.studies.cheng2023.courses import REFERENCES, SCENARIOS, course
+from metropilot.studies.cheng2023.figures import figures
+from metropilot.studies.cheng2023.remarks import DEVIATIONS, remarks
+from metropilot.studies.cheng2023.tuned import TUNED
+from metropilot.studies.report import Report, Row
+from metropilot.studies.study import Order
+
+if TYPE_CHECKING:
+    from metropilot.studies.learning import LearnJob
+
+SEEDS = 5
+TITLE = "Tracking a reference: DDPG-PID against PID, fuzzy and neural PID (Cheng et al. 2023)"
+
+
+def reproduce(order: Order) -> Report:
+    """Tables 1, 3 and 4 and figures 7 to 10.
+
+    The budget ``quick`` takes the policy and the parameters that are shipped; ``paper`` learns and searches
+    anew on the base scenario.
+
+    Args:
+        order: How; its option ``reference`` chooses what is tracked (nobody learns it anew).
+    """
+    kind = order.options["reference"]
+    policies, tuned = _made(order)
+    everybody = contestants(tuned, policies)
+    measured, records = _raced(everybody, kind, tuple(policies))
+    published = {c.driver: c.published if kind == "s_curve" else "" for c in everybody}
+    found: list[Row] = [
+        *table.table_1(measured, published),
+        *table.table_3(measured),
+        *table.table_4(measured),
+    ]
+    found += [*table.margins(measured), *_elsewhere(everybody, tuple(policies), kind)]
+    order.say(f"{len(everybody)} drivers tracked {len(SCENARIOS)} scenarios")
+    return Report(
+        study="cheng2023",
+        title=TITLE,
+        budget=order.budget,
+        seeds=len(policies),
+        seconds=0.0,
+        rows=found,
+        figures=figures(records),
+        deviations=DEVIATIONS,
+        remarks=remarks(measured, kind, tuned),
+    )
+
+
+def _made(order: Order) -> tuple[dict[int, Callable[[Any], Any]], Mapping[str, Mapping[str, float]]]:
+    """A policy a seed, and the tuned parameters."""
+    if order.budget == "quick":
+        from metropilot.drivers.ddpg_pid import load_gains_policy
+        from metropilot.drivers.shipped import shipped_policy
+
+        return {0: load_gains_policy(shipped_policy("ddpg_pid"))}, TUNED
+    from metropilot.evaluate.tracking_tuning import TUNABLE, tune
+    from metropilot.studies.learning import learn_seeds
+
+    seeds = order.choose_seeds(quick=1, paper=SEEDS)
+    results = learn_seeds(jobs(seeds), order.folder, order.processes, order.say)
+    tuned = {}
+    for driver in TUNABLE:
+        tuned[driver] = tune(driver, course()).values
+        order.say(f"{driver} tuned")
+    return {result.job.seed: result.policy for result in results}, tuned
+
+
+def jobs(seeds: Iterable[int]) -> list[LearnJob]:
+    """The learning runs of the study, one a seed."""
+    from metropilot.studies.cheng2023.learning import JOB, REWARDS, config, evaluation, task
+    from metropilot.studies.learning import LearnJob
+
+    about = {"rewards": repr(REWARDS)}
+    return [LearnJob(JOB, config(), task, seed, evaluation, about) for seed in seeds]
+
+
+def _raced(
+    everybody: tuple[Contestant, ...], kind: str, seeds: tuple[int, ...]
+) -> tuple[dict[tuple[str, int], list[TrackingKpis]], dict[tuple[str, int], TrackRecord]]:
+    """Every driver in every scenario with every seed; the record kept is of the seed nearest the median."""
+    measured: dict[tuple[str, int], list[TrackingKpis]] = {}
+    records: dict[tuple[str, int], TrackRecord] = {}
+    for scenario in SCENARIOS:
+        what = course(kind, scenario)
+        for one in everybody:
+            tracks = [track(what, *one.of_seed(seed)) for seed in seeds]
+            kpis = [tracking_kpis(what, record) for record in tracks]
+            totals = np.array([float(k.speed_total_mps) for k in kpis])
+            measured[one.driver, scenario] = kpis
+            records[one.driver, scenario] = tracks[int(np.argmin(np.abs(totals - np.median(totals))))]
+    return measured, records
+
+
+def _elsewhere(everybody: tuple[Contestant, ...], seeds: tuple[int, ...], kind: str) -> list[Row]:
+    """The base scenario on every other reference: totals, parking, jerk."""
+    found = []
+    for other in REFERENCES:
+        if other == kind:
+            continue
+        what = course(other)
+        for one in everybody:
+            kpis = [tracking_kpis(what, track(what, *one.of_seed(seed))) for seed in seeds]
+            for field, words, unit in (
+                ("speed_total_mps", "total speed error", "m/s"),
+                ("position_total_m", "total position error", "m"),
+                ("parking_m", "parking error", "m"),
+                ("jerk_mps3", "jerk over 2 s", "m/s3"),
+            ):
+                row = Row("Other references (beyond the paper)", REFERENCES[other], one.driver, words, unit)
+                found.append(row.measured(table.values(kpis, field)))
+    return found

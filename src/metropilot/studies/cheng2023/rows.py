@@ -1,0 +1,104 @@
+"""From tracks to rows: tables 1, 3 and 4, the margins, other references."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from metropilot.evaluate.tracking import TrackingKpis
+from metropilot.studies.cheng2023.courses import NAMES, optimal_kwh
+from metropilot.studies.cheng2023.published import KPIS, TABLE_1, TABLE_3, TABLE_4
+from metropilot.studies.report import Row
+
+Measured = Mapping[tuple[str, int], Sequence[TrackingKpis]]
+"""KPIs of each driver in each scenario, one entry a seed."""
+MARGINS = (("pid", 24.29), ("fuzzy_pid", 6.95), ("neural_pid", 6.32))
+
+
+def values(found: Iterable[TrackingKpis], field: str) -> list[float]:
+    """One KPI of every seed."""
+    return [float(getattr(kpis, field)) for kpis in found]
+
+
+def median(found: Iterable[TrackingKpis], field: str) -> float:
+    """The median of one KPI over the seeds."""
+    return float(np.median(values(found, field)))
+
+
+def optimum(field: str, scenario: int) -> float | None:
+    """What physics allows of a KPI, where it says anything: the energy."""
+    return optimal_kwh(scenario) if field == "energy_kwh" else None
+
+
+def table_1(measured: Measured, published: Mapping[str, str]) -> list[Row]:
+    """Every driver in the base scenario."""
+    rows = []
+    for driver, whose in published.items():
+        numbers = TABLE_1.get(whose, (None,) * len(KPIS))
+        for (field, words, unit), number in zip(KPIS, numbers, strict=True):
+            row = Row("Table 1", NAMES[1], driver, words, unit, number, optimum=optimum(field, 1))
+            rows.append(row.measured(values(measured[driver, 1], field)))
+    return rows
+
+
+def table_3(measured: Measured) -> list[Row]:
+    """DDPG-PID under other resistances, not learned again; the tuned PID beside it."""
+    rows = []
+    for scenario, numbers in TABLE_3.items():
+        for driver in ("ddpg_pid", "pid tuned"):
+            for (field, words, unit), number in zip(KPIS, numbers, strict=True):
+                given = number if driver == "ddpg_pid" else None
+                row = Row("Table 3", NAMES[scenario], driver, words, unit, given)
+                row = replace(row, optimum=optimum(field, scenario))
+                rows.append(row.measured(values(measured[driver, scenario], field)))
+    return rows
+
+
+def table_4(measured: Measured) -> list[Row]:
+    """DDPG-PID on other references, not learned again; averages instead of totals."""
+    rows = []
+    for scenario, numbers in TABLE_4.items():
+        for driver in ("ddpg_pid", "pid tuned"):
+            found = measured[driver, scenario]
+            for (field, words, unit), number in zip(KPIS, numbers, strict=True):
+                given = number if driver == "ddpg_pid" else None
+                row = Row("Table 4", NAMES[scenario], driver, words.replace("total", "average"), unit, given)
+                row = replace(row, optimum=optimum(field, scenario))
+                each = values(found, field)
+                if field.endswith(("total_mps", "total_m")):
+                    each = [v / float(k.periods) for v, k in zip(each, found, strict=True)]
+                rows.append(row.measured(each))
+    return rows
+
+
+def margins(measured: Measured) -> list[Row]:
+    """By how much DDPG-PID has less total speed and position error than each other driver, percent."""
+    rows = []
+    published = {
+        ("speed_total_mps", "pid"): 85.5,
+        ("speed_total_mps", "fuzzy_pid"): 49.5,
+        ("speed_total_mps", "neural_pid"): 44.5,
+        ("position_total_m", "pid"): 78.9,
+        ("position_total_m", "fuzzy_pid"): 41.0,
+        ("position_total_m", "neural_pid"): 38.5,
+    }
+    ours = measured["ddpg_pid", 1]
+    others = dict.fromkeys(driver for driver, scenario in measured if scenario == 1 and driver != "ddpg_pid")
+    for field, words in (
+        ("speed_total_mps", "total speed error"),
+        ("position_total_m", "total position error"),
+    ):
+        for other in others:
+            against = median(measured[other, 1], field)
+            row = Row(
+                "Margins of ddpg_pid",
+                NAMES[1],
+                other,
+                f"less {words} than this driver",
+                "%",
+                published.get((field, other)),
+            )
+            rows.append(row.measured(100.0 * (1.0 - value / against) for value in values(ours, field)))
+    return rows

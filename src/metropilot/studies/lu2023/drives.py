@@ -1,0 +1,118 @@
+"""The plans driven on the host: shipped or freshly learned policies, PID on the learned curve, measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from metropilot.drivers import AbstractDriver
+from metropilot.drivers.learned import LearnedDriver
+from metropilot.drivers.pid_lu2023 import PidLu2023, PidLu2023Options
+from metropilot.drivers.policy.loaded import load_driving_policy
+from metropilot.drivers.shipped import shipped_policy
+from metropilot.evaluate import Drive, Kpis, drive, kpis_of, measures
+from metropilot.railway import load_line, load_trainset
+from metropilot.studies.lu2023.optima import TRAINSET, convex_j, effort_j, notch_front
+from metropilot.studies.lu2023.published import PID_130, PlanCase, Published
+from metropilot.studies.report import Row
+from metropilot.task import Run
+
+POLICIES = Path(__file__).parent / "policies"
+J_PER_KWH = 3.6e6
+SPAN_M = 500.0
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """One plan as driven.
+
+    Attributes:
+        plan: Which.
+        driver: Driver id.
+        drive: The drive.
+        kpis: Its KPIs (their optimum is in ``optima``).
+    """
+
+    plan: PlanCase
+    driver: str
+    drive: Drive
+    kpis: Kpis
+
+
+def policy_file(name: str) -> Path:
+    """A policy shipped with the study."""
+    return POLICIES / f"{name}.safetensors"
+
+
+def learned_driver(path: Path) -> LearnedDriver:
+    """The driver of a policy file."""
+    loaded = load_driving_policy(path)
+    return LearnedDriver(loaded.policy, loaded.perception)
+
+
+def driven(plan: PlanCase, name: str, driver: AbstractDriver) -> Driven:
+    """Drive a plan on the host."""
+    run = Run(load_line(plan.line).section("WHY", "WYJ"), load_trainset(TRAINSET), plan.scheduled_s)
+    found = drive(run, driver)
+    return Driven(plan, name, found, kpis_of(found, None))
+
+
+def tracked(plan: PlanCase, path: Path) -> Driven:
+    """The paper's PID on the curve that a policy drives."""
+    return driven(plan, "pid_lu2023", PidLu2023(PidLu2023Options(policy=str(path))))
+
+
+def shipped_for(plan_id: str) -> Path:
+    """The shipped network of a plan; where there is none, and for ``all``, the one for all plans."""
+    own = policy_file(f"improved_dqn-{plan_id}")
+    return own if own.is_file() else shipped_policy("improved_dqn")
+
+
+def switches_over(found: Drive, span_m: float = SPAN_M) -> float:
+    """Most changes of the sign of the effort (traction, none, brake) over any stretch, as in Lu23 Fig. 9."""
+    t = found.trajectory
+    sign = np.sign(np.round(t.traction_n - t.electric_brake_n - t.friction_brake_n, 0))[:-1]
+    at = t.position_m[1:-1][sign[1:] != sign[:-1]]
+    return float(max(((at >= x) & (at <= x + span_m)).sum() for x in at)) if at.size else 0.0
+
+
+def command_changes(found: Drive) -> float:
+    """How often the wheel effort changes from one control period to the next by more than a twentieth."""
+    command = found.trajectory.command[:-1]
+    return float((np.abs(np.diff(command)) > 0.05).sum())
+
+
+def arrival_rows(table: str, found: Driven, *, published: bool = True) -> Iterator[Row]:
+    """Stop, time, energy of one drive, each beside what is published and what physics allows."""
+    plan, k = found.plan, found.kpis
+    paper: Published | None = PID_130 if found.driver == "pid_lu2023" else plan.published
+    paper = paper if published else None
+    notch = float(notch_front(plan).at(k.running_time_s)) / J_PER_KWH
+    convex = convex_j(plan, k.running_time_s) / J_PER_KWH
+    where = (table, plan.name, found.driver)
+
+    def row(kpi: str, unit: str, value: float, said: float | None = None, best: float | None = None) -> Row:
+        return Row(*where, kpi, unit, published=said, ours=value, low=value, high=value, optimum=best)
+
+    said = (paper.stop_m, paper.late_s, paper.kwh) if paper else (None, None, None)
+    yield row("stopping error", "m", abs(k.stopping_error_m), said[0])
+    yield row("time error", "s", abs(k.time_error_s), said[1])
+    yield row("wheel traction energy", "kWh", k.energy_wheel_kwh, said[2], notch)
+    yield row(
+        "energy |f dx|, braking counted", "kWh", k.energy_effort_kwh, said[2], effort_j(plan) / J_PER_KWH
+    )
+    yield row(
+        "wheel traction above the optimum over the notches", "%", 100 * (k.energy_wheel_kwh / notch - 1)
+    )
+    yield row("wheel traction above the convex optimum", "%", 100 * (k.energy_wheel_kwh / convex - 1))
+    yield row("largest overspeed", "m/s", k.max_overspeed_mps)
+    yield row("interventions of protection", "", float(k.interventions))
+    yield row(f"most switches of regime in {SPAN_M:.0f} m", "", switches_over(found.drive))
+    yield row("changes of command", "", command_changes(found.drive))
+    yield row("r.m.s. acceleration", "m/s²", k.rms_acceleration_mps2)
+    for words, share in measures.comfort_band_shares(found.drive.trajectory).items():
+        if share > 0.0:
+            yield row(f"time {words} (ISO 2631, its Table 1)", "%", 100.0 * share)

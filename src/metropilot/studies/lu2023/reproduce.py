@@ -1,0 +1,176 @@
+"""The study: Table 5 and Figs. 6 to 9, convergence, ablation, and one network for all plans."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from metropilot.studies.learning import learn_seeds
+from metropilot.studies.lu2023.drives import (
+    Driven,
+    arrival_rows,
+    driven,
+    learned_driver,
+    shipped_for,
+    tracked,
+)
+from metropilot.studies.lu2023.figures import figures_of
+from metropilot.studies.lu2023.optima import notch_front
+from metropilot.studies.lu2023.published import (
+    ABLATION,
+    BEYOND,
+    CONVERGENCE,
+    EPISODES,
+    FASTER_PERCENT,
+    PLANS,
+    TABLE,
+    plan_case,
+)
+from metropilot.studies.lu2023.shipping import best_of, keep_policy
+from metropilot.studies.lu2023.words import DEVIATIONS, remarks
+from metropilot.studies.report import Report, Row
+
+if TYPE_CHECKING:
+    from metropilot.studies.learning import SeedResult
+    from metropilot.studies.lu2023.convergence import Converged
+    from metropilot.studies.study import Order
+
+QUICK_STEPS = 8_000
+COMPARED = ("120", "130")
+ABLATED = "120"
+ABLATION_SEEDS = 5
+PLAN_SEEDS = 3
+LEARNERS = {"dqn": "all", "improved_dqn": ""}
+Runs = dict[str, dict[str, list["SeedResult"]]]
+
+
+def reproduce(order: Order) -> Report:
+    """Do the study; see :class:`metropilot.studies.Study`."""
+    from metropilot.studies.lu2023.setting import IMPROVEMENTS, all_plans_job, plan_job
+
+    seeds = order.choose_seeds(quick=1, paper=10)
+    paper = order.budget == "paper"
+    compared = COMPARED if paper else COMPARED[:1]
+    short = {} if paper else {"steps": QUICK_STEPS}
+    prefix = "" if paper else "quick-"
+    jobs = [
+        plan_job(f"{prefix}{driver}", plan_case(plan), seed, off, **short)
+        for plan in compared
+        for driver, off in LEARNERS.items()
+        for seed in seeds
+    ]
+    if paper:
+        few = range(min(len(seeds), PLAN_SEEDS))
+        jobs += [
+            plan_job("improved_dqn", plan, seed) for plan in PLANS if plan.id not in compared for seed in few
+        ]
+        jobs += [all_plans_job(driver, seed, off) for driver, off in LEARNERS.items() for seed in few]
+        jobs += [
+            plan_job(f"without-{off}", plan_case(ABLATED), seed, off)
+            for off in IMPROVEMENTS
+            for seed in range(min(len(seeds), ABLATION_SEEDS))
+        ]
+    results = learn_seeds(jobs, order.folder / "lu2023", order.processes, order.say)
+    named: dict[str, list[SeedResult]] = {}
+    for result in results:
+        named.setdefault(result.job.name.removeprefix("quick-"), []).append(result)
+    runs: Runs = {plan: {driver: named[f"{driver}-{plan}"] for driver in LEARNERS} for plan in compared}
+    drives, all_plans = _drives(order.folder / "lu2023", named, paper=paper)
+    rows = [row for one in drives for row in arrival_rows(TABLE, one)]
+    rows += [row for one in all_plans for row in arrival_rows(BEYOND, one, published=False)]
+    rows += _convergence(runs) if paper else _short(runs)
+    rows += _ablation(named) if paper else []
+    return Report(
+        study="lu2023",
+        title="Notch driving by improved DQN (Lu and Liu 2023)",
+        budget=order.budget,
+        seeds=len(seeds),
+        seconds=0.0,
+        rows=rows,
+        figures=figures_of(drives, runs),
+        deviations=DEVIATIONS,
+        remarks=remarks(rows, budget=order.budget),
+    )
+
+
+def _drives(
+    folder: Path, named: dict[str, list[SeedResult]], *, paper: bool
+) -> tuple[list[Driven], list[Driven]]:
+    """The plans by their own networks (with the PID at 130 s), and by the one network for all."""
+
+    def path(plan_id: str, driver: str = "improved_dqn") -> Path:
+        if not paper:
+            return shipped_for(plan_id)
+        kept = folder / f"{driver}-{plan_id}.safetensors"
+        cases = PLANS if plan_id == "all" else (plan_case(plan_id),)
+        keep_policy(kept, best_of(named[f"{driver}-{plan_id}"], cases), cases)
+        return kept
+
+    if paper:
+        path("all", "dqn")
+    drives = []
+    for plan in PLANS:
+        drives.append(driven(plan, "improved_dqn", learned_driver(path(plan.id))))
+        if plan.id == "130":
+            drives.append(tracked(plan, path(plan.id)))
+    one = learned_driver(path("all"))
+    return drives, [driven(plan, "improved_dqn", one) for plan in PLANS]
+
+
+def _converged(results: Sequence[SeedResult], plan_id: str) -> list[Converged]:
+    from metropilot.studies.lu2023.convergence import converged, meets
+
+    plan = plan_case(plan_id)
+    front = notch_front(plan)
+    return [converged(r.history, meets(r.history, plan.id, plan.scheduled_s, front)) for r in results]
+
+
+def _episode_rows(table: str, plan_id: str, driver: str, found: Sequence[Converged]) -> list[Row]:
+    case, published = plan_case(plan_id).name, EPISODES.get((plan_id, driver))
+    row = Row(table, case, driver, "episodes to convergence", "", published=published)
+    share = 100.0 * sum(run.converged for run in found) / len(found)
+    return [
+        row.measured([run.episodes for run in found]),
+        Row(table, case, driver, "runs that converged", "%", ours=share),
+    ]
+
+
+def _convergence(runs: Runs) -> list[Row]:
+    from metropilot.studies.lu2023.convergence import faster
+
+    rows: list[Row] = []
+    for plan_id, learners in runs.items():
+        found = {driver: _converged(results, plan_id) for driver, results in learners.items()}
+        for driver, ends in found.items():
+            rows += _episode_rows(CONVERGENCE, plan_id, driver, ends)
+        gain = faster(found["dqn"], found["improved_dqn"])
+        said = FASTER_PERCENT if plan_id == "120" else None
+        kpi = "converges faster than DQN (range: 95 % interval)"
+        place = (CONVERGENCE, plan_case(plan_id).name, "improved_dqn", kpi, "%")
+        rows.append(Row(*place, published=said, ours=gain.percent, low=gain.low, high=gain.high))
+    return rows
+
+
+def _ablation(named: dict[str, list[SeedResult]]) -> list[Row]:
+    from metropilot.studies.lu2023.setting import IMPROVEMENTS
+
+    rows = _episode_rows(
+        ABLATION, ABLATED, "improved_dqn", _converged(named[f"improved_dqn-{ABLATED}"], ABLATED)
+    )
+    for off in IMPROVEMENTS:
+        name = f"without-{off}"
+        rows += _episode_rows(ABLATION, ABLATED, name, _converged(named[f"{name}-{ABLATED}"], ABLATED))
+    return rows
+
+
+def _short(runs: Runs) -> list[Row]:
+    """What a short run of each learner reaches: that learning works, not how well."""
+    rows = []
+    for plan_id, learners in runs.items():
+        for driver, results in learners.items():
+            row = Row(
+                "Short learning", plan_case(plan_id).name, driver, f"return after {QUICK_STEPS} steps", ""
+            )
+            rows.append(row.measured([r.score for r in results]))
+    return rows

@@ -1,0 +1,120 @@
+"""What a study says: rows of published, ours and optimum, figures, deviations from the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from metropilot.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Drawing
+
+
+@dataclass(frozen=True)
+class Row:
+    """One number of a study.
+
+    Attributes:
+        table: Table or figure of the paper it belongs to; "beyond the paper" where the paper has none.
+        case: Which run: scheduled time, scenario, reference.
+        driver: Driver id.
+        kpi: What was measured, in words.
+        unit: Its unit; empty for a count or ratio.
+        published: The paper's number; None where it gives none.
+        ours: Median over the seeds; None where nothing could be measured.
+        low: Smallest over the seeds.
+        high: Largest over the seeds.
+        optimum: What physics allows; None where the question makes no sense.
+    """
+
+    table: str
+    case: str
+    driver: str
+    kpi: str
+    unit: str
+    published: float | None = None
+    ours: float | None = None
+    low: float | None = None
+    high: float | None = None
+    optimum: float | None = None
+
+    def measured(self, values: Iterable[float]) -> Row:
+        """The same row with the median and range of one value per seed.
+
+        Raises:
+            InputError: No value, or one that is not finite.
+        """
+        found = np.asarray(list(values), np.float64)
+        if found.size == 0 or not np.isfinite(found).all():
+            raise InputError("not measured", field=f"{self.case} {self.driver} {self.kpi}", value=found)
+        low, middle, high = (float(v) for v in (found.min(), np.median(found), found.max()))
+        return Row(**{**asdict(self), "ours": middle, "low": low, "high": high})
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure.
+
+    Attributes:
+        name: File name without ending, unique in the study.
+        caption: What it shows and which figure of the paper it answers.
+        draw: Makes it; called inside the house style, only when a folder is written.
+    """
+
+    name: str
+    caption: str
+    draw: Callable[[], Drawing]
+
+
+@dataclass(frozen=True)
+class Report:
+    """What came of a study.
+
+    Attributes:
+        study: Its id.
+        title: Its heading.
+        budget: quick or paper.
+        seeds: How many.
+        seconds: Wall time.
+        rows: Every number.
+        figures: Every figure.
+        deviations: Where it departs from the paper and why, one sentence or two each.
+        remarks: What a reader must know of the results: what was missed and why.
+        circumstances: Machine, date, commit, versions.
+    """
+
+    study: str
+    title: str
+    budget: str
+    seeds: int
+    seconds: float
+    rows: Sequence[Row]
+    figures: Sequence[Figure] = ()
+    deviations: Sequence[str] = ()
+    remarks: Sequence[str] = ()
+    circumstances: dict[str, str] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON: ``study, budget, seeds, seconds, rows`` first."""
+        return {
+            "study": self.study,
+            "budget": self.budget,
+            "seeds": self.seeds,
+            "seconds": round(self.seconds, 1),
+            "rows": [asdict(row) for row in self.rows],
+            "figures": [{"name": f.name, "caption": f.caption} for f in self.figures],
+            "deviations": list(self.deviations),
+            "remarks": list(self.remarks),
+            "circumstances": dict(self.circumstances),
+        }
+
+    def tables(self) -> dict[str, list[Row]]:
+        """Rows by table, in the order they came."""
+        found: dict[str, list[Row]] = {}
+        for row in self.rows:
+            found.setdefault(row.table, []).append(row)
+        return found

@@ -1,0 +1,86 @@
+"""What a study is: a paper, and one function that reproduces it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from metropilot.errors import InputError
+from metropilot.studies.report import Report
+
+Budget = Literal["quick", "paper"]
+BUDGETS: tuple[Budget, ...] = ("quick", "paper")
+
+
+def check_budget(text: str) -> Budget:
+    """A budget by name.
+
+    Raises:
+        InputError: No such budget.
+    """
+    for budget in BUDGETS:
+        if budget == text:
+            return budget
+    raise InputError("unknown budget", field="budget", value=text, allowed=", ".join(BUDGETS))
+
+
+@dataclass(frozen=True)
+class Order:
+    """How a study is to be done.
+
+    Attributes:
+        folder: Where learning runs are kept; a second call with the same folder goes on from there.
+        budget: quick (shipped policies, short learning) or paper (everything learned anew).
+        seeds: How many; None: the study's own number for the budget.
+        options: The study's own options, already checked.
+        processes: Learning runs side by side.
+        say: Called with one line when something is done.
+    """
+
+    folder: Path
+    budget: Budget = "quick"
+    seeds: int | None = None
+    options: Mapping[str, str] = field(default_factory=dict)
+    processes: int = 2
+    say: Callable[[str], object] = lambda line: None  # noqa: ARG005 (silent)
+
+    def choose_seeds(self, *, quick: int, paper: int) -> range:
+        """The seeds to run: those asked for, else the study's number for the budget."""
+        return range(self.seeds or (quick if self.budget == "quick" else paper))
+
+
+@dataclass(frozen=True)
+class Study:
+    """One paper.
+
+    Attributes:
+        id: On the command line: author and year.
+        title: Heading of its page.
+        citation: The paper.
+        reproduce: From an order to a report; sets neither ``seconds`` nor ``circumstances``.
+        options: What ``--set`` may say: each option's allowed values, the default first.
+    """
+
+    id: str
+    title: str
+    citation: str
+    reproduce: Callable[[Order], Report]
+    options: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def check_options(self, given: Mapping[str, str]) -> dict[str, str]:
+        """Every option with its value, defaults filled in.
+
+        Raises:
+            InputError: Unknown option or value.
+        """
+        for name, value in given.items():
+            if name not in self.options:
+                allowed = ", ".join(self.options) or f"{self.id} has none"
+                raise InputError("unknown option", field="set", value=name, allowed=allowed)
+            if value not in self.options[name]:
+                raise InputError(
+                    "unknown choice", field=name, value=value, allowed=", ".join(self.options[name])
+                )
+        return {name: given.get(name, allowed[0]) for name, allowed in self.options.items()}

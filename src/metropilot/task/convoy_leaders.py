@@ -1,0 +1,152 @@
+"""How heads of convoys run in tasks and campaigns: recorded commands, from S-curves to restless drivers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from metropilot.physics import (
+    Command,
+    at_rest,
+    command_for_force,
+    delay_steps,
+    resistance_and_gradient,
+    step,
+    track_arrays,
+    vehicle_arrays,
+)
+from metropilot.planning.references import Reference, ReferenceShape, reference_for_time
+from metropilot.railway import Section, Trainset
+
+PULL_PER_S = 0.3
+
+
+class Recording(NamedTuple):
+    """A run of the head, row by row; at row k the command of period k and the state before it.
+
+    Attributes:
+        command: Shape (T,).
+        position_m: Shape (T,).
+        speed_mps: Shape (T,).
+        acceleration_mps2: Over the period before. Shape (T,).
+    """
+
+    command: Float[ndarray, " rows"]
+    position_m: Float[ndarray, " rows"]
+    speed_mps: Float[ndarray, " rows"]
+    acceleration_mps2: Float[ndarray, " rows"]
+
+    def padded(self, rows: int) -> Recording:
+        """The same, standing on until it has so many rows."""
+        extra = rows - self.command.size
+        if extra < 0:
+            return Recording(*(values[:rows] for values in self))
+        last = (-1.0, self.position_m[-1], 0.0, 0.0)
+        return Recording(
+            *(np.concatenate([v, np.full(extra, end)]) for v, end in zip(self, last, strict=True))
+        )
+
+
+def record(section: Section, trainset: Trainset, speeds_mps: ndarray, dt: float) -> Recording:
+    """Drive a trainset along speeds over time, as closely as its efforts allow (NumPy).
+
+    Args:
+        section: Section.
+        trainset: Trainset.
+        speeds_mps: Speed wanted at the end of each period. Shape (T,).
+        dt: Control period.
+    """
+    vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
+    state = at_rest(vehicle, delay_steps=delay_steps(float(vehicle.delay_s), dt))
+    rows = []
+    for wanted in speeds_mps:
+        x, v = float(state.position_m), float(state.speed_mps)
+        resistance, gradient = resistance_and_gradient(vehicle, track, state.position_m, state.speed_mps)
+        force = vehicle.effective_mass_kg * (wanted - v) / dt + resistance + gradient
+        share = float(command_for_force(vehicle, state.speed_mps, force))
+        share = -0.5 if wanted <= 0.0 and v <= 0.05 else share
+        rows.append((share, x, v, float(state.acceleration_mps2)))
+        state = step(vehicle, track, state, Command(np.float64(share), False), dt)
+    return Recording(*np.array(rows).T)
+
+
+def reference_speeds(reference: Reference, dt: float, after_s: float = 5.0) -> ndarray:
+    """Speeds of a reference at the end of each period, and standing a while."""
+    count = int(np.ceil((reference.duration_s + after_s) / dt))
+    return reference.at(dt * np.arange(1, count + 1))[1]
+
+
+@dataclass(frozen=True)
+class Restless:
+    """A head that changes its mind: random speeds, reached with random rates under a jerk limit.
+
+    Attributes:
+        fastest_mps: Highest speed.
+        rate_mps2: Largest acceleration and deceleration.
+        jerk_mps3: Largest change of acceleration.
+        seconds: Before it stops.
+    """
+
+    fastest_mps: float = 18.0
+    rate_mps2: float = 0.65
+    jerk_mps3: float = 0.7
+    seconds: float = 80.0
+
+
+def restless_speeds(habits: Restless, random: np.random.Generator, dt: float) -> ndarray:
+    """Speeds at the end of each period of a restless head, ending at a stand."""
+    speed, rate, target, until = 0.0, 0.0, 0.6 * habits.fastest_mps, 15.0
+    most, found, time = habits.rate_mps2, [], 0.0
+    while time < habits.seconds or speed > 0.0:
+        if time >= habits.seconds:
+            target, most = 0.0, habits.rate_mps2
+        elif time >= until:
+            target, most = (
+                random.uniform(2.0, habits.fastest_mps),
+                random.uniform(0.2, 1.0) * habits.rate_mps2,
+            )
+            until = time + random.uniform(4.0, 15.0)
+        room = target - speed
+        soft = np.sign(room) * np.sqrt(1.2 * habits.jerk_mps3 * abs(room))
+        wanted = np.clip(soft, -most, most)
+        rate = float(np.clip(wanted, rate - habits.jerk_mps3 * dt, rate + habits.jerk_mps3 * dt))
+        speed = max(speed + rate * dt, 0.0)
+        if target == 0.0 and speed < 0.06:
+            speed = 0.0
+        found.append(speed)
+        time += dt
+    return np.array(found)
+
+
+def recordings(
+    section: Section, trainset: Trainset, dt: float, count: int, seed: int, rows: int = 1200
+) -> list[Recording]:
+    """Heads to learn behind: a third S-curves of different times, the rest restless ones.
+
+    Args:
+        section: Section.
+        trainset: Trainset as the head drives it.
+        dt: Control period.
+        count: How many.
+        seed: Of what is random.
+        rows: Rows of each.
+    """
+    random, found = np.random.default_rng(seed), []
+    for k in range(count):
+        if k % 3 == 0:
+            shape = ReferenceShape(
+                random.uniform(0.6, 0.8), random.uniform(0.5, 0.68), random.uniform(0.3, 0.8)
+            )
+            mean = random.uniform(9.5, 12.0)
+            speeds = reference_speeds(
+                reference_for_time(section.length_m, section.length_m / mean, shape, 20.0), dt
+            )
+        else:
+            habits = Restless(random.uniform(8.0, 20.0), random.uniform(0.4, 0.68), random.uniform(0.4, 1.0))
+            speeds = restless_speeds(habits, random, dt)
+        found.append(record(section, trainset, speeds, dt).padded(rows))
+    return found

@@ -1,0 +1,124 @@
+"""The link from one trainset to the one behind it: messages that come late, unevenly, or not at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from metropilot.errors import InputError
+from metropilot.physics.arrays import namespace
+
+Array = Any
+SLOTS = 32
+"""Messages that can be on their way at once: one a control period."""
+EARLY_S = 1e-4
+
+
+@dataclass(frozen=True)
+class Link:
+    """How good the link is. Messages are sent once a control period.
+
+    Attributes:
+        delay_s: Time every message takes.
+        jitter_s: Largest time on top of it, evenly distributed.
+        loss: Share of messages that never arrive.
+        silent_from_s: From then on nothing arrives any more (infinite: never).
+    """
+
+    delay_s: float = 0.0
+    jitter_s: float = 0.0
+    loss: float = 0.0
+    silent_from_s: float = float("inf")
+
+    def __post_init__(self) -> None:
+        for name, high, unit in (("delay_s", 2.0, "s"), ("jitter_s", 1.0, "s"), ("loss", 1.0, "")):
+            value = getattr(self, name)
+            if not 0.0 <= value <= high:
+                allowed = f"0 to {high:g}"
+                raise InputError("out of range", field=name, value=value, unit=unit, allowed=allowed)
+        if not self.silent_from_s >= 0.0:
+            raise InputError("out of range", field="silent_from_s", value=self.silent_from_s, allowed=">= 0")
+
+    def numbers(self, dtype: type = np.float64) -> Quality:
+        """The same as plain numbers."""
+        return Quality(dtype(self.delay_s), dtype(self.jitter_s), dtype(self.loss), dtype(self.silent_from_s))
+
+
+class Quality(NamedTuple):
+    """A :class:`Link` as numbers. All 0-d."""
+
+    delay_s: Array
+    jitter_s: Array
+    loss: Array
+    silent_from_s: Array
+
+
+class Message(NamedTuple):
+    """What a trainset tells the one behind it. All of one shape.
+
+    Attributes:
+        stamp_s: When it was measured.
+        rear_m: Position of the rear.
+        speed_mps: Speed.
+        acceleration_mps2: Acceleration over the period before.
+        command: Command that reached the trainset in the period before.
+        emergency: 1 while the emergency brake is demanded, else 0.
+    """
+
+    stamp_s: Array
+    rear_m: Array
+    speed_mps: Array
+    acceleration_mps2: Array
+    command: Array
+    emergency: Array
+
+
+class Channel(NamedTuple):
+    """One direction of the link, on its receiving side.
+
+    Attributes:
+        sent: Messages on their way, newest first. Shape (SLOTS,) each.
+        due_s: When each arrives; infinite: never. Shape (SLOTS,).
+        heard: The newest that has arrived. Shape () each.
+    """
+
+    sent: Message
+    due_s: Array
+    heard: Message
+
+
+def opened(first: Message) -> Channel:
+    """A channel that has delivered one message, and nothing since (NumPy; shapes ())."""
+    sent = Message(*(np.repeat(np.asarray(value)[None], SLOTS, axis=0) for value in first))
+    return Channel(sent, np.full(SLOTS, np.inf, np.asarray(first.stamp_s).dtype), first)
+
+
+def passed_on(channel: Channel, quality: Quality, message: Message, luck: Array) -> Channel:
+    """Send one message and take in what has arrived by now.
+
+    Args:
+        channel: The channel.
+        quality: Of the link.
+        message: Measured now.
+        luck: Two numbers from [0, 1): whether this message is lost, and its share of the jitter. Shape (2,).
+    """
+    xp = namespace(channel.due_s, message.stamp_s, luck)
+    now = message.stamp_s
+    lost = (luck[0] < quality.loss) | (now >= quality.silent_from_s)
+    due = xp.where(lost, float("inf"), now + quality.delay_s + quality.jitter_s * luck[1])
+
+    def push(values: Array, newest: Array) -> Array:
+        first = xp.expand_dims(xp.asarray(newest, dtype=values.dtype), 0)
+        return xp.concatenate([first, values[:-1]])
+
+    sent = Message(*(push(values, newest) for values, newest in zip(channel.sent, message, strict=True)))
+    due_s = push(channel.due_s, due)
+    arrived = due_s <= now + EARLY_S
+    newest = xp.argmax(arrived)
+    fresh = xp.any(arrived) & (sent.stamp_s[newest] > channel.heard.stamp_s)
+    heard = Message(
+        *(xp.where(fresh, values[newest], old) for values, old in zip(sent, channel.heard, strict=True))
+    )
+    return Channel(sent, due_s, heard)

@@ -1,0 +1,303 @@
+"""What the API answers: typed, SI, units in names."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel
+
+JobKind = Literal["drive", "compare", "learn", "study", "live"]
+JobStatus = Literal["queued", "running", "done", "failed", "stopped", "interrupted"]
+
+
+class Health(BaseModel):
+    """That the server is there, and what it is."""
+
+    version: str
+    jobs_running: int
+    live_runs: int
+
+
+class LineRow(BaseModel):
+    """A line in a list."""
+
+    id: str
+    name: str
+    stations: int
+    length_m: float
+    uploaded: bool
+
+
+class StationOut(BaseModel):
+    """A stop."""
+
+    code: str
+    name: str
+    position_m: float
+    local_name: str
+
+
+class Pieces(BaseModel):
+    """A piecewise-constant profile: each value holds from its position to the next."""
+
+    from_m: list[float]
+    value: list[float]
+
+
+class SectionRow(BaseModel):
+    """A section of a line in the forward direction."""
+
+    origin: str
+    destination: str
+    length_m: float
+    planned_forward_s: float | None
+    planned_backward_s: float | None
+
+
+class LineOut(LineRow):
+    """A line: limits in m/s, gradients in permil, positive uphill in the forward direction."""
+
+    stops: list[StationOut]
+    sections: list[SectionRow]
+    dwell_s: list[float]
+    limit_mps: Pieces
+    gradient_permil: Pieces
+    source: dict[str, str]
+    notes: list[str]
+    unused: list[str]
+
+
+class TrainsetOut(BaseModel):
+    """A trainset."""
+
+    id: str
+    name: str
+    loads_kg: dict[str, float]
+    load: str
+    length_m: float
+    max_speed_mps: float
+    max_acceleration_mps2: float
+    max_deceleration_mps2: float
+    uploaded: bool
+
+
+class DriverOut(BaseModel):
+    """A driver."""
+
+    id: str
+    summary: str
+    source: str
+    options: dict[str, Any]
+
+
+class Uploaded(BaseModel):
+    """What a file turned out to be."""
+
+    kind: Literal["line", "trainset"]
+    id: str
+    name: str
+    notes: list[str]
+
+
+class SectionOut(BaseModel):
+    """A section in the direction of travel, as this trainset meets it."""
+
+    name: str
+    origin: StationOut
+    destination: StationOut
+    length_m: float
+    planned_time_s: float | None
+    minimum_running_time_s: float
+    limit_mps: Pieces
+    gradient_permil: Pieces
+
+
+class PlanOut(BaseModel):
+    """The optimal plan, its certificate, and what the next second costs."""
+
+    position_m: list[float]
+    speed_mps: list[float]
+    time_s: list[float]
+    energy_wheel_so_far_j: list[float]
+    running_time_s: float
+    minimum_running_time_s: float
+    energy_j: float
+    bound_j: float
+    certificate_gap: float
+    second_w: float
+
+
+class FrontOut(BaseModel):
+    """Optimal energy over running time; ``second_w``: energy saved by one more second."""
+
+    minimum_running_time_s: float
+    time_s: list[float]
+    energy_j: list[float]
+    second_w: list[float]
+
+
+class CallOut(BaseModel):
+    """A call of a journey; running time and energy since the last stop."""
+
+    station: str
+    position_m: float
+    arrival_s: float
+    departure_s: float
+    running_time_s: float
+    minimum_running_time_s: float
+    energy_j: float
+
+
+class JourneyOut(BaseModel):
+    """A journey: its calls, and the path of the head over time, dwells included."""
+
+    calls: list[CallOut]
+    time_s: list[float]
+    position_m: list[float]
+    speed_mps: list[float]
+    running_time_s: float
+    energy_j: float
+    bound_j: float
+    planned_energy_j: float | None
+
+
+class JobOut(BaseModel):
+    """A job: what was asked, how far it is, and, once it is over, what came of it or went wrong."""
+
+    id: str
+    kind: JobKind
+    status: JobStatus
+    asked: dict[str, Any]
+    created: str
+    progress: float
+    words: str
+    run: str | None
+    error: dict[str, Any] | None
+
+
+class CheckOut(BaseModel):
+    """A requirement of a run."""
+
+    name: str
+    value: str
+    wanted: str
+    passed: bool
+
+
+class DriveOut(BaseModel):
+    """A drive: KPIs as in `kpis.json`, the requirements, and the columns of `trajectory.csv`."""
+
+    driver: str
+    success: bool
+    kpis: dict[str, Any]
+    checks: list[CheckOut]
+    columns: dict[str, list[Any]]
+    plan: PlanOut | None
+
+
+class IntervalOut(BaseModel):
+    """A mean over seeds with its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+
+
+class EntryOut(BaseModel):
+    """One driver of a comparison; the drive is that of the first seed."""
+
+    driver: str
+    successes: int
+    seeds: int
+    outcomes: list[str]
+    kpis: dict[str, IntervalOut | None]
+    drive: DriveOut
+
+
+class CompareOut(BaseModel):
+    """Several drivers on one run."""
+
+    entries: list[EntryOut]
+
+
+class LiveOut(BaseModel):
+    """A live run."""
+
+    id: str
+    status: JobStatus
+    asked: dict[str, Any]
+    time_s: float
+    position_m: float
+    pace: float
+    behind_s: float
+    viewers: int
+    outcome: str | None
+
+
+class Told(BaseModel):
+    """That a live run took note."""
+
+    id: str
+    at_s: float
+
+
+class RunOut(BaseModel):
+    """A learning run."""
+
+    id: str
+    algorithm: str
+    task: str
+    seed: int
+    status: str
+    created: str
+    seconds: float
+    steps: int
+    total_steps: int | None
+    score: float | None
+
+
+class HistoryOut(BaseModel):
+    """The history of a learning run: columns of equal length, null where there is none."""
+
+    columns: dict[str, list[float | None]]
+
+
+class TaskOut(BaseModel):
+    """Something to learn."""
+
+    id: str
+    summary: str
+
+
+class RecipeOut(BaseModel):
+    """A driver that can be learned."""
+
+    driver: str
+    summary: str
+    source: str
+    task: str
+    steps_quick: int
+    steps_paper: int
+
+
+class StudyOut(BaseModel):
+    """A paper reproduced; ``page`` says whether its tables are here."""
+
+    id: str
+    title: str
+    page: bool
+
+
+class StudyRow(BaseModel):
+    """A number of a study: published, ours with its range over seeds, and the optimum."""
+
+    table: str
+    case: str
+    driver: str
+    kpi: str
+    unit: str
+    published: float | None
+    ours: float | None
+    low: float | None
+    high: float | None
+    optimum: float | None

@@ -1,0 +1,140 @@
+"""Jobs: drives, comparisons, learning, studies. Started here, done in workers, looked at later."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path, Query
+from fastapi.responses import FileResponse
+
+from metropilot.web import catalogue
+from metropilot.web.answers import (
+    CompareOut,
+    DriveOut,
+    HistoryOut,
+    JobKind,
+    JobOut,
+    RecipeOut,
+    RunOut,
+    StudyOut,
+    StudyRow,
+    TaskOut,
+)
+from metropilot.web.api.catalogue import Key
+from metropilot.web.asked import CompareAsked, DriveAsked, LearnAsked, StudyAsked
+from metropilot.web.refused import Refused
+from metropilot.web.service import Service
+from metropilot.web.store import JobRow
+
+FileName = Annotated[str, Path(pattern=r"^[a-z]{1,16}\.(csv|json|svg|png|toml)$")]
+
+
+def routes(service: Service) -> APIRouter:
+    """The routes of this file."""
+    router = APIRouter(tags=["jobs"])
+
+    @router.post("/jobs/drive", response_model=JobOut, status_code=202)
+    def drive(asked: DriveAsked) -> JobRow:
+        """Drive one run."""
+        return service.store.job(service.submit(asked))
+
+    @router.post("/jobs/compare", response_model=JobOut, status_code=202)
+    def compare(asked: CompareAsked) -> JobRow:
+        """Drive the same run with several drivers and seeds."""
+        return service.store.job(service.submit(asked))
+
+    @router.post("/jobs/learn", response_model=JobOut, status_code=202)
+    def learn(asked: LearnAsked) -> JobRow:
+        """Learn a driver."""
+        return service.store.job(service.submit(asked))
+
+    @router.post("/jobs/study", response_model=JobOut, status_code=202)
+    def study(asked: StudyAsked) -> JobRow:
+        """Reproduce a study."""
+        return service.store.job(service.submit(asked))
+
+    @router.get("/jobs", response_model=list[JobOut])
+    def jobs(kind: JobKind | None = None, limit: Annotated[int, Query(ge=1, le=1000)] = 100) -> list[JobRow]:
+        """Jobs, the newest first."""
+        return service.store.jobs(kind, limit)
+
+    @router.get("/jobs/{job_id}", response_model=JobOut)
+    def job(job_id: Key) -> JobRow:
+        """A job."""
+        return service.store.job(job_id)
+
+    @router.get("/jobs/{job_id}/drive", response_model=DriveOut)
+    def drive_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
+        """What came of a drive or of a live run that arrived at its end."""
+        return _result(service, job_id, ("drive", "live"))
+
+    @router.get("/jobs/{job_id}/compare", response_model=CompareOut)
+    def compare_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
+        """What came of a comparison."""
+        return _result(service, job_id, ("compare",))
+
+    @router.get("/jobs/{job_id}/files/{name}", response_class=FileResponse)
+    def file(job_id: Key, name: FileName) -> FileResponse:
+        """A file of a job: `trajectory.csv`, `kpis.json`, `profile.svg`, `profile.png`, `run.toml`, ..."""
+        return FileResponse(catalogue.file_of(service, job_id, name), filename=f"{job_id}-{name}")
+
+    @router.post("/jobs/{job_id}/stop", response_model=JobOut)
+    def stop(job_id: Key) -> JobRow:
+        """Ask a job to end; a learning run ends at its next checkpoint."""
+        service.stop(job_id)
+        return service.store.job(job_id)
+
+    @router.post("/jobs/{job_id}/resume", response_model=JobOut, status_code=202)
+    def resume(job_id: Key) -> JobRow:
+        """Go on with a job that was interrupted, stopped or failed; learning from its last checkpoint."""
+        service.resume(job_id)
+        return service.store.job(job_id)
+
+    _learning(router, service)
+    return router
+
+
+def _learning(router: APIRouter, service: Service) -> None:
+    @router.get("/tasks", response_model=list[TaskOut], tags=["learning"])
+    def tasks() -> list[dict[str, Any]]:
+        """What can be learned."""
+        return catalogue.task_rows()
+
+    @router.get("/recipes", response_model=list[RecipeOut], tags=["learning"])
+    def recipes() -> list[dict[str, Any]]:
+        """Which drivers can be learned."""
+        return catalogue.recipe_rows()
+
+    @router.get("/runs", response_model=list[RunOut], tags=["learning"])
+    def runs() -> list[dict[str, Any]]:
+        """Learning runs, the newest first."""
+        return catalogue.run_rows(service)
+
+    @router.get("/runs/{run_id}", response_model=RunOut, tags=["learning"])
+    def run(run_id: Key) -> dict[str, Any]:
+        """A learning run."""
+        return catalogue.run_out(service, run_id)
+
+    @router.get("/runs/{run_id}/history", response_model=HistoryOut, tags=["learning"])
+    def history(run_id: Key) -> dict[str, Any]:
+        """The history of a learning run, also while it goes on."""
+        return {"columns": catalogue.history(service, run_id)}
+
+    @router.get("/studies", response_model=list[StudyOut], tags=["learning"])
+    def studies() -> list[dict[str, Any]]:
+        """Papers reproduced."""
+        return catalogue.study_rows(service)
+
+    @router.get("/studies/{study_id}", response_model=list[StudyRow], tags=["learning"])
+    def study_table(study_id: Key) -> list[dict[str, Any]]:
+        """The newest table of a study: published, ours and optimum."""
+        return catalogue.study_table(service, study_id)
+
+
+def _result(service: Service, job_id: str, kinds: tuple[str, ...]) -> object:
+    row = service.store.job(job_id)
+    found = service.store.result(job_id) if row.kind in kinds else None
+    if found is None:
+        words = f"no result: the job is {row.status}" if row.kind in kinds else f"the job is a {row.kind}"
+        raise Refused(words, 404, field="id", value=job_id)
+    return found

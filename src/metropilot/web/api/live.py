@@ -1,0 +1,130 @@
+"""Live runs: started, watched, told news, taken over by hand."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header
+from fastapi.responses import StreamingResponse
+
+from metropilot.web.answers import LiveOut, Told
+from metropilot.web.api.catalogue import Key
+from metropilot.web.asked import (
+    Asked,
+    ConvoyAsked,
+    Lever,
+    LiveAsked,
+    NewArrival,
+    NewLink,
+    NewRestriction,
+    Pace,
+)
+from metropilot.web.live.session import Session
+from metropilot.web.service import Service
+
+STREAM: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "Server-sent events, numbered: `scene` (track, permitted speed, plan, names of the "
+        "columns), `rows` (one a control period), `event` (news, in words), `result` (KPIs), `error`, `end`. "
+        "`Last-Event-ID` goes on from there; without it everything is told from departure.",
+        "content": {"text/event-stream": {"schema": {"type": "string"}}},
+    }
+}
+
+
+def live_out(session: Session) -> dict[str, Any]:
+    """A live run at a glance."""
+    known = session.known
+    return {
+        "id": session.id,
+        "status": known.status,
+        "asked": session.asked,
+        "time_s": known.time_s,
+        "position_m": known.position_m,
+        "pace": known.pace,
+        "behind_s": known.behind_s,
+        "viewers": session.viewers,
+        "outcome": known.outcome,
+    }
+
+
+def routes(service: Service) -> APIRouter:
+    """The routes of this file."""
+    router = APIRouter(tags=["live"])
+
+    async def tell(live_id: str, kind: str, asked: Asked) -> dict[str, Any]:
+        at = await service.session(live_id).ask({"kind": kind, **asked.model_dump()})
+        return {"id": live_id, "at_s": at}
+
+    @router.post("/live", response_model=LiveOut, status_code=201)
+    async def start(asked: LiveAsked) -> dict[str, Any]:
+        """Start a live run."""
+        return live_out(await service.go_live(asked))
+
+    @router.post("/convoys", response_model=LiveOut, status_code=201)
+    async def convoy(asked: ConvoyAsked) -> dict[str, Any]:
+        """Start a live convoy; watched, paced and stopped like any live run."""
+        return live_out(await service.go_live(asked))
+
+    @router.post("/live/{live_id}/link", response_model=Told)
+    async def link(live_id: Key, asked: NewLink) -> dict[str, Any]:
+        """Make the link of a convoy worse, better or silent."""
+        return await tell(live_id, "link", asked)
+
+    @router.post("/live/{live_id}/emergency", response_model=Told)
+    async def emergency(live_id: Key) -> dict[str, Any]:
+        """Let the head of a convoy make an emergency brake."""
+        return await tell(live_id, "emergency", Asked())
+
+    @router.get("/live", response_model=list[LiveOut])
+    async def runs() -> list[dict[str, Any]]:
+        """Live runs of this server, the oldest first."""
+        return [live_out(session) for session in service.sessions.values()]
+
+    @router.get("/live/{live_id}", response_model=LiveOut)
+    async def one(live_id: Key) -> dict[str, Any]:
+        """A live run."""
+        return live_out(service.session(live_id))
+
+    @router.get("/live/{live_id}/stream", response_class=StreamingResponse, responses=STREAM)
+    async def stream(
+        live_id: Key, last_event_id: Annotated[int | None, Header(ge=0, le=10**9)] = None
+    ) -> StreamingResponse:
+        """Watch a live run. However slow or many, viewers never hold it up."""
+        session = service.session(live_id)
+        body: AsyncIterator[bytes] = session.listen(-1 if last_event_id is None else last_event_id)
+        headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+        return StreamingResponse(body, media_type="text/event-stream", headers=headers)
+
+    @router.post("/live/{live_id}/arrival", response_model=Told)
+    async def arrival(live_id: Key, asked: NewArrival) -> dict[str, Any]:
+        """Tell the driver to arrive earlier or later."""
+        return await tell(live_id, "arrival", asked)
+
+    @router.post("/live/{live_id}/restriction", response_model=Told)
+    async def restriction(live_id: Key, asked: NewRestriction) -> dict[str, Any]:
+        """Drop a temporary speed restriction on the track ahead."""
+        return await tell(live_id, "restriction", asked)
+
+    @router.post("/live/{live_id}/lever", response_model=Told)
+    async def lever(live_id: Key, asked: Lever) -> dict[str, Any]:
+        """Hold the lever by hand, under protection; renew it within 3 s or the driver has it again."""
+        return await tell(live_id, "lever", asked)
+
+    @router.post("/live/{live_id}/pace", response_model=Told)
+    async def pace(live_id: Key, asked: Pace) -> dict[str, Any]:
+        """Change how fast the run goes: 1 is real time, 0 waits."""
+        return await tell(live_id, "pace", asked)
+
+    @router.post("/live/{live_id}/stop", response_model=Told)
+    async def stop(live_id: Key) -> dict[str, Any]:
+        """End a live run; it can be resumed."""
+        return await tell(live_id, "stop", Asked())
+
+    @router.post("/live/{live_id}/resume", response_model=LiveOut, status_code=201)
+    async def resume(live_id: Key) -> dict[str, Any]:
+        """Resume a live run that was stopped or that a restart interrupted, from where it was."""
+        return live_out(await service.resume_live(live_id))
+
+    return router

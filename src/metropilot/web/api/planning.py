@@ -1,0 +1,38 @@
+"""Sections, plans, fronts and journeys: answered at once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter
+
+from metropilot.web.answers import FrontOut, JourneyOut, PlanOut, SectionOut
+from metropilot.web.asked import JourneyAsked, PlanAsked, SectionAsked
+from metropilot.web.service import Service
+
+
+def routes(service: Service) -> APIRouter:
+    """The routes of this file."""
+    router = APIRouter(tags=["planning"])
+
+    @router.post("/section", response_model=SectionOut)
+    async def section(asked: SectionAsked) -> dict[str, Any]:
+        """A section as this trainset meets it, with the minimum running time."""
+        return await service.section(asked)
+
+    @router.post("/plan", response_model=PlanOut)
+    async def plan(asked: PlanAsked) -> dict[str, Any]:
+        """The energy-optimal plan with its certificate."""
+        return await service.plan(asked)
+
+    @router.post("/front", response_model=FrontOut)
+    async def front(asked: PlanAsked) -> dict[str, Any]:
+        """Optimal energy from 1.02 to 1.6 of the minimum running time; ``time_s`` is not used."""
+        return await service.front(asked)
+
+    @router.post("/journey", response_model=JourneyOut)
+    async def journey(asked: JourneyAsked) -> dict[str, Any]:
+        """A journey that calls at every station; with ``total_s`` the optimum spreads the reserve."""
+        return await service.journey(asked.model_dump())
+
+    return router

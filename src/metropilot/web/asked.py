@@ -1,0 +1,218 @@
+"""What a request may ask: bounded, typed, units in names. Nothing here can name a file of the server."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from metropilot.errors import InputError
+from metropilot.evaluate import Request
+
+Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$", examples=["yizhuang"])]
+Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,32}$")]
+StationKey = Annotated[str, Field(min_length=1, max_length=80, examples=["RJ"])]
+Seconds = Annotated[float, Field(gt=0, le=36_000, description="s")]
+Metres = Annotated[float, Field(ge=0, le=200_000, description="m from the section's origin")]
+Speed = Annotated[float, Field(gt=0, le=150, description="m/s")]
+Option = bool | int | float | Word
+KMH = 3.6
+
+
+class Asked(BaseModel):
+    """A body: unknown fields and numbers that are not finite are refused."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class RestrictionAsked(Asked):
+    """A temporary speed restriction; ``told_s`` after departure, or known before it."""
+
+    from_m: Metres
+    to_m: Metres
+    limit_mps: Speed
+    told_s: Annotated[float, Field(ge=0, le=36_000)] | None = None
+
+    def text(self) -> str:
+        """As :class:`~metropilot.evaluate.Request` takes it."""
+        if self.to_m <= self.from_m:
+            raise InputError(
+                "a restriction must end after it begins",
+                field="to_m",
+                value=self.to_m,
+                unit="m",
+                allowed=f"> {self.from_m:g} m",
+            )
+        told = "" if self.told_s is None else f"@{self.told_s!r}"
+        return f"{self.from_m!r}-{self.to_m!r}@{self.limit_mps * KMH!r}{told}"
+
+
+class ArrivalAsked(Asked):
+    """A new scheduled running time, told on the way."""
+
+    scheduled_time_s: Seconds
+    told_s: Annotated[float, Field(ge=0, le=36_000)]
+
+
+class SectionAsked(Asked):
+    """A section and what runs on it."""
+
+    line: Id = "yizhuang"
+    origin: StationKey = "RJ"
+    destination: StationKey = "WYJ"
+    trainset: Id = "dkz32"
+    load: Annotated[str, Field(max_length=32)] | None = None
+    restrictions: Annotated[list[RestrictionAsked], Field(max_length=20)] = []
+
+
+class PlanAsked(SectionAsked):
+    """A plan: the scheduled time, and which energy to save."""
+
+    time_s: Seconds | None = None
+    objective: Literal["wheel", "line"] = "wheel"
+
+
+class DriveAsked(PlanAsked):
+    """A run: the plan's fields, the driver, and what goes differently than planned."""
+
+    driver: Id = "optimal"
+    options: dict[Word, Option] = {}
+    ideal: bool = False
+    mass_factor: Annotated[float, Field(ge=0.5, le=2)] = 1.0
+    resistance_factor: Annotated[float, Field(ge=0, le=5)] = 1.0
+    delay_s: Annotated[float, Field(ge=0, le=5)] = 0.0
+    lag_s: Annotated[float, Field(ge=0, le=5)] = 0.0
+    speed_noise_mps: Annotated[float, Field(ge=0, le=1)] = 0.0
+    arrivals: Annotated[list[ArrivalAsked], Field(max_length=20)] = []
+    dt_s: Annotated[float, Field(ge=0.05, le=1)] = 0.2
+    seed: Annotated[int, Field(ge=0, lt=2**53)] = 0
+
+
+class CompareAsked(DriveAsked):
+    """Several drivers on one run."""
+
+    drivers: Annotated[list[Id], Field(min_length=1, max_length=12)] = ["optimal", "manual", "flat_out"]
+    seeds: Annotated[int, Field(ge=1, le=50)] = 1
+
+
+class JourneyAsked(Asked):
+    """A journey that calls at every station; with ``total_s`` the optimum spreads the reserve."""
+
+    line: Id = "yizhuang"
+    origin: StationKey | None = None
+    destination: StationKey | None = None
+    trainset: Id = "dkz32"
+    load: Annotated[str, Field(max_length=32)] | None = None
+    total_s: Seconds | None = None
+    objective: Literal["wheel", "line"] = "wheel"
+
+
+class LearnAsked(Asked):
+    """A learning run of one of our recipes; what is not told is the recipe's own."""
+
+    driver: Id = "ppo"
+    budget: Literal["quick", "paper"] = "quick"
+    task: Id | None = None
+    steps: Annotated[int, Field(ge=1_000, le=50_000_000)] | None = None
+    evaluations: Annotated[int, Field(ge=1, le=500)] | None = None
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+
+
+class StudyAsked(Asked):
+    """A study to reproduce: quick takes about two minutes, paper an hour."""
+
+    study: Id
+    budget: Literal["quick", "paper"] = "quick"
+
+
+class LiveAsked(DriveAsked):
+    """A live run and how fast it goes: 1 is real time, 0 waits."""
+
+    pace: Annotated[float, Field(ge=0, le=100)] = 1.0
+
+
+class ConvoyAsked(SectionAsked):
+    """A live convoy: the head's run, followers behind it, the link between them."""
+
+    time_s: Seconds | None = None
+    driver: Id = "optimal"
+    trainsets: Annotated[int, Field(ge=2, le=6)] = 3
+    follower: Id = "follow_gap"
+    gap_m: Annotated[float, Field(ge=0.5, le=2000, description="wanted gap, m")] = 5.92
+    start_gap_m: Annotated[float, Field(ge=0.5, le=2000)] | None = None
+    guard: Literal["coupled", "independent", "moving_block", "none"] = "coupled"
+    delay_s: Annotated[float, Field(ge=0, le=2)] = 0.0
+    jitter_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+    loss: Annotated[float, Field(ge=0, le=1, description="share of messages lost")] = 0.0
+    seed: Annotated[int, Field(ge=0, lt=2**53)] = 0
+    pace: Annotated[float, Field(ge=0, le=20)] = 1.0
+
+
+class NewLink(Asked):
+    """From now on the link of a convoy is so good."""
+
+    delay_s: Annotated[float, Field(ge=0, le=2)] = 0.0
+    jitter_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+    loss: Annotated[float, Field(ge=0, le=1)] = 0.0
+    silent: bool = False
+
+
+class NewArrival(Asked):
+    """Told now: arrive when the run is so old."""
+
+    scheduled_time_s: Seconds
+
+
+class NewRestriction(Asked):
+    """Told now: a temporary restriction ahead."""
+
+    from_m: Metres
+    to_m: Metres
+    limit_mps: Speed
+
+
+class Lever(Asked):
+    """The lever by hand: a share of the effort; null gives it back. It falls back unless renewed in 3 s."""
+
+    share: Annotated[float, Field(ge=-1, le=1)] | None
+
+
+class Pace(Asked):
+    """How fast a live run goes: 1 is real time, 0 waits."""
+
+    pace: Annotated[float, Field(ge=0, le=100)]
+
+
+def request_of(asked: DriveAsked, paths: dict[str, str]) -> Request:
+    """The run as :mod:`metropilot.evaluate` takes it.
+
+    Args:
+        asked: The body.
+        paths: Where the uploads that it names lie, by id.
+    """
+    given: dict[str, Any] = asked.model_dump(
+        include={
+            "origin",
+            "destination",
+            "time_s",
+            "load",
+            "driver",
+            "options",
+            "ideal",
+            "mass_factor",
+            "resistance_factor",
+            "delay_s",
+            "lag_s",
+            "speed_noise_mps",
+            "objective",
+            "dt_s",
+            "seed",
+        }
+    )
+    return Request(
+        line=paths.get(asked.line, asked.line),
+        trainset=paths.get(asked.trainset, asked.trainset),
+        restrictions=tuple(r.text() for r in asked.restrictions),
+        arrivals=tuple(f"{a.scheduled_time_s!r}@{a.told_s!r}" for a in asked.arrivals),
+        **given,
+    )

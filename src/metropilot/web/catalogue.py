@@ -1,0 +1,259 @@
+"""Lines, trainsets, drivers, learning runs and studies as plain values."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from metropilot.drivers import DRIVERS
+from metropilot.errors import InputError
+from metropilot.evaluate import option_defaults
+from metropilot.railway import Line, Trainset, list_lines, list_trainsets, load_line, load_trainset
+from metropilot.web.refused import Refused
+from metropilot.web.service import Service
+from metropilot.web.work.learning import PROGRESS
+from metropilot.web.work.plain import numbers, pieces, station
+
+
+def line_rows(service: Service) -> list[dict[str, Any]]:
+    """Every line, those of the catalogue first."""
+    rows = [_line_row(load_line(key), key, uploaded=False) for key in list_lines()]
+    paths = service.paths()
+    for upload in service.store.uploads("line"):
+        try:
+            rows.append(_line_row(load_line(paths[upload.id]), upload.id, uploaded=True))
+        except InputError:
+            continue
+    return rows
+
+
+def _line_row(line: Line, key: str, *, uploaded: bool) -> dict[str, Any]:
+    length = line.stations[-1].position_m - line.stations[0].position_m
+    row = {"id": key, "name": line.name, "stations": len(line.stations), "length_m": length}
+    return {**row, "uploaded": uploaded}
+
+
+def line(service: Service, key: str) -> Line:
+    """A line by id.
+
+    Raises:
+        Refused: No such line (404).
+    """
+    path = service.paths().get(key)
+    if path is None and key not in list_lines():
+        raise Refused("no such line", 404, field="line", value=key)
+    return load_line(path or key)
+
+
+def line_out(service: Service, key: str) -> dict[str, Any]:
+    """A line with stations, sections, limits and gradients."""
+    found = line(service, key)
+    forward, backward = found.sections(), found.sections(backward=True)[::-1]
+    first, last = found.stations[0].position_m, found.stations[-1].position_m
+    sections = [
+        {
+            "origin": f.origin.code,
+            "destination": f.destination.code,
+            "length_m": f.length_m,
+            "planned_forward_s": f.planned_time_s,
+            "planned_backward_s": b.planned_time_s,
+        }
+        for f, b in zip(forward, backward, strict=True)
+    ]
+    return {
+        **_line_row(found, key, uploaded=key not in list_lines()),
+        "stops": [station(s) for s in found.stations],
+        "sections": sections,
+        "dwell_s": list(found.dwell_s),
+        "limit_mps": pieces(found.limit_mps.window(first, last)),
+        "gradient_permil": pieces(found.gradient_permil.window(first, last)),
+        "source": dict(found.source),
+        "notes": list(found.notes),
+        "unused": list(found.unused),
+    }
+
+
+def trainset_rows(service: Service) -> list[dict[str, Any]]:
+    """Every trainset, those of the catalogue first."""
+    rows = [_trainset_out(load_trainset(key), key, uploaded=False) for key in list_trainsets()]
+    paths = service.paths()
+    for upload in service.store.uploads("trainset"):
+        try:
+            rows.append(_trainset_out(load_trainset(paths[upload.id]), upload.id, uploaded=True))
+        except InputError:
+            continue
+    return rows
+
+
+def trainset_out(service: Service, key: str) -> dict[str, Any]:
+    """A trainset by id.
+
+    Raises:
+        Refused: No such trainset (404).
+    """
+    path = service.paths().get(key)
+    if path is None and key not in list_trainsets():
+        raise Refused("no such trainset", 404, field="trainset", value=key)
+    return _trainset_out(load_trainset(path or key), key, uploaded=path is not None)
+
+
+def _trainset_out(found: Trainset, key: str, *, uploaded: bool) -> dict[str, Any]:
+    return {
+        "id": key,
+        "name": found.name,
+        "loads_kg": dict(found.loads),
+        "load": found.load,
+        "length_m": found.length_m,
+        "max_speed_mps": found.max_speed_mps,
+        "max_acceleration_mps2": found.max_acceleration_mps2,
+        "max_deceleration_mps2": found.max_deceleration_mps2,
+        "uploaded": uploaded,
+    }
+
+
+def driver_rows() -> list[dict[str, Any]]:
+    """Every driver."""
+    found = [DRIVERS.get(key) for key in DRIVERS.ids()]
+    return [
+        {
+            "id": d.id,
+            "summary": d.summary or inspect.getdoc(d) or "",
+            "source": d.source,
+            "options": _plain_options(option_defaults(d)),
+        }
+        for d in found
+    ]
+
+
+def _plain_options(options: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: value if isinstance(value, bool | int | float | str) or value is None else str(value)
+        for name, value in options.items()
+        if not (isinstance(value, float) and not math.isfinite(value))
+    }
+
+
+def run_rows(service: Service) -> list[dict[str, Any]]:
+    """Learning runs, the newest first."""
+    from metropilot.learn import RunStore
+
+    return [_run_out(record) for record in RunStore(service.root / "runs").recent()]
+
+
+def run_out(service: Service, key: str) -> dict[str, Any]:
+    """A learning run.
+
+    Raises:
+        Refused: No such run (404).
+    """
+    from metropilot.learn import RunStore
+
+    found = [r for r in RunStore(service.root / "runs").recent(limit=10_000) if r.id == key]
+    if not found:
+        raise Refused("no such run", 404, field="id", value=key)
+    return _run_out(found[0])
+
+
+def _run_out(record: Any) -> dict[str, Any]:  # noqa: ANN401 (a RunRecord, whose module is imported late)
+    names = ("id", "algorithm", "task", "seed", "status", "created", "seconds", "steps", "score")
+    total = record.config.get("steps")
+    return {**{name: getattr(record, name) for name in names}, "total_steps": total}
+
+
+def history(service: Service, key: str) -> dict[str, list[float | None]]:
+    """The history of a learning run: one column a measure; a chunk done twice counts once."""
+    run_out(service, key)
+    folder = service.root / "runs" / key
+    rows: dict[float, dict[str, Any]] = {}
+    path = folder / PROGRESS
+    if path.exists():
+        for text in path.read_text(encoding="utf-8").splitlines():
+            row = json.loads(text)
+            rows[row["steps"]] = row
+        names = list(dict.fromkeys(name for row in rows.values() for name in row))
+        ordered = [rows[steps] for steps in sorted(rows)]
+        return {name: numbers([_number(row.get(name)) for row in ordered]) for name in names}
+    if (folder / "history.parquet").exists():
+        from metropilot.learn import read_history
+
+        return {name: numbers(column) for name, column in read_history(folder / "history.parquet").items()}
+    return {}
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else math.nan
+
+
+def task_rows() -> list[dict[str, Any]]:
+    """What can be learned."""
+    from metropilot.task import TASKS
+
+    return [{"id": key, "summary": row.summary} for key, row in TASKS.items()]
+
+
+def recipe_rows() -> list[dict[str, Any]]:
+    """Which drivers can be learned, and how."""
+    from metropilot.learn.recipes import RECIPES
+
+    return [
+        {
+            "driver": key,
+            "summary": row.summary,
+            "source": row.source,
+            "task": row.task,
+            "steps_quick": row.configuration("quick").steps,
+            "steps_paper": row.configuration("paper").steps,
+        }
+        for key, row in RECIPES.items()
+    ]
+
+
+def study_rows(service: Service) -> list[dict[str, Any]]:
+    """Every study, and whether a report of it is here."""
+    from metropilot.studies import STUDIES
+
+    return [
+        {"id": key, "title": title, "page": _report(service, key) is not None}
+        for key, title in STUDIES.items()
+    ]
+
+
+def study_table(service: Service, key: str) -> list[dict[str, Any]]:
+    """Rows of the newest report of a study.
+
+    Raises:
+        Refused: No such study, or no report yet (404).
+    """
+    from metropilot.studies import STUDIES
+
+    found = _report(service, key) if key in STUDIES else None
+    if found is None:
+        words = "no report yet; start the study" if key in STUDIES else "no such study"
+        raise Refused(words, 404, field="study", value=key)
+    return found["rows"]
+
+
+def _report(service: Service, key: str) -> dict[str, Any] | None:
+    """The newest report that a job of this server made."""
+    for job in service.store.jobs("study", limit=1000):
+        if job.status == "done" and job.asked.get("study") == key:
+            return service.store.result(job.id)
+    return None
+
+
+def file_of(service: Service, job: str, name: str) -> Path:
+    """A file of a job, by one of the names every job of its kind has.
+
+    Raises:
+        Refused: No such job or file (404).
+    """
+    from metropilot.web.work.drives import FILES
+
+    row = service.store.job(job)
+    path = service.root / "jobs" / row.id / name
+    if name not in FILES.get(row.kind, ()) or not path.is_file():
+        raise Refused("no such file", 404, field="name", value=name)
+    return path

@@ -1,0 +1,155 @@
+"""A convoy stepped against the clock, its link made worse or silent on the way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from metropilot.errors import InputError
+from metropilot.evaluate.convoy_drive import ConvoyRollout
+from metropilot.evaluate.convoy_folder import write_convoy
+from metropilot.evaluate.convoy_kpis import convoy_kpis
+from metropilot.evaluate.convoy_request import ConvoyRequest
+from metropilot.protection import LEVELS
+from metropilot.task.convoy_link import Link
+from metropilot.web.work.plain import numbers, station, window
+
+Event = dict[str, Any]
+SILENT = float("inf")
+
+
+class ConvoyEngine:
+    """A convoy under way; the same calls as :class:`metropilot.web.live.engine.Engine`.
+
+    Args:
+        request: What is to be driven.
+    """
+
+    def __init__(self, request: ConvoyRequest) -> None:
+        self.request = request
+        convoy = request.convoy()
+        follower = request.make_follower()
+        self.scheduled_s = request.run(convoy).scheduled_time_s
+        self.rollout = ConvoyRollout(convoy, request.head_run(convoy), follower, request.head.seed)
+        self.steps = 0
+        self.link = request.link
+        self.braked = False
+
+    @property
+    def time_s(self) -> float:
+        """Time since departure."""
+        return self.rollout.time_s
+
+    @property
+    def dt_s(self) -> float:
+        """Control period."""
+        return self.rollout.dt
+
+    @property
+    def over(self) -> bool:
+        """Whether all stand."""
+        return self.rollout.over
+
+    @property
+    def position_m(self) -> float:
+        """Of the head."""
+        return float(self.rollout.states[0].plant.position_m)
+
+    def advance(self) -> list[Any]:
+        """One control period; the row it gives."""
+        time_s, gaps, apart = self.rollout.advance()
+        self.steps += 1
+        states = self.rollout.states
+        return [
+            round(time_s, 4),
+            [round(float(s.plant.position_m), 3) for s in states],
+            [round(float(s.plant.speed_mps), 4) for s in states],
+            [round(x, 4) for x in gaps],
+            [round(x, 5) for x in apart],
+            [0 if s.watched is None else int(s.watched.level) for s in states],
+            [round(max(time_s - float(s.channel.heard.stamp_s), 0.0), 2) for s in states[1:]],
+            self.steps,
+        ]
+
+    def holds(self, event: Event) -> bool:
+        """Whether an event changes nothing."""
+        return event["kind"] == "lever" and event["share"] is None
+
+    def forgotten(self) -> bool:
+        """A convoy has no lever."""
+        return False
+
+    def apply(self, event: Event) -> str:
+        """Make the link worse or better, or let the head brake; what happened, in words.
+
+        Raises:
+            InputError: A convoy cannot be told that.
+        """
+        if event["kind"] == "emergency":
+            self.braked = True
+            self.rollout.brake_head()
+            return "the head makes an emergency brake"
+        if event["kind"] != "link":
+            raise InputError("a convoy cannot be told that", field="kind", value=event["kind"])
+        since = 0.0 if event["silent"] else SILENT
+        self.link = Link(event["delay_s"], event["jitter_s"], event["loss"], since)
+        self.rollout.relink(self.link)
+        if event["silent"]:
+            return "the link is silent"
+        lost = f"{100 * event['loss']:g} % lost"
+        return f"link: {event['delay_s']:g} s late, {event['jitter_s']:g} s uneven, {lost}"
+
+    def scene(self) -> dict[str, Any]:
+        """What stands still between events."""
+        convoy = self.rollout.convoy
+        section = convoy.section
+        return {
+            "columns": ["time_s", "position_m", "speed_mps", "gap_m", "apart_mps", "level", "age_s", "step"],
+            "levels": list(LEVELS),
+            "name": section.name,
+            "line": section.line_id,
+            "origin": station(section.origin, 0.0),
+            "destination": station(section.destination, section.length_m),
+            "length_m": section.length_m,
+            "trainset_length_m": convoy.trainsets[0].length_m,
+            "starts_m": list(convoy.starts_m),
+            "gap_m": convoy.gap_m,
+            "scheduled_time_s": self.scheduled_s,
+            "follower": self.request.follower,
+            "limit_mps": window(section, "limit_mps"),
+            "dt_s": self.dt_s,
+            "link": {
+                "delay_s": self.link.delay_s,
+                "jitter_s": self.link.jitter_s,
+                "loss": self.link.loss,
+                "silent": self.link.silent_from_s != SILENT,
+            },
+            "head_brakes": self.braked,
+        }
+
+    def report(self, folder: Path) -> tuple[dict[str, Any], dict[str, Any], str]:
+        """KPIs in short and in full, and the outcome; files into a folder."""
+        driven = self.rollout.result()
+        kpis = convoy_kpis(driven, self.scheduled_s)
+        write_convoy(folder, self.request, driven, kpis)
+        short = {"success": kpis.success, "kpis": kpis.as_dict(), "checks": convoy_checks(kpis.as_dict())}
+        full = {**short, "time_s": numbers(driven.time_s, 3), "gap_m": driven.gap_m.round(4).tolist()}
+        return short, full, kpis.outcome
+
+
+def convoy_checks(k: dict[str, Any]) -> list[dict[str, Any]]:
+    """The requirements of a convoy, passed or failed."""
+    fast = max(t["max_overspeed_mps"] for t in k["trainsets"])
+    emergencies = sum(t["emergency_brakes"] for t in k["trainsets"])
+    rows = (
+        ("no contact", f"smallest gap {k['gap_min_m']:.2f} m", "> 0 m", k["contacts"] == 0),
+        ("no overspeed", f"{3.6 * fast:.2f} km/h", "0 km/h", fast <= 1e-6),
+        (
+            "head on time",
+            f"{k['trainsets'][0]['running_time_s'] - k['scheduled_time_s']:+.2f} s",
+            "within 3 s",
+            k["punctual"],
+        ),
+        ("no emergency brake", str(emergencies), "0", emergencies == 0),
+    )
+    return [{"name": n, "value": v, "wanted": w, "passed": bool(p)} for n, v, w, p in rows]

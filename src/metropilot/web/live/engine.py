@@ -1,0 +1,251 @@
+"""A run stepped against the clock, told news and taken over on the way; every event has its step.
+
+The same events before the same steps give the same bits, so that a journal is enough to resume a run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+from metropilot.errors import Infeasible, InputError, SolverError
+from metropilot.evaluate import Moment, Request, Rollout, kpis_of, optimum_of, write_run
+from metropilot.physics import track_arrays
+from metropilot.planning import Plan, PlanOptions, minimum_running_time, optimal_plan
+from metropilot.protection import LEVELS, permitted_speed, protect
+from metropilot.railway import Restriction
+from metropilot.task import News, declared_bounds
+from metropilot.web.work.drives import drive_out
+from metropilot.web.work.plain import numbers, station, window
+
+HAND_S = 3.0
+"""The lever falls back to the driver unless whoever holds it says so within this time."""
+COLUMNS = (*Moment._fields, "step")
+LATE_W = 500.0
+SHORT = ("driver", "success", "kpis", "checks")
+PERMITTED_STEP_M = 5.0
+NEAREST_STEP_M = 5.0
+Event = dict[str, Any]
+
+
+class Engine:
+    """A live run.
+
+    Args:
+        request: What is to be driven.
+    """
+
+    def __init__(self, request: Request) -> None:
+        self.request = request
+        self.rollout = Rollout(request.run(), request.make_driver())
+        self.open = request.open_section()
+        self.steps = 0
+        self.renewed = 0.0
+        self.plan = self._plan()
+
+    @property
+    def time_s(self) -> float:
+        """Time since departure."""
+        return float(self.rollout.state.time_s)
+
+    @property
+    def dt_s(self) -> float:
+        """Control period."""
+        return self.rollout.run.dt
+
+    @property
+    def over(self) -> bool:
+        """Whether the run has ended."""
+        return self.rollout.outcome is not None
+
+    @property
+    def position_m(self) -> float:
+        """Of the head."""
+        return float(self.rollout.state.position_m)
+
+    def advance(self) -> list[Any]:
+        """One control period; the row it gives, in the order of ``COLUMNS``."""
+        moment = self.rollout.advance()
+        self.steps += 1
+        return [*(round(x, 4) for x in moment), self.steps]
+
+    def apply(self, event: Event) -> str:
+        """Tell the driver something, or take the lever; what happened, in words.
+
+        Raises:
+            InputError: It cannot be: the message says what can.
+        """
+        kind = event["kind"]
+        if kind == "arrival":
+            return self._arrival(float(event["scheduled_time_s"]))
+        if kind == "restriction":
+            return self._restrict(Restriction(event["from_m"], event["to_m"], event["limit_mps"]))
+        if kind != "lever":
+            raise InputError("a run cannot be told that", field="kind", value=kind)
+        share = event["share"]
+        by_hand = self.rollout.by_hand is not None
+        self.rollout.take(share)
+        self.renewed = monotonic()
+        if share is None:
+            return "the driver has the lever again" if by_hand else ""
+        return "" if by_hand else "the lever is taken by hand"
+
+    def holds(self, event: Event) -> bool:
+        """Whether the lever is there already; then the hand on it is felt again, and nothing changes."""
+        if event["kind"] != "lever" or event["share"] != self.rollout.by_hand:
+            return False
+        self.renewed = monotonic()
+        return True
+
+    def forgotten(self) -> bool:
+        """Whether the hand on the lever has not been felt for too long."""
+        return self.rollout.by_hand is not None and monotonic() - self.renewed > HAND_S
+
+    def _arrival(self, scheduled_s: float) -> str:
+        earlier = scheduled_s < self.rollout.scheduled_time_s
+        if scheduled_s <= self.time_s:
+            raise InputError(
+                "that time has passed",
+                field="scheduled_time_s",
+                value=scheduled_s,
+                unit="s",
+                allowed=f"> {self.time_s:.1f} s",
+            )
+        self.rollout.tell(News(self.time_s, scheduled_time_s=scheduled_s))
+        self.rollout.scheduled_time_s = scheduled_s
+        self.plan = self._plan()
+        return f"told to arrive {'earlier' if earlier else 'later'}: after {scheduled_s:g} s"
+
+    def _restrict(self, restriction: Restriction) -> str:
+        section = self.rollout.section
+        if restriction.from_m >= section.length_m:
+            raise InputError(
+                "begins beyond the stop",
+                field="from_m",
+                value=restriction.from_m,
+                unit="m",
+                allowed=f"< {section.length_m:g} m",
+            )
+        tail = float(self.rollout.state.position_m) - self.rollout.trainset.length_m
+        if restriction.to_m <= tail:
+            raise InputError(
+                "lies behind the trainset",
+                field="from_m",
+                value=restriction.from_m,
+                unit="m",
+                allowed="ahead",
+            )
+        if not self._in_time(restriction):
+            nearest = self._nearest(restriction)
+            raise InputError(
+                "too near for this speed: no brake could keep it",
+                field="from_m",
+                value=restriction.from_m,
+                unit="m",
+                allowed=f"{nearest:.0f} m or further" if nearest is not None else "a higher speed",
+            )
+        self.rollout.tell(News(self.time_s, restriction=restriction))
+        self.rollout.hear()
+        self.plan = self._plan()
+        where = f"{restriction.from_m:.0f} to {restriction.to_m:.0f} m"
+        return f"restriction announced: {3.6 * restriction.limit_mps:.0f} km/h from {where}"
+
+    def _in_time(self, restriction: Restriction) -> bool:
+        """Whether the speed is one protection would permit with the restriction."""
+        run = self.rollout.run
+        section = self.rollout.section.restricted(restriction)
+        guard = protect(section, run.scenario.believed(run.trainset), declared_bounds(run))
+        state = self.rollout.state
+        seen = float(state.speed_mps) + max(float(state.acceleration_mps2), 0.0)
+        return seen <= float(permitted_speed(guard, float(state.position_m)))
+
+    def _nearest(self, restriction: Restriction) -> float | None:
+        """Where it could begin instead; None if nowhere."""
+        first = np.ceil(float(self.rollout.state.position_m) / NEAREST_STEP_M) * NEAREST_STEP_M
+        for at in np.arange(first, self.rollout.section.length_m, 4 * NEAREST_STEP_M):
+            if self._in_time(replace(restriction, from_m=float(at), to_m=float(at) + 1.0)):
+                return float(at)
+        return None
+
+    def _plan(self) -> Plan | None:
+        """The optimal plan from here, which may be late where the time cannot be met."""
+        state, rollout = self.rollout.state, self.rollout
+        left = max(rollout.scheduled_time_s - self.time_s, 1.0)
+        speed = float(state.speed_mps)
+        options = PlanOptions(
+            objective=self.request.objective,
+            start_m=max(float(state.position_m), 0.0),
+            start_mps=speed,
+            late_w=LATE_W,
+        )
+        try:
+            return optimal_plan(
+                rollout.section, rollout.run.scenario.believed(rollout.run.trainset), left, options
+            )
+        except (Infeasible, SolverError):
+            return None
+
+    def scene(self) -> dict[str, Any]:
+        """What stands still between events: track, permitted speed, plan."""
+        rollout, plan = self.rollout, self.plan
+        section, trainset = rollout.section, rollout.run.trainset
+        track = track_arrays(section, trainset)
+        at = np.append(np.arange(0.0, section.length_m, PERMITTED_STEP_M), section.length_m)
+        inside = (track.limit_from_m < section.length_m) & np.isfinite(track.limit_from_m)
+        drawn = None
+        if plan is not None:
+            work = np.concatenate([[0.0], np.cumsum(plan.traction_n * np.diff(plan.position_m))])
+            drawn = {
+                "position_m": numbers(plan.position_m, 2),
+                "speed_mps": numbers(plan.speed_mps, 4),
+                "energy_wheel_j": numbers(float(rollout.state.traction_j) + work, 0),
+                "time_s": numbers(self.time_s + plan.time_s, 3),
+            }
+        return {
+            "columns": list(COLUMNS),
+            "levels": list(LEVELS),
+            "name": section.name,
+            "line": section.line_id,
+            "origin": station(section.origin, 0.0),
+            "destination": station(section.destination, section.length_m),
+            "length_m": section.length_m,
+            "trainset": trainset.name,
+            "load": trainset.load,
+            "trainset_length_m": trainset.length_m,
+            "driver": self.request.driver,
+            "dt_s": rollout.run.dt,
+            "scheduled_time_s": rollout.scheduled_time_s,
+            "minimum_running_time_s": self.minimum_s,
+            "limit": {
+                "from_m": numbers(track.limit_from_m[inside], 2),
+                "limit_mps": numbers(track.limit_mps[inside], 4),
+            },
+            "gradient_permil": window(section, "gradient_permil"),
+            "restrictions": [
+                {"from_m": r.from_m, "to_m": r.to_m, "limit_mps": r.limit_mps} for r in section.restrictions
+            ],
+            "permitted": {
+                "position_m": numbers(at, 2),
+                "speed_mps": numbers(permitted_speed(rollout.protection, at), 4),
+            },
+            "plan": drawn,
+            "by_hand": rollout.by_hand is not None,
+        }
+
+    def report(self, folder: Path) -> tuple[dict[str, Any], dict[str, Any], str]:
+        """KPIs in short and the drive in full, and the outcome; files into a folder."""
+        driven = self.rollout.drive()
+        optimum = optimum_of(driven, self.request.objective)
+        kpis = kpis_of(driven, optimum, self.request.objective)
+        full = drive_out(driven, kpis, optimum)
+        write_run(folder, self.request, driven, kpis, optimum)
+        return {name: full[name] for name in SHORT}, full, kpis.outcome
+
+    @property
+    def minimum_s(self) -> float:
+        """Minimum running time of the section as it was before departure."""
+        return minimum_running_time(self.open, self.rollout.run.trainset)

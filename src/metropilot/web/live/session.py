@@ -1,0 +1,193 @@
+"""A live run as the server holds it: what was said so far, and whoever listens."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from threading import Thread
+from time import monotonic
+from typing import Any, cast
+
+from metropilot.web.live.worker import main
+from metropilot.web.refused import Refused
+
+ANSWER_S = 10.0
+KEEP_ALIVE_S = 15.0
+SHOWN = ("scene", "rows", "event", "result", "error", "end")
+
+
+@dataclass
+class Spare:
+    """A process that waits for an order."""
+
+    process: BaseProcess
+    pipe: Connection
+
+
+def start_spare(worker_bytes: int) -> Spare:
+    """A new process; it imports what it needs while it waits."""
+    context = get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=main, args=(theirs, worker_bytes), daemon=True)
+    process.start()
+    theirs.close()
+    return Spare(process, cast("Connection", ours))
+
+
+@dataclass
+class Known:
+    """What is known of a live run at a glance."""
+
+    time_s: float = 0.0
+    position_m: float = 0.0
+    step: int = 0
+    pace: float = 1.0
+    behind_s: float = 0.0
+    outcome: str | None = None
+    status: str = "running"
+
+
+@dataclass
+class Session:
+    """One live run.
+
+    Attributes:
+        id: Of the job.
+        asked: What was asked for.
+        spare: Its process.
+        kept: Called in the reader's thread with what is to outlive the server.
+        known: What is known of it.
+        said: Everything said so far, as events of the stream.
+        viewers: How many listen.
+        summary: KPIs and requirements, once it has stopped.
+    """
+
+    id: str
+    asked: dict[str, Any]
+    spare: Spare
+    kept: Callable[[Session, str, dict[str, Any]], None]
+    known: Known = field(default_factory=Known)
+    said: list[bytes] = field(default_factory=list)
+    viewers: int = 0
+    summary: dict[str, Any] | None = None
+    left_at: float = field(default_factory=monotonic)
+
+    def __post_init__(self) -> None:
+        self.loop = asyncio.get_running_loop()
+        self.more = asyncio.Event()
+        self.numbers = itertools.count()
+        self.answers: dict[int, asyncio.Future[dict[str, Any]]] = {}
+        self.known.pace = float(self.asked["pace"])
+
+    @property
+    def over(self) -> bool:
+        """Whether it has ended."""
+        return self.known.status != "running"
+
+    def start(self, order: dict[str, Any]) -> None:
+        """Give the process its order and listen."""
+        self.spare.pipe.send(order)
+        Thread(target=self._listen, daemon=True, name=self.id).start()
+
+    async def ask(self, event: dict[str, Any]) -> float:
+        """Tell the run something; at what time it took note.
+
+        Raises:
+            Refused: The run is over, or does not answer.
+            InputError: It cannot be; the message says what can.
+        """
+        if self.over:
+            raise Refused("the run is over", 409, field="id", value=self.id)
+        number = next(self.numbers)
+        future = self.answers[number] = self.loop.create_future()
+        try:
+            self.spare.pipe.send((number, event))
+            answer = await asyncio.wait_for(future, ANSWER_S)
+        except (OSError, TimeoutError):
+            raise Refused("the run does not answer", 409, field="id", value=self.id) from None
+        finally:
+            self.answers.pop(number, None)
+        if "error" in answer:
+            raise answer["error"]
+        return float(answer["time_s"])
+
+    async def listen(self, after: int = -1) -> AsyncIterator[bytes]:
+        """Everything said from an event on, then what is said from now on, until the run is over."""
+        self.viewers += 1
+        at = after + 1
+        try:
+            while True:
+                if at < len(self.said):
+                    chunk, at = b"".join(self.said[at:]), len(self.said)
+                    yield chunk
+                    continue
+                if self.over:
+                    return
+                waits = self.more
+                try:
+                    await asyncio.wait_for(waits.wait(), KEEP_ALIVE_S)
+                except TimeoutError:
+                    yield b": still here\n\n"
+        finally:
+            self.viewers -= 1
+            self.left_at = monotonic()
+
+    def kill(self) -> None:
+        """End the process at once."""
+        self.spare.process.kill()
+
+    def _listen(self) -> None:
+        """In a thread of its own: forward what the process says."""
+        status = "failed"
+        try:
+            while True:
+                kind, text, known = self.spare.pipe.recv()
+                if kind == "end":
+                    status = "stopped" if b'"stopped":true' in text else "done"
+                if kind in {"journal", "kept", "rows", "error"}:
+                    self.kept(self, kind, known if kind != "error" else {"text": text})
+                self._in_loop(self._took, kind, text, known)
+                if kind == "end":
+                    break
+        except (EOFError, OSError):
+            pass
+        self.spare.process.join()
+        self.kept(self, "end", {"status": status})
+        self._in_loop(self._ended, status)
+
+    def _in_loop(self, call: Callable[..., None], *values: object) -> None:
+        try:
+            self.loop.call_soon_threadsafe(call, *values)
+        except RuntimeError:
+            return  # the server is gone
+
+    def _took(self, kind: str, text: bytes, known: dict[str, Any]) -> None:
+        for name, value in known.items():
+            if name in {"time_s", "position_m", "step", "pace", "behind_s", "outcome"}:
+                setattr(self.known, name, value)
+        if kind == "answer":
+            future = self.answers.get(known["number"])
+            if future is not None and not future.done():
+                future.set_result(known)
+        elif kind in SHOWN and kind != "end":
+            if kind == "result":
+                self.summary = json.loads(text)
+            self._say(kind, text)
+
+    def _ended(self, status: str) -> None:
+        self.known.status = status
+        for future in self.answers.values():
+            if not future.done():
+                future.set_result({"error": Refused("the run is over", 409, field="id", value=self.id)})
+        self._say("end", b'{"status":"' + status.encode() + b'"}')
+
+    def _say(self, kind: str, text: bytes) -> None:
+        self.said.append(b"id: %d\nevent: %s\ndata: %s\n\n" % (len(self.said), kind.encode(), text))
+        self.more.set()
+        self.more = asyncio.Event()

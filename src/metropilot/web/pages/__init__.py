@@ -1,0 +1,33 @@
+"""The pages of the console."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fastapi import FastAPI
+
+from metropilot.web.service import Service
+
+FAVICON = (
+    '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 32 32">'
+    '<rect width="32" height="32" rx="7" fill="#16324a"/>'
+    '<path d="M3 25 C9 25 9 8 15 8 S22 25 29 25" fill="none" stroke="#56b4e9" stroke-width="4"/></svg>'
+)
+
+
+def install(app: FastAPI, service: Service) -> None:
+    """Add the pages to an application.
+
+    Args:
+        app: The API.
+        service: What both call.
+    """
+    from nicegui import app as pages
+    from nicegui import ui
+
+    from metropilot.web.pages import compare, convoy, drive, journey, learn, lines
+
+    pages.add_static_files("/static", Path(__file__).parent.parent / "static", max_cache_age=300)
+    for module in (drive, compare, journey, convoy, learn, lines):
+        module.install(service)
+    ui.run_with(app, title="metropilot", favicon=FAVICON, reconnect_timeout=30.0, show_welcome_message=False)

@@ -1,0 +1,220 @@
+"""Compare: several drivers on one section, and the time-energy front."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import Request
+from nicegui import ui
+
+from metropilot.errors import MetropilotError
+from metropilot.web.asked import CompareAsked, PlanAsked
+from metropilot.web.pages.drive import validated
+from metropilot.web.pages.form import DisturbanceForm, SectionForm, driver_names
+from metropilot.web.pages.frame import card, empty, frame, links, number, refresh_while, table
+from metropilot.web.pages.plots import blank, compare_figure, front_figure
+from metropilot.web.service import Service
+
+SHOWN = (
+    ("time_error_s", "time (s)", 1.0, 2),
+    ("stopping_error_m", "stop (cm)", 100.0, 1),
+    ("energy_wheel_kwh", "wheel (kWh)", 1.0, 2),
+    ("energy_line_kwh", "line (kWh)", 1.0, 2),
+    ("optimality_gap_percent", "gap (%)", 1.0, 2),
+    ("max_jerk_mps3", "jerk (m/s³)", 1.0, 2),
+    ("comfort_huang2025", "Σ|Δu|", 1.0, 2),
+    ("regime_switches", "switches", 1.0, 0),
+    ("interventions", "overruled", 1.0, 0),
+    ("decision_time_us_median", "decision (µs)", 1.0, 0),
+)
+UNJUDGED = ("decision_time_us_median",)
+POLL_S = 0.4
+
+
+class ComparePage:
+    """The page's state for one browser."""
+
+    def __init__(self, service: Service, job: str | None) -> None:
+        self.service = service
+        self.job = job
+        self.front: dict[str, Any] | None = None
+        self.entries: list[dict[str, Any]] = []
+        self.wanted_s: float | None = None
+        self.planning = False
+        self.form = SectionForm(service, self.load_front, self.move_cursor)
+        self.disturbances = DisturbanceForm()
+
+    def build(self) -> None:
+        """Left what is asked, right what came of it."""
+        with ui.element("div").classes("mp-col"), card("Run"):
+            self.form.build()
+            drivers = driver_names()
+            chosen = [name for name in ("optimal", "manual", "flat_out") if name in drivers]
+            self.drivers = ui.select(drivers, value=chosen, label="Drivers", multiple=True)
+            self.drivers.props("outlined dense options-dense use-chips")
+            self.form.problem.beside("drivers", self.drivers).props('data-test="drivers"')
+            self.form.problem.beside("driver", self.drivers)
+            self.seeds = ui.number("Seeds of each driver", value=1, min=1, max=50, step=1).props(
+                "outlined dense"
+            )
+            self.form.problem.beside("seeds", self.seeds)
+            self.disturbances.build(self.form.problem)
+            with ui.element("div").classes("mp-row"):
+                ui.button("Compare", on_click=self.start).props('unelevated data-test="compare"')
+                self.cancel = ui.button("Stop", on_click=self.stop).props("outline")
+            self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="status"')
+        with ui.element("div").classes("mp-col"):
+            with card("What the next second costs"):
+                self.words = ui.label("Computing the front …").classes("mp-soft").props('data-test="second"')
+                self.front_plot = ui.plotly(blank(380)).classes("mp-plot")
+                self.front_plot.props('data-test="front"')
+            with card("Drivers against each other"):
+                self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
+                with self.result:
+                    empty("Choose drivers and press Compare.")
+
+    async def load(self) -> None:
+        """After the page is there."""
+        await self.form.load()
+        if self.job:
+            self.watch()
+
+    async def load_front(self) -> None:
+        """The front of the section."""
+        asked = PlanAsked.model_validate({**self.form.asked(), "time_s": None})
+        with self.form.problem.watching():
+            self.front = await self.service.front(asked)
+            await self.move_cursor()
+
+    async def move_cursor(self) -> None:
+        """What a second costs where the slider is."""
+        if self.front is None:
+            return
+        self.wanted_s = self.form.asked()["time_s"]
+        if self.planning:
+            return
+        self.planning = True
+        try:
+            while (now := self.wanted_s) is not None:
+                self.wanted_s = None
+                with self.form.problem.watching():
+                    plan = await self.service.plan(
+                        PlanAsked.model_validate({**self.form.asked(), "time_s": now})
+                    )
+                    self.say_second(now, plan)
+        finally:
+            self.planning = False
+
+    def say_second(self, now: float, plan: dict[str, Any]) -> None:
+        """The optimum at a time, and its slope there."""
+        energy, second = plan["energy_j"] / 3.6e6, plan["second_w"] / 3600
+        gap = max(100 * plan["certificate_gap"], 0.001)
+        self.words.text = (
+            f"At {now:.0f} s the optimum needs {energy:.2f} kWh at the wheel (certified within {gap:.3f} %). "
+            f"The next second saves {second:.0f} Wh, {100 * second / 1000 / energy:.1f} %."
+        )
+        if self.front is not None:
+            self.front_plot.update_figure(front_figure(self.front, (now, energy), self.entries))
+
+    async def start(self) -> None:
+        """Queue the comparison."""
+        with self.form.problem.watching():
+            values = {**self.form.asked(), **self.disturbances.asked()}
+            values |= {"drivers": list(self.drivers.value or []), "seeds": int(self.seeds.value or 0)}
+            asked = validated(CompareAsked, {**values, "driver": (values["drivers"] or ["optimal"])[0]})
+            self.job = self.service.submit(asked)
+            ui.run_javascript(f"history.replaceState(null, '', '/compare?job={self.job}')")
+            self.watch()
+
+    def watch(self) -> None:
+        """Follow the job until it is over."""
+        self.going = True
+        self.status.text = "queued"
+        refresh_while(lambda: self.going, POLL_S, self.look)
+
+    async def look(self) -> None:
+        """How far the job is."""
+        try:
+            row = self.service.store.job(self.job or "")
+        except MetropilotError as error:
+            self.going = False
+            self.form.problem.show(error)
+            return
+        said = {"queued": "queued", "running": f"{row.progress:.0%} · {row.words}", "done": "done"}
+        self.status.text = said.get(row.status, f"{row.status}: {row.words}")
+        if row.status in {"queued", "running"}:
+            return
+        self.going = False
+        found = self.service.store.result(row.id) if row.status == "done" else None
+        if found is not None:
+            self.entries = found["entries"]
+            await self.show()
+
+    async def show(self) -> None:
+        """Table and picture."""
+        self.result.clear()
+        with self.result:
+            compare_table(self.entries)
+            ui.plotly(compare_figure(self.entries)).classes("mp-plot").props('data-test="picture"')
+            names = ("comparison.json", "comparison.svg", "run.toml")
+            links([(name, f"/api/jobs/{self.job}/files/{name}") for name in names])
+        await self.move_cursor()
+
+    def stop(self) -> None:
+        """End the comparison."""
+        if self.job:
+            with self.form.problem.watching():
+                self.service.stop(self.job)
+
+
+def compare_table(entries: list[dict[str, Any]]) -> None:
+    """One row a driver; the best of those that always arrived safely and on time in each column."""
+    sound = [e for e in entries if e["successes"] == e["seeds"]]
+    best = {}
+    for name, *_ in SHOWN:
+        values = {e["driver"]: abs(e["kpis"][name]["mean"]) for e in sound if e["kpis"].get(name)}
+        if len(values) > 1 and name not in UNJUDGED:
+            best[name] = min(values, key=lambda d: values[d])
+    rows = []
+    for entry in entries:
+        cells: list[Any] = [entry["driver"], outcome(entry)]
+        for name, _, factor, digits in SHOWN:
+            found = entry["kpis"].get(name)
+            words = "–" if found is None else number(factor * found["mean"], digits)
+            if found is not None and found["high"] > found["low"]:
+                words += (
+                    f" ({number(factor * found['low'], digits)} … {number(factor * found['high'], digits)})"
+                )
+            cells.append((words, "best") if best.get(name) == entry["driver"] else words)
+        rows.append(cells)
+    columns = ("driver", "outcome", *(words for _, words, _, _ in SHOWN))
+    table(columns, rows, right=range(2, len(columns)), name="Comparison")
+    note = (
+        "Time and stop are errors; gap: energy above the optimum for the time achieved. "
+        "Bold: best of the drivers that always arrived safely and on time."
+    )
+    seeds = "" if all(e["seeds"] == 1 for e in entries) else " In brackets: 95 % interval over the seeds."
+    ui.label(note + seeds).classes("mp-soft")
+
+
+def outcome(entry: dict[str, Any]) -> tuple[str, str]:
+    """How the drives of one driver ended."""
+    if entry["successes"] == entry["seeds"]:
+        return ("✓ on time", "mp-pass")
+    said = {word: entry["outcomes"].count(word) for word in dict.fromkeys(entry["outcomes"])}
+    if set(said) == {"arrived"}:
+        late = entry["kpis"]["time_error_s"]["mean"]
+        return (f"✗ {'early' if late < 0 else 'late'}", "mp-fail")
+    return ("✗ " + ", ".join(f"{n} {w}" if entry["seeds"] > 1 else w for w, n in said.items()), "mp-fail")
+
+
+def install(service: Service) -> None:
+    """Add the page."""
+
+    @ui.page("/compare", title="Compare · metropilot")
+    async def compare(request: Request, job: str | None = None) -> None:
+        with frame(request, "/compare"):
+            page = ComparePage(service, job)
+            page.build()
+        await ui.context.client.connected()
+        await page.load()

@@ -1,0 +1,266 @@
+"""Convoy: trainsets virtually coupled, live, with a link that can fail."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import Request
+from nicegui import events, ui
+
+from metropilot.drivers.followers import FOLLOWERS
+from metropilot.errors import MetropilotError
+from metropilot.web import catalogue
+from metropilot.web.asked import ConvoyAsked, NewLink
+from metropilot.web.pages.drive import checks_table, validated
+from metropilot.web.pages.form import SectionForm, driver_names
+from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, table
+from metropilot.web.pages.plots import convoy_figure
+from metropilot.web.pages.strip import section_strip
+from metropilot.web.refused import Refused
+from metropilot.web.service import Service
+
+PACES = {1: "real time", 2: "2 ×", 5: "5 ×", 10: "10 ×"}
+GUARDS = {
+    "coupled": "coupled: brakes controlled",
+    "independent": "independent: declared brakes",
+    "moving_block": "moving block",
+    "none": "none",
+}
+READS = (
+    ("time", "–", "time"),
+    ("speed of the head", "–", "speed"),
+    ("smallest gap now", "–", "gap"),
+    ("smallest gap so far", "–", "least"),
+    ("largest difference", "–", "apart"),
+    ("oldest message", "–", "age"),
+    ("link", "–", "link"),
+    ("protection", "–", "level"),
+)
+
+
+class ConvoyPage:
+    """The page's state for one browser."""
+
+    def __init__(self, service: Service, run: str | None) -> None:
+        self.service = service
+        found = service.sessions.get(run or "")
+        self.run = run if found is not None and "follower" in found.asked else None
+        self.form = SectionForm(service, self.section_changed)
+
+    def build(self) -> None:
+        """Left what is asked, right what happens."""
+        with ui.element("div").classes("mp-col"):
+            with card("Convoy"):
+                self.form.build()
+                problem = self.form.problem
+                followers = list(FOLLOWERS.ids())
+                with ui.element("div").classes("mp-row"):
+                    self.count = ui.number("Trainsets", value=3, min=2, max=6, step=1)
+                    self.gap = ui.number("Wanted gap (m)", value=5.92, min=0.5, step=1)
+                with ui.element("div").classes("mp-row"):
+                    self.head = ui.select(driver_names(), value="optimal", label="Head")
+                    self.follower = ui.select(followers, value="follow_gap", label="Followers")
+                self.guard = ui.select(GUARDS, value="coupled", label="Protection relies on")
+                fields = (("trainsets", self.count), ("gap_m", self.gap), ("driver", self.head))
+                for name, element in (*fields, ("follower", self.follower), ("guard", self.guard)):
+                    problem.beside(name, element.props("outlined dense options-dense"))
+                with ui.element("div").classes("mp-row"):
+                    self.pace = ui.select(PACES, value=2, label="Pace", on_change=self.change_pace)
+                    self.pace.props("outlined dense")
+                    ui.button("Depart", icon="play_arrow", on_click=self.depart).props(
+                        'unelevated data-test="depart"'
+                    )
+                    ui.button("Stop", on_click=self.stop).props("outline")
+            self.build_link()
+        with ui.element("div").classes("mp-col"):
+            self.root = (
+                ui.element("section").classes("mp-card").props('data-test="convoy" data-status="none"')
+            )
+            with self.root, ui.element("div").classes("mp-stack"):
+                with ui.element("div").classes("mp-row items-center"):
+                    ui.label("Live convoy").classes("mp-h").props("role=heading aria-level=2")
+                    ui.label("not departed").classes("mp-soft").props('data-mp="status" aria-live=polite')
+                self.strip = ui.html("").classes("mp-strip")
+                reads(READS)
+                self.plot = ui.plotly(convoy_figure()).classes("mp-plot")
+                ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite aria-label="Events"')
+                self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
+            self.root.on("mp-result", self.show_result, ["detail"])
+
+    def build_link(self) -> None:
+        """Faults to switch on."""
+        with card("The link", "From each trainset to the one behind it; changes act at once.", late=True):
+            self.news = Problem()
+            with ui.element("div").classes("mp-row"):
+                self.delay = ui.number("Delay (s)", value=0.0, min=0, max=2, step=0.1)
+                self.jitter = ui.number("Uneven (s)", value=0.0, min=0, max=1, step=0.1)
+                self.loss = ui.number("Lost (%)", value=0, min=0, max=100, step=5)
+                for name, element in (
+                    ("delay_s", self.delay),
+                    ("jitter_s", self.jitter),
+                    ("loss", self.loss),
+                ):
+                    self.news.beside(name, element.props("outlined dense"))
+            self.silent = ui.switch("Silent: nothing arrives", on_change=self.relink).props(
+                'data-test="silent"'
+            )
+            with ui.element("div").classes("mp-row"):
+                ui.button("Set the link", on_click=self.relink).props('outline data-test="relink"')
+                brake = ui.button("Head: emergency brake", on_click=self.brake).props(
+                    "outline color=negative"
+                )
+                brake.props('data-test="emergency"')
+
+    async def start(self) -> None:
+        """After the page is there."""
+        await self.form.load()
+        if self.run:
+            self.attach(self.run, int(self.service.session(self.run).asked["trainsets"]))
+
+    async def section_changed(self) -> None:
+        """Draw the section, with room for the convoy behind its origin."""
+        if self.form.section is not None and self.live() is None:
+            self.form.slider.value = round(
+                max(self.form.time_s, 1.35 * self.form.section["minimum_running_time_s"])
+            )
+            self.draw_section()
+
+    def draw_section(self) -> None:
+        """The section and room behind it."""
+        if self.form.section is None:
+            return
+        length = catalogue.trainset_out(self.service, self.form.trainset_in.value)["length_m"]
+        count, gap = int(self.count.value or 2), float(self.gap.value or 0.0)
+        self.strip.content = section_strip(self.form.section, 0.0, count * (length + gap))
+
+    def live(self) -> Any:  # noqa: ANN401 (a session or None)
+        """The convoy that is watched, while it goes on."""
+        session = self.service.sessions.get(self.run or "")
+        return session if session is not None and not session.over else None
+
+    async def depart(self) -> None:
+        """Start a convoy and watch it."""
+        with self.form.problem.watching():
+            asked = validated(
+                ConvoyAsked,
+                {
+                    **self.form.asked(),
+                    "driver": self.head.value,
+                    "trainsets": int(self.count.value or 0),
+                    "follower": self.follower.value,
+                    "gap_m": self.gap.value,
+                    "guard": self.guard.value,
+                    "pace": float(self.pace.value or 1),
+                    **self.link(),
+                },
+            )
+            if (before := self.live()) is not None:
+                await before.ask({"kind": "stop"})
+            session = await self.service.go_live(asked)
+            self.run = session.id
+            self.draw_section()
+            self.attach(session.id, asked.trainsets)
+
+    def link(self) -> dict[str, float]:
+        """The link's fields."""
+        loss = (self.loss.value or 0) / 100
+        return {"delay_s": self.delay.value or 0.0, "jitter_s": self.jitter.value or 0.0, "loss": loss}
+
+    def attach(self, run: str, count: int) -> None:
+        """Let the browser watch."""
+        self.result.clear()
+        with self.result:
+            ui.label("KPIs of every trainset when all stand.").classes("mp-soft")
+        ui.run_javascript(f"metropilotConvoy('c{self.root.id}', {run!r}, {self.plot.id}, {count - 1})")
+
+    async def ask(self, event: dict[str, Any]) -> None:
+        """Tell the convoy something.
+
+        Raises:
+            MetropilotError: There is none, or it cannot be.
+        """
+        session = self.live()
+        if session is None:
+            raise Refused("no convoy is under way; depart first", 409)
+        await session.ask(event)
+
+    async def relink(self) -> None:
+        """Make the link worse, better or silent."""
+        with self.news.watching():
+            asked = validated(NewLink, {**self.link(), "silent": bool(self.silent.value)})
+            await self.ask({"kind": "link", **asked.model_dump()})
+
+    async def brake(self) -> None:
+        """The head makes an emergency brake."""
+        with self.news.watching():
+            await self.ask({"kind": "emergency"})
+
+    async def change_pace(self) -> None:
+        """Faster or slower."""
+        if (session := self.live()) is not None:
+            await session.ask({"kind": "pace", "pace": float(self.pace.value or 1)})
+
+    async def stop(self) -> None:
+        """End the run."""
+        with self.news.watching():
+            await self.ask({"kind": "stop"})
+
+    def show_result(self, event: events.GenericEventArguments) -> None:
+        """KPIs with pass and fail."""
+        del event
+        session = self.service.sessions.get(self.run or "")
+        if session is None or session.summary is None:
+            return
+        self.result.clear()
+        with self.result:
+            checks_table(session.summary["checks"])
+            members_table(session.summary["kpis"]["trainsets"])
+            names = ("kpis.json", "convoy.svg")
+            links([(name, f"/api/jobs/{session.id}/files/{name}") for name in names])
+
+
+def members_table(trainsets: list[dict[str, Any]]) -> None:
+    """One row a trainset."""
+    rows = [
+        (
+            "head" if t["number"] == 1 else str(t["number"]),
+            t["driver"],
+            t["outcome"].replace("_", " "),
+            number(t["running_time_s"], 1),
+            number(100 * t["stopping_error_m"], 1),
+            number(t["energy_wheel_kwh"], 2),
+            number(t["gap_min_m"], 2),
+            number(t["gap_max_m"], 2),
+            number(None if t["speed_difference_max_mps"] is None else 3.6 * t["speed_difference_max_mps"], 2),
+            str(t["interventions"]),
+        )
+        for t in trainsets
+    ]
+    columns = (
+        "trainset",
+        "driver",
+        "outcome",
+        "time (s)",
+        "stop (cm)",
+        "wheel (kWh)",
+        "gap min (m)",
+        "gap max (m)",
+        "difference (km/h)",
+        "interventions",
+    )
+    table(columns, rows, right=range(3, 10), name="Trainsets")
+
+
+def install(service: Service) -> None:
+    """Add the page."""
+
+    @ui.page("/convoy", title="Convoy · metropilot")
+    async def convoy(request: Request, run: str | None = None) -> None:
+        with frame(request, "/convoy"):
+            page = ConvoyPage(service, run)
+            page.build()
+        await ui.context.client.connected()
+        try:
+            await page.start()
+        except MetropilotError as error:
+            page.form.problem.show(error)

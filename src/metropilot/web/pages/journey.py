@@ -1,0 +1,145 @@
+"""Journey: the whole line, its reserve spread by the optimum."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+from fastapi import Request
+from nicegui import ui
+
+from metropilot.web import catalogue
+from metropilot.web.asked import JourneyAsked
+from metropilot.web.pages.drive import validated
+from metropilot.web.pages.frame import Problem, card, frame, number, reads, table
+from metropilot.web.pages.plots import blank, journey_figure, sections_figure
+from metropilot.web.pages.strip import line_strip, names
+from metropilot.web.service import Service
+
+WAYS = {"timetable": "Keep the timetable", "optimum": "Let the optimum spread the reserve"}
+
+
+class JourneyPage:
+    """The page's state for one browser."""
+
+    def __init__(self, service: Service) -> None:
+        self.service = service
+        self.line = catalogue.line_out(service, "yizhuang")
+        self.timetable_s: float | None = None
+
+    def build(self) -> None:
+        """Left what is asked, right the journey."""
+        lines = {row["id"]: row["name"] for row in catalogue.line_rows(self.service)}
+        trainsets = {row["id"]: row["name"] for row in catalogue.trainset_rows(self.service)}
+        stops = names(self.line["stops"])
+        ends = list(stops)
+        with ui.element("div").classes("mp-col"), card("Journey", "Calls at every station on the way."):
+            self.problem = Problem()
+            fields: dict[str, Any] = {
+                "line": ui.select(lines, value="yizhuang", label="Line", on_change=self.line_changed),
+                "origin": ui.select(stops, value=ends[0], label="From"),
+                "destination": ui.select(stops, value=ends[-1], label="To"),
+                "trainset": ui.select(trainsets, value="dkz32", label="Trainset"),
+            }
+            self.fields = fields
+            for name, element in fields.items():
+                self.problem.beside(name, element.props("outlined dense options-dense"))
+            self.way = ui.radio(WAYS, value="optimum").props("dense")
+            self.total = ui.number("Whole journey, dwells included (s)", min=60, step=10).props(
+                "outlined dense"
+            )
+            self.problem.beside("total_s", self.total).props('data-test="total"')
+            self.problem.beside("journey", self.total)
+            ui.button("Plan", on_click=self.plan).props('unelevated data-test="plan"')
+            self.status = ui.label("").classes("mp-soft").props("aria-live=polite")
+        with ui.element("div").classes("mp-col"):
+            with card():
+                self.map = ui.html("").classes("mp-strip")
+                self.summary = ui.element("div").props('data-test="summary"')
+            with card("Train graph"):
+                self.graph = ui.plotly(blank(460)).classes("mp-plot")
+                self.graph.props('data-test="graph"')
+            with card("Sections"):
+                self.bars = ui.plotly(blank(400)).classes("mp-plot")
+                self.rows = ui.element("div").classes("w-full").props('data-test="sections"')
+
+    async def line_changed(self) -> None:
+        """Another line has other stations."""
+        self.line = catalogue.line_out(self.service, self.fields["line"].value)
+        stops = names(self.line["stops"])
+        ends = list(stops)
+        self.fields["origin"].set_options(stops, value=ends[0])
+        self.fields["destination"].set_options(stops, value=ends[-1])
+        self.total.value = None
+        await self.plan()
+
+    async def plan(self) -> None:
+        """Plan the journey; without a total, that of the timetable is spread."""
+        with self.problem.watching():
+            self.status.text = "planning …"
+            asked = {name: element.value for name, element in self.fields.items()}
+            free = self.way.value == "optimum"
+            try:
+                if free and self.total.value is None:
+                    kept = await self.service.journey(validated(JourneyAsked, asked).model_dump())
+                    self.total.value = round(kept["running_time_s"])
+                total = self.total.value if free else None
+                found = await self.service.journey(
+                    validated(JourneyAsked, {**asked, "total_s": total}).model_dump()
+                )
+            finally:
+                self.status.text = ""
+            self.show(found)
+
+    def show(self, found: dict[str, Any]) -> None:
+        """The journey's numbers and pictures."""
+        ends = self.fields["origin"].value, self.fields["destination"].value
+        self.map.content = line_strip(self.line, ends)
+        energy, planned = found["energy_j"] / 3.6e6, found["planned_energy_j"]
+        saved = None if not planned else 100 * (1 - found["energy_j"] / planned)
+        minutes, seconds = divmod(round(found["running_time_s"]), 60)
+        gap = 100 * (found["energy_j"] / found["bound_j"] - 1)
+        self.summary.clear()
+        with self.summary:
+            reads(
+                (
+                    ("journey time", f"{minutes} min {seconds:02d} s", ""),
+                    ("energy at the wheel", f"{energy:.1f} kWh", ""),
+                    ("against the timetable's times", number(None if saved is None else -saved, 2, "%"), ""),
+                    ("certified within", f"{max(gap, 0.001):.3f} %", ""),
+                )
+            )
+        self.graph.update_figure(journey_figure(found))
+        self.bars.update_figure(sections_figure(found))
+        rows = [
+            (
+                f"{a['station']}–{b['station']}",
+                clock(b["arrival_s"]),
+                number(b["running_time_s"], 1),
+                number(b["minimum_running_time_s"], 1),
+                number(b["running_time_s"] - b["minimum_running_time_s"], 1),
+                number(b["energy_j"] / 3.6e6, 2),
+            )
+            for a, b in pairwise(found["calls"])
+        ]
+        columns = ("section", "arrival (min:s)", "running (s)", "minimum (s)", "reserve (s)", "energy (kWh)")
+        self.rows.clear()
+        with self.rows:
+            table(columns, rows, right=range(1, 6), name="Sections")
+
+
+def clock(seconds: float) -> str:
+    """Minutes and seconds."""
+    return f"{int(seconds // 60)}:{seconds % 60:04.1f}"
+
+
+def install(service: Service) -> None:
+    """Add the page."""
+
+    @ui.page("/journey", title="Journey · metropilot")
+    async def journey(request: Request) -> None:
+        with frame(request, "/journey"):
+            page = JourneyPage(service)
+            page.build()
+        await ui.context.client.connected()
+        await page.plan()

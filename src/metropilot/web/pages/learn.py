@@ -1,0 +1,262 @@
+"""Learn: start a run, watch its curves, stop and resume it; the studies' tables."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from fastapi import Request
+from nicegui import run, ui
+
+from metropilot.errors import MetropilotError
+from metropilot.web import catalogue
+from metropilot.web.asked import LearnAsked, StudyAsked
+from metropilot.web.pages.drive import validated
+from metropilot.web.pages.frame import Problem, card, empty, frame, number, refresh_while, table
+from metropilot.web.pages.plots import blank, history_figure
+from metropilot.web.refused import Refused
+from metropilot.web.service import Service
+from metropilot.web.store import JobRow
+
+POLL_S = 1.0
+GOING = ("queued", "running")
+
+
+class LearnPage:
+    """The page's state for one browser."""
+
+    def __init__(self, service: Service, job: str | None) -> None:
+        self.service = service
+        self.job = job
+        self.seen: object = None
+        self.closed = False
+
+    def build(self) -> None:
+        """Left what is asked, right the curves."""
+        self.recipes = {row["driver"]: row for row in catalogue.recipe_rows()}
+        with ui.element("div").classes("mp-col"):
+            with card("Learn a driver"):
+                self.driver = ui.select(
+                    list(self.recipes), value="ppo", label="Driver", on_change=self.say_recipe
+                )
+                self.budget = ui.select(
+                    ["quick", "paper"], value="quick", label="Budget", on_change=self.say_recipe
+                )
+                self.words = ui.label("").classes("mp-soft")
+                self.steps = ui.number("Environment steps", min=1000, step=50_000)
+                self.seed = ui.number("Seed", value=0, min=0, step=1)
+                self.problem = Problem()
+                fields = (
+                    ("driver", self.driver),
+                    ("budget", self.budget),
+                    ("steps", self.steps),
+                    ("seed", self.seed),
+                )
+                for name, element in fields:
+                    self.problem.beside(name, element.props("outlined dense options-dense"))
+                self.steps.props('data-test="steps"')
+                ui.button("Learn", on_click=self.start).props('unelevated data-test="learn"')
+            with card("Studies", "Papers reproduced: published, ours and optimum."):
+                self.studies()
+        with ui.element("div").classes("mp-col"):
+            with card("Run"):
+                with ui.element("div").classes("mp-row items-center"):
+                    self.status = ui.label("No run chosen.").classes("mp-soft grow")
+                    self.status.props('aria-live=polite data-test="status"')
+                    self.stop_button = ui.button("Stop", on_click=self.stop).props('outline data-test="stop"')
+                    self.resume_button = ui.button("Resume", on_click=self.resume).props(
+                        'outline data-test="resume"'
+                    )
+                self.bar = ui.linear_progress(value=0, show_value=False).props(
+                    'aria-label="Progress" rounded'
+                )
+                self.plot = (
+                    ui.plotly(blank(560, "Start a run, or choose one below."))
+                    .classes("mp-plot")
+                    .props('data-test="curves"')
+                )
+            with card("Runs"):
+                self.runs = ui.element("div").classes("w-full").props('data-test="runs"')
+            self.tables = ui.element("div").classes("mp-col").props('data-test="study"')
+        self.say_recipe()
+        self.fill()
+        self.look_buttons(None)
+
+    def say_recipe(self) -> None:
+        """What a recipe is, and its steps."""
+        row = self.recipes[self.driver.value]
+        self.words.text = f"{row['summary']} ({row['source']}), task {row['task']}"
+        self.steps.value = row[f"steps_{self.budget.value}"]
+
+    def start(self) -> None:
+        """Queue a learning run."""
+        with self.problem.watching():
+            values = {"driver": self.driver.value, "budget": self.budget.value}
+            numbers = {"steps": int(self.steps.value or 0), "seed": int(self.seed.value or 0)}
+            self.job = self.service.submit(validated(LearnAsked, {**values, **numbers}))
+            self.follow()
+
+    def follow(self) -> None:
+        """Watch the chosen job."""
+        ui.run_javascript(f"history.replaceState(null, '', '/learn?job={self.job}')")
+        self.seen = None
+        self.look_once()
+
+    def watch(self) -> None:
+        """Look again and again while the page is open."""
+        refresh_while(lambda: not self.closed, POLL_S, self.look)
+
+    async def look(self) -> None:
+        """How far the chosen job is; drawn only when something is new."""
+        if self.job is None:
+            return
+        found = await run.io_bound(self.known, self.job)
+        if found is not None:
+            self.show(*found)
+
+    def look_once(self) -> None:
+        """The same, at once."""
+        if self.job is not None:
+            self.show(*self.known(self.job))
+
+    def known(self, job: str) -> tuple[JobRow | None, dict[str, Any]]:
+        """A job and the history of its run."""
+        try:
+            row = self.service.store.job(job)
+            return row, catalogue.history(self.service, row.run) if row.run else {}
+        except MetropilotError:
+            return None, {}
+
+    def show(self, row: JobRow | None, columns: dict[str, Any]) -> None:
+        """Status, curves, and the list when something changed."""
+        if row is None:
+            self.status.text = "no such job"
+            return
+        steps = columns.get("steps", [])
+        now = (row.id, row.status, row.words, len(steps))
+        if now == self.seen:
+            return
+        self.seen = now
+        name = row.run or row.id
+        self.status.text = f"{name} · {row.status}" + (f" · {row.words}" if row.words else "")
+        self.bar.value = row.progress
+        waits = blank(560, "The curves begin with the first evaluation.")
+        self.plot.update_figure(history_figure(columns) if steps else waits)
+        self.look_buttons(row.status)
+        self.fill()
+
+    def look_buttons(self, status: str | None) -> None:
+        """What can be done now."""
+        self.stop_button.set_enabled(status in GOING)
+        self.resume_button.set_enabled(status in {"stopped", "interrupted", "failed"})
+
+    def stop(self) -> None:
+        """Stop at the next checkpoint."""
+        with self.problem.watching():
+            self.service.stop(self.job or "")
+            self.status.text += " · stops at the next checkpoint"
+
+    def resume(self) -> None:
+        """Go on from the checkpoint."""
+        with self.problem.watching():
+            self.service.resume(self.job or "")
+            self.look_once()
+
+    def fill(self) -> None:
+        """The list of runs."""
+        rows = self.service.store.jobs("learn", 30)
+        self.runs.clear()
+        with self.runs:
+            if not rows:
+                empty("No learning run yet. Quick takes about two minutes on two free cores.")
+                return
+            with ui.element("div").classes("mp-stack"):
+                for row in rows:
+                    seed = row.asked["seed"]
+                    words = f"{row.run or row.id} · {row.asked['budget']} · seed {seed} · {row.status}"
+                    button = ui.button(words, on_click=partial(self.choose, row.id))
+                    button.props("flat no-caps dense").classes("w-full mp-item")
+
+    def choose(self, job: str) -> None:
+        """Show another run."""
+        self.job = job
+        self.follow()
+
+    def studies(self) -> None:
+        """The studies, and a button for each."""
+        rows = catalogue.study_rows(self.service)
+        if not rows:
+            empty("No study is installed.")
+        for row in rows:
+            with ui.element("div").classes("mp-row items-center no-wrap"):
+                ui.label(f"{row['id']}: {row['title']}").classes("mp-soft grow")
+                go = ui.button("Show", on_click=partial(self.show_study, row["id"])).props(
+                    "flat dense no-caps"
+                )
+                go.props(f'aria-label="Show {row["id"]}"')
+
+    def show_study(self, key: str) -> None:
+        """A study's table, or a button that makes it."""
+        self.tables.clear()
+        with self.tables, card(key):
+            try:
+                study_table(catalogue.study_table(self.service, key))
+            except Refused:
+                going = [
+                    j
+                    for j in self.service.store.jobs("study")
+                    if j.asked["study"] == key and j.status in GOING
+                ]
+                words = (
+                    going[0].words or going[0].status
+                    if going
+                    else "Not reproduced here yet; quick takes about 2 min."
+                )
+                empty(words)
+            again = ui.button("Reproduce (quick)", on_click=lambda: self.reproduce(key))
+            again.props("outline no-caps")
+
+    def reproduce(self, key: str) -> None:
+        """Queue a study."""
+        with self.problem.watching():
+            self.service.submit(StudyAsked(study=key))
+            self.show_study(key)
+
+
+def study_table(rows: list[dict[str, Any]]) -> None:
+    """Published, ours with its range, optimum."""
+    cells = [
+        (
+            r["table"],
+            r["case"],
+            r["driver"],
+            f"{r['kpi']} ({r['unit']})" if r["unit"] else r["kpi"],
+            figures(r["published"]),
+            figures(r["ours"]),
+            "–"
+            if r["low"] is None or r["low"] == r["high"]
+            else f"{figures(r['low'])} … {figures(r['high'])}",
+            figures(r["optimum"]),
+        )
+        for r in rows
+    ]
+    columns = ("table", "case", "driver", "KPI", "published", "ours", "range", "optimum")
+    table(columns, cells, right=(4, 5, 6, 7), name="Published, ours, optimum")
+
+
+def figures(value: float | None) -> str:
+    """A number with four figures."""
+    return number(None) if value is None else f"{value:.4g}".replace("-", "−")
+
+
+def install(service: Service) -> None:
+    """Add the page."""
+
+    @ui.page("/learn", title="Learn · metropilot")
+    async def learn(request: Request, job: str | None = None) -> None:
+        with frame(request, "/learn"):
+            page = LearnPage(service, job)
+            page.build()
+        await ui.context.client.connected()
+        page.look_once()
+        page.watch()

@@ -1,0 +1,171 @@
+"""Lines: the catalogue and uploads, drawn; what is wrong with a file beside its field."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from fastapi import Request
+from nicegui import events, ui
+
+from metropilot.errors import MetropilotError
+from metropilot.web import catalogue
+from metropilot.web.pages.frame import card, empty, frame, heading, number, table
+from metropilot.web.pages.plots import BLACK, BLUE, axis, figure, line, stairs
+from metropilot.web.pages.strip import line_strip
+from metropilot.web.refused import detail_of
+from metropilot.web.service import Service
+
+WHERE = ("file", "field", "value", "unit", "allowed")
+
+
+class LinesPage:
+    """The page's state for one browser."""
+
+    def __init__(self, service: Service) -> None:
+        self.service = service
+
+    def build(self) -> None:
+        """Left the list and the upload, right the line."""
+        with ui.element("div").classes("mp-col"):
+            with card("Lines"):
+                self.list = ui.element("div").classes("mp-stack")
+            most = f"{self.service.settings.upload_bytes / 1e6:g} MB"
+            with card("Upload", f"A line or a trainset: metropilot's TOML or TTOBench's JSON, up to {most}."):
+                upload = ui.upload(
+                    on_upload=self.upload,
+                    on_rejected=lambda: self.refuse_large(most),
+                    max_file_size=self.service.settings.upload_bytes,
+                    auto_upload=True,
+                    label="Choose or drop a file",
+                )
+                self.upload_in = upload.props('accept=".toml,.json" flat bordered').classes("w-full")
+                self.said = ui.element("div").classes("mp-stack").props('role=status data-test="upload-said"')
+        with ui.element("div").classes("mp-col"):
+            self.shown = ui.element("div").classes("mp-col").props('data-test="line"')
+        self.fill()
+
+    def fill(self) -> None:
+        """The list, anew."""
+        self.list.clear()
+        with self.list:
+            for row in catalogue.line_rows(self.service):
+                with ui.element("div").classes("mp-row items-center no-wrap"):
+                    words = f"{row['name']} · {row['stations']} stations · {row['length_m'] / 1000:.1f} km"
+                    button = ui.button(words, on_click=partial(self.show, row["id"]))
+                    button.props("flat no-caps dense").classes("grow mp-item")
+                    if row["uploaded"]:
+                        forget = ui.button(icon="delete", on_click=partial(self.forget, row["id"]))
+                        forget.props(f'flat dense round aria-label="Remove {row["id"]}"')
+
+    def show(self, key: str) -> None:
+        """A line, drawn."""
+        self.shown.clear()
+        with self.shown:
+            try:
+                found = catalogue.line_out(self.service, key)
+            except MetropilotError as error:
+                empty(str(error))
+                return
+            with card(
+                found["name"], f"{found['stations']} stations, {found['length_m'] / 1000:.3f} km · id {key}"
+            ):
+                ui.html(line_strip(found)).classes("mp-strip")
+                end = found["stops"][-1]["position_m"]
+                limits = stairs(found["limit_mps"], end, 3.6)
+                slopes = stairs(found["gradient_permil"], end)
+                km = [[x / 1000 for x in limits[0]], [x / 1000 for x in slopes[0]]]
+                traces = [
+                    line("speed limit (km/h)", km[0], limits[1], BLACK, width=1.6, shape="hv"),
+                    line(
+                        "gradient (‰)",
+                        km[1],
+                        slopes[1],
+                        BLUE,
+                        width=1.4,
+                        shape="hv",
+                        fill="tozeroy",
+                        yaxis="y2",
+                    ),
+                ]
+                layout = {
+                    "xaxis": axis("position (km)", anchor="y2"),
+                    "yaxis": axis("limit (km/h)", domain=[0.55, 1.0], rangemode="tozero"),
+                    "yaxis2": axis("gradient (‰)", domain=[0.0, 0.45]),
+                }
+                ui.plotly(figure(traces, 380, showlegend=False, **layout)).classes("mp-plot")
+            with card("Sections"):
+                rows = [
+                    (
+                        f"{s['origin']}–{s['destination']}",
+                        number(s["length_m"], 0),
+                        number(s["planned_forward_s"], 0),
+                        number(s["planned_backward_s"], 0),
+                    )
+                    for s in found["sections"]
+                ]
+                columns = ("section", "length (m)", "planned there (s)", "planned back (s)")
+                table(columns, rows, right=range(1, 4), name="Sections")
+            self.notes("Notes", found["notes"])
+            self.notes("Read, but without effect", found["unused"])
+            self.notes("Sources", [f"{block}: {text}" for block, text in found["source"].items()])
+
+    @staticmethod
+    def notes(title: str, texts: list[str]) -> None:
+        """Remarks of a file."""
+        if texts:
+            with card(title):
+                for text in texts:
+                    ui.label(text).classes("mp-soft")
+
+    async def upload(self, event: events.UploadEventArguments) -> None:
+        """Take a file; say what it is, or what is wrong and where."""
+        self.upload_in.reset()
+        content = await event.file.read()
+        try:
+            row, found = await self.service.upload(event.file.name, content)
+        except MetropilotError as error:
+            self.refuse(error)
+            return
+        self.said.clear()
+        with self.said:
+            ui.label(f"✓ {row.kind} “{row.name}” taken as {row.id}").classes("mp-pass")
+            for note in found["notes"]:
+                ui.label(note).classes("mp-soft")
+        self.fill()
+        if row.kind == "line":
+            self.show(row.id)
+
+    def refuse(self, error: MetropilotError) -> None:
+        """What is wrong with a file: field, value, unit and what is allowed, each in its place."""
+        told = detail_of(error)
+        self.said.clear()
+        with self.said:
+            heading("This file cannot be used")
+            ui.label(told["message"]).classes("mp-error")
+            rows = [(name, str(told[name])) for name in WHERE if told[name] is not None]
+            table(("", ""), rows, name="What is wrong")
+
+    def refuse_large(self, most: str) -> None:
+        """A file the browser did not even send."""
+        self.said.clear()
+        with self.said:
+            ui.label(f"not taken: a .toml or .json file of at most {most}").classes("mp-error")
+
+    def forget(self, key: str) -> None:
+        """Remove an upload."""
+        try:
+            self.service.forget(key)
+        except MetropilotError as error:
+            self.refuse(error)
+        self.fill()
+
+
+def install(service: Service) -> None:
+    """Add the page."""
+
+    @ui.page("/lines", title="Lines · metropilot")
+    async def lines(request: Request) -> None:
+        with frame(request, "/lines"):
+            page = LinesPage(service)
+            page.build()
+            page.show("yizhuang")

@@ -1,0 +1,309 @@
+"""Interactive pictures: plain Plotly figures in the colours of the printed ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+from metropilot.evaluate.style import BLACK, BLUE, GREEN, GREY, KMH, ORANGE, PURPLE, SKY, VERMILION
+
+KWH = 3.6e6
+SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, GREY, SKY)
+DASHES = ("solid", "dash", "dashdot", "dot", "longdash", "longdashdot", "solid")
+INK = "#5a6673"
+CONFIG = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
+Figure = dict[str, Any]
+Trace = dict[str, Any]
+
+
+def figure(traces: Sequence[Trace], height: int, **layout: Any) -> Figure:  # noqa: ANN401 (Plotly's layout)
+    """A figure without a background of its own, so that it stands on a light page and on a dark one."""
+    base: dict[str, Any] = {
+        "height": height,
+        "margin": {"l": 58, "r": 14, "t": 34, "b": 44},
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": "rgba(0,0,0,0)",
+        "font": {"size": 12, "color": INK},
+        "legend": {"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom", "font": {"size": 12}},
+        "hovermode": "x unified",
+        "uirevision": "kept",
+    }
+    return {"data": list(traces), "layout": {**base, **layout}, "config": CONFIG}
+
+
+def blank(height: int, words: str = "computing …") -> Figure:
+    """What stands where a picture will be: its size, and why it is not there yet."""
+    said = {"text": words, "showarrow": False, "xref": "paper", "yref": "paper", "x": 0.5, "y": 0.5}
+    hidden = {"visible": False}
+    return figure([], height, xaxis=hidden, yaxis=hidden, annotations=[said])
+
+
+def axis(title: str, **more: Any) -> dict[str, Any]:  # noqa: ANN401 (Plotly's axis)
+    """An axis with its unit."""
+    return {"title": {"text": title, "standoff": 8}, "zeroline": False, "automargin": True, **more}
+
+
+def line(
+    name: str,
+    x: Sequence[Any],
+    y: Sequence[Any],
+    colour: str,
+    *,
+    width: float = 2.0,
+    **more: Any,  # noqa: ANN401
+) -> Trace:
+    """A line; ``dash`` and ``shape`` go into its line."""
+    style = {"color": colour, "width": width}
+    style |= {key: more.pop(key) for key in ("dash", "shape") if key in more}
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "name": name,
+        "x": list(x),
+        "y": list(y),
+        "line": style,
+        **more,
+    }
+
+
+def kmh(speeds: Sequence[float]) -> list[float]:
+    """Speeds for the reader."""
+    return [round(v * KMH, 3) for v in speeds]
+
+
+def kwh(joules: Sequence[float]) -> list[float]:
+    """Energies for the reader."""
+    return [round(j / KWH, 5) for j in joules]
+
+
+def stairs(
+    pieces: dict[str, list[float]], end: float, factor: float = 1.0
+) -> tuple[list[float], list[float]]:
+    """A piecewise-constant profile as positions and values for a stepped line."""
+    values = [v * factor for v in pieces["value"]]
+    return [*pieces["from_m"], end], [*values, values[-1]]
+
+
+def run_figure() -> Figure:
+    """An empty run: speed with limit, permitted speed and plan; command; energy. Filled by the browser."""
+    below = {"hoverinfo": "skip", "showlegend": False}
+    traces = [
+        line("speed limit", [], [], BLACK, width=1.4, shape="hv"),
+        line("permitted speed", [], [], ORANGE, width=1.6, dash="dash"),
+        line("optimal plan", [], [], SKY, width=6, opacity=0.65),
+        line("driven", [], [], BLUE, width=2.2),
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": "protection",
+            "x": [],
+            "y": [],
+            "marker": {"symbol": "triangle-down", "size": 10, "color": VERMILION},
+        },
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "x": [],
+            "y": [],
+            "marker": {"size": 10, "color": BLUE, "line": {"width": 2, "color": "#fff"}},
+            **below,
+        },
+        line("command", [], [], BLUE, width=1.4, shape="hv", fill="tozeroy", yaxis="y2", showlegend=False),
+        line("plan's energy", [], [], SKY, width=6, opacity=0.65, yaxis="y3", showlegend=False),
+        line("energy at the wheel", [], [], BLUE, yaxis="y3", showlegend=False),
+        line("net at the line", [], [], GREY, width=1.4, dash="dash", yaxis="y3"),
+    ]
+    return figure(
+        traces,
+        560,
+        xaxis=axis("distance (m)", anchor="y3"),
+        yaxis=axis("speed (km/h)", domain=[0.46, 1.0], rangemode="tozero"),
+        yaxis2=axis(
+            "command",
+            domain=[0.29, 0.41],
+            range=[-1.1, 1.1],
+            tickvals=[-1, 0, 1],
+            ticktext=["brake", "", "power"],
+        ),
+        yaxis3=axis("energy (kWh)", domain=[0.0, 0.24], rangemode="tozero"),
+    )
+
+
+def planned_run(section: dict[str, Any], plan: dict[str, Any]) -> Figure:
+    """A run before it is driven: the limit and the optimal plan."""
+    made = run_figure()
+    values = {
+        0: stairs(section["limit_mps"], section["length_m"], KMH),
+        2: (plan["position_m"], kmh(plan["speed_mps"])),
+        7: (plan["position_m"], kwh(plan["energy_wheel_so_far_j"])),
+    }
+    for index, (x, y) in values.items():
+        made["data"][index]["x"], made["data"][index]["y"] = list(x), list(y)
+    return made
+
+
+def compare_figure(entries: Sequence[dict[str, Any]]) -> Figure:
+    """Speed over distance and energy over distance of several drivers."""
+    first = entries[0]["drive"]
+    at = first["columns"]["position_m"]
+    traces = [line("speed limit", at, kmh(first["columns"]["limit_mps"]), BLACK, width=1.4, shape="hv")]
+    if first["plan"]:
+        plan = first["plan"]
+        where = plan["position_m"]
+        traces.append(line("optimal plan", where, kmh(plan["speed_mps"]), SKY, width=6, opacity=0.65))
+        work = kwh(plan["energy_wheel_so_far_j"])
+        below = {"yaxis": "y2", "showlegend": False, "opacity": 0.65}
+        traces.append(line("plan's energy", where, work, SKY, width=6, **below))
+    for k, entry in enumerate(entries):
+        columns, name = entry["drive"]["columns"], entry["driver"]
+        style = {"dash": DASHES[k % len(DASHES)], "legendgroup": name}
+        colour = SERIES[k % len(SERIES)]
+        where = columns["position_m"]
+        traces.append(line(name, where, kmh(columns["speed_mps"]), colour, **style))
+        energy = kwh(columns["energy_wheel_j"])
+        traces.append(line(name, where, energy, colour, yaxis="y2", showlegend=False, **style))
+    return figure(
+        traces,
+        520,
+        xaxis=axis("distance (m)", anchor="y2"),
+        yaxis=axis("speed (km/h)", domain=[0.4, 1.0], rangemode="tozero"),
+        yaxis2=axis("energy at the wheel (kWh)", domain=[0.0, 0.33], rangemode="tozero"),
+    )
+
+
+def front_figure(
+    front: dict[str, Any], cursor: tuple[float, float], entries: Sequence[dict[str, Any]]
+) -> Figure:
+    """The time-energy front with a cursor (s, kWh), and the drives that were compared."""
+    energy = kwh(front["energy_j"])
+    time_s, here = cursor
+    traces = [
+        line("optimum", front["time_s"], energy, BLUE, mode="lines+markers", shape="spline"),
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": "cursor",
+            "x": [time_s],
+            "y": [here],
+            "marker": {"size": 13, "color": BLUE, "line": {"width": 3, "color": "#fff"}},
+            "showlegend": False,
+        },
+    ]
+    for k, entry in enumerate(entries):
+        kpis = entry["drive"]["kpis"]
+        if kpis["outcome"] != "arrived":
+            continue
+        colour = SERIES[(k + 1) % len(SERIES)]
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": entry["driver"],
+                "x": [kpis["running_time_s"]],
+                "y": [kpis["energy_wheel_kwh"]],
+                "marker": {"size": 10, "color": colour, "symbol": ("diamond", "square", "cross", "x")[k % 4]},
+            }
+        )
+    least = front["minimum_running_time_s"]
+    wall = {"type": "line", "x0": least, "x1": least, "yref": "paper", "y0": 0, "y1": 1}
+    now = {"type": "line", "x0": time_s, "x1": time_s, "yref": "paper", "y0": 0, "y1": 1}
+    shapes = [
+        {**wall, "line": {"color": GREY, "width": 1, "dash": "dot"}},
+        {**now, "line": {"color": BLUE, "width": 1}},
+    ]
+    return figure(
+        traces,
+        380,
+        xaxis=axis("running time (s)"),
+        yaxis=axis("energy at the wheel (kWh)"),
+        shapes=shapes,
+        hovermode="closest",
+    )
+
+
+def journey_figure(journey: dict[str, Any]) -> Figure:
+    """The train graph: distance over time, stations as lines; energy of each section beside it."""
+    calls = journey["calls"]
+    minutes = [t / 60 for t in journey["time_s"]]
+    path = line("trainset", minutes, [s / 1000 for s in journey["position_m"]], BLUE, width=2.4)
+    path["hovertemplate"] = "%{x:.2f} min, %{y:.2f} km<extra></extra>"
+    ticks = [c["position_m"] / 1000 for c in calls]
+    return figure(
+        [path],
+        460,
+        xaxis=axis("time since departure (min)"),
+        yaxis=axis("", tickvals=ticks, ticktext=[c["station"] for c in calls], showgrid=True),
+        hovermode="closest",
+        showlegend=False,
+        margin={"l": 58, "r": 14, "t": 12, "b": 44},
+    )
+
+
+def sections_figure(journey: dict[str, Any]) -> Figure:
+    """Energy and reserve of every section."""
+    calls = journey["calls"]
+    names = [f"{a['station']}–{b['station']}" for a, b in pairwise(calls)]
+    energy = kwh([c["energy_j"] for c in calls[1:]])
+    reserve = [100 * (c["running_time_s"] / max(c["minimum_running_time_s"], 1e-9) - 1) for c in calls[1:]]
+    bars = {"type": "bar", "x": names, "showlegend": False}
+    traces = [
+        {**bars, "name": "energy (kWh)", "y": energy, "marker": {"color": BLUE}},
+        {**bars, "name": "reserve (%)", "y": reserve, "marker": {"color": ORANGE}, "yaxis": "y2"},
+    ]
+    return figure(
+        traces,
+        400,
+        xaxis=axis("", anchor="y2", tickangle=-45),
+        yaxis=axis("energy (kWh)", domain=[0.54, 1.0], rangemode="tozero"),
+        yaxis2=axis("reserve (%)", domain=[0.0, 0.44], rangemode="tozero"),
+        margin={"l": 58, "r": 14, "t": 12, "b": 70},
+    )
+
+
+MOST = 6
+"""Trainsets of a convoy that are drawn."""
+
+
+def convoy_figure() -> Figure:
+    """Gaps, speed differences and speeds over time; filled by the browser."""
+    traces = []
+    for kind, where in (("gap", "y"), ("difference", "y2")):
+        for k in range(MOST):
+            style: Trace = {"dash": DASHES[(k + 1) % len(DASHES)], "yaxis": where, "showlegend": False}
+            colour = SERIES[(k + 1) % len(SERIES)]
+            traces.append(line(f"{kind} {k + 1} to {k + 2}", [], [], colour, **style))
+    for k in range(MOST):
+        style = {"dash": DASHES[k % len(DASHES)], "yaxis": "y3", "showlegend": k < 3}
+        name = "head" if k == 0 else f"trainset {k + 1}"
+        traces.append(line(name, [], [], SERIES[k % len(SERIES)], **style))
+    return figure(
+        traces,
+        560,
+        xaxis=axis("time since departure (s)", anchor="y3"),
+        yaxis=axis("gap (m)", domain=[0.66, 1.0], rangemode="tozero"),
+        yaxis2=axis("difference (km/h)", domain=[0.36, 0.6]),
+        yaxis3=axis("speed (km/h)", domain=[0.0, 0.3], rangemode="tozero"),
+    )
+
+
+def history_figure(columns: dict[str, list[float | None]]) -> Figure:
+    """A learning run over its steps: how many drives from standstill end well, and what they cost."""
+    steps = columns.get("steps", [])
+    share = [None if x is None else 100 * x for x in columns.get("evaluation.safe_share", [])]
+    marks: Trace = {"mode": "lines+markers"}
+    gap = columns.get("evaluation.gap_percent", [])
+    late = columns.get("evaluation.late_worst_s", [])
+    traces = [
+        line("safe and on time", steps, share, BLUE, width=2.4, **marks),
+        line("energy above the optimum, of those", steps, gap, VERMILION, dash="dash", yaxis="y2", **marks),
+        line("worst time error", steps, late, GREEN, dash="dot", yaxis="y3", **marks),
+    ]
+    return figure(
+        traces,
+        560,
+        xaxis=axis("environment steps", anchor="y3", rangemode="tozero"),
+        yaxis=axis("drives (%)", domain=[0.7, 1.0], range=[-3, 103]),
+        yaxis2=axis("energy (%)", domain=[0.36, 0.62], rangemode="tozero"),
+        yaxis3=axis("time (s)", domain=[0.0, 0.28], rangemode="tozero"),
+    )

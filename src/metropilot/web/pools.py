@@ -1,0 +1,94 @@
+"""Worker processes: one for what is answered at once, some for drives, one for learning.
+
+None of them is the event loop's process, and each is killed when it takes too long.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Future
+from concurrent.futures import TimeoutError as Late
+from multiprocessing import get_context
+from typing import Any
+
+from pebble import ProcessExpired, ProcessPool
+
+from metropilot.errors import MetropilotError
+from metropilot.web.refused import Refused
+from metropilot.web.settings import Settings
+from metropilot.web.work.setup import begin
+
+BUSY = 16
+BEHIND = 4
+
+
+def warm() -> None:
+    """Import what answers need."""
+    import metropilot.web.work.plans  # noqa: F401
+
+
+class Pools:
+    """The workers of a server.
+
+    Args:
+        settings: Bounds.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        bound, context = settings.worker_bytes, get_context("spawn")
+        made: dict[str, Any] = {"initializer": begin, "context": context}
+        self.answers = ProcessPool(1, initargs=[bound, 0], **made)
+        self.jobs = ProcessPool(settings.parallel_jobs, initargs=[bound, BEHIND], **made)
+        self.learning = ProcessPool(1, initargs=[None, BEHIND], max_tasks=1, **made)
+        self.asking = 0
+
+    def start(self) -> None:
+        """Begin the worker that answers, before the first question."""
+        self.answers.schedule(warm)
+
+    async def answer(self, function: Callable[..., Any], *values: object) -> Any:  # noqa: ANN401
+        """What a function gives, computed in a worker.
+
+        Raises:
+            MetropilotError: What the function raised.
+            Refused: It took too long or too much memory, or too many wait.
+        """
+        if self.asking >= BUSY:
+            raise Refused("too many questions at once", 429)
+        self.asking += 1
+        try:
+            future = self.answers.schedule(function, args=list(values), timeout=self.settings.answer_s)
+            return await asyncio.wrap_future(future)
+        except Exception as error:  # noqa: BLE001 (whatever a worker died of is an answer)
+            raise explained(error, self.settings.answer_s) from None
+        finally:
+            self.asking -= 1
+
+    def submit(self, kind: str, function: Callable[..., Any], *values: object) -> Future[Any]:
+        """Queue a job; the future is cancelled to stop it."""
+        if kind in {"learn", "study"}:
+            return self.learning.schedule(function, args=list(values), timeout=self.settings.learn_s)
+        return self.jobs.schedule(function, args=list(values), timeout=self.settings.job_s)
+
+    def stop(self) -> None:
+        """End every worker."""
+        for pool in (self.answers, self.jobs, self.learning):
+            pool.stop()
+            pool.join()
+
+
+def explained(error: BaseException, bound_s: float) -> MetropilotError:
+    """A worker's failure as an error a user can read."""
+    if isinstance(error, MetropilotError):
+        return error
+    if isinstance(error, Late):
+        return Refused(f"took longer than {bound_s:g} s; ask for something smaller", 422)
+    if isinstance(error, MemoryError):
+        return Refused("needs too much memory; ask for something smaller", 422)
+    if isinstance(error, ProcessExpired):
+        return Refused("the worker died, most likely of too little memory", 422)
+    if isinstance(error, CancelledError):
+        return Refused("stopped", 409)
+    return Refused(f"internal error: {type(error).__name__}: {error}", 500)

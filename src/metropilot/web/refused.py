@@ -1,0 +1,38 @@
+"""Requests that cannot be met now, and errors as plain values. Imports nothing heavy."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from metropilot.errors import InputError
+
+FIELDS = ("file", "field", "value", "unit", "allowed")
+
+
+class Refused(InputError):
+    """A request that is in order but cannot be met now, with its HTTP status."""
+
+    def __init__(self, message: str, status: int, *, field: str | None = None, value: object = None) -> None:
+        super().__init__(message, field=field, value=value)
+        self.status = status
+
+
+def detail_of(error: Exception) -> dict[str, Any]:
+    """The error's fields as plain values."""
+    message = error.message if isinstance(error, InputError) else str(error)
+    return {"message": message, **{name: plain(getattr(error, name, None)) for name in FIELDS}}
+
+
+def plain(value: Any) -> Any:  # noqa: ANN401 (whatever was sent)
+    """A value that JSON can say; a long one is cut."""
+    if value is None or isinstance(value, bool | int):
+        return value
+    if isinstance(value, float):
+        return value if value == value and abs(value) != float("inf") else str(value)  # noqa: PLR0124
+    if not isinstance(value, str):
+        try:
+            value = json.dumps(value, default=str)
+        except (TypeError, ValueError):
+            value = str(value)
+    return value.encode("utf-8", "replace").decode()[:200]

@@ -1,0 +1,104 @@
+"""The application: API, pages, and the server that runs both."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI
+from starlette.types import ASGIApp
+
+import metropilot
+from metropilot.web import errors
+from metropilot.web.answers import Health
+from metropilot.web.api import catalogue, jobs, live, planning
+from metropilot.web.guard import Guard
+from metropilot.web.refused import Refused
+from metropilot.web.service import Service
+from metropilot.web.settings import Settings
+
+METHODS = ("GET", "POST", "PUT", "PATCH", "DELETE")
+SUMMARY = """Drive, compare, plan and learn over HTTP. SI units, in the names of the fields.
+
+Every error is `{"error": {"message", "file", "field", "value", "unit", "allowed"}}`."""
+
+
+def make_api(service: Service) -> FastAPI:
+    """The API alone, described at ``/api/openapi.json``. The service opens and closes with it.
+
+    Args:
+        service: What does the work.
+    """
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        await service.open()
+        try:
+            yield
+        finally:
+            await service.close()
+
+    app = FastAPI(
+        title="metropilot",
+        description=SUMMARY,
+        version=metropilot.__version__,
+        lifespan=lifespan,
+        openapi_url="/api/openapi.json",
+        docs_url=None,
+        redoc_url=None,
+        responses=errors.RESPONSES,
+    )
+    errors.install(app)
+
+    @app.get("/api/health", response_model=Health, tags=["server"])
+    def health() -> dict[str, object]:
+        """That the server is there."""
+        lives = sum(not session.over for session in service.sessions.values())
+        return {
+            "version": metropilot.__version__,
+            "jobs_running": service.store.waiting(),
+            "live_runs": lives,
+        }
+
+    for module in (catalogue, planning, jobs, live):
+        app.include_router(module.routes(service), prefix="/api")
+
+    @app.api_route("/api/{rest:path}", methods=list(METHODS), include_in_schema=False)
+    def nowhere(rest: str) -> None:
+        """What is no route of ours is no page either."""
+        raise Refused("no such route", 404, field="path", value=f"/api/{rest}"[:200])
+
+    return app
+
+
+def make_app(settings: Settings) -> ASGIApp:
+    """API and pages behind the guard. One to a process: NiceGUI keeps its pages globally.
+
+    Args:
+        settings: Where and how much.
+    """
+    from metropilot.web.pages import install
+
+    service = Service(settings)
+    app = make_api(service)
+    install(app, service)
+    return Guard(app, settings)
+
+
+def serve(settings: Settings) -> None:
+    """Run the server until it is interrupted.
+
+    Args:
+        settings: Where and how much.
+    """
+    import uvicorn
+
+    uvicorn.run(
+        make_app(settings),
+        host=settings.host,
+        port=settings.port,
+        log_level="warning",
+        server_header=False,
+        timeout_graceful_shutdown=2,
+        lifespan="on",
+    )

@@ -1,0 +1,388 @@
+"""What the API's routes and the pages both call: the catalogue with uploads, jobs, live runs."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from concurrent.futures import Future
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+from metropilot.errors import InputError
+from metropilot.evaluate import Request
+from metropilot.web.asked import (
+    CompareAsked,
+    ConvoyAsked,
+    DriveAsked,
+    LearnAsked,
+    LiveAsked,
+    PlanAsked,
+    SectionAsked,
+    StudyAsked,
+)
+from metropilot.web.asked import request_of as resolve
+from metropilot.web.live.session import Session, Spare, start_spare
+from metropilot.web.pools import Pools, explained
+from metropilot.web.refused import Refused, detail_of
+from metropilot.web.settings import Settings
+from metropilot.web.store import OVER, Store, UploadRow
+from metropilot.web.work import drives, learning, plans, studying
+
+if TYPE_CHECKING:
+    from metropilot.evaluate.convoy_request import ConvoyRequest
+
+SUFFIXES = (".toml", ".json")
+SAVE_STEPS = 25
+LONELY_S = 600.0
+"""A run that waits and that nobody watches ends after this; it can be resumed."""
+FORGET = 50
+
+
+class Service:
+    """One server's work.
+
+    Args:
+        settings: Where and how much.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.root = settings.data
+        self.store = Store(settings.data)
+        self.pools = Pools(settings)
+        self.futures: dict[str, Future[Any]] = {}
+        self.sessions: dict[str, Session] = {}
+        self.spare: Spare | None = None
+        self.closing = False
+        self._watch: asyncio.Task[None] | None = None
+
+    async def open(self) -> None:
+        """Begin: mark what an earlier server left behind, start workers."""
+        for job in self.store.unfinished():
+            words = "the server was restarted; it can be resumed"
+            self.store.update(job.id, status="interrupted", words=words)
+            if job.kind == "learn" and job.run:
+                self._mark_run(job.run)
+        self.pools.start()
+        self.spare = start_spare(self.settings.worker_bytes)
+        self._watch = asyncio.create_task(self._watching())
+
+    async def close(self) -> None:
+        """End every process; what was under way can be resumed."""
+        self.closing = True
+        if self._watch:
+            self._watch.cancel()
+        for session in self.sessions.values():
+            session.kill()
+        if self.spare:
+            self.spare.process.kill()
+        await asyncio.to_thread(self.pools.stop)
+
+    # ------------------------------------------------------------------------------------------ names
+    def paths(self) -> dict[str, str]:
+        """Uploads by id: where their files are."""
+        return {row.id: str(self.root / "uploads" / row.file) for row in self.store.uploads()}
+
+    def request(self, asked: SectionAsked) -> Request:
+        """The run that is meant.
+
+        Raises:
+            InputError: A name is unknown, or a number is not allowed.
+        """
+        values = asked.model_dump(exclude={"drivers", "seeds", "pace"})
+        return resolve(DriveAsked.model_validate(values), self.paths())
+
+    async def upload(self, name: str, content: bytes) -> tuple[UploadRow, dict[str, Any]]:
+        """Take a line or trainset file.
+
+        Raises:
+            InputError: It is too large, of no known kind, or malformed: the message names the field.
+        """
+        shown = Path(name.replace("\\", "/")).name[:80] or "file"
+        suffix = Path(shown).suffix.lower()
+        if suffix not in SUFFIXES:
+            raise InputError("unknown kind of file", file=shown, allowed="a file ending in .toml or .json")
+        if len(content) > self.settings.upload_bytes:
+            limit = f"at most {self.settings.upload_bytes:,} bytes".replace(",", " ")
+            raise InputError("too large", file=shown, value=len(content), unit="bytes", allowed=limit)
+        folder = self.root / "uploads"
+        folder.mkdir(exist_ok=True)
+        path = folder / f"{secrets.token_hex(8)}{suffix}"
+        path.write_bytes(content)
+        try:
+            found = await self.pools.answer(plans.read_upload, str(path), shown)
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
+        return self.store.add_upload(found["kind"], found["name"][:120], path.name), found
+
+    def forget(self, upload: str) -> None:
+        """Remove an upload.
+
+        Raises:
+            Refused: No such upload (404).
+        """
+        for row in self.store.uploads():
+            if row.id == upload:
+                self.store.forget_upload(upload)
+                (self.root / "uploads" / row.file).unlink(missing_ok=True)
+                return
+        raise Refused("no such upload", 404, field="id", value=upload)
+
+    # ------------------------------------------------------------------------------------------ answers
+    async def section(self, asked: SectionAsked) -> dict[str, Any]:
+        """A section and its minimum running time."""
+        return await self.pools.answer(plans.section_of, self.request(asked))
+
+    async def plan(self, asked: PlanAsked) -> dict[str, Any]:
+        """The optimal plan."""
+        return await self.pools.answer(plans.plan_of, self.request(asked))
+
+    async def front(self, asked: PlanAsked) -> dict[str, Any]:
+        """The time-energy front."""
+        return await self.pools.answer(plans.front_of, self.request(asked))
+
+    async def journey(self, asked: dict[str, Any]) -> dict[str, Any]:
+        """A journey."""
+        paths = self.paths()
+        names = {name: paths.get(asked[name], asked[name]) for name in ("line", "trainset")}
+        return await self.pools.answer(plans.journey_of, {**asked, **names})
+
+    # ------------------------------------------------------------------------------------------ jobs
+    def submit(self, asked: DriveAsked | CompareAsked | LearnAsked | StudyAsked) -> str:
+        """Queue a job; its id.
+
+        Raises:
+            InputError: It cannot be done at all.
+            Refused: Too many wait (429).
+        """
+        if self.store.waiting() >= self.settings.queued_jobs:
+            raise Refused("too many jobs wait", 429)
+        if isinstance(asked, LearnAsked):
+            self._check_learning(asked)
+            kind = "learn"
+        elif isinstance(asked, StudyAsked):
+            from metropilot.studies import load_study
+
+            load_study(asked.study)
+            kind = "study"
+        else:
+            request = self.request(asked)
+            request.run()
+            names = asked.drivers if isinstance(asked, CompareAsked) else [asked.driver]
+            self._check_drivers(request, names)
+            kind = "compare" if isinstance(asked, CompareAsked) else "drive"
+        job = self.store.new_job(kind, asked.model_dump())
+        self._schedule(job, kind, asked.model_dump(), None)
+        return job
+
+    def stop(self, job: str) -> None:
+        """Ask a job to end: a learning run ends at its next checkpoint, anything else at once."""
+        row = self.store.job(job)
+        if row.status in OVER:
+            return
+        self.store.update(job, stop=1)
+        future = self.futures.get(job)
+        if row.kind != "learn" or row.status == "queued":
+            if future is not None:
+                future.cancel()
+            self.store.update(job, status="stopped", words="stopped")
+
+    def resume(self, job: str) -> None:
+        """Go on with a job that was interrupted, stopped or failed.
+
+        Raises:
+            Refused: It waits, runs or is done (409), or is a live run (409).
+        """
+        row = self.store.job(job)
+        if row.kind == "live" or row.status in {"queued", "running", "done"}:
+            raise Refused(f"a job that is {row.status} cannot be resumed", 409, field="id", value=job)
+        self.store.update(job, status="queued", words="", stop=0, error=None)
+        self._schedule(job, row.kind, row.asked, row.run)
+
+    def _schedule(self, job: str, kind: str, asked: dict[str, Any], run: str | None) -> None:
+        root = str(self.root)
+        if kind == "learn":
+            future = self.pools.submit(kind, learning.learn_job, root, job, asked, run)
+        elif kind == "study":
+            future = self.pools.submit(kind, studying.study_job, root, job, asked)
+        elif kind == "compare":
+            body = CompareAsked.model_validate(asked)
+            what = (self.request(body), body.drivers, body.seeds)
+            future = self.pools.submit(kind, drives.compare_job, root, job, *what)
+        else:
+            request = self.request(DriveAsked.model_validate(asked))
+            future = self.pools.submit(kind, drives.drive_job, root, job, request)
+        self.futures[job] = future
+        future.add_done_callback(lambda done: self._finished(job, kind, done))
+
+    def _finished(self, job: str, kind: str, future: Future[Any]) -> None:
+        """In a thread of the pool: write down what came of a job."""
+        self.futures.pop(job, None)
+        if self.closing:
+            return
+        if future.cancelled():
+            self.store.update(job, status="stopped", words="stopped")
+            return
+        error = future.exception()
+        if error is not None:
+            bound = self.settings.learn_s if kind in {"learn", "study"} else self.settings.job_s
+            told = detail_of(explained(error, bound))
+            self.store.update(job, status="failed", words=told["message"], error=told)
+            return
+        result = future.result()
+        stopped = kind == "learn" and result["stopped"]
+        words = "stopped; it can be resumed" if stopped else ""
+        done = {} if stopped else {"progress": 1.0}
+        self.store.update(job, status="stopped" if stopped else "done", words=words, result=result, **done)
+
+    @staticmethod
+    def _check_drivers(request: Request, names: list[str]) -> None:
+        from dataclasses import replace
+
+        for name in names:
+            options = request.options if name == request.driver else {}
+            replace(request, driver=name, options=options).make_driver()
+
+    @staticmethod
+    def _check_learning(asked: LearnAsked) -> None:
+        from metropilot.learn.recipes import recipe
+
+        row = recipe(asked.driver)
+        row.configuration(asked.budget, **learning.told_of(asked.model_dump()))
+        row.task_configuration(asked.task)
+
+    def _mark_run(self, run: str) -> None:
+        """A learning run whose process is gone is interrupted."""
+        from metropilot.learn import RunStore
+
+        runs = RunStore(self.root / "runs")
+        try:
+            record = runs.show(run)
+        except InputError:
+            return
+        if record.status == "running":
+            runs.update(record, status="interrupted")
+
+    # ------------------------------------------------------------------------------------------ live runs
+    async def go_live(self, asked: LiveAsked | ConvoyAsked, job: str | None = None) -> Session:
+        """Start a live run, or resume one that was interrupted.
+
+        Raises:
+            InputError: The run cannot be driven.
+            Refused: Too many live runs (429).
+        """
+        running = [s for s in self.sessions.values() if not s.over]
+        if len(running) >= self.settings.live_runs:
+            raise Refused(f"at most {self.settings.live_runs} live runs at once", 429)
+        convoy = isinstance(asked, ConvoyAsked)
+        request: Any = self._convoy(asked) if convoy else self._run(asked)
+        order: dict[str, Any] = {
+            "request": request,
+            "convoy": convoy,
+            "pace": asked.pace,
+            "root": str(self.root),
+        }
+        if job is None:
+            job = self.store.new_job("live", asked.model_dump())
+            order |= {"journal": [], "step": 0}
+        else:
+            order |= {"journal": self.store.journal(job), "step": int(self.store.job(job).progress)}
+        order["job"] = job
+        spare, self.spare = self.spare or start_spare(self.settings.worker_bytes), None
+        session = Session(job, asked.model_dump(), spare, self._keep)
+        self._forget_old()
+        self.sessions[job] = session
+        self.store.update(job, status="running", words="")
+        session.start(order)
+        self.spare = start_spare(self.settings.worker_bytes)
+        return session
+
+    async def resume_live(self, job: str) -> Session:
+        """Resume a live run: what was done is done again at once, then it goes on.
+
+        Raises:
+            Refused: It is no live run, or it is over or running (409).
+        """
+        row = self.store.job(job)
+        if row.kind != "live" or row.status not in {"interrupted", "stopped"}:
+            raise Refused(f"a {row.kind} that is {row.status} cannot be resumed", 409, field="id", value=job)
+        kind = ConvoyAsked if "follower" in row.asked else LiveAsked
+        return await self.go_live(kind.model_validate(row.asked), job)
+
+    def _run(self, asked: LiveAsked) -> Request:
+        request = self.request(asked)
+        request.run()
+        self._check_drivers(request, [asked.driver])
+        return request
+
+    def _convoy(self, asked: ConvoyAsked) -> ConvoyRequest:
+        from metropilot.evaluate.convoy_request import ConvoyRequest
+        from metropilot.task.convoy_link import Link
+
+        names = (
+            "line",
+            "origin",
+            "destination",
+            "trainset",
+            "load",
+            "restrictions",
+            "time_s",
+            "driver",
+            "seed",
+        )
+        head = self._run(LiveAsked.model_validate(asked.model_dump(include=set(names))))
+        made = ConvoyRequest(
+            head=head,
+            count=asked.trainsets,
+            follower=asked.follower,
+            gap_m=asked.gap_m,
+            start_gap_m=asked.start_gap_m,
+            link=Link(asked.delay_s, asked.jitter_s, asked.loss),
+            guard=asked.guard,
+        )
+        made.make_follower()
+        made.run(made.convoy())
+        return made
+
+    def session(self, job: str) -> Session:
+        """A live run of this server.
+
+        Raises:
+            Refused: There is none of that id (404).
+        """
+        if job not in self.sessions:
+            raise Refused("no such live run", 404, field="id", value=job)
+        return self.sessions[job]
+
+    def _keep(self, session: Session, kind: str, known: dict[str, Any]) -> None:
+        """In the reader's thread: what is to outlive the server."""
+        job = session.id
+        if self.closing:
+            return
+        if kind == "journal":
+            self.store.note(job, known["step"], known["event"])
+        elif kind == "rows":
+            if known["step"] % SAVE_STEPS == 0 or known["step"] - session.known.step >= SAVE_STEPS:
+                self.store.update(job, progress=known["step"])
+        elif kind == "kept":
+            self.store.update(job, result=known["result"], words=known["outcome"])
+        elif kind == "error":
+            self.store.update(job, words=known["text"].decode()[:500])
+        else:
+            self.store.update(job, status=known["status"])
+
+    def _forget_old(self) -> None:
+        over = [key for key, session in self.sessions.items() if session.over and not session.viewers]
+        for key in over[: max(len(over) - FORGET, 0)]:
+            del self.sessions[key]
+
+    async def _watching(self) -> None:
+        """End runs that wait for nobody."""
+        while True:
+            await asyncio.sleep(10.0)
+            for session in list(self.sessions.values()):
+                lonely = session.viewers == 0 and monotonic() - session.left_at > LONELY_S
+                if not session.over and lonely and session.known.pace <= 0:
+                    await session.ask({"kind": "stop"})

@@ -1,0 +1,186 @@
+"""What outlives the server: jobs, the journals of live runs, and the names of uploads, in one SQLite file."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from metropilot.web.refused import Refused
+
+SCHEMA = """
+CREATE TABLE IF NOT EXISTS jobs (
+    id TEXT PRIMARY KEY, kind TEXT NOT NULL, status TEXT NOT NULL, asked TEXT NOT NULL,
+    created TEXT NOT NULL, progress REAL NOT NULL DEFAULT 0, words TEXT NOT NULL DEFAULT '', run TEXT,
+    stop INTEGER NOT NULL DEFAULT 0, error TEXT, result TEXT
+);
+CREATE TABLE IF NOT EXISTS journal (
+    job TEXT NOT NULL, number INTEGER NOT NULL, step INTEGER NOT NULL, event TEXT NOT NULL,
+    PRIMARY KEY (job, number)
+);
+CREATE TABLE IF NOT EXISTS uploads (
+    id TEXT PRIMARY KEY, kind TEXT NOT NULL, name TEXT NOT NULL, file TEXT NOT NULL, created TEXT NOT NULL
+);
+"""
+OVER = ("done", "failed", "stopped")
+
+
+@dataclass(frozen=True)
+class JobRow:
+    """A job as it is stored; see :class:`metropilot.web.answers.JobOut`."""
+
+    id: str
+    kind: str
+    status: str
+    asked: dict[str, Any]
+    created: str
+    progress: float
+    words: str
+    run: str | None
+    error: dict[str, Any] | None
+
+
+@dataclass(frozen=True)
+class UploadRow:
+    """An uploaded file."""
+
+    id: str
+    kind: str
+    name: str
+    file: str
+
+
+class Store:
+    """The SQLite file; any number of processes may use it at once.
+
+    Args:
+        root: Folder of the server's data; made if it is not there.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        root.mkdir(parents=True, exist_ok=True)
+        with self._open() as database:
+            database.executescript(SCHEMA)
+
+    @contextmanager
+    def _open(self) -> Iterator[sqlite3.Connection]:
+        with closing(sqlite3.connect(self.root / "console.sqlite", timeout=30.0)) as database, database:
+            database.execute("PRAGMA journal_mode = WAL")
+            database.execute("PRAGMA synchronous = NORMAL")
+            yield database
+
+    def new_job(self, kind: str, asked: dict[str, Any]) -> str:
+        """A job that waits; its id."""
+        now = datetime.now(UTC)
+        job = f"{kind}-{now:%Y%m%d-%H%M%S}-{secrets.token_hex(3)}"
+        with self._open() as database:
+            database.execute(
+                "INSERT INTO jobs (id, kind, status, asked, created) VALUES (?, ?, 'queued', ?, ?)",
+                (job, kind, json.dumps(asked), now.isoformat(timespec="seconds")),
+            )
+        return job
+
+    def update(self, job: str, **changes: object) -> None:
+        """Change columns of a job; ``error`` and ``result`` become JSON."""
+        values = [
+            json.dumps(v) if k in {"error", "result"} and v is not None else v for k, v in changes.items()
+        ]
+        names = ", ".join(f"{name} = ?" for name in changes)
+        with self._open() as database:
+            database.execute(f"UPDATE jobs SET {names} WHERE id = ?", (*values, job))
+
+    def job(self, job: str) -> JobRow:
+        """A job.
+
+        Raises:
+            Refused: No such job (404).
+        """
+        found = self._jobs("WHERE id = ?", (job,))
+        if not found:
+            raise Refused("no such job", 404, field="id", value=job)
+        return found[0]
+
+    def jobs(self, kind: str | None = None, limit: int = 100) -> list[JobRow]:
+        """Jobs, the newest first."""
+        where = "WHERE kind = ?" if kind else "WHERE ? = ''"
+        return self._jobs(f"{where} ORDER BY created DESC, id DESC LIMIT ?", (kind or "", limit))
+
+    def unfinished(self) -> list[JobRow]:
+        """Jobs that a server left behind."""
+        return self._jobs("WHERE status IN ('queued', 'running') ORDER BY created", ())
+
+    def waiting(self) -> int:
+        """How many jobs wait or run."""
+        with self._open() as database:
+            sql = "SELECT count(*) FROM jobs WHERE status IN ('queued', 'running') AND kind != 'live'"
+            return int(database.execute(sql).fetchone()[0])
+
+    def result(self, job: str) -> Any:  # noqa: ANN401 (whatever the job's kind gives)
+        """What came of a job; None while there is nothing."""
+        with self._open() as database:
+            row = database.execute("SELECT result FROM jobs WHERE id = ?", (job,)).fetchone()
+        return json.loads(row[0]) if row and row[0] else None
+
+    def stop_asked(self, job: str) -> bool:
+        """Whether somebody asked for an end."""
+        with self._open() as database:
+            row = database.execute("SELECT stop FROM jobs WHERE id = ?", (job,)).fetchone()
+        return bool(row and row[0])
+
+    def note(self, job: str, step: int, event: dict[str, Any]) -> None:
+        """Write an event into a live run's journal."""
+        with self._open() as database:
+            database.execute(
+                "INSERT INTO journal SELECT ?, count(*), ?, ? FROM journal WHERE job = ?",
+                (job, step, json.dumps(event), job),
+            )
+
+    def journal(self, job: str) -> list[tuple[int, dict[str, Any]]]:
+        """A live run's journal: before which step, and what."""
+        with self._open() as database:
+            rows = database.execute(
+                "SELECT step, event FROM journal WHERE job = ? ORDER BY number", (job,)
+            ).fetchall()
+        return [(int(step), json.loads(event)) for step, event in rows]
+
+    def add_upload(self, kind: str, name: str, file: str) -> UploadRow:
+        """A file that was read and found in order; its id is ours, never the sender's."""
+        row = UploadRow(f"upload-{secrets.token_hex(4)}", kind, name, file)
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        with self._open() as database:
+            database.execute(
+                "INSERT INTO uploads VALUES (?, ?, ?, ?, ?)", (row.id, row.kind, row.name, row.file, now)
+            )
+        return row
+
+    def uploads(self, kind: str | None = None) -> list[UploadRow]:
+        """Uploads, the newest first."""
+        with self._open() as database:
+            rows = database.execute(
+                "SELECT id, kind, name, file FROM uploads ORDER BY created DESC, rowid DESC"
+            ).fetchall()
+        return [row for row in (UploadRow(*r) for r in rows) if kind is None or row.kind == kind]
+
+    def forget_upload(self, upload: str) -> None:
+        """Remove an upload's row."""
+        with self._open() as database:
+            database.execute("DELETE FROM uploads WHERE id = ?", (upload,))
+
+    def _jobs(self, rest: str, values: tuple[Any, ...]) -> list[JobRow]:
+        columns = "id, kind, status, asked, created, progress, words, run, error"
+        with self._open() as database:
+            rows = database.execute(f"SELECT {columns} FROM jobs {rest}", values).fetchall()
+        return [_job(row) for row in rows]
+
+
+def _job(row: tuple[Any, ...]) -> JobRow:
+    job, kind, status, asked, created, progress, words, run, error = row
+    told = json.loads(error) if error else None
+    return JobRow(job, kind, status, json.loads(asked), created, progress, words, run, told)

@@ -1,0 +1,1 @@
+"""What workers compute: plain values in, plain values out. Each runs in a process of its own."""

@@ -1,0 +1,100 @@
+"""Drives and comparisons."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from metropilot.evaluate import (
+    COLUMNS,
+    Drive,
+    Kpis,
+    Optimum,
+    Request,
+    checks,
+    compare,
+    comparison_json,
+    drive,
+    jobs,
+    kpis_of,
+    optimum_of,
+    write_comparison,
+    write_run,
+)
+from metropilot.web.store import Store
+from metropilot.web.work.plain import numbers
+from metropilot.web.work.plans import plan_out
+
+FILES = {
+    "drive": ("trajectory.csv", "kpis.json", "profile.svg", "profile.png", "run.toml"),
+    "live": (
+        "trajectory.csv",
+        "kpis.json",
+        "profile.svg",
+        "profile.png",
+        "run.toml",
+        "run.json",
+        "convoy.svg",
+    ),
+    "compare": ("comparison.json", "comparison.svg", "comparison.png", "run.toml"),
+}
+
+
+def drive_out(driven: Drive, kpis: Kpis, optimum: Optimum | None) -> dict[str, Any]:
+    """A drive as plain values."""
+    return {
+        "driver": driven.driver,
+        "success": kpis.success,
+        "kpis": kpis.as_dict(),
+        "checks": [check._asdict() for check in checks(kpis)],
+        "columns": {name: numbers(getattr(driven.trajectory, name), 4) for name in COLUMNS},
+        "plan": None if optimum is None else plan_out(optimum.plan, optimum.minimum_time_s),
+    }
+
+
+def drive_job(root: str, job: str, request: Request) -> dict[str, Any]:
+    """Drive one run; its files go into the job's folder."""
+    store = Store(Path(root))
+    store.update(job, status="running", progress=0.0, words="driving")
+    driven = drive(request.run(), request.make_driver())
+    store.update(job, progress=0.6, words="comparing with the optimum")
+    optimum = optimum_of(driven, request.objective)
+    kpis = kpis_of(driven, optimum, request.objective)
+    store.update(job, progress=0.8, words="drawing")
+    write_run(folder_of(root, job), request, driven, kpis, optimum)
+    return drive_out(driven, kpis, optimum)
+
+
+def compare_job(root: str, job: str, request: Request, drivers: list[str], seeds: int) -> dict[str, Any]:
+    """Drive the same run with several drivers and seeds."""
+    store = Store(Path(root))
+    store.update(job, status="running", progress=0.0, words="driving")
+    todo = jobs(drivers, request.seed, seeds)
+
+    def told() -> Any:  # noqa: ANN401 (a generator of jobs)
+        for k, item in enumerate(todo):
+            words = f"{item.driver}, seed {item.seed}" if seeds > 1 else item.driver
+            store.update(job, progress=k / (len(todo) + 1), words=words)
+            yield item
+
+    entries = compare(request, told())
+    store.update(job, progress=0.95, words="drawing")
+    write_comparison(folder_of(root, job), request, entries)
+    spread = {row["driver"]: row["kpis"] for row in comparison_json(request, entries)["drivers"]}
+    found = [
+        {
+            "driver": e.driver,
+            "successes": e.successes,
+            "seeds": len(e.drives),
+            "outcomes": [k.outcome for k in e.kpis],
+            "kpis": spread[e.driver],
+            "drive": drive_out(e.drives[0], e.kpis[0], e.optimum),
+        }
+        for e in entries
+    ]
+    return {"entries": found}
+
+
+def folder_of(root: str, job: str) -> Path:
+    """Where a job's files are."""
+    return Path(root) / "jobs" / job

@@ -1,0 +1,58 @@
+"""Learning jobs: a run of the run store, its history told as it grows, stopped when asked, resumed later."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from metropilot.web.store import Store
+
+PROGRESS = "progress.jsonl"
+
+
+def told_of(asked: dict[str, Any]) -> dict[str, Any]:
+    """The fields of a configuration that a learning job sets."""
+    return {name: asked[name] for name in ("steps", "evaluations") if asked[name] is not None}
+
+
+def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> dict[str, Any]:
+    """Learn, or go on with a run that was stopped.
+
+    Args:
+        root: Folder of the server's data.
+        job: Id of the job.
+        asked: Fields of :class:`metropilot.web.asked.LearnAsked`.
+        run: Id of the learning run to go on with.
+    """
+    store = Store(Path(root))
+    store.update(job, status="running", words="compiling")
+    from metropilot.learn import Progress, RunStore, Sitting, learn_run
+    from metropilot.learn.recipes import evaluation_of, new_request, resumed_request
+    from metropilot.learn.recorded import begin_run
+
+    runs = RunStore(Path(root) / "runs")
+    if run is not None:
+        record = runs.show(run)
+        request = resumed_request(record)
+    else:
+        what = {"budget": asked["budget"], "task": asked["task"], "seed": asked["seed"]}
+        request = new_request(asked["driver"], **what, **told_of(asked))
+        record = begin_run(runs, request)
+    store.update(job, run=record.id)
+    told = runs.folder(record.id) / PROGRESS
+
+    def progress(now: Progress) -> None:
+        with told.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"steps": now.steps, **now.row}) + "\n")
+        words = f"{now.steps:,} of {now.total_steps:,} steps, {now.rate:,.0f} steps/s".replace(",", " ")
+        store.update(job, progress=now.steps / now.total_steps, words=words)
+        if store.stop_asked(job):
+            raise KeyboardInterrupt
+
+    sitting = Sitting(evaluate=evaluation_of(request), on_progress=progress)
+    try:
+        record, learned = learn_run(runs, request, sitting, resume=record.id)
+    except KeyboardInterrupt:
+        return {"run": record.id, "stopped": True}
+    return {"run": record.id, "stopped": False, "score": record.score, "seconds": learned.seconds}

@@ -1,0 +1,35 @@
+"""Numbers as JSON takes them: what is not finite becomes null."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from metropilot.railway import Section, Station, Steps
+
+
+def numbers(values: Iterable[Any], digits: int = 6) -> list[Any]:
+    """A list of numbers (what is not finite becomes None), rounded to micro-units."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiu":
+        return array.tolist()
+    return [round(x, digits) if math.isfinite(x) else None for x in array.tolist()]
+
+
+def pieces(steps: Steps) -> dict[str, list[Any]]:
+    """A piecewise-constant profile."""
+    return {"from_m": numbers(steps.from_m), "value": numbers(steps.value)}
+
+
+def window(section: Section, name: str) -> dict[str, list[Any]]:
+    """A profile of a section, from its origin to its end."""
+    return pieces(getattr(section, name).window(0.0, section.length_m))
+
+
+def station(stop: Station, position_m: float | None = None) -> dict[str, Any]:
+    """A stop."""
+    at = stop.position_m if position_m is None else position_m
+    return {"code": stop.code, "name": stop.name, "position_m": at, "local_name": stop.local_name}

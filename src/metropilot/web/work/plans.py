@@ -1,0 +1,175 @@
+"""Sections, plans, fronts, journeys, and files read: what is answered at once."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from metropilot.errors import Infeasible, InputError
+from metropilot.evaluate import Request
+from metropilot.planning import (
+    JourneyPlan,
+    Plan,
+    PlanOptions,
+    minimum_running_time,
+    optimal_plan,
+    plan_journey,
+    time_energy_front,
+    timetable_waypoints,
+)
+from metropilot.railway import Line, Trainset, import_file, load_line, load_trainset
+from metropilot.web.work.plain import numbers, station, window
+
+BARELY = 1.0 + 1e-4
+LONGEST_M = 200_000.0
+
+
+def section_of(request: Request) -> dict[str, Any]:
+    """The section and its minimum running time."""
+    section, trainset = request.section(), request.loaded()
+    if section.length_m > LONGEST_M:
+        raise InputError("section too long", field="destination", value=section.length_m, unit="m")
+    return {
+        "name": section.name,
+        "origin": station(section.origin, 0.0),
+        "destination": station(section.destination, section.length_m),
+        "length_m": section.length_m,
+        "planned_time_s": section.planned_time_s,
+        "minimum_running_time_s": minimum_running_time(section, trainset),
+        "limit_mps": window(section, "limit_mps"),
+        "gradient_permil": window(section, "gradient_permil"),
+    }
+
+
+def plan_of(request: Request) -> dict[str, Any]:
+    """The optimal plan for the scheduled time."""
+    section, trainset = request.section(), request.loaded()
+    fastest = minimum_running_time(section, trainset)
+    time_s = request.time_s or section.planned_time_s or fastest * 1.1
+    if time_s < fastest:
+        raise Infeasible(
+            f"minimum running time is {fastest:.1f} s",
+            field="time_s",
+            value=time_s,
+            unit="s",
+            allowed=f"{fastest:.1f} s or more",
+        )
+    options = PlanOptions(objective=request.objective)
+    return plan_out(optimal_plan(section, trainset, max(time_s, fastest * BARELY), options), fastest)
+
+
+def plan_out(plan: Plan, fastest_s: float) -> dict[str, Any]:
+    """A plan as plain values."""
+    work = np.concatenate([[0.0], np.cumsum(plan.traction_n * np.diff(plan.position_m))])
+    return {
+        "position_m": numbers(plan.position_m, 3),
+        "speed_mps": numbers(plan.speed_mps, 4),
+        "time_s": numbers(plan.time_s, 3),
+        "energy_wheel_so_far_j": numbers(work, 0),
+        "running_time_s": plan.running_time_s,
+        "minimum_running_time_s": fastest_s,
+        "energy_j": plan.energy_j,
+        "bound_j": plan.bound_j,
+        "certificate_gap": plan.gap,
+        "second_w": plan.second_w,
+    }
+
+
+def front_of(request: Request) -> dict[str, Any]:
+    """The time-energy front."""
+    section, trainset = request.section(), request.loaded()
+    front = time_energy_front(section, trainset, options=PlanOptions(objective=request.objective))
+    return {
+        "minimum_running_time_s": front.minimum_s,
+        "time_s": numbers(front.time_s),
+        "energy_j": numbers(front.energy_j, 0),
+        "second_w": numbers(front.second_w, 3),
+    }
+
+
+def journey_of(asked: dict[str, Any]) -> dict[str, Any]:
+    """A journey that calls at every station.
+
+    Args:
+        asked: Fields of :class:`metropilot.web.asked.JourneyAsked`, names of files resolved.
+    """
+    line, trainset = load_line(asked["line"]), load_trainset(asked["trainset"], asked["load"])
+    origin = line.station(asked["origin"]) if asked["origin"] else line.stations[0]
+    destination = line.station(asked["destination"]) if asked["destination"] else line.stations[-1]
+    if origin == destination:
+        raise InputError("a journey needs two stations", field="destination", value=destination.code)
+    length = abs(destination.position_m - origin.position_m)
+    if length > LONGEST_M:
+        raise InputError("journey too long", field="destination", value=length, unit="m")
+    options = PlanOptions(objective=asked["objective"])
+    ends = {"origin": origin, "destination": destination}
+    points = timetable_waypoints(line, origin, destination, total_s=asked["total_s"])
+    made = plan_journey(line, trainset, points, options, **ends)
+    planned = None
+    if asked["total_s"] is not None and line.planned_forward_s:
+        planned = _timetable_energy(line, trainset, options, ends)
+    return {**_journey_out(made), "planned_energy_j": planned}
+
+
+def _timetable_energy(
+    line: Line, trainset: Trainset, options: PlanOptions, ends: dict[str, Any]
+) -> float | None:
+    """What the same journey costs when the timetable's own times are kept."""
+    try:
+        points = timetable_waypoints(line, ends["origin"], ends["destination"])
+        return plan_journey(line, trainset, points, options, **ends).plan.energy_j
+    except Infeasible:
+        return None
+
+
+def _journey_out(made: JourneyPlan) -> dict[str, Any]:
+    plan, calls = made.plan, made.calls
+    time, at, speed = [], [], []
+    for before, after in pairwise(calls):
+        inside = (plan.position_m >= before.position_m - 1e-6) & (plan.position_m <= after.position_m + 1e-6)
+        moving = plan.time_s[inside]
+        time += [*(before.departure_s + moving - moving[0])]
+        at += [*plan.position_m[inside]]
+        speed += [*plan.speed_mps[inside]]
+    rows = [
+        {
+            "station": c.name,
+            "position_m": c.position_m,
+            "arrival_s": c.arrival_s,
+            "departure_s": c.departure_s,
+            "running_time_s": c.running_time_s,
+            "minimum_running_time_s": c.minimum_s,
+            "energy_j": c.energy_j,
+        }
+        for c in calls
+    ]
+    return {
+        "calls": rows,
+        "time_s": numbers(time, 3),
+        "position_m": numbers(at, 3),
+        "speed_mps": numbers(speed, 4),
+        "running_time_s": calls[-1].arrival_s,
+        "energy_j": plan.energy_j,
+        "bound_j": plan.bound_j,
+    }
+
+
+def read_upload(path: str, shown: str) -> dict[str, Any]:
+    """Whether a file holds a line or a trainset.
+
+    Raises:
+        InputError: It does not; the message names the file as its sender does, and the field.
+    """
+    try:
+        found = import_file(Path(path))
+    except InputError as error:
+        shape = {name: getattr(error, name) for name in ("field", "value", "unit", "allowed")}
+        raise InputError(error.message, file=shown, **shape) from None
+    if not isinstance(found, Line | Trainset):
+        raise InputError("neither a line nor a trainset", file=shown, field="kind", allowed="line, trainset")
+    if isinstance(found, Line):
+        return {"kind": "line", "name": found.name, "notes": list(found.notes)}
+    return {"kind": "trainset", "name": found.name, "notes": list(found.notes)}

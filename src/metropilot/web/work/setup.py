@@ -1,0 +1,45 @@
+"""How a worker process begins: one thread, a bound on memory, behind the server in the queue for a core."""
+
+from __future__ import annotations
+
+import os
+import signal
+from multiprocessing import parent_process
+from multiprocessing.connection import wait
+from threading import Thread
+
+ONE_THREAD = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+}
+
+
+def begin(worker_bytes: int | None, nice: int) -> None:
+    """Set up this process; call it before anything numerical is imported.
+
+    Args:
+        worker_bytes: Bound on the address space; None leaves it (JAX maps far more than it uses).
+        nice: How far behind the server it queues for a core.
+    """
+    for name, value in ONE_THREAD.items():
+        os.environ.setdefault(name, value)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_outlive_nobody, daemon=True).start()
+    if hasattr(os, "nice"):
+        os.nice(nice)
+    if worker_bytes is not None:
+        try:
+            import resource
+        except ImportError:
+            return
+        resource.setrlimit(resource.RLIMIT_AS, (worker_bytes, worker_bytes))
+
+
+def _outlive_nobody() -> None:
+    """End with the server, however it ended: what was under way is resumed from its last checkpoint."""
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)

@@ -1,0 +1,135 @@
+"""The page Drive: depart, news on the way, the lever by hand, KPIs."""
+
+import re
+import time
+
+import pytest
+from playwright.sync_api import expect
+
+PATIENCE_MS = 60_000
+
+
+def number(page, part):
+    text = page.locator(f'[data-mp="{part}"]').inner_text().replace("−", "-")
+    found = re.search(r"-?\d+(\.\d+)?", text)
+    return float(found[0]) if found else None
+
+
+def until(condition, seconds=60):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.1)
+
+
+def choose(page, label, option):
+    page.get_by_label(label, exact=True).click()
+    page.get_by_role("option", name=option, exact=True).click()
+
+
+def depart(page, pace="10 ×"):
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    choose(page, "Pace", pace)
+    page.locator('[data-test="depart"]').click()
+    live = page.locator('[data-test="live"]')
+    expect(live).to_have_attribute("data-status", "running", timeout=PATIENCE_MS)
+    until(lambda: float(live.get_attribute("data-position") or 0) > 0)
+    return live
+
+
+def drawn(page, name):
+    """How many points a curve of the picture has."""
+    script = """name => { const el = document.querySelector('[data-test=live] .js-plotly-plot');
+        return el.data.find(t => t.name === name).x.length; }"""
+    return page.evaluate(script, name)
+
+
+def test_a_run_from_departure_to_kpis(visit):
+    page = visit("/")
+    live = depart(page, "30 ×")
+    expect(live).to_have_attribute("data-status", "done", timeout=PATIENCE_MS)
+    result = page.locator('[data-test="result"]')
+    expect(result.get_by_text("stops at the mark")).to_be_visible()
+    expect(result.get_by_text("✓ passed")).to_have_count(5)
+    expect(result.get_by_text("above the optimum")).to_be_visible()
+    assert number(page, "time") == pytest.approx(101, abs=3)
+    assert number(page, "distance") == pytest.approx(0, abs=0.3)
+    assert drawn(page, "driven") > 400
+    assert drawn(page, "optimal plan") > 50
+    with page.expect_download() as download:
+        page.evaluate("document.querySelectorAll('[data-test=result] a').forEach(a => a.target = '')")
+        result.get_by_role("link", name="trajectory.csv").click()
+    assert download.value.suggested_filename.endswith("trajectory.csv")
+
+
+def test_told_to_arrive_later_on_the_way(visit):
+    page = visit("/")
+    live = depart(page, "10 ×")
+    page.get_by_label("Arrive after (s)").fill("125")
+    page.locator('[data-test="tell-arrival"]').click()
+    expect(page.locator('[data-mp="log"]')).to_contain_text("told to arrive later: after 125 s")
+    expect(page.locator('[data-mp="scheduled"]')).to_contain_text("125")
+    expect(live).to_have_attribute("data-status", "done", timeout=PATIENCE_MS)
+    assert number(page, "time") == pytest.approx(125, abs=3)
+
+
+def test_a_restriction_dropped_on_the_way(visit):
+    page = visit("/", expected=("422",))
+    live = depart(page, "5 ×")
+    page.get_by_label("From (m)").fill("800")
+    page.get_by_label("To (m)").fill("900")
+    page.get_by_label("km/h", exact=True).fill("30")
+    page.locator('[data-test="restrict"]').click()
+    expect(page.locator('[data-mp="log"]')).to_contain_text(
+        "restriction announced: 30 km/h from 800 to 900 m"
+    )
+    expect(page.locator(".mp-restrictions rect")).to_have_count(1)
+    until(lambda: number(page, "speed") > 30)
+    page.get_by_label("From (m)").fill("1")
+    page.get_by_label("To (m)").fill("1270")
+    page.locator('[data-test="restrict"]').click()
+    expect(page.get_by_text("no brake could keep it")).to_be_visible()
+    until(lambda: float(live.get_attribute("data-position")) > 805)
+    assert number(page, "speed") < 30.1
+    expect(live).to_have_attribute("data-status", "done", timeout=PATIENCE_MS)
+
+
+def test_the_lever_by_hand_from_the_keyboard(visit):
+    page = visit("/")
+    live = depart(page, "real time")
+    page.locator("body").press("m")
+    expect(live).to_have_attribute("data-hand", "true")
+    for _ in range(10):
+        page.keyboard.press("ArrowUp")
+    expect(page.locator('[data-mp="hand"]')).to_have_text("by hand: 100 %")
+    expect(page.locator('[data-mp="log"]')).to_contain_text("the lever is taken by hand")
+    page.locator("body").press("b")
+    expect(page.locator('[data-mp="hand"]')).to_have_text("by hand: -100 %")
+    until(lambda: "brake" in page.locator('[data-mp="command"]').inner_text())
+    page.keyboard.press("Escape")
+    expect(page.locator('[data-mp="log"]')).to_contain_text("the driver has the lever again")
+    page.get_by_role("button", name="Stop").click()
+    expect(live).to_have_attribute("data-status", "stopped", timeout=PATIENCE_MS)
+
+
+def test_a_hand_that_goes_too_fast_is_supervised(visit):
+    page = visit("/", expected=("409",))  # the lever is renewed once more when the run is over
+    live = depart(page, "10 ×")
+    page.locator("body").press("m")
+    for _ in range(10):
+        page.keyboard.press("ArrowUp")
+    until(lambda: drawn(page, "protection") > 0)
+    assert number(page, "speed") <= 80.0
+    page.keyboard.press("Escape")
+    expect(live).to_have_attribute("data-status", "done", timeout=PATIENCE_MS)
+    expect(page.locator('[data-test="result"]').get_by_text("no overspeed")).to_be_visible()
+
+
+def test_a_reload_finds_the_run_again(visit):
+    page = visit("/")
+    depart(page, "2 ×")
+    page.reload()
+    live = page.locator('[data-test="live"]')
+    expect(live).to_have_attribute("data-status", "running", timeout=PATIENCE_MS)
+    until(lambda: drawn(page, "driven") > 5)
+    page.get_by_role("button", name="Stop").click()

@@ -1,0 +1,195 @@
+"""`metropilot learn` and what is done with its runs: tiny ones, each a program as a user starts it.
+
+The first compiles; the others take its programs from the cache that all tests share.
+"""
+
+import json
+import re
+import shlex
+import signal
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from metropilot.drivers.policy import load_policy
+from metropilot.task import TASKS
+
+PROGRAM = Path(sys.executable).with_name("metropilot")
+LEARN = (
+    *("learn", "ppo", "--steps", "12000", "--set", "environments=32", "--set", "rollout=32"),
+    *("--set", "minibatches=4", "--set", "evaluations=12", "--set", "hidden=8,8", "--seed", "3"),
+)
+STEPS = 12 * 32 * 32
+
+
+def answer(said, code=0):
+    assert said.code == code, said
+    assert said.err == ""
+    return json.loads(said.out)
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory):
+    """The folder of a run that was never interrupted, and what learning it said."""
+    folder = tmp_path_factory.mktemp("learned")
+    command = [PROGRAM, *LEARN, "--out", "mine"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    return folder / "mine", done.stdout
+
+
+def test_learning_says_how_it_goes(learned):
+    folder, said = learned
+    lines = said.splitlines()
+    assert lines[0].startswith("ppo: ppo on drive, seed 3, in ")
+    rows = [line.split() for line in lines if re.match(r"\s+[\d ]+\d\s", line)]
+    assert len(rows) == 12
+    assert lines[13].split("  ")[-1].strip() == "0:00"
+    assert "drives that arrive safely and on time" in said
+    assert f"--driver learned --set policy={folder}" in said
+
+
+def test_a_run_can_be_shown_driven_and_exported(learned, metropilot, program, tmp_path):
+    folder, _ = learned
+    record = answer(metropilot("show", folder, "--json"))
+    assert (record["kind"], record["status"], record["steps"]) == ("learning run", "done", STEPS)
+    assert record["command"].startswith("metropilot learn ppo --budget quick --steps 12000 --seed 3 --set")
+    assert record["config"]["hidden"] == [8, 8]
+    assert 0.0 <= record["kpis"]["safe_share"] <= 1.0
+    policy = folder / "policy.safetensors"
+    shown = answer(metropilot("show", policy, "--json"))
+    assert shown["network"]["hidden"] == [8, 8]
+    assert shown["perception"]["features"][0] == "position"
+    assert "how it was learned" in metropilot("show", policy).out
+    assert "settings" in metropilot("show", folder).out
+    run = ("yizhuang", "RJ", "WYJ", "--time", "110", "--ideal")
+    kpis = json.loads(program("drive", *run, "--driver", f"learned:policy={folder}", "--json").out)
+    again = json.loads(
+        program("drive", *run, "--driver", "learned", "--set", f"policy={policy}", "--json").out
+    )
+    assert kpis["energy_wheel_kwh"] == again["energy_wheel_kwh"] > 0
+    found = answer(metropilot("export", folder, "--to", "onnx", "--out", tmp_path / "mine.onnx", "--json"))
+    assert found["parity"] < 1e-5
+    assert found["latency_us_median"] > 0
+    assert metropilot("export", policy, "--out", tmp_path / "again.onnx").code == 0
+    assert (tmp_path / "mine.onnx").read_bytes() == (tmp_path / "again.onnx").read_bytes()
+
+
+def test_an_onnx_file_says_what_its_numbers_mean(learned, metropilot, tmp_path):
+    import onnx
+
+    path = tmp_path / "mine.onnx"
+    assert metropilot("export", learned[0], "--out", path).code == 0
+    told = {item.key: json.loads(item.value) for item in onnx.load(path).metadata_props}
+    assert told["perception"]["period_s"] == 0.5
+    assert told["algorithm"] == "ppo"
+
+
+def stopped(folder, command, how):
+    """Start learning, and stop it by a signal after its first evaluation; what it said."""
+    process = subprocess.Popen(
+        [PROGRAM, *command], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        for line in process.stdout:
+            if re.match(r"\s+[\d ]+\d\s+\d", line):
+                break
+        process.send_signal(how)
+        _, err = process.communicate(timeout=120)
+    finally:
+        process.kill()
+    return process.returncode, err
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_interrupted_twice_it_learns_the_same(learned, metropilot, program, tmp_path):
+    code, err = stopped(tmp_path, [*LEARN, "--out", "mine"], signal.SIGINT)
+    assert code == 130
+    again = shlex.split(err.strip().partition("go on with: ")[2])
+    assert again[:3] == ["metropilot", "learn", "--resume"]
+    assert answer(metropilot("show", tmp_path / "mine", "--json"))["status"] == "interrupted"
+    code, _ = stopped(tmp_path, again[1:], signal.SIGKILL)
+    assert code == -signal.SIGKILL
+    shown = answer(metropilot("show", tmp_path / "mine", "--json"))
+    assert shown["status"] == "interrupted"
+    assert 0 < shown["steps"] < STEPS
+    assert "Go on with: metropilot learn --resume" in metropilot("show", tmp_path / "mine").out
+    done = answer(program(*again[1:], "--json"))
+    assert (done["status"], done["steps"]) == ("done", STEPS)
+    ours, theirs = (load_policy(f / "policy.safetensors")[0] for f in (tmp_path / "mine", learned[0]))
+    for name, value in theirs.params.items():
+        assert (ours.params[name] == value).all(), name
+    assert answer(metropilot("learn", "--resume", tmp_path / "mine", "--json")) == done
+
+
+def test_runs_are_listed_with_what_became_of_them(metropilot, tmp_path, monkeypatch):
+    from metropilot.learn import PPOConfig, RunStore
+
+    monkeypatch.setenv("METROPILOT_HOME", str(tmp_path))
+    assert "No runs in" in metropilot("runs").out
+    store = RunStore(tmp_path / "runs")
+    record = store.create(PPOConfig(), "drive", 4, {"name": "drive"}, driver="ppo_scaled")
+    store.update(record, status="done", kpis={"safe_share": 1.0, "gap_percent": 2.5}, steps=1000)
+    dead = store.create(PPOConfig(), "drive_jerk", 5, {"name": "drive_jerk"}, driver="ppo")
+    rows = answer(metropilot("runs", "--json"))
+    assert {row["id"]: row["status"] for row in rows} == {record.id: "done", dead.id: "interrupted"}
+    assert [row["seed"] for row in answer(metropilot("runs", "jerk", "--json"))] == [5]
+    text = metropilot("runs").out
+    assert "ppo_scaled" in text
+    assert "2.50" in text
+    assert answer(metropilot("show", record.id, "--json"))["id"] == record.id
+    assert metropilot("learn", "--resume", record.id, "--seed", "1").code == 2
+    assert metropilot("learn", "--resume", record.id).code == 0
+
+
+def test_tasks_are_the_registry(metropilot):
+    rows = answer(metropilot("tasks", "--json"))
+    assert [row["id"] for row in rows] == list(TASKS)
+    assert "ppo_scaled" in next(row["drivers"] for row in rows if row["id"] == "drive")
+    assert "drive_jerk" in metropilot("tasks").out
+
+
+BAD = [
+    (("learn",), "driver: missing (allowed: ppo, ppo_scaled"),
+    (("learn", "pp0"), "did you mean ppo"),
+    (("learn", "ppo", "--set", "entrpy=1"), "nearest is 'entropy'"),
+    (("learn", "ppo", "--set", "entropy"), "KEY=VALUE"),
+    (("learn", "ppo", "--set", "hidden=wide"), "a whole number"),
+    (("learn", "ppo", "--set", "gamma=2"), "gamma: out of range"),
+    (("learn", "ppo", "--steps", "0"), "steps: out of range"),
+    (("learn", "ppo", "--task", "driv"), "did you mean drive"),
+    (("learn", "ppo", "--budget", "huge"), "allowed: quick, paper"),
+    (("learn", "--resume", "nowhere"), "no such run"),
+    (("learn", "--resume", "."), "not the folder of a learning run"),
+    (("export", "optimal"), "the driver has no policy of its own"),
+    (("export", "nowhere"), "no such run"),
+    (("export", "nowhere.safetensors"), "No such file"),
+    (("export", "learned"), "the driver has no policy of its own"),
+    (("export", "optimal", "--to", "pickle"), "allowed: onnx"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), BAD, ids=[" ".join(a) for a, _ in BAD])
+def test_bad_input_is_one_line(metropilot, arguments, words, tmp_path, monkeypatch):
+    monkeypatch.setenv("METROPILOT_HOME", str(tmp_path))
+    said = metropilot(*arguments)
+    assert (said.code, said.out, said.err.count("\n")) == (2, "", 1), said
+    assert words in said.err
+
+
+def test_a_folder_that_holds_a_run_is_not_written_over(learned, program):
+    said = program(*LEARN, "--out", learned[0])
+    assert said.code == 2
+    assert "holds a run already" in said.err
+
+
+def test_examples_name_what_there_is():
+    from metropilot.learn.recipes import recipe
+
+    for line in import_module("metropilot.cli.learn").EXAMPLES["learn"]:
+        words = shlex.split(line)
+        if "--resume" not in words:
+            assert recipe(words[2])

@@ -1,0 +1,90 @@
+"""The study of Cheng23 with what is shipped: it holds what its page says."""
+
+import numpy as np
+import pytest
+
+from metropilot.errors import InputError
+from metropilot.evaluate.tracking import track, tracking_kpis
+from metropilot.physics.effort import effort_at
+from metropilot.physics.resistance import davis_n
+from metropilot.studies import Order, load_study, reproduce
+from metropilot.studies.cheng2023 import courses
+from metropilot.studies.cheng2023.controllers import pid
+from metropilot.studies.cheng2023.remarks import needed
+from metropilot.task.incremental_pid import Gains
+
+TOTAL, PLACE = "total speed error", "total position error"
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    return reproduce("cheng2023", Order(folder=tmp_path_factory.mktemp("runs")))
+
+
+def ours(report, table, driver, kpi, case=1):
+    found = [
+        row.ours
+        for row in report.rows
+        if (row.table, row.driver, row.kpi) == (table, driver, kpi) and row.case == courses.NAMES[case]
+    ]
+    assert len(found) == 1
+    return found[0]
+
+
+def test_ddpg_pid_is_as_good_as_published_where_the_page_claims_it(report):
+    # Published: 0.17 m/s, 0.34 m, 10.32 m. The total speed error (3.51) and parking (0.02) are missed: the
+    # policy shipped has 3.90 m/s and 3.7 cm, and the page says so.
+    assert ours(report, "Table 1", "ddpg_pid", "largest speed error") < 0.17
+    assert ours(report, "Table 1", "ddpg_pid", "largest position error") < 0.34
+    assert ours(report, "Table 1", "ddpg_pid", PLACE) < 10.32
+    assert ours(report, "Table 1", "ddpg_pid", TOTAL) < 4.0
+    assert ours(report, "Table 1", "ddpg_pid", "parking error") < 0.05
+    assert any("Short of the published numbers: total speed error" in remark for remark in report.remarks)
+
+
+def test_ddpg_pid_beats_fuzzy_and_neural_as_printed_by_their_margins(report):
+    mine = ours(report, "Table 1", "ddpg_pid", TOTAL)
+    assert mine < (1 - 0.49) * ours(report, "Table 1", "fuzzy_pid", TOTAL)
+    assert mine < (1 - 0.44) * ours(report, "Table 1", "neural_pid", TOTAL)
+    place = ours(report, "Table 1", "ddpg_pid", PLACE)
+    assert place < 0.5 * ours(report, "Table 1", "pid tuned", PLACE)
+
+
+def test_the_page_says_who_wins(report):
+    tuned, mine = (ours(report, "Table 1", driver, TOTAL) for driver in ("pid tuned", "ddpg_pid"))
+    assert ("beats DDPG-PID" in report.remarks[0]) == (tuned <= mine)
+    assert len(report.figures) == 4
+    assert {row.table for row in report.rows} >= {"Table 1", "Table 3", "Table 4", "Margins of ddpg_pid"}
+
+
+def test_the_bound_of_constant_gains_holds():
+    # Sum of the errors: how much the command rises and falls over ki, less what overlaps.
+    variation, _ = needed()
+    what = courses.course()
+    for integral in (0.3, 1.5):
+        record = track(what, *pid(Gains(4.0, integral, 0.0)))
+        found = float(tracking_kpis(what, record).speed_total_mps)
+        assert found == pytest.approx(variation / integral, rel=0.3)
+
+
+@pytest.mark.parametrize("kind", courses.REFERENCES)
+@pytest.mark.parametrize("speed", courses.CRUISE_MPS)
+def test_references_arrive_and_only_the_drawn_one_asks_too_much(kind, speed):
+    found = courses.reference_of(kind, speed)
+    assert found.position_m[-1] == pytest.approx(1280.0, abs=1e-6)
+    assert found.speed_mps[-1] == 0.0
+    vehicle = courses.course().vehicle
+    rate = np.diff(found.speed_mps) / courses.DT_S
+    use = []
+    for v, a in zip(found.speed_mps[:-1], rate, strict=True):
+        effort = effort_at(vehicle, float(v))
+        force = float(vehicle.mass_kg) * a + float(davis_n(vehicle, float(v)))
+        use.append(abs(force) / float(effort.traction_n if force > 0 else effort.brake_n))
+    assert (max(use) > 1.2) == (kind == "drawn")
+
+
+def test_options_are_checked():
+    with pytest.raises(InputError, match="s_curve"):
+        load_study("cheng2023").check_options({"reference": "none"})
+    with pytest.raises(InputError, match="unknown reference"):
+        courses.reference_of("none")

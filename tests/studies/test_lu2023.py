@@ -1,0 +1,80 @@
+"""Study lu2023: the rule of convergence on made-up histories, the optimum's front, what is measured."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from metropilot.evaluate import Trajectory, measures
+from metropilot.studies.lu2023.convergence import Converged, converged, faster, meets
+from metropilot.studies.lu2023.optima import Front
+from metropilot.studies.lu2023.published import EPISODES, FASTER_PERCENT, PLANS, plan_case
+
+FRONT = Front(np.array([116.0, 120.0, 124.0]), 3.6e6 * np.array([13.4, 12.5, 11.8]))
+
+
+def history(**changes):
+    plain = {"kwh": 13.0, "late_s": 0.0, "stop_m": 0.1, "over_mps": 0.0, "arrived": 1.0}
+    columns = {name: np.full(8, value) for name, value in (plain | changes).items()}
+    return {f"evaluation.120.{name}": value for name, value in columns.items()} | {
+        "episodes": np.full(8, 30.0)
+    }
+
+
+@pytest.mark.parametrize(
+    ("changes", "good"),
+    [
+        ({}, True),
+        ({"kwh": 12.5 * 1.079}, True),
+        ({"kwh": 12.5 * 1.081}, False),
+        ({"late_s": 3.1, "kwh": 11.0}, False),
+        ({"late_s": 2.9, "kwh": 13.0}, False),  # 12 % above what 122.9 s need
+        ({"stop_m": -0.31}, False),
+        ({"over_mps": 0.1}, False),
+        ({"arrived": 0.0}, False),
+    ],
+)
+def test_what_counts(changes, good):
+    assert meets(history(**changes), "120", 120.0, FRONT).tolist() == [good] * 8
+
+
+def test_three_in_a_row():
+    found = history()
+    good = np.array([0, 1, 1, 0, 1, 1, 1, 0], bool)
+    # the first of the three is the fifth evaluation: 5 times 30 episodes
+    assert converged(found, good) == Converged(150.0, True)
+    assert converged(found, np.array([1, 1, 0] * 3, bool)[:8]) == Converged(240.0, False)
+
+
+def test_faster_is_the_papers_measure():
+    slow, fast = ([Converged(n, True)] * 5 for n in (EPISODES["120", "dqn"], EPISODES["120", "improved_dqn"]))
+    found = faster(slow, fast)
+    assert found.percent == pytest.approx(37.5)
+    assert int(found.percent) == FASTER_PERCENT
+    assert (found.low, found.high) == pytest.approx((37.5, 37.5))
+    rng = np.random.default_rng(1)
+    a, b = ([Converged(float(n), True) for n in rng.uniform(low, 2 * low, 10)] for low in (800, 600))
+    spread = faster(a, b)
+    assert spread.low < spread.percent < spread.high
+
+
+def test_front_goes_through_its_points_and_on():
+    np.testing.assert_allclose(FRONT.at(FRONT.time_s), FRONT.energy_j)
+    beyond = FRONT.at(np.array([112.0, 128.0])) / 3.6e6
+    # the parabola's slopes at the ends: -0.25 and -0.15 kWh/s
+    assert beyond == pytest.approx([13.4 + 4 * 0.25, 11.8 - 4 * 0.15])
+
+
+def test_published_plans():
+    assert [plan.published.kwh for plan in PLANS] == [17.054, 25.68, 14.802, 12.89]
+    assert plan_case("120-restricted").line == "lu2023-restricted"
+    assert {plan.line for plan in PLANS if not plan.restricted} == {"lu2023"}
+
+
+def test_comfort_band_shares():
+    columns = {field.name: np.zeros(7) for field in dataclasses.fields(Trajectory)}
+    columns["time_s"] = np.array([0.0, 1.0, 3.0, 4.0, 5.0, 7.0, 10.0])
+    columns["acceleration_mps2"] = np.array([0.1, 0.5, 0.9, -0.9, 1.7, 2.6, 0.0])
+    shares = measures.comfort_band_shares(Trajectory(**columns))
+    assert list(shares.values()) == pytest.approx([0.1, 0.2, 0.2, 0.0, 0.2, 0.3])
+    assert sum(shares.values()) == pytest.approx(1.0)

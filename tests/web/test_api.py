@@ -1,0 +1,144 @@
+"""The HTTP API of a running server: what it answers, and how it refuses."""
+
+import pytest
+
+from metropilot.railway import load_line, write_line
+
+SECTION = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ"}
+ERROR = {"message", "file", "field", "value", "unit", "allowed"}
+
+
+def refused(answer, field):
+    assert set(answer["error"]) == ERROR
+    assert (answer["error"]["field"] or "").startswith(field)
+    return answer["error"]
+
+
+def test_the_catalogue(server):
+    lines = server.get("/api/lines")
+    assert "yizhuang" in {row["id"] for row in lines}
+    line = server.get("/api/lines/yizhuang")
+    assert len(line["stops"]) == line["stations"] == len(line["sections"]) + 1
+    assert max(line["limit_mps"]["value"]) == pytest.approx(80 / 3.6)
+    assert "AW2" in server.get("/api/trainsets/dkz32")["loads_kg"]
+    assert {"optimal", "manual"} <= {row["id"] for row in server.get("/api/drivers")}
+    assert "drive" in {row["id"] for row in server.get("/api/tasks")}
+
+
+def test_a_plan_has_a_certificate_and_a_price(server):
+    section = server.post("/api/section", SECTION)
+    assert 80 < section["minimum_running_time_s"] < 85
+    plan = server.post("/api/plan", {**SECTION, "time_s": 101})
+    assert plan["running_time_s"] == pytest.approx(101, abs=0.05)
+    assert 0 <= plan["certificate_gap"] < 1e-3
+    later = server.post("/api/plan", {**SECTION, "time_s": 102})
+    assert plan["energy_j"] - later["energy_j"] == pytest.approx(plan["second_w"], rel=0.1)
+    front = server.post("/api/front", SECTION)
+    assert front["energy_j"] == sorted(front["energy_j"], reverse=True)
+
+
+def test_too_little_time_is_refused_with_the_bound(server):
+    error = refused(server.post("/api/plan", {**SECTION, "time_s": 50}, code=422), "time_s")
+    assert "83" in error["allowed"]
+    assert error["unit"] == "s"
+    refused(server.post("/api/jobs/drive", {**SECTION, "time_s": 50}, code=422), "time")
+
+
+def test_a_journey_whose_reserve_is_spread_costs_less(server):
+    kept = server.post("/api/journey", {"line": "yizhuang"})
+    total = kept["running_time_s"]
+    spread = server.post("/api/journey", {"line": "yizhuang", "total_s": total})
+    assert spread["energy_j"] < spread["planned_energy_j"] == pytest.approx(kept["energy_j"], rel=1e-6)
+    assert spread["running_time_s"] <= total + 0.5
+    assert spread["time_s"] == sorted(spread["time_s"])
+
+
+def test_a_drive_with_its_files(server):
+    job = server.post("/api/jobs/drive", {**SECTION, "time_s": 101}, code=202)["id"]
+    server.wait(job)
+    driven = server.get(f"/api/jobs/{job}/drive")
+    assert driven["success"]
+    assert driven["kpis"]["outcome"] == "arrived"
+    assert len(driven["columns"]["speed_mps"]) == len(driven["columns"]["phase"]) > 400
+    assert server.client.get(f"/api/jobs/{job}/files/profile.png").content.startswith(b"\x89PNG")
+    csv = server.client.get(f"/api/jobs/{job}/files/trajectory.csv").text
+    assert csv.startswith("time_s,position_m")
+    server.get(f"/api/jobs/{job}/compare", code=404)
+
+
+def test_a_comparison(server):
+    asked = {**SECTION, "time_s": 101, "drivers": ["optimal", "flat_out"]}
+    job = server.post("/api/jobs/compare", asked, code=202)["id"]
+    server.wait(job)
+    entries = server.get(f"/api/jobs/{job}/compare")["entries"]
+    assert [e["driver"] for e in entries] == ["optimal", "flat_out"]
+    energy = [e["kpis"]["energy_wheel_kwh"]["mean"] for e in entries]
+    assert energy[0] < energy[1]
+
+
+@pytest.mark.parametrize(
+    ("body", "field"),
+    [
+        ({**SECTION, "line": "/etc/passwd"}, "line"),
+        ({**SECTION, "line": "../secret.toml"}, "line"),
+        ({**SECTION, "line": "nowhere"}, "line"),
+        ({**SECTION, "origin": "nowhere"}, "station"),
+        ({**SECTION, "driver": "policy.safetensors"}, "driver"),
+        ({**SECTION, "options": {"policy": "/etc/passwd"}}, "options.policy"),
+        ({**SECTION, "time_s": "nan"}, "time_s"),
+        ({**SECTION, "colour": "red"}, "colour"),
+        ({**SECTION, "restrictions": [{"from_m": 5, "to_m": 5, "limit_mps": 3}]}, "to_m"),
+        (
+            {**SECTION, "restrictions": [{"from_m": 5, "to_m": 9, "limit_mps": 0}]},
+            "restrictions[0].limit_mps",
+        ),
+    ],
+)
+def test_what_cannot_be_used_is_named(server, body, field):
+    refused(server.post("/api/jobs/drive", body, code=422), field)
+
+
+def test_an_upload_is_used_like_any_line(server, tmp_path):
+    write_line(load_line("yizhuang"), tmp_path / "mine.toml")
+    text = (tmp_path / "mine.toml").read_bytes()
+    answer = server.client.post("/api/uploads", files={"file": ("../../mine.toml", text)})
+    assert answer.status_code == 201, answer.text
+    key = answer.json()["id"]
+    assert server.post("/api/section", {**SECTION, "line": key})["length_m"] == pytest.approx(1280)
+    assert [p.parent.name for p in server.data.rglob("*.toml") if p.parent.name == "uploads"] == ["uploads"]
+    server.client.delete(f"/api/uploads/{key}")
+    refused(server.post("/api/section", {**SECTION, "line": key}, code=422), "line")
+
+
+def test_a_bad_upload_names_the_field(server, tmp_path):
+    write_line(load_line("yizhuang"), tmp_path / "bad.toml")
+    text = (tmp_path / "bad.toml").read_text().replace('kind = "line"', 'kind = "lime"')
+    answer = server.client.post("/api/uploads", files={"file": ("bad.toml", text)})
+    assert answer.status_code == 422
+    error = refused(answer.json(), "kind")
+    assert error["file"] == "bad.toml"
+    assert str(server.data) not in answer.text
+    large = server.client.post("/api/uploads", files={"file": ("large.toml", b"#" * 1_100_000)})
+    assert large.status_code in {413, 422}
+    odd = server.client.post("/api/uploads", files={"file": ("script.py", b"print()")})
+    assert odd.status_code == 422
+
+
+@pytest.mark.parametrize("path", ["/", "/compare", "/journey", "/convoy", "/learn", "/lines"])
+def test_pages_are_there_and_load_nothing_from_elsewhere(server, path):
+    answer = server.client.get(path)
+    assert answer.status_code == 200
+    assert "default-src 'self'" in answer.headers["content-security-policy"]
+    assert "metropilot" in answer.text
+
+
+def test_what_is_no_route_is_told_in_the_same_shape(server):
+    refused(server.get("/api/nowhere", code=404), "path")
+    refused(server.post("/api/lines", {}, code=404), "path")
+
+
+def test_no_other_file_is_readable(server):
+    for path in ("/api/jobs/x/files/..%2F..%2Fconsole.sqlite", "/static/../server.py", "/console.sqlite"):
+        answer = server.client.get(path)
+        assert answer.status_code in {404, 422}, path
+        assert b"SQLite" not in answer.content

@@ -1,0 +1,125 @@
+"""Live runs over HTTP: watched, told news, taken over, resumed after the server died."""
+
+import json
+import time
+
+import pytest
+from tests.web.program import Server
+
+SECTION = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ", "time_s": 101}
+
+
+def watch(server, live, *, until=lambda kind, data: kind == "end", after=None):
+    """The events of a live run up to one."""
+    headers = {} if after is None else {"Last-Event-ID": str(after)}
+    seen, kind, number = [], "", 0
+    with server.client.stream("GET", f"/api/live/{live}/stream", headers=headers, timeout=60) as answer:
+        for line in answer.iter_lines():
+            name, _, value = line.partition(": ")
+            if name == "id":
+                number = int(value)
+            elif name == "event":
+                kind = value
+            elif name == "data":
+                data = json.loads(value)
+                seen.append((number, kind, data))
+                if until(kind, data):
+                    return seen
+    return seen
+
+
+def rows(seen):
+    return [row for _, kind, data in seen if kind == "rows" for row in data["rows"]]
+
+
+def reached(metres):
+    return lambda kind, data: kind == "rows" and any(row[1] > metres for row in data["rows"])
+
+
+def test_a_live_run_is_told_news_and_arrives(server):
+    live = server.post("/api/live", {**SECTION, "pace": 20}, code=201)["id"]
+    seen = watch(server, live, until=reached(150))
+    at = server.post(f"/api/live/{live}/arrival", {"scheduled_time_s": 125})["at_s"]
+    assert 5 < at < 60
+    server.post(f"/api/live/{live}/restriction", {"from_m": 900, "to_m": 1000, "limit_mps": 12})
+    near = server.post(f"/api/live/{live}/restriction", {"from_m": 1, "to_m": 9, "limit_mps": 3}, code=422)
+    assert near["error"]["field"] == "from_m"
+    late = server.post(f"/api/live/{live}/arrival", {"scheduled_time_s": 1}, code=422)
+    assert "passed" in late["error"]["message"]
+    rest = watch(server, live, after=seen[-1][0])
+    assert rest[0][0] == seen[-1][0] + 1
+    words = [data["words"] for _, kind, data in rest if kind == "event"]
+    assert any("arrive later" in text for text in words)
+    assert any("restriction" in text for text in words)
+    result = next(data for _, kind, data in rest if kind == "result")
+    assert result["kpis"]["outcome"] == "arrived"
+    assert result["kpis"]["running_time_s"] == pytest.approx(125, abs=3)
+    slow = [row[2] for row in rows(rest) if 900 < row[1] < 1000]
+    assert max(slow) <= 12.0
+    steps = [row[-1] for row in rows(seen) + rows(rest)]
+    assert steps == list(range(1, len(steps) + 1))
+    assert server.get(f"/api/jobs/{live}/drive")["kpis"]["outcome"] == "arrived"
+
+
+def test_a_hand_that_lets_go_gives_the_lever_back(server):
+    live = server.post("/api/live", {**SECTION, "pace": 1}, code=201)["id"]
+    server.post(f"/api/live/{live}/lever", {"share": 1.0})
+    given = watch(server, live, until=lambda kind, data: kind == "event" and "driver has" in data["words"])
+    assert any(row[5] == 1.0 for row in rows(given))
+    assert given[-1][2]["time_s"] == pytest.approx(3.0, abs=1.0)
+    server.post(f"/api/live/{live}/stop")
+    assert watch(server, live)[-1][2] == {"status": "stopped"}
+    assert server.post(f"/api/live/{live}/pace", {"pace": 2}, code=409)["error"]["message"]
+
+
+def test_a_run_waits_and_is_bounded_in_number(server):
+    lives = [server.post("/api/live", {**SECTION, "pace": 0}, code=201)["id"] for _ in range(4)]
+    server.post("/api/live", {**SECTION, "pace": 0}, code=429)
+    before = server.get(f"/api/live/{lives[0]}")["time_s"]
+    time.sleep(0.3)
+    assert server.get(f"/api/live/{lives[0]}")["time_s"] == before == 0
+    for live in lives:
+        server.post(f"/api/live/{live}/stop")
+        watch(server, live)
+
+
+def test_a_convoy_keeps_apart_when_its_head_brakes(server):
+    asked = {**SECTION, "time_s": 120, "trainsets": 2, "pace": 10}
+    live = server.post("/api/convoys", asked, code=201)["id"]
+    seen = watch(server, live, until=lambda kind, data: kind == "rows" and data["rows"][-1][0] > 15)
+    server.post(f"/api/live/{live}/link", {"loss": 0.5, "delay_s": 0.3})
+    server.post(f"/api/live/{live}/emergency")
+    assert (
+        server.post(f"/api/live/{live}/arrival", {"scheduled_time_s": 500}, code=422)["error"]["field"]
+        == "kind"
+    )
+    rest = watch(server, live, after=seen[-1][0])
+    words = [data["words"] for _, kind, data in rest if kind == "event"]
+    assert words == ["link: 0.3 s late, 0 s uneven, 50 % lost", "the head makes an emergency brake"]
+    result = next(data for _, kind, data in rest if kind == "result")
+    assert result["kpis"]["contacts"] == 0
+    assert 0 < result["kpis"]["gap_min_m"] < 5.93
+
+
+def test_runs_survive_the_server(tmp_path):
+    first = Server(tmp_path)
+    live = first.post("/api/live", {**SECTION, "pace": 10}, code=201)["id"]
+    watch(first, live, until=reached(100))
+    first.post(f"/api/live/{live}/arrival", {"scheduled_time_s": 120})
+    seen = watch(first, live, until=reached(400))
+    job = first.post("/api/jobs/compare", {**SECTION, "seeds": 50}, code=202)["id"]
+    first.kill()
+    again = Server(tmp_path)
+    try:
+        assert again.get(f"/api/jobs/{live}")["status"] == "interrupted"
+        assert again.get(f"/api/jobs/{job}")["status"] == "interrupted"
+        again.post(f"/api/live/{live}/resume", code=201)
+        replayed = rows(watch(again, live))
+        before = rows(seen)
+        common = min(len(before), 80)
+        assert [row[:4] for row in replayed[:common]] == [row[:4] for row in before[:common]]
+        assert again.get(f"/api/jobs/{live}/drive")["kpis"]["running_time_s"] == pytest.approx(120, abs=3)
+        assert again.post(f"/api/jobs/{job}/resume", code=202)["status"] in {"queued", "running"}
+        again.post(f"/api/jobs/{job}/stop")
+    finally:
+        again.close()

@@ -1,0 +1,142 @@
+"""Draw the console's pictures anew: ``python tools/console_pictures.py URL [drive compare ...]``.
+
+URL is that of a running `metropilot serve`; needs the extra ``browser`` and Chromium. Without names it draws
+all of them into docs/images. A picture of Learn shows the job that is named in the variable JOB.
+"""
+
+import argparse
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from PIL import Image
+from playwright.sync_api import Browser, Page, sync_playwright
+
+OUT = Path(__file__).resolve().parent.parent / "docs" / "images"
+PATIENCE_MS = 300_000
+COLOURS = 128
+READY = "minimum 83.3 s"
+LIVE, CONVOY = '[data-test="live"]', '[data-test="convoy"]'
+
+
+def depart(page: Page, pace: str) -> None:
+    """Choose a pace and depart."""
+    page.get_by_text(READY).wait_for()
+    page.wait_for_timeout(1500)
+    page.get_by_label("Pace", exact=True).click()
+    page.get_by_role("option", name=pace, exact=True).click()
+    page.locator('[data-test="depart"]').click()
+
+
+def until(page: Page, where: str, what: str, value: float) -> None:
+    """Wait until a live run has come so far."""
+    while float(page.locator(where).get_attribute(what) or 0) < value:
+        time.sleep(0.1)
+
+
+def drive(page: Page) -> None:
+    """A restriction and a later arrival on the way."""
+    depart(page, "5 ×")
+    until(page, LIVE, "data-position", 250)
+    for label, value in (("From (m)", "800"), ("To (m)", "950"), ("km/h", "40")):
+        page.get_by_label(label, exact=True).fill(value)
+    page.locator('[data-test="restrict"]').click()
+    page.get_by_label("Arrive after (s)").fill("112")
+    page.locator('[data-test="tell-arrival"]').click()
+    until(page, LIVE, "data-position", 880)
+
+
+def phone(page: Page) -> None:
+    """Half way."""
+    depart(page, "5 ×")
+    until(page, LIVE, "data-position", 600)
+
+
+def compare(page: Page) -> None:
+    """Three drivers."""
+    page.get_by_text("The next second saves").wait_for()
+    page.locator('[data-test="compare"]').click()
+    page.locator('[aria-label="Comparison"] tbody tr').first.wait_for()
+
+
+def journey(page: Page) -> None:
+    """The whole line."""
+    page.locator('[data-test="sections"] tbody tr').first.wait_for()
+
+
+def convoy(page: Page) -> None:
+    """A link that falls silent."""
+    depart(page, "5 ×")
+    until(page, CONVOY, "data-time", 48)
+    page.locator('[data-test="silent"]').click()
+    until(page, CONVOY, "data-time", 62)
+
+
+def learn(page: Page) -> None:
+    """The curves of a job."""
+    page.locator('[data-test="curves"] .scatterlayer .trace').first.wait_for()
+
+
+def lines(page: Page) -> None:
+    """A file that cannot be used."""
+    page.wait_for_timeout(2500)
+    with tempfile.TemporaryDirectory() as folder:
+        bad = Path(folder, "bad.toml")
+        bad.write_text('kind = "line"\nid = "x"\nname = "My line"\nlength = "12 km"\n')
+        page.locator('input[type="file"]').set_input_files(bad)
+        page.get_by_text("This file cannot be used").wait_for()
+
+
+PICTURES: dict[str, tuple[str, Callable[[Page], None]]] = {
+    "drive": ("/", drive),
+    "compare": ("/compare", compare),
+    "journey": ("/journey", journey),
+    "convoy": ("/convoy", convoy),
+    "learn": (f"/learn?job={os.environ.get('JOB', '')}", learn),
+    "lines": ("/lines", lines),
+    "phone": ("/", phone),
+}
+
+
+def draw(browser: Browser, url: str, name: str) -> None:
+    """One picture: made, looked for, kept in few colours so that it stays small."""
+    path, act = PICTURES[name]
+    narrow = name == "phone"
+    context = browser.new_context(color_scheme="dark" if narrow else "light")
+    page = context.new_page()
+    page.set_viewport_size({"width": 390, "height": 844} if narrow else {"width": 1280, "height": 900})
+    page.set_default_timeout(PATIENCE_MS)
+    page.goto(url + path)
+    act(page)
+    page.wait_for_timeout(1000)
+    with tempfile.TemporaryDirectory() as folder:
+        raw = Path(folder, "raw.png")
+        page.screenshot(path=raw, full_page=True)
+        with Image.open(raw) as picture:
+            few = picture.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+            few.save(OUT / f"console-{name}.png", optimize=True)
+    print(name, (OUT / f"console-{name}.png").stat().st_size, "bytes")
+    context.close()
+
+
+def main() -> None:
+    """Draw what is named."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("url")
+    parser.add_argument(
+        "names", nargs="*", default=[n for n in PICTURES if n != "learn" or "JOB" in os.environ]
+    )
+    given = parser.parse_args()
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+        for name in given.names:
+            draw(browser, given.url, name)
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()
