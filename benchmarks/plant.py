@@ -11,16 +11,14 @@ sections). Each compiled figure comes from a process of its own, since JAX fixes
 from __future__ import annotations
 
 import json
-import os
 import statistics
-import subprocess
 import sys
 import time
 from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.report import ROOT, Benchmark, Row, run
+from benchmarks.report import Benchmark, Row, on_devices, run
 from metropilot import physics
 from metropilot.railway import Section, Trainset, load_line, load_trainset
 
@@ -117,24 +115,12 @@ def compiled(dtype: type, steps: int = STEPS) -> dict[str, float]:
         return {"wall": rate(work, count), "cpu": rate(work, count, clock=time.process_time)}
 
 
-def elsewhere(devices: int, dtype: str) -> dict[str, float]:
-    """:func:`compiled` in a process with as many single-threaded devices."""
-    flags = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-    environment = {
-        **os.environ,
-        "JAX_PLATFORMS": "cpu",
-        "XLA_FLAGS": f"{flags} --xla_force_host_platform_device_count={devices}",
-    }
-    command = [sys.executable, "-m", "benchmarks.plant", "--compiled", dtype]
-    done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=True)
-    return json.loads(done.stdout.splitlines()[-1])
-
-
 def measure() -> list[Row]:
     """Every figure in one run, the baseline first."""
     loop, batch = numpy_loop(), f"{78 * REPEATS:,}"
     single, double, pair = (
-        elsewhere(n, name) for n, name in ((1, "float32"), (2, "float64"), (2, "float32"))
+        on_devices(n, "benchmarks.plant", "--compiled", name)
+        for n, name in ((1, "float32"), (2, "float64"), (2, "float32"))
     )
     unit = "plant steps/s"
     figures = [

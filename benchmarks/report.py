@@ -8,6 +8,7 @@ import os
 import platform
 import re
 import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -56,6 +57,22 @@ class Benchmark:
     packages: tuple[str, ...]
     measure: Callable[[], list[Row]]
     note: str = ""
+
+
+def on_devices(devices: int, module: str, *arguments: str) -> dict[str, float]:
+    """What ``python -m MODULE ARGUMENTS`` prints last, as JSON, with so many single-threaded devices.
+
+    JAX fixes its devices when it starts, hence a process of its own.
+    """
+    flags = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+    environment = {
+        **os.environ,
+        "JAX_PLATFORMS": "cpu",
+        "XLA_FLAGS": f"{flags} --xla_force_host_platform_device_count={devices}",
+    }
+    command = [sys.executable, "-m", module, *arguments]
+    done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 def circumstances(packages: tuple[str, ...]) -> dict[str, str]:

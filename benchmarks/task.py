@@ -9,13 +9,11 @@ single-threaded devices, each with half of the batch. Episodes that end are rese
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 import time
 
 from benchmarks.plant import rate
-from benchmarks.report import ROOT, Benchmark, Row, run
+from benchmarks.report import Benchmark, Row, on_devices, run
 
 BATCH = 4096
 STEPS = 200
@@ -66,29 +64,16 @@ def compiled(name: str, batch: int) -> dict[str, float]:
     }
 
 
-def elsewhere(name: str, devices: int, batch: int = BATCH) -> dict[str, float]:
-    """:func:`compiled` in a process with as many single-threaded devices."""
-    flags = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-    environment = {
-        **os.environ,
-        "JAX_PLATFORMS": "cpu",
-        "XLA_FLAGS": f"{flags} --xla_force_host_platform_device_count={devices}",
-    }
-    command = [sys.executable, "-m", "benchmarks.task", "--compiled", name, str(batch)]
-    done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=True)
-    return json.loads(done.stdout.splitlines()[-1])
-
-
 def measure() -> list[Row]:
     """Every figure in one run."""
-    single = elsewhere("drive", 1)
+    single = on_devices(1, "benchmarks.task", "--compiled", "drive", str(BATCH))
     base, unit = single["wall"], "task steps/s"
     rows = [
         Row(f"drive, batch {BATCH:,}, 1 core", single["wall"], unit, 1.0),
         Row("the same per second of processor time", single["cpu"], unit, single["cpu"] / base),
     ]
     for name in TASKS:
-        pair = elsewhere(name, 2)
+        pair = on_devices(2, "benchmarks.task", "--compiled", name, str(BATCH))
         target = f"{TARGET:,.0f}" if name == "drive" else ""
         rows.append(Row(f"{name}, batch {BATCH:,}, 2 cores", pair["wall"], unit, pair["wall"] / base, target))
         rows.append(Row(f"{name}: tables of its cases", pair["built"], "s"))

@@ -33,8 +33,22 @@ def test_seed_and_initial_state():
     assert info["time_s"] == 40.0
     with pytest.raises(InputError, match="colour"):
         env.reset(options={"initial_state": {"colour": 1}})
-    with pytest.raises(InputError, match="case"):
-        env.reset(options={"initial_state": {"case": 99}})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("case", 99),
+        ("position_m", 1e4),
+        ("speed_mps", "fast"),
+        ("mass_factor", 0.0),
+        ("time_s", float("nan")),
+    ],
+)
+def test_an_initial_state_out_of_range_is_named(name, value):
+    env = gymnasium.make(f"{PREFIX}Drive-v0").unwrapped
+    with pytest.raises(InputError, match=name):
+        env.reset(options={"initial_state": {name: value}})
 
 
 def test_an_episode_ends_with_its_outcome():
@@ -56,6 +70,10 @@ def test_vector_environment():
     again, _ = envs.reset(seed=1)
     np.testing.assert_array_equal(first, again)
     assert first.shape == envs.observation_space.shape
+    some, _ = envs.reset(seed=[3, 1, None])
+    np.testing.assert_array_equal(some[1], first[0])
+    with pytest.raises(InputError, match="seed"):
+        envs.reset(seed=[1])
     ends = 0
     for _ in range(300):
         seen, reward, terminated, truncated, info = envs.step(np.ones((3, 1), np.float32))

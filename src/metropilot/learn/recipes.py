@@ -187,7 +187,7 @@ def _coarse(config: DrivingConfig) -> DrivingConfig:
 
 PPO: Mapping[str, Any] = MappingProxyType(
     {
-        "steps": 16_000_000,
+        "steps": 20_000_000,
         "environments": 512,
         "rollout": 64,
         "epochs": 4,
@@ -196,9 +196,9 @@ PPO: Mapping[str, Any] = MappingProxyType(
         "lambda_": 0.995,
         "learning_rate": {"start": 1e-3, "end": 1e-4},
         "initial_bias": 0.5,
-        "min_std": 0.08,
+        "min_std": {"start": 0.15, "end": 0.01, "shape": "exponential"},
         "normalise_observations": True,
-        "evaluations": 16,
+        "evaluations": 10,
     }
 )
 PPO_QUICK: Mapping[str, Any] = MappingProxyType({"steps": 4_000_000, "evaluations": 8})
@@ -254,12 +254,12 @@ TABLE: Mapping[str, Any] = MappingProxyType(
 
 RECIPES: Mapping[str, Recipe] = MappingProxyType(
     {
-        "ppo": Recipe("PPO", "own, after Chen23a", "ppo", "drive", PPO, PPO_QUICK),
+        "ppo": Recipe("PPO", "own, after Chen23a", "ppo", "drive_both", PPO, PPO_QUICK),
         "ppo_scaled": Recipe(
             "PPO with reward scaling",
             "own, after Chen23a",
             "ppo",
-            "drive",
+            "drive_both",
             {**PPO, "reward_scaling": True},
             PPO_QUICK,
         ),

@@ -6,6 +6,7 @@ imports it on the way). Every registered task has one. Needs the extra ``rl``.
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from typing import Any
 
@@ -26,8 +27,17 @@ from metropilot.task.scenarios import Start
 
 Array = Any
 OBSERVATION_LIMIT = 100.0
-INITIAL = ("position_m", "speed_mps", "time_s", "scheduled_s", "case", "mass_factor", "resistance_factor")
-"""What ``options={"initial_state": {...}}`` may set; the rest is drawn."""
+LIMITS = {
+    "case": (0.0, 0.0),
+    "position_m": (0.0, 0.0),
+    "speed_mps": (0.0, 60.0),
+    "time_s": (0.0, 3600.0),
+    "scheduled_s": (1.0, 3600.0),
+    "mass_factor": (0.5, 2.0),
+    "resistance_factor": (0.0, 5.0),
+}
+"""What ``options={"initial_state": {...}}`` may set, and its range; the rest is drawn. The task says the
+highest case, the case the last position."""
 
 shared_task = cache(make_task)
 """A registered task, built and compiled once for all environments of it."""
@@ -55,16 +65,34 @@ def placed(task: DrivingTask, start: Start, options: dict[str, Any] | None) -> S
     options = options or {}
     unknown = set(options) - {"initial_state"}
     given = dict(options.get("initial_state") or {})
-    unknown |= set(given) - set(INITIAL)
+    unknown |= set(given) - set(LIMITS)
     if unknown:
-        allowed = "initial_state: " + ", ".join(INITIAL)
+        allowed = "initial_state: " + ", ".join(LIMITS)
         raise InputError("unknown option", field="options", value=", ".join(sorted(unknown)), allowed=allowed)
-    for name, value in given.items():
-        high = task.rows.count - 1 if name == "case" else 1e5
-        if not (np.isfinite(value) and 0 <= value <= high):
-            raise InputError("out of range", field=name, value=value, allowed=f"0 to {high:g}")
+    for name in (name for name in LIMITS if name in given):
+        low, high = LIMITS[name]
+        if name == "case":
+            high = task.rows.count - 1.0
+        elif name == "position_m":
+            high = float(task.rows.case(start.case).length_m)
+        value = number(name, given[name], low, high)
         start = start._replace(**{name: jnp.asarray(value, getattr(start, name).dtype)})
     return start
+
+
+def number(name: str, value: object, low: float, high: float) -> float:
+    """A value as a number.
+
+    Raises:
+        InputError: It is not one, or out of range.
+    """
+    try:
+        found = float(value)  # pyright: ignore[reportArgumentType]
+    except (TypeError, ValueError):
+        found = math.nan
+    if not low <= found <= high:
+        raise InputError("not a number in range", field=name, value=value, allowed=f"{low:g} to {high:g}")
+    return found
 
 
 class DriveEnv(gymnasium.Env[np.ndarray, Any]):
@@ -88,7 +116,7 @@ class DriveEnv(gymnasium.Env[np.ndarray, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """A new episode; ``options={"initial_state": {"position_m": 300.0}}`` places it (see ``INITIAL``)."""
+        """A new episode; ``options={"initial_state": {"position_m": 300.0}}`` places it (see ``LIMITS``)."""
         super().reset(seed=seed)
         self._key = jax.random.key(int(self.np_random.integers(2**31)))
         start = placed(self.task, self._draw(self._key), options)
@@ -147,16 +175,30 @@ class DriveVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, Any, np.ndarray]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """New episodes in all environments."""
+        """New episodes; one seed counts on from the first environment, a list has one for each.
+
+        Raises:
+            InputError: Options, or a list of seeds of another length.
+        """
         if options:
             raise InputError("the vector environment takes no options", field="options", value=str(options))
-        first = seed[0] if isinstance(seed, list) else seed
-        super().reset(seed=first)
-        self._key = jax.random.key(int(self.np_random.integers(2**31)))
-        self._key, key = _next_keys(self._key)
-        self._state, observation = self._reset(jax.random.split(key, self.num_envs))
+        seeds = self._seeds(seed)
+        super().reset(seed=seeds[0])
+        drawn = self.np_random.integers(2**31, size=self.num_envs + 1)
+        told = [int(drawn[k]) if s is None else s for k, s in enumerate(seeds)]
+        self._key = jax.random.key(int(drawn[-1]))
+        self._state, observation = self._reset(jax.vmap(jax.random.key)(np.asarray(told, np.uint32)))
         self._over[:] = False
         return np.asarray(observation), {}
+
+    def _seeds(self, seed: int | list[int | None] | None) -> list[int | None]:
+        if not isinstance(seed, list):
+            return [None if seed is None else seed + k for k in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise InputError(
+                "as many seeds as environments", field="seed", value=len(seed), allowed=str(self.num_envs)
+            )
+        return seed
 
     def step(
         self,

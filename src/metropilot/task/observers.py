@@ -188,6 +188,11 @@ def delay(sight: Sight) -> Sequence[Array]:
     return [sight.vehicle.delay_s, sight.vehicle.lag_s]
 
 
+def build_up(sight: Sight) -> Sequence[Array]:
+    """How long the jerk limit takes to build up 1 m/s^2, s: 0 where effort acts at once."""
+    return [1.0 / sight.vehicle.jerk_mps3]
+
+
 def position_m(sight: Sight) -> Sequence[Array]:
     """Absolute position, km (Chen23a's state with ``speed``)."""
     return [sight.position_m / DISTANCE_M]
@@ -214,26 +219,30 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
             efforts,
             load,
             delay,
+            build_up,
         )
     }
+)
+
+SECTION = (
+    "position",
+    "speed",
+    "distance_left",
+    "time_left",
+    "reserve",
+    "mean_speed",
+    "braking",
+    "permitted",
+    "load",
+    "command",
 )
 
 OBSERVERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "position_speed": ("position_m", "speed"),
         "position_speed_time": ("position", "speed", "elapsed"),
-        "section": (
-            "position",
-            "speed",
-            "distance_left",
-            "time_left",
-            "reserve",
-            "mean_speed",
-            "braking",
-            "permitted",
-            "load",
-            "command",
-        ),
+        "section": SECTION,
+        "section_jerk": (*SECTION, "acceleration", "build_up"),
         "route": (
             "speed",
             "distance_left",
