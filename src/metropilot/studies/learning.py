@@ -128,8 +128,9 @@ def _done(job: LearnJob, place: Path) -> bool:
 
 def _learn(job: LearnJob, place: Path) -> str:
     """One run, in a process of its own; a line about it."""
+    from metropilot.drivers.policy.files import write_whole
     from metropilot.learn import Sitting, learn_in_chunks, save_policy, write_history
-    from metropilot.learn.files import write_whole
+    from metropilot.task import DrivingTask
 
     place.mkdir(parents=True, exist_ok=True)
     identity, checkpoint = _identity(job), place / f"checkpoint-{_identity(job)}.safetensors"
@@ -138,7 +139,10 @@ def _learn(job: LearnJob, place: Path) -> str:
     sitting = Sitting(evaluate=evaluate, checkpoint=checkpoint, resume=True, about={"identity": identity})
     learned = learn_in_chunks(job.config, task, job.seed, sitting)
     write_history(place / "history.parquet", learned.history)
-    save_policy(place / "policy.safetensors", learned.policy, {"identity": identity, "seed": job.seed})
+    about: dict[str, Any] = {"identity": identity, "seed": job.seed}
+    if isinstance(task, DrivingTask):
+        about["perception"] = task.config.perception.as_dict()
+    save_policy(place / "policy.safetensors", learned.policy, about)
     done = {
         "identity": identity,
         "score": learned.score if np.isfinite(learned.score) else None,
