@@ -19,10 +19,11 @@ from metropilot.task import TASKS
 
 PROGRAM = Path(sys.executable).with_name("metropilot")
 LEARN = (
-    *("learn", "ppo", "--steps", "12000", "--set", "environments=32", "--set", "rollout=32"),
-    *("--set", "minibatches=4", "--set", "evaluations=12", "--set", "hidden=8,8", "--seed", "3"),
+    *("learn", "ppo", "--steps", "30720", "--set", "environments=32", "--set", "rollout=32"),
+    *("--set", "minibatches=4", "--set", "evaluations=30", "--set", "hidden=8,8", "--seed", "3"),
 )
-STEPS = 12 * 32 * 32
+EVALUATIONS = 30
+STEPS = EVALUATIONS * 32 * 32
 
 
 def answer(said, code=0):
@@ -43,10 +44,10 @@ def learned(tmp_path_factory):
 def test_learning_says_how_it_goes(learned):
     folder, said = learned
     lines = said.splitlines()
-    assert lines[0].startswith("ppo: ppo on drive, seed 3, in ")
+    assert lines[0].startswith("ppo: ppo on drive_both, seed 3, in ")
     rows = [line.split() for line in lines if re.match(r"\s+[\d ]+\d\s", line)]
-    assert len(rows) == 12
-    assert lines[13].split("  ")[-1].strip() == "0:00"
+    assert len(rows) == EVALUATIONS
+    assert lines[EVALUATIONS + 1].split("  ")[-1].strip() == "0:00"
     assert "drives that arrive safely and on time" in said
     assert f"--driver learned --set policy={folder}" in said
 
@@ -55,7 +56,7 @@ def test_a_run_can_be_shown_driven_and_exported(learned, metropilot, program, tm
     folder, _ = learned
     record = answer(metropilot("show", folder, "--json"))
     assert (record["kind"], record["status"], record["steps"]) == ("learning run", "done", STEPS)
-    assert record["command"].startswith("metropilot learn ppo --budget quick --steps 12000 --seed 3 --set")
+    assert record["command"].startswith("metropilot learn ppo --budget quick --steps 30720 --seed 3 --set")
     assert record["config"]["hidden"] == [8, 8]
     assert 0.0 <= record["kpis"]["safe_share"] <= 1.0
     policy = folder / "policy.safetensors"
@@ -148,7 +149,7 @@ def test_runs_are_listed_with_what_became_of_them(metropilot, tmp_path, monkeypa
 def test_tasks_are_the_registry(metropilot):
     rows = answer(metropilot("tasks", "--json"))
     assert [row["id"] for row in rows] == list(TASKS)
-    assert "ppo_scaled" in next(row["drivers"] for row in rows if row["id"] == "drive")
+    assert "ppo_scaled" in next(row["drivers"] for row in rows if row["id"] == "drive_both")
     assert "drive_jerk" in metropilot("tasks").out
 
 

@@ -20,7 +20,10 @@ INTERRUPTED = 130
 COMMANDS: dict[str, tuple[str, str]] = {
     "drive": ("metropilot.cli.drive", "Drive one run under protection and report it."),
     "compare": ("metropilot.cli.compare", "Drive the same run with several drivers."),
-    "convoy": ("metropilot.cli.convoy", "Drive virtually coupled trainsets."),
+    "convoy": (
+        "metropilot.cli.convoy",
+        "Drive virtually coupled trainsets: a head, and followers a few metres behind each other.",
+    ),
     "campaign": ("metropilot.cli.campaign", "Drive a declared matrix of runs, resumable, and report it."),
     "plan": ("metropilot.cli.plan", "Compute the optimal plan, its certificate, the time-energy front."),
     "learn": ("metropilot.cli.learn", "Learn a driver, or go on learning one."),
@@ -28,7 +31,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "export": ("metropilot.cli.export", "Write a learned driver's policy in another format."),
     "lines": ("metropilot.cli.catalogue", "List the lines of the catalogue."),
     "trainsets": ("metropilot.cli.catalogue", "List the trainsets of the catalogue."),
-    "drivers": ("metropilot.cli.catalogue", "List the drivers."),
+    "drivers": (
+        "metropilot.cli.catalogue",
+        "List the drivers, or those of trainsets that follow in a convoy.",
+    ),
     "tasks": ("metropilot.cli.runs", "List the tasks that can be learned."),
     "show": ("metropilot.cli.show", "Show a line, a trainset, a driver, a policy or a run."),
     "reproduce": (

@@ -47,7 +47,7 @@ def campaign_command(
     ] = None,
     as_json: opt.Json = False,
 ) -> int:
-    """Drive a declared matrix of runs and report it.
+    """Drive a declared matrix of runs, resumable, and report it.
 
     Killed at any moment, the same command goes on from where it was. Exit code 0: every run was safe, and
     arrived on time where that was possible; 1: not; 2: input that cannot be used.

@@ -99,7 +99,8 @@ class DdpgPid(AbstractTracker):
 
     def control(self, memory: Errors, seen: Tracked) -> tuple[float, Errors]:
         """One period: the policy's gains, then the law."""
-        return ddpg_pid(self.policy, seen, memory)
+        command, memory = ddpg_pid(self.policy, seen, memory)
+        return float(command), memory
 
 
 if shipped_policy(DdpgPid.id).is_file():

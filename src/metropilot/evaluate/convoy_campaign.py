@@ -174,7 +174,7 @@ class Arena:
         each = jnp.where(u[6] < 0.5, corner, each)
         return Case(
             row=row,
-            period=(u[0] * 0.95 * stop).astype(jnp.int32),
+            period=(u[0] * 0.95 * stop.astype(f32)).astype(jnp.int32),
             emergency_s=EMERGENCY_S * u[7],
             mass=c.mass[0] + (c.mass[1] - c.mass[0]) * each[0],
             resistance=c.resistance[0] + (c.resistance[1] - c.resistance[0]) * each[1],

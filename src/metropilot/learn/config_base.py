@@ -78,7 +78,7 @@ class AbstractConfig(ABC):
                 f"schedule out of range, {value.start:g} to {value.end:g}" if scheduled else "out of range"
             )
             least = "above" if open_low else "at least"
-            allowed = f"{least} {low:g}" + ("" if high == math.inf else f", at most {high:g}")
+            allowed = f"{least} {low:.12g}" + ("" if high == math.inf else f", at most {high:.12g}")
             raise InputError(words, field=name, value=None if scheduled else value, allowed=allowed)
 
     def one_of(self, name: str, choices: tuple[str, ...]) -> None:

@@ -259,12 +259,12 @@ class GainsAction(AbstractAction):
     high: tuple[float, ...] = (2.0, 1.0)
 
     def __post_init__(self) -> None:
-        """Refuse ranges that are empty or have no logarithm."""
+        """Refuse ranges that are empty or have no logarithm; a gain may be held at one value."""
         if not len(self.low) == len(self.high) == 2:
             raise InputError("not a range of two gains", field="high", value=len(self.high), allowed="2")
         for low, high in zip(self.low, self.high, strict=True):
-            _ordered("low", (0.0, low), "above 0, below high")
-            _ordered("high", (low, high), "above low")
+            _ordered("low", (0.0, low), "above 0, at most high")
+            _ordered("high", (low, high), "at least low", equal=True)
 
     @property
     def space(self) -> ActionSpace:

@@ -19,10 +19,13 @@ from metropilot.physics import (
     track_arrays,
     vehicle_arrays,
 )
-from metropilot.planning.references import Reference, ReferenceShape, reference_for_time
+from metropilot.planning.references import Reference, ReferenceShape, peak_speed, reference_for_time
 from metropilot.railway import Section, Trainset
 
 PULL_PER_S = 0.3
+
+FASTEST_MPS = 20.0
+"""No head to learn behind cruises faster."""
 
 
 class Recording(NamedTuple):
@@ -141,10 +144,10 @@ def recordings(
             shape = ReferenceShape(
                 random.uniform(0.6, 0.8), random.uniform(0.5, 0.68), random.uniform(0.3, 0.8)
             )
-            mean = random.uniform(9.5, 12.0)
-            speeds = reference_speeds(
-                reference_for_time(section.length_m, section.length_m / mean, shape, 20.0), dt
-            )
+            length = section.length_m
+            shortest_s = shape.time_s(length, min(FASTEST_MPS, peak_speed(length, shape)))
+            time_s = max(length / random.uniform(9.5, 12.0), shortest_s)
+            speeds = reference_speeds(reference_for_time(length, time_s, shape, FASTEST_MPS), dt)
         else:
             habits = Restless(random.uniform(8.0, 20.0), random.uniform(0.4, 0.68), random.uniform(0.4, 1.0))
             speeds = restless_speeds(habits, random, dt)

@@ -61,7 +61,7 @@ class Convoy:
     apart_m: float = 100.0
     uncouple_at_m: float = float("inf")
     link: Link = field(default_factory=Link)
-    guard: Guard = "coupled"
+    guard: str = "coupled"
     mass_factors: tuple[float, ...] = ()
     resistance_factors: tuple[float, ...] = ()
     adhesion: tuple[float, ...] = ()

@@ -364,7 +364,7 @@ class Service:
         if kind == "journal":
             self.store.note(job, known["step"], known["event"])
         elif kind == "rows":
-            if known["step"] % SAVE_STEPS == 0 or known["step"] - session.known.step >= SAVE_STEPS:
+            if known["step"] // SAVE_STEPS != session.known.step // SAVE_STEPS:
                 self.store.update(job, progress=known["step"])
         elif kind == "kept":
             self.store.update(job, result=known["result"], words=known["outcome"])

@@ -86,11 +86,14 @@ class Driving:
     def _replay(self, engine: AnyEngine) -> None:
         """Do again what was done before the server went away."""
         journal = list(self.order["journal"])
+        end = max([self.order["step"], *(step for step, _ in journal)])
         self._say("scene", engine.scene())
         rows = []
-        while engine.steps < self.order["step"] and not engine.over:
+        while not engine.over:
             while journal and journal[0][0] <= engine.steps:
                 engine.apply(journal.pop(0)[1])
+            if engine.steps >= end:
+                break
             rows.append(engine.advance())
         let_go = {"kind": "lever", "share": None}
         if not engine.holds(let_go):
