@@ -89,7 +89,7 @@ def drivers_command(
     ] = False,
     as_json: opt.Json = False,
 ) -> int:
-    """List the drivers, or those of trainsets that follow in a convoy."""
+    """List the drivers, or those of followers in a convoy."""
     from metropilot.drivers import DRIVERS
     from metropilot.drivers.followers import FOLLOWERS
 
