@@ -66,8 +66,8 @@ none above 6 %, with the jerk limit a median of at most 5 %. {verdict}
 
 {learned}
 
-Seconds are of the learning itself, compilation and evaluation of the policy included where the column says
-so; see each policy file for the whole configuration (`metropilot show DRIVER`).
+Seconds are of the learning itself on one core, evaluations included, compilation apart;
+`metropilot show DRIVER` prints the whole configuration.
 
 ## Gap to the optimum, run by run
 

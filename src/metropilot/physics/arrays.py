@@ -9,6 +9,7 @@ run-time type check of the test suite: its arguments are anything by design.
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Callable
 from typing import Any, no_type_check
 
 import numpy as np
@@ -71,6 +72,42 @@ def namespace(*values: Any) -> Any:
         if np.ndim(value):
             found = np
     return found
+
+
+@no_type_check
+def unless(done: Any, value: int, rest: Callable[..., Scalar], *given: Any) -> Scalar:
+    """A number where ``done`` holds, elsewhere what ``rest(*given)`` says, an integer of shape ().
+
+    For tests that are seldom needed: a single number tries them only if it must, and a compiled batch only if
+    any of its members must. (A plain ``where`` or ``cond`` makes all members of a batch try both.)
+
+    Args:
+        done: Whether the number will do.
+        value: The number.
+        rest: What else; it may use nothing but what it is given.
+        given: Numbers and tuples of them, or None.
+    """
+    xp = namespace(done)
+    if xp is scalars:
+        return value if done else rest(*given)
+    if xp is np:
+        return np.where(done, value, rest(*given))
+    import jax
+    import jax.numpy as jnp
+
+    @jax.custom_batching.custom_vmap
+    def seldom(done: Any, given: Any) -> Any:
+        return jax.lax.cond(done, lambda _: jnp.int32(value), lambda g: jnp.int32(rest(*g)), given)
+
+    @seldom.def_vmap
+    def _(size: int, batched: Any, done: Any, given: Any) -> Any:
+        axes = jax.tree.map(lambda along: 0 if along else None, batched[1])
+        every = jax.vmap(lambda g: jnp.int32(rest(*g)), in_axes=(axes,), axis_size=size)
+        done = jnp.broadcast_to(done, (size,))
+        found = jax.lax.cond(jnp.all(done), lambda _: jnp.full((size,), value, jnp.int32), every, given)
+        return jnp.where(done, value, found), True
+
+    return seldom(done, given)
 
 
 @no_type_check

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, no_type_check
 
 from metropilot.physics.arrays import Scalar, locate, namespace
 from metropilot.physics.types import Array, Vehicle
+
+FEW = 4
+"""Up to so many pieces of a curve are chosen from rather than fetched."""
 
 
 def curve_n(breaks_mps: Array, pieces: Array, speed_mps: Scalar) -> Scalar:
@@ -17,10 +20,21 @@ def curve_n(breaks_mps: Array, pieces: Array, speed_mps: Scalar) -> Scalar:
         speed_mps: Speed.
     """
     k = locate(breaks_mps, speed_mps)
-    power, c0, c1, c2, c3, cap = (pieces[k, j] for j in range(6))
-    xp = namespace(power, speed_mps)
+    xp = namespace(pieces, speed_mps)
+    power, c0, c1, c2, c3, cap = (_row(xp, pieces, k, j) for j in range(6))
     v = speed_mps
     return xp.clip(power / xp.maximum(v, 1e-3) + c0 + v * (c1 + v * (c2 + v * c3)), 0.0, cap)
+
+
+@no_type_check
+def _row(xp: Any, pieces: Array, k: Scalar, j: int) -> Scalar:
+    """``pieces[k, j]``; in a compiled batch by choosing among the few pieces, sooner than by fetching."""
+    if not hasattr(xp, "ndarray") or xp.ndim(k) or type(k) is int or pieces.shape[0] > FEW:
+        return pieces[k, j]
+    value = pieces[0, j]
+    for piece in range(1, pieces.shape[0]):
+        value = xp.where(k >= piece, pieces[piece, j], value)
+    return value
 
 
 class Effort(NamedTuple):

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from metropilot.physics import Command
-from metropilot.physics.arrays import Scalar, namespace, scalars
+from metropilot.physics.arrays import Scalar, namespace, scalars, unless
 from metropilot.physics.plant import pushed
 from metropilot.protection.predict import Forces, acceleration, fastest, stays_under
 from metropilot.protection.separation import Ahead, braking, least_gap
@@ -62,12 +61,8 @@ def supervise(
     margin = xp.where(memory.level > 0, RELEASE_MPS, 0.0)
     check = Check(protection, memory, position_m, speed_mps, ahead)
 
-    level = _first(
-        xp,
-        lambda: check.passes(wanted, margin),
-        lambda: check.passes(cut, none),
-        lambda: check.emergency(full, none),
-    )
+    passes = check.passes(wanted, margin)
+    level = unless(passes, 0, _milder, protection, memory, position_m, speed_mps, cut, ahead)
     moving = (speed_mps <= STANDSTILL_MPS + error) ^ True
     emergency = (level == 3) | (memory.emergency & moving) | command.emergency
     level = xp.where(emergency, 3, level)
@@ -88,6 +83,23 @@ def supervise(
     permitted = _between(protection.permitted_mps, check.node, check.way)
     verdict = Verdict(after.level, permitted, (2.0 * check.energy(protection.emergency)) ** 0.5, valid)
     return Command(share, emergency), after, verdict
+
+
+def _milder(
+    protection: Protection,
+    memory: Memory,
+    position_m: Scalar,
+    speed_mps: Scalar,
+    cut: Scalar,
+    ahead: Ahead | None,
+) -> Scalar:
+    """The mildest level that will do for a command that does not pass: 1, 2 or 3."""
+    check = Check(protection, memory, position_m, speed_mps, ahead)
+    none = 0.0 * protection.rates.speed_error_mps
+    if check.xp is scalars:
+        return 1 if check.passes(cut, none) else 2 if check.emergency(none - 1.0, none) else 3
+    brake = check.xp.where(check.emergency(none - 1.0, none), 2, 3)
+    return check.xp.where(check.passes(cut, none), 1, brake)
 
 
 class Brake(NamedTuple):
@@ -225,6 +237,8 @@ def on_grid(protection: Protection, position_m: Array) -> tuple[Array, Array]:
     xp = namespace(protection.start_m, position_m)
     last = protection.emergency.shape[0] - protection.ahead.shape[0] - 2.0
     steps = (position_m - protection.start_m) / protection.spacing_m
+    if last <= 0.0 and xp is not scalars:
+        return 0, xp.clip(steps, 0.0, 1.0)
     whole = xp.clip(steps // 1.0, 0.0, last)
     share = xp.clip(steps - whole, 0.0, 1.0)
     return (int(whole) if xp is scalars else whole.astype(np.int32)), share
@@ -244,16 +258,6 @@ def _slice(values: Array, first: Scalar, size: int) -> Array:
     import jax
 
     return jax.lax.dynamic_slice_in_dim(values, first, size)
-
-
-def _first(xp: Array, *tests: Callable[[], Scalar]) -> Scalar:
-    """Number of the first test that holds, or how many there are; single numbers need not try the rest."""
-    if xp is scalars:
-        return next((k for k, test in enumerate(tests) if test()), len(tests))
-    level = len(tests)
-    for k in reversed(range(len(tests))):
-        level = xp.where(tests[k](), k, level)
-    return level
 
 
 def _counted(value: Scalar) -> Scalar:

@@ -34,8 +34,11 @@ BASE_DDPG = DDPGConfig(
     batch_size=64,
     buffer_size=96_000,
     initial_bias=math.atanh(FIRST_COMMAND),
-    gamma=1.0,
+    gamma=0.997,
     noise=0.3,
+    n_step=5,
+    reward_factor=0.01,
+    normalise_observations=True,
 )
 FOLDER = Path(__file__).parent / "trials"
 
