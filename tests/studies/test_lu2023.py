@@ -38,12 +38,15 @@ def test_what_counts(changes, good):
     assert meets(history(**changes), "120", 120.0, FRONT).tolist() == [good] * 8
 
 
-def test_three_in_a_row():
+def test_the_first_policy_to_ship_and_three_in_a_row():
     found = history()
     good = np.array([0, 1, 1, 0, 1, 1, 1, 0], bool)
-    # the first of the three is the fifth evaluation: 5 times 30 episodes
-    assert converged(found, good) == Converged(150.0, True)
-    assert converged(found, np.array([1, 1, 0] * 3, bool)[:8]) == Converged(240.0, False)
+    # the second evaluation: 2 times 30 episodes
+    assert converged(found, good) == Converged(60.0, True)
+    # the first of the three is the fifth evaluation
+    assert converged(found, good, 3) == Converged(150.0, True)
+    assert converged(found, np.array([1, 1, 0] * 3, bool)[:8], 3) == Converged(240.0, False)
+    assert converged(found, np.zeros(8, bool)) == Converged(240.0, False)
 
 
 def test_faster_is_the_papers_measure():

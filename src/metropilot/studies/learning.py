@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from hashlib import sha256
+from multiprocessing import current_process
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -130,8 +131,11 @@ def _learn(job: LearnJob, place: Path) -> str:
     """One run, in a process of its own; a line about it."""
     from metropilot.drivers.policy.files import write_whole
     from metropilot.learn import Sitting, learn_in_chunks, save_policy, write_history
+    from metropilot.learn.cores import own_core
     from metropilot.task import DrivingTask
 
+    if current_process().name != "MainProcess":
+        own_core()
     place.mkdir(parents=True, exist_ok=True)
     identity, checkpoint = _identity(job), place / f"checkpoint-{_identity(job)}.safetensors"
     task = job.task()

@@ -11,16 +11,18 @@ from numpy import ndarray
 from metropilot.studies.lu2023.optima import Front
 from metropilot.task import PUNCTUALITY_S, STOP_TOLERANCE_M
 
-IN_A_ROW = 3
+STEADY = 3
+"""So many evaluations in a row that meet the demands are called steady."""
 ABOVE = 0.08
 OVERSPEED_MPS = 1e-3
 RESAMPLES = 10_000
 RULE = " ".join(
-    f"""A run has converged at the first of {IN_A_ROW} evaluations in a row (forty a run, each one drive from
-    standstill without exploration) that arrive within 3 s of the schedule and 0.3 m of the stop, without
-    overspeed, at most {100 * ABOVE:.0f} % above the optimum over the same notches for the running time
-    achieved. A run that never does counts with its whole length: a median that reaches it is a lower
-    bound.""".split()
+    f"""A run has converged at its first evaluation (forty a run, each one drive from standstill without
+    exploration) that arrives within 3 s of the schedule and 0.3 m of the stop, without overspeed, at most
+    {100 * ABOVE:.0f} % above the optimum over the same notches for the running time achieved: the policy kept
+    is the best one evaluated, so that from then on there is one to ship. A run that never does counts with
+    its whole length: a median that reaches it is a lower bound, and so is what a comparison with it says.
+    Steady are runs that do so in {STEADY} evaluations in a row; the tables say how many are.""".split()
 )
 
 
@@ -53,10 +55,16 @@ def meets(history: Mapping[str, ndarray], plan_id: str, scheduled_s: float, fron
     )
 
 
-def converged(history: Mapping[str, ndarray], good: ndarray) -> Converged:
-    """Apply the rule to the evaluations that meet its demands."""
+def converged(history: Mapping[str, ndarray], good: ndarray, in_a_row: int = 1) -> Converged:
+    """Apply the rule to the evaluations that meet its demands.
+
+    Args:
+        history: Of the run.
+        good: Which evaluations meet the demands, from :func:`meets`. Shape (E,), bool.
+        in_a_row: How many in a row are asked for.
+    """
     episodes = np.cumsum(np.nan_to_num(np.asarray(history["episodes"], float)))
-    runs = np.convolve(good.astype(int), np.ones(IN_A_ROW, int), mode="valid") == IN_A_ROW
+    runs = np.convolve(good.astype(int), np.ones(in_a_row, int), mode="valid") == in_a_row
     if runs.any():
         return Converged(float(episodes[int(np.argmax(runs))]), True)
     return Converged(float(episodes[-1]), False)

@@ -118,21 +118,26 @@ def _drives(
     return drives, [driven(plan, "improved_dqn", one) for plan in PLANS]
 
 
-def _converged(results: Sequence[SeedResult], plan_id: str) -> list[Converged]:
+def _converged(results: Sequence[SeedResult], plan_id: str, in_a_row: int = 1) -> list[Converged]:
     from metropilot.studies.lu2023.convergence import converged, meets
 
     plan = plan_case(plan_id)
     front = notch_front(plan)
-    return [converged(r.history, meets(r.history, plan.id, plan.scheduled_s, front)) for r in results]
+    good = [meets(r.history, plan.id, plan.scheduled_s, front) for r in results]
+    return [converged(r.history, met, in_a_row) for r, met in zip(results, good, strict=True)]
 
 
-def _episode_rows(table: str, plan_id: str, driver: str, found: Sequence[Converged]) -> list[Row]:
+def _episode_rows(table: str, plan_id: str, driver: str, results: Sequence[SeedResult]) -> list[Row]:
+    from metropilot.studies.lu2023.convergence import STEADY
+
+    found, steady = _converged(results, plan_id), _converged(results, plan_id, STEADY)
     case, published = plan_case(plan_id).name, EPISODES.get((plan_id, driver))
     row = Row(table, case, driver, "episodes to convergence", "", published=published)
-    share = 100.0 * sum(run.converged for run in found) / len(found)
+    share, kept = (100.0 * sum(run.converged for run in runs) / len(runs) for runs in (found, steady))
     return [
         row.measured([run.episodes for run in found]),
         Row(table, case, driver, "runs that converged", "%", ours=share),
+        Row(table, case, driver, "runs that were steady", "%", ours=kept),
     ]
 
 
@@ -142,8 +147,8 @@ def _convergence(runs: Runs) -> list[Row]:
     rows: list[Row] = []
     for plan_id, learners in runs.items():
         found = {driver: _converged(results, plan_id) for driver, results in learners.items()}
-        for driver, ends in found.items():
-            rows += _episode_rows(CONVERGENCE, plan_id, driver, ends)
+        for driver, results in learners.items():
+            rows += _episode_rows(CONVERGENCE, plan_id, driver, results)
         gain = faster(found["dqn"], found["improved_dqn"])
         said = FASTER_PERCENT if plan_id == "120" else None
         kpi = "converges faster than DQN (range: 95 % interval)"
@@ -155,12 +160,10 @@ def _convergence(runs: Runs) -> list[Row]:
 def _ablation(named: dict[str, list[SeedResult]]) -> list[Row]:
     from metropilot.studies.lu2023.setting import IMPROVEMENTS
 
-    rows = _episode_rows(
-        ABLATION, ABLATED, "improved_dqn", _converged(named[f"improved_dqn-{ABLATED}"], ABLATED)
-    )
+    rows = _episode_rows(ABLATION, ABLATED, "improved_dqn", named[f"improved_dqn-{ABLATED}"])
     for off in IMPROVEMENTS:
         name = f"without-{off}"
-        rows += _episode_rows(ABLATION, ABLATED, name, _converged(named[f"{name}-{ABLATED}"], ABLATED))
+        rows += _episode_rows(ABLATION, ABLATED, name, named[f"{name}-{ABLATED}"])
     return rows
 
 
