@@ -74,5 +74,7 @@ def test_a_driver_under_the_permitted_speed_is_never_overruled(kind):
         memory, gaps = drive(section, trainset, protect(section, trainset, Bounds.of(trainset, DT)))
         if memory.interventions:
             overruled[section.name] = (int(memory.interventions), float(gaps.min()))
-        assert gaps.min() < 0.5, (section.name, "the driver did not even try")
+        # A late trainset keeps further off: 0.44 m/s where the limit rises right before the stop.
+        near = 0.5 if kind == "late" else 0.2
+        assert gaps.min() < near, (section.name, "the driver did not even try")
     assert not overruled

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from metropilot.task.interface import AbstractTask
 
 REWARDS = TrackingRewards(
-    weights=(0.2, 0.2, 2.0, 0.2, 0.2),
+    weights=(0.2, 0.2, 4.0, 0.2, 0.2),
     speed_scale_mps=0.03,
     distance_scale_m=0.25,
     jerk_scale_mps3=10.0,
     parking_scale_m=0.05,
 )
 """Cheng23's five terms; the scales say what counts as a small error, where the paper has 1, and parking, paid
-once in a run, weighs ten times the paper's."""
+once in a run, weighs twenty times the paper's."""
 JOB = "ddpg_pid"
 
 
@@ -30,14 +30,14 @@ def config() -> DDPGConfig:
     from metropilot.learn import DDPGConfig, Schedule
 
     return DDPGConfig(
-        steps=120_000,
+        steps=300_000,
         environments=16,
         evaluations=80,
         gamma=0.985,
         hidden=(64, 64),
         batch_size=128,
         updates=8,
-        buffer_size=96_000,
+        buffer_size=131_072,
         warmup=8_000,
         actor_rate=Schedule(5e-4, 1e-4),
         critic_rate=Schedule(1e-3, 2e-4),

@@ -40,7 +40,8 @@ QUICK_STEPS = 8_000
 COMPARED = ("120", "130")
 ABLATED = "120"
 ABLATION_SEEDS = 5
-PLAN_SEEDS = 3
+PLAN_SEEDS = 6
+ALL_SEEDS = 3
 LEARNERS = {"dqn": "all", "improved_dqn": ""}
 Runs = dict[str, dict[str, list["SeedResult"]]]
 
@@ -61,9 +62,9 @@ def reproduce(order: Order) -> Report:
         for seed in seeds
     ]
     if paper:
-        few = range(min(len(seeds), PLAN_SEEDS))
+        some, few = (range(min(len(seeds), most)) for most in (PLAN_SEEDS, ALL_SEEDS))
         jobs += [
-            plan_job("improved_dqn", plan, seed) for plan in PLANS if plan.id not in compared for seed in few
+            plan_job("improved_dqn", plan, seed) for plan in PLANS if plan.id not in compared for seed in some
         ]
         jobs += [all_plans_job(driver, seed, off) for driver, off in LEARNERS.items() for seed in few]
         jobs += [
