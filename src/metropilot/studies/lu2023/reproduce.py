@@ -48,7 +48,13 @@ Runs = dict[str, dict[str, list["SeedResult"]]]
 
 def reproduce(order: Order) -> Report:
     """Do the study; see :class:`metropilot.studies.Study`."""
-    from metropilot.studies.lu2023.setting import IMPROVEMENTS, all_plans_job, plan_job
+    from metropilot.studies.lu2023.setting import (
+        ALL_STEPS,
+        IMPROVEMENTS,
+        LEARNING,
+        all_plans_job,
+        plan_job,
+    )
 
     seeds = order.choose_seeds(quick=1, paper=10)
     paper = order.budget == "paper"
@@ -64,7 +70,10 @@ def reproduce(order: Order) -> Report:
     if paper:
         some, few = (range(min(len(seeds), most)) for most in (PLAN_SEEDS, ALL_SEEDS))
         jobs += [
-            plan_job("improved_dqn", plan, seed) for plan in PLANS if plan.id not in compared for seed in some
+            plan_job("improved_dqn", plan, seed, steps=ALL_STEPS if plan.restricted else LEARNING.steps)
+            for plan in PLANS
+            if plan.id not in compared
+            for seed in some
         ]
         jobs += [all_plans_job(driver, seed, off) for driver, off in LEARNERS.items() for seed in few]
         jobs += [

@@ -52,6 +52,7 @@ IMPROVEMENTS = ("double", "dueling", "prioritised", "filter")
 
 
 ALL_STEPS = 160_000
+"""Of the network for all plans, and of the one of the plan with the restriction."""
 
 
 def lu2023_task(cases: tuple[str, ...], times_s: tuple[float, float], *, filtered: bool) -> DrivingTask:

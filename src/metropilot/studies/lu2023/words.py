@@ -31,6 +31,10 @@ normalised by their running mean and deviation; a memory of 40,000; 0.5 gradient
 eight environments side by side. The paper gives none of these but the learning rate. DQN and improved DQN
 have the same.
 
+A network learns for 60,000 decisions, about 2,000 episodes; the one of the plan with the restriction and the
+one for all plans for 160,000. Of six seeds (ten where convergence is compared, three for all plans) the one
+nearest the optimum drives.
+
 Epsilon falls from 0.5 (paper: 0.8) to 0.05 over the first 30 % of the run.
 
 Most episodes begin somewhere on the way with a time left drawn between the flat-out time and 1.7 times
