@@ -2,6 +2,7 @@
 
 from metropilot.drivers import (  # noqa: F401 (importing a driver's file registers it)
     ddpg_pid,
+    eitoe,
     flat_out,
     fuzzy_pid,
     manual,
