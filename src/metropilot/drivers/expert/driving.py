@@ -24,6 +24,10 @@ from metropilot.task.expert import PLAIN, RELEASE_SHARE, Rules, Window, coasting
 
 HOLD_PER_S = 0.5
 """Acceleration for each m/s below the safe speed."""
+BACK_PER_S = 1.0
+"""Deceleration for each m/s above it."""
+CLEAR_MPS = 3.0
+"""Farther below the safe speed than this nothing needs to be eased off."""
 MARGIN_MPS = 0.25
 
 
@@ -129,7 +133,7 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
     if not braking:
         seen = _seen(memory, observation, ahead, curve)
         rate = _rate(memory, seen, change(seen))
-        share = share_of(actuation, ahead, _kept_safe(memory, ahead, rate))
+        share = share_of(actuation, ahead, _kept_safe(memory, observation, ahead, rate))
     memory = memory._replace(
         actuation=actuation.issued(share),
         hoa=hoa._replace(braking=braking),
@@ -174,24 +178,28 @@ def _rate(memory: ExpertMemory, seen: Seen, change: float) -> float:
     )
 
 
-def _kept_safe(memory: ExpertMemory, ahead: Ahead, rate_mps2: float) -> float:
+def _kept_safe(memory: ExpertMemory, observation: Observation, ahead: Ahead, rate_mps2: float) -> float:
     """The wheel effort under the safe speed (Huang25 eqs. 17 and 18).
 
-    The paper brakes at full rate from the safe speed on; here the brake follows the safe speed's own fall, so
-    that nothing switches to and fro.
+    Traction is eased off on the way to the safe speed, so that protection, which judges a command by what it
+    would do at once, has no reason to step in (rule 4). From the safe speed on the paper brakes at full rate;
+    here the brake follows the safe speed's own fall, so that nothing switches to and fro.
     """
-    ground, dt = memory.ground, memory.actuation.dt
-    x, v = ahead.position_m, ahead.speed_mps
-    reach = v * (lead_s(memory.model) - ahead.seconds + dt + build_up_s(ground, ground.most_mps2))
-    here, there = ground.safe(x), ground.safe(x + reach)
-    missing = there - v
-    drag = ahead.resistance_mps2
-    if missing > 3.0:
+    ground, ceiling, drag = memory.ground, memory.ceiling, ahead.resistance_mps2
+    x, v, now = ahead.position_m, ahead.speed_mps, observation.speed_mps
+    there = ground.lowest(x, ceiling.reaction_s * v)
+    if there - v > CLEAR_MPS:
         return rate_mps2
-    falling = max(here - there, 0.0) * (0.5 * (here + there)) / max(reach, 0.1)
-    allowed = HOLD_PER_S * missing if missing < 0.0 else memory.ceiling.acceleration_under(missing)
-    hold = max(allowed, 0.0) + drag if missing > 0.0 else allowed + drag
-    if missing < 0.0:
-        slow = min(here - v, 0.0) * HOLD_PER_S - falling
-        return min(rate_mps2, max(slow, -ground.most_mps2) + drag if slow < -drag else 0.0)
-    return min(rate_mps2, max(hold, 0.0))
+    if v > ground.safe(x + v * memory.actuation.dt):
+        return min(rate_mps2, max(_slowing(ground, x, v, memory.actuation.dt), -ground.most_mps2) + drag, 0.0)
+    here = ground.lowest(observation.position_m, ceiling.reaction_s * now)
+    allowed = min(ceiling.acceleration_under(here - now), ceiling.acceleration_under(there - v))
+    allowed = min(allowed, HOLD_PER_S * max(there - v, 0.0))
+    return min(rate_mps2, max(allowed + drag, 0.0) if v <= there else 0.0)
+
+
+def _slowing(ground: Ground, position_m: float, speed_mps: float, dt: float) -> float:
+    """Acceleration that follows the fall of the safe speed, and comes back under it, m/s^2."""
+    way = max(speed_mps * dt, 0.5)
+    here, there = ground.safe(position_m), ground.safe(position_m + way)
+    return 0.5 * min(there * there - here * here, 0.0) / way + BACK_PER_S * (there - speed_mps)

@@ -49,6 +49,11 @@ class Ground(NamedTuple):
         """Speed to stay under, m/s."""
         return _between(self.safe_mps, position_m / STEP_M)
 
+    def lowest(self, position_m: float, way_m: float) -> float:
+        """The lowest speed to stay under from a position over a little way, m/s."""
+        first = max(int(position_m / STEP_M), 0)
+        return min(self.safe_mps[first : int((position_m + way_m) / STEP_M) + 2] or self.safe_mps[-1:])
+
     def traction(self, speed_mps: float) -> float:
         """Largest traction, m/s^2."""
         return _between(self.traction_mps2, speed_mps / SPEED_STEP_MPS)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from metropilot.drivers.expert.ground import Ground, drops
+from metropilot.drivers.expert.ground import STEP_M, Ground, drops
 from metropilot.drivers.observer import Model
 from metropilot.task.expert import Rules
 from metropilot.task.tables import SPEED_STEP_MPS
@@ -90,10 +90,25 @@ def legs_of(model: Model, ground: Ground, rules: Rules) -> Legs:
     length = ground.length_m
     whole = Legs((), table.time_s.tolist(), length)
     left = length * np.linspace(0.0, 1.0, table.top_mps.size) ** 2
+    at, fastest = _fastest(ground, gentle, np.interp(length - _nodes(length), left, table.top_mps))
     legs: list[Leg] = []
     for place, limit in drops(model):
-        top = float(np.interp(length - place, left, table.top_mps))
         lower = min(limit, ground.safe(place))
-        if top > limit - SLACK_MPS:
+        if np.interp(place, at, fastest) > lower - SLACK_MPS:
             legs.append(Leg(place, lower, whole.least_s(length - place, lower)))
     return whole._replace(legs=(*legs, Leg(length, 0.0, 0.0)))
+
+
+def _nodes(length_m: float) -> np.ndarray:
+    return np.arange(0.0, length_m, STEP_M)
+
+
+def _fastest(ground: Ground, gentle_mps2: float, top_mps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The minimum-time curve: full traction from a stand, under the highest speeds that keep all limits."""
+    at, speed = _nodes(ground.length_m), 0.0
+    found = np.zeros_like(at)
+    for k in range(1, at.size):
+        pull = min(ground.traction(speed) - ground.drag(float(at[k - 1]), speed), gentle_mps2)
+        speed = min(math.sqrt(max(speed * speed + 2.0 * pull * STEP_M, 0.0)), float(top_mps[k]))
+        found[k] = speed
+    return at, found
