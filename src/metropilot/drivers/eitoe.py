@@ -25,11 +25,13 @@ class EitoeOptions:
         start_mps2: Largest acceleration (rule 2).
         brake_gain: Actual over believed braking force, as learned at earlier stops.
         brake_known: Whether it was: a driver that never stopped this trainset plans its stop with care.
+        intervals: Keep to a time for each speed-limit interval, as Algorithm 1 prints it.
     """
 
     start_mps2: float = 0.6
     brake_gain: float = 1.0
     brake_known: bool = True
+    intervals: bool = False
 
     def __post_init__(self) -> None:
         if not GAIN[0] <= self.brake_gain <= GAIN[1]:
@@ -60,7 +62,8 @@ class Eitoe(AbstractDriver):
 
     def init(self, run: Run) -> ExpertMemory:
         """Tables of the section, once."""
-        return prepared(run, run.section, Rules(start_mps2=self.options.start_mps2), self.options.hoa)
+        rules = Rules(start_mps2=self.options.start_mps2, intervals=self.options.intervals)
+        return prepared(run, run.section, rules, self.options.hoa)
 
     def act(self, memory: ExpertMemory, observation: Observation) -> tuple[float, ExpertMemory]:
         """One decision by the rules; the change of the rate is the constant of eqs. 15 and 16."""

@@ -61,18 +61,21 @@ class Rules:
     Attributes:
         start_mps2: Largest acceleration (rule 2; 0.6 in the paper).
         change_mps2: Largest change of the rate in an interval (rule 3; 0.3 in the paper).
-        interval_s: That interval. The paper names none but its step of 0.02 s, which would be no limit at all.
+        interval_s: That interval; our control period. (The paper's step is 0.02 s, which would be no limit.)
         tolerance_s: ``T0`` of Algorithm 1.
         brake_mps2: Deceleration the last braking is forecast with.
         safe_share: Speed scaling factor of eq. 17.
+        intervals: Share the time left out among the speed-limit intervals as Algorithm 1 prints it, and keep to
+            the time of each. Otherwise the window is always that of the destination; see the study.
     """
 
     start_mps2: float = 0.6
     change_mps2: float = 0.3
-    interval_s: float = 0.5
+    interval_s: float = 0.2
     tolerance_s: float = 3.0
     brake_mps2: float = 0.9
     safe_share: float = 0.95
+    intervals: bool = False
 
     def __post_init__(self) -> None:
         for name, high in (

@@ -8,6 +8,7 @@ Source: Huang25 section 3 (rules 1 to 5, eqs. 14 to 24).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -29,6 +30,9 @@ BACK_PER_S = 1.0
 CLEAR_MPS = 3.0
 """Farther below the safe speed than this nothing needs to be eased off."""
 MARGIN_MPS = 0.25
+"""How far below the permitted speed."""
+TIGHT = 1.03
+"""Time left over the least time below which no time is given away for a lower limit ahead."""
 
 
 class Seen(NamedTuple):
@@ -147,7 +151,7 @@ def _seen(memory: ExpertMemory, observation: Observation, ahead: Ahead, curve: C
     """The window where a command given now begins to act."""
     rules, ground, legs = memory.rules, memory.ground, memory.legs
     x, v, a = ahead.position_m, ahead.speed_mps, max(ahead.acceleration_mps2, 0.0)
-    leg = legs.leg(x)
+    leg = legs.leg(x) if rules.intervals else legs.legs[-1]
     share = legs.share(leg, x, v)
     time_left = observation.scheduled_time_s - observation.time_s - ahead.seconds - _release_s(leg, curve)
     coasts_at = v + a * (lead_s(memory.model) - ahead.seconds + build_up_s(ground, a))
@@ -155,7 +159,27 @@ def _seen(memory: ExpertMemory, observation: Observation, ahead: Ahead, curve: C
     coasting = coasting_s(PLAIN, ground.davis, curve.deceleration_mps2, coasts_at, stretch)
     window = window_of(PLAIN, rules, stretch.left_m, coasting, time_left, share)
     top = min(rules.start_mps2 + ahead.resistance_mps2, ahead.traction_mps2)
+    if len(legs.legs) > 1 and time_left > TIGHT * legs.least_s(ground.length_m - x, v):
+        top = min(top, _for_lower_limits(memory, ahead, coasts_at))
     return Seen(window, v, stretch.left_m, time_left * share, memory.rate_mps2, top)
+
+
+def _for_lower_limits(memory: ExpertMemory, ahead: Ahead, speed_mps: float) -> float:
+    """Largest rate that still coasts to the lower limits ahead slowly enough (rule 4).
+
+    What is braked away there must be given back behind it: power beyond this speed is lost.
+    """
+    ground, x, drag = memory.ground, ahead.position_m, ahead.resistance_mps2
+    a, b, c = ground.davis
+    davis, most = a + speed_mps * (b + speed_mps * c), ground.most_mps2
+    for leg in memory.legs.legs[:-1]:
+        if leg.end_m <= x:
+            continue
+        lost = ground.climb(leg.end_m) - ground.climb(x) + davis * (leg.end_m - x)
+        square = leg.end_mps * leg.end_mps + 2.0 * lost
+        if square > 0.0:
+            most = min(most, drag + HOLD_PER_S * (math.sqrt(square) - speed_mps))
+    return max(most, 0.0)
 
 
 def _release_s(leg: Leg, curve: Curve) -> float:

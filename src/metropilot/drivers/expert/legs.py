@@ -3,7 +3,8 @@
 The minimum-time curve (full traction up to the limits, full braking for the lower ones and the stop) gives the
 least time from any state to the destination, ``tau_D``, and to the end of the interval, ``tau_k``. The interval
 gets ``Tr tau_k / tau_D`` of the reserved time (Huang25 Algorithm 1, rule 5). An interval ends where the
-minimum-time curve must slow down for a lower limit; a higher limit, and one the stop makes idle, ends none.
+minimum-time curve must slow down for a lower limit and traction is needed again behind it; all others are one
+with the next.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ import numpy as np
 
 from metropilot.drivers.expert.ground import STEP_M, Ground, drops
 from metropilot.drivers.observer import Model
-from metropilot.task.expert import Rules
+from metropilot.task.expert import PLAIN, Rules, coasting_s
 from metropilot.task.tables import SPEED_STEP_MPS
 from metropilot.task.to_go import to_go_table
 
 SLACK_MPS = 0.3
+STALLED = 4.0
+"""Coasting that takes so many times what the speed at its beginning would take has come to a stand."""
 
 
 class Leg(NamedTuple):
@@ -94,9 +97,17 @@ def legs_of(model: Model, ground: Ground, rules: Rules) -> Legs:
     legs: list[Leg] = []
     for place, limit in drops(model):
         lower = min(limit, ground.safe(place))
-        if np.interp(place, at, fastest) > lower - SLACK_MPS:
-            legs.append(Leg(place, lower, whole.least_s(length - place, lower)))
+        leg = Leg(place, lower, whole.least_s(length - place, lower))
+        if np.interp(place, at, fastest) > lower - SLACK_MPS and _needs_power(ground, leg, rules):
+            legs.append(leg)
     return whole._replace(legs=(*legs, Leg(length, 0.0, 0.0)))
+
+
+def _needs_power(ground: Ground, leg: Leg, rules: Rules) -> bool:
+    """Whether a trainset that coasts on from the end of an interval never gets to the stop."""
+    stretch = ground.stretch(leg.end_m, ground.length_m, 0.0)
+    coasting = coasting_s(PLAIN, ground.davis, rules.brake_mps2, leg.end_mps, stretch)
+    return coasting > STALLED * stretch.left_m / leg.end_mps
 
 
 def _nodes(length_m: float) -> np.ndarray:
