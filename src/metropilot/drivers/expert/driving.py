@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from metropilot.drivers.cruising import Ceiling, ceiling_of, model_of
 from metropilot.drivers.expert.actuation import Actuation, actuation_of, ahead_of, share_of
-from metropilot.drivers.expert.ground import Ground, build_up_s, ground_of, lead_s
+from metropilot.drivers.expert.ground import STEP_M, Ground, build_up_s, ground_of, lead_s
 from metropilot.drivers.expert.hoa import Hoa, felt, stop_share
 from metropilot.drivers.expert.legs import Leg, Legs, legs_of
 from metropilot.drivers.observer import Ahead, Model
@@ -212,18 +212,27 @@ def _kept_safe(memory: ExpertMemory, observation: Observation, ahead: Ahead, rat
     ground, ceiling, drag = memory.ground, memory.ceiling, ahead.resistance_mps2
     x, v, now = ahead.position_m, ahead.speed_mps, observation.speed_mps
     there = ground.lowest(x, ceiling.reaction_s * v)
-    if there - v > CLEAR_MPS:
-        return rate_mps2
-    if v > ground.safe(x + v * memory.actuation.dt):
-        return min(rate_mps2, max(_slowing(ground, x, v, memory.actuation.dt), -ground.most_mps2) + drag, 0.0)
     here = ground.lowest(observation.position_m, ceiling.reaction_s * now)
+    if min(there - v, here - now) > CLEAR_MPS:
+        return rate_mps2
+    slow = _slowing(ground, ahead, memory.actuation.dt)
+    if slow < 0.0:
+        return min(rate_mps2, max(slow, -ground.most_mps2) + drag, 0.0)
     allowed = min(ceiling.acceleration_under(here - now), ceiling.acceleration_under(there - v))
     allowed = min(allowed, HOLD_PER_S * max(there - v, 0.0))
     return min(rate_mps2, max(allowed + drag, 0.0) if v <= there else 0.0)
 
 
-def _slowing(ground: Ground, position_m: float, speed_mps: float, dt: float) -> float:
-    """Acceleration that follows the fall of the safe speed, and comes back under it, m/s^2."""
-    way = max(speed_mps * dt, 0.5)
-    here, there = ground.safe(position_m), ground.safe(position_m + way)
-    return 0.5 * min(there * there - here * here, 0.0) / way + BACK_PER_S * (there - speed_mps)
+def _slowing(ground: Ground, ahead: Ahead, dt: float) -> float:
+    """Acceleration that follows the fall of the safe speed, and comes back under it, m/s^2; 0: nothing needed.
+
+    The brake is built up on the way to where the fall begins.
+    """
+    v, a = ahead.speed_mps, ahead.acceleration_mps2
+    early_s = dt + build_up_s(ground, max(ground.most_mps2 + a, 0.0))
+    x = ahead.position_m + max(v * early_s, 0.5)
+    here, there = ground.safe(x), ground.safe(x + STEP_M)
+    above = v + min(a, 0.0) * early_s - here
+    if above <= 0.0:
+        return 0.0
+    return 0.5 * min(there * there - here * here, 0.0) / STEP_M - BACK_PER_S * above

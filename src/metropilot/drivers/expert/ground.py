@@ -16,6 +16,10 @@ from metropilot.task.expert import SEGMENTS, Rules, Stretch, safe_speed
 STEP_M = 4.0
 SPEED_STEP_MPS = 0.25
 BEYOND_M = 60.0
+FOR_LIMITS = 0.85
+"""Share of the largest deceleration that lower limits are braked for, for protection watches the brake build up."""
+UNDER_MPS = 0.4
+"""How far below a lower limit's ceiling the braking for it ends."""
 
 
 class Ground(NamedTuple):
@@ -123,7 +127,9 @@ def _safe(model: Model, ceiling: Ceiling, rules: Rules, at: np.ndarray) -> np.nd
     safe = np.minimum(here, [ceiling.at(float(x)) for x in at])
     for place, lower in drops(model):
         most = float(model.vehicle.max_deceleration_mps2)
-        before = safe_speed(np, rules, most, lower, place - at, here)
+        kept = min(lower, ceiling.at(place)) - UNDER_MPS
+        begins = place - lower * lead_s(model)
+        before = safe_speed(np, rules, FOR_LIMITS * most, kept / rules.safe_share, begins - at, here)
         safe = np.where(at < place, np.minimum(safe, before), safe)
     return safe
 

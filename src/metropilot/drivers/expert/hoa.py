@@ -36,6 +36,10 @@ SETTLED = 0.01
 """Least scatter, and what one day does to it."""
 ANSWER_MPS2 = 0.03
 """Scatter of a period's deceleration about the gain's."""
+STRANGE = 4.0
+"""A period this many deviations off is not the brake's doing (protection may have stepped in) ..."""
+DOUBT = 0.003
+"""... or the brake is no longer what it was: so much more scatter."""
 LEAST_EFFORT_MPS2 = 0.15
 GAIN = (0.5, 1.6)
 CAUTION = 1.7
@@ -100,8 +104,12 @@ def felt(
     if ramping:
         return found
     variance = found.sigma * found.sigma
-    weight = variance * asked / (ANSWER_MPS2 * ANSWER_MPS2 + variance * asked * asked)
-    gain = found.gain + weight * (-(a + drag) - asked * found.gain)
+    spread = ANSWER_MPS2 * ANSWER_MPS2 + variance * asked * asked
+    miss = -(a + drag) - asked * found.gain
+    if miss * miss > STRANGE * STRANGE * spread:
+        return found._replace(sigma=min(found.sigma + DOUBT, UNSURE))
+    weight = variance * asked / spread
+    gain = found.gain + weight * miss
     variance *= 1.0 - weight * asked
     return found._replace(
         gain=min(max(gain, GAIN[0]), GAIN[1]), sigma=max(variance**0.5, SETTLED)
