@@ -202,6 +202,17 @@ PPO: Mapping[str, Any] = MappingProxyType(
     }
 )
 PPO_QUICK: Mapping[str, Any] = MappingProxyType({"steps": 4_000_000, "evaluations": 8})
+EXPERT: Mapping[str, Any] = MappingProxyType(
+    {
+        "steps": 3_000_000,
+        "environments": 128,
+        "minibatches": 8,
+        "hidden": (32, 32),
+        "normalise_observations": False,
+        "evaluations": 12,
+    }
+)
+EXPERT_QUICK: Mapping[str, Any] = MappingProxyType({"steps": 1_000_000, "evaluations": 6})
 REPLAY: Mapping[str, Any] = MappingProxyType(
     {
         "steps": 400_000,
@@ -266,6 +277,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         "ddpg": Recipe("DDPG", "Lillicrap16", "ddpg", "drive", {**REPLAY, **BEGINS}, REPLAY_QUICK),
         "sac": Recipe("SAC", "Haarnoja18", "sac", "drive", {**REPLAY, **BEGINS}, REPLAY_QUICK),
         "naf": Recipe("NAF", "Gu16", "naf", "drive", {**REPLAY, **BEGINS}, REPLAY_QUICK),
+        "eitop": Recipe("PPO inside the expert", "Huang25", "ppo", "huang2025", {**PPO, **EXPERT}, EXPERT_QUICK),
         "dqn": Recipe("DQN", "Lu23", "dqn", "lu2023", NOTCHES, NOTCHES_QUICK),
         "improved_dqn": Recipe(
             "DQN, double, dueling, with prioritised replay",

@@ -242,7 +242,7 @@ def features(
     left_m: Array,
     time_left_s: Array,
     rate_mps2: Array,
-    top_mps2: Array,
+    traction_mps2: Array,
 ) -> list[Array]:
     """What a policy inside the expert sees: the state of Huang25 eq. 19, the rate, and where in the window it is."""
     late = xp.clip(window.late_s, -9.0, 9.0)
@@ -251,7 +251,7 @@ def features(
         speed_mps / 20.0,
         time_left_s / 100.0,
         rate_mps2,
-        top_mps2,
+        traction_mps2,
         late / 3.0,
         xp.clip(late, -1.0, 1.0),
     ]

@@ -45,6 +45,7 @@ class Seen(NamedTuple):
         time_left_s: Time it has for that.
         rate_mps2: The rate now.
         top_mps2: Largest rate here.
+        traction_mps2: Largest traction.
     """
 
     window: Window
@@ -53,6 +54,7 @@ class Seen(NamedTuple):
     time_left_s: float
     rate_mps2: float
     top_mps2: float
+    traction_mps2: float
 
 
 Change = Callable[[Seen], float]
@@ -161,7 +163,7 @@ def _seen(memory: ExpertMemory, observation: Observation, ahead: Ahead, curve: C
     top = min(rules.start_mps2 + ahead.resistance_mps2, ahead.traction_mps2)
     if len(legs.legs) > 1 and time_left > TIGHT * legs.least_s(ground.length_m - x, v):
         top = min(top, _for_lower_limits(memory, ahead, coasts_at))
-    return Seen(window, v, stretch.left_m, time_left * share, memory.rate_mps2, top)
+    return Seen(window, v, stretch.left_m, time_left * share, memory.rate_mps2, top, ahead.traction_mps2)
 
 
 def _for_lower_limits(memory: ExpertMemory, ahead: Ahead, speed_mps: float) -> float:
