@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import ClassVar, final
 
 from metropilot.drivers.base import register
@@ -70,3 +72,9 @@ class Ston(AbstractExpertPolicyDriver):
     id: ClassVar[str] = "ston"
     summary: ClassVar[str] = "Expert rules, continuous changes learned by NAF"
     source: ClassVar[str] = "Zhou et al. 2020, compared in Huang25"
+
+
+EXPERT_POLICIES: Mapping[str, type[AbstractExpertPolicyDriver]] = MappingProxyType(
+    {kind.id: kind for kind in (Eitop, Itor, Stod, Ston)}
+)
+"""Whether shipped or not, by id: each takes an option ``policy``."""

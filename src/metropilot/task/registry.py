@@ -145,8 +145,8 @@ def _chen2023a() -> DrivingConfig:
 
 HUANG2025_REWARDS = (
     Energy(),
-    Punctuality(per_s=1.0),
-    Comfort(weight=0.05),
+    Punctuality(per_s=3.0, soft_s=0.5),
+    Comfort(weight=0.2),
     Failure(price=20.0, per_m=0.05),
     Intervention(),
 )

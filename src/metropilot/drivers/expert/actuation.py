@@ -20,6 +20,7 @@ class Actuation(NamedTuple):
         share: Command after dead time and lag in the last period.
         steps: Dead time in control periods.
         keep: Share of the old effort that the lag keeps over a period.
+        lag_s: Time constant of the lag.
         dt: Control period, s.
     """
 
@@ -27,6 +28,7 @@ class Actuation(NamedTuple):
     share: float
     steps: int
     keep: float
+    lag_s: float
     dt: float
 
     def issued(self, command: float) -> Actuation:
@@ -41,7 +43,7 @@ def actuation_of(model: Model) -> Actuation:
     dt, lag = model.dt, float(model.vehicle.lag_s)
     steps = round(float(model.vehicle.delay_s) / dt)
     keep = math.exp(-dt / lag) if lag > 0 else 0.0
-    return Actuation((0.0,) * (steps + 1), 0.0, steps, keep, dt)
+    return Actuation((0.0,) * (steps + 1), 0.0, steps, keep, lag, dt)
 
 
 def ahead_of(

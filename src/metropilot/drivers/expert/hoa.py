@@ -146,10 +146,12 @@ def stop_share(
         return share_of(actuation, ahead, -max(curve.end_mps2, HOLD_MPS2)), True
     if not hoa.braking and v * v < 2.0 * NEAR * plan * max(distance - 2.0 * v, 0.5):
         return 0.0, False
-    required, falling = required_ahead(ahead, distance, curve)
-    if not hoa.braking and required < plan:
-        return 0.0, False
     dt = actuation.dt
+    required, falling = required_ahead(ahead, distance, curve)
+    if not hoa.braking:
+        sooner, _ = required_ahead(ahead, distance - v * (0.5 * actuation.lag_s + 0.25 * dt), curve)
+        if sooner < plan:
+            return 0.0, False
     if falling == 0.0 and required < STRONGEST_MPS2:
         wanted = max(required + RETURN_GAIN * (required - plan), 0.0)
     else:
