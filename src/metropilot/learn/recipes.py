@@ -278,7 +278,17 @@ EXPERT_TABLE: Mapping[str, Any] = MappingProxyType(
     }
 )
 """Of what the expert's policies see, a table holds distance and speed, the rate, and how late coasting would be."""
-EXPERT_REPLAY: Mapping[str, Any] = MappingProxyType({"steps": 200_000, "hidden": (64, 64), "evaluations": 16})
+EXPERT_REPLAY: Mapping[str, Any] = MappingProxyType(
+    {
+        **BEGINS,
+        "steps": 200_000,
+        "hidden": (64, 64),
+        "gamma": 0.999,
+        "n_step": 10,
+        "noise": {"start": 0.6, "end": 0.1},
+        "evaluations": 16,
+    }
+)
 
 RECIPES: Mapping[str, Recipe] = MappingProxyType(
     {
@@ -294,7 +304,9 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         "ddpg": Recipe("DDPG", "Lillicrap16", "ddpg", "drive", {**REPLAY, **BEGINS}, REPLAY_QUICK),
         "sac": Recipe("SAC", "Haarnoja18", "sac", "drive", {**REPLAY, **BEGINS}, REPLAY_QUICK),
         "naf": Recipe("NAF", "Gu16", "naf", "drive", {**REPLAY, **BEGINS}, REPLAY_QUICK),
-        "eitop": Recipe("PPO inside the expert", "Huang25", "ppo", "huang2025", {**PPO, **EXPERT}, EXPERT_QUICK),
+        "eitop": Recipe(
+            "PPO inside the expert", "Huang25", "ppo", "huang2025", {**PPO, **EXPERT}, EXPERT_QUICK
+        ),
         "itor": Recipe(
             "Q-learning in a table inside the expert",
             "Yin et al. 2014, compared in Huang25",

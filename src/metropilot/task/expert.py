@@ -48,7 +48,7 @@ class Plain:
     @staticmethod
     def clip(value: Any, low: Any, high: Any) -> Any:  # noqa: ANN401 (numbers)
         """A number between two."""
-        return low if value < low else high if value > high else value
+        return low if value < low else min(value, high)
 
 
 PLAIN = Plain()
@@ -88,7 +88,9 @@ class Rules:
         ):
             value = getattr(self, name)
             if not 0.0 < value <= high:
-                raise InputError("out of range", field=name, value=value, allowed=f"above 0, at most {high:g}")
+                raise InputError(
+                    "out of range", field=name, value=value, allowed=f"above 0, at most {high:g}"
+                )
 
 
 class Stretch(NamedTuple):

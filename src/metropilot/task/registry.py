@@ -26,8 +26,8 @@ from metropilot.task.rewards import (
     EffortEnergy,
     Energy,
     Failure,
-    Moving,
     Intervention,
+    Moving,
     OnTime,
     Punctuality,
     StopError,
@@ -158,9 +158,7 @@ HUANG2025_STOP_MPS2 = 0.95
 def huang2025_sections() -> tuple[Section, ...]:
     """Sections of Huang25's line that can be coasted to the end, one of them its case 1."""
     line = load_line("yizhuang-ttobench")
-    return tuple(
-        line.section(*ends) for ends in (("RJ", "WYJ"), ("WYJ", "RJ"), ("XC", "XHM"), ("JG", "YZQ"))
-    )
+    return tuple(line.section(*ends) for ends in (("RJ", "WYJ"), ("WYJ", "RJ"), ("XC", "XHM"), ("JG", "YZQ")))
 
 
 def _huang2025(action: AbstractAction) -> DrivingConfig:

@@ -80,9 +80,7 @@ class Ground(NamedTuple):
         at = [position_m + k * ds for k in range(SEGMENTS + 1)]
         climb, safe = self.climb_jpkg, self.safe_mps
         caps = [_between(safe, x / STEP_M) for x in at]
-        return Stretch(
-            left, [_between(climb, x / STEP_M) for x in at], [0.5 * v * v for v in caps], end_mps
-        )
+        return Stretch(left, [_between(climb, x / STEP_M) for x in at], [0.5 * v * v for v in caps], end_mps)
 
 
 def ground_of(model: Model, ceiling: Ceiling, rules: Rules) -> Ground:

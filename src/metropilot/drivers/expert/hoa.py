@@ -111,9 +111,7 @@ def felt(
     weight = variance * asked / spread
     gain = found.gain + weight * miss
     variance *= 1.0 - weight * asked
-    return found._replace(
-        gain=min(max(gain, GAIN[0]), GAIN[1]), sigma=max(variance**0.5, SETTLED)
-    )
+    return found._replace(gain=min(max(gain, GAIN[0]), GAIN[1]), sigma=max(variance**0.5, SETTLED))
 
 
 def _at_balise(hoa: Hoa, ground: Ground, x: float, v: float, work: tuple[float, float]) -> Hoa:

@@ -2,36 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from metropilot.drivers import DRIVERS, AbstractDriver
-from metropilot.errors import Infeasible
+from metropilot.drivers.expert_learned import EXPERT_POLICIES
+from metropilot.drivers.shipped import PolicyOptions
 from metropilot.evaluate import Drive, Kpis, drive, kpis_of, make_driver
 from metropilot.evaluate.indices import Indices, indices_of
 from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
-from metropilot.railway import Section
 from metropilot.studies.huang2025.published import (
     COAST,
     DECISION_US,
     IC,
     IE,
-    LEARNED,
     MANUAL,
     RELATIVE,
     TOOK,
     TOP,
     Case,
 )
-from metropilot.studies.huang2025.setting import DELAY_S, LAG_S, comfortable, run_of
+from metropilot.studies.huang2025.setting import DELAY_S, LAG_S, comfortable, run_of, trainset
 from metropilot.studies.report import Row
 
 J_PER_KWH = 3.6e6
 SPACING_M = 5.0
+ABOVE, ABOVE_DEAD = "above the optimum", "above the optimum, dead time of the actuation apart"
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,56 +58,60 @@ class Driven:
         return [kpis_of(one, None) for one in self.drives]
 
 
-def drivers_of(driver: str, policies: dict[str, Sequence[Path]], seeds: range) -> list[AbstractDriver]:
+def drivers_of(driver: str, policies: Mapping[str, Sequence[Path]], seeds: range) -> list[AbstractDriver]:
     """One driver a seed: manual drives differ by the seed, learned ones by their policy, an expert's not at all."""
     if driver in policies:
-        kind = _learned(driver)
-        return [kind(str(path)) for path in policies[driver]]
+        return [_learned(driver, path) for path in policies[driver]]
     return [make_driver(driver) for _ in (seeds if driver == MANUAL else range(1))]
 
 
-def available(driver: str, policies: dict[str, Sequence[Path]]) -> bool:
+def available(driver: str, policies: Mapping[str, Sequence[Path]]) -> bool:
     """Whether there is somebody to drive: a learned driver needs a policy."""
     return driver in policies or driver in DRIVERS.ids()
 
 
-def _learned(driver: str):  # noqa: ANN202 (a function from a path to a driver)
-    from metropilot.drivers.expert_learned import EXPERT_POLICIES
-    from metropilot.drivers.shipped import PolicyOptions
-
-    return lambda path: EXPERT_POLICIES[driver](PolicyOptions(path))
+def _learned(driver: str, path: Path) -> AbstractDriver:
+    """The driver of a policy inside the expert."""
+    return EXPERT_POLICIES[driver](PolicyOptions(str(path)))
 
 
-def driven(case: Case, driver: str, policies: dict[str, Sequence[Path]], seeds: range) -> Driven:
+def driven(case: Case, driver: str, policies: Mapping[str, Sequence[Path]], seeds: range) -> Driven:
     """Drive a case."""
     who = drivers_of(driver, policies, seeds)
     return Driven(case, driver, [drive(run_of(case, seed), one) for seed, one in enumerate(who)])
 
 
-@cache
-def _least_j(section: Section, driver: str, running_time_s: float) -> float:
-    """Least wheel energy for a running time under a driver's comfort limits; NaN where there is no plan."""
-    from metropilot.studies.huang2025.setting import trainset
-
-    gentle = comfortable(driver, trainset())
-    try:
-        least = minimum_running_time(section, gentle)
-        wanted = max(running_time_s, least * 1.0001)
-        return float(optimal_plan(section, gentle, wanted, PlanOptions(spacing_m=SPACING_M)).energy_wheel_j)
-    except Infeasible:
-        return float("nan")
-
-
-def above_percent(one: Drive, driver: str, dead_s: float = 0.0) -> float:
-    """Wheel energy above the optimum for the same running time under the driver's own comfort limits, %.
+class Least:
+    """Least wheel energy over running time under a driver's comfort limits: three plans and the parabola of them.
 
     Args:
-        one: The drive.
+        drives: What is to be compared; their section, restrictions included.
         driver: Whose limits.
-        dead_s: Taken off the running time: nothing moves before the dead time of the actuation is over.
     """
-    least = _least_j(one.section, driver, round(one.running_time_s - dead_s, 3))
-    return 100.0 * (float(one.trajectory.energy_wheel_j[-1]) / least - 1.0)
+
+    def __init__(self, drives: Sequence[Drive], driver: str) -> None:
+        gentle = comfortable(driver, trainset())
+        section = drives[0].section
+        fastest = minimum_running_time(section, gentle) * 1.0005
+        times = [one.running_time_s for one in drives]
+        low = max(min(times) - DELAY_S - LAG_S, fastest)
+        self.times_s = np.linspace(low, max(*times, low + 1.0), 3)
+        options = PlanOptions(spacing_m=SPACING_M)
+        plans = [optimal_plan(section, gentle, float(t), options) for t in self.times_s]
+        self.parabola = np.polynomial.Polynomial.fit(self.times_s, [p.energy_wheel_j for p in plans], 2)
+
+    def at(self, running_time_s: float) -> float:
+        """Least energy, J."""
+        return float(self.parabola(max(running_time_s, float(self.times_s[0]))))
+
+    def above_percent(self, one: Drive, dead_s: float = 0.0) -> float:
+        """Wheel energy above the optimum for the same running time, %.
+
+        Args:
+            one: The drive.
+            dead_s: Taken off the running time: nothing moves before the dead time of the actuation is over.
+        """
+        return 100.0 * (float(one.trajectory.energy_wheel_j[-1]) / self.at(one.running_time_s - dead_s) - 1.0)
 
 
 def rows_of(found: Driven, manual: Driven | None) -> Iterator[Row]:
@@ -128,11 +131,12 @@ def rows_of(found: Driven, manual: Driven | None) -> Iterator[Row]:
         usual = float(np.median([i.energy_jpkg for i in manual.indices]))
         yield row(RELATIVE, "%", [100.0 * (i.energy_jpkg / usual - 1.0) for i in indices])
     yield row(IC, "m/s²", [i.comfort_mps2 for i in indices])
-    least = _least_j(found.drives[0].section, driver, round(found.drives[0].running_time_s, 3))
-    yield row("wheel traction energy", "kWh", [k.energy_wheel_kwh for k in kpis], least / J_PER_KWH)
-    yield row("above the optimum", "%", [above_percent(one, driver) for one in found.drives])
-    dead = [above_percent(one, driver, DELAY_S + LAG_S) for one in found.drives]
-    yield row("above the optimum, dead time of the actuation apart", "%", dead)
+    least = Least(found.drives, driver)
+    best = least.at(float(np.median([k.running_time_s for k in kpis]))) / J_PER_KWH
+    yield row("wheel traction energy", "kWh", [k.energy_wheel_kwh for k in kpis], best)
+    yield row(ABOVE, "%", [least.above_percent(one) for one in found.drives])
+    dead = [least.above_percent(one, DELAY_S + LAG_S) for one in found.drives]
+    yield row(ABOVE_DEAD, "%", dead)
     yield row(TOOK, "s", [k.running_time_s for k in kpis])
     yield row("stopping error", "m", [abs(k.stopping_error_m) for k in kpis])
     yield row(COAST, "m", [k.coasting_distance_m for k in kpis])
@@ -156,8 +160,3 @@ def least_time_s(case: Case, driver: str) -> float:
     for news in run.scenario.news:
         where = where.restricted(news.restriction) if news.restriction else where
     return minimum_running_time(where, comfortable(driver, run.trainset))
-
-
-def kept(policies: dict[str, Sequence[Path]]) -> dict[str, Sequence[Path]]:
-    """Learned drivers with a policy to drive by."""
-    return {driver: paths for driver, paths in policies.items() if driver in LEARNED and paths}

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from metropilot.studies.learning import SeedResult
 
 
-def learning_drawing(results: Sequence[SeedResult], column: str, label: str, lines: Sequence[float]) -> Drawing:
+def learning_drawing(
+    results: Sequence[SeedResult], column: str, label: str, lines: Sequence[float]
+) -> Drawing:
     """One number of case 1 over the episodes learned from: median and range of the seeds."""
     from matplotlib import pyplot as plt
 
@@ -119,7 +121,11 @@ def figures_of(
         ("case1", "Case 1, every driver (its Fig. 8)", every("101")),
         ("case2_95", "95 s, every driver (its Fig. 9)", every("95")),
         ("case2_115", "115 s, every driver (its Fig. 10)", every("115")),
-        ("late_news", "EITOP told of another arrival (its Fig. 11)", of(["101", "later", "earlier"], [EITOP])),
+        (
+            "late_news",
+            "EITOP told of another arrival (its Fig. 11)",
+            of(["101", "later", "earlier"], [EITOP]),
+        ),
         ("restriction", "A temporary restriction told at 30 s", of(["restricted"], EXPERTS)),
         ("case3_sjz_xc", "Case 3, SJZ to XC (its Fig. 13)", of(["sjz"], EXPERTS)),
         ("case3_xc_xhm", "Case 3, XC to XHM (its Fig. 13)", of(["xc"], EXPERTS)),

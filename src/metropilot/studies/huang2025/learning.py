@@ -127,5 +127,3 @@ def best_of(results: Sequence[SeedResult]) -> SeedResult:
 def jobs(seeds: range, budget: str) -> list[LearnJob]:
     """Every learning run of the study, drivers varying slowest."""
     return [job(driver, seed, budget) for driver in LEARNED for seed in seeds]
-
-

@@ -67,7 +67,9 @@ def repeated_stops(gain: float, noise_mps: float = NOISE_MPS, stops: int = STOPS
 def stop_rows(found: list[Stops]) -> Iterator[Row]:
     """The first stop with an unknown brake, and the one after ten."""
     for one in found:
-        case = f"brake {100 * (one.gain - 1):+.0f} %, 101 s" if one.gain != 1.0 else "brake as believed, 101 s"
+        case = (
+            f"brake {100 * (one.gain - 1):+.0f} %, 101 s" if one.gain != 1.0 else "brake as believed, 101 s"
+        )
         place = (f"{BEYOND}: station stops that learn the brake", case, "eitoe")
         yield Row(*place, "first stop: stopping error", "m").measured([abs(one.error_m[0])])
         yield Row(*place, f"stop {len(one.error_m)}: stopping error", "m").measured([abs(one.error_m[-1])])
