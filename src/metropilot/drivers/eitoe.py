@@ -1,7 +1,7 @@
 """EITOE: the enhanced intelligent train operation algorithm by an expert system, without a reference profile.
 
-Rules 1 to 5, the speed window of the double minimal-time distribution, the safe speed, and the station stop that
-learns the brake's gain. Source: Huang25 section 3.1, eqs. 14 to 18 and Algorithm 1.
+Rules 1 to 5, the speed window of the double minimal-time distribution, the safe speed, and the station stop
+that learns the brake's gain. Source: Huang25 section 3.1, eqs. 14 to 18 and Algorithm 1.
 """
 
 from __future__ import annotations

@@ -277,7 +277,7 @@ EXPERT_TABLE: Mapping[str, Any] = MappingProxyType(
         "high": (2.0, 1.2, 2.0, 0.6, 1.2, 3.0, 1.0),
     }
 )
-"""Of what the expert's policies see, a table holds distance and speed, the rate, and how late coasting would be."""
+"""Of what the expert's policies see, a table holds distance, speed, the rate, how late coasting would be."""
 EXPERT_REPLAY: Mapping[str, Any] = MappingProxyType(
     {
         **BEGINS,

@@ -1,7 +1,7 @@
 """The expert of Huang25: a coasting forecast, the speed window of its eq. 14, the rules of eqs. 15 to 24.
 
-Everything is written over the array namespace ``xp``: the compiled task calls it with JAX, a driver on the host
-with plain numbers (:data:`PLAIN`), so there is one expert. Rates ``u`` are wheel effort over mass, m/s^2, as in
+Everything is written over the array namespace ``xp``: the compiled task calls it with JAX, a driver on the
+host with plain numbers (:data:`PLAIN`), so there is one expert. Rates ``u`` are wheel effort over mass, as in
 the paper, which keeps them within 1 m/s^2.
 
 What the paper leaves open is decided so: the speed that is compared with the window is the mean speed a
@@ -65,8 +65,8 @@ class Rules:
         tolerance_s: ``T0`` of Algorithm 1.
         brake_mps2: Deceleration the last braking is forecast with.
         safe_share: Speed scaling factor of eq. 17.
-        intervals: Share the time left out among the speed-limit intervals as Algorithm 1 prints it, and keep to
-            the time of each. Otherwise the window is always that of the destination; see the study.
+        intervals: Share the time left out among the speed-limit intervals as Algorithm 1 prints it, and keep
+            to the time of each. Otherwise the window is always that of the destination; see the study.
     """
 
     start_mps2: float = 0.6
@@ -136,8 +136,8 @@ def coasting_s(
 ) -> Array:
     """Time to the end of a stretch: coast, and brake at a constant rate as late as that allows, s.
 
-    Energy over distance: in each segment ``e`` falls by resistance and climb; where the coasting line meets the
-    braking line ``e_end + b (d - s)``, the rest is braking.
+    Energy over distance: in each segment ``e`` falls by resistance and climb; where the coasting line meets
+    the braking line ``e_end + b (d - s)``, the rest is braking.
 
     Args:
         xp: Array namespace.
@@ -195,8 +195,8 @@ def window_of(
 def constant_change(xp: Any, rules: Rules, window: Window, rate_mps2: Array) -> Array:  # noqa: ANN401
     """EITOE's change of the rate in an interval: up while too slow, down while too fast (eqs. 15 and 16).
 
-    Inside the window, which the paper leaves open, a trainset under traction goes on until it would come exactly
-    on time, and a coasting one coasts on.
+    Inside the window, which the paper leaves open, a trainset under traction goes on until it would come
+    exactly on time, and a coasting one coasts on.
     """
     goes_on = (rate_mps2 > 0.0) & (window.mean_mps < window.middle_mps)
     up = (window.mean_mps < window.low_mps) | goes_on
@@ -246,7 +246,7 @@ def features(
     rate_mps2: Array,
     traction_mps2: Array,
 ) -> list[Array]:
-    """What a policy inside the expert sees: the state of Huang25 eq. 19, the rate, and where in the window it is."""
+    """What a policy inside the expert sees: the state of Huang25 eq. 19, and its place in the window."""
     late = xp.clip(window.late_s, -9.0, 9.0)
     return [
         left_m / 1000.0,

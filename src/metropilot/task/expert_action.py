@@ -52,7 +52,7 @@ class ExpertAction(AbstractAction):
 @final
 @dataclass(frozen=True)
 class ExpertChoiceAction(AbstractAction):
-    """One of a few changes of the rate inside the expert's rules: what a table of values can choose from (ITOR).
+    """One of a few changes of the rate inside the expert's rules: what a table can choose from (ITOR).
 
     Attributes:
         changes: Changes over the largest, increasing.

@@ -150,7 +150,7 @@ HUANG2025_REWARDS = (
     Failure(price=20.0, per_m=0.05),
     Intervention(),
 )
-"""Huang25 eq. 26: energy, time error (eq. 27 at the end) and comfort; a kWh costs 1. Its weights are not printed."""
+"""Huang25 eq. 26: energy, time error (eq. 27 at the end) and comfort; its weights are not printed."""
 HUANG2025_STOP_MPS2 = 0.95
 """What its station stop plans with."""
 

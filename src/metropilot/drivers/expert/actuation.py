@@ -1,4 +1,4 @@
-"""Dead time, lag and jerk limit in plain numbers: what acts now, and the state when a command given now acts."""
+"""Dead time, lag and jerk limit in plain numbers: the state when a command given now begins to act."""
 
 from __future__ import annotations
 

@@ -226,7 +226,7 @@ def _kept_safe(memory: ExpertMemory, observation: Observation, ahead: Ahead, rat
 
 
 def _slowing(ground: Ground, ahead: Ahead, dt: float) -> float:
-    """Acceleration that follows the fall of the safe speed, and comes back under it, m/s^2; 0: nothing needed.
+    """Acceleration that follows the fall of the safe speed and comes back under it, m/s^2; 0: not needed.
 
     The brake is built up on the way to where the fall begins.
     """

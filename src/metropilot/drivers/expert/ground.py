@@ -17,7 +17,7 @@ STEP_M = 4.0
 SPEED_STEP_MPS = 0.25
 BEYOND_M = 60.0
 FOR_LIMITS = 0.85
-"""Share of the largest deceleration that lower limits are braked for, for protection watches the brake build up."""
+"""Share of the largest deceleration to brake for lower limits with: protection watches the brake build up."""
 UNDER_MPS = 0.4
 """How far below a lower limit's ceiling the braking for it ends."""
 

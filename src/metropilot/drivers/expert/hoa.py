@@ -1,9 +1,9 @@
-"""Station stop by a heuristic online algorithm: the brake's gain is learned on the way and kept for the next stop.
+"""Station stop by a heuristic online algorithm: the brake's gain is learned and kept for the next stop.
 
-In every control period the deceleration is computed anew that ends at the stop, ``b = v^2 / (2 S)`` with the
-trainset's jerk limit (:mod:`metropilot.drivers.stopping`), and divided by the gain learned so far. The gain is
-learned twice: in every period from the deceleration that came of the command, and at the balises from the speeds
-at two exact places, ``(v1^2 - v2^2) / (2 (S1 - S2))``, which is what is kept.
+In every control period the deceleration is computed anew that ends at the stop, ``b = v^2 / (2 S)`` with
+the trainset's jerk limit (:mod:`metropilot.drivers.stopping`), and divided by the gain learned so far. The
+gain is learned twice: in every period from the deceleration that came of the command, and at the balises from
+the speeds at two exact places, ``(v1^2 - v2^2) / (2 (S1 - S2))``.
 
 Source: Chen, Chen, Li and Tang, T-ITS 14(3) 2013 (TASC, HOA; used in Huang25 section 3.1). Its formula is not
 at hand; this is the form its description has. Places of the balises: from memory of the group's papers.

@@ -1,10 +1,10 @@
 """Double minimal-time distribution: how the time left is shared out among the speed-limit intervals.
 
-The minimum-time curve (full traction up to the limits, full braking for the lower ones and the stop) gives the
-least time from any state to the destination, ``tau_D``, and to the end of the interval, ``tau_k``. The interval
-gets ``Tr tau_k / tau_D`` of the reserved time (Huang25 Algorithm 1, rule 5). An interval ends where the
-minimum-time curve must slow down for a lower limit and traction is needed again behind it; all others are one
-with the next.
+The minimum-time curve (full traction up to the limits, full braking for the lower ones and the stop) gives
+the least time from any state to the destination, ``tau_D``, and to the end of the interval, ``tau_k``. The
+interval gets ``Tr tau_k / tau_D`` of the reserved time (Huang25 Algorithm 1, rule 5). An interval ends where
+the minimum-time curve must slow down for a lower limit and traction is needed again behind it; all others are
+one with the next.
 """
 
 from __future__ import annotations

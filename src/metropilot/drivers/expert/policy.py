@@ -1,4 +1,4 @@
-"""Drivers that learned inside the expert: the policy chooses the change of the rate, all else is the expert's."""
+"""Drivers that learned inside the expert: the policy changes the rate, all else is the expert's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the paper only promises, or leaves open: disturbances, other plants, and Algorithm 1 as it is printed."""
+"""What the paper promises or leaves open: disturbances, other plants, Algorithm 1 as it is printed."""
 
 from __future__ import annotations
 

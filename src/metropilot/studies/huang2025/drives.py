@@ -59,7 +59,7 @@ class Driven:
 
 
 def drivers_of(driver: str, policies: Mapping[str, Sequence[Path]], seeds: range) -> list[AbstractDriver]:
-    """One driver a seed: manual drives differ by the seed, learned ones by their policy, an expert's not at all."""
+    """One driver a seed: manual drives differ by the seed, learned ones by policy, an expert's not at all."""
     if driver in policies:
         return [_learned(driver, path) for path in policies[driver]]
     return [make_driver(driver) for _ in (seeds if driver == MANUAL else range(1))]
@@ -82,7 +82,7 @@ def driven(case: Case, driver: str, policies: Mapping[str, Sequence[Path]], seed
 
 
 class Least:
-    """Least wheel energy over running time under a driver's comfort limits: three plans and the parabola of them.
+    """Least wheel energy over running time under a driver's comfort limits: the parabola of three plans.
 
     Args:
         drives: What is to be compared; their section, restrictions included.

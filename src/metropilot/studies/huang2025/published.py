@@ -12,8 +12,8 @@ from types import MappingProxyType
 
 TITLE = "Expert driving, and PPO inside it (Huang et al. 2025)"
 CITATION = (
-    "Y. Huang, W. Lai, D. Chen, G. Lin, J. Yin: Enhanced intelligent train operation algorithms for metro train "
-    "based on expert system and deep reinforcement learning. PLoS ONE 20(5), 2025, e0323478, "
+    "Y. Huang, W. Lai, D. Chen, G. Lin, J. Yin: Enhanced intelligent train operation algorithms for metro "
+    "train based on expert system and deep reinforcement learning. PLoS ONE 20(5), 2025, e0323478, "
     "doi 10.1371/journal.pone.0323478."
 )
 DECISION_US = 2100.0

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from metropilot.drivers.shipped import shipped_policy
 from metropilot.studies.huang2025.beyond import beyond_rows
+from metropilot.studies.huang2025.deviations import DEVIATIONS
 from metropilot.studies.huang2025.drives import (
     Driven,
     available,
@@ -29,7 +30,7 @@ from metropilot.studies.huang2025.published import (
     TITLE,
 )
 from metropilot.studies.huang2025.stops import GAINS, repeated_stops, stop_rows
-from metropilot.studies.huang2025.words import DEVIATIONS, remarks
+from metropilot.studies.huang2025.words import remarks
 from metropilot.studies.report import Report, Row
 
 if TYPE_CHECKING:
@@ -45,8 +46,8 @@ def reproduce(order: Order) -> Report:
     """Do the study.
 
     Args:
-        order: ``quick``: shipped policies, a short learning run of each. ``paper``: everything learned with ten
-            seeds. Manual drives have ten seeds in both.
+        order: ``quick``: shipped policies, a short learning run of each. ``paper``: everything learned with
+            ten seeds. Manual drives have ten seeds in both.
     """
     from metropilot.studies.huang2025.learning import jobs
     from metropilot.studies.learning import learn_seeds
@@ -65,7 +66,7 @@ def reproduce(order: Order) -> Report:
     stops = [repeated_stops(gain) for gain in GAINS]
     rows = _rows(found)
     learned = [r for r in results if r.job.about["driver"] == EITOP]
-    rows += _learning_rows(results) + [*stop_rows(stops), *beyond_rows(policies)]
+    rows += [*_learning_rows(results), *stop_rows(stops), *beyond_rows(policies)]
     figures = figures_of(found, learned, stops)
     said = remarks(rows, budget=order.budget)
     return Report("huang2025", TITLE, order.budget, len(seeds), 0.0, rows, figures, DEVIATIONS, said)

@@ -10,7 +10,7 @@ from metropilot.task import News, Run, Scenario
 
 LINE, TRAINSET = "yizhuang-ttobench", "dkz32"
 DELAY_S, LAG_S = 0.6, 0.4
-"""Dead time and time constant of its eq. 4 (assumed: no value can be read; usual of the group's station stops)."""
+"""Dead time and time constant of its eq. 4 (assumed: no value can be read)."""
 GENTLE_MPS2 = {EITOP: 0.8}
 """Largest acceleration of each driver; every other one of the expert's keeps rule 2."""
 RULE2_MPS2 = 0.6
