@@ -281,7 +281,9 @@ EXPERT_TABLE: Mapping[str, Any] = MappingProxyType(
 EXPERT_REPLAY: Mapping[str, Any] = MappingProxyType(
     {
         **BEGINS,
-        "steps": 200_000,
+        "steps": 160_000,
+        "updates": 8,
+        "batch_size": 128,
         "hidden": (64, 64),
         "gamma": 0.999,
         "n_step": 10,

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, final
 
+import numpy as np
+
 from metropilot.task.actions import AbstractAction
 from metropilot.task.expert import Rules
 from metropilot.task.expert_view import expert_command
@@ -12,6 +14,9 @@ from metropilot.task.interface import ActionSpace
 from metropilot.task.observers import Sight
 
 Array = Any
+
+SURE_S = 2.0
+"""The window a policy drives in: a second inside the 3 s, so that the worst policy still arrives on time."""
 
 
 @final
@@ -32,7 +37,7 @@ class ExpertAction(AbstractAction):
     @property
     def rules(self) -> Rules:
         """The expert's constants."""
-        return Rules(self.start_mps2, self.change_mps2, self.interval_s)
+        return Rules(self.start_mps2, self.change_mps2, self.interval_s, SURE_S)
 
     @property
     def space(self) -> ActionSpace:
@@ -69,7 +74,7 @@ class ExpertChoiceAction(AbstractAction):
     @property
     def rules(self) -> Rules:
         """The expert's constants."""
-        return Rules(self.start_mps2, self.change_mps2, self.interval_s)
+        return Rules(self.start_mps2, self.change_mps2, self.interval_s, SURE_S)
 
     @property
     def space(self) -> ActionSpace:
@@ -82,4 +87,4 @@ class ExpertChoiceAction(AbstractAction):
 
     def command(self, sight: Sight, action: Array, period_s: float) -> Array:
         """The last rate, changed as far as the rules allow."""
-        return expert_command(sight, self.rules, sight.xp.asarray(self.changes)[action], period_s)
+        return expert_command(sight, self.rules, sight.xp.asarray(self.changes, np.float32)[action], period_s)

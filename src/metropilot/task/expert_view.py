@@ -65,7 +65,7 @@ def view_of(sight: Sight, rules: Rules) -> View:
     pulling = xp.maximum(sight.acceleration_mps2, 0.0)
     coasts_at = v + pulling * (vehicle.delay_s + vehicle.lag_s + 0.5 * pulling / jerk)
     left = xp.maximum(sight.left_m, 1e-3)
-    at = sight.position_m + left / SEGMENTS * xp.arange(SEGMENTS + 1)
+    at = sight.position_m + left / SEGMENTS * xp.arange(SEGMENTS + 1, dtype=left.dtype)
     climb = sight.rows.ground_at(CLIMB, sight.case, at)
     cap = xp.maximum(sight.rows.ground_at(PERMITTED, sight.case, at) - MARGIN_MPS, 0.0)
     stretch = Stretch(left, climb, 0.5 * cap * cap, 0.0)

@@ -22,10 +22,10 @@ COMMAND = "metropilot reproduce huang2025 --budget paper"
 TIMES_S = (95.0, 101.0, 115.0)
 WATCHED_S = 101.0
 J_PER_KWH = 3.6e6
-EVALUATIONS = 24
+EVALUATIONS = 16
 SIZES: dict[str, dict[str, int]] = {
     "quick": {"eitop": 300_000, "itor": 1_000_000, "ston": 20_000, "stod": 20_000},
-    "paper": {"eitop": 2_000_000, "itor": 8_000_000, "ston": 100_000, "stod": 100_000},
+    "paper": {"eitop": 1_000_000, "itor": 4_000_000, "ston": 64_000, "stod": 64_000},
 }
 """Environment steps of half a second."""
 
