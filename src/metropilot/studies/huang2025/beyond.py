@@ -13,6 +13,7 @@ from metropilot.railway import Actuation
 from metropilot.studies.huang2025.drives import ABOVE, Least, drivers_of
 from metropilot.studies.huang2025.published import BEYOND, BY_ID, EXPERTS
 from metropilot.studies.huang2025.setting import DELAY_S, LAG_S, run_of
+from metropilot.studies.huang2025.vehicles import vehicle_rows
 from metropilot.studies.report import Row
 from metropilot.task import Run, Scenario
 
@@ -47,6 +48,7 @@ def beyond_rows(policies: Mapping[str, Sequence[Path]]) -> Iterator[Row]:
         for name, intervals in (("each interval", True), ("the destination (as everywhere above)", False)):
             found = drive(run_of(case), Eitoe(EitoeOptions(intervals=intervals)))
             yield from _rows(LITERAL, f"{case.name}, window of {name}", "eitoe", [found], gap=True)
+        yield from vehicle_rows(drive(run_of(case), Eitoe()), case.name)
 
 
 def _plants(run: Run) -> dict[str, Run]:

@@ -16,7 +16,7 @@ DEVIATIONS = (
         "Gain 1, dead time 0.6 s and time constant 0.4 s stand for eq. 4, whose values are not "
         "printed; there is no other limit on the change of effort, as in the paper. Gradients and "
         "limits hold over the trainset's length of 118 m, and the sum of eq. 3 over the vehicles is "
-        "driven; coupler forces are not modelled here."
+        "driven; what its six vehicles would do under the same efforts is in a table at the end."
     ),
     (
         "The window of eq. 14 compares the mean speed of a trainset that coasts from here, not the "

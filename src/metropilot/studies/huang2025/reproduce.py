@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 LEARNING = "Learning: its Figs. 5 and 6"
 DECISIONS = "Decision time"
+MANUAL_SEEDS = 10
 Found = dict[tuple[str, str], Driven]
 
 
@@ -61,7 +62,7 @@ def reproduce(order: Order) -> Report:
     for case in CASES:
         for driver in case.drivers:
             if available(driver, policies):
-                found[case.id, driver] = driven(case, driver, policies, range(order.seeds or 10))
+                found[case.id, driver] = driven(case, driver, policies, range(MANUAL_SEEDS))
         order.say(f"{case.name} driven")
     stops = [repeated_stops(gain) for gain in GAINS]
     rows = _rows(found)
