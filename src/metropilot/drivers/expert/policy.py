@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -65,9 +65,7 @@ class AbstractExpertPolicyDriver(AbstractDriver):
 
     @cached_property
     def _action(self) -> ExpertAction | ExpertChoiceAction:
-        action = self.loaded.perception.action
-        assert isinstance(action, ExpertAction | ExpertChoiceAction)
-        return action
+        return cast("ExpertAction | ExpertChoiceAction", self.loaded.perception.action)
 
     def init(self, run: Run) -> PolicyMemory:
         """Read the policy, and build the tables of the section."""

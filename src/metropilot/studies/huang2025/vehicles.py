@@ -1,4 +1,4 @@
-"""The same efforts on six vehicles joined by couplers (Huang25 eq. 3), beside the one body that was driven."""
+"""The same efforts on six vehicles joined by couplers (Huang25 eq. 3), beside the one body that is driven."""
 
 from __future__ import annotations
 
