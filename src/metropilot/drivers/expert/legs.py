@@ -21,8 +21,8 @@ from metropilot.task.tables import SPEED_STEP_MPS
 from metropilot.task.to_go import to_go_table
 
 SLACK_MPS = 0.3
-STALLED = 4.0
-"""Coasting that takes so many times what the speed at its beginning would take has come to a stand."""
+SLOW = 1.2
+"""Coasting that takes so many times the least time is no way to go on."""
 
 
 class Leg(NamedTuple):
@@ -104,10 +104,9 @@ def legs_of(model: Model, ground: Ground, rules: Rules) -> Legs:
 
 
 def _needs_power(ground: Ground, leg: Leg, rules: Rules) -> bool:
-    """Whether a trainset that coasts on from the end of an interval never gets to the stop."""
+    """Whether a trainset that coasts on from the end of an interval comes to the stop too late for anybody."""
     stretch = ground.stretch(leg.end_m, ground.length_m, 0.0)
-    coasting = coasting_s(PLAIN, ground.davis, rules.brake_mps2, leg.end_mps, stretch)
-    return coasting > STALLED * stretch.left_m / leg.end_mps
+    return coasting_s(PLAIN, ground.davis, rules.brake_mps2, leg.end_mps, stretch) > SLOW * leg.after_s
 
 
 def _nodes(length_m: float) -> np.ndarray:

@@ -151,12 +151,3 @@ def decision_row(table: str, driver: str, found: Sequence[Driven]) -> Row:
     place = Row(table, "all cases", driver, "time of a decision (range: median and 95 % point)", "µs", said)
     middle, high = float(np.median(times)), float(np.percentile(times, 95))
     return Row(**{**place.__dict__, "ours": middle, "low": middle, "high": high})
-
-
-def least_time_s(case: Case, driver: str) -> float:
-    """Flat-out running time of a case as it stands after the news, under the driver's comfort limits, s."""
-    run = run_of(case)
-    where = run.section
-    for news in run.scenario.news:
-        where = where.restricted(news.restriction) if news.restriction else where
-    return minimum_running_time(where, comfortable(driver, run.trainset))

@@ -14,10 +14,10 @@ from metropilot.studies.huang2025.drives import (
     available,
     decision_row,
     driven,
-    least_time_s,
     rows_of,
 )
 from metropilot.studies.huang2025.figures import figures_of
+from metropilot.studies.huang2025.news import news_rows
 from metropilot.studies.huang2025.published import (
     CASES,
     EITOP,
@@ -25,7 +25,6 @@ from metropilot.studies.huang2025.published import (
     LEARNED,
     LEARNED_IE,
     MANUAL,
-    TABLE3,
     TABLE4,
     TITLE,
 )
@@ -90,15 +89,7 @@ def _rows(found: Found) -> list[Row]:
     rows: list[Row] = []
     for (case_id, _), one in found.items():
         rows += rows_of(one, found.get((case_id, MANUAL)))
-        if one.case.table == TABLE3:
-            place = (
-                TABLE3,
-                one.case.name,
-                one.driver,
-                "flat-out minimum of the whole run as it now stands",
-                "s",
-            )
-            rows.append(Row(*place).measured([least_time_s(one.case, one.driver)]))
+        rows += news_rows(one)
     rows += _whole(found)
     drivers = dict.fromkeys(driver for _, driver in found)
     rows += [decision_row(DECISIONS, d, [one for one in found.values() if one.driver == d]) for d in drivers]

@@ -57,7 +57,8 @@ def remarks(rows: Sequence[Row], *, budget: str) -> list[str]:
         ),
         (
             "After late news the optimum in hindsight is out of reach: what was driven before the news "
-            f"cannot be taken back. Arrivals: {_arrivals(rows)}."
+            "cannot be taken back; the row below it counts from the news on. Arrivals: "
+            f"{_arrivals(rows)}."
         ),
         (
             f"Against our manual surrogate EITOE saves {_saved(rows, EITOE)} of Ie and EITOP "
@@ -92,7 +93,7 @@ def _met(rows: Sequence[Row]) -> str:
     spells = "no intervention" if not overruled else f"interventions in {len(overruled)} rows"
     return (
         f"{words} and every seed ({spells}), apart from the restriction in 101 s, where they cannot be: "
-        "even flat out it takes longer, see the flat-out minimum there."
+        "even flat out it takes longer, see the earliest arrival there."
     )
 
 
