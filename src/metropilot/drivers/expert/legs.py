@@ -104,7 +104,7 @@ def legs_of(model: Model, ground: Ground, rules: Rules) -> Legs:
 
 
 def _needs_power(ground: Ground, leg: Leg, rules: Rules) -> bool:
-    """Whether a trainset that coasts on from the end of an interval comes to the stop too late for anybody."""
+    """Whether a trainset that coasts on from the end of an interval comes to the stop far too late."""
     stretch = ground.stretch(leg.end_m, ground.length_m, 0.0)
     return coasting_s(PLAIN, ground.davis, rules.brake_mps2, leg.end_mps, stretch) > SLOW * leg.after_s
 

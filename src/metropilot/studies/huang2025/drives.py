@@ -25,7 +25,7 @@ from metropilot.studies.huang2025.published import (
     TOP,
     Case,
 )
-from metropilot.studies.huang2025.setting import DELAY_S, LAG_S, comfortable, run_of, trainset
+from metropilot.studies.huang2025.setting import DELAY_S, comfortable, run_of, trainset
 from metropilot.studies.report import Row
 
 J_PER_KWH = 3.6e6
@@ -94,7 +94,7 @@ class Least:
         section = drives[0].section
         fastest = minimum_running_time(section, gentle) * 1.0005
         times = [one.running_time_s for one in drives]
-        low = max(min(times) - DELAY_S - LAG_S, fastest)
+        low = max(min(times) - DELAY_S, fastest)
         self.times_s = np.linspace(low, max(*times, low + 1.0), 3)
         options = PlanOptions(spacing_m=SPACING_M)
         plans = [optimal_plan(section, gentle, float(t), options) for t in self.times_s]
@@ -135,7 +135,7 @@ def rows_of(found: Driven, manual: Driven | None) -> Iterator[Row]:
     best = least.at(float(np.median([k.running_time_s for k in kpis]))) / J_PER_KWH
     yield row("wheel traction energy", "kWh", [k.energy_wheel_kwh for k in kpis], best)
     yield row(ABOVE, "%", [least.above_percent(one) for one in found.drives])
-    dead = [least.above_percent(one, DELAY_S + LAG_S) for one in found.drives]
+    dead = [least.above_percent(one, DELAY_S) for one in found.drives]
     yield row(ABOVE_DEAD, "%", dead)
     yield row(TOOK, "s", [k.running_time_s for k in kpis])
     yield row("stopping error", "m", [abs(k.stopping_error_m) for k in kpis])
