@@ -29,7 +29,7 @@ def test_recipes_can_be_followed(driver):
     discrete = {"dqn": True, "tabular": True, "ddpg": False, "sac": False, "naf": False}
     assert task.action.space.discrete == discrete.get(row.algorithm, task.action.space.discrete)
     if row.algorithm == "tabular":
-        numbers = {"position": 1, "speed": 1, "time_left": 1, "position_m": 1}
+        numbers = {"position": 1, "speed": 1, "time_left": 1, "position_m": 1, "expert": 7}
         assert len(configs[0].bins) == sum(numbers[name] for name in task.features)
 
 

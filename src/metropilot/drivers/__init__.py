@@ -2,6 +2,8 @@
 
 from metropilot.drivers import (  # noqa: F401 (importing a driver's file registers it)
     ddpg_pid,
+    eitoe,
+    expert_learned,
     flat_out,
     fuzzy_pid,
     manual,

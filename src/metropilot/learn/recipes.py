@@ -15,6 +15,7 @@ from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.config_reading import config_from_mapping
 from metropilot.task import TASKS, DrivingConfig, task_config
 from metropilot.task.actions import NotchAction
+from metropilot.task.expert_action import ExpertAction
 
 if TYPE_CHECKING:
     from metropilot.learn.loop import Evaluate
@@ -185,6 +186,11 @@ def _coarse(config: DrivingConfig) -> DrivingConfig:
     )
 
 
+def _gentle(config: DrivingConfig) -> DrivingConfig:
+    """The acceleration of the paper's second rule."""
+    return replace(config, action=ExpertAction(start_mps2=0.6))
+
+
 PPO: Mapping[str, Any] = MappingProxyType(
     {
         "steps": 20_000_000,
@@ -202,6 +208,17 @@ PPO: Mapping[str, Any] = MappingProxyType(
     }
 )
 PPO_QUICK: Mapping[str, Any] = MappingProxyType({"steps": 4_000_000, "evaluations": 8})
+EXPERT: Mapping[str, Any] = MappingProxyType(
+    {
+        "steps": 3_000_000,
+        "environments": 128,
+        "minibatches": 8,
+        "hidden": (32, 32),
+        "normalise_observations": False,
+        "evaluations": 12,
+    }
+)
+EXPERT_QUICK: Mapping[str, Any] = MappingProxyType({"steps": 1_000_000, "evaluations": 6})
 REPLAY: Mapping[str, Any] = MappingProxyType(
     {
         "steps": 400_000,
@@ -251,6 +268,29 @@ TABLE: Mapping[str, Any] = MappingProxyType(
         "evaluations": 16,
     }
 )
+EXPERT_TABLE: Mapping[str, Any] = MappingProxyType(
+    {
+        "steps": 8_000_000,
+        "environments": 256,
+        "bins": (40, 24, 1, 4, 1, 12, 1),
+        "low": (0.0, 0.0, 0.0, -0.6, 0.0, -3.0, -1.0),
+        "high": (2.0, 1.2, 2.0, 0.6, 1.2, 3.0, 1.0),
+    }
+)
+"""Of what the expert's policies see, a table holds distance, speed, the rate, how late coasting would be."""
+EXPERT_REPLAY: Mapping[str, Any] = MappingProxyType(
+    {
+        **BEGINS,
+        "steps": 160_000,
+        "updates": 8,
+        "batch_size": 128,
+        "hidden": (64, 64),
+        "gamma": 0.999,
+        "n_step": 10,
+        "noise": {"start": 0.6, "end": 0.1},
+        "evaluations": 16,
+    }
+)
 
 RECIPES: Mapping[str, Recipe] = MappingProxyType(
     {
@@ -266,6 +306,35 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         "ddpg": Recipe("DDPG", "Lillicrap16", "ddpg", "drive", {**REPLAY, **BEGINS}, REPLAY_QUICK),
         "sac": Recipe("SAC", "Haarnoja18", "sac", "drive", {**REPLAY, **BEGINS}, REPLAY_QUICK),
         "naf": Recipe("NAF", "Gu16", "naf", "drive", {**REPLAY, **BEGINS}, REPLAY_QUICK),
+        "eitop": Recipe(
+            "PPO inside the expert", "Huang25", "ppo", "huang2025", {**PPO, **EXPERT}, EXPERT_QUICK
+        ),
+        "itor": Recipe(
+            "Q-learning in a table inside the expert",
+            "Yin et al. 2014, compared in Huang25",
+            "tabular",
+            "huang2025_choices",
+            {**TABLE, **EXPERT_TABLE},
+            {"steps": 2_000_000, "evaluations": 8},
+        ),
+        "stod": Recipe(
+            "DDPG inside the expert",
+            "Zhou et al. 2020",
+            "ddpg",
+            "huang2025",
+            {**REPLAY, **EXPERT_REPLAY},
+            REPLAY_QUICK,
+            _gentle,
+        ),
+        "ston": Recipe(
+            "NAF inside the expert",
+            "Zhou et al. 2020, compared in Huang25",
+            "naf",
+            "huang2025",
+            {**REPLAY, **EXPERT_REPLAY},
+            REPLAY_QUICK,
+            _gentle,
+        ),
         "dqn": Recipe("DQN", "Lu23", "dqn", "lu2023", NOTCHES, NOTCHES_QUICK),
         "improved_dqn": Recipe(
             "DQN, double, dueling, with prioritised replay",

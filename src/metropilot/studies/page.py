@@ -78,12 +78,16 @@ def write_figures(folder: Path, report: Report) -> None:
     Raises:
         InputError: The folder cannot be written.
     """
+    from matplotlib import pyplot as plt
+
     from metropilot.evaluate.style import house_style, save
 
     with filled(folder) as scratch:
         for figure in report.figures:
             with house_style():
-                save(figure.draw(), scratch / figure.name)
+                drawing = figure.draw()
+                save(drawing, scratch / figure.name)
+                plt.close(drawing)
 
 
 def write_report(folder: Path, study: Study, report: Report) -> None:

@@ -19,6 +19,7 @@ STUDIES: Mapping[str, str] = MappingProxyType(
         "chen2023a": "Driving by position and speed: PPO with reward scaling against PPO and DDPG",
         "chen2023b": "Following in virtual coupling: SAC-PID against DDPG-PID, and what keeps convoys apart",
         "cheng2023": "Tracking a reference: DDPG-PID against PID, fuzzy and neural PID",
+        "huang2025": "Driving by an expert system, and PPO inside it, against manual driving and STON",
         "lu2023": "Driving by twelve notches: improved DQN against DQN, ablation, optimum over the notches",
     }
 )

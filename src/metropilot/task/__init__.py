@@ -1,6 +1,7 @@
 """The driving problem: what is to be driven, what may go wrong, and what a driver sees."""
 
-from metropilot.task.actions import ACTIONS, AbstractAction
+from metropilot.task.action_kinds import ACTIONS
+from metropilot.task.actions import AbstractAction
 from metropilot.task.assist import Assists
 from metropilot.task.config import DrivingConfig
 from metropilot.task.driving import DriveState, DrivingTask, episode_of, starts

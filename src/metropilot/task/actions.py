@@ -1,15 +1,14 @@
 """What an action of the policy means: a few numbers, or a choice, become a command in [-1, 1].
 
 Each kind is written over the array namespace, so that a driver on the host maps actions exactly as the task
-did. A kind is one small class and one row of :data:`ACTIONS`.
+did. A kind is one small class and one row of
+:data:`metropilot.task.action_kinds.ACTIONS`.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, final
 
 import numpy as np
@@ -282,15 +281,3 @@ class GainsAction(AbstractAction):
         del period_s
         gain, share = self.gains(sight, action)
         return sight.xp.clip(gain * (share * sight.permitted_mps - sight.speed_mps), -1.0, 1.0)
-
-
-ACTIONS: Mapping[str, type[AbstractAction]] = MappingProxyType(
-    {
-        "command": CommandAction,
-        "regime": RegimeAction,
-        "increment": IncrementAction,
-        "notches": NotchAction,
-        "notch_forces": NotchForceAction,
-        "gains": GainsAction,
-    }
-)

@@ -32,7 +32,7 @@ def declared_bounds(run: Run) -> Bounds:
     if scenario.headwind_mps != 0.0:
         resistance = _holding(resistance, *_resistance_ratios(run))
     share = bounds.service_share
-    if np.isfinite(scenario.adhesion):
+    if np.isfinite(scenario.adhesion) or scenario.brake_factor < 1.0:
         share = min(share, _braking_share(run))
     return replace(
         bounds, mass=_holding(MASS, scenario.mass_factor), resistance=resistance, service_share=share

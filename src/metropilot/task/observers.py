@@ -198,12 +198,20 @@ def position_m(sight: Sight) -> Sequence[Array]:
     return [sight.position_m / DISTANCE_M]
 
 
+def expert(sight: Sight) -> Sequence[Array]:
+    """What a policy inside the expert of Huang25 sees (its eq. 19, and the speed window)."""
+    from metropilot.task.expert_view import expert_features
+
+    return expert_features(sight)
+
+
 FEATURES: Mapping[str, Feature] = MappingProxyType(
     {
         f.__name__: f
         for f in (
             position,
             position_m,
+            expert,
             speed,
             acceleration,
             command,

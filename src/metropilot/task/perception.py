@@ -9,7 +9,8 @@ from types import MappingProxyType
 from typing import Any
 
 from metropilot.errors import InputError
-from metropilot.task.actions import ACTIONS, AbstractAction
+from metropilot.task.action_kinds import ACTIONS
+from metropilot.task.actions import AbstractAction
 from metropilot.task.assist import Assists
 from metropilot.task.observers import FEATURES
 

@@ -9,18 +9,27 @@ from typing import Any
 
 from metropilot.errors import InputError
 from metropilot.railway import Section, Trainset, load_line, load_trainset
-from metropilot.task.actions import CommandAction, IncrementAction, NotchAction, NotchForceAction
+from metropilot.task.actions import (
+    AbstractAction,
+    CommandAction,
+    IncrementAction,
+    NotchAction,
+    NotchForceAction,
+)
 from metropilot.task.assist import Assists
 from metropilot.task.config import REWARDS, DrivingConfig
 from metropilot.task.driving import DrivingTask
+from metropilot.task.expert_action import ExpertAction, ExpertChoiceAction
 from metropilot.task.rewards import (
     AccelerationComfort,
     Comfort,
     EffortEnergy,
     Energy,
     Failure,
+    Intervention,
     Moving,
     OnTime,
+    Punctuality,
     StopError,
     StopWindow,
 )
@@ -134,6 +143,36 @@ def _chen2023a() -> DrivingConfig:
     )
 
 
+HUANG2025_REWARDS = (
+    Energy(),
+    Punctuality(per_s=3.0, soft_s=0.5),
+    Comfort(weight=0.2),
+    Failure(price=20.0, per_m=0.05),
+    Intervention(),
+)
+"""Huang25 eq. 26: energy, time error (eq. 27 at the end) and comfort; its weights are not printed."""
+HUANG2025_STOP_MPS2 = 0.95
+"""What its station stop plans with."""
+
+
+def huang2025_sections() -> tuple[Section, ...]:
+    """Sections of Huang25's line that can be coasted to the end, one of them its case 1."""
+    line = load_line("yizhuang-ttobench")
+    return tuple(line.section(*ends) for ends in (("RJ", "WYJ"), ("WYJ", "RJ"), ("XC", "XHM"), ("JG", "YZQ")))
+
+
+def _huang2025(action: AbstractAction) -> DrivingConfig:
+    return DrivingConfig(
+        sections=huang2025_sections(),
+        trainsets=(load_trainset("dkz32"),),
+        scenarios=Scenarios(time_ratio=(1.08, 1.45), news=0.2, on_the_way=ON_THE_WAY),
+        observer=("expert",),
+        action=action,
+        rewards=HUANG2025_REWARDS,
+        assists=Assists(stop_mps2=HUANG2025_STOP_MPS2),
+    )
+
+
 LU2023_REWARDS = (
     OnTime(bonus=1000.0, allowed_s=3.0),
     EffortEnergy(),
@@ -174,6 +213,13 @@ TASKS: Mapping[str, TaskRow] = MappingProxyType(
         "drive_notches": TaskRow("RJ to WYJ by a table of notches", _drive_notches),
         "drive_unassisted": TaskRow("RJ to WYJ without assists: the policy brakes itself", _drive_unassisted),
         "chen2023a": TaskRow("YZQ to WHY in 80 s from position and speed (Chen23a)", _chen2023a),
+        "huang2025": TaskRow(
+            "RJ to WYJ and three more inside Huang25's expert: the change of the rate, a number",
+            lambda: _huang2025(ExpertAction()),
+        ),
+        "huang2025_choices": TaskRow(
+            "The same by choice of one of three changes (its ITOR)", lambda: _huang2025(ExpertChoiceAction())
+        ),
         "lu2023": TaskRow("WHY to WYJ by twelve notches, rewards and filter of Lu23, 120 to 140 s", _lu2023),
     }
 )

@@ -58,6 +58,8 @@ class Scenario:
         adhesion: Traction, or electric braking, over weight at which the driven wheels slip; infinite: dry
             rail. Friction brakes fill up what the electric brake cannot give; the guaranteed emergency brake
             does not depend on it (sand, track brake).
+        brake_factor: True service braking force over the one the driver believes; the guaranteed emergency
+            brake does not depend on it.
         news: What the driver is told on the way.
     """
 
@@ -69,6 +71,7 @@ class Scenario:
     speed_noise_mps: float = 0.0
     headwind_mps: float = 0.0
     adhesion: float = float("inf")
+    brake_factor: float = 1.0
     news: tuple[News, ...] = ()
 
     def __post_init__(self) -> None:
@@ -79,6 +82,7 @@ class Scenario:
             ("extra_lag_s", 0.0, 5.0),
             ("speed_noise_mps", 0.0, 1.0),
             ("headwind_mps", -25.0, 25.0),
+            ("brake_factor", 0.5, 1.5),
         ):
             value = getattr(self, name)
             if not (np.isfinite(value) and low <= value <= high):
@@ -114,6 +118,7 @@ class Scenario:
             davis=Davis(a + c * wind * wind, b + 2.0 * c * wind, c),
             traction=_capped(known.traction, most_n),
             electric_brake=_capped(known.electric_brake, most_n),
+            service_deceleration_mps2=known.service_deceleration_mps2 * self.brake_factor,
             actuation=actuation,
         )
 

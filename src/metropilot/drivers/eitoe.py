@@ -1,0 +1,75 @@
+"""EITOE: the enhanced intelligent train operation algorithm by an expert system, without a reference profile.
+
+Rules 1 to 5, the speed window of the double minimal-time distribution, the safe speed, and the station stop
+that learns the brake's gain. Source: Huang25 section 3.1, eqs. 14 to 18 and Algorithm 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+from metropilot.drivers.base import AbstractDriver, register
+from metropilot.drivers.expert.driving import ExpertMemory, Seen, decide, prepared
+from metropilot.drivers.expert.hoa import GAIN, SETTLED, UNSURE, Hoa
+from metropilot.errors import InputError
+from metropilot.task import Observation, Run
+from metropilot.task.expert import PLAIN, Rules, constant_change
+
+
+@dataclass(frozen=True)
+class EitoeOptions:
+    """What the expert is told.
+
+    Attributes:
+        start_mps2: Largest acceleration (rule 2).
+        brake_gain: Actual over believed braking force, as learned at earlier stops.
+        brake_known: Whether it was: a driver that never stopped this trainset plans its stop with care.
+        intervals: Keep to a time for each speed-limit interval, as Algorithm 1 prints it.
+    """
+
+    start_mps2: float = 0.6
+    brake_gain: float = 1.0
+    brake_known: bool = True
+    intervals: bool = False
+
+    def __post_init__(self) -> None:
+        if not GAIN[0] <= self.brake_gain <= GAIN[1]:
+            allowed = f"{GAIN[0]:g} to {GAIN[1]:g}"
+            raise InputError("out of range", field="brake_gain", value=self.brake_gain, allowed=allowed)
+
+    @property
+    def hoa(self) -> Hoa:
+        """What is known about the brake."""
+        return Hoa(self.brake_gain, SETTLED if self.brake_known else UNSURE)
+
+
+@final
+@register
+class Eitoe(AbstractDriver):
+    """Drives by an expert's rules: accelerate, coast as long as the time left allows, brake to the stop.
+
+    Args:
+        options: Acceleration, and what is known about the brake.
+    """
+
+    id = "eitoe"
+    summary = "Expert system: time window by minimal-time distribution, long coasting, a stop that learns"
+    source = "Huang25"
+
+    def __init__(self, options: EitoeOptions | None = None) -> None:
+        self.options = options or EitoeOptions()
+
+    def init(self, run: Run) -> ExpertMemory:
+        """Tables of the section, once."""
+        rules = Rules(start_mps2=self.options.start_mps2, intervals=self.options.intervals)
+        return prepared(run, run.section, rules, self.options.hoa)
+
+    def act(self, memory: ExpertMemory, observation: Observation) -> tuple[float, ExpertMemory]:
+        """One decision by the rules; the change of the rate is the constant of eqs. 15 and 16."""
+        rules = memory.rules
+
+        def change(seen: Seen) -> float:
+            return constant_change(PLAIN, rules, seen.window, seen.rate_mps2)
+
+        return decide(memory, observation, change)

@@ -1,0 +1,240 @@
+"""How the expert drives: the loop that EITOE and the drivers that learned inside it share.
+
+Every control period: what came of the last command, the state when a command given now acts, the last braking
+if it must begin, the safe speed, and else the rate by the window, changed by a constant or by a policy.
+
+Source: Huang25 section 3 (rules 1 to 5, eqs. 14 to 24).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from metropilot.drivers.cruising import Ceiling, ceiling_of, model_of
+from metropilot.drivers.expert.actuation import Actuation, actuation_of, ahead_of, share_of
+from metropilot.drivers.expert.ground import STEP_M, Ground, build_up_s, ground_of, lead_s
+from metropilot.drivers.expert.hoa import Hoa, felt, stop_share
+from metropilot.drivers.expert.legs import Leg, Legs, legs_of
+from metropilot.drivers.observer import Ahead, Model
+from metropilot.drivers.stopping import Curve, curve_for
+from metropilot.railway import Section
+from metropilot.task import Observation, Run
+from metropilot.task.expert import PLAIN, RELEASE_SHARE, Rules, Window, coasting_s, next_rate, window_of
+
+HOLD_PER_S = 0.5
+"""Acceleration for each m/s below the safe speed."""
+BACK_PER_S = 1.0
+"""Deceleration for each m/s above it."""
+CLEAR_MPS = 3.0
+"""Farther below the safe speed than this nothing needs to be eased off."""
+MARGIN_MPS = 0.25
+"""How far below the permitted speed."""
+TIGHT = 1.03
+"""Time left over the least time below which no time is given away for a lower limit ahead."""
+
+
+class Seen(NamedTuple):
+    """What a choice of the change of the rate may look at.
+
+    Attributes:
+        window: The speed window.
+        speed_mps: Speed.
+        left_m: Distance to the end of the interval.
+        time_left_s: Time it has for that.
+        rate_mps2: The rate now.
+        top_mps2: Largest rate here.
+        traction_mps2: Largest traction.
+    """
+
+    window: Window
+    speed_mps: float
+    left_m: float
+    time_left_s: float
+    rate_mps2: float
+    top_mps2: float
+    traction_mps2: float
+
+
+Change = Callable[[Seen], float]
+"""The wanted change of the rate in an interval, m/s^2."""
+
+
+class ExpertMemory(NamedTuple):
+    """What an expert driver carries from one period to the next.
+
+    Attributes:
+        run: The run.
+        section: The section as last announced.
+        rules: The expert's constants.
+        model: Trainset and section as believed.
+        ceiling: Speeds protection permits.
+        ground: Tables of both.
+        legs: The speed-limit intervals.
+        actuation: Commands on their way.
+        hoa: What is known about the brake.
+        rate_mps2: The rate ``u``.
+        before_mps2: Acceleration of the period before.
+    """
+
+    run: Run
+    section: Section
+    rules: Rules
+    model: Model
+    ceiling: Ceiling
+    ground: Ground
+    legs: Legs
+    actuation: Actuation
+    hoa: Hoa
+    rate_mps2: float = 0.0
+    before_mps2: float = 0.0
+
+
+def prepared(run: Run, section: Section, rules: Rules, hoa: Hoa) -> ExpertMemory:
+    """Everything about a section that does not change on the way.
+
+    Args:
+        run: The run.
+        section: The section with every restriction announced so far.
+        rules: The expert's constants.
+        hoa: What is known about the brake.
+    """
+    model = model_of(run, section)
+    ceiling = ceiling_of(run, section, MARGIN_MPS)
+    ground = ground_of(model, ceiling, rules)
+    return ExpertMemory(
+        run=run,
+        section=section,
+        rules=rules,
+        model=model,
+        ceiling=ceiling,
+        ground=ground,
+        legs=legs_of(model, ground, rules),
+        actuation=actuation_of(model),
+        hoa=hoa,
+    )
+
+
+def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tuple[float, ExpertMemory]:
+    """One decision.
+
+    Args:
+        memory: From :func:`prepared`, or the decision before.
+        observation: What is seen.
+        change: Chooses the change of the rate.
+    """
+    if observation.section is not memory.section:
+        fresh = prepared(memory.run, observation.section, memory.rules, memory.hoa)
+        memory = fresh._replace(actuation=memory.actuation, rate_mps2=memory.rate_mps2)
+    ground, actuation = memory.ground, memory.actuation
+    state = (observation.position_m, observation.speed_mps, observation.acceleration_mps2)
+    hoa = felt(memory.hoa, ground, actuation, state, memory.before_mps2)
+    ahead = ahead_of(ground, actuation, state, hoa.gain)
+    curve = curve_for(
+        memory.model.vehicle, actuation.dt, hoa.plan_mps2(ground.brake(ahead.speed_mps), ground.most_mps2)
+    )
+    share, braking = stop_share(hoa, ground, actuation, ahead, curve)
+    rate = 0.0
+    if not braking:
+        seen = _seen(memory, observation, ahead, curve)
+        rate = _rate(memory, seen, change(seen))
+        share = share_of(actuation, ahead, _kept_safe(memory, observation, ahead, rate))
+    memory = memory._replace(
+        actuation=actuation.issued(share),
+        hoa=hoa._replace(braking=braking),
+        rate_mps2=rate,
+        before_mps2=observation.acceleration_mps2,
+    )
+    return share, memory
+
+
+def _seen(memory: ExpertMemory, observation: Observation, ahead: Ahead, curve: Curve) -> Seen:
+    """The window where a command given now begins to act."""
+    rules, ground, legs = memory.rules, memory.ground, memory.legs
+    x, v, a = ahead.position_m, ahead.speed_mps, max(ahead.acceleration_mps2, 0.0)
+    leg = legs.leg(x) if rules.intervals else legs.legs[-1]
+    share = legs.share(leg, x, v)
+    time_left = observation.scheduled_time_s - observation.time_s - ahead.seconds - _release_s(leg, curve)
+    coasts_at = v + a * (lead_s(memory.model) - ahead.seconds + build_up_s(ground, a))
+    stretch = ground.stretch(x, leg.end_m, leg.end_mps)
+    coasting = coasting_s(PLAIN, ground.davis, curve.deceleration_mps2, coasts_at, stretch)
+    window = window_of(PLAIN, rules, stretch.left_m, coasting, time_left, share)
+    top = min(rules.start_mps2 + ahead.resistance_mps2, ahead.traction_mps2)
+    if len(legs.legs) > 1 and time_left > TIGHT * legs.least_s(ground.length_m - x, v):
+        top = min(top, _for_lower_limits(memory, ahead, coasts_at))
+    return Seen(window, v, stretch.left_m, time_left * share, memory.rate_mps2, top, ahead.traction_mps2)
+
+
+def _for_lower_limits(memory: ExpertMemory, ahead: Ahead, speed_mps: float) -> float:
+    """Largest rate that still coasts to the lower limits ahead slowly enough (rule 4).
+
+    What is braked away there must be given back behind it: power beyond this speed is lost.
+    """
+    ground, x, drag = memory.ground, ahead.position_m, ahead.resistance_mps2
+    a, b, c = ground.davis
+    davis, most = a + speed_mps * (b + speed_mps * c), ground.most_mps2
+    for leg in memory.legs.legs[:-1]:
+        if leg.end_m <= x:
+            continue
+        lost = ground.climb(leg.end_m) - ground.climb(x) + davis * (leg.end_m - x)
+        square = leg.end_mps * leg.end_mps + 2.0 * lost
+        if square > 0.0:
+            most = min(most, drag + HOLD_PER_S * (math.sqrt(square) - speed_mps))
+    return max(most, 0.0)
+
+
+def _release_s(leg: Leg, curve: Curve) -> float:
+    """Time that letting go of the last brake takes more than stopping at once."""
+    if leg.end_mps > 0.0 or curve.release_jerk_mps3 > 1e3:
+        return 0.0
+    return RELEASE_SHARE * curve.deceleration_mps2 / curve.release_jerk_mps3
+
+
+def _rate(memory: ExpertMemory, seen: Seen, change: float) -> float:
+    """The rate after the period's share of a change."""
+    rules, part = memory.rules, memory.actuation.dt / memory.rules.interval_s
+    return next_rate(
+        PLAIN,
+        rules.change_mps2 * part,
+        seen.window,
+        seen.rate_mps2,
+        change * part,
+        seen.top_mps2,
+    )
+
+
+def _kept_safe(memory: ExpertMemory, observation: Observation, ahead: Ahead, rate_mps2: float) -> float:
+    """The wheel effort under the safe speed (Huang25 eqs. 17 and 18).
+
+    Traction is eased off on the way to the safe speed, so that protection, which judges a command by what it
+    would do at once, has no reason to step in (rule 4). From the safe speed on the paper brakes at full rate;
+    here the brake follows the safe speed's own fall, so that nothing switches to and fro.
+    """
+    ground, ceiling, drag = memory.ground, memory.ceiling, ahead.resistance_mps2
+    x, v, now = ahead.position_m, ahead.speed_mps, observation.speed_mps
+    there = ground.lowest(x, ceiling.reaction_s * v)
+    here = ground.lowest(observation.position_m, ceiling.reaction_s * now)
+    if min(there - v, here - now) > CLEAR_MPS:
+        return rate_mps2
+    slow = _slowing(ground, ahead, memory.actuation.dt)
+    if slow < 0.0:
+        return min(rate_mps2, max(slow, -ground.most_mps2) + drag, 0.0)
+    allowed = min(ceiling.acceleration_under(here - now), ceiling.acceleration_under(there - v))
+    allowed = min(allowed, HOLD_PER_S * max(there - v, 0.0))
+    return min(rate_mps2, max(allowed + drag, 0.0) if v <= there else 0.0)
+
+
+def _slowing(ground: Ground, ahead: Ahead, dt: float) -> float:
+    """Acceleration that follows the fall of the safe speed and comes back under it, m/s^2; 0: not needed.
+
+    The brake is built up on the way to where the fall begins.
+    """
+    v, a = ahead.speed_mps, ahead.acceleration_mps2
+    early_s = dt + build_up_s(ground, max(ground.most_mps2 + a, 0.0))
+    x = ahead.position_m + max(v * early_s, 0.5)
+    here, there = ground.safe(x), ground.safe(x + STEP_M)
+    above = v + min(a, 0.0) * early_s - here
+    if above <= 0.0:
+        return 0.0
+    return 0.5 * min(there * there - here * here, 0.0) / STEP_M - BACK_PER_S * above

@@ -1,0 +1,162 @@
+"""Station stop by a heuristic online algorithm: the brake's gain is learned and kept for the next stop.
+
+In every control period the deceleration is computed anew that ends at the stop, ``b = v^2 / (2 S)`` with
+the trainset's jerk limit (:mod:`metropilot.drivers.stopping`), and divided by the gain learned so far. The
+gain is learned twice: in every period from the deceleration that came of the command, and at the balises from
+the speeds at two exact places, ``(v1^2 - v2^2) / (2 (S1 - S2))``.
+
+Source: Chen, Chen, Li and Tang, T-ITS 14(3) 2013 (TASC, HOA; used in Huang25 section 3.1). Its formula is not
+at hand; this is the form its description has. Places of the balises: from memory of the group's papers.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from metropilot.drivers.expert.actuation import Actuation, share_of
+from metropilot.drivers.expert.ground import Ground
+from metropilot.drivers.observer import Ahead
+from metropilot.drivers.stopping import (
+    HOLD_MPS2,
+    INCH_M,
+    RETURN_GAIN,
+    STRONGEST_MPS2,
+    Curve,
+    required_ahead,
+    strongest,
+)
+
+BALISES_M = (64.0, 36.0, 16.0, 4.0, 0.0)
+"""Distances of the balises before the stop."""
+HEURISTIC = 0.5
+"""How much of what a pair of balises says is taken over."""
+UNSURE = 0.2
+"""Scatter of the gain of a brake never tried."""
+SETTLED = 0.01
+"""Least scatter, and what one day does to it."""
+ANSWER_MPS2 = 0.03
+"""Scatter of a period's deceleration about the gain's."""
+STRANGE = 4.0
+"""A period this many deviations off is not the brake's doing (protection may have stepped in) ..."""
+DOUBT = 0.003
+"""... or the brake is no longer what it was: so much more scatter."""
+LEAST_EFFORT_MPS2 = 0.15
+GAIN = (0.5, 1.6)
+CAUTION = 1.7
+USE = 0.97
+NEAR = 0.4
+
+
+class Hoa(NamedTuple):
+    """What is known about the brake, and where this stop is.
+
+    Attributes:
+        gain: Actual over believed braking force.
+        sigma: Its standard deviation.
+        braking: Whether the last braking is on.
+        passed: Balises passed.
+        speed_mps: Speed at the last of them.
+        effort_jpkg: Braking effort asked for since, times distance, after delay and lag.
+        drag_jpkg: Resistance and gradient since, times distance.
+    """
+
+    gain: float = 1.0
+    sigma: float = UNSURE
+    braking: bool = False
+    passed: int = 0
+    speed_mps: float = 0.0
+    effort_jpkg: float = 0.0
+    drag_jpkg: float = 0.0
+
+    def plan_mps2(self, brake_mps2: float, most_mps2: float) -> float:
+        """Deceleration to plan the stop with: the less the gain is known, the less."""
+        sure = min(self.gain * (1.0 - CAUTION * self.sigma), 1.0)
+        return USE * min(brake_mps2 * sure, most_mps2)
+
+    def next_stop(self) -> Hoa:
+        """What is carried to the next stop."""
+        return Hoa(self.gain, max(self.sigma, SETTLED))
+
+
+def felt(
+    hoa: Hoa,
+    ground: Ground,
+    actuation: Actuation,
+    state: tuple[float, float, float],
+    before_mps2: float,
+) -> Hoa:
+    """The gain after one control period.
+
+    Args:
+        hoa: What was known.
+        ground: Tables of the section.
+        actuation: What acted in the period.
+        state: Position, speed and acceleration of the period; m, m/s, m/s^2.
+        before_mps2: Acceleration of the period before.
+    """
+    x, v, a = state
+    asked = -actuation.share * ground.brake(v)
+    if asked < LEAST_EFFORT_MPS2 or v < 0.5:
+        return hoa
+    drag = ground.drag(x, v)
+    found = _at_balise(hoa, ground, x, v, (asked * v * actuation.dt, drag * v * actuation.dt))
+    ramping = abs(a - before_mps2) > 0.9 * ground.jerk_mps3 * actuation.dt
+    if ramping:
+        return found
+    variance = found.sigma * found.sigma
+    spread = ANSWER_MPS2 * ANSWER_MPS2 + variance * asked * asked
+    miss = -(a + drag) - asked * found.gain
+    if miss * miss > STRANGE * STRANGE * spread:
+        return found._replace(sigma=min(found.sigma + DOUBT, UNSURE))
+    weight = variance * asked / spread
+    gain = found.gain + weight * miss
+    variance *= 1.0 - weight * asked
+    return found._replace(gain=min(max(gain, GAIN[0]), GAIN[1]), sigma=max(variance**0.5, SETTLED))
+
+
+def _at_balise(hoa: Hoa, ground: Ground, x: float, v: float, work: tuple[float, float]) -> Hoa:
+    """Add up the period's work; at a balise, what came of it since the one before."""
+    hoa = hoa._replace(effort_jpkg=hoa.effort_jpkg + work[0], drag_jpkg=hoa.drag_jpkg + work[1])
+    if hoa.passed >= len(BALISES_M) or ground.length_m - x > BALISES_M[hoa.passed]:
+        return hoa
+    gain = hoa.gain
+    if hoa.passed > 0 and hoa.effort_jpkg > LEAST_EFFORT_MPS2:
+        lost = 0.5 * (hoa.speed_mps * hoa.speed_mps - v * v)
+        said = (lost - hoa.drag_jpkg) / hoa.effort_jpkg
+        gain += HEURISTIC * min(max(said - gain, -0.1), 0.1)
+    return hoa._replace(gain=gain, passed=hoa.passed + 1, speed_mps=v, effort_jpkg=0.0, drag_jpkg=0.0)
+
+
+def stop_share(
+    hoa: Hoa, ground: Ground, actuation: Actuation, ahead: Ahead, curve: Curve
+) -> tuple[float, bool]:
+    """The command of the last braking, and whether it is on.
+
+    Args:
+        hoa: What is known about the brake.
+        ground: Tables of the section.
+        actuation: Commands on their way.
+        ahead: The state when a command given now begins to act, the gain in its brake.
+        curve: Shape of the stop, planned with :meth:`Hoa.plan_mps2`.
+    """
+    v, distance, plan = ahead.speed_mps, ground.length_m - ahead.position_m, curve.deceleration_mps2
+    if v <= 0.0 and distance < INCH_M:
+        return share_of(actuation, ahead, -max(curve.end_mps2, HOLD_MPS2)), True
+    if not hoa.braking and v * v < 2.0 * NEAR * plan * max(distance - 2.0 * v, 0.5):
+        return 0.0, False
+    dt = actuation.dt
+    required, falling = required_ahead(ahead, distance, curve)
+    if not hoa.braking:
+        sooner, _ = required_ahead(ahead, distance - v * (0.5 * actuation.lag_s + 0.25 * dt), curve)
+        if sooner < plan:
+            return 0.0, False
+    if falling == 0.0 and required < STRONGEST_MPS2:
+        wanted = max(required + RETURN_GAIN * (required - plan), 0.0)
+    else:
+        wanted = required - 0.5 * falling * dt
+        if v <= wanted * dt and distance > 0.0:
+            wanted = v * v / (2.0 * distance)
+        if distance < INCH_M:
+            wanted = max(wanted, 0.0)
+    wanted = min(wanted, strongest(v, curve, dt))
+    return share_of(actuation, ahead, ahead.resistance_mps2 - wanted), True

@@ -1,0 +1,153 @@
+"""The cases driven, and each drive's numbers beside the paper's and the optimum's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from metropilot.drivers import DRIVERS, AbstractDriver
+from metropilot.drivers.expert_learned import EXPERT_POLICIES
+from metropilot.drivers.shipped import PolicyOptions
+from metropilot.evaluate import Drive, Kpis, drive, kpis_of, make_driver
+from metropilot.evaluate.indices import Indices, indices_of
+from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
+from metropilot.studies.huang2025.published import (
+    COAST,
+    DECISION_US,
+    IC,
+    IE,
+    MANUAL,
+    RELATIVE,
+    TOOK,
+    TOP,
+    Case,
+)
+from metropilot.studies.huang2025.setting import DELAY_S, comfortable, run_of, trainset
+from metropilot.studies.report import Row
+
+J_PER_KWH = 3.6e6
+SPACING_M = 5.0
+ABOVE, ABOVE_DEAD = "above the optimum", "above the optimum, dead time of the actuation apart"
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """One case as one driver drove it, once a seed.
+
+    Attributes:
+        case: Which.
+        driver: Driver id.
+        drives: The drives.
+    """
+
+    case: Case
+    driver: str
+    drives: Sequence[Drive]
+
+    @property
+    def indices(self) -> list[Indices]:
+        """The five indices of each."""
+        return [indices_of(one) for one in self.drives]
+
+    @property
+    def kpis(self) -> list[Kpis]:
+        """The KPIs of each, without an optimum."""
+        return [kpis_of(one, None) for one in self.drives]
+
+
+def drivers_of(driver: str, policies: Mapping[str, Sequence[Path]], seeds: range) -> list[AbstractDriver]:
+    """One driver a seed: manual drives differ by the seed, learned ones by policy, an expert's not at all."""
+    if driver in policies:
+        return [_learned(driver, path) for path in policies[driver]]
+    return [make_driver(driver) for _ in (seeds if driver == MANUAL else range(1))]
+
+
+def available(driver: str, policies: Mapping[str, Sequence[Path]]) -> bool:
+    """Whether there is somebody to drive: a learned driver needs a policy."""
+    return driver in policies or driver in DRIVERS.ids()
+
+
+def _learned(driver: str, path: Path) -> AbstractDriver:
+    """The driver of a policy inside the expert."""
+    return EXPERT_POLICIES[driver](PolicyOptions(str(path)))
+
+
+def driven(case: Case, driver: str, policies: Mapping[str, Sequence[Path]], seeds: range) -> Driven:
+    """Drive a case."""
+    who = drivers_of(driver, policies, seeds)
+    return Driven(case, driver, [drive(run_of(case, seed), one) for seed, one in enumerate(who)])
+
+
+class Least:
+    """Least wheel energy over running time under a driver's comfort limits: the parabola of three plans.
+
+    Args:
+        drives: What is to be compared; their section, restrictions included.
+        driver: Whose limits.
+    """
+
+    def __init__(self, drives: Sequence[Drive], driver: str) -> None:
+        gentle = comfortable(driver, trainset())
+        section = drives[0].section
+        fastest = minimum_running_time(section, gentle) * 1.0005
+        times = [one.running_time_s for one in drives]
+        low = max(min(times) - DELAY_S, fastest)
+        self.times_s = np.linspace(low, max(*times, low + 1.0), 3)
+        options = PlanOptions(spacing_m=SPACING_M)
+        plans = [optimal_plan(section, gentle, float(t), options) for t in self.times_s]
+        self.parabola = np.polynomial.Polynomial.fit(self.times_s, [p.energy_wheel_j for p in plans], 2)
+
+    def at(self, running_time_s: float) -> float:
+        """Least energy, J."""
+        return float(self.parabola(max(running_time_s, float(self.times_s[0]))))
+
+    def above_percent(self, one: Drive, dead_s: float = 0.0) -> float:
+        """Wheel energy above the optimum for the same running time, %.
+
+        Args:
+            one: The drive.
+            dead_s: Taken off the running time: nothing moves before the dead time of the actuation is over.
+        """
+        return 100.0 * (float(one.trajectory.energy_wheel_j[-1]) / self.at(one.running_time_s - dead_s) - 1.0)
+
+
+def rows_of(found: Driven, manual: Driven | None) -> Iterator[Row]:
+    """Every number of a driven case."""
+    case, driver = found.case, found.driver
+    place = (case.table, case.name, driver)
+    indices, kpis = found.indices, found.kpis
+
+    def row(kpi: str, unit: str, values: Sequence[float], optimum: float | None = None) -> Row:
+        return Row(*place, kpi, unit, published=case.said(driver, kpi), optimum=optimum).measured(values)
+
+    yield row("Is, safe", "", [float(i.safe) for i in indices])
+    yield row("It, on time", "", [float(i.on_time) for i in indices])
+    yield row("Ip, parked", "", [float(i.parked) for i in indices])
+    yield row(IE, "J/kg", [i.energy_jpkg for i in indices])
+    if manual is not None and driver != MANUAL:
+        usual = float(np.median([i.energy_jpkg for i in manual.indices]))
+        yield row(RELATIVE, "%", [100.0 * (i.energy_jpkg / usual - 1.0) for i in indices])
+    yield row(IC, "m/s²", [i.comfort_mps2 for i in indices])
+    least = Least(found.drives, driver)
+    best = least.at(float(np.median([k.running_time_s for k in kpis]))) / J_PER_KWH
+    yield row("wheel traction energy", "kWh", [k.energy_wheel_kwh for k in kpis], best)
+    yield row(ABOVE, "%", [least.above_percent(one) for one in found.drives])
+    dead = [least.above_percent(one, DELAY_S) for one in found.drives]
+    yield row(ABOVE_DEAD, "%", dead)
+    yield row(TOOK, "s", [k.running_time_s for k in kpis])
+    yield row("stopping error", "m", [abs(k.stopping_error_m) for k in kpis])
+    yield row(COAST, "m", [k.coasting_distance_m for k in kpis])
+    yield row(TOP, "m/s", [k.max_speed_mps for k in kpis])
+    yield row("interventions of protection", "", [float(k.interventions) for k in kpis])
+
+
+def decision_row(table: str, driver: str, found: Sequence[Driven]) -> Row:
+    """Median time of a decision over all drives, expert system included."""
+    times = np.concatenate([one.decision_us for many in found for one in many.drives])
+    said = DECISION_US if driver == "eitop" else None
+    place = Row(table, "all cases", driver, "time of a decision (range: median and 95 % point)", "µs", said)
+    middle, high = float(np.median(times)), float(np.percentile(times, 95))
+    return Row(**{**place.__dict__, "ours": middle, "low": middle, "high": high})

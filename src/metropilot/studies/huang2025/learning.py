@@ -1,0 +1,129 @@
+"""The learning runs: which learner, what is watched while it learns, and the policies that are kept."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from metropilot.studies.huang2025.published import LEARNED
+from metropilot.studies.learning import LearnJob, SeedResult
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from metropilot.learn import AbstractConfig
+    from metropilot.learn.loop import Evaluate
+    from metropilot.task import DrivingTask
+
+COMMAND = "metropilot reproduce huang2025 --budget paper"
+TIMES_S = (95.0, 101.0, 115.0)
+WATCHED_S = 101.0
+J_PER_KWH = 3.6e6
+EVALUATIONS = 16
+SIZES: dict[str, dict[str, int]] = {
+    "quick": {"eitop": 300_000, "itor": 1_000_000, "ston": 20_000, "stod": 20_000},
+    "paper": {"eitop": 1_000_000, "itor": 4_000_000, "ston": 64_000, "stod": 64_000},
+}
+"""Environment steps of half a second."""
+
+
+def make_task(driver: str) -> DrivingTask:
+    """The task of a driver's recipe."""
+    from metropilot.learn.recipes import recipe
+
+    return recipe(driver).make_task()
+
+
+def watched(config: AbstractConfig, driver: str, task: Any) -> Evaluate:  # noqa: ANN401 (a driving task)
+    """What evaluates a policy: the recipe's own rule, and beside it the paper's case 1 in its Ie and time.
+
+    Args:
+        config: The learner's.
+        driver: Id of the driver.
+        task: Of its recipe.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    from metropilot.drivers.policy.policy import act
+    from metropilot.learn.driving import DrivingEvaluation
+    from metropilot.learn.registry import make_learner
+    from metropilot.task import starts
+
+    del driver
+    spec = make_learner(config, task).spec
+    rule = DrivingEvaluation(task, spec)
+    begin = jax.tree.map(lambda x: x[0], starts([0], [WATCHED_S]))
+
+    def case1(params: Any, key: Any) -> dict[str, Any]:  # noqa: ANN401 (arrays)
+        def decide(carry: Any, _: None) -> Any:  # noqa: ANN401 (arrays)
+            state, seen, going, ie = carry
+            after, found = task.step(key, state, act(spec, params, seen, None))
+            plant, before = after.plant, state.plant
+            moved = plant.position_m - before.position_m
+            ie = ie + jnp.where(going, jnp.abs(plant.acceleration_mps2) * moved, 0.0)
+            after = jax.tree.map(lambda new, old: jnp.where(going, new, old), after, state)
+            return (after, found.observation, going & ~found.terminated & ~found.truncated, ie), None
+
+        state, seen = task.begin(begin)
+        first = (state, seen, jnp.ones((), bool), jnp.zeros((), jnp.float32))
+        (state, _, _, ie), _ = jax.lax.scan(decide, first, None, length=320)
+        took = state.plant.time_s - state.stood_s
+        return {"case1_ie_jpkg": ie, "case1_time_s": took, "case1_kwh": state.plant.traction_j / J_PER_KWH}
+
+    def evaluate(params: Any, key: Any) -> dict[str, Any]:  # noqa: ANN401 (arrays)
+        return {**rule(params, key), **case1(params, key)}
+
+    return evaluate
+
+
+def job(driver: str, seed: int, budget: str) -> LearnJob:
+    """One learning run of a driver."""
+    from metropilot.learn.recipes import recipe
+
+    told = {"steps": SIZES[budget][driver], "evaluations": EVALUATIONS if budget == "paper" else 6}
+    config = recipe(driver).configuration("paper", **told)
+    name = driver if budget == "paper" else f"quick-{driver}"
+    evaluation = partial(watched, config, driver)
+    return LearnJob(name, config, partial(make_task, driver), seed, evaluation, {"driver": driver})
+
+
+def keep(folder: Path, result: SeedResult) -> Path:
+    """Write the policy of a learning run with all that a driver must know of it."""
+    from metropilot.drivers.policy.policy_file import save_policy
+    from metropilot.learn import config_to_mapping
+    from metropilot.studies.circumstances import circumstances
+
+    driver = str(result.job.about["driver"])
+    best = int(np.nanargmax(result.history["evaluation.score"]))
+    kpis = {
+        name.removeprefix("evaluation."): round(float(column[best]), 4)
+        for name, column in result.history.items()
+        if name.startswith("evaluation.")
+    }
+    about = {
+        "perception": make_task(driver).config.perception.as_dict(),
+        "task": "huang2025",
+        "algorithm": result.job.config.algorithm,
+        "config": config_to_mapping(result.job.config),
+        "seed": result.job.seed,
+        "kpis": {name: value for name, value in kpis.items() if np.isfinite(value)},
+        "provenance": {"command": COMMAND} | circumstances(),
+    }
+    path = folder / f"{result.job.name}-{result.job.seed}.safetensors"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_policy(path, result.policy, about)
+    return path
+
+
+def best_of(results: Sequence[SeedResult]) -> SeedResult:
+    """The seed with the best evaluation."""
+    return max(results, key=lambda result: result.score)
+
+
+def jobs(seeds: range, budget: str) -> list[LearnJob]:
+    """Every learning run of the study, drivers varying slowest."""
+    return [job(driver, seed, budget) for driver in LEARNED for seed in seeds]

@@ -1,0 +1,207 @@
+"""The cases of the paper and what it prints about them.
+
+Most cells of its Tables 1 to 4 are pictures; the numbers here are those its text names. Energies of the other
+drivers are printed as percentages of manual driving.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+TITLE = "Expert driving, and PPO inside it (Huang et al. 2025)"
+CITATION = (
+    "Y. Huang, W. Lai, D. Chen, G. Lin, J. Yin: Enhanced intelligent train operation algorithms for metro "
+    "train based on expert system and deep reinforcement learning. PLoS ONE 20(5), 2025, e0323478, "
+    "doi 10.1371/journal.pone.0323478."
+)
+DECISION_US = 2100.0
+"""Its mean time of a decision, 2.1 ms."""
+TABLE2, TABLE3, TABLE4 = "Cases 1 and 2: its Table 2", "Late news: its Table 3", "Case 3: its Table 4"
+BEYOND = "Beyond the paper"
+
+MANUAL, ITOR, STON, STOD, EITOE, EITOP = "manual", "itor", "ston", "stod", "eitoe", "eitop"
+LEARNED = (ITOR, STON, STOD, EITOP)
+EXPERTS = (EITOE, EITOP)
+
+
+@dataclass(frozen=True)
+class Restricted:
+    """A temporary speed restriction.
+
+    Attributes:
+        from_m: Where it begins.
+        to_m: Where it ends.
+        limit_mps: Its speed.
+    """
+
+    from_m: float
+    to_m: float
+    limit_mps: float
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run to drive.
+
+    Attributes:
+        id: Short name.
+        name: As tables show it.
+        table: Where it belongs.
+        origin: Code of the station.
+        destination: Code of the station.
+        scheduled_s: Planned running time at departure.
+        drivers: Who drives it.
+        told_s: When news comes; None: never.
+        news_s: The new planned running time.
+        restricted: The restriction that is the news.
+        published: What the paper prints, by driver and KPI.
+    """
+
+    id: str
+    name: str
+    table: str
+    origin: str
+    destination: str
+    scheduled_s: float
+    drivers: tuple[str, ...]
+    told_s: float | None = None
+    news_s: float | None = None
+    restricted: Restricted | None = None
+    published: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def said(self, driver: str, kpi: str) -> float | None:
+        """What the paper prints, None where it prints nothing."""
+        return self.published.get(driver, {}).get(kpi)
+
+
+IE, IC, RELATIVE, COAST, TOP, TOOK = (
+    "Ie",
+    "Ic",
+    "Ie against manual",
+    "coasting distance",
+    "highest speed",
+    "running time",
+)
+ALL = (MANUAL, ITOR, STON, STOD, EITOE, EITOP, "optimal")
+
+CASES: tuple[Case, ...] = (
+    Case(
+        id="101",
+        name="RJ to WYJ, 101 s",
+        table=TABLE2,
+        origin="RJ",
+        destination="WYJ",
+        scheduled_s=101.0,
+        drivers=ALL,
+        published={
+            MANUAL: {COAST: 677.99},
+            ITOR: {RELATIVE: 1.7, COAST: 398.78},
+            STON: {RELATIVE: -11.7, COAST: 661.46},
+            EITOE: {IE: 380.0, RELATIVE: -34.9, COAST: 899.78, TOP: 19.49},
+            EITOP: {IE: 364.0, RELATIVE: -37.7},
+        },
+    ),
+    Case(
+        id="95",
+        name="RJ to WYJ, 95 s",
+        table=TABLE2,
+        origin="RJ",
+        destination="WYJ",
+        scheduled_s=95.0,
+        drivers=ALL,
+        published={
+            ITOR: {RELATIVE: 5.2, TOP: 22.22},
+            STON: {RELATIVE: -8.8},
+            EITOE: {RELATIVE: -45.0},
+            EITOP: {RELATIVE: -45.0, IC: 2.92},
+        },
+    ),
+    Case(
+        id="115",
+        name="RJ to WYJ, 115 s",
+        table=TABLE2,
+        origin="RJ",
+        destination="WYJ",
+        scheduled_s=115.0,
+        drivers=ALL,
+        published={
+            MANUAL: {TOP: 14.73},
+            ITOR: {RELATIVE: 0.5, TOP: 14.69},
+            STON: {RELATIVE: -1.5, TOP: 14.65},
+            EITOE: {RELATIVE: 4.8, TOP: 16.15},
+            EITOP: {RELATIVE: -2.7, TOP: 16.10, TOOK: 114.0},
+        },
+    ),
+    Case(
+        id="later",
+        name="101 s, 15 s later told at 30 s",
+        table=TABLE3,
+        origin="RJ",
+        destination="WYJ",
+        scheduled_s=101.0,
+        drivers=EXPERTS,
+        told_s=30.0,
+        news_s=116.0,
+        published={EITOP: {TOOK: 114.0}},
+    ),
+    Case(
+        id="earlier",
+        name="101 s, 10 s earlier told at 10 s",
+        table=TABLE3,
+        origin="RJ",
+        destination="WYJ",
+        scheduled_s=101.0,
+        drivers=EXPERTS,
+        told_s=10.0,
+        news_s=91.0,
+        published={EITOP: {TOOK: 88.0}},
+    ),
+    Case(
+        id="restricted",
+        name="115 s, 40 km/h from 700 to 900 m told at 30 s",
+        table=TABLE3,
+        origin="RJ",
+        destination="WYJ",
+        scheduled_s=115.0,
+        drivers=EXPERTS,
+        told_s=30.0,
+        restricted=Restricted(700.0, 900.0, 40.0 / 3.6),
+    ),
+    Case(
+        id="restricted-101",
+        name="101 s, 40 km/h from 700 to 900 m told at 30 s",
+        table=TABLE3,
+        origin="RJ",
+        destination="WYJ",
+        scheduled_s=101.0,
+        drivers=EXPERTS,
+        told_s=30.0,
+        restricted=Restricted(700.0, 900.0, 40.0 / 3.6),
+    ),
+    Case(
+        id="sjz",
+        name="SJZ to XC, 190 s",
+        table=TABLE4,
+        origin="SJZ",
+        destination="XC",
+        scheduled_s=190.0,
+        drivers=EXPERTS,
+        published={EITOE: {TOOK: 188.0}, EITOP: {TOOK: 189.0}},
+    ),
+    Case(
+        id="xc",
+        name="XC to XHM, 108 s",
+        table=TABLE4,
+        origin="XC",
+        destination="XHM",
+        scheduled_s=108.0,
+        drivers=EXPERTS,
+        published={EITOE: {TOOK: 112.0}, EITOP: {TOOK: 109.0}},
+    ),
+)
+BY_ID: Mapping[str, Case] = MappingProxyType({case.id: case for case in CASES})
+EPISODES_TO_SETTLE = 80
+"""Its Figs. 5 and 6: the energy falls from 380 to 364 J/kg in about so many episodes."""
+LEARNED_IE = (380.0, 364.0)

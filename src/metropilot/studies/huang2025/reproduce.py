@@ -1,0 +1,132 @@
+"""The study, start to end: learn, drive the cases, compare with the paper and with the optimum."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from metropilot.drivers.shipped import shipped_policy
+from metropilot.studies.huang2025.beyond import beyond_rows
+from metropilot.studies.huang2025.deviations import DEVIATIONS
+from metropilot.studies.huang2025.drives import (
+    Driven,
+    available,
+    decision_row,
+    driven,
+    rows_of,
+)
+from metropilot.studies.huang2025.figures import figures_of
+from metropilot.studies.huang2025.news import news_rows
+from metropilot.studies.huang2025.published import (
+    CASES,
+    EITOP,
+    EXPERTS,
+    LEARNED,
+    LEARNED_IE,
+    MANUAL,
+    TABLE4,
+    TITLE,
+)
+from metropilot.studies.huang2025.stops import GAINS, repeated_stops, stop_rows
+from metropilot.studies.huang2025.words import remarks
+from metropilot.studies.report import Report, Row
+
+if TYPE_CHECKING:
+    from metropilot.studies.learning import SeedResult
+    from metropilot.studies.study import Order
+
+LEARNING = "Learning: its Figs. 5 and 6"
+DECISIONS = "Decision time"
+MANUAL_SEEDS = 10
+Found = dict[tuple[str, str], Driven]
+
+
+def reproduce(order: Order) -> Report:
+    """Do the study.
+
+    Args:
+        order: ``quick``: shipped policies, a short learning run of each. ``paper``: everything learned with
+            ten seeds. Manual drives have ten seeds in both.
+    """
+    from metropilot.studies.huang2025.learning import jobs
+    from metropilot.studies.learning import learn_seeds
+
+    paper = order.budget == "paper"
+    seeds = order.choose_seeds(quick=1, paper=10)
+    folder = order.folder / "huang2025"
+    results = learn_seeds(jobs(seeds, order.budget), folder, order.processes, order.say)
+    policies = _policies(folder, results, paper=paper)
+    found: Found = {}
+    for case in CASES:
+        for driver in case.drivers:
+            if available(driver, policies):
+                found[case.id, driver] = driven(case, driver, policies, range(MANUAL_SEEDS))
+        order.say(f"{case.name} driven")
+    stops = [repeated_stops(gain) for gain in GAINS]
+    rows = _rows(found)
+    learned = [r for r in results if r.job.about["driver"] == EITOP]
+    rows += [*_learning_rows(results), *stop_rows(stops), *beyond_rows(policies)]
+    figures = figures_of(found, learned, stops)
+    said = remarks(rows, budget=order.budget)
+    return Report("huang2025", TITLE, order.budget, len(seeds), 0.0, rows, figures, DEVIATIONS, said)
+
+
+def _policies(folder: Path, results: Sequence[SeedResult], *, paper: bool) -> Mapping[str, Sequence[Path]]:
+    """Which policies drive: shipped ones, or those just learned, one a seed."""
+    from metropilot.studies.huang2025.learning import keep
+
+    if not paper:
+        return {d: [shipped_policy(d)] for d in LEARNED if shipped_policy(d).is_file()}
+    found: dict[str, list[Path]] = {}
+    for result in results:
+        found.setdefault(str(result.job.about["driver"]), []).append(keep(folder, result))
+    return found
+
+
+def _rows(found: Found) -> list[Row]:
+    """Every case, who drove it, and how long deciding took."""
+    rows: list[Row] = []
+    for (case_id, _), one in found.items():
+        rows += rows_of(one, found.get((case_id, MANUAL)))
+        rows += news_rows(one)
+    rows += _whole(found)
+    drivers = dict.fromkeys(driver for _, driver in found)
+    rows += [decision_row(DECISIONS, d, [one for one in found.values() if one.driver == d]) for d in drivers]
+    return rows
+
+
+def _whole(found: Found) -> list[Row]:
+    """Case 3 from end to end, the time at the stop between apart (as in the paper)."""
+    rows, said = [], {"eitoe": 300.0, EITOP: 298.0}
+    for driver in EXPERTS:
+        if ("sjz", driver) not in found:
+            continue
+        first, second = found["sjz", driver].drives, found["xc", driver].drives
+        times = [a.running_time_s + b.running_time_s for a, b in zip(first, second, strict=True)]
+        place = Row(TABLE4, "SJZ to XHM, 298 s", driver, "running time", "s", published=said[driver])
+        rows.append(place.measured(times))
+    return rows
+
+
+def _learning_rows(results: Sequence[SeedResult]) -> list[Row]:
+    """What each learner reached in its own evaluation, and how EITOP's case 1 began and ended."""
+    import numpy as np
+
+    rows = []
+    for driver in LEARNED:
+        mine = [r for r in results if r.job.about["driver"] == driver]
+        best = [int(np.nanargmax(r.history["evaluation.score"])) for r in mine]
+        for kpi, column, unit, factor in (
+            ("drives that arrive safely and on time", "safe_share", "%", 100.0),
+            ("Ie of case 1", "case1_ie_jpkg", "J/kg", 1.0),
+            ("running time of case 1", "case1_time_s", "s", 1.0),
+        ):
+            said = LEARNED_IE[1] if (driver, column) == (EITOP, "case1_ie_jpkg") else None
+            values = [
+                factor * float(r.history[f"evaluation.{column}"][k]) for r, k in zip(mine, best, strict=True)
+            ]
+            rows.append(Row(LEARNING, "policy kept", driver, kpi, unit, published=said).measured(values))
+        seconds = [r.seconds for r in mine]
+        rows.append(Row(LEARNING, "policy kept", driver, "time to learn", "s").measured(seconds))
+    return rows

@@ -1,0 +1,45 @@
+"""The plant of the paper, and the runs of its cases."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from metropilot.railway import Actuation, Restriction, Section, Trainset, load_line, load_trainset
+from metropilot.studies.huang2025.published import EITOP, Case
+from metropilot.task import News, Run, Scenario
+
+LINE, TRAINSET = "yizhuang-ttobench", "dkz32"
+DELAY_S, LAG_S = 0.6, 0.4
+"""Dead time and time constant of its eq. 4 (assumed: no value can be read)."""
+GENTLE_MPS2 = {EITOP: 0.8}
+"""Largest acceleration of each driver; every other one of the expert's keeps rule 2."""
+RULE2_MPS2 = 0.6
+FREE = ("manual", "optimal", "flat_out")
+"""Drivers that keep only the trainset's own limit of 1 m/s^2."""
+
+
+def trainset() -> Trainset:
+    """DKZ32, empty, with the actuation of eq. 4 and no other limit on the change of effort."""
+    return replace(load_trainset(TRAINSET), actuation=Actuation(DELAY_S, LAG_S, float("inf")))
+
+
+def section(case: Case) -> Section:
+    """Where a case runs."""
+    return load_line(LINE).section(case.origin, case.destination)
+
+
+def run_of(case: Case, seed: int = 0) -> Run:
+    """A case as a run, its news told on the way."""
+    news: tuple[News, ...] = ()
+    if case.told_s is not None:
+        told = case.restricted
+        restriction = Restriction(told.from_m, told.to_m, told.limit_mps) if told else None
+        news = (News(case.told_s, scheduled_time_s=case.news_s, restriction=restriction),)
+    return Run(section(case), trainset(), case.scheduled_s, Scenario(news=news), seed=seed)
+
+
+def comfortable(driver: str, plant: Trainset) -> Trainset:
+    """The trainset under a driver's own comfort limits, for the optimum it is compared with."""
+    if driver in FREE:
+        return plant
+    return replace(plant, max_acceleration_mps2=GENTLE_MPS2.get(driver, RULE2_MPS2))

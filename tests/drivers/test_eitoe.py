@@ -1,0 +1,127 @@
+"""EITOE, its station stop that learns, and the policies inside it, driven on the host."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from metropilot.drivers.eitoe import Eitoe, EitoeOptions
+from metropilot.drivers.expert.driving import prepared
+from metropilot.drivers.expert.hoa import Hoa
+from metropilot.drivers.expert_learned import Eitop
+from metropilot.drivers.learned import LearnedDriver
+from metropilot.drivers.shipped import PolicyOptions, shipped_policy
+from metropilot.errors import InputError
+from metropilot.evaluate import Rollout, drive, kpis_of, make_driver
+from metropilot.evaluate.indices import indices_of
+from metropilot.railway import Actuation, Restriction, load_line, load_trainset
+from metropilot.task import News, Run, Scenario
+from metropilot.task.expert import Rules
+
+PLAIN = load_trainset("dkz32")
+DELAYED = replace(PLAIN, actuation=Actuation(0.6, 0.4, float("inf")))
+
+
+def run_of(ends=("RJ", "WYJ"), time_s=101.0, trainset=DELAYED, **scenario):
+    section = load_line("yizhuang-ttobench").section(*ends)
+    return Run(section, trainset, time_s, Scenario(**scenario))
+
+
+def good(found):
+    return indices_of(found).met and found.interventions == 0
+
+
+def test_case_1_is_the_published_drive():
+    found = drive(run_of(), Eitoe())
+    kpis = kpis_of(found, None)
+    assert good(found)
+    # Huang25: 19.49 m/s at most, 380 J/kg
+    assert kpis.max_speed_mps == pytest.approx(19.49, abs=0.1)
+    assert kpis.energy_huang2025_jpkg == pytest.approx(380.0, rel=0.01)
+    assert kpis.max_acceleration_mps2 <= 0.61
+    assert kpis.coasting_distance_m > 700.0
+
+
+@pytest.mark.parametrize(
+    ("trainset", "ends", "time_s"),
+    [
+        (PLAIN, ("RJ", "WYJ"), 95.0),
+        (PLAIN, ("SJZ", "XC"), 190.0),
+        (DELAYED, ("RJ", "WYJ"), 115.0),
+        (DELAYED, ("XC", "XHM"), 108.0),
+    ],
+)
+def test_other_runs(trainset, ends, time_s):
+    found = drive(run_of(ends, time_s, trainset), Eitoe())
+    assert good(found)
+    assert kpis_of(found, None).max_jerk_mps3 <= trainset.actuation.jerk_limit_mps3 + 0.4
+
+
+@pytest.mark.parametrize(
+    "news",
+    [
+        News(30.0, scheduled_time_s=116.0),
+        News(10.0, scheduled_time_s=92.0),
+    ],
+)
+def test_late_news(news):
+    assert good(drive(run_of(news=(news,)), Eitoe()))
+
+
+def test_a_restriction_announced_on_the_way():
+    news = News(30.0, restriction=Restriction(700.0, 900.0, 40.0 / 3.6))
+    found = drive(run_of(time_s=118.0, news=(news,)), Eitoe())
+    assert good(found)
+
+
+@pytest.mark.parametrize("gain", [0.7, 1.3])
+def test_the_stop_learns_the_brake(gain):
+    run = run_of(brake_factor=gain)
+    driver = Eitoe(EitoeOptions(brake_known=False))
+    rollout = Rollout(run, driver)
+    while rollout.outcome is None:
+        rollout.advance()
+    first = rollout.drive()
+    hoa = rollout.memory.hoa.next_stop()
+    assert good(first)
+    assert hoa.gain == pytest.approx(gain, rel=0.03)
+    known = drive(run, Eitoe(EitoeOptions(brake_gain=round(hoa.gain, 3))))
+    assert abs(known.trajectory.position_m[-1] - run.section.length_m) < 0.1
+
+
+def test_intervals_end_where_power_is_needed_again():
+    run = run_of(("SJZ", "XC"), 190.0)
+    legs = prepared(run, run.section, Rules(), Hoa()).legs
+    assert [leg.end_m for leg in legs.legs] == [480.0, 2631.0]
+    whole = legs.least_s(2631.0, 0.0)
+    assert legs.share(legs.legs[0], 0.0, 0.0) == pytest.approx(1.0 - legs.legs[0].after_s / whole)
+    assert legs.share(legs.legs[1], 600.0, 15.0) == 1.0
+
+
+def test_brake_gain_out_of_range():
+    with pytest.raises(InputError, match="brake_gain"):
+        EitoeOptions(brake_gain=3.0)
+
+
+def test_policy_drives_as_the_task_learned_it():
+    """The expert in plain numbers and over arrays: the same policy, the same speeds before the stop."""
+    run = run_of(trainset=PLAIN.ideal(), time_s=105.0)
+    run = replace(run, dt=0.5)
+    host = Eitop()
+    learned = LearnedDriver(host.loaded.policy, host.loaded.perception)
+    ours, theirs = (drive(run, one).trajectory for one in (host, learned))
+    until = np.linspace(50.0, 1050.0, 30)
+    a, b = (np.interp(until, t.position_m, t.speed_mps) for t in (ours, theirs))
+    np.testing.assert_allclose(a, b, atol=0.35)
+
+
+def test_eitop_in_case_1():
+    found = drive(run_of(), make_driver("eitop"))
+    assert good(found)
+    assert indices_of(found).energy_jpkg < 365.0
+
+
+def test_a_policy_from_elsewhere_is_refused():
+    driver = Eitop(PolicyOptions(str(shipped_policy("improved_dqn"))))
+    with pytest.raises(InputError, match="inside the expert"):
+        driver.init(run_of())

@@ -1,0 +1,75 @@
+"""Study huang2025: cases as runs, published numbers, the optimum it compares with, repeated stops, words."""
+
+import numpy as np
+import pytest
+
+from metropilot.evaluate import drive, make_driver
+from metropilot.planning import optimal_plan
+from metropilot.studies.huang2025.deviations import DEVIATIONS
+from metropilot.studies.huang2025.drives import ABOVE, ABOVE_DEAD, Driven, Least, drivers_of, rows_of
+from metropilot.studies.huang2025.learning import job
+from metropilot.studies.huang2025.published import BY_ID, CASES, IE, LEARNED
+from metropilot.studies.huang2025.setting import comfortable, run_of, trainset
+from metropilot.studies.huang2025.words import remarks
+from metropilot.studies.registry import load_study
+
+
+def test_cases_are_runs():
+    for case in CASES:
+        run = run_of(case)
+        assert run.section.origin.code == case.origin
+        assert run.scheduled_time_s == case.scheduled_s
+        assert len(run.scenario.news) == (case.told_s is not None)
+    assert run_of(BY_ID["later"]).scenario.news[0].scheduled_time_s == 116.0
+    assert run_of(BY_ID["restricted"]).scenario.news[0].restriction.limit_mps == pytest.approx(40 / 3.6)
+
+
+def test_published_percentages_are_those_of_the_text():
+    # EITOP saves another 4.3 % of what EITOE has left: 0.651 * 0.957 = 0.623
+    assert BY_ID["101"].said("eitop", "Ie against manual") == pytest.approx(
+        100 * (0.651 * 0.957 - 1), abs=0.05
+    )
+    assert BY_ID["101"].said("manual", IE) is None
+
+
+def test_comfort_limits():
+    plant = trainset()
+    assert [comfortable(d, plant).max_acceleration_mps2 for d in ("eitoe", "eitop", "manual")] == [
+        0.6,
+        0.8,
+        1.0,
+    ]
+
+
+def test_rows_of_a_drive():
+    case = BY_ID["101"]
+    found = drive(run_of(case), make_driver("eitoe"))
+    least = Least([found], "eitoe")
+    plan = optimal_plan(found.section, comfortable("eitoe", trainset()), found.running_time_s)
+    assert least.at(found.running_time_s) == pytest.approx(plan.energy_wheel_j, rel=2e-3)
+    rows = {row.kpi: row for row in rows_of(Driven(case, "eitoe", [found]), None)}
+    assert rows[IE].published == 380.0
+    assert rows["It, on time"].ours == 1.0
+    # dead time taken off the running time makes the optimum dearer
+    assert 0.0 < rows[ABOVE_DEAD].ours < rows[ABOVE].ours < 5.0
+    words = remarks([*rows.values()], budget="quick")
+    assert "380" in words[1]
+    assert all(np.isfinite(row.ours) for row in rows.values())
+
+
+def test_seeds_of_the_drivers():
+    assert len(drivers_of("manual", {}, range(10))) == 10
+    assert len(drivers_of("eitoe", {}, range(10))) == 1
+
+
+def test_every_learner_has_a_job_of_both_budgets():
+    for driver in LEARNED:
+        quick, paper = (job(driver, 3, budget) for budget in ("quick", "paper"))
+        assert quick.config.steps < paper.config.steps
+        assert quick.name != paper.name
+
+
+def test_the_study_is_registered():
+    study = load_study("huang2025")
+    assert "0323478" in study.citation
+    assert len(DEVIATIONS) == 11
