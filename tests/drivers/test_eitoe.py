@@ -112,7 +112,8 @@ def test_policy_drives_as_the_task_learned_it():
     ours, theirs = (drive(run, one).trajectory for one in (host, learned))
     until = np.linspace(50.0, 1050.0, 30)
     a, b = (np.interp(until, t.position_m, t.speed_mps) for t in (ours, theirs))
-    np.testing.assert_allclose(a, b, atol=0.35)
+    # a control period of 0.5 s earlier or later, at up to 0.8 m/s^2
+    np.testing.assert_allclose(a, b, atol=0.4)
 
 
 def test_eitop_in_case_1():

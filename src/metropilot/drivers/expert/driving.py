@@ -27,6 +27,8 @@ HOLD_PER_S = 0.5
 """Acceleration for each m/s below the safe speed."""
 BACK_PER_S = 1.0
 """Deceleration for each m/s above it."""
+EASE_PER_S = 2.0
+"""How much less of it for each m/s below, where the safe speed falls."""
 CLEAR_MPS = 3.0
 """Farther below the safe speed than this nothing needs to be eased off."""
 MARGIN_MPS = 0.25
@@ -228,13 +230,15 @@ def _kept_safe(memory: ExpertMemory, observation: Observation, ahead: Ahead, rat
 def _slowing(ground: Ground, ahead: Ahead, dt: float) -> float:
     """Acceleration that follows the fall of the safe speed and comes back under it, m/s^2; 0: not needed.
 
-    The brake is built up on the way to where the fall begins.
+    The brake is built up on the way to where the fall begins, and eased off little by little below it: on and
+    off by turns, a late brake would never do what was wanted.
     """
     v, a = ahead.speed_mps, ahead.acceleration_mps2
     early_s = dt + build_up_s(ground, max(ground.most_mps2 + a, 0.0))
     x = ahead.position_m + max(v * early_s, 0.5)
     here, there = ground.safe(x), ground.safe(x + STEP_M)
     above = v + min(a, 0.0) * early_s - here
-    if above <= 0.0:
+    if above <= 0.0 and there >= here:
         return 0.0
-    return 0.5 * min(there * there - here * here, 0.0) / STEP_M - BACK_PER_S * above
+    fall = 0.5 * min(there * there - here * here, 0.0) / STEP_M
+    return min(fall - (BACK_PER_S if above > 0.0 else EASE_PER_S) * above, 0.0)
