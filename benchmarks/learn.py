@@ -39,7 +39,7 @@ WHAT = {
     "ppo": ("PPO 64-64, 64 environments, 10 epochs of 16 minibatches", "environment steps/s"),
     "ppo_wide": ("PPO 64-64, 256 environments, 4 epochs of 8 minibatches", "environment steps/s"),
     "ppo_drive": ("PPO 64-64 on `drive`, 512 environments, 4 epochs of 16", "environment steps/s"),
-    "sac": ("SAC 256-256, batch 256, memory of 10k", "updates/s"),
+    "sac": ("SAC 64-64, batch 128, memory of 10k", "updates/s"),
     "sac_1m": ("SAC, memory of 1M", "updates/s"),
     "ddpg": ("DDPG 64-64, batch 64, memory of 10k", "updates/s"),
     "ddpg_1m": ("DDPG, memory of 1M", "updates/s"),
@@ -113,7 +113,7 @@ def configuration(case: str) -> Any:
     if case == "ppo_drive":
         return PPOConfig(**common, **driving, steps=524_288)
     if case.startswith("sac"):
-        return SACConfig(**memory, hidden=(256, 256))
+        return SACConfig(**memory, hidden=(64, 64), batch_size=128)
     if case.startswith("ddpg"):
         return DDPGConfig(**memory)
     improved = case.startswith("improved")
@@ -207,14 +207,14 @@ def stable_baselines(case: str, steps: int) -> float:
 
     torch.set_num_threads(1)
     mass = gymnasium_mass(12 if case == "dqn" else 0)
-    wide = {"dqn": [128, 256], "sac": [256, 256]}.get(case, [64, 64])
+    wide = [128, 256] if case == "dqn" else [64, 64]
     common: dict[str, Any] = {"policy_kwargs": {"net_arch": wide}, "device": "cpu"}
     memory = common | {
         "learning_starts": 100,
         "train_freq": 1,
         "gradient_steps": 1,
         "buffer_size": 10_000,
-        "batch_size": 256 if case == "sac" else 64,
+        "batch_size": 128 if case == "sac" else 64,
     }
     if case == "ppo":
         environments = make_vec_env(mass, 64)

@@ -1,7 +1,8 @@
 """Learn the task ``drive`` with Stable-Baselines3's PPO.
 
 Needs ``pip install 'metropilot[rl]' stable-baselines3``. A learner of ours compiles the task together with
-its networks and is more than ten times faster; this is for those who have a learner already.
+its networks and learns two hundred times as much in a second (docs/benchmarks.md); this is for those who have
+a learner already.
 """
 
 import sys

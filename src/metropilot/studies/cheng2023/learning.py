@@ -30,7 +30,7 @@ def config() -> DDPGConfig:
     from metropilot.learn import DDPGConfig, Schedule
 
     return DDPGConfig(
-        steps=500_000,
+        steps=300_000,
         environments=16,
         evaluations=80,
         gamma=0.985,
