@@ -19,10 +19,10 @@ from metropilot.task import TASKS
 
 PROGRAM = Path(sys.executable).with_name("metropilot")
 LEARN = (
-    *("learn", "ppo", "--steps", "30720", "--set", "environments=32", "--set", "rollout=32"),
-    *("--set", "minibatches=4", "--set", "evaluations=30", "--set", "hidden=8,8", "--seed", "3"),
+    *("learn", "ppo", "--steps", "122880", "--set", "environments=32", "--set", "rollout=32"),
+    *("--set", "minibatches=4", "--set", "evaluations=120", "--set", "hidden=8,8", "--seed", "3"),
 )
-EVALUATIONS = 30
+EVALUATIONS = 120
 STEPS = EVALUATIONS * 32 * 32
 
 
@@ -56,7 +56,7 @@ def test_a_run_can_be_shown_driven_and_exported(learned, metropilot, program, tm
     folder, _ = learned
     record = answer(metropilot("show", folder, "--json"))
     assert (record["kind"], record["status"], record["steps"]) == ("learning run", "done", STEPS)
-    assert record["command"].startswith("metropilot learn ppo --budget quick --steps 30720 --seed 3 --set")
+    assert record["command"].startswith("metropilot learn ppo --budget quick --steps 122880 --seed 3 --set")
     assert record["config"]["hidden"] == [8, 8]
     assert 0.0 <= record["kpis"]["safe_share"] <= 1.0
     policy = folder / "policy.safetensors"

@@ -5,9 +5,8 @@ import pytest
 
 from metropilot.errors import InputError
 from metropilot.physics.effort import effort_at
-from metropilot.task import task_config
+from metropilot.task import ACTIONS, task_config
 from metropilot.task.actions import (
-    ACTIONS,
     GainsAction,
     IncrementAction,
     NotchAction,

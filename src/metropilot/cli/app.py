@@ -33,7 +33,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "trainsets": ("metropilot.cli.catalogue", "List the trainsets of the catalogue."),
     "drivers": (
         "metropilot.cli.catalogue",
-        "List the drivers, or those of trainsets that follow in a convoy.",
+        "List the drivers, or those of followers in a convoy.",
     ),
     "tasks": ("metropilot.cli.runs", "List the tasks that can be learned."),
     "show": ("metropilot.cli.show", "Show a line, a trainset, a driver, a policy or a run."),
