@@ -32,14 +32,14 @@ def ours(report, table, driver, kpi, case=1):
 
 
 def test_ddpg_pid_is_as_good_as_published_where_the_page_claims_it(report):
-    # Published: 0.17 m/s, 0.34 m, 10.32 m. The total speed error (3.51) and parking (0.02) are missed: the
-    # policy shipped has 3.90 m/s and 3.7 cm, and the page says so.
+    # Published: 0.17 and 3.51 m/s, 0.34 and 10.32 m, parking within 2 cm. The policy shipped is the one that
+    # protection never overrules on real sections: it misses position in total and parking, and the page says so.
     assert ours(report, "Table 1", "ddpg_pid", "largest speed error") < 0.17
+    assert ours(report, "Table 1", "ddpg_pid", TOTAL) < 3.51
     assert ours(report, "Table 1", "ddpg_pid", "largest position error") < 0.34
-    assert ours(report, "Table 1", "ddpg_pid", PLACE) < 10.32
-    assert ours(report, "Table 1", "ddpg_pid", TOTAL) < 4.0
+    assert ours(report, "Table 1", "ddpg_pid", PLACE) < 14.0
     assert ours(report, "Table 1", "ddpg_pid", "parking error") < 0.05
-    assert any("Short of the published numbers: total speed error" in remark for remark in report.remarks)
+    assert any("Short of the published numbers: total position error" in remark for remark in report.remarks)
 
 
 def test_ddpg_pid_beats_fuzzy_and_neural_as_printed_by_their_margins(report):
