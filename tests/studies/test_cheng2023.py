@@ -33,7 +33,7 @@ def ours(report, table, driver, kpi, case=1):
 
 def test_ddpg_pid_is_as_good_as_published_where_the_page_claims_it(report):
     # Published: 0.17 and 3.51 m/s, 0.34 and 10.32 m, parking within 2 cm. The policy shipped is the one that
-    # protection never overrules on real sections: it misses position in total and parking, and the page says so.
+    # protection never overrules on real sections: it misses the total in position and parking.
     assert ours(report, "Table 1", "ddpg_pid", "largest speed error") < 0.17
     assert ours(report, "Table 1", "ddpg_pid", TOTAL) < 3.51
     assert ours(report, "Table 1", "ddpg_pid", "largest position error") < 0.34
