@@ -9,6 +9,7 @@ import shlex
 import signal
 import subprocess
 import sys
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -19,10 +20,10 @@ from metropilot.task import TASKS
 
 PROGRAM = Path(sys.executable).with_name("metropilot")
 LEARN = (
-    *("learn", "ppo", "--steps", "122880", "--set", "environments=32", "--set", "rollout=32"),
-    *("--set", "minibatches=4", "--set", "evaluations=120", "--set", "hidden=8,8", "--seed", "3"),
+    *("learn", "ppo", "--steps", "61440", "--set", "environments=32", "--set", "rollout=32"),
+    *("--set", "minibatches=4", "--set", "evaluations=60", "--set", "hidden=8,8", "--seed", "3"),
 )
-EVALUATIONS = 120
+EVALUATIONS = 60
 STEPS = EVALUATIONS * 32 * 32
 
 
@@ -56,7 +57,7 @@ def test_a_run_can_be_shown_driven_and_exported(learned, metropilot, program, tm
     folder, _ = learned
     record = answer(metropilot("show", folder, "--json"))
     assert (record["kind"], record["status"], record["steps"]) == ("learning run", "done", STEPS)
-    assert record["command"].startswith("metropilot learn ppo --budget quick --steps 122880 --seed 3 --set")
+    assert record["command"].startswith("metropilot learn ppo --budget quick --steps 61440 --seed 3 --set")
     assert record["config"]["hidden"] == [8, 8]
     assert 0.0 <= record["kpis"]["safe_share"] <= 1.0
     policy = folder / "policy.safetensors"
@@ -90,8 +91,16 @@ def test_an_onnx_file_says_what_its_numbers_mean(learned, metropilot, tmp_path):
 
 def stopped(folder, command, how):
     """Start learning, and stop it by a signal after its first evaluation; what it said."""
+    pipe = subprocess.PIPE
+    # A suite that a shell runs in the background ignores Ctrl-C, and its children would inherit that.
+    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     process = subprocess.Popen(
-        [PROGRAM, *command], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [PROGRAM, *command],
+        cwd=folder,
+        stdout=pipe,
+        stderr=pipe,
+        text=True,
+        preexec_fn=heard,  # noqa: PLW1509 (nothing here has threads)
     )
     try:
         for line in process.stdout:
