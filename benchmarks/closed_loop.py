@@ -5,17 +5,14 @@ python -m benchmarks.closed_loop --write docs/optimal-driver.md
 
 from __future__ import annotations
 
-import argparse
-import json
 import multiprocessing
 import os
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.report import circumstances
+from benchmarks.report import circumstances, hand_out, page_options
 from metropilot.drivers import DRIVERS
 from metropilot.evaluate import drive
 from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
@@ -229,22 +226,13 @@ def page(known: list[Result], unknown: list[Result], plans: list[tuple[float, fl
 
 def main() -> None:
     """Drive everything on all cores; print the page or write it, and the rows beside it as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", type=Path, metavar="PAGE")
-    parser.add_argument("--rows", type=Path, metavar="JSON", help="also write every run's numbers")
-    options = parser.parse_args()
+    options = page_options(__doc__)
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(os.cpu_count(), context) as pool:
         known = list(pool.map(driven, cases(KNOWN, RATIOS), chunksize=8))
         unknown = list(pool.map(driven, cases(tuple(SCENARIOS)[2:], (1.1,)), chunksize=8))
         plans = list(pool.map(planned, cases(("ideal actuation",), PLAN_RATIOS), chunksize=16))
-    text = page(known, unknown, plans)
-    if options.rows:
-        options.rows.write_text(json.dumps([asdict(replace(r)) for r in known + unknown]))
-    if options.write:
-        options.write.write_text(text)
-    else:
-        print(text)
+    hand_out(options, page(known, unknown, plans), known + unknown)
 
 
 if __name__ == "__main__":

@@ -5,18 +5,15 @@ python -m benchmarks.learned_driver --write docs/learned-driver.md
 
 from __future__ import annotations
 
-import argparse
-import json
 import multiprocessing
 import os
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from benchmarks.report import circumstances
+from benchmarks.report import circumstances, hand_out, page_options
 from metropilot.drivers import DRIVERS
 from metropilot.drivers.policy.loaded import load_driving_policy
 from metropilot.drivers.shipped import shipped_policy
@@ -255,19 +252,11 @@ def page(results: list[Result]) -> str:
 
 def main() -> None:
     """Drive everything on all cores; print the page or write it, and the rows beside it as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", type=Path, metavar="PAGE")
-    parser.add_argument("--rows", type=Path, metavar="JSON", help="also write every run's numbers")
-    options = parser.parse_args()
+    options = page_options(__doc__)
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(os.cpu_count(), context) as pool:
         results = list(pool.map(driven, cases(), chunksize=4))
-    if options.rows:
-        options.rows.write_text(json.dumps([asdict(r) for r in results]))
-    if options.write:
-        options.write.write_text(page(results))
-    else:
-        print(page(results))
+    hand_out(options, page(results), results)
 
 
 if __name__ == "__main__":

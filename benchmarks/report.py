@@ -9,11 +9,12 @@ import platform
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -73,6 +74,24 @@ def on_devices(devices: int, module: str, *arguments: str) -> dict[str, float]:
     command = [sys.executable, "-m", module, *arguments]
     done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
+
+
+def page_options(about: str | None) -> argparse.Namespace:
+    """What a script that writes a page of its own is told: ``write`` and ``rows``, paths or None."""
+    parser = argparse.ArgumentParser(description=about)
+    parser.add_argument("--write", type=Path, metavar="PAGE")
+    parser.add_argument("--rows", type=Path, metavar="JSON", help="also write every run's numbers")
+    return parser.parse_args()
+
+
+def hand_out(options: argparse.Namespace, page: str, runs: Sequence[Any]) -> None:
+    """Print the page or write it, and the runs (dataclasses) beside it as JSON."""
+    if options.rows:
+        options.rows.write_text(json.dumps([asdict(run) for run in runs]))
+    if options.write:
+        options.write.write_text(page)
+    else:
+        print(page)
 
 
 def circumstances(packages: tuple[str, ...]) -> dict[str, str]:

@@ -23,7 +23,11 @@ def config(disturbed=0.0):
 
 
 def test_pettingzoo_accepts_it():
-    parallel_api_test(ConvoyParallelEnv(config(0.5), 3), num_cycles=60)
+    env = ConvoyParallelEnv(config(0.5), 3)
+    parallel_api_test(env, num_cycles=60)  # raises where a rule of PettingZoo's is broken
+    assert len(env.possible_agents) == 2, "everyone but the head"
+    assert all(env.observation_space(agent).shape == (6,) for agent in env.possible_agents)
+    assert all(env.action_space(agent).shape == (3,) for agent in env.possible_agents)
 
 
 def test_the_same_seed_gives_the_same_episode():

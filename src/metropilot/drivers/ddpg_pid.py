@@ -8,10 +8,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, final
 
-from metropilot.drivers.base import register
 from metropilot.drivers.policy.loaded import GuardedPolicy, policy_path
 from metropilot.drivers.policy.policy_file import load_policy
-from metropilot.drivers.shipped import shipped_policy
+from metropilot.drivers.shipped import register_shipped, shipped_policy
 from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
 from metropilot.errors import InputError
 from metropilot.task import Run
@@ -67,6 +66,7 @@ class DdpgPidOptions(AbstractTrackingOptions):
 
 
 @final
+@register_shipped
 class DdpgPid(AbstractTracker):
     """Tracks a reference with gains that a policy learned to set.
 
@@ -101,7 +101,3 @@ class DdpgPid(AbstractTracker):
         """One period: the policy's gains, then the law."""
         command, memory = ddpg_pid(self.policy, seen, memory)
         return float(command), memory
-
-
-if shipped_policy(DdpgPid.id).is_file():
-    register(DdpgPid)

@@ -6,20 +6,12 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import ClassVar, final
 
-from metropilot.drivers.base import register
 from metropilot.drivers.expert.policy import AbstractExpertPolicyDriver
-from metropilot.drivers.shipped import shipped_policy
-
-
-def register_learned(driver: type[AbstractExpertPolicyDriver]) -> type[AbstractExpertPolicyDriver]:
-    """Add a driver to the registry if its policy is there (class decorator)."""
-    if shipped_policy(driver.id).is_file():
-        register(driver)
-    return driver
+from metropilot.drivers.shipped import register_shipped
 
 
 @final
-@register_learned
+@register_shipped
 class Eitop(AbstractExpertPolicyDriver):
     """EITOE whose change of the rate was learned by PPO.
 
@@ -33,7 +25,7 @@ class Eitop(AbstractExpertPolicyDriver):
 
 
 @final
-@register_learned
+@register_shipped
 class Itor(AbstractExpertPolicyDriver):
     """Expert rules with one of three changes of the rate, learned by Q-learning in a table.
 
@@ -47,7 +39,7 @@ class Itor(AbstractExpertPolicyDriver):
 
 
 @final
-@register_learned
+@register_shipped
 class Stod(AbstractExpertPolicyDriver):
     """Expert rules with a continuous change of the rate, learned by DDPG.
 
@@ -61,7 +53,7 @@ class Stod(AbstractExpertPolicyDriver):
 
 
 @final
-@register_learned
+@register_shipped
 class Ston(AbstractExpertPolicyDriver):
     """Expert rules with a continuous change of the rate, learned by NAF.
 

@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import ClassVar, final
 
-from metropilot.drivers.base import AbstractDriver, register
+from metropilot.drivers.base import AbstractDriver, DriverClass, register
 from metropilot.drivers.learned import LearnedDriver, LearnedMemory
 from metropilot.drivers.policy.loaded import LoadedPolicy, load_driving_policy
 from metropilot.errors import InputError
@@ -90,7 +90,7 @@ def shipped_policy(driver_id: str) -> Path:
     return POLICIES / f"{driver_id}.safetensors"
 
 
-def register_shipped(driver: type[AbstractShippedDriver]) -> type[AbstractShippedDriver]:
+def register_shipped(driver: DriverClass) -> DriverClass:
     """Add a driver to the registry if its policy is there (class decorator)."""
     if shipped_policy(driver.id).is_file():
         register(driver)

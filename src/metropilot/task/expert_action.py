@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -19,10 +20,9 @@ SURE_S = 2.0
 """The window a policy drives in: a second inside the 3 s, so that the worst policy still arrives on time."""
 
 
-@final
 @dataclass(frozen=True)
-class ExpertAction(AbstractAction):
-    """The change of the rate inside the expert's rules, a number (Huang25 eqs. 22 to 24).
+class AbstractExpertAction(AbstractAction):
+    """A change of the rate inside the expert's rules (Huang25 eqs. 22 to 24).
 
     Attributes:
         start_mps2: Largest acceleration.
@@ -38,6 +38,16 @@ class ExpertAction(AbstractAction):
     def rules(self) -> Rules:
         """The expert's constants."""
         return Rules(self.start_mps2, self.change_mps2, self.interval_s, SURE_S)
+
+    @abstractmethod
+    def change(self, action: Array) -> Array:
+        """The wanted change over the largest, of an action on the host."""
+
+
+@final
+@dataclass(frozen=True)
+class ExpertAction(AbstractExpertAction):
+    """A number: the wanted change over the largest."""
 
     @property
     def space(self) -> ActionSpace:
@@ -56,25 +66,15 @@ class ExpertAction(AbstractAction):
 
 @final
 @dataclass(frozen=True)
-class ExpertChoiceAction(AbstractAction):
-    """One of a few changes of the rate inside the expert's rules: what a table can choose from (ITOR).
+class ExpertChoiceAction(AbstractExpertAction):
+    """One of a few changes: what a table can choose from (ITOR).
 
     Attributes:
         changes: Changes over the largest, increasing.
-        start_mps2: Largest acceleration.
-        change_mps2: Largest change of the rate in an interval.
-        interval_s: That interval.
     """
 
-    changes: tuple[float, ...] = (-1.0, 0.0, 1.0)
     start_mps2: float = 0.6
-    change_mps2: float = 0.3
-    interval_s: float = 0.2
-
-    @property
-    def rules(self) -> Rules:
-        """The expert's constants."""
-        return Rules(self.start_mps2, self.change_mps2, self.interval_s, SURE_S)
+    changes: tuple[float, ...] = (-1.0, 0.0, 1.0)
 
     @property
     def space(self) -> ActionSpace:
