@@ -44,7 +44,8 @@ def page(study: Study, report: Report) -> str:
     command = f"metropilot reproduce {study.id} --budget {report.budget}"
     about = "; ".join(f"{name}: {value}" for name, value in report.circumstances.items())
     lines = [f"# {report.title}", "", study.citation, ""]
-    took = f"{report.seeds} seeds, {report.seconds / 60:.1f} minutes (learning runs kept from earlier sittings apart)"
+    took = f"{report.seeds} seeds, {report.seconds / 60:.1f} minutes"
+    took += " (learning runs kept from earlier sittings apart)"
     lines += [f"Written by `{command}`: {took}. {about}.", "", LEGEND, ""]
     if report.remarks:
         lines += ["## What to read from it", "", *(f"- {remark}" for remark in report.remarks), ""]
