@@ -9,7 +9,6 @@ import shlex
 import signal
 import subprocess
 import sys
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -92,16 +91,13 @@ def test_an_onnx_file_says_what_its_numbers_mean(learned, metropilot, tmp_path):
 def stopped(folder, command, how):
     """Start learning, and stop it by a signal after its first evaluation; what it said."""
     pipe = subprocess.PIPE
-    # A suite that a shell runs in the background ignores Ctrl-C, and its children would inherit that.
-    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    process = subprocess.Popen(
-        [PROGRAM, *command],
-        cwd=folder,
-        stdout=pipe,
-        stderr=pipe,
-        text=True,
-        preexec_fn=heard,  # noqa: PLW1509 (nothing here has threads)
-    )
+    # A suite that a shell runs in the background ignores Ctrl-C, and its children would inherit that;
+    # it is said here and not in the child, where it would need a fork beside JAX's threads.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        process = subprocess.Popen([PROGRAM, *command], cwd=folder, stdout=pipe, stderr=pipe, text=True)
+    finally:
+        signal.signal(signal.SIGINT, before)
     try:
         for line in process.stdout:
             if re.match(r"\s+[\d ]+\d\s+\d", line):
