@@ -67,6 +67,9 @@ class LearnReport:
         self.steps = now.steps
         row = now.row
         left = clock(now.seconds_left)
+        if "lessons" in row:
+            self._say(f"{row['lessons']:>10.0%} of the lessons gathered, {left} left")
+            return
         cells = (
             f"{now.steps:,}".replace(",", " "),
             f"{now.rate:,.0f}".replace(",", " "),

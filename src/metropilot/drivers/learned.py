@@ -116,7 +116,9 @@ class LearnedDriver(AbstractDriver):
             track=case.track,
             length_m=case.length_m,
             load=case.load,
-            stop_mps2=case.stop_mps2,
+            stop_mps2=self.perception.assists.planned_mps2(
+                memory.rows, 0, case.stop_mps2, np.float64(observation.position_m)
+            ),
             rates=case.protection.rates,
             time_s=np.float64(observation.time_s),
             position_m=np.float64(observation.position_m),

@@ -149,6 +149,20 @@ class PpoScaled(AbstractShippedDriver):
 
 @final
 @register_shipped
+class Generalist(AbstractShippedDriver):
+    """Taught by the optimal plan on random sections and trainsets: drives any section it never saw.
+
+    Args:
+        options: Another policy.
+    """
+
+    id: ClassVar[str] = "generalist"
+    summary: ClassVar[str] = "Learned on random sections and trainsets: one policy for every line"
+    source: ClassVar[str] = "own"
+
+
+@final
+@register_shipped
 class Ddpg(AbstractShippedDriver):
     """Learned by DDPG on Rongjing to Wanyuanjie, for the same runs as ``ppo``.
 

@@ -17,6 +17,7 @@ from metropilot.learn.schedules import Schedule, Scheduled, highest
 
 FULL_IMPORTANCE = Schedule(0.4, 1.0)
 LESS_CURIOUS = Schedule(1.0, 0.05, over=0.3)
+LESS_AND_LESS = Schedule(3e-4, 1.5e-5, shape="cosine")
 MAX_PRIORITISED = 1 << 20
 """Priorities are summed in single precision."""
 
@@ -255,6 +256,57 @@ class TabularConfig(AbstractConfig):
             )
 
 
+@dataclass(frozen=True)
+class TeacherConfig(AbstractConfig):
+    """Learning from the optimal plan: first by imitation, then in closed loop with the gradient of the bill.
+
+    ``steps`` counts the decisions driven in closed loop.
+
+    Attributes:
+        worlds: Random worlds that lessons and drives are drawn from.
+        plans: Optimal plans of each, all but one from a state beside the first.
+        states: States along each plan.
+        batches: Gradient steps of the imitation.
+        batch_size: States of each.
+        imitation_rate: Of Adam, falling to nothing over the imitation.
+        learning_rate: Of Adam, in closed loop.
+        decisions: Driven in one closed-loop gradient step: many short drives or a few long ones.
+        imitation_weight: Of the imitation's loss in closed loop.
+        late_per_s: Price of a second off time beyond what it costs anyway, as a share of the energy.
+    """
+
+    algorithm: ClassVar[str] = "teacher"
+
+    steps: int = 60_000_000
+    evaluations: int = 12
+    hidden: tuple[int, ...] = (128, 128, 128)
+    activation: Activation = "silu"
+    normalise_observations: bool = True
+    gamma: float = 1.0
+    max_gradient_norm: float | None = 0.5
+    worlds: int = 3_000
+    plans: int = 7
+    states: int = 60
+    batches: int = 20_000
+    batch_size: int = 1_024
+    imitation_rate: float = 1.5e-3
+    learning_rate: Scheduled = LESS_AND_LESS
+    decisions: int = 38_400
+    imitation_weight: float = 0.3
+    late_per_s: float = 0.03
+
+    def __post_init__(self) -> None:
+        """Refuse numbers outside their range."""
+        super().__post_init__()
+        for name in ("worlds", "plans", "states", "batches", "batch_size"):
+            self.within(name, 1, math.inf)
+        self.within("decisions", 9_600, math.inf)
+        self.within("learning_rate", 0.0, 1.0)
+        for name in ("imitation_rate", "imitation_weight", "late_per_s"):
+            self.within(name, 0.0, math.inf)
+
+
 CONFIGS: dict[str, type[AbstractConfig]] = {
-    kind.algorithm: kind for kind in (DDPGConfig, DQNConfig, NAFConfig, PPOConfig, SACConfig, TabularConfig)
+    kind.algorithm: kind
+    for kind in (DDPGConfig, DQNConfig, NAFConfig, PPOConfig, SACConfig, TabularConfig, TeacherConfig)
 }

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from metropilot.drivers.policy import load_policy
 from metropilot.drivers.shipped import shipped_policy
 from metropilot.errors import InputError
+from metropilot.learn.config import TeacherConfig
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.config_reading import config_from_mapping
 from metropilot.task import TASKS, DrivingConfig, task_config
@@ -139,12 +140,15 @@ def evaluation_of(request: RunRequest) -> Evaluate:
         InputError: The learner does not take this kind of action.
     """
     from metropilot.learn.driving import DrivingEvaluation
+    from metropilot.learn.generalist.pupil import pupil_spec
     from metropilot.learn.registry import make_learner
     from metropilot.task import DrivingTask
 
     task = request.task
     if not isinstance(task, DrivingTask):
         raise InputError("only driving tasks are evaluated by driving", field="task", value=request.name)
+    if isinstance(request.config, TeacherConfig):
+        return DrivingEvaluation(task, pupil_spec(request.config, task.observation_size))
     return DrivingEvaluation(task, make_learner(request.config, task).spec)
 
 
@@ -291,6 +295,18 @@ EXPERT_REPLAY: Mapping[str, Any] = MappingProxyType(
         "evaluations": 16,
     }
 )
+TEACHER_QUICK: Mapping[str, Any] = MappingProxyType(
+    {
+        "worlds": 200,
+        "plans": 4,
+        "states": 100,
+        "batches": 4_000,
+        "hidden": (64, 64),
+        "decisions": 9_600,
+        "steps": 480_000,
+        "evaluations": 1,
+    }
+)
 
 RECIPES: Mapping[str, Recipe] = MappingProxyType(
     {
@@ -334,6 +350,14 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
             {**REPLAY, **EXPERT_REPLAY},
             REPLAY_QUICK,
             _gentle,
+        ),
+        "generalist": Recipe(
+            "the optimal plan as a teacher, then drives in closed loop",
+            "own",
+            "teacher",
+            "worlds",
+            {},
+            TEACHER_QUICK,
         ),
         "dqn": Recipe("DQN", "Lu23", "dqn", "lu2023", NOTCHES, NOTCHES_QUICK),
         "improved_dqn": Recipe(

@@ -10,6 +10,7 @@ from typing import Any
 from metropilot.drivers.policy.loaded import FILE as POLICY_FILE
 from metropilot.drivers.policy.policy_file import save_policy
 from metropilot.errors import InputError
+from metropilot.learn.config import TeacherConfig
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.evaluation import kpis_kept, kpis_of_row
 from metropilot.learn.history import write_history
@@ -17,7 +18,7 @@ from metropilot.learn.locks import at_work
 from metropilot.learn.runs import RunRecord, RunStore
 from metropilot.learn.session import Learned, Progress, Sitting, learn_in_chunks
 from metropilot.learn.tensorboard import EventWriter
-from metropilot.task import Perception
+from metropilot.task import DrivingTask, Perception
 from metropilot.task.interface import AbstractTask
 
 
@@ -106,7 +107,7 @@ def _learn(
     checkpoint = folder / "checkpoint.safetensors"
     whole = replace(given, on_progress=progress, checkpoint=checkpoint, resume=resume, about=about)
     try:
-        learned = learn_in_chunks(request.config, request.task, request.seed, whole)
+        learned = _learned(request, whole)
     except InputError:
         store.save(before)
         raise
@@ -126,6 +127,15 @@ def _learn(
     save_policy(folder / POLICY_FILE, learned.policy, policy_about(record, request.perception))
     store.save(record)
     return record, learned
+
+
+def _learned(request: RunRequest, sitting: Sitting) -> Learned:
+    """By the learner, or by the teacher."""
+    if isinstance(request.config, TeacherConfig) and isinstance(request.task, DrivingTask):
+        from metropilot.learn.generalist.course import teach_in_parts
+
+        return teach_in_parts(request.config, request.task, request.seed, sitting)
+    return learn_in_chunks(request.config, request.task, request.seed, sitting)
 
 
 def policy_about(record: RunRecord, perception: Perception | None) -> dict[str, Any]:

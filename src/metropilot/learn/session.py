@@ -110,7 +110,7 @@ def learn_in_chunks(
     sitting = sitting or Sitting()
     keep_compiled()
     loop = make_loop(config, task, sitting.evaluate)
-    identity = _identity(config, seed, sitting)
+    identity = identity_of(config, seed, sitting)
     state, columns, seconds = _begin(loop, seed, sitting, identity)
     start = time.perf_counter()
     chunk = jax.jit(loop.chunk, donate_argnums=0).lower(state).compile()
@@ -135,7 +135,7 @@ def learn_in_chunks(
     return Learned(policy, float(state.best_score), history, seconds, compile_seconds)
 
 
-def _identity(config: AbstractConfig, seed: int, sitting: Sitting) -> dict[str, Any]:
+def identity_of(config: AbstractConfig, seed: int, sitting: Sitting) -> dict[str, Any]:
     """What must be the same to go on."""
     plain = config_to_mapping(config)
     return {"algorithm": config.algorithm, "config": plain, "seed": seed, "task": dict(sitting.about or {})}
@@ -150,7 +150,7 @@ def _begin(
     if not (sitting.resume and path and path.exists()):
         return jax.jit(loop.init)(key), {}, 0.0
     state, history, about = load_checkpoint(path, jax.eval_shape(loop.init, key))
-    for name, old, new in _differences(about, identity):
+    for name, old, new in differences(about, identity):
         words = "the checkpoint was made with another value"
         raise InputError(words, file=path, field=name, value=repr(new), allowed=repr(old))
     return (
@@ -160,12 +160,12 @@ def _begin(
     )
 
 
-def _differences(old: Any, new: Any, name: str = "") -> Iterator[tuple[str, Any, Any]]:
+def differences(old: Any, new: Any, name: str = "") -> Iterator[tuple[str, Any, Any]]:
     """Where plain values differ from those remembered; lists and tuples of equal entries are equal."""
     if isinstance(new, Mapping):
         for key in new:
             below = old.get(key) if isinstance(old, Mapping) else None
-            yield from _differences(below, new[key], f"{name}.{key}".lstrip("."))
+            yield from differences(below, new[key], f"{name}.{key}".lstrip("."))
     elif (list(old) if isinstance(old, tuple) else old) != (list(new) if isinstance(new, tuple) else new):
         yield name, old, new
 

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from metropilot.task.actions import (
     AbstractAction,
     CommandAction,
+    EffortAction,
     GainsAction,
     IncrementAction,
     NotchAction,
@@ -20,6 +21,7 @@ ACTIONS: Mapping[str, type[AbstractAction]] = MappingProxyType(
     {
         "command": CommandAction,
         "regime": RegimeAction,
+        "effort": EffortAction,
         "increment": IncrementAction,
         "notches": NotchAction,
         "notch_forces": NotchForceAction,

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from metropilot.physics import resistance_and_gradient
 from metropilot.physics.effort import effort_at
 from metropilot.task.observers import Sight
-from metropilot.task.tables import PERMITTED
+from metropilot.task.tables import PERMITTED, STOP_USE, Rows
 
 Array = Any
 
@@ -36,6 +36,10 @@ EASE_SHARE = 0.4
 LET_GO_SHARE = 0.75
 """Below this share of the planned deceleration the last braking was too early, and the policy drives on."""
 NEWTON_STEPS = 3
+SHORTEST_M = 0.5
+SHARED_M = 10.0
+"""Nearer to the stop the deceleration asked for is what it is."""
+LEAST_MPS2 = 0.2
 
 
 @dataclass(frozen=True)
@@ -48,12 +52,33 @@ class Assists:
         margin_mps: How far under the permitted speed.
         stop_mps2: Deceleration of the last braking; 0: what is surely at hand at any speed, which is very
             little for a brake that fades, while a low limit before the stop may allow much more.
+        stop_use: Share of what is surely at hand that the last braking is planned with.
+        late: Brake as late as the brakes surely allow: the last braking is planned with what the gradient
+            leaves at each place, not with what it leaves at the worst, and begins within a period if that is
+            when it must; and the speed is kept from which a lower ceiling ahead can be met.
     """
 
     stop: bool = True
     ceiling: bool = True
     margin_mps: float = 0.15
     stop_mps2: float = 0.0
+    stop_use: float = STOP_USE
+    late: bool = False
+
+    def planned_mps2(self, rows: Rows, case: Array, sure_mps2: Array, position_m: Array) -> Array:
+        """Deceleration to plan the last braking with from a position.
+
+        Args:
+            rows: The task's tables.
+            case: Row of the case.
+            sure_mps2: That of its row, which was built for ``STOP_USE``.
+            position_m: Where.
+        """
+        if not self.late:
+            return sure_mps2 * (self.stop_use / STOP_USE)
+        left_m = rows.xp.maximum(rows.length_m[case] - position_m, SHORTEST_M)
+        work, _ = rows.stop_at(case, position_m + 0.0 * left_m)
+        return self.stop_use * rows.xp.maximum(work / left_m, LEAST_MPS2)
 
 
 class Needs(NamedTuple):
@@ -114,10 +139,21 @@ def assisted(
         command = xp.minimum(command, ceiling)
     if assists.stop:
         stopping, wanted = stop_mps2(sight, stopping, dt)
+        entering = xp.asarray(False)
+        if assists.late:
+            wanted, entering = late_mps2(assists, sight, wanted, dt)
         stop = share_for(sight, needs, -wanted)
         highest = xp.minimum(stop, ceiling) if assists.ceiling else stop
+        highest = xp.where(entering, xp.minimum(highest, command), highest)
         command = xp.where(stopping, highest, command)
     return command, stopping
+
+
+def ceiling_at(assists: Assists, rows: Rows, case: Array, position_m: Array) -> Array:
+    """The speed to keep under at a position, m/s."""
+    if assists.late:
+        return rows.follow_at(case, position_m)
+    return rows.ground_at(PERMITTED, case, position_m)
 
 
 def ceiling_mps2(assists: Assists, sight: Sight, dt: float) -> Array:
@@ -131,7 +167,7 @@ def ceiling_mps2(assists: Assists, sight: Sight, dt: float) -> Array:
     spread = rates.mass_high / rates.mass_low
 
     def permitted(at: Array) -> Array:
-        return sight.rows.ground_at(PERMITTED, sight.case, at) - assists.margin_mps - rates.speed_error_mps
+        return ceiling_at(assists, sight.rows, sight.case, at) - assists.margin_mps - rates.speed_error_mps
 
     jerk = xp.minimum(sight.vehicle.jerk_mps3, AT_ONCE_MPS3)
     ahead_s = dt + rates.reaction_s + 1.0 / jerk
@@ -169,6 +205,30 @@ def stop_mps2(sight: Sight, stopping: Array, dt: float) -> tuple[Array, Array]:
     wanted = xp.where(jerk < AT_ONCE_MPS3, wanted, xp.minimum(last, STRONGEST_MPS2))
     wanted = xp.where(s > 1e-3, wanted, STRONGEST_MPS2)
     return stopping, xp.where(v > 0, wanted, HOLD_MPS2)
+
+
+def late_mps2(assists: Assists, sight: Sight, wanted: Array, dt: float) -> tuple[Array, Array]:
+    """The deceleration that follows what the gradient leaves at each place, m/s^2; whether it only begins.
+
+    Without a jerk limit it is the one that is on the stop curve at the end of the period, ``v'^2 = 2 b s'``
+    with ``v' = v - a dt``: small in the period in which the braking begins, and on the curve from then on.
+    With one, the deceleration asked for is shared out as the brakes can give it.
+
+    Args:
+        assists: How the last braking is planned.
+        sight: What the driver sees.
+        wanted: What a constant deceleration would be.
+        dt: Control period, s.
+    """
+    xp, v, s, planned = sight.xp, sight.speed_mps, sight.length_m - sight.position_m, sight.stop_mps2
+    _, able = sight.rows.stop_at(sight.case, sight.position_m + 0.5 * v * dt)
+    shape = xp.where(s > SHARED_M, xp.clip(assists.stop_use * able / planned, 0.5, 2.0), 1.0)
+    room, turn = 2.0 * s - v * dt, planned * dt
+    after = 0.5 * (xp.sqrt(turn * turn + 4.0 * planned * xp.maximum(room, 0.0)) - turn)
+    onto = xp.clip((v - after) / dt, 0.0, STRONGEST_MPS2)
+    at_once = (sight.vehicle.jerk_mps3 >= AT_ONCE_MPS3) & (v > turn) & (room > v * dt)
+    found = shape * xp.where(at_once, onto, wanted)
+    return xp.where(v > 0, found, wanted), at_once & (onto < LET_GO_SHARE * planned)
 
 
 def _built_up(xp: Any, v: Array, a: Array, wanted: Array, jerk: Array) -> tuple[Array, Array]:  # noqa: ANN401

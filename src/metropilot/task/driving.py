@@ -210,7 +210,9 @@ class DrivingTask(AbstractTask):
             track=near_track(case.track, case.vehicle, plant.position_m),
             length_m=case.length_m,
             load=case.load,
-            stop_mps2=case.stop_mps2,
+            stop_mps2=self.config.assists.planned_mps2(
+                self.rows, state.start.case, case.stop_mps2, plant.position_m
+            ),
             rates=case.protection.rates,
             time_s=plant.time_s,
             position_m=plant.position_m,

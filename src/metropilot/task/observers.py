@@ -21,6 +21,11 @@ from metropilot.task.tables import CLIMB, PERMITTED, Rows
 Array = Any
 
 AHEAD_M = (20.0, 50.0, 100.0, 200.0, 350.0, 600.0, 1000.0)
+FAR_M = (35.0, 75.0, 150.0, 275.0, 475.0, 800.0, 1500.0, 2200.0, 3500.0)
+COAST_NODES = np.linspace(0.0, 1.0, 25, dtype=np.float32)
+COAST_PASSES = 2
+SLOWEST_J = 0.5
+CHECK_MPS = (12.0, 20.0)
 SPEED_MPS = 20.0
 DISTANCE_M = 1000.0
 TIME_S = 100.0
@@ -155,19 +160,37 @@ def permitted(sight: Sight) -> Sequence[Array]:
 
 def permitted_ahead(sight: Sight) -> Sequence[Array]:
     """Permitted speed at several distances ahead."""
-    ahead = (sight.rows.ground_at(PERMITTED, sight.case, sight.position_m + d) for d in AHEAD_M)
+    return _permitted_at(sight, AHEAD_M)
+
+
+def permitted_far(sight: Sight) -> Sequence[Array]:
+    """Permitted speed further ahead, and between the distances of ``permitted_ahead``."""
+    return _permitted_at(sight, FAR_M)
+
+
+def _permitted_at(sight: Sight, ahead_m: Sequence[float]) -> Sequence[Array]:
+    ahead = (sight.rows.ground_at(PERMITTED, sight.case, sight.position_m + d) for d in ahead_m)
     return [value / SPEED_MPS for value in ahead]
 
 
 def climb_ahead(sight: Sight) -> Sequence[Array]:
     """Mean of gradient and curve resistance over several distances ahead, and over all that is left."""
+    return [*climb_within(sight, AHEAD_M), *climb_within(sight, (np.inf,))]
+
+
+def climb_far(sight: Sight) -> Sequence[Array]:
+    """Mean of gradient and curve resistance over the distances of ``permitted_far``."""
+    return climb_within(sight, FAR_M)
+
+
+def climb_within(sight: Sight, ahead_m: Sequence[float]) -> Sequence[Array]:
+    """Mean of gradient and curve resistance over distances ahead, the stop at the latest."""
     here = sight.rows.ground_at(CLIMB, sight.case, sight.position_m)
     parts = []
-    for d in AHEAD_M:
+    for d in ahead_m:
         way = sight.xp.clip(sight.left_m, 1.0, d)
         parts.append((sight.rows.ground_at(CLIMB, sight.case, sight.position_m + way) - here) / way * 5.0)
-    way = sight.xp.maximum(sight.left_m, 1.0)
-    return [*parts, (sight.rows.ground_at(CLIMB, sight.case, sight.length_m + 0.0 * way) - here) / way * 5.0]
+    return parts
 
 
 def efforts(sight: Sight) -> Sequence[Array]:
@@ -176,6 +199,56 @@ def efforts(sight: Sight) -> Sequence[Array]:
     mass = sight.vehicle.effective_mass_kg * PER_KG
     drag = davis_n(sight.vehicle, sight.speed_mps)
     return [effort.traction_n / mass, effort.brake_n / mass, 10.0 * drag / mass]
+
+
+def efforts_ahead(sight: Sight) -> Sequence[Array]:
+    """Largest traction and running resistance at two fixed speeds, per kilogram; the last braking's rate."""
+    vehicle, parts = sight.vehicle, []
+    for speed_mps in CHECK_MPS:
+        v = 0.0 * sight.speed_mps + speed_mps
+        parts += [effort_at(vehicle, v).traction_n, 10.0 * davis_n(vehicle, v)]
+    parts = [part / vehicle.effective_mass_kg for part in parts]
+    return [*parts, sight.stop_mps2 + 0.0 * sight.speed_mps]
+
+
+def coasting(sight: Sight) -> Sequence[Array]:
+    """What is left of the time if the trainset coasts from here to the last braking; how slow it gets.
+
+    Kinetic energy at a few nodes ahead, falling by resistance and climb, below the permitted speed and the
+    last braking; resistance is taken at the speeds of the pass before.
+    """
+    xp, vehicle, v = sight.xp, sight.vehicle, sight.speed_mps
+    length = xp.maximum(sight.left_m, 1.0)
+    way = xp.asarray(COAST_NODES, v.dtype).reshape((-1,) + (1,) * v.ndim) * length
+    step, at = way[1:] - way[:-1], sight.position_m + way
+    climb = sight.rows.ground_at(CLIMB, sight.case, at)
+    climb = (climb - climb[:1]) * (vehicle.mass_kg / vehicle.effective_mass_kg)
+    braked = xp.sqrt(2.0 * sight.stop_mps2 * (length - way) + 1e-6)
+    top = xp.minimum(sight.rows.ground_at(PERMITTED, sight.case, at), braked)
+    energy = xp.maximum(0.5 * v * v - climb, SLOWEST_J)
+    for _ in range(COAST_PASSES):
+        drag = davis_n(vehicle, xp.minimum(xp.sqrt(2.0 * energy), top)) / vehicle.effective_mass_kg
+        lost = xp.cumsum(0.5 * (drag[1:] + drag[:-1]) * step, 0)
+        lost = xp.concatenate([xp.zeros_like(lost[:1]), lost])
+        energy = xp.maximum(0.5 * v * v - climb - lost, SLOWEST_J)
+    speeds = xp.minimum(xp.sqrt(2.0 * energy), top)
+    taken = xp.sum(2.0 * step / (speeds[1:] + speeds[:-1] + 0.1), 0)
+    slowest = xp.min(speeds[:-3], 0) / SPEED_MPS
+    return [*_spare(sight, taken), xp.tanh((sight.left_s - taken) / 2.0), slowest]
+
+
+def steady(sight: Sight) -> Sequence[Array]:
+    """What is left of the time if the trainset holds its speed up to the last braking."""
+    v = sight.xp.maximum(sight.speed_mps, 1.0)
+    return _spare(sight, sight.left_m / v + 0.5 * v / sight.stop_mps2)
+
+
+def _spare(sight: Sight, taken_s: Array) -> list[Array]:
+    """Time left beyond a time taken: plain, fine near zero, and as a share."""
+    xp = sight.xp
+    spare = xp.clip(sight.left_s - taken_s, -200.0, 200.0)
+    share = xp.clip(spare / xp.maximum(sight.left_s, 5.0), -2.0, 2.0)
+    return [spare / 50.0, xp.tanh(spare / 10.0), share]
 
 
 def load(sight: Sight) -> Sequence[Array]:
@@ -223,8 +296,13 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
             braking,
             permitted,
             permitted_ahead,
+            permitted_far,
             climb_ahead,
+            climb_far,
             efforts,
+            efforts_ahead,
+            coasting,
+            steady,
             load,
             delay,
             build_up,
@@ -266,9 +344,27 @@ OBSERVERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "command",
             "acceleration",
         ),
+        "line": (
+            "speed",
+            "distance_left",
+            "time_left",
+            "reserve",
+            "mean_speed",
+            "braking",
+            "permitted",
+            "permitted_ahead",
+            "permitted_far",
+            "climb_ahead",
+            "climb_far",
+            "efforts",
+            "efforts_ahead",
+            "coasting",
+            "steady",
+            "build_up",
+        ),
     }
 )
-"""Named observers: Chen23a's two numbers, Lu23's three, one for a section, one for any section."""
+"""Named observers: Chen23a's two numbers, Lu23's three, one for a section, two for any section."""
 
 
 def observe(features: Sequence[str], sight: Sight) -> Array:

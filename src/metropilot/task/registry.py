@@ -34,6 +34,7 @@ from metropilot.task.rewards import (
     StopWindow,
 )
 from metropilot.task.scenarios import Scenarios
+from metropilot.task.worlds import ASSISTS, OBSERVER, WorldsConfig, nth_world
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,26 @@ def _drive_both() -> DrivingConfig:
 
 def _drive_line() -> DrivingConfig:
     return DrivingConfig(_all(), _loads(), LINE_TIMES, observer="route")
+
+
+WORLDS_SEED, WORLDS = 987_654, 24
+"""The worlds that judge; those that teach are drawn from other seeds."""
+
+
+def _worlds() -> DrivingConfig:
+    worlds = [nth_world(WORLDS_SEED, k) for k in range(WORLDS)]
+    return WorldsConfig(
+        tuple(world.section for world in worlds),
+        tuple(world.trainset for world in worlds),
+        Scenarios(time_ratio=(1.05, 1.4)),
+        ideal=False,
+        observer=OBSERVER,
+        assists=ASSISTS,
+        dt=0.2,
+        periods=2,
+        most_decisions=3000,
+        spacing_m=2.0,
+    )
 
 
 def _drive_disturbed() -> DrivingConfig:
@@ -208,6 +229,7 @@ TASKS: Mapping[str, TaskRow] = MappingProxyType(
         "drive_jerk": TaskRow("The same with the trainset's jerk limit", _drive_jerk),
         "drive_both": TaskRow("Both: RJ to WYJ, every load, with and without jerk limit", _drive_both),
         "drive_line": TaskRow("All sections of the Yizhuang line, both ways, every load", _drive_line),
+        "worlds": TaskRow("Random sections with random trainsets, none of a real line", _worlds),
         "drive_disturbed": TaskRow("RJ to WYJ with scatter, delay, noise and new times", _drive_disturbed),
         "drive_increment": TaskRow("RJ to WYJ by changes of the command (Huang25)", _drive_increment),
         "drive_notches": TaskRow("RJ to WYJ by a table of notches", _drive_notches),

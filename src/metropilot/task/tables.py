@@ -10,7 +10,7 @@ import numpy as np
 from metropilot.physics import Track, Vehicle, stack, track_arrays, vehicle_arrays
 from metropilot.physics.arrays import locate, namespace
 from metropilot.physics.effort import effort_at
-from metropilot.physics.resistance import felt_slopes
+from metropilot.physics.resistance import davis_n, felt_slopes
 from metropilot.protection import Bounds, Protection, protect
 from metropilot.railway import Section, Trainset
 
@@ -31,6 +31,8 @@ class Tables(NamedTuple):
         length_m: Distance to the stop. Shape (C,).
         load: Mass over the mean of all cases. Shape (C,).
         stop_mps2: Deceleration the last braking is planned with, surely at hand. Shape (C,).
+        braked: At the same nodes: what the brakes surely take out from here to the stop, J/kg, and the speed
+            from which they surely keep under the permitted speed of all that follows. Shape (C, N, 2).
     """
 
     vehicle: Vehicle
@@ -42,12 +44,17 @@ class Tables(NamedTuple):
     length_m: Array
     load: Array
     stop_mps2: Array
+    braked: Array
 
 
 SPEED_STEP_MPS = 0.5
 """Between the columns of ``to_go``."""
 STOP_STRETCH_M = 300.0
 STOP_USE = 0.95
+STOP_PASSES = 4
+LEAST_STOP_MPS2 = 0.2
+SURE_RESISTANCE = 0.8
+"""Share of the running resistance that a late stop counts on."""
 CURVES = ("emergency", "service", "permitted_mps", "pull_mps2", "usual_pull_mps2")
 """Protection's curves in ``Tables.ground``, in this order; the climb comes last."""
 PERMITTED, CLIMB = 2, 5
@@ -65,7 +72,7 @@ def build_tables(
     """
     masses = [trainset.mass_kg for _, trainset, _ in cases]
     rows = [_case(*case, spacing_m) for case in cases]
-    vehicles, tracks, protections, grounds, tables, lengths, stops = zip(*rows, strict=True)
+    vehicles, tracks, protections, grounds, tables, lengths, stops, brakings = zip(*rows, strict=True)
     nodes = max(ground.shape[0] for ground in grounds)
     ahead = np.arange(max(_look_ahead(protection) for protection in protections), dtype=np.int32)
     small = [p._replace(**dict.fromkeys(CURVES, 0.0)) for p in protections]
@@ -80,6 +87,7 @@ def build_tables(
         length_m=np.array(lengths),
         load=np.array(masses) / np.mean(masses),
         stop_mps2=np.array(stops),
+        braked=np.stack([np.pad(b, ((0, nodes + ahead.size + 2 - len(b)), (0, 0))) for b in brakings]),
     )
     return _mapped(lambda a: a if a.dtype.kind in "iub" else a.astype(dtype), whole)
 
@@ -96,7 +104,48 @@ def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float
     climb = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]))])
     ground = np.stack([*(getattr(protection, name)[:used] for name in CURVES), climb], axis=1)
     table = to_go_table(vehicle, track).time_s
-    return vehicle, track, protection, ground, table, section.length_m, _stop_mps2(vehicle, track)
+    pull = weight / spacing_m * float(vehicle.mass_kg) / float(vehicle.effective_mass_kg)
+    work = _stop_work(vehicle, at, pull, section.length_m)
+    braked = np.stack([work, _follow_mps(vehicle, at, pull, protection.permitted_mps[:used])], axis=1)
+    stop_mps2 = _stop_mps2(vehicle, track)
+    return vehicle, track, protection, ground, table, section.length_m, stop_mps2, braked
+
+
+def _follow_mps(vehicle: Vehicle, at: np.ndarray, pull: np.ndarray, permitted: np.ndarray) -> np.ndarray:
+    """Highest speed at each node from which the service brake keeps under the permitted speed. Shape (N,)."""
+    able = STOP_USE * np.clip(
+        _sure_brake(vehicle) + pull, LEAST_STOP_MPS2, float(vehicle.max_deceleration_mps2)
+    )
+    energy = 0.5 * permitted.astype(np.float64) ** 2
+    gained = able[:-1] * np.diff(at)
+    for k in range(at.size - 2, -1, -1):
+        energy[k] = min(energy[k], energy[k + 1] + gained[k])
+    return np.sqrt(2.0 * energy)
+
+
+def _stop_work(vehicle: Vehicle, at: np.ndarray, uphill: np.ndarray, length_m: float) -> np.ndarray:
+    """What brakes and resistance surely take out between each node and the stop, J/kg. Shape (N,).
+
+    What they can do depends on the speed of the braking, and that on what they can do: found by passes.
+    """
+    mass, ends = float(vehicle.effective_mass_kg), float(vehicle.max_deceleration_mps2)
+
+    def taken_out(able: np.ndarray) -> np.ndarray:
+        work = np.concatenate([[0.0], np.cumsum(0.5 * (able[1:] + able[:-1]) * np.diff(at))])
+        return np.interp(length_m, at, work) - work
+
+    work = taken_out(np.clip(_sure_brake(vehicle) + uphill, LEAST_STOP_MPS2, ends))
+    for _ in range(STOP_PASSES):
+        speed = np.minimum(np.sqrt(2.0 * np.maximum(work, 0.0)), float(vehicle.max_speed_mps))
+        sure = effort_at(vehicle, speed).brake_n + SURE_RESISTANCE * davis_n(vehicle, speed)
+        work = taken_out(np.clip(sure / mass + uphill, LEAST_STOP_MPS2, ends))
+    return work
+
+
+def _sure_brake(vehicle: Vehicle) -> float:
+    """Deceleration of the service brake at the speed where it is weakest, on the level."""
+    speeds = np.linspace(0.0, float(vehicle.max_speed_mps), 32)
+    return float(np.min(effort_at(vehicle, speeds).brake_n)) / float(vehicle.effective_mass_kg)
 
 
 def _stop_mps2(vehicle: Vehicle, track: Track) -> float:
@@ -105,9 +154,7 @@ def _stop_mps2(vehicle: Vehicle, track: Track) -> float:
     gradient, curve, _ = felt_slopes(vehicle, track, at)
     pull = (vehicle.gravity_mps2 * gradient + curve) * vehicle.mass_kg / vehicle.effective_mass_kg
     means = np.cumsum(pull) / np.arange(1, at.size + 1)
-    speeds = np.linspace(0.0, float(vehicle.max_speed_mps), 32)
-    brake = float(np.min(effort_at(vehicle, speeds).brake_n)) / float(vehicle.effective_mass_kg)
-    sure = min(brake + float(means[5:].min()), float(vehicle.max_deceleration_mps2))
+    sure = min(_sure_brake(vehicle) + float(means[5:].min()), float(vehicle.max_deceleration_mps2))
     return max(STOP_USE * sure, 0.2)
 
 
@@ -182,8 +229,11 @@ class Rows:
         self.slots = int(tables.protection.slots.shape[1])
         self.ground = xp.asarray(tables.ground)
         self.to_go = xp.asarray(tables.to_go)
+        self.braked = xp.asarray(tables.braked)
+        self.length_m = xp.asarray(tables.length_m)
         self.tables = tables
-        small = tables._replace(ground=np.zeros(self.count), to_go=np.zeros(self.count))
+        large = dict.fromkeys(("ground", "to_go", "braked"), np.zeros(self.count))
+        small = tables._replace(**large)
         self._shared = _mapped(lambda a: bool((a == a[:1]).all()), small)
         self._small = _mapped(lambda a: xp.asarray(a[0] if (a == a[:1]).all() else a), small)
 
@@ -204,6 +254,18 @@ class Rows:
         node, way = self.node(case, position_m)
         here = self.ground[case, node, column]
         return here + (self.ground[case, node + 1, column] - here) * way
+
+    def stop_at(self, case: Array, position_m: Array) -> tuple[Array, Array]:
+        """What the brakes surely take out from a position to the stop, J/kg; its rate here, m/s^2."""
+        node, way = self.node(case, position_m)
+        here, after = self.braked[case, node, 0], self.braked[case, node + 1, 0]
+        return here + (after - here) * way, (here - after) / self.spacing_m
+
+    def follow_at(self, case: Array, position_m: Array) -> Array:
+        """Speed from which the brakes surely keep under the permitted speed of all that follows, m/s."""
+        node, way = self.node(case, position_m)
+        here, after = self.braked[case, node, 1], self.braked[case, node + 1, 1]
+        return here + (after - here) * way
 
     def to_go_s(self, case: Array, distance_m: Array, length_m: Array, speed_mps: Array) -> Array:
         """Flat-out time to the stop, bilinear in speed and the square root of the distance left, s."""

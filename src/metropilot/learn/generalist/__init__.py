@@ -1,0 +1,1 @@
+"""One driver for every line: lessons from the optimal plan, imitation, drives in closed loop."""
