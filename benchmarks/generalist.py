@@ -1,0 +1,309 @@
+"""The generalist on lines it never saw, against the optimum: the page of the docs.
+
+python -m benchmarks.generalist --write docs/generalist.md
+
+``METROPILOT_TTOBENCH`` names a folder of TTOBench tracks to drive besides; they are not part of the project.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.learned_driver import table, worst
+from benchmarks.report import circumstances, hand_out, page_options
+from metropilot.drivers import DRIVERS
+from metropilot.drivers.policy.loaded import load_driving_policy
+from metropilot.drivers.shipped import shipped_policy
+from metropilot.errors import MetropilotError
+from metropilot.evaluate import drive
+from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
+from metropilot.railway import load_line, load_trainset
+from metropilot.task import Run, Scenario
+
+DRIVER, LINE, TRAINSET, LOADS = "generalist", "yizhuang", "dkz32", ("AW0", "AW2", "AW3")
+RATIOS = (0.0, 1.05, 1.1, 1.2, 1.4)
+"""Scheduled time over the minimum of section and load; 0: the time planned by the line."""
+SCENARIOS = {"ideal actuation": Scenario(ideal_actuation=True), "jerk limit": Scenario()}
+TARGETS = {"ideal actuation": (0.7, 2.5, 5.0), "jerk limit": (2.5, 5.0, 8.0)}
+"""Gap to the optimum, per cent: median, 95th percentile, worst."""
+ON_TIME_S, IN_PLACE_M = 1.0, 0.3
+LONGEST_M = 10_000.0
+SHOWN = 8
+
+PAGE = """# One driver for every line
+
+`generalist` is one small network that has never seen a real line. It was taught on random sections of 0.5 to
+8 km with random trainsets of 80 to 500 t ([`metropilot.task.worlds`](api.md)), in two steps: it imitates what
+the optimal plan does from {states:,} states on and beside the plan, and then drives in closed loop, where the
+gradient of energy and arrival time reaches the policy through the whole drive. It sees distances, limits,
+gradients, effort and resistance of this trainset, the time left and what flat-out driving, steady driving and
+coasting would take from here; nothing that names a place. The last braking and the easing off under the
+ceiling are given by assists, see [the driving task](task.md); protection supervises every run.
+
+```sh
+metropilot drive yizhuang RJ WYJ --time 110 --driver generalist
+```
+
+`metropilot learn generalist --budget paper` makes it again.
+
+Every run below is of the host loop (`metropilot drive`), and compared with the optimal plan for the running
+time it achieved (wheel traction energy). That optimum knows neither the jerk limit nor protection.
+Written by `python -m benchmarks.generalist --write docs/generalist.md`: {about}.
+
+## Zero shot: all sections of the Yizhuang line, both ways, {loads}
+
+Scheduled times: as planned by the line, and {ratios} of the minimum of section and load; a planned time below
+1.05 of the minimum is left out.
+
+{summary}
+
+Targets: median {medians}, 95th percentile {tails}, worst {worsts} % (ideal actuation / jerk limit); arrival
+within 1 s and 0.3 m in every run, no intervention. {verdict}
+
+{by_time}
+
+### The runs farthest above the optimum
+
+{farthest}
+
+{elsewhere}
+## How it was taught
+
+{taught}
+"""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run to drive; ``ratio`` 0 is the planned time."""
+
+    line: str
+    origin: str
+    destination: str
+    trainset: str
+    load: str
+    ratio: float
+    scenario: str
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of it; the gap in per cent."""
+
+    case: Case
+    outcome: str
+    scheduled_s: float
+    time_error_s: float
+    stop_error_m: float
+    gap: float
+    overspeed_mps: float
+    interventions: int
+    decision_us: float
+
+
+def driven(case: Case) -> Result | None:
+    """Drive one case and compare it with the optimum for the running time it achieved; None: left out."""
+    line = load_line(case.line)
+    section = line.section(case.origin, case.destination)
+    trainset = load_trainset(case.trainset, case.load or None)
+    shortest = minimum_running_time(section, trainset)
+    planned = section.planned_time_s or 0.0
+    scheduled_s = case.ratio * shortest if case.ratio else planned
+    if scheduled_s < min(RATIOS[1:]) * shortest - 1e-6:
+        return None
+    done = drive(Run(section, trainset, scheduled_s, SCENARIOS[case.scenario]), DRIVERS.make(DRIVER))
+    rows = done.trajectory
+    best = optimal_plan(section, done.trainset, done.running_time_s, PlanOptions(spacing_m=5.0))
+    return Result(
+        case=case,
+        outcome=done.outcome.value,
+        scheduled_s=scheduled_s,
+        time_error_s=done.running_time_s - scheduled_s,
+        stop_error_m=float(rows.position_m[-1]) - section.length_m,
+        gap=100.0 * (float(rows.energy_wheel_j[-1]) / best.bound_j - 1.0),
+        overspeed_mps=done.max_overspeed_mps,
+        interventions=done.interventions,
+        decision_us=float(np.median(done.decision_us)),
+    )
+
+
+def cases() -> list[Case]:
+    """Scenarios x sections x loads x scheduled times."""
+    line = load_line(LINE)
+    sections = (*line.sections(), *line.sections(backward=True))
+    return [
+        Case(LINE, section.origin.code, section.destination.code, TRAINSET, load, ratio, name)
+        for name in SCENARIOS
+        for section in sections
+        for load in LOADS
+        for ratio in RATIOS
+    ]
+
+
+def others(folder: Path) -> list[Case]:
+    """Every section of the TTOBench tracks in a folder that is no longer than ``LONGEST_M``."""
+    found = []
+    for path in sorted(folder.glob("tracks/*.json")):
+        try:
+            sections = load_line(str(path)).sections()
+        except MetropilotError:
+            continue
+        for section in sections:
+            if section.length_m <= LONGEST_M:
+                ends = section.origin.code, section.destination.code
+                found += [
+                    Case(str(path), *ends, TRAINSET, "AW2", ratio, "jerk limit") for ratio in (1.1, 1.3)
+                ]
+    return found
+
+
+def line_of(name: str, some: list[Result]) -> list[str]:
+    """The figures of a few runs."""
+    gaps = np.array([r.gap for r in some])
+    return [
+        name,
+        f"{len(some)}",
+        f"{sum(arrived(r) for r in some)}",
+        f"{worst([r.time_error_s for r in some]):+.2f}",
+        f"{worst([r.stop_error_m for r in some]):+.3f}",
+        f"{max(r.overspeed_mps for r in some):.3f}",
+        f"{sum(r.interventions for r in some)}",
+        f"{np.median(gaps):.2f}",
+        f"{np.percentile(gaps, 95):.2f}",
+        f"{gaps.max():.2f}",
+        f"{np.median([r.decision_us for r in some]):.0f}",
+    ]
+
+
+HEADS = ("runs", "within 1 s and 0.3 m", "worst time error s", "worst stop error m", "overspeed m/s")
+HEADS = (*HEADS, "interventions", "gap median %", "95th %", "worst %", "decision us")
+
+
+def arrived(r: Result) -> bool:
+    """Whether a run arrived in place and on time."""
+    return r.outcome == "arrived" and abs(r.time_error_s) <= ON_TIME_S and abs(r.stop_error_m) <= IN_PLACE_M
+
+
+def verdict(results: list[Result]) -> str:
+    """Which targets are met, in words."""
+    missed = []
+    for name, most in TARGETS.items():
+        some = [r for r in results if r.case.scenario == name]
+        gaps = np.array([r.gap for r in some])
+        found = float(np.median(gaps)), float(np.percentile(gaps, 95)), float(gaps.max())
+        for word, value, target in zip(("median", "95th percentile", "worst"), found, most, strict=True):
+            if value > target:
+                missed.append(f"{name}, {word}: {value:.2f} % instead of {target:g} %")
+        late = sum(not arrived(r) for r in some)
+        if late:
+            missed.append(f"{name}: {late} of {len(some)} runs not within 1 s and 0.3 m")
+        count = sum(r.interventions > 0 for r in some)
+        if count:
+            missed.append(f"{name}: interventions in {count} of {len(some)} runs")
+    return "Missed: " + "; ".join(missed) + "." if missed else "All are met."
+
+
+def by_time(results: list[Result]) -> str:
+    """Gap by scheduled time, ideal / jerk limit."""
+    lines = []
+    for ratio in RATIOS:
+        cells = []
+        for name in SCENARIOS:
+            gaps = [r.gap for r in results if r.case.ratio == ratio and r.case.scenario == name]
+            cells.append(f"{np.median(gaps):.2f} / {np.percentile(gaps, 95):.2f} / {max(gaps):.2f}")
+        lines.append([f"{ratio:g} of the minimum" if ratio else "as planned", *cells])
+    heads = ("scheduled time", *(f"{name}: median / 95th / worst %" for name in SCENARIOS))
+    return table(heads, lines)
+
+
+def farthest(results: list[Result]) -> str:
+    """The runs farthest above the optimum."""
+    lines = []
+    for r in sorted(results, key=lambda r: -r.gap)[:SHOWN]:
+        c = r.case
+        lines.append(
+            [
+                f"{c.origin} to {c.destination}, {c.load}, {c.scenario}",
+                f"{r.scheduled_s:.1f}",
+                f"{r.time_error_s:+.2f}",
+                f"{r.gap:.2f}",
+            ]
+        )
+    return table(("run", "scheduled s", "time error s", "gap %"), lines)
+
+
+def elsewhere(results: list[Result]) -> str:
+    """The section on other lines."""
+    if not results:
+        return ""
+    known = sorted({r.case.line for r in results})
+    lines = [line_of(Path(name).stem, [r for r in results if r.case.line == name]) for name in known]
+    words = (
+        "Every section up to 10 km of the tracks of TTOBench (a public benchmark), with `dkz32` at AW2 under "
+        "its jerk limit, 1.1 and 1.3 of the minimum."
+    )
+    return f"## Other lines\n\n{words}\n\n{table(('track', *HEADS), lines)}\n\n"
+
+
+def taught() -> str:
+    """What the policy's file says of its learning."""
+    about: Any = load_driving_policy(shipped_policy(DRIVER)).about
+    told, came = about["config"], about["provenance"]
+    lines = [
+        ["command", f"`{came['command']}`"],
+        ["lessons", f"{told['worlds']:,} worlds, {told['plans']} plans each, {told['states']} states a plan"],
+        ["imitation", f"{told['batches']:,} gradient steps of {told['batch_size']:,} states"],
+        ["closed loop", f"{came['steps']:,} decisions, {told['decisions']:,} in a gradient step"],
+        ["network", " x ".join(map(str, told["hidden"])) + f", {told['activation']}"],
+        ["seed", f"{about['seed']}"],
+        ["learning, lessons apart", f"{came['seconds']:.0f} s"],
+        ["machine, date, commit", f"{came['machine']}; {came['date']}; {came['commit'][:9]}"],
+    ]
+    return table(("what", "value"), lines, words=2)
+
+
+def page(results: list[Result], elsewhere_too: list[Result]) -> str:
+    """The page of the docs."""
+    about = circumstances(("metropilot", "clarabel", "numpy", "scipy"))
+    told: Any = load_driving_policy(shipped_policy(DRIVER)).about["config"]
+    targets = list(zip(*TARGETS.values(), strict=True))
+    medians, tails, worsts = (" / ".join(f"{value:g}" for value in pair) for pair in targets)
+    lines = [line_of(name, [r for r in results if r.case.scenario == name]) for name in SCENARIOS]
+    return PAGE.format(
+        states=told["worlds"] * told["plans"] * told["states"],
+        about="; ".join(f"{k} {v}" for k, v in about.items()),
+        loads=", ".join(LOADS),
+        ratios=", ".join(f"{ratio:g}" for ratio in RATIOS[1:]),
+        summary=table(("scenario", *HEADS), lines),
+        medians=medians,
+        tails=tails,
+        worsts=worsts,
+        verdict=verdict(results),
+        by_time=by_time(results),
+        farthest=farthest(results),
+        elsewhere=elsewhere(elsewhere_too),
+        taught=taught(),
+    )
+
+
+def main() -> None:
+    """Drive everything on all cores; print the page or write it, and the rows beside it as JSON."""
+    options = page_options(__doc__)
+    folder = os.environ.get("METROPILOT_TTOBENCH")
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(os.cpu_count(), context) as pool:
+        results = [r for r in pool.map(driven, cases(), chunksize=4) if r]
+        more = others(Path(folder)) if folder else []
+        elsewhere_too = [r for r in pool.map(driven, more, chunksize=4) if r]
+    hand_out(options, page(results, elsewhere_too), [*results, *elsewhere_too])
+
+
+if __name__ == "__main__":
+    main()

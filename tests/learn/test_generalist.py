@@ -1,0 +1,234 @@
+"""The generalist's course: lessons, the lean closed loop beside the real task, going on after a stop."""
+
+import json
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from metropilot.drivers.policy.policy import act
+from metropilot.errors import InputError
+from metropilot.learn import Sitting, config_from_mapping
+from metropilot.learn.generalist.closed_loop import WORTH, Begin, ClosedLoop, within_worth
+from metropilot.learn.generalist.course import teach_in_parts
+from metropilot.learn.generalist.gather import Gathering, gather_shard, gathered
+from metropilot.learn.generalist.lessons import Classroom, teach
+from metropilot.learn.generalist.pupil import labels, learned, new_pupil, pupil_spec
+from metropilot.task import DrivingTask, episode_of, starts, task_config
+from metropilot.task.actions import RegimeAction
+from metropilot.task.tables import Rows
+from metropilot.task.worlds import nth_world
+
+
+def test_a_world_is_the_same_whenever_it_is_asked_for():
+    first, again, other = nth_world(3, 5), nth_world(3, 5), nth_world(3, 6)
+    assert first.section.length_m == again.section.length_m != other.section.length_m
+    assert first.trainset.mass_kg == again.trainset.mass_kg != other.trainset.mass_kg
+
+
+def test_worlds_keep_their_declared_ranges():
+    for number in range(60):
+        world = nth_world(1, number)
+        assert 500.0 <= world.section.length_m <= 8000.0
+        assert (
+            30.0 / 3.6
+            <= world.section.limit_mps.value.min()
+            <= world.section.limit_mps.value.max()
+            <= 121 / 3.6
+        )
+        assert abs(world.section.gradient_permil.value).max() <= 40.0
+        assert 80e3 <= world.trainset.mass_kg <= 500e3
+
+
+def test_lessons_command_what_the_plan_does():
+    room = Classroom(nth_world(1, 2), 1.3)
+    plan = room.plan(room.scheduled_s)
+    middle = 0.5 * (plan.position_m[1:] + plan.position_m[:-1])
+    commands = room.commands(plan, middle)
+    mass = float(room.case.vehicle.effective_mass_kg)
+    effort = (plan.traction_n - plan.brake_n) / mass
+    flat_out = plan.speed_mps[1:] < 5.0
+    assert commands[flat_out & (middle < 200.0)].min() > 0.95
+    coasts = np.convolve(np.abs(effort) < 1e-3, np.ones(3), "same") == 3
+    assert coasts.any()
+    assert np.abs(commands[coasts]).max() < 0.02
+    brakes = np.convolve(effort < -0.3, np.ones(3), "same") == 3
+    assert commands[brakes & (middle < room.length_m - 30.0)].max() < 0.0
+
+
+def test_labels_mean_the_commands_they_stand_for():
+    action = RegimeAction()
+    commands = np.linspace(-1.0, 1.0, 401)
+    wanted = labels(action, commands)
+    meant = np.array([action.command(Numbers, np.array([a]), 0.4) for a in wanted])
+    held = (np.abs(commands) > 0.02) & (np.abs(commands) < 0.95)
+    assert np.abs(meant - commands)[held].max() < 1e-6
+    assert np.abs(meant - commands).max() < 0.05
+    assert (np.diff(wanted) >= 0.0).all()
+
+
+class Numbers:
+    """All that the action asks of a sight."""
+
+    xp = np
+
+
+def test_what_flows_back_is_kept_within_its_worth():
+    state = type(WORTH)(*(jnp.float32(1.0) for _ in WORTH))
+    joule = jnp.float32(0.01)
+
+    def loss(state, scale):
+        return sum(scale * value for value in within_worth(state, joule))
+
+    small = jax.grad(loss)(state, 1e-4)
+    large = jax.grad(loss)(state, 1e6)
+    assert all(float(value) == pytest.approx(1e-4) for value in small[:-1])
+    for value, most in zip(large, WORTH, strict=True):
+        assert float(value) == pytest.approx(most * 0.01)
+
+
+@pytest.fixture(scope="module")
+def few_worlds():
+    """The task that judges, with four of its worlds: two with a jerk limit, two without."""
+    config = task_config("worlds")
+    jerky = [np.isfinite(t.actuation.jerk_limit_mps3) for t in config.trainsets]
+    short = [s.length_m < 2200.0 for s in config.sections]
+    rows = [k for k in range(len(jerky)) if short[k]]
+    rows = [k for k in rows if jerky[k]][:2] + [k for k in rows if not jerky[k]][:2]
+    assert len(rows) == 4
+    picked = {name: tuple(getattr(config, name)[k] for k in rows) for name in ("sections", "trainsets")}
+    return replace(config, **picked)
+
+
+@pytest.mark.slow
+def test_the_lean_loop_costs_what_the_real_task_costs(few_worlds):
+    """The same simple policy through both: energy, arrival time."""
+    task = DrivingTask(few_worlds)
+    rows = Rows(few_worlds.tables(), jax=True)
+    period_s = few_worlds.dt * few_worlds.periods
+    loop = ClosedLoop(rows, few_worlds.features, few_worlds.action, few_worlds.assists, period_s)
+    cruise = few_worlds.features.index("speed")  # it comes first: one number, speed / 20
+
+    def decide(params, observation):
+        return jnp.clip(jnp.stack([0.2 + params * (0.5 - observation[cruise])]), -1.0, 1.0)
+
+    minimum = np.asarray(rows.tables.minimum_s)
+    count = minimum.size
+    scheduled = jnp.asarray(1.2 * minimum, jnp.float32)
+    zero, one = jnp.zeros(count), jnp.ones(count)
+    case = jnp.arange(count, dtype=jnp.int32)
+    begin = Begin(case, zero, zero, zero, scheduled, scheduled, one, one, one, one)
+    gain = jnp.float32(2.0)
+    lean = jax.jit(jax.vmap(lambda b: loop.drive(decide, gain, b, 900, jnp.float32(1.0))))(begin)
+    assert bool(lean.done.all())
+
+    def real(start):
+        state, seen = task.begin(start)
+
+        def go(carry):
+            state, seen, _, k = carry
+            after, found = task.step(jax.random.key(0), state, decide(gain, seen))
+            return after, found.observation, found.terminated, k + 1
+
+        last = jax.lax.while_loop(lambda c: ~c[2] & (c[3] < 900), go, (state, seen, jnp.bool_(False), 0))
+        return episode_of(task, last[0])
+
+    drives = jax.jit(jax.vmap(real))(starts(case.tolist(), scheduled.tolist()))
+    mass = np.asarray([t.effective_mass_kg for t in few_worlds.trainsets])
+    np.testing.assert_allclose(lean.energy_j * mass, drives.wheel_j, rtol=0.01)
+    np.testing.assert_allclose(lean.late_s + scheduled, drives.running_time_s, atol=0.8)
+    assert int(drives.interventions.sum()) == 0
+    assert float(np.abs(drives.stop_error_m).max()) < 0.3
+
+
+def test_lessons_are_gathered_once_and_read_again(tmp_path):
+    gathering = Gathering(7, 2, 2, 5, tmp_path)
+    gather_shard(gathering, 0)
+    lessons, numbers = gathered(gathering)
+    again = teach(nth_world(7, 0), np.random.default_rng([7, 1 << 32]), 2, 5)
+    mine = lessons.observations[: again.observations.shape[0]]
+    assert (mine == again.observations).all()
+    assert set(numbers) <= {0, 1}
+    assert lessons.begins.shape == (numbers.size, 7)
+    gathering.path(0).write_bytes(b"PK\x03\x04 cut short")
+    with pytest.raises(InputError, match="lessons are missing or damaged"):
+        gathered(gathering)
+
+
+def test_a_gradient_that_is_not_finite_changes_nothing():
+    config = config_from_mapping("teacher", {"hidden": [4]})
+    pupil = new_pupil(config, 0, np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32))
+    slope = {name: jnp.full_like(value, jnp.nan) for name, value in pupil.params.items()}
+    after = learned(pupil, slope, jnp.float32(1e-3), 0.5)
+    assert all((after.params[name] == value).all() for name, value in pupil.params.items())
+    seen = act(pupil_spec(config, 3), pupil.params, jnp.zeros(3))
+    assert seen.shape == (1,)
+
+
+TINY = {
+    "worlds": 4,
+    "plans": 2,
+    "states": 20,
+    "batches": 400,
+    "batch_size": 64,
+    "hidden": [8],
+    "decisions": 9600,
+    "steps": 19200,
+    "evaluations": 2,
+}
+
+
+class Enough(Exception):
+    """Stops a course."""
+
+
+@pytest.mark.slow
+def test_a_course_that_was_stopped_ends_the_same(few_worlds, tmp_path, monkeypatch):
+    from metropilot.learn.generalist import tuning
+
+    monkeypatch.setattr(tuning, "DECISIONS", (600,))  # one length, compiled once
+    config, task = config_from_mapping("teacher", TINY), DrivingTask(few_worlds)
+
+    def evaluate(params, key):
+        del key
+        return {"score": -jnp.abs(params["policy.0.bias"]).sum()}
+
+    whole = teach_in_parts(config, task, 1, Sitting(evaluate))
+
+    def stop(progress):
+        if progress.chunk == 5:
+            raise Enough
+
+    path = tmp_path / "checkpoint.safetensors"
+    with pytest.raises(Enough):
+        teach_in_parts(config, task, 1, Sitting(evaluate, stop, path))
+    assert list(tmp_path.glob("lessons/*.npz"))
+    again = teach_in_parts(config, task, 1, Sitting(evaluate, None, path, resume=True))
+    for name, value in whole.policy.params.items():
+        assert (again.policy.params[name] == value).all(), name
+    assert again.history["steps"].tolist() == [0, 0, 0, 0, 9600, 19200]
+    assert not list(tmp_path.glob("lessons/*"))
+    other = replace(config, batch_size=32)
+    with pytest.raises(InputError, match="batch_size"):
+        teach_in_parts(other, task, 1, Sitting(evaluate, None, path, resume=True))
+
+
+def test_the_teacher_knows_only_worlds():
+    config = config_from_mapping("teacher", TINY)
+    with pytest.raises(InputError, match="the teacher knows only worlds"):
+        teach_in_parts(config, DrivingTask(task_config("drive")), 0, Sitting())
+
+
+def test_what_is_shipped_says_where_it_comes_from():
+    from metropilot.drivers import DRIVERS
+    from metropilot.drivers.policy.loaded import load_driving_policy
+    from metropilot.drivers.shipped import shipped_policy
+
+    assert "generalist" in DRIVERS
+    about = load_driving_policy(shipped_policy("generalist")).about
+    assert about["task"]["name"] == "worlds"
+    assert about["provenance"]["command"].startswith("metropilot learn generalist --budget paper")
+    assert about["kpis"]["interventions"] == 0
+    json.dumps(about)
