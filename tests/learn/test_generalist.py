@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +19,7 @@ from metropilot.learn.generalist.lessons import Classroom, teach
 from metropilot.learn.generalist.pupil import labels, learned, new_pupil, pupil_spec
 from metropilot.task import DrivingTask, episode_of, starts, task_config
 from metropilot.task.actions import RegimeAction
+from metropilot.task.observers import Sight
 from metropilot.task.tables import Rows
 from metropilot.task.worlds import nth_world
 
@@ -53,7 +55,7 @@ def test_lessons_command_what_the_plan_does():
     assert commands[flat_out & (middle < 200.0)].min() > 0.95
     coasts = np.convolve(np.abs(effort) < 1e-3, np.ones(3), "same") == 3
     assert coasts.any()
-    assert np.abs(commands[coasts]).max() < 0.02
+    assert np.abs(commands[coasts]).max() < 0.06  # ten metres ahead it may brake already
     brakes = np.convolve(effort < -0.3, np.ones(3), "same") == 3
     assert commands[brakes & (middle < room.length_m - 30.0)].max() < 0.0
 
@@ -62,17 +64,12 @@ def test_labels_mean_the_commands_they_stand_for():
     action = RegimeAction()
     commands = np.linspace(-1.0, 1.0, 401)
     wanted = labels(action, commands)
-    meant = np.array([action.command(Numbers, np.array([a]), 0.4) for a in wanted])
+    sight = Sight(SimpleNamespace(xp=np), *[None] * (len(Sight._fields) - 1))
+    meant = np.array([action.command(sight, np.array([a]), 0.4) for a in wanted])
     held = (np.abs(commands) > 0.02) & (np.abs(commands) < 0.95)
     assert np.abs(meant - commands)[held].max() < 1e-6
     assert np.abs(meant - commands).max() < 0.05
     assert (np.diff(wanted) >= 0.0).all()
-
-
-class Numbers:
-    """All that the action asks of a sight."""
-
-    xp = np
 
 
 def test_what_flows_back_is_kept_within_its_worth():
@@ -112,7 +109,7 @@ def test_the_lean_loop_costs_what_the_real_task_costs(few_worlds):
     cruise = few_worlds.features.index("speed")  # it comes first: one number, speed / 20
 
     def decide(params, observation):
-        return jnp.clip(jnp.stack([0.2 + params * (0.5 - observation[cruise])]), -1.0, 1.0)
+        return jnp.clip(jnp.stack([0.2 + params["gain"] * (0.5 - observation[cruise])]), -1.0, 1.0)
 
     minimum = np.asarray(rows.tables.minimum_s)
     count = minimum.size
@@ -120,7 +117,7 @@ def test_the_lean_loop_costs_what_the_real_task_costs(few_worlds):
     zero, one = jnp.zeros(count), jnp.ones(count)
     case = jnp.arange(count, dtype=jnp.int32)
     begin = Begin(case, zero, zero, zero, scheduled, scheduled, one, one, one, one)
-    gain = jnp.float32(2.0)
+    gain = {"gain": jnp.float32(2.0)}
     lean = jax.jit(jax.vmap(lambda b: loop.drive(decide, gain, b, 900, jnp.float32(1.0))))(begin)
     assert bool(lean.done.all())
 
@@ -222,11 +219,9 @@ def test_the_teacher_knows_only_worlds():
 
 
 def test_what_is_shipped_says_where_it_comes_from():
-    from metropilot.drivers import DRIVERS
     from metropilot.drivers.policy.loaded import load_driving_policy
     from metropilot.drivers.shipped import shipped_policy
 
-    assert "generalist" in DRIVERS
     about = load_driving_policy(shipped_policy("generalist")).about
     assert about["task"]["name"] == "worlds"
     assert about["provenance"]["command"].startswith("metropilot learn generalist --budget paper")

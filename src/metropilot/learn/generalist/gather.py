@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -110,7 +111,7 @@ def _read(gathering: Gathering) -> Iterator[tuple[Lessons, np.ndarray]]:
     for shard in range(gathering.shards):
         path = gathering.path(shard)
         try:
-            with np.load(path) as file:
-                yield Lessons(*(file[name] for name in Lessons._fields)), file["numbers"]
-        except (OSError, ValueError, KeyError):
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as found:
+                yield Lessons(*(found[name] for name in Lessons._fields)), found["numbers"]
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile):
             raise InputError("lessons are missing or damaged; remove the file", file=path) from None
