@@ -48,7 +48,7 @@ demo: $(STAMP)  ## drive a real section near the energy optimum and draw it
 	@echo "The picture of the drive: demo/drive/profile.png; the comparison: demo/compare/"
 
 test: $(STAMP)  ## run the tests (ARGS="-k protection" is passed to pytest)
-	$(ONE_THREAD) $(BIN)/python -m pytest -n $(WORKERS) --ignore tests/browser $(ARGS)
+	$(ONE_THREAD) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --ignore tests/browser $(ARGS)
 
 test-web: $(WEB_STAMP)  ## click through the console in headless Chromium (says so where there is none)
 	$(BIN)/python -m pytest tests/browser $(ARGS)
