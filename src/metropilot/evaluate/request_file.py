@@ -11,6 +11,7 @@ from typing import Any
 
 from metropilot.errors import InputError
 from metropilot.evaluate.request import Request
+from metropilot.railway.text_file import file_text
 
 NAMES = tuple(f.name for f in fields(Request))
 FILES = ("line", "trainset")
@@ -61,10 +62,9 @@ def request_from_toml(path: Path) -> Request:
             the wrong kind.
     """
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))["run"]
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise InputError(f"cannot be read ({reason})", file=path, field="from") from None
+        table = tomllib.loads(file_text(path, "from"))["run"]
+    except InputError:
+        raise
     except (ValueError, KeyError, RecursionError) as error:
         reason = "no table [run]" if isinstance(error, KeyError) else str(error)
         raise InputError(f"not a run.toml ({reason})", file=path, field="from") from None

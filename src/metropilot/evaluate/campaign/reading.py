@@ -15,6 +15,7 @@ from metropilot.evaluate.campaign.declared import DRAWN, Campaign, Disturbance
 from metropilot.evaluate.driver_options import make_driver
 from metropilot.evaluate.request_file import is_file
 from metropilot.railway import load_line, load_trainset
+from metropilot.railway.text_file import file_text
 from metropilot.task import CONTROL_PERIOD_S, Scenario
 
 ALL = "all"
@@ -82,10 +83,9 @@ def campaign_from_toml(path: Path) -> Campaign:
         InputError: Not readable, or something in it cannot be used.
     """
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise InputError(f"cannot be read ({reason})", file=path, field="campaign") from None
+        values = tomllib.loads(file_text(path, "campaign"))
+    except InputError:
+        raise
     except (ValueError, RecursionError) as error:
         raise InputError(f"not TOML ({error})", file=path, field="campaign") from None
     try:
