@@ -8,6 +8,9 @@
 
 from __future__ import annotations
 
+_LONGEST = 600
+"""Characters of one part of a complaint; the list of what is allowed is ours, and shown whole."""
+
 
 class MetropilotError(Exception):
     """Base of every exception metropilot raises on purpose."""
@@ -44,15 +47,22 @@ class InputError(MetropilotError, ValueError):
         super().__init__(self.line())
 
     def line(self) -> str:
-        """The whole story on one line: ``file: field: message: value unit (allowed: ...)``."""
-        head = ": ".join(part for part in (self.file, self.field, self.message) if part)
+        """The whole story on one line: ``file: field: message: value unit (allowed: ...)``.
+
+        What came from a file is cut where it is long; a character no terminal should be sent is escaped.
+        """
+        head = ": ".join(_cut(part) for part in (self.file, self.field, self.message) if part)
         if self.value is not None:
-            head += f": {self.value!r}" if isinstance(self.value, str) else f": {self.value}"
+            head += ": " + _cut(repr(self.value) if isinstance(self.value, str) else str(self.value))
             if self.unit:
                 head += f" {self.unit}"
         if self.allowed:
             head += f" (allowed: {self.allowed})"
-        return " ".join(head.split())
+        return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(head.split()))
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 50]} ... {text[-40:]}"
 
 
 class Infeasible(InputError):

@@ -43,6 +43,8 @@ LEARNERS = {
 
 # They share their loop with those that are not slow; their learning is tested by the probes.
 SLOW = {"ddpg", "naf", "ppo_choices", "sac"}
+# Their seeds under vmap are one more compilation of what sac and ppo have shown: that one is saved.
+SAME_LOOP = {"ddpg", "naf", "ppo_choices"}
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in LEARNERS])
@@ -56,6 +58,8 @@ def test_same_key_same_bits_and_seeds_under_vmap(name):
     assert any(
         np.any(a != b) for a, b in zip(jax.tree.leaves(first[0]), jax.tree.leaves(other[0]), strict=True)
     )
+    if name in SAME_LOOP:
+        return
     both = jax.jit(jax.vmap(partial(learn, config, task)))(keys)
     for row, single in enumerate((first, other)):
         for a, b in zip(jax.tree.leaves(both), jax.tree.leaves(single), strict=True):

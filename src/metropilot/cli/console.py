@@ -43,8 +43,13 @@ def table(
     for index, name in enumerate(columns):
         made.add_column(name, justify="right" if index in flush else "left", overflow="fold")
     for row in rows:
-        made.add_row(*row)
+        made.add_row(*(printable(cell) if isinstance(cell, str) else cell for cell in row))
     return made
+
+
+def printable(text: str) -> str:
+    """The text without what a terminal would obey or cannot show; line ends stay."""
+    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
 def heading(out: Console, title: str, lines: Iterable[str]) -> None:

@@ -294,8 +294,10 @@ def show_run(folder: Path, *, as_json: bool) -> int:
         asked = tomllib.loads((folder / "run.toml").read_text(encoding="utf-8"))
         name = "kpis.json" if (folder / "kpis.json").is_file() else "comparison.json"
         kpis = json.loads((folder / name).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"not the folder of a run ({error})", file=folder) from None
+    if not isinstance(kpis, dict) or not isinstance(asked.get("run", {}), dict):
+        raise InputError("not the folder of a run (no table of what was asked or found)", file=folder)
     if as_json:
         print_json({"kind": "run", "folder": str(folder), **asked, "result": kpis})
         return 0

@@ -132,7 +132,7 @@ def write_json(path: Path, values: Mapping[str, Any]) -> None:
 
 
 def to_json(values: object) -> str:
-    """JSON text; a number that is not finite becomes null."""
+    """JSON text that can be written as UTF-8; a number that is not finite becomes null."""
 
     def plain(value: object) -> object:
         if isinstance(value, Mapping):
@@ -141,7 +141,8 @@ def to_json(values: object) -> str:
             return [plain(item) for item in value]
         return None if isinstance(value, float) and not math.isfinite(value) else value
 
-    return json.dumps(plain(values), indent=2, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(plain(values), indent=2, ensure_ascii=False, allow_nan=False)
+    return text.encode(errors="backslashreplace").decode()
 
 
 def write_run_toml(folder: Path, request: Request) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 from metropilot.errors import InputError
 from metropilot.evaluate.request import Request
+from metropilot.railway.text_file import file_text
 
 NAMES = tuple(f.name for f in fields(Request))
 FILES = ("line", "trainset")
@@ -61,11 +62,10 @@ def request_from_toml(path: Path) -> Request:
             the wrong kind.
     """
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))["run"]
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise InputError(f"cannot be read ({reason})", file=path, field="from") from None
-    except (tomllib.TOMLDecodeError, KeyError) as error:
+        table = tomllib.loads(file_text(path, "from"))["run"]
+    except InputError:
+        raise
+    except (ValueError, KeyError, RecursionError) as error:
         reason = "no table [run]" if isinstance(error, KeyError) else str(error)
         raise InputError(f"not a run.toml ({reason})", file=path, field="from") from None
     if not isinstance(table, dict):
@@ -105,4 +105,12 @@ def _checked(path: Path, key: str, value: Any) -> Any:  # noqa: ANN401 (whatever
         )
     if isinstance(value, list):
         return tuple(value)
-    return float(value) if kinds == (float, int) else value
+    return _number(path, key, value) if kinds == (float, int) else value
+
+
+def _number(path: Path, key: str, value: float | int) -> float:
+    """A whole number may have more digits than a float has room for."""
+    try:
+        return float(value)
+    except OverflowError:
+        raise InputError("out of range", file=path, field=f"run.{key}", allowed="a number") from None

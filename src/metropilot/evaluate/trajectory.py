@@ -104,7 +104,7 @@ class Trajectory:
         try:
             with path.open(newline="", encoding="utf-8") as file:
                 header, *rows = list(csv.reader(file))
-        except (OSError, UnicodeDecodeError, ValueError) as error:
+        except (OSError, csv.Error, ValueError) as error:
             raise InputError("cannot read the trajectory", file=path, value=str(error)) from None
         values: dict[str, Any] = dict(zip(header, zip(*rows, strict=False), strict=False))
         if missing := [name for name in COLUMNS if name not in values]:

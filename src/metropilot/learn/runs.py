@@ -311,7 +311,7 @@ def read_record(path: Path) -> RunRecord | None:
         table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
         fits = all(type(value) is kinds.get(name, str) for name, value in table.items())
         return replace(RunRecord(**{"score": None, **table}), id=path.resolve().parent.name) if fits else None
-    except (OSError, ValueError, TypeError):
+    except (OSError, ValueError, TypeError, RecursionError):
         return None
 
 

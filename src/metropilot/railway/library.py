@@ -14,6 +14,7 @@ from metropilot.errors import InputError
 from metropilot.railway.journey import Journey, planned_journey
 from metropilot.railway.line import Line
 from metropilot.railway.node import Node, nearest
+from metropilot.railway.text_file import file_text
 from metropilot.railway.toml_journey import read_journey
 from metropilot.railway.toml_line import read_line
 from metropilot.railway.toml_trainset import read_trainset
@@ -57,13 +58,7 @@ def _read_toml(text: str, file: object) -> Line | Trainset | Journey:
 def _text(path: Path) -> str:
     if path.suffix.lower() not in {".toml", ".json"}:
         raise InputError("unknown kind of file", file=path, allowed="a file ending in .toml or .json")
-    try:
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError("not UTF-8 text", file=path, allowed="UTF-8") from error
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"cannot be read ({reason})", file=path, allowed="a readable file") from error
+    return file_text(path)
 
 
 def _json(text: str) -> object:

@@ -277,6 +277,15 @@ def cut_section(line: Line, start: Station, end: Station) -> Section:
             "origin and destination are the same station", file=line.id, field="destination", value=end.code
         )
     origin, backward = start.position_m, end.position_m < start.position_m
+    if abs(end.position_m - origin) > LONGEST_M:
+        raise InputError(
+            "the section is too long",
+            file=line.id,
+            field="destination",
+            value=f"{start.code}-{end.code}, {abs(end.position_m - origin):g}",
+            unit="m",
+            allowed=f"at most {LONGEST_M:g} m",
+        )
     if backward:
         limit = line.limit_mps.mirrored(origin)
         gradient = line.gradient_permil.mirrored(origin, -1.0)
@@ -300,6 +309,8 @@ def cut_section(line: Line, start: Station, end: Station) -> Section:
     )
 
 
+LONGEST_M = 1.2e5
+"""Longest run between two stops: grids of a metre are made of it, and no metro has a longer one."""
 BEYOND_M = 1e6
 """How far a mirrored line's last curve reaches: further than any line."""
 

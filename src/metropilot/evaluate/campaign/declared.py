@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from hashlib import sha256
 from math import prod
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -165,19 +165,14 @@ class Campaign:
 
 
 def from_text(text: str) -> Campaign:
-    """The campaign of :attr:`Campaign.text`."""
-    values: dict[str, Any] = json.loads(text)
-    disturbances = []
-    for item in values["disturbances"]:
-        item["ranges"] = {name: tuple(interval) for name, interval in item["ranges"].items()}
-        for name in ("restriction", "arrival"):
-            item[name] = None if item[name] is None else tuple(item[name])
-        disturbances.append(Disturbance(**item))
-    for name in ("drivers", "times"):
-        values[name] = tuple(values[name])
-    for name in ("sections", "trainsets"):
-        values[name] = tuple(tuple(item) for item in values[name])
-    return Campaign(**{**values, "disturbances": tuple(disturbances)})
+    """The campaign of :attr:`Campaign.text`.
+
+    Raises:
+        ValueError: It is no campaign's text.
+    """
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(Campaign).validate_json(text)
 
 
 def seed_of(campaign: Campaign, case: Case) -> int:

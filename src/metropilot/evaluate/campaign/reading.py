@@ -15,6 +15,7 @@ from metropilot.evaluate.campaign.declared import DRAWN, Campaign, Disturbance
 from metropilot.evaluate.driver_options import make_driver
 from metropilot.evaluate.request_file import is_file
 from metropilot.railway import load_line, load_trainset
+from metropilot.railway.text_file import file_text
 from metropilot.task import CONTROL_PERIOD_S, Scenario
 
 ALL = "all"
@@ -82,11 +83,10 @@ def campaign_from_toml(path: Path) -> Campaign:
         InputError: Not readable, or something in it cannot be used.
     """
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise InputError(f"cannot be read ({reason})", file=path, field="campaign") from None
-    except tomllib.TOMLDecodeError as error:
+        values = tomllib.loads(file_text(path, "campaign"))
+    except InputError:
+        raise
+    except (ValueError, RecursionError) as error:
         raise InputError(f"not TOML ({error})", file=path, field="campaign") from None
     try:
         found = _File.model_validate(values)
@@ -96,7 +96,7 @@ def campaign_from_toml(path: Path) -> Campaign:
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError("named twice", file=path, field="disturbance.name", value=twice)
-    return Campaign(
+    campaign = Campaign(
         name=found.name,
         drivers=_drivers(path, found.matrix.drivers),
         sections=_sections(path, found.matrix.sections),
@@ -108,6 +108,10 @@ def campaign_from_toml(path: Path) -> Campaign:
         objective=found.objective,
         dt_s=found.dt_s,
     )
+    if not campaign.rows:
+        empty = next(name for name, values in vars(campaign).items() if values == ())
+        raise InputError("nothing to drive: the list is empty", file=path, field=empty)
+    return campaign
 
 
 def _complaint(path: Path, error: ValidationError) -> InputError:
@@ -141,7 +145,7 @@ def _sections(path: Path, wanted: list[str]) -> tuple[tuple[str, str, str], ...]
     """``LINE``: each of its sections both ways; ``LINE ORIGIN DESTINATION``: one."""
     found = []
     for text in wanted:
-        line_id, *stations = shlex.split(text)
+        line_id, *stations = _words(path, text)
         line_id = _place(path, line_id)
         try:
             line = load_line(line_id)
@@ -155,6 +159,17 @@ def _sections(path: Path, wanted: list[str]) -> tuple[tuple[str, str, str], ...]
             raise _at(path, "matrix.sections", error) from None
         found += [(line_id, cut.origin.code, cut.destination.code) for cut in cuts]
     return _once(found)
+
+
+def _words(path: Path, text: str) -> list[str]:
+    try:
+        words = shlex.split(text)
+    except ValueError:
+        words = []
+    if not words:
+        allowed = "LINE, or LINE ORIGIN DESTINATION"
+        raise InputError("not a section", file=path, field="matrix.sections", value=text, allowed=allowed)
+    return words
 
 
 def _trainsets(path: Path, wanted: list[str], loads: list[str] | str) -> tuple[tuple[str, str], ...]:

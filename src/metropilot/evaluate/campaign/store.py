@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from hashlib import sha256
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from metropilot.evaluate.campaign.declared import Campaign, from_text
 from metropilot.evaluate.campaign.rows import Shard
 
 ABOUT, DONE = "campaign.json", "done.txt"
+LINE = re.compile(r"[0-9]{1,9} [0-9]{1,9} [0-9]{1,18} [0-9a-f]+")
 PARTS, TIMINGS = "parts", "timings"
 
 
@@ -51,7 +53,7 @@ class Store:
     def _check(self, about: Path) -> None:
         try:
             found = json.loads(about.read_text())["digest"]
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             found = "unreadable"
         if found != self.campaign.digest:
             raise InputError(
@@ -65,10 +67,11 @@ class Store:
     def done(self) -> dict[int, str]:
         """Shards that are done, each with its checksum: listed, and their file as long as it was then."""
         path, found = self.folder / DONE, {}
-        lines = path.read_text().splitlines(keepends=True) if path.exists() else []
+        text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+        lines = text.splitlines(keepends=True)
         for line in lines:
             words = line.split()
-            if not line.endswith("\n") or len(words) != 4 or not words[0].isdigit():
+            if not line.endswith("\n") or not LINE.fullmatch(line.strip()):
                 continue
             number, rows, size, checksum = int(words[0]), int(words[1]), int(words[2]), words[3]
             part = self.part(number)
@@ -119,6 +122,11 @@ def stored_campaign(folder: Path) -> Campaign:
         InputError: It is of none.
     """
     try:
-        return from_text(json.dumps(json.loads((folder / ABOUT).read_text())["campaign"]))
-    except (OSError, ValueError, KeyError, TypeError):
-        raise InputError("not the folder of a campaign", file=folder, field="campaign") from None
+        found = json.loads((folder / ABOUT).read_text())
+        campaign = from_text(json.dumps(found["campaign"]))
+        whole = campaign.rows > 0 and found["digest"] == campaign.digest
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        campaign, whole = None, False
+    if campaign is None or not whole:
+        raise InputError("not the folder of a campaign", file=folder, field="campaign")
+    return campaign

@@ -1,0 +1,271 @@
+"""Everything metropilot reads from a file, as functions of bytes, with real files to begin from.
+
+Whatever the bytes, a target returns or raises a :class:`MetropilotError` of one line that can be printed.
+:func:`check` is that claim.
+"""
+
+import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from tests.railway import samples
+
+from metropilot.errors import MetropilotError
+
+LONGEST_LINE = 4000
+CAMPAIGN = """
+name = "mine"
+[matrix]
+drivers = ["flat_out", "pid"]
+sections = ["yizhuang RJ WYJ", "lu2023"]
+loads = ["AW2"]
+times = ["planned", 1.2]
+seeds = 2
+[[disturbance]]
+name = "heavy"
+mass_factor = [1.0, 1.2]
+lag_s = 0.1
+restriction = { from = 0.4, to = 0.6, kmh = 40, announced = 0.3 }
+arrival = { factor = 1.1, announced = 0.2 }
+"""
+RUN = """
+[run]
+line = "yizhuang"
+origin = "RJ"
+destination = "WYJ"
+time_s = 101.0
+trainset = "dkz32"
+load = "AW2"
+driver = "pid"
+ideal = false
+mass_factor = 1.1
+delay_s = 0.1
+restrictions = ["400-600@40", "100-200@40@30"]
+arrivals = ["116@30"]
+seed = 3
+[run.options]
+objective = "wheel"
+[made_with]
+metropilot = "0.1.0"
+"""
+LEARNED = """
+id = "r"
+algorithm = "ppo"
+task = "drive"
+seed = 3
+status = "done"
+created = "2026-01-01T00:00:00+00:00"
+seconds = 1.5
+steps = 100
+score = 0.5
+commit_id = ""
+driver = "ppo"
+[config]
+steps = 100
+hidden = [8, 8]
+[about]
+[versions]
+jax = "0.10"
+[kpis]
+score = 0.5
+"""
+
+
+@dataclass(frozen=True)
+class Target:
+    """One kind of file.
+
+    Attributes:
+        kind: Its format, for :func:`tests.fuzz.mutate.damaged`.
+        name: What the file is called.
+        seeds: Makes the real files.
+        read: Reads the file and touches what it gave.
+    """
+
+    kind: str
+    name: str
+    seeds: Callable[[], list[bytes]]
+    read: Callable[[Path], object]
+
+
+def _read_railway(path: Path) -> None:
+    from metropilot.railway import Line, Trainset, import_file
+
+    found = import_file(path)
+    if isinstance(found, Line):
+        assert all(0 < s.length_m < 1e6 for s in (*found.sections(), *found.sections(backward=True)))
+    elif isinstance(found, Trainset):
+        assert found.mass_kg > 0
+
+
+def _read_policy(path: Path) -> None:
+    from metropilot.drivers.policy.loaded import load_driving_policy
+
+    loaded = load_driving_policy(path)
+    size = loaded.policy.policy.spec.observation_size
+    for observation in (np.zeros(size, np.float32), np.full(size, 3e4, np.float32)):
+        action = loaded.policy(observation)
+        assert np.isfinite(np.asarray(action)).all()
+
+
+def _read_checkpoint(path: Path) -> None:
+    from metropilot.learn.checkpoint import load_checkpoint
+
+    load_checkpoint(path, {"weights": np.zeros((3, 4), np.float32), "step": np.zeros((), np.int32)})
+
+
+def _read_run(path: Path) -> None:
+    from metropilot.evaluate import request_from_toml
+
+    resolved = request_from_toml(path).resolved()
+    resolved.scenario(resolved.section())
+
+
+def _read_campaign(path: Path) -> None:
+    from metropilot.evaluate.campaign.reading import campaign_from_toml
+
+    assert campaign_from_toml(path).rows > 0
+
+
+def _read_stored_campaign(path: Path) -> None:
+    from metropilot.evaluate.campaign.store import stored_campaign
+
+    assert stored_campaign(path.parent).rows > 0
+
+
+def _read_done(path: Path) -> None:
+    from metropilot.evaluate.campaign.store import Store
+
+    campaign = _campaign()
+    store = Store(path.parent, campaign)
+    (path.parent / "parts" / "000000.parquet").write_bytes(b"x" * 10)
+    store.timing(0).touch()
+    assert set(store.done()) <= set(range(campaign.shards))
+
+
+def _read_trajectory(path: Path) -> None:
+    from metropilot.evaluate import Trajectory
+
+    assert np.isfinite(Trajectory.read(path).balance_n(1.0)).dtype == bool
+
+
+def _read_record(path: Path) -> None:
+    from metropilot.learn.runs import record_of
+
+    record_of(path.parent).configuration()
+
+
+def _show(path: Path) -> None:
+    from contextlib import redirect_stdout
+    from io import StringIO
+
+    from metropilot.cli.show import show_run
+
+    for name, text in (("run.toml", RUN), ("kpis.json", '{"outcome": "arrived"}')):
+        if name != path.name:
+            (path.parent / name).write_text(text)
+    for as_json in (True, False):
+        with redirect_stdout(StringIO()) as said:
+            show_run(path.parent, as_json=as_json)
+        said.getvalue().encode()
+
+
+@cache
+def _campaign():
+    from metropilot.evaluate.campaign import Campaign
+
+    return Campaign("small", ("flat_out",), (("yizhuang", "WHY", "YZQ"),), (("dkz32", "AW2"),), (1.2,))
+
+
+def _stored() -> list[bytes]:
+    campaign = _campaign()
+    return [json.dumps({"digest": campaign.digest, "campaign": json.loads(campaign.text)}).encode()]
+
+
+def _journeys() -> list[bytes]:
+    return [json.dumps(made()).encode() for made in (samples.track, samples.train, samples.journey)]
+
+
+def _policies() -> list[bytes]:
+    from metropilot.drivers.shipped import POLICIES
+
+    return [(POLICIES / f"{name}.safetensors").read_bytes() for name in ("eitop", "stod", "ppo")]
+
+
+def _checkpoints() -> list[bytes]:
+    from safetensors.numpy import save
+
+    arrays = {"state['weights']": np.ones((3, 4), np.float32), "state['step']": np.zeros((), np.int32)}
+    arrays["history.steps"] = np.arange(3.0)
+    return [save(arrays, {"metropilot": json.dumps({"format": 1, "about": {"seed": 1}})})]
+
+
+def _trajectories() -> list[bytes]:
+    from metropilot.evaluate import Trajectory
+
+    names = tuple(Trajectory.__annotations__)
+    rows = [[*(str(0.5 * k + column) for column in range(len(names) - 1)), "coast"] for k in range(4)]
+    return ["\n".join(",".join(row) for row in [list(names), *rows]).encode()]
+
+
+def _catalogue() -> list[bytes]:
+    return [text.encode() for text in (samples.LINE, samples.TRAINSET, samples.JOURNEY)]
+
+
+def _texts(*texts: str) -> Callable[[], list[bytes]]:
+    return lambda: [text.encode() for text in texts]
+
+
+TARGETS = {
+    "toml": Target("toml", "thing.toml", _catalogue, _read_railway),
+    "ttobench": Target("json", "thing.json", _journeys, _read_railway),
+    "policy": Target("safetensors", "policy.safetensors", _policies, _read_policy),
+    "checkpoint": Target("safetensors", "checkpoint.safetensors", _checkpoints, _read_checkpoint),
+    "run": Target("toml", "run.toml", _texts(RUN), _read_run),
+    "record": Target("toml", "run.toml", _texts(LEARNED), _read_record),
+    "campaign": Target("toml", "campaign.toml", _texts(CAMPAIGN), _read_campaign),
+    "stored_campaign": Target("json", "campaign.json", _stored, _read_stored_campaign),
+    "done": Target("text", "done.txt", _texts("0 1 10 abcdef\n", "0 1 10 ab\n1 2 30 cd\n"), _read_done),
+    "trajectory": Target("csv", "trajectory.csv", _trajectories, _read_trajectory),
+    "show_kpis": Target(
+        "json", "kpis.json", _texts('{"outcome": "arrived", "mass_kg": 1.5, "a": []}'), _show
+    ),
+    "show_run": Target("toml", "run.toml", _texts(RUN), _show),
+}
+
+
+@cache
+def place(name: str) -> Path:
+    """Where a target's file is written, in memory where the machine can; gone with the process."""
+    ram = Path("/dev/shm")
+    folder = tempfile.TemporaryDirectory(prefix="metropilot-fuzz-", dir=ram if ram.is_dir() else None)
+    _KEPT.append(folder)
+    return Path(folder.name) / TARGETS[name].name
+
+
+_KEPT: list[object] = []
+
+
+def check(name: str, data: bytes) -> bool:
+    """Read the bytes; whether they were accepted.
+
+    Raises:
+        AssertionError: What came out is no single line.
+        Exception: What came out is none of our errors.
+    """
+    path = place(name)
+    path.write_bytes(data)
+    try:
+        TARGETS[name].read(path)
+    except MetropilotError as error:
+        line = error.line() if hasattr(error, "line") else str(error)
+        assert line.strip(), "an error that says nothing"
+        assert "\n" not in line, line
+        assert len(line) <= LONGEST_LINE, len(line)
+        line.encode()
+        return False
+    return True
