@@ -1,8 +1,8 @@
-"""A long hostile campaign against protection: ``python -m benchmarks.hostile --steps 1e8 [--search 40]``.
+"""A long hostile campaign against protection: ``python -m benchmarks.hostile --steps 1e8``.
 
 Rounds of the campaign that the tests run for a million steps, each with new plants, restrictions, starts and
 attacks, in turn with the widest bounds and ideal, each with and without the service curve. It stops at the
-first speed above a limit and says how to see it again. ``--search`` breeds attacks for so many generations.
+first speed above a limit and says how to see it again. ``benchmarks.worst_case`` looks for the worst instead.
 """
 
 from __future__ import annotations
@@ -14,12 +14,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from tests.protection.hostile import Campaign, bare, fight, ideal, real
-from tests.protection.search import STEPS as SEARCH_STEPS
-from tests.protection.search import search
 
 STEPS = 2000
 LANES = 40
-POPULATION = 80
 KINDS: dict[str, Callable[..., Campaign]] = {
     "widest": real,
     "widest, no service curve": lambda **changes: real(mutate=bare, **changes),
@@ -44,25 +41,12 @@ def campaign(steps: float, seed: int) -> dict[str, object]:
     return {**total, "worst_over_mps": worst, "rounds": round_number, "seed": seed, "seconds": seconds}
 
 
-def breed(generations: int, seed: int) -> dict[str, object]:
-    """Let an optimiser look for the worst case; the number is how near it came to a limit."""
-    nearest, steps = {}, 0
-    for kind in ("widest, no service curve", "ideal, no service curve"):
-        found = search(KINDS[kind](seed=seed), POPULATION, generations)
-        nearest[kind] = float(found.over_mps.max())
-        steps += found.history.size * POPULATION * SEARCH_STEPS
-        print(f"{kind}: worst {nearest[kind]:+.4f} m/s after {generations} generations", flush=True)
-    over = int(max(nearest.values()) > 0)
-    return {"steps": steps, "over_steps": over, "worst_over_mps": nearest, "seed": seed}
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=float, default=1e7)
     parser.add_argument("--seed", type=int, default=1000)
-    parser.add_argument("--search", type=int, default=0, metavar="GENERATIONS")
     options = parser.parse_args()
-    result = breed(options.search, options.seed) if options.search else campaign(options.steps, options.seed)
+    result = campaign(options.steps, options.seed)
     print(json.dumps(result))
     raise SystemExit(1 if result["over_steps"] else 0)
 

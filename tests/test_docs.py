@@ -9,10 +9,14 @@ import re
 import shlex
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import pytest
+from tools import driver_page, site_nav
+
+from metropilot.evaluate import COLUMNS, Kpis
+from metropilot.evaluate.convoy_kpis import ConvoyKpis, MemberKpis
 
 ROOT = Path(__file__).resolve().parent.parent
 SLOW = "<!-- test: slow -->"
@@ -90,3 +94,31 @@ def test_blocks_are_found_with_their_directives():
     assert shell.directive == "exit 2"
     assert python.text == "x = 1\n"
     assert python.commands == []
+
+
+def test_every_driver_is_on_its_page():
+    text = (ROOT / "docs/drivers.md").read_text()
+    assert driver_page.page(text) == text, "python tools/driver_page.py"
+
+
+def test_every_key_figure_is_on_its_page():
+    text = (ROOT / "docs/kpis.md").read_text()
+    run, _, convoy = text.partition("## A convoy")
+    rows = set(re.findall(r"^\| `(\w+)` \|", run, re.MULTILINE))
+    assert rows == {field.name for field in fields(Kpis)}
+    named = set(re.findall(r"`(\w+)`", text))
+    assert {field.name for field in fields(ConvoyKpis)} <= set(re.findall(r"`(\w+)`", convoy))
+    assert {field.name for field in fields(MemberKpis)} <= named
+
+
+def test_every_column_and_file_is_on_the_page_of_formats():
+    named = set(re.findall(r"`(\w+)`", (ROOT / "docs/formats.md").read_text()))
+    assert set(COLUMNS) <= named
+
+
+def test_the_navigation_has_every_page_once():
+    pages = [path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")]
+    found = [page for section in site_nav.navigation(pages) for rows in section.values() for page in rows]
+    assert sorted(found) == sorted(pages)
+    assert found[:2] == ["index.md", "tutorial.md"]
+    assert site_nav.navigation(["index.md", "new.md"])[-1] == {"More": ["new.md"]}

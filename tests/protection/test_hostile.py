@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.protection import hostile, search
+from tests.protection import hostile
 
 # Rounding of a float32 state at 22 m/s and some kilometres; the curves already keep clear of it.
 FLOAT32_MPS = 1e-4
@@ -46,21 +46,3 @@ def test_without_the_supervisor_they_speed():
     tally = hostile.fight(hostile.real(steps=100, supervised=False))
     assert tally.over_mps > 5.0
     assert tally.over_steps > 1000
-
-
-def test_an_optimiser_comes_close_and_never_over():
-    found = search.search(hostile.real(mutate=hostile.bare, sections=6), population=40, generations=12)
-    assert found.over_mps.max() <= 0.0, dict(zip(found.sections, found.over_mps, strict=True))
-    assert found.over_mps.max() > -0.15
-    assert found.history[-1].mean() > found.history[0].mean()
-
-
-def test_the_optimiser_finds_a_guard_that_is_missing():
-    def without_scatter_of_mass(protection):
-        lighter = protection.rates._replace(mass_low=np.float64(1.0))
-        return hostile.bare(protection)._replace(rates=lighter)
-
-    found = search.search(
-        hostile.real(mutate=without_scatter_of_mass, sections=6), population=40, generations=12
-    )
-    assert found.over_mps.max() > 0.1

@@ -7,6 +7,7 @@ for each case, within what is declared. JAX, in single precision.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -84,6 +85,12 @@ class Case(NamedTuple):
     share: Array
 
 
+Choice = tuple[Array, Callable[[Sight], tuple[Array, Array]]]
+"""Luck of every link, shape (N, 2), and what followers ask for given what they see, with their memory."""
+Chosen = Callable[[Array, Array, Array], Choice]
+"""The choice in a period, given its number, the followers' memory and what they asked for last."""
+
+
 class Tally(NamedTuple):
     """What came of some cases.
 
@@ -128,6 +135,7 @@ class Arena:
             dt=campaign.dt,
         )
         self.dt, self.rows = convoy.dt, round(ROWS_S / convoy.dt)
+        self.steps = round(LONGEST_S / convoy.dt)
         rows = members(convoy, np.float32)
         self.members: Member = to_jax(stacked(rows))
         ahead = (None, *rows[:-1])
@@ -257,11 +265,28 @@ class Arena:
         return behind(convoy.gap_m + jnp.maximum(-spare, 0.0) + 0.01)
 
     def _case(self, key: Array) -> tuple[Array, ...]:
-        """One attack from beginning to end."""
+        """One attack drawn at random, from beginning to end."""
         import jax
         import jax.numpy as jnp
 
         case = self._drawn(jax.random.fold_in(key, 0))
+
+        def chosen(k: Array, memory: Array, last: Array) -> Choice:
+            draw = jax.random.uniform(jax.random.fold_in(key, k + 1), (self.campaign.count, 4), jnp.float32)
+            return draw[:, :2], lambda seen: self._shares(case, seen, memory, last, draw)
+
+        return self.attacked(case, chosen)
+
+    def attacked(self, case: Case, chosen: Chosen) -> tuple[Array, ...]:
+        """One attack from beginning to end (JAX); returns the fields of :class:`Tally`, 0-d.
+
+        Args:
+            case: The attack.
+            chosen: What luck the link has and what followers ask for, period after period.
+        """
+        import jax
+        import jax.numpy as jnp
+
         convoy = self._actual(case)
         states = self._placed(convoy, case)
         dt = jnp.float32(self.dt)
@@ -270,11 +295,9 @@ class Arena:
         def body(carry: tuple[Any, ...], k: Array) -> tuple[Any, None]:
             states, memory, last, least = carry
             now = k.astype(jnp.float32) * dt
-            draw = jax.random.uniform(jax.random.fold_in(key, k + 1), (self.campaign.count, 4), jnp.float32)
-            states = exchanged(convoy, states, now, dt, draw[:, :2])
-            shares, memory = self._shares(
-                case, sights(convoy, states, now, dt), states, memory, last, draw, now
-            )
+            luck, shares_of = chosen(k, memory, last)
+            states = exchanged(convoy, states, now, dt, luck)
+            shares, memory = shares_of(sights(convoy, states, now, dt))
             head = self.heads.command[case.row, jnp.minimum(case.period + k, self.rows - 1)]
             wanted = jnp.where(convoy.is_head, head, shares)
             alarm = convoy.is_head & (now >= case.emergency_s)
@@ -282,9 +305,7 @@ class Arena:
             return (states, memory, wanted, jnp.minimum(least, jnp.min(gaps_m(convoy, states)))), None
 
         begin = (states, self.memory, case.share, jnp.float32(jnp.inf))
-        (states, _, _, least), _ = jax.lax.scan(
-            body, begin, jnp.arange(round(LONGEST_S / self.dt), dtype=jnp.int32)
-        )
+        (states, _, _, least), _ = jax.lax.scan(body, begin, jnp.arange(self.steps, dtype=jnp.int32))
         braked = 0 if states.watched is None else jnp.sum(states.watched.emergencies[1:])
         return least, start, speed, jnp.asarray(braked), jnp.all(states.plant.speed_mps <= 0.0)
 
@@ -292,11 +313,9 @@ class Arena:
         self,
         case: Case,
         seen: Sight,
-        states: MemberState,
         memory: Array,
         last: Array,
         draw: Array,
-        now: Array,
     ) -> tuple[Array, Array]:
         """What each driver asks for, by its manner."""
         import jax
@@ -307,7 +326,6 @@ class Arena:
         noise = 2.0 * draw[:, 2] - 1.0
         bang = jnp.where(draw[:, 3] < 0.05, jnp.sign(noise), last)
         late = jnp.where(seen.gap_m < 3.0, -1.0, 1.0)
-        del now, states
         ways = jnp.stack([full, noise, bang, case.share, late, good])
         return ways[case.manner, jnp.arange(full.shape[0])], memory
 
