@@ -92,7 +92,7 @@ def write_worst(folder: Path, campaign: Campaign, worst: Sequence[Mapping[str, A
 
 
 def _head(campaign: Campaign, summary: Mapping[str, Any], about: Mapping[str, str]) -> str:
-    axes = ("sections", "trainsets and loads", "times", "disturbances", "seeds", "drivers")
+    axes = ("drivers", "sections", "trainsets and loads", "times", "disturbances", "seeds")
     matrix = " × ".join(f"{count} {name}" for count, name in zip(campaign.axes, axes, strict=True))
     lines = [f"{summary['done']} of {summary['rows']} runs: {matrix}."]
     cost = summary["cost"]

@@ -12,7 +12,15 @@ from time import perf_counter, process_time
 from typing import Any, NamedTuple
 
 from metropilot.errors import Infeasible, MetropilotError
-from metropilot.evaluate.campaign.declared import DRAWN, PLANNED, Campaign, Case, from_text, request_of
+from metropilot.evaluate.campaign.declared import (
+    DRAWN,
+    PLANNED,
+    Campaign,
+    Case,
+    Piece,
+    from_text,
+    request_of,
+)
 from metropilot.evaluate.kpis import kpis_of
 from metropilot.evaluate.optimum import optimum_of
 from metropilot.evaluate.rollout import drive
@@ -39,7 +47,7 @@ NUMBERS = (
 COUNTS = ("interventions", "regime_switches")
 TRUTHS = ("safe", "punctual")
 RESULTS: Mapping[str, str] = {
-    "row": "BIGINT",
+    "cell": "BIGINT",
     **dict.fromkeys(WORDS, "VARCHAR"),
     "number": "INTEGER",
     "seed": "BIGINT",
@@ -55,7 +63,8 @@ RESULTS: Mapping[str, str] = {
 }
 """Columns of the results: the same bits wherever and in whatever order the rows were driven."""
 TIMINGS: Mapping[str, str] = {
-    "row": "BIGINT",
+    "cell": "BIGINT",
+    "driver": "VARCHAR",
     "processor_s": "DOUBLE",
     "wall_s": "DOUBLE",
     "decision_us_median": "DOUBLE",
@@ -71,42 +80,49 @@ class Shard(NamedTuple):
     """A shard as a worker hands it over.
 
     Attributes:
-        number: Which.
+        piece: Which.
         rows: How many rows it has.
         results: Parquet file of :data:`RESULTS`.
         timings: Parquet file of :data:`TIMINGS`.
         version: Version of metropilot that drove it.
     """
 
-    number: int
+    piece: Piece
     rows: int
     results: bytes
     timings: bytes
     version: str
 
 
-def drive_shard(text: str, number: int) -> Shard:
+def drive_shard(text: str, piece: Piece) -> Shard:
     """Drive a shard of the campaign that ``text`` describes.
 
     Args:
         text: :attr:`Campaign.text`.
-        number: Which shard.
+        piece: Which shard.
     """
     import metropilot
 
-    campaign = from_text(text)
-    driven = [drive_row(campaign, campaign.case(row)) for row in campaign.shard(number)]
+    campaign, piece = from_text(text), Piece(*piece)
+    cases = [campaign.case(row) for row in campaign.shard(piece)]
+    if campaign.is_compiled(piece.driver):
+        from metropilot.evaluate.campaign.compiled import drive_batch
+
+        driven = drive_batch(campaign, cases)
+    else:
+        driven = [drive_row(campaign, case) for case in cases]
     results = parquet(RESULTS, [result for result, _ in driven])
     timings = parquet(TIMINGS, [timing for _, timing in driven])
-    return Shard(number, len(driven), results, timings, metropilot.__version__)
+    return Shard(piece, len(driven), results, timings, metropilot.__version__)
 
 
 def drive_row(campaign: Campaign, case: Case) -> tuple[dict[str, Any], dict[str, Any]]:
     """Drive one row: its result, and what the clock says of it. A driver that breaks down is a result."""
     began, spent = perf_counter(), process_time()
     result: dict[str, Any] = {name: str(getattr(case, name)) for name in WORDS[:-1]}
-    result |= {"row": case.row, "disturbance": case.disturbance.name, "number": case.number, "success": False}
-    timing: dict[str, Any] = {"row": case.row}
+    cell = case.row % campaign.cells
+    result |= {"cell": cell, "disturbance": case.disturbance.name, "number": case.number, "success": False}
+    timing: dict[str, Any] = {"cell": cell, "driver": case.driver}
     try:
         _drive(campaign, case, result, timing)
     except Infeasible as error:
