@@ -14,7 +14,7 @@ from metropilot.railway import Section, Trainset, load_trainset
 from metropilot.task import Perception, Run, declared_bounds
 from metropilot.task.tables import CURVES, Tables, build_tables
 
-CASES = (8, 64, 512)
+CASES = (8, 32, 128, 512)
 GUARD_NODES = (4096, 8192, 16384, 32768, 65536, 131072)
 SEEN_NODES = (1024, 4096, 16384, 65536)
 TRACK_NODES = (64, 256, 1024)
