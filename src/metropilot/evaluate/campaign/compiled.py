@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from time import perf_counter, process_time
 from typing import Any, NamedTuple
 
@@ -20,7 +21,13 @@ from metropilot.evaluate.campaign.batch_tables import (
     most_slots,
     stacked,
 )
-from metropilot.evaluate.campaign.declared import BATCH, Campaign, Case
+from metropilot.evaluate.campaign.declared import (
+    BATCH,
+    DRAWN,
+    Campaign,
+    Case,
+    seed_of,
+)
 from metropilot.evaluate.campaign.optima import Curves
 from metropilot.evaluate.campaign.program import BROKEN, PERIODS, Given, Going, Kind, Row, program
 from metropilot.evaluate.campaign.rows import (
@@ -38,6 +45,7 @@ from metropilot.evaluate.rollout import OVERSPEED_MPS, Drive
 from metropilot.physics import (
     Forces,
     Track,
+    Vehicle,
     at_rest,
     delay_steps,
     double_precision,
@@ -46,7 +54,7 @@ from metropilot.physics import (
     vehicle_arrays,
 )
 from metropilot.protection.types import Memory
-from metropilot.railway import Section
+from metropilot.railway import Section, Trainset
 from metropilot.task import CODES, NOISE_CUT, RUNNING, Outcome, Run, declared_bounds
 
 PLANT = ("mass_factor", "resistance_factor", "headwind_mps", "adhesion")
@@ -57,26 +65,48 @@ GUARD_SPACING_M = 1.0
 """Distance between the nodes of the host's protection."""
 
 
+class Setting(NamedTuple):
+    """What the seeds of a cell share, as long as nothing but noise differs between them.
+
+    Attributes:
+        request: What one of them is made of.
+        run: It.
+        known: What its row of results says of it by now.
+        sections: The section at departure, and once the restriction has been announced.
+        places: What tables are of there.
+        tracks: The two as the trainset feels them.
+        restricted_at_s: When the restriction is announced (infinite: never).
+        news: When another running time is announced (infinite: never), and which.
+        trainset: The trainset as it really is.
+        vehicle: It as numbers.
+    """
+
+    request: Request
+    run: Run
+    known: dict[str, Any]
+    sections: tuple[Section, Section]
+    places: tuple[Place, Place]
+    tracks: tuple[Track, Track]
+    restricted_at_s: float
+    news: tuple[float, float]
+    trainset: Trainset
+    vehicle: Vehicle
+
+
 class Start(NamedTuple):
     """One run of a batch, ready to begin.
 
     Attributes:
         case: Its cell.
-        request: What it was made of.
         run: The run.
-        sections: The section at departure, and once the restriction has been announced.
-        restricted_at_s: When that is (infinite: never).
-        news: When another running time is announced (infinite: never), and which.
+        setting: What other seeds may share with it.
         result: Its row of results, to be filled in.
         timing: Its row of timings.
     """
 
     case: Case
-    request: Request
     run: Run
-    sections: tuple[Section, Section]
-    restricted_at_s: float
-    news: tuple[float, float]
+    setting: Setting
     result: dict[str, Any]
     timing: dict[str, Any]
 
@@ -88,19 +118,19 @@ def drive_batch(campaign: Campaign, cases: Sequence[Case]) -> list[tuple[dict[st
         campaign: The campaign.
         cases: At most ``BATCH``.
     """
-    rows, starts = [], []
+    rows, starts, settings = [], [], {}
     for case in cases:
         began, spent = perf_counter(), process_time()
         result, timing = begun(campaign, case)
         result["engine"] = "compiled"
         with complained(result):
-            starts.append(_start(campaign, case, result, timing))
+            starts.append(_start(campaign, case, settings, result, timing))
         timing |= {"wall_s": perf_counter() - began, "processor_s": process_time() - spent}
         rows.append((result, timing))
     if not starts:
         return rows
     began, spent = perf_counter(), process_time()
-    driver = starts[0].request.make_driver()
+    driver = starts[0].setting.request.make_driver()
     if not isinstance(driver, AbstractPolicyDriver):
         raise TypeError(f"{driver.id} is no learned driver")
     record, outcome = _driven(campaign, driver.loaded, starts)
@@ -121,28 +151,68 @@ def drive_batch(campaign: Campaign, cases: Sequence[Case]) -> list[tuple[dict[st
 
 def _optimum(campaign: Campaign, start: Start, drive: Drive) -> Optimum | None:
     """The optimum of a run: off its plant's curve where seeds share the plant, else solved for itself."""
-    ranges = start.case.disturbance.ranges
-    if any(name in ranges and ranges[name][0] < ranges[name][1] for name in PLANT):
+    if _drawn(start.case, PLANT):
         return optimum_of(drive, campaign.objective)
-    told = start.request.restrictions if drive.section is start.sections[1] else ()
-    plant = (start.case[2:7], told, tuple(getattr(start.request, name) for name in PLANT))
-    arrived = drive.outcome is Outcome.ARRIVED
+    setting = start.setting
+    place = setting.places[int(drive.section is setting.sections[1])]
+    factors = tuple(getattr(setting.request, name) for name in PLANT)
+    plant = (place.section, place.trainset, factors, campaign.objective)
     try:
-        curve = CURVES.get((plant, campaign.objective), drive.section, drive.trainset, campaign.objective)
+        curve = CURVES.get(plant, drive.section, drive.trainset, campaign.objective)
+        arrived = drive.outcome is Outcome.ARRIVED
         return curve.at(drive.running_time_s if arrived else drive.scheduled_time_s)
     except Infeasible:
         return None
 
 
-def _start(campaign: Campaign, case: Case, result: dict[str, Any], timing: dict[str, Any]) -> Start:
-    request, run = prepared(campaign, case, result)
+def _drawn(case: Case, names: Sequence[str]) -> bool:
+    """Whether any of these is drawn anew for every seed."""
+    ranges = case.disturbance.ranges
+    return any(name in ranges and ranges[name][0] < ranges[name][1] for name in names)
+
+
+def _start(
+    campaign: Campaign,
+    case: Case,
+    settings: dict[str, Setting],
+    result: dict[str, Any],
+    timing: dict[str, Any],
+) -> Start:
+    """A row ready to be driven; seeds that differ in nothing but noise share the last setting made."""
+    seed = seed_of(campaign, case)
+    key = str((case[2:8], case.disturbance.name))
+    if _drawn(case, DRAWN) or key not in settings:
+        settings.clear()
+        settings[key] = _setting(campaign, case)
+    setting = settings[key]
+    result |= setting.known | {"seed": seed}
+    return Start(case, replace(setting.run, seed=seed), setting, result, timing)
+
+
+def _setting(campaign: Campaign, case: Case) -> Setting:
+    known: dict[str, Any] = {}
+    request, run = prepared(campaign, case, known)
     section, restricted_at, news = run.section, float("inf"), (float("inf"), run.scheduled_time_s)
     for item in run.scenario.news:
         if item.restriction is not None:
             section, restricted_at = section.restricted(item.restriction), item.at_s
         if item.scheduled_time_s is not None:
             news = item.at_s, item.scheduled_time_s
-    return Start(case, request, run, (run.section, section), restricted_at, news, result, timing)
+    trainset, bounds = run.scenario.actual(run.trainset), declared_bounds(run)
+    first = tuple(text for text in request.restrictions if text.count("@") == 1)
+    where, what = case[2:5], (request.trainset, request.load, request.ideal)
+    return Setting(
+        request=request,
+        run=run,
+        known=known,
+        sections=(run.section, section),
+        places=(Place((*where, first), what, bounds), Place((*where, request.restrictions), what, bounds)),
+        tracks=(track_arrays(run.section, trainset), track_arrays(section, trainset)),
+        restricted_at_s=restricted_at,
+        news=news,
+        trainset=trainset,
+        vehicle=vehicle_arrays(trainset),
+    )
 
 
 def _driven(campaign: Campaign, loaded: LoadedPolicy, starts: Sequence[Start]) -> tuple[Row, ndarray]:
@@ -186,37 +256,32 @@ def _noise(streams: Sequence[np.random.Generator | None]) -> ndarray:
 def _given(loaded: LoadedPolicy, starts: Sequence[Start], slots: int) -> tuple[Any, Given]:
     """Tables of protection and of the policy, and the runs over them; the first run fills up a batch."""
     kinds = held(None), held(loaded.perception)
-    places: dict[Place, int] = {}
+    numbers: dict[Place, int] = {}
     found: tuple[list[Any], list[Any]] = ([], [])
-    rows, bounds = [], []
-    for start in starts:
-        run, request = start.run, start.request
-        bounds.append(declared_bounds(run))
-        known = tuple(text for text in request.restrictions if text.count("@") == 1)
-        pair = []
-        for section, told in zip(start.sections, (known, request.restrictions), strict=True):
-            where = (request.line, request.origin, request.destination, told)
-            what = (request.trainset, request.load, request.ideal)
-            place = Place(where, what, bounds[-1])
-            if place not in places:
-                places[place] = len(places)
+    rows = []
+    for run, setting in ((start.run, start.setting) for start in starts):
+        for place, section in zip(setting.places, setting.sections, strict=True):
+            if place not in numbers:
+                numbers[place] = len(numbers)
                 for kind, tables in zip(kinds, found, strict=True):
                     tables.append(kind.get(place, section, run))
-            pair.append(places[place])
-        rows.append(pair)
+        rows.append([numbers[place] for place in setting.places])
     fill = [*range(len(starts)), *[0] * (BATCH - len(starts))]
-    actual = [vehicle_arrays(start.run.scenario.actual(start.run.trainset)) for start in starts]
+    settings = [starts[k].setting for k in fill]
+    scenarios = [starts[k].run.scenario for k in fill]
+    bounds = [setting.places[0].bounds for setting in settings]
+    places = np.array(rows, np.int32)[fill]
     given = Given(
-        vehicle=stack([actual[k] for k in fill]),
-        guard=np.array(rows, np.int32)[fill],
-        seen=np.array(rows, np.int32)[fill],
-        restricted_at_s=np.array([start.restricted_at_s for start in starts])[fill],
-        scheduled_s=np.array([start.run.scheduled_time_s for start in starts])[fill],
-        news_at_s=np.array([start.news[0] for start in starts])[fill],
-        news_s=np.array([start.news[1] for start in starts])[fill],
-        speed_noise_mps=np.array([start.run.scenario.speed_noise_mps for start in starts])[fill],
-        slots=np.array([delay_steps(b.delay_s, b.dt_s) + 1 for b in bounds], np.int32)[fill],
-        length_m=np.array([start.run.section.length_m for start in starts])[fill],
+        vehicle=stack([setting.vehicle for setting in settings]),
+        guard=places,
+        seen=places,
+        restricted_at_s=np.array([setting.restricted_at_s for setting in settings]),
+        scheduled_s=np.array([setting.run.scheduled_time_s for setting in settings]),
+        news_at_s=np.array([setting.news[0] for setting in settings]),
+        news_s=np.array([setting.news[1] for setting in settings]),
+        speed_noise_mps=np.array([scenario.speed_noise_mps for scenario in scenarios]),
+        slots=np.array([delay_steps(b.delay_s, b.dt_s) + 1 for b in bounds], np.int32),
+        length_m=np.array([setting.run.section.length_m for setting in settings]),
     )
     sizes = GUARD_NODES, SEEN_NODES
     return tuple(stacked(t, size, slots) for t, size in zip(found, sizes, strict=True)), given
@@ -247,20 +312,17 @@ def _at_departure(given: Given, slots: int, discrete: bool, actions: int) -> Goi
 
 def _drive_of(driver_id: str, start: Start, record: Row, k: int) -> Drive:
     """A run of the batch as the host would have handed it over."""
-    run = start.run
+    run, setting = start.run, start.setting
     last = int(np.argmax(record.outcome[:, k] != RUNNING)) + 1
-    trainset = run.scenario.actual(run.trainset)
-    vehicle = vehicle_arrays(trainset)
     own = {name: getattr(record, name)[:last, k] for name in Row._fields if name != "forces"}
     names = ("time_s", "position_m", "speed_mps", "traction_j", "line_j")
     rows = {name: np.concatenate([[0.0], own[name]]) for name in names}
-    tracks: list[Track] = [track_arrays(section, trainset) for section in start.sections]
-    told = own["told"]
+    tracks, told = setting.tracks, own["told"]
     final = tracks[int(told[-1])]
     at, speed = rows["position_m"], rows["speed_mps"]
     limits = np.where(told > 0, limits_at(tracks[1], at[:-1]), limits_at(tracks[0], at[:-1]))
     trajectory = closed_trajectory(
-        vehicle,
+        setting.vehicle,
         run.dt,
         rows,
         own["acceleration_mps2"],
@@ -284,9 +346,9 @@ def _drive_of(driver_id: str, start: Start, record: Row, k: int) -> Drive:
         trajectory=trajectory,
         outcome=Outcome.OVERSPEED if over > OVERSPEED_MPS else CODES[int(own["outcome"][-1])],
         running_time_s=stood_since if speed[-1] <= 0 else float(rows["time_s"][-1]),
-        scheduled_time_s=start.news[1] if rows["time_s"][-2] >= start.news[0] else run.scheduled_time_s,
-        section=start.sections[int(told[-1])],
-        trainset=trainset,
+        scheduled_time_s=setting.news[1] if rows["time_s"][-2] >= setting.news[0] else run.scheduled_time_s,
+        section=setting.sections[int(told[-1])],
+        trainset=setting.trainset,
         interventions=int((np.diff(overruled, prepend=False) & overruled).sum()),
         max_overspeed_mps=over,
         recovered_j=float(own["recovered_j"][-1]),
