@@ -74,14 +74,23 @@ def test_every_cell_is_one_row_and_every_row_in_one_shard():
         for row in range(WIDE.rows)
     }
     assert len(cells) == WIDE.rows == 3 * 2 * 2 * 2 * 2 * 40
-    assert [row for number in range(WIDE.shards) for row in WIDE.shard(number)] == list(range(WIDE.rows))
+    assert [row for piece in WIDE.pieces() for row in WIDE.shard(piece)] == list(range(WIDE.rows))
+
+
+def test_more_drivers_leave_the_shards_of_the_others_as_they_are():
+    more = replace(WIDE, drivers=("eitoe", *WIDE.drivers))
+    assert more.digest == WIDE.digest
+    assert set(WIDE.pieces()) < set(more.pieces())
+    for piece in WIDE.pieces():
+        cells = [[c.case(row)._replace(row=0) for row in c.shard(piece)] for c in (WIDE, more)]
+        assert cells[0] == cells[1]
 
 
 def test_seeds_and_draws_belong_to_the_cell_and_not_to_the_driver_or_the_matrix():
     cases = [WIDE.case(row) for row in range(WIDE.rows)]
     seeds = [seed_of(WIDE, case) for case in cases]
     assert len(set(seeds)) == WIDE.rows // 3
-    assert seeds[0] == seeds[1] == seeds[2]
+    assert seeds[0] == seeds[WIDE.cells] == seeds[2 * WIDE.cells]
     wider = replace(WIDE, drivers=("manual", *WIDE.drivers), seeds=50)
     assert set(seeds) < {seed_of(wider, wider.case(row)) for row in range(wider.rows)}
     heavy = next(case for case in cases if case.disturbance.name == "heavy")
@@ -142,23 +151,41 @@ def test_what_cannot_be_used_is_one_line_with_file_and_field(tmp_path, capsys, o
     assert words in said
 
 
-def shard_of(campaign, number, outcome="arrived"):
-    rows = [{"row": row, "driver": "flat_out", "outcome": outcome} for row in campaign.shard(number)]
-    return Shard(number, len(rows), parquet(RESULTS, rows), parquet(TIMINGS, rows), "0")
+def shard_of(campaign, piece, outcome="arrived"):
+    rows = [
+        {"cell": row % campaign.cells, "driver": piece.driver, "outcome": outcome}
+        for row in campaign.shard(piece)
+    ]
+    return Shard(piece, len(rows), parquet(RESULTS, rows), parquet(TIMINGS, rows), "0")
 
 
 def test_a_shard_counts_once_its_line_is_whole(tmp_path):
-    store = Store(tmp_path, WIDE)
+    store, pieces = Store(tmp_path, WIDE), WIDE.pieces()
     for number in (3, 1):
-        store.keep(shard_of(WIDE, number))
-    assert set(store.done()) == {1, 3}
+        store.keep(shard_of(WIDE, pieces[number]))
+    assert set(store.done()) == {pieces[1], pieces[3]}
     with (tmp_path / "done.txt").open("a") as file:
-        file.write("2 20 60")  # torn by a kill
-    assert set(store.done()) == {1, 3}
-    store.keep(shard_of(WIDE, 0))
-    assert set(Store(tmp_path, WIDE).done()) == {0, 1, 3}
-    store.part(3).write_bytes(b"cut short")
-    assert set(store.done()) == {0, 1}
+        file.write("flat_out 2 20 60")  # torn by a kill
+    assert set(store.done()) == {pieces[1], pieces[3]}
+    store.keep(shard_of(WIDE, pieces[0]))
+    assert set(Store(tmp_path, WIDE).done()) == {pieces[0], pieces[1], pieces[3]}
+    store.part(pieces[3]).write_bytes(b"cut short")
+    assert set(store.done()) == {pieces[0], pieces[1]}
+
+
+def test_a_folder_is_gone_on_with_by_more_drivers(tmp_path):
+    few = replace(WIDE, drivers=("optimal",))
+    store = Store(tmp_path, few)
+    store.keep(shard_of(few, few.pieces()[1]))
+    more = replace(WIDE, drivers=("mpc", "optimal", "optimal:reserve_s=1"))
+    store = Store(tmp_path, more)
+    assert [piece.driver for piece in store.done()] == ["optimal"]
+    store.keep(shard_of(more, more.pieces()[-1]))
+    collect(tmp_path)
+    rows = duckdb.sql(f"SELECT row, driver, cell FROM '{tmp_path}/results.parquet'").fetchall()
+    held = [row for piece in (more.pieces()[k] for k in (21, -1)) for row in more.shard(piece)]
+    assert [row for row, _, _ in rows] == held
+    assert all(row % more.cells == cell for row, _, cell in rows)
 
 
 def test_the_folder_of_another_campaign_is_refused(tmp_path):
@@ -176,8 +203,8 @@ from metropilot.evaluate.campaign.run import run_campaign
 
 def drive_row(campaign, case):
     time.sleep(0.0005)
-    result = {"row": case.row, "driver": case.driver, "seed": seed_of(campaign, case), "outcome": "arrived"}
-    return result, {"row": case.row}
+    cell = {"cell": case.row % campaign.cells, "driver": case.driver}
+    return {**cell, "seed": seed_of(campaign, case), "outcome": "arrived"}, cell
 
 rows.drive_row = drive_row
 run_campaign(from_text(Path(sys.argv[1]).read_text()), Path(sys.argv[2]), workers=1)
@@ -192,8 +219,10 @@ def test_kill_9_at_random_moments_loses_and_doubles_no_row(tmp_path):
     for _ in range(12):
         process = subprocess.Popen([*program, str(folder)])
         parts = folder / "parts"
-        before = len(list(parts.glob("*.parquet")))
-        while process.poll() is None and len(list(parts.glob("*.parquet"))) < before + chance.randint(8, 30):
+        before = len(list(parts.glob("*/*.parquet")))
+        while process.poll() is None and len(list(parts.glob("*/*.parquet"))) < before + chance.randint(
+            8, 30
+        ):
             time.sleep(0.001)
         time.sleep(chance.random() * 0.01)
         if process.poll() is not None:

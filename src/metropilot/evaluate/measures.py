@@ -33,8 +33,10 @@ def window_jerk(trajectory: Trajectory, window_s: float = CHENG2023_WINDOW_S) ->
     """
     time, accel = trajectory.time_s, trajectory.acceleration_mps2
     last = np.searchsorted(time, time + window_s + 1e-9, side="right")
-    changes = [float(np.ptp(accel[k:end])) for k, end in enumerate(last)]
-    return max(changes, default=0.0)
+    windows = np.stack([np.arange(time.size), last], axis=1).ravel()
+    closed = np.append(accel, accel[-1:])
+    high, low = (extreme.reduceat(closed, windows)[::2] for extreme in (np.maximum, np.minimum))
+    return float((high - low).max())
 
 
 def max_jerk(trajectory: Trajectory) -> float:

@@ -112,8 +112,11 @@ class Request:
             news=tuple(sorted(news, key=lambda item: item.at_s)),
         )
 
-    def run(self) -> Run:
+    def run(self, fastest_s: float | None = None) -> Run:
         """The run.
+
+        Args:
+            fastest_s: Minimum running time of the open section, where it is known already.
 
         Raises:
             InputError: Something in the request cannot be used.
@@ -127,7 +130,7 @@ class Request:
                 f"the line plans no running time for {section.name}; give one", field="time", allowed="> 0 s"
             )
         run = Run(section, trainset, time_s, self.scenario(section), self.dt_s, self.seed)
-        fastest = minimum_running_time(self.open_section(), trainset)
+        fastest = fastest_s or minimum_running_time(self.open_section(), trainset)
         if time_s < fastest:
             raise Infeasible(
                 f"minimum running time is {fastest:.1f} s",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, no_type_check
 
-from metropilot.physics.arrays import Scalar, locate, namespace
+from metropilot.physics.arrays import Scalar, locate, namespace, scalars
 from metropilot.physics.types import Array, Vehicle
 
 FEW = 4
@@ -20,8 +20,9 @@ def curve_n(breaks_mps: Array, pieces: Array, speed_mps: Scalar) -> Scalar:
         speed_mps: Speed.
     """
     k = locate(breaks_mps, speed_mps)
-    xp = namespace(pieces, speed_mps)
-    power, c0, c1, c2, c3, cap = (_row(xp, pieces, k, j) for j in range(6))
+    xp = namespace(speed_mps) if type(k) is int else namespace(pieces, speed_mps)
+    row = pieces[k] if xp is scalars else (_row(xp, pieces, k, j) for j in range(6))
+    power, c0, c1, c2, c3, cap = row
     v = speed_mps
     return xp.clip(power / xp.maximum(v, 1e-3) + c0 + v * (c1 + v * (c2 + v * c3)), 0.0, cap)
 

@@ -53,7 +53,7 @@ def _braking_share(run: Run) -> float:
     """Service braking force that the rail still takes, over the one believed, at its least."""
     known, actual = (vehicle_arrays(t) for t in (_known(run), run.scenario.actual(run.trainset)))
     speeds = np.linspace(0.0, float(known.max_speed_mps), 65)
-    return min(float(brake_available_n(actual, v) / brake_available_n(known, v)) for v in speeds)
+    return float(np.min(brake_available_n(actual, speeds) / brake_available_n(known, speeds)))
 
 
 def _known(run: Run) -> Trainset:

@@ -201,11 +201,11 @@ def _stack_protection(protections: Sequence[Protection], ahead: np.ndarray) -> P
     )
 
 
-def _mapped(function: Any, tree: Any) -> Any:  # noqa: ANN401 (a tree of tuples)
+def _mapped(function: Any, tree: Any, *, traced: bool = False) -> Any:  # noqa: ANN401 (a tree of tuples)
     if isinstance(tree, tuple):
-        values = [_mapped(function, entry) for entry in tree]
+        values = [_mapped(function, entry, traced=traced) for entry in tree]
         return type(tree)(*values) if hasattr(tree, "_fields") else tuple(values)
-    return function(np.asarray(tree))
+    return function(tree if traced else np.asarray(tree))
 
 
 class Rows:
@@ -214,16 +214,19 @@ class Rows:
     Args:
         tables: From :func:`build_tables`.
         jax: Hold them as JAX arrays.
+        spacing_m: Distance between protection's nodes, where the tables are an argument of a compiled
+            function: then nothing of them is a constant, and others of the same shapes need no other program.
     """
 
-    def __init__(self, tables: Tables, *, jax: bool) -> None:
+    def __init__(self, tables: Tables, *, jax: bool, spacing_m: float | None = None) -> None:
         if jax:
             import jax.numpy as xp
         else:
             xp = np
+        traced = spacing_m is not None
         self.count = int(tables.minimum_s.shape[0])
         self.xp = xp
-        self.spacing_m = float(tables.protection.spacing_m[0])
+        self.spacing_m = float(tables.protection.spacing_m[0]) if spacing_m is None else spacing_m
         self.start_m = xp.asarray(tables.protection.start_m)
         self.ahead = tables.protection.ahead[0]
         self.slots = int(tables.protection.slots.shape[1])
@@ -232,10 +235,13 @@ class Rows:
         self.braked = xp.asarray(tables.braked)
         self.length_m = xp.asarray(tables.length_m)
         self.tables = tables
-        large = dict.fromkeys(("ground", "to_go", "braked"), np.zeros(self.count))
-        small = tables._replace(**large)
-        self._shared = _mapped(lambda a: bool((a == a[:1]).all()), small)
-        self._small = _mapped(lambda a: xp.asarray(a[0] if (a == a[:1]).all() else a), small)
+        none = np.zeros(self.count)
+        small = tables._replace(ground=none, to_go=none, braked=none)
+        self._shared = _mapped(lambda a: not traced and bool((a == a[:1]).all()), small, traced=traced)
+        if traced:
+            self._small = _mapped(xp.asarray, small, traced=True)
+        else:
+            self._small = _mapped(lambda a: xp.asarray(a[0] if (a == a[:1]).all() else a), small)
 
     def case(self, case: Array) -> Tables:
         """The row of a case, without the large tables and with the whole track."""

@@ -9,21 +9,26 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from hashlib import sha256
 from math import prod
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from metropilot.drivers import DRIVERS
+from metropilot.drivers.shipped import AbstractPolicyDriver
 from metropilot.evaluate.driver_options import named_driver
 from metropilot.evaluate.optimum import Objective
 from metropilot.evaluate.request import Request
 from metropilot.task import CONTROL_PERIOD_S
 
 PLANNED = "planned"
-SHARDS = 100
+SHARDS = 20
 LARGEST_SHARD = 50
+BATCH = 256
+"""Runs of a compiled shard: one program drives so many at once, whether they are real or fill it up."""
+Engine = Literal["host", "compiled"]
 DRAWN = (
     "mass_factor",
     "resistance_factor",
@@ -84,9 +89,21 @@ class Case(NamedTuple):
     number: int
 
 
+class Piece(NamedTuple):
+    """A shard: what is driven and kept as a whole.
+
+    Attributes:
+        driver: Driver id, options included.
+        chunk: Which of its shards.
+    """
+
+    driver: str
+    chunk: int
+
+
 @dataclass(frozen=True)
 class Campaign:
-    """A matrix of runs.
+    """A matrix of runs: cells, each driven by every driver.
 
     Attributes:
         name: Of the campaign.
@@ -99,6 +116,8 @@ class Campaign:
         first_seed: Base of all that is random.
         objective: Energy the optimum minimises.
         dt_s: Control period.
+        engine: ``host`` drives each run by itself, exactly as ``metropilot drive``; ``compiled`` drives
+            those of learned policies in batches.
     """
 
     name: str
@@ -111,36 +130,49 @@ class Campaign:
     first_seed: int = 0
     objective: Objective = "wheel"
     dt_s: float = CONTROL_PERIOD_S
+    engine: Engine = "host"
 
     @property
     def axes(self) -> tuple[int, ...]:
-        """Sections, trainsets, times, disturbances, seeds, drivers: how many; the last vary fastest."""
-        lists = (self.sections, self.trainsets, self.times, self.disturbances)
-        return (*(len(axis) for axis in lists), self.seeds, len(self.drivers))
+        """Drivers, sections, trainsets, times, disturbances, seeds: how many; the last vary fastest."""
+        lists = (self.drivers, self.sections, self.trainsets, self.times, self.disturbances)
+        return (*(len(axis) for axis in lists), self.seeds)
+
+    @property
+    def cells(self) -> int:
+        """Number of runs of one driver."""
+        return prod(self.axes[1:])
 
     @property
     def rows(self) -> int:
         """Number of runs."""
         return prod(self.axes)
 
-    @property
-    def shard_rows(self) -> int:
-        """Rows of a shard, the piece that is driven and kept as a whole; decided by the matrix alone."""
-        return min(max(-(-self.rows // SHARDS), 1), LARGEST_SHARD)
+    def is_compiled(self, driver: str) -> bool:
+        """Whether this driver's runs are driven as compiled batches."""
+        kind = DRIVERS.get(named_driver(driver)[0])
+        return self.engine == "compiled" and issubclass(kind, AbstractPolicyDriver)
 
-    @property
-    def shards(self) -> int:
-        """Number of shards."""
-        return -(-self.rows // self.shard_rows)
+    def shard_rows(self, driver: str) -> int:
+        """Rows of a driver's shard; decided by driver and matrix alone."""
+        if self.is_compiled(driver):
+            return BATCH
+        return min(max(-(-self.cells // SHARDS), 1), LARGEST_SHARD)
 
-    def shard(self, number: int) -> range:
+    def pieces(self) -> tuple[Piece, ...]:
+        """All shards. Each is of one driver, so that more drivers leave those of the others as they are."""
+        counts = [(name, -(-self.cells // self.shard_rows(name))) for name in self.drivers]
+        return tuple(Piece(name, chunk) for name, count in counts for chunk in range(count))
+
+    def shard(self, piece: Piece) -> range:
         """The rows of a shard."""
-        first = number * self.shard_rows
-        return range(first, min(first + self.shard_rows, self.rows))
+        size = self.shard_rows(piece.driver)
+        first, base = piece.chunk * size, self.drivers.index(piece.driver) * self.cells
+        return range(base + first, base + min(first + size, self.cells))
 
     def case(self, row: int) -> Case:
         """The cell of a row."""
-        section, trainset, time, disturbance, number, driver = (
+        driver, section, trainset, time, disturbance, number = (
             int(k) for k in np.unravel_index(row, self.axes)
         )
         return Case(
@@ -160,8 +192,8 @@ class Campaign:
 
     @property
     def digest(self) -> str:
-        """What names the campaign: the same for the same matrix."""
-        return sha256(self.text.encode()).hexdigest()[:16]
+        """What names the campaign: the same for the same cells, whoever drives them."""
+        return sha256(replace(self, drivers=()).text.encode()).hexdigest()[:16]
 
 
 def from_text(text: str) -> Campaign:

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from metropilot.evaluate.campaign.declared import Campaign, request_of
-from metropilot.evaluate.campaign.rows import section_of
+from metropilot.evaluate.campaign.declared import Campaign
 from metropilot.evaluate.campaign.store import stored_campaign
 from metropilot.evaluate.campaign.summary import asked, opened
-from metropilot.evaluate.folder import write_run_toml
+from metropilot.evaluate.campaign.worst import drive_worst, worst_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CLOUD = 3000
 DASH = "–"
-REPORT, WORST = "report.html", "worst"
+REPORT = "report.html"
 STYLE = """
 body{font:14px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:76rem;padding:0 1rem;color:#202020}
 h1{font-size:1.5rem}h2{font-size:1.15rem;margin-top:2rem}
@@ -29,6 +27,8 @@ th,td{padding:.25rem .7rem;border-bottom:1px solid #d9d9d9;text-align:right;vert
 th:first-child,td:first-child,td.text,th.text{text-align:left}th{border-bottom:2px solid #6b6b6b}
 small{color:#6b6b6b}code{background:#efefef;padding:0 .25rem}svg{max-width:100%;height:auto}
 .wide{overflow-x:auto}
+.runs{display:grid;grid-template-columns:repeat(auto-fill,minmax(26rem,1fr));gap:1.2rem}
+figure{margin:0}figcaption{font-size:.9rem}
 """
 PARETO = """
     SELECT driver, time,
@@ -50,7 +50,7 @@ POINTS = """
 
 
 def write_report(folder: Path, summary: Mapping[str, Any], about: Mapping[str, str]) -> Path:
-    """Write ``report.html``, and ``worst/NN/run.toml`` for the runs it lists.
+    """Write ``report.html``, and a folder ``worst/NN`` for each of the runs it ends with.
 
     Args:
         folder: The campaign's folder.
@@ -58,13 +58,13 @@ def write_report(folder: Path, summary: Mapping[str, Any], about: Mapping[str, s
         about: What the head says beside it: time, machine, commit.
     """
     campaign = stored_campaign(folder)
-    links = write_worst(folder, campaign, summary["worst"])
+    worst = drive_worst(folder, campaign, summary["worst"])
     parts = [f"<h1>Campaign {escape(campaign.name)}</h1>", _head(campaign, summary, about)]
     parts += ["<h2>Drivers</h2>", _legend(), _table(summary["drivers"], ("driver",))]
     if len(campaign.disturbances) > 1:
         parts += ["<h2>By disturbance</h2>", _table(summary["cells"], ("disturbance", "driver"))]
     parts += ["<h2>Energy against time</h2>", _pareto(folder, campaign)]
-    parts += ["<h2>The worst runs</h2>", _worst(summary["worst"], links)]
+    parts += ["<h2>The worst runs</h2>", worst_table(summary["worst"], worst)]
     body = "\n".join(parts)
     head = f"<meta charset='utf-8'><title>{escape(campaign.name)}</title><style>{STYLE}</style>"
     path = folder / REPORT
@@ -72,27 +72,8 @@ def write_report(folder: Path, summary: Mapping[str, Any], about: Mapping[str, s
     return path
 
 
-def write_worst(folder: Path, campaign: Campaign, worst: Sequence[Mapping[str, Any]]) -> list[str]:
-    """A ``run.toml`` for each of the worst runs; its path from the folder, empty where there is none."""
-    links = []
-    for place, row in enumerate(worst, 1):
-        case = campaign.case(row["row"])
-        if row["scheduled_time_s"] is None:
-            links.append("")
-            continue
-        section = section_of(case.line, case.origin, case.destination)
-        scheduled = row["scheduled_time_s"]
-        if case.disturbance.arrival is not None:
-            scheduled /= case.disturbance.arrival[0]
-        target = folder / WORST / f"{place:02d}"
-        target.mkdir(parents=True, exist_ok=True)
-        write_run_toml(target, replace(request_of(campaign, case, scheduled, section.length_m)))
-        links.append(f"{WORST}/{place:02d}/run.toml")
-    return links
-
-
 def _head(campaign: Campaign, summary: Mapping[str, Any], about: Mapping[str, str]) -> str:
-    axes = ("sections", "trainsets and loads", "times", "disturbances", "seeds", "drivers")
+    axes = ("drivers", "sections", "trainsets and loads", "times", "disturbances", "seeds")
     matrix = " × ".join(f"{count} {name}" for count, name in zip(campaign.axes, axes, strict=True))
     lines = [f"{summary['done']} of {summary['rows']} runs: {matrix}."]
     cost = summary["cost"]
@@ -168,37 +149,6 @@ def _table(rows: Iterable[Mapping[str, Any]], by: Sequence[str]) -> str:
             f"<tr>{words}" + "".join(f"<td>{_cell(row, n, d)}</td>" for n, _, d in COLUMNS) + "</tr>"
         )
     return f"<div class='wide'><table><tr>{heads}</tr>{''.join(lines)}</table></div>"
-
-
-def _worst(worst: Sequence[Mapping[str, Any]], links: Sequence[str]) -> str:
-    if not worst:
-        return "<p>None.</p>"
-    names = (
-        "driver",
-        "from",
-        "to",
-        "load",
-        "time",
-        "disturbance",
-        "outcome",
-        "time error s",
-        "stop m",
-        "gap %",
-    )
-    heads = "".join(f"<th class='text'>{name}</th>" for name in (*names, "drive it again"))
-    lines = []
-    for row, link in zip(worst, links, strict=True):
-        words = [
-            row[k] for k in ("driver", "origin", "destination", "load", "time", "disturbance", "outcome")
-        ]
-        if row["error"]:
-            words[-1] = f"{words[-1]}: {row['error']}"
-        numbers = [row["time_error_s"], row["stopping_error_m"], row["optimality_gap_percent"]]
-        cells = [escape(str(word)) for word in words] + [DASH if n is None else f"{n:+.2f}" for n in numbers]
-        again = f"<code>metropilot drive --from <a href='{link}'>{link}</a></code>" if link else DASH
-        lines.append("<tr>" + "".join(f"<td class='text'>{c}</td>" for c in (*cells, again)) + "</tr>")
-    said = "<p>Those that broke down, were unsafe or did not arrive on time first, then by their gap.</p>"
-    return f"{said}<div class='wide'><table><tr>{heads}</tr>{''.join(lines)}</table></div>"
 
 
 def _pareto(folder: Path, campaign: Campaign) -> str:

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from metropilot.errors import InputError, MetropilotError
+from metropilot.evaluate.campaign.declared import Piece
 from metropilot.evaluate.campaign.rows import Shard, drive_shard
 
 ONE_THREAD = {
@@ -30,7 +31,7 @@ class WorkersDied(MetropilotError, RuntimeError):
     """Workers died again and again; what is done is kept."""
 
 
-def on_this_machine(text: str, shards: Sequence[int], workers: int) -> Iterator[Shard]:
+def on_this_machine(text: str, shards: Sequence[Piece], workers: int) -> Iterator[Shard]:
     """Drive shards in processes of this machine, each on one thread; one that dies is replaced.
 
     Args:
@@ -54,10 +55,10 @@ def on_this_machine(text: str, shards: Sequence[int], workers: int) -> Iterator[
                 batch_size=1,  # pyright: ignore[reportArgumentType]
                 pre_dispatch=f"{AHEAD} * n_jobs",
             )
-            driven = pool(delayed(drive_shard)(text, number) for number in tuple(left))
+            driven = pool(delayed(drive_shard)(text, piece) for piece in tuple(left))
             try:
                 for shard in driven:
-                    del left[shard.number]
+                    del left[shard.piece]
                     deaths = 0
                     yield shard
             except TerminatedWorkerError:
@@ -68,7 +69,7 @@ def on_this_machine(text: str, shards: Sequence[int], workers: int) -> Iterator[
                     ) from None
 
 
-def on_a_cluster(text: str, shards: Sequence[int], workers: int, address: str) -> Iterator[Shard]:
+def on_a_cluster(text: str, shards: Sequence[Piece], workers: int, address: str) -> Iterator[Shard]:
     """Drive shards on a Ray cluster; a shard whose worker dies is driven again by another.
 
     Args:
@@ -108,15 +109,15 @@ def on_a_cluster(text: str, shards: Sequence[int], workers: int, address: str) -
         ray.shutdown()
 
 
-def _from_ray(ray: Any, text: str, shards: Sequence[int]) -> Iterator[Shard]:  # noqa: ANN401 (the module)
+def _from_ray(ray: Any, text: str, shards: Sequence[Piece]) -> Iterator[Shard]:  # noqa: ANN401 (the module)
     remote = ray.remote(num_cpus=1, max_retries=RETRIES)(drive_shard)
     campaign = ray.put(text)
     ahead = AHEAD * max(int(ray.cluster_resources().get("CPU", 1)), 1)
     waiting, coming = list(reversed(shards)), {}
     while waiting or coming:
         while waiting and len(coming) < ahead:
-            number = waiting.pop()
-            coming[remote.remote(campaign, number)] = number
+            piece = waiting.pop()
+            coming[remote.remote(campaign, piece)] = piece
         ready, _ = ray.wait(list(coming), num_returns=1)
         for reference in ready:
             del coming[reference]

@@ -72,6 +72,7 @@ class _File(_Strict):
     name: Annotated[str, Field(min_length=1)]
     objective: Literal["wheel", "line"] = "wheel"
     dt_s: Annotated[float, Field(ge=0.01, le=1)] = CONTROL_PERIOD_S
+    engine: Literal["host", "compiled"] = "host"
     matrix: _Matrix
     disturbance: list[_Disturbance] = [_Disturbance(name="as told")]
 
@@ -107,6 +108,7 @@ def campaign_from_toml(path: Path) -> Campaign:
         first_seed=found.matrix.first_seed,
         objective=found.objective,
         dt_s=found.dt_s,
+        engine=found.engine,
     )
     if not campaign.rows:
         empty = next(name for name, values in vars(campaign).items() if values == ())

@@ -5,19 +5,30 @@ from __future__ import annotations
 import json
 import resource
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any, NamedTuple
 
 from metropilot.errors import Infeasible, MetropilotError
-from metropilot.evaluate.campaign.declared import DRAWN, PLANNED, Campaign, Case, from_text, request_of
-from metropilot.evaluate.kpis import kpis_of
-from metropilot.evaluate.optimum import optimum_of
-from metropilot.evaluate.rollout import drive
+from metropilot.evaluate.campaign.declared import (
+    DRAWN,
+    PLANNED,
+    Campaign,
+    Case,
+    Piece,
+    from_text,
+    request_of,
+)
+from metropilot.evaluate.kpis import Kpis, kpis_of
+from metropilot.evaluate.optimum import Optimum, optimum_of
+from metropilot.evaluate.request import Request
+from metropilot.evaluate.rollout import Drive, drive
 from metropilot.planning import minimum_running_time
 from metropilot.railway import Section, load_line, load_trainset
+from metropilot.task import Run
 
 WORDS = ("driver", "line", "origin", "destination", "trainset", "load", "time", "disturbance")
 NUMBERS = (
@@ -39,13 +50,14 @@ NUMBERS = (
 COUNTS = ("interventions", "regime_switches")
 TRUTHS = ("safe", "punctual")
 RESULTS: Mapping[str, str] = {
-    "row": "BIGINT",
+    "cell": "BIGINT",
     **dict.fromkeys(WORDS, "VARCHAR"),
     "number": "INTEGER",
     "seed": "BIGINT",
     "length_m": "DOUBLE",
     "scheduled_time_s": "DOUBLE",
     **dict.fromkeys(DRAWN, "DOUBLE"),
+    "engine": "VARCHAR",
     "outcome": "VARCHAR",
     "success": "BOOLEAN",
     **dict.fromkeys(TRUTHS, "BOOLEAN"),
@@ -55,7 +67,8 @@ RESULTS: Mapping[str, str] = {
 }
 """Columns of the results: the same bits wherever and in whatever order the rows were driven."""
 TIMINGS: Mapping[str, str] = {
-    "row": "BIGINT",
+    "cell": "BIGINT",
+    "driver": "VARCHAR",
     "processor_s": "DOUBLE",
     "wall_s": "DOUBLE",
     "decision_us_median": "DOUBLE",
@@ -71,72 +84,103 @@ class Shard(NamedTuple):
     """A shard as a worker hands it over.
 
     Attributes:
-        number: Which.
+        piece: Which.
         rows: How many rows it has.
         results: Parquet file of :data:`RESULTS`.
         timings: Parquet file of :data:`TIMINGS`.
         version: Version of metropilot that drove it.
     """
 
-    number: int
+    piece: Piece
     rows: int
     results: bytes
     timings: bytes
     version: str
 
 
-def drive_shard(text: str, number: int) -> Shard:
+def drive_shard(text: str, piece: Piece) -> Shard:
     """Drive a shard of the campaign that ``text`` describes.
 
     Args:
         text: :attr:`Campaign.text`.
-        number: Which shard.
+        piece: Which shard.
     """
     import metropilot
 
-    campaign = from_text(text)
-    driven = [drive_row(campaign, campaign.case(row)) for row in campaign.shard(number)]
+    campaign, piece = from_text(text), Piece(*piece)
+    cases = [campaign.case(row) for row in campaign.shard(piece)]
+    if campaign.is_compiled(piece.driver):
+        from metropilot.evaluate.campaign.compiled import drive_batch
+
+        driven = drive_batch(campaign, cases)
+    else:
+        driven = [drive_row(campaign, case) for case in cases]
     results = parquet(RESULTS, [result for result, _ in driven])
     timings = parquet(TIMINGS, [timing for _, timing in driven])
-    return Shard(number, len(driven), results, timings, metropilot.__version__)
+    return Shard(piece, len(driven), results, timings, metropilot.__version__)
 
 
 def drive_row(campaign: Campaign, case: Case) -> tuple[dict[str, Any], dict[str, Any]]:
     """Drive one row: its result, and what the clock says of it. A driver that breaks down is a result."""
     began, spent = perf_counter(), process_time()
-    result: dict[str, Any] = {name: str(getattr(case, name)) for name in WORDS[:-1]}
-    result |= {"row": case.row, "disturbance": case.disturbance.name, "number": case.number, "success": False}
-    timing: dict[str, Any] = {"row": case.row}
-    try:
-        _drive(campaign, case, result, timing)
-    except Infeasible as error:
-        result |= {"outcome": INFEASIBLE, "error": error.line()}
-    except MetropilotError as error:
-        result |= {"outcome": FAILED, "error": str(error)}
-    except Exception as error:  # noqa: BLE001 (one driver's bug must not lose a campaign)
-        result |= {"outcome": FAILED, "error": f"{type(error).__name__}: {error}"}
+    result, timing = begun(campaign, case)
+    with complained(result):
+        request, run = prepared(campaign, case, result)
+        driven = drive(run, request.make_driver())
+        kpis = measured(campaign, driven, optimum_of(driven, campaign.objective), result)
+        timing["decision_us_median"] = kpis.decision_time_us_median
+        timing["decision_us_max"] = float(driven.decision_us.max())
     timing |= {
         "wall_s": perf_counter() - began,
         "processor_s": process_time() - spent,
-        "worker_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+        "worker_mb": worker_mb(),
     }
     return result, timing
 
 
-def _drive(campaign: Campaign, case: Case, result: dict[str, Any], timing: dict[str, Any]) -> None:
-    """Drive a row and fill in its result and timing."""
+def begun(campaign: Campaign, case: Case) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Result and timing of a row before anything is known of it."""
+    cell = case.row % campaign.cells
+    result: dict[str, Any] = {name: str(getattr(case, name)) for name in WORDS[:-1]}
+    result |= {"cell": cell, "disturbance": case.disturbance.name, "number": case.number}
+    return result | {"success": False, "engine": "host"}, {"cell": cell, "driver": case.driver}
+
+
+@contextmanager
+def complained(result: dict[str, Any]) -> Iterator[None]:
+    """What goes wrong inside is a result of its own; one driver's bug must not lose a campaign."""
+    try:
+        yield
+    except Infeasible as error:
+        result |= {"outcome": INFEASIBLE, "error": error.line()}
+    except MetropilotError as error:
+        result |= {"outcome": FAILED, "error": str(error)}
+    except Exception as error:  # noqa: BLE001 (whatever it is)
+        result |= {"outcome": FAILED, "error": f"{type(error).__name__}: {error}"}
+
+
+def prepared(campaign: Campaign, case: Case, result: dict[str, Any]) -> tuple[Request, Run]:
+    """Request and run of a row; what is known of it by then goes into its result."""
     section = section_of(case.line, case.origin, case.destination)
     scheduled = scheduled_time(case, section)
     request = request_of(campaign, case, scheduled, section.length_m)
     result |= {"seed": request.seed, "length_m": section.length_m, "scheduled_time_s": scheduled}
     result |= {name: value for name in DRAWN if (value := getattr(request, name)) != float("inf")}
-    driven = drive(request.run(), request.make_driver())
-    kpis = kpis_of(driven, optimum_of(driven, campaign.objective), campaign.objective)
+    return request, request.run(fastest_s(*case[2:7]))
+
+
+def measured(campaign: Campaign, driven: Drive, optimum: Optimum | None, result: dict[str, Any]) -> Kpis:
+    """KPIs of a driven row, written into its result."""
+    kpis = kpis_of(driven, optimum, campaign.objective)
     found = kpis.as_dict()
     result |= {name: found[name] for name in (*TRUTHS, *NUMBERS, *COUNTS, "outcome", "scheduled_time_s")}
     result["success"] = kpis.success
-    timing["decision_us_median"] = kpis.decision_time_us_median
-    timing["decision_us_max"] = float(driven.decision_us.max())
+    return kpis
+
+
+def worker_mb() -> float:
+    """Largest resident memory of this process so far, MB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 @lru_cache(maxsize=64)

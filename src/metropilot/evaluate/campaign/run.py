@@ -59,8 +59,8 @@ def run_campaign(
         raise InputError("out of range", field="workers", value=workers, allowed=">= 1")
     store, began, driven = Store(folder, campaign), perf_counter(), 0
     done = store.done()
-    rows = sum(len(campaign.shard(number)) for number in done)
-    todo = [number for number in range(campaign.shards) if number not in done]
+    rows = sum(len(campaign.shard(piece)) for piece in done)
+    todo = [piece for piece in campaign.pieces() if piece not in done]
     progress = Progress(rows, campaign.rows, 0, 0.0, own_memory_mb())
     if not todo:
         return progress

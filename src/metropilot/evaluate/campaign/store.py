@@ -15,11 +15,11 @@ from pathlib import Path
 
 from metropilot.drivers.policy.files import write_whole
 from metropilot.errors import InputError
-from metropilot.evaluate.campaign.declared import Campaign, from_text
+from metropilot.evaluate.campaign.declared import Campaign, Piece, from_text
 from metropilot.evaluate.campaign.rows import Shard
 
 ABOUT, DONE = "campaign.json", "done.txt"
-LINE = re.compile(r"[0-9]{1,9} [0-9]{1,9} [0-9]{1,18} [0-9a-f]+")
+LINE = re.compile(r"[0-9A-Za-z_.:=-]{1,80} [0-9]{1,9} [0-9]{1,9} [0-9]{1,18} [0-9a-f]+")
 PARTS, TIMINGS = "parts", "timings"
 
 
@@ -27,7 +27,7 @@ class Store:
     """A campaign's folder, written by one process.
 
     Args:
-        folder: Made if it is not there; one with the same campaign in it is gone on with.
+        folder: Made if it is not there; one with the same cells in it is gone on with, also by other drivers.
         campaign: What it is for.
 
     Raises:
@@ -42,8 +42,8 @@ class Store:
                 (folder / name).mkdir(parents=True, exist_ok=True)
             if about.exists():
                 self._check(about)
-            else:
-                values = {"digest": campaign.digest, "campaign": json.loads(campaign.text)}
+            values = {"digest": campaign.digest, "campaign": json.loads(campaign.text)}
+            if not about.exists() or json.loads(about.read_text()) != values:
                 write_whole(about, lambda partial: partial.write_text(json.dumps(values, indent=1)))
         except OSError as error:
             raise InputError(
@@ -64,29 +64,31 @@ class Store:
                 allowed=f"an empty folder, or one of campaign {self.campaign.digest}",
             )
 
-    def done(self) -> dict[int, str]:
+    def done(self) -> dict[Piece, str]:
         """Shards that are done, each with its checksum: listed, and their file as long as it was then."""
         path, found = self.folder / DONE, {}
         text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
         lines = text.splitlines(keepends=True)
+        pieces = {(key_of(piece.driver), piece.chunk): piece for piece in self.campaign.pieces()}
         for line in lines:
             words = line.split()
-            if not line.endswith("\n") or not LINE.fullmatch(line.strip()):
+            if not line.endswith("\n") or len(words) != 5 or not words[1].isdigit():
                 continue
-            number, rows, size, checksum = int(words[0]), int(words[1]), int(words[2]), words[3]
-            part = self.part(number)
-            whole = part.exists() and part.stat().st_size == size and self.timing(number).exists()
-            if number < self.campaign.shards and rows == len(self.campaign.shard(number)) and whole:
-                found[number] = checksum
+            piece, rows, size, checksum = pieces.get((words[0], int(words[1]))), *words[2:]
+            if piece is None or rows != str(len(self.campaign.shard(piece))):
+                continue
+            part = self.part(piece)
+            if part.exists() and str(part.stat().st_size) == size and self.timing(piece).exists():
+                found[piece] = checksum
         return found
 
-    def part(self, number: int) -> Path:
+    def part(self, piece: Piece) -> Path:
         """Where the results of a shard are."""
-        return self.folder / PARTS / f"{number:06d}.parquet"
+        return self.folder / PARTS / key_of(piece.driver) / f"{piece.chunk:06d}.parquet"
 
-    def timing(self, number: int) -> Path:
+    def timing(self, piece: Piece) -> Path:
         """Where its timings are."""
-        return self.folder / TIMINGS / f"{number:06d}.parquet"
+        return self.folder / TIMINGS / key_of(piece.driver) / f"{piece.chunk:06d}.parquet"
 
     def keep(self, shard: Shard) -> None:
         """Write a shard, and then its line.
@@ -95,13 +97,15 @@ class Store:
             InputError: The disk does not take it.
         """
         try:
-            write_whole(self.timing(shard.number), lambda partial: partial.write_bytes(shard.timings))
-            write_whole(self.part(shard.number), lambda partial: partial.write_bytes(shard.results))
+            piece = shard.piece
+            write_whole(self.timing(piece), lambda partial: partial.write_bytes(shard.timings))
+            write_whole(self.part(piece), lambda partial: partial.write_bytes(shard.results))
             checksum = sha256(shard.results).hexdigest()[:16]
             path = self.folder / DONE
             torn = path.exists() and path.stat().st_size > 0 and not path.read_bytes().endswith(b"\n")
+            words = (key_of(piece.driver), piece.chunk, shard.rows, len(shard.results), checksum)
             with path.open("a") as file:
-                file.write("\n" * torn + f"{shard.number} {shard.rows} {len(shard.results)} {checksum}\n")
+                file.write("\n" * torn + " ".join(map(str, words)) + "\n")
                 file.flush()
                 os.fsync(file.fileno())
         except OSError as error:
@@ -112,7 +116,16 @@ class Store:
     def checksum(self) -> str:
         """One checksum of all results, in the order of the rows; the same whoever drove them."""
         done = self.done()
-        return sha256(" ".join(f"{k} {done[k]}" for k in sorted(done)).encode()).hexdigest()[:16]
+        words = (
+            f"{piece.driver} {piece.chunk} {done[piece]}" for piece in self.campaign.pieces() if piece in done
+        )
+        return sha256("\n".join(words).encode()).hexdigest()[:16]
+
+
+def key_of(driver: str) -> str:
+    """A driver with its options as the name of a folder."""
+    plain = "".join(letter if letter.isalnum() or letter == "_" else "-" for letter in driver)[:40]
+    return plain if plain == driver else f"{plain}-{sha256(driver.encode()).hexdigest()[:8]}"
 
 
 def stored_campaign(folder: Path) -> Campaign:

@@ -52,16 +52,27 @@ WORST_FIRST = f"""
 
 
 def opened(folder: Path) -> DuckDBPyConnection:
-    """A database with the view ``runs``: every result with its timing."""
+    """A database with the view ``runs``: every result of the campaign's drivers with its row and timing."""
     import duckdb
 
     database = duckdb.connect(config={"memory_limit": "512MB"})
-    parts, timings = (str(folder / name / "*.parquet").replace("'", "''") for name in (PARTS, TIMINGS))
     database.execute(
-        f"CREATE VIEW runs AS SELECT * FROM read_parquet('{parts}') AS result "
-        f"JOIN read_parquet('{timings}') AS timing USING (row)"
+        f"CREATE VIEW runs AS SELECT * FROM ({_parts(folder, PARTS)}) AS result "
+        f"LEFT JOIN ({_parts(folder, TIMINGS)}) AS timing USING (row, driver, cell)"
     )
     return database
+
+
+def _parts(folder: Path, kind: str) -> str:
+    """A query for all parts of one kind, a driver after the other, with the number of the row."""
+    campaign = stored_campaign(folder)
+    quoted = [name.replace("'", "''") for name in campaign.drivers]
+    names = ", ".join(f"'{name}'" for name in quoted)
+    parts = str(folder / kind / "*" / "*.parquet").replace("'", "''")
+    return (
+        f"SELECT (list_position([{names}], driver) - 1) * {campaign.cells} + cell AS row, * "
+        f"FROM read_parquet('{parts}') WHERE driver IN ({names})"
+    )
 
 
 def collect(folder: Path) -> None:
@@ -69,12 +80,11 @@ def collect(folder: Path) -> None:
     import duckdb
 
     for source, target in ((PARTS, RESULTS_FILE), (TIMINGS, TIMINGS_FILE)):
-        parts = str(folder / source / "*.parquet").replace("'", "''")
         partial = folder / f".{target}.partial"
         with duckdb.connect(config={"threads": 1, "memory_limit": "512MB"}) as database:
             place = str(partial).replace("'", "''")
             database.execute(
-                f"COPY (SELECT * FROM read_parquet('{parts}') ORDER BY row) "
+                f"COPY (SELECT * FROM ({_parts(folder, source)}) ORDER BY row) "
                 f"TO '{place}' (FORMAT parquet, COMPRESSION zstd)"
             )
         partial.replace(folder / target)
@@ -95,7 +105,7 @@ def summarise(folder: Path) -> dict[str, Any]:
     """
     campaign = stored_campaign(folder)
     store = Store(folder, campaign)
-    done = sum(len(campaign.shard(number)) for number in store.done())
+    done = sum(len(campaign.shard(piece)) for piece in store.done())
     found: dict[str, Any] = {
         "campaign": campaign.name,
         "digest": campaign.digest,

@@ -87,7 +87,7 @@ class _Moving(NamedTuple):
     done: Array
 
 
-WORTH = _Moving(3.0, 60.0, 40.0, 30.0, 30.0, 1.5, 40.0, 0.0)
+WORTH = _Moving(4.0, 90.0, 50.0, 45.0, 45.0, 1.5, 50.0, 0.0)
 """What a unit of each can be worth at most, in joules per kilogram: a metre is worth no more than the largest
 effort, a metre per second no more than the kinetic energy it adds, a second a few times its price."""
 

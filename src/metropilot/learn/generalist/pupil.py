@@ -65,6 +65,16 @@ def new_pupil(config: TeacherConfig, seed: int, observations: Float[ndarray, "n 
     return Pupil(params | known, adam)
 
 
+def rested(pupil: Pupil) -> Pupil:
+    """The policy without its optimiser's memory: another loss has gradients of another size.
+
+    With the moments of the imitation, whose gradients are small, the first steps in closed loop would be many
+    times too long.
+    """
+    moving = {name: value for name, value in pupil.params.items() if name not in STATISTICS}
+    return Pupil(pupil.params, adam_init(moving))
+
+
 def labels(action: RegimeAction, commands: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
     """The actions that mean these commands, without a jump between the regimes. Shape (N,), float32."""
     size = np.abs(commands)

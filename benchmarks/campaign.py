@@ -1,0 +1,112 @@
+"""What a campaign costs as its matrix grows: rate, cost a run, memory.
+
+``python -m benchmarks.campaign [--seeds 1 7 72] [--workers 2] [--out FOLDER] [--write docs/campaigns.md]``
+
+The shipped campaign ``large`` with more and more seeds, each in a process and a folder of its own; 72 seeds
+are its 101,088 runs. A folder that is done already is not driven again, so that a killed benchmark goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import duckdb
+
+from benchmarks.report import ROOT, circumstances, written
+
+NAME = "campaign"
+COSTS = "costs.json"
+SEEDS = (1, 7, 72)
+HEADS = ("runs", "wall s", "runs a second", "processor ms a run", "parent MB", "worker MB", "results MB")
+
+
+def one(seeds: int, folder: Path, workers: int) -> dict[str, float]:
+    """Drive the campaign with so many seeds in this process: what it took."""
+    from dataclasses import replace
+    from time import perf_counter
+
+    from metropilot.evaluate.campaign import read_campaign, run_campaign
+    from metropilot.evaluate.campaign.pools import own_memory_mb
+    from metropilot.evaluate.campaign.summary import RESULTS_FILE, collect
+
+    kept = folder / COSTS
+    if kept.exists():
+        return json.loads(kept.read_text())
+    campaign, began = replace(read_campaign("large"), seeds=seeds), perf_counter()
+    progress = run_campaign(campaign, folder, workers)
+    seconds, memory = perf_counter() - began, own_memory_mb()
+    collect(folder)
+    timings = str(folder / "timings" / "*" / "*.parquet")
+    spent, worker = duckdb.sql(
+        f"SELECT sum(processor_s), max(worker_mb) FROM read_parquet('{timings}')"
+    ).fetchall()[0]
+    costs = {
+        "rows": progress.rows,
+        "driven": progress.driven,
+        "seconds": seconds,
+        "processor_s": spent,
+        "parent_mb": memory,
+        "worker_mb": worker,
+        "results_mb": (folder / RESULTS_FILE).stat().st_size / 1e6,
+    }
+    kept.write_text(json.dumps(costs))
+    return costs
+
+
+def table(costs: list[dict[str, float]], workers: int, about: dict[str, str]) -> str:
+    """The section of the page."""
+    lines = ["| " + " | ".join(HEADS) + " |", "|" + "---:|" * len(HEADS)]
+    for row in costs:
+        whole = row["driven"] == row["rows"]
+        words = (
+            f"{row['rows']:,.0f}",
+            f"{row['seconds']:.0f}" if whole else "went on",
+            f"{row['rows'] / row['seconds']:.0f}" if whole else "–",
+            f"{1e3 * row['processor_s'] / row['rows']:.1f}",
+            f"{row['parent_mb']:.0f}",
+            f"{row['worker_mb']:.0f}",
+            f"{row['results_mb']:.1f}",
+        )
+        lines.append("| " + " | ".join(words) + " |")
+    said = "; ".join(f"{key}: {value}" for key, value in about.items())
+    return "\n".join(
+        [*lines, "", f"Campaign `large` on {workers} processes, one thread each. Measured on {said}."]
+    )
+
+
+def main() -> None:
+    """Measure each size in a process of its own, then print or write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", type=Path, help="folder to keep; else a temporary one")
+    parser.add_argument(
+        "--write", type=Path, metavar="PAGE", help="replace the benchmark's section of a page"
+    )
+    parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.one:
+        print(json.dumps(one(options.one, options.out, options.workers)))
+        return
+    with tempfile.TemporaryDirectory() as scratch:
+        out, costs = options.out or Path(scratch), []
+        for seeds in options.seeds:
+            command = [sys.executable, "-m", "benchmarks.campaign", "--one", str(seeds)]
+            command += ["--out", str(out / str(seeds)), "--workers", str(options.workers)]
+            done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
+            costs.append(json.loads(done.stdout.splitlines()[-1]))
+            print(costs[-1], flush=True)
+    text = table(costs, options.workers, circumstances(("metropilot", "jax", "clarabel")))
+    if options.write:
+        options.write.write_text(written(options.write.read_text(), NAME, text))
+    else:
+        print(text)
+
+
+if __name__ == "__main__":
+    main()
