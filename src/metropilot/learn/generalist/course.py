@@ -27,7 +27,15 @@ from metropilot.learn.config import TeacherConfig
 from metropilot.learn.generalist.closed_loop import ClosedLoop
 from metropilot.learn.generalist.gather import Gathering, gather, gathered
 from metropilot.learn.generalist.lessons import SPACING_M, Lessons
-from metropilot.learn.generalist.pupil import Pupil, imitation_loss, labels, learned, new_pupil, pupil_spec, rested
+from metropilot.learn.generalist.pupil import (
+    Pupil,
+    imitation_loss,
+    labels,
+    learned,
+    new_pupil,
+    pupil_spec,
+    rested,
+)
 from metropilot.learn.generalist.tuning import Tuning, drives_of
 from metropilot.learn.schedules import value_at
 from metropilot.learn.session import Learned, Progress, Sitting, differences, identity_of

@@ -141,7 +141,7 @@ class Tuning:
         """One step; the policy after it, and what its drives cost above the optimum, as a share."""
         decisions, begin = batch_of(self.drives, random, self.config.decisions)
         rows = random.integers(0, self.wanted.size, self.config.batch_size)
-        step = self._steps.setdefault(decisions, jax.jit(partial(self._step, decisions), donate_argnums=0))
+        step = self._steps.setdefault(decisions, jax.jit(partial(self._step, decisions)))
         pupil, cost = step(pupil, jnp.float32(rate), begin, self.observations[rows], self.wanted[rows])
         return pupil, float(cost)
 
