@@ -17,7 +17,7 @@ ARGS ?=
 SECTION := yizhuang RJ WYJ --time 101
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-web test-versions wheel-check serve check lint types layers docs bench constraints api clean
+.PHONY: help setup demo test test-web wheel-check serve check lint types layers docs bench constraints api clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -55,9 +55,6 @@ test-web: $(WEB_STAMP)  ## click through the console in headless Chromium (says 
 
 wheel-check: $(STAMP)  ## build the wheel, install it into an empty environment, drive with it from elsewhere
 	$(BIN)/python tools/wheel_check.py $(ARGS)
-
-test-versions: $(STAMP)  ## the quick tests under each of PYTHONS with the oldest and the newest dependencies
-	$(BIN)/python tools/versions.py $(PYTHONS)
 
 serve: $(STAMP)  ## open the console at http://127.0.0.1:8060
 	$(BIN)/metropilot serve

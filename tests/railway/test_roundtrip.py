@@ -249,7 +249,7 @@ def test_ttobench_keeps_the_track(line):
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written"):
+    with pytest.raises(InputError, match="cannot write the file"):
         write_line(load_line("yizhuang"), tmp_path / "file" / "line.toml")
     with pytest.raises(InputError, match=r"ending in \.toml"):
         write_line(load_line("yizhuang"), tmp_path / "line.txt")

@@ -46,12 +46,13 @@ def filled(folder: Path) -> Iterator[Path]:
             raise InputError(
                 "cannot write to the folder", file=folder, field="out", value=error.strerror
             ) from None
-        yield scratch
         try:
+            yield scratch
             for path in sorted(scratch.iterdir(), key=lambda p: p.name == "run.toml"):
                 path.replace(folder / path.name)
         except OSError as error:
-            raise InputError("cannot write the file", file=error.filename2, value=error.strerror) from None
+            place = error.filename2 or error.filename or folder
+            raise InputError("cannot write the file", file=place, value=error.strerror) from None
     finally:
         if scratch is not None:
             shutil.rmtree(scratch, ignore_errors=True)

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from metropilot.drivers.policy.files import write_whole
 from metropilot.drivers.policy.policy import NORMALISED_RANGE, Policy, PolicySpec
 from metropilot.errors import InputError
+from metropilot.railway.whole_file import write_whole
 
 OPSET = 17
 IR_VERSION = 8

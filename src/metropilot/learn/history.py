@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from metropilot.drivers.policy.files import write_whole
 from metropilot.errors import InputError
+from metropilot.railway.whole_file import write_whole
 
 
 def write_history(path: Path, history: Mapping[str, np.ndarray]) -> None:

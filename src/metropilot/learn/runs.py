@@ -19,12 +19,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from metropilot.drivers.policy.files import write_whole
 from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.config_reading import config_from_mapping, config_to_mapping
 from metropilot.learn.locks import is_at_work
 from metropilot.learn.provenance import commit, machine, versions
+from metropilot.railway.whole_file import write_whole
 
 Status = Literal["running", "interrupted", "done", "failed"]
 INDEX = "index.sqlite"

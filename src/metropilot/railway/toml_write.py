@@ -18,6 +18,7 @@ from metropilot.railway.toml_line import line_document
 from metropilot.railway.toml_text import toml_text
 from metropilot.railway.trainset import Trainset
 from metropilot.railway.units import pick
+from metropilot.railway.whole_file import write_whole
 
 
 def write_line(line: Line, path: str | Path) -> Path:
@@ -52,7 +53,7 @@ def _write(document: Mapping[str, Any], path: str | Path) -> Path:
 
 
 def save(text: str, path: str | Path, suffix: str) -> Path:
-    """Write a text file whose name must end in a suffix, making its folder.
+    """Write a text file whose name must end in a suffix, whole or not at all, making its folder.
 
     Raises:
         InputError: Another suffix, or the file cannot be written.
@@ -60,13 +61,7 @@ def save(text: str, path: str | Path, suffix: str) -> Path:
     path = Path(path)
     if path.suffix.lower() != suffix:
         raise InputError("wrong kind of file to write", file=path, allowed=f"a name ending in {suffix}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(
-            f"cannot be written ({error.strerror})", file=path, allowed="a writable place"
-        ) from error
+    write_whole(path, lambda partial: partial.write_text(text, encoding="utf-8"))
     return path
 
 

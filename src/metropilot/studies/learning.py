@@ -129,9 +129,9 @@ def _done(job: LearnJob, place: Path) -> bool:
 
 def _learn(job: LearnJob, place: Path) -> str:
     """One run, in a process of its own; a line about it."""
-    from metropilot.drivers.policy.files import write_whole
     from metropilot.learn import Sitting, learn_in_chunks, save_policy, write_history
     from metropilot.learn.cores import own_core
+    from metropilot.railway.whole_file import write_whole
     from metropilot.task import DrivingTask
 
     if current_process().name != "MainProcess":

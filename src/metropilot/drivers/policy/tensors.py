@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from metropilot.drivers.policy.files import write_whole
 from metropilot.errors import InputError
+from metropilot.railway.whole_file import write_whole
 
 KEY = "metropilot"
 MAX_HEADER = 1 << 20
@@ -72,11 +72,19 @@ def write_tensors(path: Path, arrays: dict[str, np.ndarray], metadata: dict[str,
     Raises:
         InputError: The file cannot be written.
     """
+    from safetensors import SafetensorError
     from safetensors.numpy import save_file
 
     text = json.dumps(metadata, sort_keys=True, separators=(",", ":"), allow_nan=False)
     whole = {name: np.asarray(array, order="C") for name, array in arrays.items()}
-    write_whole(path, lambda partial: save_file(whole, partial, {KEY: text}))
+
+    def write(partial: Path) -> None:
+        try:
+            save_file(whole, partial, {KEY: text})
+        except SafetensorError as error:
+            raise OSError(0, str(error)) from None
+
+    write_whole(path, write)
 
 
 def _content(path: Path, max_bytes: int) -> bytes:

@@ -13,10 +13,10 @@ import re
 from hashlib import sha256
 from pathlib import Path
 
-from metropilot.drivers.policy.files import write_whole
 from metropilot.errors import InputError
 from metropilot.evaluate.campaign.declared import Campaign, Piece, from_text
 from metropilot.evaluate.campaign.rows import Shard
+from metropilot.railway.whole_file import write_whole
 
 ABOUT, DONE = "campaign.json", "done.txt"
 LINE = re.compile(r"[0-9A-Za-z_.:=-]{1,80} [0-9]{1,9} [0-9]{1,9} [0-9]{1,18} [0-9a-f]+")

@@ -23,7 +23,7 @@ def kept(folder: Path, name: str, about: Mapping[str, Any], make: Callable[[], A
         about: Plain values that identify it; a change makes it anew.
         make: Makes it.
     """
-    from metropilot.drivers.policy.files import write_whole
+    from metropilot.railway.whole_file import write_whole
 
     path, wanted = folder / "parts" / f"{name}.json", json.loads(json.dumps(dict(about)))
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from metropilot.errors import InputError
@@ -30,6 +31,8 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         if os.name == "posix":
             _sync(path.parent)
     except OSError as error:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
         raise InputError("cannot write the file", file=path, value=error.strerror) from None
 
 
