@@ -4,21 +4,26 @@
     python tools/mutate_guards.py --only latch                # those whose name holds this
 
 The source is copied, one line of the copy is changed, and the tests named for the guard run against the copy;
-if they pass, all tests of protection do. A guard whose removal no test notices is a test that is missing.
+if they pass, all tests of protection do. ``--write`` keeps the rows of other guards. A guard
+whose removal no test notices is a test that is missing.
 """
 
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import os
 import re
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
+
+import jax  # noqa: F401 (loaded once, for all children)
+import pytest
+import scipy.optimize  # noqa: F401
 
 ROOT = Path(__file__).resolve().parent.parent
 SUPERVISOR, PREDICT, CURVES, GROUND, SEPARATION, BOUNDS = (
@@ -69,6 +74,7 @@ GUARDS = (
         SUPERVISOR,
         "margin_mps) & self._in_time(self.worst, share, margin_mps)",
         "margin_mps)",
+        ("test_mutations.py::test_guard_in_the_arrays[control period]",),
     ),
     Guard(
         "a traction cut-off must do, or it is not enough",
@@ -140,6 +146,7 @@ GUARDS = (
         SUPERVISOR,
         "speed = self.speed_mps + brake.rates.speed_error_mps + margin_mps",
         "speed = self.speed_mps + margin_mps",
+        ("test_mutations.py::test_guard_in_the_arrays[error of the measured speed]",),
     ),
     Guard(
         "error of the measured position",
@@ -147,6 +154,7 @@ GUARDS = (
         CURVES,
         "    if bounds.position_error_m > 0:\n",
         "    if bounds.position_error_m > 1e9:\n",
+        ("test_mutations.py::test_guard_in_the_curves[error of the measured position]",),
     ),
     Guard(
         "more room before a command passes again",
@@ -154,7 +162,7 @@ GUARDS = (
         SUPERVISOR,
         "margin = xp.where(memory.level > 0, RELEASE_MPS, 0.0)",
         "margin = xp.where(memory.level > 0, 0.0, 0.0)",
-        (BY_NAME,),
+        ("test_supervisor.py::test_after_an_intervention_a_command_needs_more_room",),
     ),
     Guard(
         "commands on their way through the dead time",
@@ -162,6 +170,7 @@ GUARDS = (
         SUPERVISOR,
         "newest = self.xp.maximum(share, self.older)",
         "newest = share",
+        ("test_mutations.py::test_commands_on_their_way",),
     ),
     Guard(
         "what the lag has left of older commands",
@@ -169,6 +178,7 @@ GUARDS = (
         SUPERVISOR,
         "return newest + self.xp.maximum(self.memory.share - newest, 0.0) * self.protection.fading.share",
         "return newest",
+        ("test_mutations.py::test_guard_in_the_arrays[lag]",),
     ),
     Guard(
         "what the jerk limit has left of the last acceleration",
@@ -176,6 +186,7 @@ GUARDS = (
         SUPERVISOR,
         "acting = self.xp.maximum(acceleration(brake.forces, self.kept(share)), self.fading)",
         "acting = acceleration(brake.forces, self.kept(share))",
+        ("test_mutations.py::test_guard_in_the_arrays[jerk limit in service]",),
     ),
     Guard(
         "the acceleration remembered is the largest there may be",
@@ -183,6 +194,7 @@ GUARDS = (
         SUPERVISOR,
         "return kept, self.xp.maximum(acceleration(self.worst.forces, kept), self.fading)",
         "return kept, acceleration(self.worst.forces, kept)",
+        ("test_mutations.py::test_guard_in_the_arrays[jerk limit in service]",),
     ),
     Guard(
         "the emergency brake stays on until standstill",
@@ -206,6 +218,7 @@ GUARDS = (
         BOUNDS,
         "return self.dt_s * (1 + ceil(",
         "return self.dt_s * (0 + ceil(",
+        ("test_mutations.py::test_guard_in_the_arrays[control period]",),
     ),
     Guard(
         "dead time of the emergency brake",
@@ -213,6 +226,7 @@ GUARDS = (
         BOUNDS,
         "return self.dt_s * (1 + ceil(self.emergency_reaction_s / self.dt_s - 1e-3))",
         "return self.dt_s",
+        ("test_mutations.py::test_guard_in_the_arrays[reaction of the emergency brake]",),
     ),
     Guard(
         "build-up of the emergency brake",
@@ -220,6 +234,7 @@ GUARDS = (
         CURVES,
         "        jerk_mps3=min(bounds.emergency_jerk_mps3, AT_ONCE_MPS3),\n",
         "        jerk_mps3=AT_ONCE_MPS3,\n",
+        ("test_mutations.py::test_guard_in_the_arrays[build-up of the emergency brake]",),
     ),
     Guard(
         "a trainset lighter than told gains more",
@@ -227,6 +242,7 @@ GUARDS = (
         PREDICT,
         "lightest = rates.mass_low * vehicle",
         "lightest = vehicle",
+        ("test_mutations.py::test_guard_in_the_arrays[lighter than nominal]",),
     ),
     Guard(
         "a trainset heavier than told brakes less",
@@ -234,6 +250,7 @@ GUARDS = (
         PREDICT,
         "heaviest = rates.mass_high * vehicle",
         "heaviest = vehicle",
+        ("test_mutations.py::test_guard_in_the_arrays[heavier than nominal]",),
     ),
     Guard(
         "a service brake weaker than told",
@@ -241,6 +258,7 @@ GUARDS = (
         PREDICT,
         "hold = rates.service_share * xp",
         "hold = xp",
+        ("test_mutations.py::test_guard_in_the_arrays[weak service brake]",),
     ),
     Guard(
         "resistance that is not certain",
@@ -248,6 +266,7 @@ GUARDS = (
         PREDICT,
         "coast = pull_mps2 - rates.resistance_low * davis",
         "coast = pull_mps2 - davis",
+        ("test_mutations.py::test_guard_in_the_arrays[resistance that is not certain]",),
     ),
     Guard(
         "traction at the worse of two speeds",
@@ -255,6 +274,7 @@ GUARDS = (
         PREDICT,
         "push = xp.maximum(slow.traction_n, quick.traction_n) / lightest",
         "push = quick.traction_n / lightest",
+        ("test_curves.py::test_forces_are_the_worst_that_any_speed_and_plant_within_reach_can_have",),
     ),
     Guard(
         "brake at the worse of two speeds",
@@ -262,6 +282,7 @@ GUARDS = (
         PREDICT,
         "xp.minimum(slow.brake_n, quick.brake_n) / heaviest",
         "slow.brake_n / heaviest",
+        ("test_curves.py::test_forces_are_the_worst_that_any_speed_and_plant_within_reach_can_have",),
     ),
     Guard(
         "gradient during the reaction",
@@ -269,6 +290,7 @@ GUARDS = (
         SUPERVISOR,
         "pull = self.xp.maximum(pulls[self.node], pulls[self.node + 1])",
         "pull = 0.0 * pulls[self.node]",
+        ("test_mutations.py::test_guard_in_the_arrays[gradient in the reaction]",),
     ),
     Guard(
         "gradient of the next node too",
@@ -276,6 +298,7 @@ GUARDS = (
         SUPERVISOR,
         "pull = self.xp.maximum(pulls[self.node], pulls[self.node + 1])",
         "pull = pulls[self.node]",
+        ("test_curves.py::test_the_next_node_counts_too",),
     ),
     Guard(
         "gradient as far as the prediction reaches",
@@ -283,7 +306,7 @@ GUARDS = (
         CURVES,
         "pull = sliding_max(field.pull_mps2, before, reach)",
         "pull = sliding_max(field.pull_mps2, before, 1)",
-        (DUELS, LAWS),
+        ("test_curves.py::test_a_fall_counts_from_afar_and_for_a_while_after_it",),
     ),
     Guard(
         "gradient that still counts from behind",
@@ -291,6 +314,7 @@ GUARDS = (
         CURVES,
         "    before = int(np.ceil(_memory_m(bounds, top, field.pull_mps2) / spacing_m))\n",
         "    before = 0\n",
+        ("test_curves.py::test_a_fall_counts_from_afar_and_for_a_while_after_it",),
     ),
     Guard(
         "gradient in the braking curve",
@@ -298,7 +322,7 @@ GUARDS = (
         CURVES,
         "rate = bounds.emergency_mps2 - sliding_max(field.pull_mps2, before, 1)[:-1]",
         "rate = bounds.emergency_mps2 + 0.0 * sliding_max(field.pull_mps2, before, 1)[:-1]",
-        (LAWS,),
+        ("test_curves.py::test_emergency_curve_is_the_braking_parabola",),
     ),
     Guard(
         "gradient changes between nodes",
@@ -306,6 +330,7 @@ GUARDS = (
         GROUND,
         "    kinks = np.concatenate([breaks, breaks + trainset.length_m])\n",
         "    kinks = breaks[:0]\n",
+        ("test_curves.py::test_a_fall_between_two_nodes_counts",),
     ),
     Guard(
         "limits between nodes",
@@ -313,7 +338,7 @@ GUARDS = (
         GROUND,
         "    for step in range(1, int((high - low).max()) + 1):\n",
         "    for step in range(1, 1):\n",
-        (LAWS, DUELS),
+        ("test_curves.py::test_a_limit_between_two_nodes_counts",),
     ),
     Guard(
         "a limit holds until the tail has cleared it",
@@ -321,7 +346,7 @@ GUARDS = (
         GROUND,
         "restrictive_profile(section, trainset.length_m, trainset",
         "restrictive_profile(section, 0.0, trainset",
-        (LAWS,),
+        ("test_curves.py::test_emergency_curve_is_the_braking_parabola",),
     ),
     Guard(
         "the lower of two limits at a node",
@@ -329,7 +354,7 @@ GUARDS = (
         CURVES,
         "np.minimum(np.append(ceiling[0], ceiling), np.append(ceiling, 0.0))",
         "np.append(ceiling, 0.0)",
-        (LAWS,),
+        ("test_curves.py::test_at_a_change_of_limit_the_lower_one_counts",),
     ),
     Guard(
         "every point on the way, not only the last",
@@ -337,6 +362,7 @@ GUARDS = (
         PREDICT,
         "    return xp.all(cells & (full",
         "    return xp.all(cells[..., -1:] & (full",
+        ("test_mutations.py::test_zones_shorter_than_the_reaction",),
     ),
     Guard(
         "what lies between two nodes of the prediction",
@@ -344,7 +370,7 @@ GUARDS = (
         PREDICT,
         "xp.minimum(room[..., left], room[..., right]) >= bulge",
         "xp.minimum(room[..., left], room[..., right]) >= 0.0",
-        (BY_NAME,),
+        ("test_supervisor.py::test_nobody_creeps_over_the_limit_between_two_nodes",),
     ),
     Guard(
         "a prediction that leaves the window is refused",
@@ -352,6 +378,7 @@ GUARDS = (
         PREDICT,
         "xp.all(cells & (full <= distance_m[..., -1:]), axis=-1)",
         "xp.all(cells, axis=-1)",
+        ("test_curves.py::test_a_prediction_that_leaves_the_window_is_refused",),
     ),
     Guard(
         "end of the movement authority",
@@ -359,7 +386,7 @@ GUARDS = (
         GROUND,
         "return ceiling if stop_at_m is None else np.where(nodes[1:] > stop_at_m, 0.0, ceiling)",
         "return ceiling",
-        (BY_NAME,),
+        ("test_supervisor.py::test_the_end_of_the_authority_is_never_passed",),
     ),
     Guard(
         "the map ends in a stop",
@@ -367,7 +394,7 @@ GUARDS = (
         CURVES,
         "np.append(ceiling, 0.0)) ** 2",
         "np.append(ceiling, ceiling[-1])) ** 2",
-        (LAWS,),
+        ("test_curves.py::test_the_map_ends_in_a_stop",),
     ),
     Guard(
         "rounding of the number type",
@@ -375,7 +402,7 @@ GUARDS = (
         CURVES,
         "np.maximum(_emergency_curve(field, bounds, before) - rounding, 0.0)",
         "np.maximum(_emergency_curve(field, bounds, before), 0.0)",
-        (LAWS,),
+        ("test_curves.py::test_curves_keep_clear_of_their_number_types_rounding",),
     ),
     Guard(
         "the trainset ahead is looked at",
@@ -383,7 +410,7 @@ GUARDS = (
         SUPERVISOR,
         "        if self.ahead is None:\n",
         "        if True:\n",
-        (PAIRS,),
+        ("test_separation.py::test_a_trainset_ahead_that_is_no_number_brings_the_emergency_brake",),
     ),
     Guard(
         "margin never to be used up",
@@ -391,7 +418,7 @@ GUARDS = (
         SUPERVISOR,
         ">= bounds.margin_m + rooms * bounds.room_m",
         ">= rooms * bounds.room_m",
-        (PAIRS,),
+        ("test_separation.py::test_the_margin_is_never_used_up",),
     ),
     Guard(
         "age of the last message",
@@ -399,7 +426,7 @@ GUARDS = (
         SEPARATION,
         "gaps = ahead.rear_m - position_m + travelled(leader, times + ahead.age_s) -",
         "gaps = ahead.rear_m - position_m + travelled(leader, times) -",
-        (PAIRS,),
+        ("test_separation.py::test_least_gap_is_never_more_than_the_smallest_on_the_way",),
     ),
     Guard(
         "the trainset ahead may brake from its message on",
@@ -407,7 +434,7 @@ GUARDS = (
         SEPARATION,
         "bounds.leader_jerk_mps3, bounds.leader_mps2)\n",
         "bounds.leader_jerk_mps3, 0.5 * bounds.leader_mps2)\n",
-        (PAIRS,),
+        ("test_separation.py::test_nobody_ahead_stops_shorter_than_assumed",),
     ),
     Guard(
         "its fall has a period's head start",
@@ -415,7 +442,7 @@ GUARDS = (
         SEPARATION,
         "worst = ahead.acceleration_mps2 - bounds.leader_jerk_mps3 * bounds.period_s",
         "worst = ahead.acceleration_mps2 - 0.0 * bounds.period_s",
-        (PAIRS,),
+        ("test_separation.py::test_nobody_ahead_stops_shorter_than_assumed",),
     ),
     Guard(
         "the follower's brake may give less",
@@ -423,7 +450,7 @@ GUARDS = (
         SEPARATION,
         "held = held_mps2 - pair.scatter_mps2",
         "held = held_mps2",
-        (PAIRS,),
+        ("test_separation.py::test_what_the_brake_may_miss_is_taken_off",),
     ),
     Guard(
         "every moment until both stand, not only the last",
@@ -431,7 +458,7 @@ GUARDS = (
         SEPARATION,
         "times = join.concatenate([NODES.astype(late.dtype) * building, late])",
         "times = late",
-        (PAIRS,),
+        ("test_separation.py::test_least_gap_is_never_more_than_the_smallest_on_the_way",),
     ),
     Guard(
         "what the gap dips between two moments",
@@ -439,7 +466,7 @@ GUARDS = (
         SEPARATION,
         "return gaps.min() - dip",
         "return gaps.min() - 0.0 * dip",
-        (PAIRS,),
+        ("test_separation.py::test_between_two_moments_the_gap_may_dip",),
     ),
     Guard(
         "a follower's brake that does not hold is refused",
@@ -447,7 +474,7 @@ GUARDS = (
         SEPARATION,
         "    if held < SLOWEST_MPS2:\n",
         "    if held < -1e9:\n",
-        (PAIRS,),
+        ("test_separation.py::test_a_brake_that_does_not_hold_is_refused",),
     ),
 )
 
@@ -486,47 +513,59 @@ def mutated(guard: Guard) -> Mutant:
         shutil.copytree(ROOT / "src", copy, ignore=shutil.ignore_patterns("__pycache__"))
         path = copy / "metropilot" / guard.file
         path.write_text(removed(path.read_text(), guard))
-        rest = tuple(name for name in ALL if name not in guard.tests)
-        noticed = tried(copy, guard.tests) or tried(copy, rest)
+        noticed = tried(copy, guard.tests) or tried(copy, ALL)
     return Mutant(guard, noticed, time.monotonic() - began)
 
 
-def tried(source: Path, files: tuple[str, ...]) -> str:
+def tried(source: Path, tests: tuple[str, ...]) -> str:
     """The first test that fails against this source; empty: none."""
-    tests = [f"tests/protection/{name}" for name in files if (ROOT / "tests/protection" / name).exists()]
-    paths = os.pathsep.join([str(source), str(ROOT), os.environ.get("PYTHONPATH", "")])
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--no-header", *tests],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": paths, "HYPOTHESIS_STORAGE_DIRECTORY": str(source)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode == 0:
+    report = source / "report.txt"
+    child = multiprocessing.get_context("fork").Process(target=_run, args=(source, tests, report))
+    child.start()
+    child.join()
+    said = report.read_text()
+    if child.exitcode == 0:
         return ""
-    found = re.search(
-        r"^(?:FAILED|ERROR) tests/protection/(\S+?\.py(?:::\w+)?(?:\[.*?\])?)(?: - |$)",
-        done.stdout,
-        re.MULTILINE,
-    )
-    if not found:
-        raise RuntimeError(done.stdout[-2000:] + done.stderr[-2000:])
+    found = re.search(r"^(?:FAILED|ERROR) tests/protection/(.+?)(?: - .*)?$", said, re.MULTILINE)
+    if child.exitcode != 1 or not found:
+        raise RuntimeError(said[-2000:])
     return found[1]
 
 
-def table(mutants: list[Mutant]) -> str:
-    """The table of the page."""
+def _run(source: Path, tests: tuple[str, ...], report: Path) -> None:
+    """In a process of its own: nothing of metropilot is loaded yet, and the copy comes first."""
+    sys.path[:0] = [str(source), str(ROOT)]
+    os.chdir(ROOT)
+    with report.open("w") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+        options = ["-x", "-q", "-p", "no:cacheprovider", "--no-header", "--tb=no"]
+        code = pytest.main([*options, *(f"tests/protection/{test}" for test in tests)])
+        sys.stdout.flush()
+        os._exit(int(code))
+
+
+def row(guard: Guard, noticed: str) -> str:
+    """A guard's row of the table."""
+    test = f"`{noticed}`" if noticed else "**none**"
+    return f"| {guard.hazard} | {guard.name} | `{guard.file}` | {test} |"
+
+
+def table(rows: dict[str, str]) -> str:
+    """The table of the page: the row of each guard by its name, in the order of the list."""
     lines = ["| hazard | guard removed | in | first test that fails |", "|---|---|---|---|"]
-    lines += [
-        f"| {m.guard.hazard} | {m.guard.name} | `{m.guard.file}` | "
-        + (f"`{m.noticed}`" if m.noticed else "**none**")
-        + " |"
-        for m in mutants
-    ]
-    survived = sum(not mutant.noticed for mutant in mutants)
-    lines += ["", f"{len(mutants)} guards removed, {len(mutants) - survived} noticed, {survived} survived."]
-    return "\n".join(lines)
+    lines += [rows[guard.name] for guard in GUARDS if guard.name in rows]
+    survived = sum("**none**" in line for line in lines)
+    count = len(lines) - 2
+    return "\n".join(
+        [*lines, "", f"{count} guards removed, {count - survived} noticed, {survived} survived."]
+    )
+
+
+def known_rows(page: str) -> dict[str, str]:
+    """The rows that a page already has, by guard."""
+    rows = re.findall(r"^(\| (?:H\d+|spares) \| (.+?) \| `.+)$", page, re.MULTILINE)
+    return {name: line for line, name in rows}
 
 
 def main() -> None:
@@ -535,21 +574,22 @@ def main() -> None:
     parser.add_argument("--only", default="", help="guards whose name holds this")
     parser.add_argument("--write", type=Path, metavar="PAGE")
     options = parser.parse_args()
-    mutants = []
+    page = options.write.read_text() if options.write else ""
+    rows, survived = known_rows(page), False
     for guard in GUARDS:
         if options.only in guard.name:
-            mutants.append(mutated(guard))
-            print(
-                f"{guard.name}: {mutants[-1].noticed or 'SURVIVED'} ({mutants[-1].seconds:.0f} s)", flush=True
-            )
-    text = table(mutants)
+            mutant = mutated(guard)
+            survived = survived or not mutant.noticed
+            rows[guard.name] = row(guard, mutant.noticed)
+            print(f"{guard.name}: {mutant.noticed or 'SURVIVED'} ({mutant.seconds:.0f} s)", flush=True)
     if options.write:
         sys.path.insert(0, str(ROOT))
         from benchmarks.report import written
 
-        options.write.write_text(written(options.write.read_text(), "mutate_guards", text))
-    print(text)
-    raise SystemExit(any(not mutant.noticed for mutant in mutants))
+        options.write.write_text(written(page, "mutate_guards", table(rows)))
+    else:
+        print(table(rows))
+    raise SystemExit(survived)
 
 
 if __name__ == "__main__":

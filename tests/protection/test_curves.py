@@ -6,8 +6,18 @@ import numpy as np
 import pytest
 
 from metropilot.errors import InputError
-from metropilot.physics import restrictive_profile, track_arrays
-from metropilot.protection import Bounds, approach_margin, permitted_braking, permitted_speed, protect
+from metropilot.physics import davis_n, restrictive_profile, track_arrays, vehicle_arrays
+from metropilot.physics.effort import effort_at
+from metropilot.protection import (
+    Bounds,
+    approach_margin,
+    at_start,
+    permitted_braking,
+    permitted_speed,
+    protect,
+)
+from metropilot.protection.predict import fastest, stays_under
+from metropilot.protection.supervisor import Check
 from metropilot.railway import Restriction, SafeBraking, Steps, load_line, load_trainset
 
 LINE = load_line("yizhuang")
@@ -134,3 +144,91 @@ def test_bounds_out_of_range(wrong):
 def test_a_section_too_long_for_its_spacing():
     with pytest.raises(InputError, match="too long"):
         protect(level(length_m=200_000.0), IDEAL, Bounds.of(IDEAL, DT))
+
+
+def at_node(protection, values, where_m):
+    return float(values[round((where_m - float(protection.start_m)) / float(protection.spacing_m))])
+
+
+def test_forces_are_the_worst_that_any_speed_and_plant_within_reach_can_have():
+    vehicle = vehicle_arrays(DKZ32)
+    rates = protect(level(), DKZ32, replace(Bounds.of(DKZ32, DT), speed_error_mps=0.3)).rates
+    for v in np.linspace(2.0, 23.0, 22):
+        push, hold, coast = fastest(vehicle, rates, np.float64(v), np.float64(0.1))
+        for speed in np.linspace(max(v - 1.3, 0.0), v + 0.3, 9):
+            effort = effort_at(vehicle, speed)
+            for mass in (0.8, 1.0, 1.2):
+                heavy = mass * vehicle.effective_mass_kg
+                assert push >= effort.traction_n / heavy
+                assert hold <= 0.8 * effort.brake_n / heavy
+                assert coast >= 0.1 - 0.5 * davis_n(vehicle, speed) / heavy
+
+
+def fall(start_m, length_m, trainset=IDEAL, bounds=None):
+    """Protection where the track falls by 30 permil on one stretch and is level elsewhere."""
+    edges = np.array([-500.0, start_m, start_m + length_m])
+    section = replace(level(), gradient_permil=Steps(edges, np.array([0.0, -30.0, 0.0])))
+    return protect(section, trainset, bounds or Bounds.of(trainset, DT))
+
+
+def test_a_fall_counts_from_afar_and_for_a_while_after_it():
+    point = replace(IDEAL, length_m=0.0)
+    protection = fall(1000.0, 100.0, point)
+    pull = 9.81 * 0.03
+    # Within 0.2 s at 20 m/s and more the emergency brake acts: what begins 3 m ahead counts.
+    for where in (997.0, 1000.0, 1050.0, 1099.0, 1102.0):
+        assert at_node(protection, protection.pull_mps2, where) == pytest.approx(pull, rel=0.01)
+    assert at_node(protection, protection.pull_mps2, 900.0) <= 0.0
+    assert at_node(protection, protection.pull_mps2, 1150.0) <= 0.0
+
+
+def test_a_fall_between_two_nodes_counts():
+    protection = fall(1000.2, 0.5, replace(IDEAL, length_m=0.0))
+    assert at_node(protection, protection.pull_mps2, 1000.0) == pytest.approx(9.81 * 0.03, rel=0.01)
+
+
+def test_the_next_node_counts_too():
+    protection = fall(1000.0, 100.0, replace(IDEAL, length_m=0.0))
+    first = round(950.5 - float(protection.start_m) - 0.5)
+    steep = np.where(np.arange(protection.pull_mps2.size) == first + 1, 0.3, -0.1)
+    check = Check(
+        protection._replace(pull_mps2=steep), at_start(protection), np.float64(950.5), np.float64(5.0)
+    )
+    assert check.worst.pull_mps2 == 0.3
+
+
+def test_a_limit_between_two_nodes_counts():
+    point = replace(IDEAL, length_m=0.0)
+    section = level().restricted(Restriction(1000.2, 1000.7, 5.0))
+    protection = protect(section, point, Bounds.of(point, DT))
+    for where in (1000.0, 1001.0):
+        assert speed(protection, protection.emergency, where) <= 5.0
+
+
+def test_at_a_change_of_limit_the_lower_one_counts():
+    point = replace(IDEAL, length_m=0.0)
+    section = level().restricted(Restriction(1000.0, 1300.0, 10.0))
+    protection = protect(section, point, Bounds.of(point, DT))
+    for where in (1000.0, 1300.0):
+        assert speed(protection, protection.emergency, where) <= 10.0
+
+
+def test_the_map_ends_in_a_stop():
+    protection = protect(level(length_m=800.0), IDEAL, Bounds.of(IDEAL, DT))
+    assert speed(protection, protection.emergency, 1300.0) == 0.0
+    assert speed(protection, protection.emergency, 1290.0) == pytest.approx(np.sqrt(2 * 1.2 * 10.0), abs=1e-6)
+
+
+def test_curves_keep_clear_of_their_number_types_rounding():
+    for dtype in (np.float32, np.float64):
+        protection = protect(level(), IDEAL, Bounds.of(IDEAL, DT), dtype=dtype)
+        below = 0.5 * 20.0**2 - at_node(protection, protection.emergency, 500.0)
+        assert below > 8.0 * np.finfo(dtype).eps * 2000.0
+
+
+def test_a_prediction_that_leaves_the_window_is_refused():
+    rates = protect(level(), DKZ32, Bounds.of(DKZ32, DT)).rates
+    distance, high = np.arange(16.0), np.full(16, 1e4)
+    slow, quick = np.float64(5.0), np.float64(40.0)
+    assert stays_under(rates, high, distance, slow, np.float64(0.0), np.float64(0.0))
+    assert not stays_under(rates, high, distance, quick, np.float64(0.0), np.float64(0.0))

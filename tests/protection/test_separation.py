@@ -112,3 +112,55 @@ def test_impossible_bounds_are_refused(wrong):
 def test_a_brake_that_does_not_hold_is_refused():
     with pytest.raises(InputError, match="does not hold"):
         separate(PairBounds(), 0.2, 0.01)
+
+
+def test_nobody_ahead_stops_shorter_than_assumed():
+    """A trainset that lowers its acceleration by the declared jerk every period, holding it in between."""
+    for a, jerk, rate, period in ((0.6, 1.5, 1.0, 0.2), (-0.4, 0.7, 0.8, 0.5), (0.9, 1e4, 1.1, 0.2)):
+        bounds = separate(PairBounds(rate, jerk), period, 1.0)
+        ahead = Ahead(*map(np.float64, (0.0, 15.0, a, 0.0)), bounds)
+        x, v, walked_m = 0.0, 15.0, []
+        for k in range(int(25.0 / H)):
+            held = max(a - jerk * period * (1 + int(k * H / period + 1e-9)), -rate)
+            after = max(v + held * H, 0.0)
+            x, v = x + 0.5 * (v + after) * H, after
+            walked_m.append(x)
+        t = H * np.arange(1, len(walked_m) + 1)
+        assert (travelled(leading(ahead), t) <= np.array(walked_m) + 1e-3).all()
+
+
+def test_what_the_brake_may_miss_is_taken_off():
+    assert separate(PairBounds(scatter_mps2=0.05), 0.2, 1.0).held_mps2 == pytest.approx(0.95)
+
+
+def test_the_margin_is_never_used_up():
+    member = two()
+
+    def nearest_without_emergency(margin_m):
+        bounds = member.bounds._replace(margin_m=np.float64(margin_m))
+        low, high = 0.0, 100.0
+        for _ in range(30):
+            gap = 0.5 * (low + high)
+            _, _, verdict = supervise(
+                member.protection,
+                at_start(member.protection),
+                np.float64(400.0),
+                np.float64(12.0),
+                Command(np.float64(-1.0), False),
+                told(member, gap, 12.0)._replace(bounds=bounds),
+            )
+            low, high = (gap, high) if verdict.level == 3 else (low, gap)
+        return high
+
+    assert nearest_without_emergency(2.1) - nearest_without_emergency(0.1) == pytest.approx(2.0, abs=0.01)
+
+
+def test_between_two_moments_the_gap_may_dip():
+    """With a slow build-up the moments are far apart; what is found is still below the smallest gap."""
+    t = np.arange(0.0, 40.0, 0.002)
+    for apart in np.linspace(-2.0, 2.0, 41):
+        bounds = separate(PairBounds(1.2, 0.2), 0.2, 1.0)
+        ahead = Ahead(*map(np.float64, (20.0, 12.0 + apart, 1.0, 0.0)), bounds)
+        motion = braking(*map(np.float64, (12.0, 1.0, 0.6, 0.25, 1.0)))
+        gaps = ahead.rear_m + travelled(leading(ahead), t) - travelled(motion, t)
+        assert least_gap(ahead, np.float64(0.0), motion) <= gaps.min() + 1e-9

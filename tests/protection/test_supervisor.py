@@ -155,6 +155,22 @@ def test_a_restriction_announced_in_time_is_kept():
     assert ride.memory.emergencies == 0
 
 
+def test_after_an_intervention_a_command_needs_more_room():
+    ride = Ride(IDEAL)
+
+    def fastest_that_passes(level):
+        low, high = 10.0, 30.0
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            memory = ride.memory._replace(level=np.int32(level))
+            seen = np.float64(500.0), np.float64(middle)
+            _, _, verdict = supervise(ride.protection, memory, *seen, Command(np.float64(1.0), False))
+            low, high = (middle, high) if verdict.level == 0 else (low, middle)
+        return low
+
+    assert 0.09 < fastest_that_passes(0) - fastest_that_passes(1) < 0.13
+
+
 def test_jax_decides_as_numpy_does():
     shares = np.random.default_rng(1).uniform(-0.5, 1.0, 300)
     ride = Ride(x=20.0)
