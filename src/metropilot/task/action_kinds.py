@@ -8,7 +8,6 @@ from types import MappingProxyType
 from metropilot.task.actions import (
     AbstractAction,
     CommandAction,
-    EffortAction,
     GainsAction,
     IncrementAction,
     NotchAction,
@@ -21,7 +20,6 @@ ACTIONS: Mapping[str, type[AbstractAction]] = MappingProxyType(
     {
         "command": CommandAction,
         "regime": RegimeAction,
-        "effort": EffortAction,
         "increment": IncrementAction,
         "notches": NotchAction,
         "notch_forces": NotchForceAction,

@@ -119,37 +119,6 @@ class RegimeAction(AbstractAction):
 
 @final
 @dataclass(frozen=True)
-class EffortAction(AbstractAction):
-    """The effort wanted, traction or braking, per kilogram: what a plan is made of, whatever the trainset.
-
-    Attributes:
-        scale_mps2: Effort of an action of 1.
-        coast_mps2: Smaller efforts mean coasting.
-    """
-
-    scale_mps2: float = 1.5
-    coast_mps2: float = 0.06
-
-    def __post_init__(self) -> None:
-        """Refuse a scale that leaves no effort beyond coasting."""
-        _ordered("coast_mps2", (0.0, self.coast_mps2), "0 or more, below scale_mps2", equal=True)
-        _ordered("scale_mps2", (self.coast_mps2, self.scale_mps2), "above coast_mps2")
-
-    @property
-    def space(self) -> ActionSpace:
-        """One number."""
-        return ActionSpace(size=1)
-
-    def command(self, sight: Sight, action: Array, period_s: float) -> Array:
-        """The command whose force is the effort's, 0 for less than coasting."""
-        del period_s
-        effort = self.scale_mps2 * sight.xp.clip(action[0], -1.0, 1.0)
-        command = limited_force(sight, effort * sight.vehicle.effective_mass_kg)
-        return sight.xp.where(sight.xp.abs(effort) < self.coast_mps2, 0.0, command)
-
-
-@final
-@dataclass(frozen=True)
 class IncrementAction(AbstractAction):
     """The change of the command (Huang25): smooth by construction.
 
