@@ -27,7 +27,11 @@ def test_schedules_and_tuples_are_read():
     ("algorithm", "values", "line"),
     [
         ("ppo", {"learning_rat": 1e-3}, "learning_rat: unknown key, the nearest is 'learning_rate'"),
-        ("pppo", {}, "algorithm: unknown algorithm: 'pppo' (allowed: ddpg, dqn, naf, ppo, sac, tabular, teacher)"),
+        (
+            "pppo",
+            {},
+            "algorithm: unknown algorithm: 'pppo' (allowed: ddpg, dqn, naf, ppo, sac, tabular, teacher)",
+        ),
         ("ppo", {"steps": "many"}, "a whole number"),
         ("ppo", {"steps": 1.5}, "a whole number"),
         ("ppo", {"steps": True}, "a whole number"),

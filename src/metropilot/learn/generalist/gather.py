@@ -9,9 +9,9 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from metropilot.drivers.policy.files import write_whole
 from metropilot.errors import InputError, MetropilotError
 from metropilot.learn.generalist.lessons import Lessons, joined, teach
+from metropilot.railway.whole_file import write_whole
 from metropilot.task.worlds import nth_world
 
 SHARD = 50
