@@ -30,7 +30,7 @@ def test_schedules_and_tuples_are_read():
         (
             "pppo",
             {},
-            "algorithm: unknown algorithm: 'pppo' (allowed: ddpg, dqn, naf, ppo, sac, tabular, teacher)",
+            "unknown algorithm: 'pppo' (allowed: ddpg, dqn, naf, ppo, sac, tabular, teacher)",
         ),
         ("ppo", {"steps": "many"}, "a whole number"),
         ("ppo", {"steps": 1.5}, "a whole number"),
