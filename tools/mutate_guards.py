@@ -1,7 +1,7 @@
 """Remove each guard of protection in turn and see which test notices.
 
     python tools/mutate_guards.py --write docs/safety.md      # all of them, half an hour
-    python tools/mutate_guards.py --only latch                # those whose name holds this
+    python tools/mutate_guards.py --only "dead time"          # those whose name holds this
 
 The source is copied, one line of the copy is changed, and the tests named for the guard run against the copy;
 if they pass, all tests of protection do. ``--write`` keeps the rows of other guards. A guard
@@ -557,9 +557,10 @@ def table(rows: dict[str, str]) -> str:
     lines += [rows[guard.name] for guard in GUARDS if guard.name in rows]
     survived = sum("**none**" in line for line in lines)
     count = len(lines) - 2
-    return "\n".join(
-        [*lines, "", f"{count} guards removed, {count - survived} noticed, {survived} survived."]
-    )
+    lines += ["", f"{count} guards removed, {count - survived} noticed, {survived} survived."]
+    if missing := [guard.name for guard in GUARDS if guard.name not in rows]:
+        lines += ["", "Not run yet: " + "; ".join(missing) + "."]
+    return "\n".join(lines)
 
 
 def known_rows(page: str) -> dict[str, str]:
@@ -572,12 +573,13 @@ def main() -> None:
     """Run the guards asked for, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--only", default="", help="guards whose name holds this")
+    parser.add_argument("--missing", action="store_true", help="guards that the page does not have yet")
     parser.add_argument("--write", type=Path, metavar="PAGE")
     options = parser.parse_args()
     page = options.write.read_text() if options.write else ""
     rows, survived = known_rows(page), False
     for guard in GUARDS:
-        if options.only in guard.name:
+        if options.only in guard.name and not (options.missing and guard.name in rows):
             mutant = mutated(guard)
             survived = survived or not mutant.noticed
             rows[guard.name] = row(guard, mutant.noticed)

@@ -156,11 +156,11 @@ def test_the_margin_is_never_used_up():
 
 
 def test_between_two_moments_the_gap_may_dip():
-    """With a slow build-up the moments are far apart; what is found is still below the smallest gap."""
+    """With slow build-ups the moments are far apart; what is found is still below the smallest gap."""
     t = np.arange(0.0, 40.0, 0.002)
-    for apart in np.linspace(-2.0, 2.0, 41):
-        bounds = separate(PairBounds(1.2, 0.2), 0.2, 1.0)
-        ahead = Ahead(*map(np.float64, (20.0, 12.0 + apart, 1.0, 0.0)), bounds)
-        motion = braking(*map(np.float64, (12.0, 1.0, 0.6, 0.25, 1.0)))
+    for closing in np.linspace(0.1, 2.0, 39):
+        bounds = separate(PairBounds(0.5, 0.05), 0.2, 1.2)
+        ahead = Ahead(*map(np.float64, (20.0, 12.0 - closing, 0.0, 0.0)), bounds)
+        motion = braking(*map(np.float64, (12.0, -0.3, 0.3, 0.2, 1.2)))
         gaps = ahead.rear_m + travelled(leading(ahead), t) - travelled(motion, t)
         assert least_gap(ahead, np.float64(0.0), motion) <= gaps.min() + 1e-9
