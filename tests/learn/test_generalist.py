@@ -172,8 +172,9 @@ TINY = {
     "batch_size": 64,
     "hidden": [8],
     "decisions": 9600,
-    "steps": 19200,
-    "evaluations": 2,
+    "steps": 9600,
+    "evaluations": 1,
+    "polish": 1,
 }
 
 
