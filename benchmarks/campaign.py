@@ -1,9 +1,11 @@
 """What a campaign costs as its matrix grows: rate, cost a run, memory.
 
 ``python -m benchmarks.campaign [--seeds 1 7 72] [--workers 2] [--out FOLDER] [--write docs/campaigns.md]``
+``python -m benchmarks.campaign --growth FOLDER [--write docs/campaigns.md]``
 
 The shipped campaign ``large`` with more and more seeds, each in a process and a folder of its own; 72 seeds
 are its 101,088 runs. A folder that is done already is not driven again, so that a killed benchmark goes on.
+``--growth`` drives nothing: it reads off a campaign's folder, finished or not, what its runs cost as it grew.
 """
 
 from __future__ import annotations
@@ -42,9 +44,7 @@ def one(seeds: int, folder: Path, workers: int) -> dict[str, float]:
     seconds, memory = perf_counter() - began, own_memory_mb()
     collect(folder)
     timings = str(folder / "timings" / "*" / "*.parquet")
-    spent, worker = duckdb.sql(
-        f"SELECT sum(processor_s), max(worker_mb) FROM read_parquet('{timings}')"
-    ).fetchall()[0]
+    spent, worker = asked(f"SELECT sum(processor_s), max(worker_mb) FROM read_parquet('{timings}')")
     costs = {
         "rows": progress.rows,
         "driven": progress.driven,
@@ -56,6 +56,12 @@ def one(seeds: int, folder: Path, workers: int) -> dict[str, float]:
     }
     kept.write_text(json.dumps(costs))
     return costs
+
+
+def asked(query: str) -> tuple[float, float]:
+    """The two numbers of a query's only row."""
+    row = duckdb.execute(query).fetchone()
+    return (0.0, 0.0) if row is None else (float(row[0]), float(row[1]))
 
 
 def table(costs: list[dict[str, float]], workers: int, about: dict[str, str]) -> str:
@@ -79,17 +85,42 @@ def table(costs: list[dict[str, float]], workers: int, about: dict[str, str]) ->
     )
 
 
+def growth(folder: Path, parts: int = 8) -> str:
+    """The same for one campaign, in the order in which its shards came: an eighth of them after the other."""
+    from metropilot.evaluate.campaign.store import DONE, TIMINGS, stored_campaign
+
+    lines = [line.split() for line in (folder / DONE).read_text().splitlines()]
+    shards = [(int(rows), folder / TIMINGS / key / f"{int(k):06d}.parquet") for key, k, rows, *_ in lines]
+    table = ["| runs so far | processor ms a run, of these | worker MB, so far |", "|---:|---:|---:|"]
+    rows, size = 0, -(-len(shards) // parts)
+    for first in range(0, len(shards), size):
+        some = shards[first : first + size]
+        paths = ", ".join(f"'{path}'" for _, path in some)
+        spent, memory = asked(f"SELECT sum(processor_s), max(worker_mb) FROM read_parquet([{paths}])")
+        own = sum(count for count, _ in some)
+        rows += own
+        table.append(f"| {rows:,} | {1e3 * spent / own:.1f} | {memory:.0f} |")
+    campaign = stored_campaign(folder)
+    said = f"{rows:,} of the {campaign.rows:,} runs of campaign `{campaign.name}`, when this was written."
+    return "\n".join([*table, "", said])
+
+
 def main() -> None:
     """Measure each size in a process of its own, then print or write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, help="folder to keep; else a temporary one")
     parser.add_argument(
         "--write", type=Path, metavar="PAGE", help="replace the benchmark's section of a page"
     )
+    parser.add_argument("--growth", type=Path, metavar="FOLDER", help="read off a campaign's folder instead")
     parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
+    if options.growth:
+        about = "; ".join(f"{key}: {value}" for key, value in circumstances(("metropilot", "jax")).items())
+        hand_over(options.write, f"{growth(options.growth)} Measured on {about}.")
+        return
     if options.one:
         print(json.dumps(one(options.one, options.out, options.workers)))
         return
@@ -102,8 +133,13 @@ def main() -> None:
             costs.append(json.loads(done.stdout.splitlines()[-1]))
             print(costs[-1], flush=True)
     text = table(costs, options.workers, circumstances(("metropilot", "jax", "clarabel")))
-    if options.write:
-        options.write.write_text(written(options.write.read_text(), NAME, text))
+    hand_over(options.write, text)
+
+
+def hand_over(page: Path | None, text: str) -> None:
+    """Write a section into the page, or print it."""
+    if page:
+        page.write_text(written(page.read_text(), NAME, text))
     else:
         print(text)
 

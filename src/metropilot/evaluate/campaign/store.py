@@ -102,7 +102,7 @@ class Store:
             write_whole(self.part(piece), lambda partial: partial.write_bytes(shard.results))
             checksum = sha256(shard.results).hexdigest()[:16]
             path = self.folder / DONE
-            torn = path.exists() and path.stat().st_size > 0 and not path.read_bytes().endswith(b"\n")
+            torn = _torn(path)
             words = (key_of(piece.driver), piece.chunk, shard.rows, len(shard.results), checksum)
             with path.open("a") as file:
                 file.write("\n" * torn + " ".join(map(str, words)) + "\n")
@@ -120,6 +120,15 @@ class Store:
             f"{piece.driver} {piece.chunk} {done[piece]}" for piece in self.campaign.pieces() if piece in done
         )
         return sha256("\n".join(words).encode()).hexdigest()[:16]
+
+
+def _torn(path: Path) -> bool:
+    """Whether a list ends in the middle of a line; only its last byte is looked at, however long it is."""
+    if not path.exists() or path.stat().st_size == 0:
+        return False
+    with path.open("rb") as file:
+        file.seek(-1, os.SEEK_END)
+        return file.read(1) != b"\n"
 
 
 def key_of(driver: str) -> str:

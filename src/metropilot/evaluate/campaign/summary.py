@@ -71,7 +71,7 @@ def _parts(folder: Path, kind: str) -> str:
     parts = str(folder / kind / "*" / "*.parquet").replace("'", "''")
     return (
         f"SELECT (list_position([{names}], driver) - 1) * {campaign.cells} + cell AS row, * "
-        f"FROM read_parquet('{parts}') WHERE driver IN ({names})"
+        f"FROM read_parquet('{parts}', union_by_name=true) WHERE driver IN ({names})"
     )
 
 
