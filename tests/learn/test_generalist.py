@@ -172,9 +172,8 @@ TINY = {
     "batch_size": 64,
     "hidden": [8],
     "decisions": 9600,
-    "steps": 9600,
-    "evaluations": 1,
-    "polish": 1,
+    "steps": 19200,
+    "evaluations": 2,
 }
 
 

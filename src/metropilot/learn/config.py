@@ -11,14 +11,13 @@ from typing import ClassVar, Literal
 
 from metropilot.drivers.policy.networks import Activation
 from metropilot.errors import InputError
-from metropilot.learn.config_base import AbstractConfig, AbstractReplayConfig, Keep
+from metropilot.learn.config_base import AbstractConfig, AbstractReplayConfig
 from metropilot.learn.networks import Initialiser
 from metropilot.learn.schedules import Schedule, Scheduled, highest
 
 FULL_IMPORTANCE = Schedule(0.4, 1.0)
 LESS_CURIOUS = Schedule(1.0, 0.05, over=0.3)
 LESS_AND_LESS = Schedule(3e-4, 1.5e-5, shape="cosine")
-SMALL_STEPS = Schedule(1e-4, 5e-6, shape="cosine")
 MAX_PRIORITISED = 1 << 20
 """Priorities are summed in single precision."""
 
@@ -274,14 +273,10 @@ class TeacherConfig(AbstractConfig):
         decisions: Driven in one closed-loop gradient step: many short drives or a few long ones.
         imitation_weight: Of the imitation's loss in closed loop.
         late_per_s: Price of a second off time beyond what it costs anyway, as a share of the energy.
-        polish: Of the evaluated parts of the closed loop, how many more follow at small steps, half of their
-            drives from standstill, at twice the price of being off time.
-        polish_rate: Of Adam, in these.
     """
 
     algorithm: ClassVar[str] = "teacher"
 
-    keep: Keep = "last"
     steps: int = 60_000_000
     evaluations: int = 12
     hidden: tuple[int, ...] = (128, 128, 128)
@@ -299,8 +294,6 @@ class TeacherConfig(AbstractConfig):
     decisions: int = 38_400
     imitation_weight: float = 0.3
     late_per_s: float = 0.03
-    polish: int = 5
-    polish_rate: Scheduled = SMALL_STEPS
 
     def __post_init__(self) -> None:
         """Refuse numbers outside their range."""
@@ -308,9 +301,7 @@ class TeacherConfig(AbstractConfig):
         for name in ("worlds", "plans", "states", "batches", "batch_size"):
             self.within(name, 1, math.inf)
         self.within("decisions", 9_600, math.inf)
-        self.within("polish", 0, math.inf)
-        for name in ("learning_rate", "polish_rate"):
-            self.within(name, 0.0, 1.0)
+        self.within("learning_rate", 0.0, 1.0)
         for name in ("imitation_rate", "imitation_weight", "late_per_s"):
             self.within(name, 0.0, math.inf)
 

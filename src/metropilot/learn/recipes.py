@@ -305,7 +305,6 @@ TEACHER_QUICK: Mapping[str, Any] = MappingProxyType(
         "decisions": 9_600,
         "steps": 480_000,
         "evaluations": 1,
-        "polish": 1,
     }
 )
 

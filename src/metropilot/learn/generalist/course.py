@@ -36,7 +36,7 @@ from metropilot.learn.generalist.pupil import (
     pupil_spec,
     rested,
 )
-from metropilot.learn.generalist.tuning import Emphasis, Tuning, drives_of
+from metropilot.learn.generalist.tuning import Tuning, drives_of
 from metropilot.learn.schedules import value_at
 from metropilot.learn.session import Learned, Progress, Sitting, differences, identity_of
 from metropilot.task import DrivingTask
@@ -56,7 +56,6 @@ TOLD = 10
 """How often it is told that lessons have been gathered."""
 WARM_UP = 500
 DRIVE_WARM_UP = 20
-POLISH_LEAST_J, POLISH_STANDSTILL = 20.0, 0.5
 
 
 class Standing(NamedTuple):
@@ -167,7 +166,7 @@ class _Course:
 
     @property
     def _count(self) -> int:
-        return IMITATIONS + self.config.evaluations + self.config.polish
+        return IMITATIONS + self.config.evaluations
 
     def _parts(self, lessons: Lessons, numbers: np.ndarray) -> Part:
         """What does each part."""
@@ -224,18 +223,14 @@ class _Course:
     def _drive(
         self, number: int, pupil: Pupil, random: np.random.Generator, tuning: Tuning
     ) -> tuple[Pupil, dict[str, float]]:
-        """One part of the closed loop; the last ones polish."""
-        config, costs, rounds = self.config, [], self._rounds
-        polishes = number > config.evaluations
-        first, parts = (config.evaluations, config.polish) if polishes else (0, config.evaluations)
-        rates = config.polish_rate if polishes else config.learning_rate
-        emphasis = Emphasis(config.late_per_s)
-        if polishes:
-            emphasis = Emphasis(2.0 * config.late_per_s, POLISH_LEAST_J, POLISH_STANDSTILL)
+        """One part of the closed loop."""
+        config, costs = self.config, []
+        rounds = self._rounds
         for k in range(rounds):
-            done = (number - 1 - first) * rounds + k
-            rate = float(value_at(rates, done / (rounds * parts))) * min(1.0, (done + 1) / DRIVE_WARM_UP)
-            pupil, cost = tuning.step(pupil, random, rate, emphasis)
+            share = ((number - 1) * rounds + k) / (rounds * config.evaluations)
+            rate = float(value_at(config.learning_rate, share))
+            rate *= min(1.0, ((number - 1) * rounds + k + 1) / DRIVE_WARM_UP)
+            pupil, cost = tuning.step(pupil, random, rate)
             costs.append(cost)
         cost = float(np.mean(costs))
         steps = float(number * rounds * config.decisions)

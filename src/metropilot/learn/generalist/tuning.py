@@ -28,27 +28,14 @@ DECISIONS = (150, 300, 450, 600)
 """Drives are put together by length, each length compiled by itself."""
 SPARE_S, SPARE_SHARE = 15.0, 0.05
 """Time beyond the optimal plan's that a drive may take before it is cut off."""
+LEAST_J = 60.0
+"""What a drive costs is counted against no less than this, per kilogram."""
 SECOND_W = (0.2, 25.0)
 ON_TIME_S = 0.5
 """Below this the price of being off time is square, beyond straight."""
 DISTURBED = 0.5
 MASS, RESISTANCE = 0.1, 0.2
 """Half the drives are of a trainset that is heavier or lighter, and runs harder or easier, than believed."""
-
-
-@dataclass(frozen=True)
-class Emphasis:
-    """What a phase of the closed loop looks at.
-
-    Attributes:
-        late: Price of a second off time beyond what it costs anyway, as a share of the energy.
-        least_j: What a drive costs is counted against no less than this, per kilogram.
-        standstill: Share of the drives that begin at the origin.
-    """
-
-    late: float
-    least_j: float = 60.0
-    standstill: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -78,22 +65,12 @@ def drives_of(case: Int[ndarray, " k"], begins: Float[ndarray, "k 7"], period_s:
     return Drives(case, begins, lengths)
 
 
-def batch_of(drives: Drives, random: Generator, decisions: int, standstill: float = 0.0) -> tuple[int, Begin]:
-    """A length, as likely as there is to drive of it, and so many drives of it as make up the decisions.
-
-    Args:
-        drives: All there are.
-        random: What is drawn from.
-        decisions: In all.
-        standstill: Share of them that begin at the origin.
-    """
+def batch_of(drives: Drives, random: Generator, decisions: int) -> tuple[int, Begin]:
+    """A length, as likely as there is to drive of it, and so many drives of it as make up the decisions."""
     work = np.array([rows.size * n for rows, n in zip(drives.lengths, DECISIONS, strict=True)], float)
     k = int(random.choice(len(DECISIONS), p=work / work.sum()))
     count = max(decisions // DECISIONS[k], 16)
     rows = random.choice(drives.lengths[k], count)
-    origin = drives.lengths[k][drives.begins[drives.lengths[k], 0] == 0.0]
-    if standstill and origin.size:
-        rows = np.where(random.random(count) < standstill, random.choice(origin, count), rows)
     position, speed, time, scheduled, arrival, optimum, second = drives.begins[rows].T
     off = random.random(count) < DISTURBED
     begin = Begin(
@@ -112,12 +89,7 @@ def batch_of(drives: Drives, random: Generator, decisions: int, standstill: floa
 
 
 def bill(
-    loop: ClosedLoop,
-    spec: PolicySpec,
-    params: Params,
-    begin: Begin,
-    decisions: int,
-    told: tuple[Array, Array],
+    loop: ClosedLoop, spec: PolicySpec, params: Params, begin: Begin, decisions: int, late: float
 ) -> Array:
     """What one drive costs above the optimum, as a share of it; being late is paid at its price and more.
 
@@ -127,21 +99,20 @@ def bill(
         params: Of the policy.
         begin: The drive.
         decisions: Where it is cut off.
-        told: ``late`` and ``least_j`` of the emphasis.
+        late: Price of a second off time besides, as a share.
     """
-    late, least_j = told
 
     def decide(params: Params, observation: Array) -> Array:
         return network_output(spec, params, observation, jnp)
 
-    joule = 1.0 / jnp.maximum(begin.optimum_j, least_j)
+    joule = 1.0 / jnp.maximum(begin.optimum_j, LEAST_J)
     drive = loop.drive(decide, params, begin, decisions, joule)
     spent = joule * (drive.energy_j - begin.optimum_j + begin.second_w * drive.late_s)
     off = jnp.sqrt(drive.late_s * drive.late_s + ON_TIME_S * ON_TIME_S) - ON_TIME_S
     return jnp.where(drive.done, spent + late * off, 0.0)
 
 
-Step = Callable[[Pupil, Array, tuple[Array, Array], Begin, Array, Array], tuple[Pupil, Array]]
+Step = Callable[[Pupil, Array, Begin, Array, Array], tuple[Pupil, Array]]
 
 
 class Tuning:
@@ -166,29 +137,21 @@ class Tuning:
         self.wanted = labels(loop.action, lessons.commands)
         self._steps: dict[int, Step] = {}
 
-    def step(self, pupil: Pupil, random: Generator, rate: float, emphasis: Emphasis) -> tuple[Pupil, float]:
+    def step(self, pupil: Pupil, random: Generator, rate: float) -> tuple[Pupil, float]:
         """One step; the policy after it, and what its drives cost above the optimum, as a share."""
-        decisions, begin = batch_of(self.drives, random, self.config.decisions, emphasis.standstill)
+        decisions, begin = batch_of(self.drives, random, self.config.decisions)
         rows = random.integers(0, self.wanted.size, self.config.batch_size)
         step = self._steps.setdefault(decisions, jax.jit(partial(self._step, decisions)))
-        told = jnp.float32(emphasis.late), jnp.float32(emphasis.least_j)
-        pupil, cost = step(pupil, jnp.float32(rate), told, begin, self.observations[rows], self.wanted[rows])
+        pupil, cost = step(pupil, jnp.float32(rate), begin, self.observations[rows], self.wanted[rows])
         return pupil, float(cost)
 
     def _step(
-        self,
-        decisions: int,
-        pupil: Pupil,
-        rate: Array,
-        told: tuple[Array, Array],
-        begin: Begin,
-        seen: Array,
-        wanted: Array,
+        self, decisions: int, pupil: Pupil, rate: Array, begin: Begin, seen: Array, wanted: Array
     ) -> tuple[Pupil, Array]:
         config, spec = self.config, self.spec
 
         def loss(params: Params) -> tuple[Array, Array]:
-            one = partial(bill, self.loop, spec, params, decisions=decisions, told=told)
+            one = partial(bill, self.loop, spec, params, decisions=decisions, late=config.late_per_s)
             cost = jnp.mean(jax.vmap(lambda b: one(begin=b))(begin))
             return cost + config.imitation_weight * imitation_loss(spec, params, seen, wanted), cost
 
