@@ -11,7 +11,7 @@ from typing import ClassVar, Literal
 
 from metropilot.drivers.policy.networks import Activation
 from metropilot.errors import InputError
-from metropilot.learn.config_base import AbstractConfig, AbstractReplayConfig
+from metropilot.learn.config_base import AbstractConfig, AbstractReplayConfig, Keep
 from metropilot.learn.networks import Initialiser
 from metropilot.learn.schedules import Schedule, Scheduled, highest
 
@@ -277,6 +277,7 @@ class TeacherConfig(AbstractConfig):
 
     algorithm: ClassVar[str] = "teacher"
 
+    keep: Keep = "last"
     steps: int = 60_000_000
     evaluations: int = 12
     hidden: tuple[int, ...] = (128, 128, 128)
