@@ -392,8 +392,8 @@ GUARDS = (
         "the map ends in a stop",
         "H9",
         CURVES,
-        "np.append(ceiling, 0.0)) ** 2",
-        "np.append(ceiling, ceiling[-1])) ** 2",
+        "curve = np.zeros_like(limit)",
+        "curve = np.full_like(limit, np.inf)",
         ("test_curves.py::test_the_map_ends_in_a_stop",),
     ),
     Guard(

@@ -18,7 +18,7 @@ from metropilot.protection import (
 )
 from metropilot.protection.predict import fastest, stays_under
 from metropilot.protection.supervisor import Check
-from metropilot.railway import Restriction, SafeBraking, Steps, load_line, load_trainset
+from metropilot.railway import EffortCurve, Restriction, SafeBraking, Steps, load_line, load_trainset
 
 LINE = load_line("yizhuang")
 DKZ32 = load_trainset("dkz32")
@@ -150,9 +150,19 @@ def at_node(protection, values, where_m):
     return float(values[round((where_m - float(protection.start_m)) / float(protection.spacing_m))])
 
 
-def test_forces_are_the_worst_that_any_speed_and_plant_within_reach_can_have():
-    vehicle = vehicle_arrays(DKZ32)
-    rates = protect(level(), DKZ32, replace(Bounds.of(DKZ32, DT), speed_error_mps=0.3)).rates
+SPEEDS_MPS = np.linspace(0.0, 30.0, 31)
+FADES = replace(
+    DKZ32,
+    electric_brake=EffortCurve.table(SPEEDS_MPS, DKZ32.mass_kg * (1.0 - 0.02 * SPEEDS_MPS)),
+    friction_brake_n=0.0,
+)
+"""Its service brake gets weaker with speed, as its traction does."""
+
+
+@pytest.mark.parametrize("trainset", [DKZ32, FADES], ids=["steady", "fades"])
+def test_forces_are_the_worst_that_any_speed_and_plant_within_reach_can_have(trainset):
+    vehicle = vehicle_arrays(trainset)
+    rates = protect(level(), trainset, replace(Bounds.of(trainset, DT), speed_error_mps=0.3)).rates
     for v in np.linspace(2.0, 23.0, 22):
         push, hold, coast = fastest(vehicle, rates, np.float64(v), np.float64(0.1))
         for speed in np.linspace(max(v - 1.3, 0.0), v + 0.3, 9):
