@@ -22,11 +22,9 @@ if "METROPILOT_TEST_HOME" not in os.environ:
     atexit.register(shutil.rmtree, os.environ["METROPILOT_TEST_HOME"], ignore_errors=True)
 os.environ["METROPILOT_HOME"] = os.environ["METROPILOT_TEST_HOME"]
 # Most of the suite's time would be compiling: what one process has compiled all others take, programs that
-# tests start included, and the compiler leaves out the passes that pay only where a program runs for long
-# (`JAX_DISABLE_MOST_OPTIMIZATIONS=0 make test` compiles as users do).
+# tests start included.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", os.environ["METROPILOT_TEST_HOME"] + "/compiled")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
-os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 
 # Every annotated function of metropilot checks its arguments' types and array shapes.
 install_import_hook("metropilot", "beartype.beartype")
