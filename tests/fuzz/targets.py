@@ -142,9 +142,12 @@ def _read_done(path: Path) -> None:
 
     campaign = _campaign()
     store = Store(path.parent, campaign)
-    (path.parent / "parts" / "000000.parquet").write_bytes(b"x" * 10)
-    store.timing(0).touch()
-    assert set(store.done()) <= set(range(campaign.shards))
+    first = next(iter(campaign.pieces()))
+    for file in (store.part(first), store.timing(first)):
+        file.parent.mkdir(parents=True, exist_ok=True)
+    store.part(first).write_bytes(b"x" * 10)
+    store.timing(first).touch()
+    assert set(store.done()) <= set(campaign.pieces())
 
 
 def _read_trajectory(path: Path) -> None:
@@ -229,7 +232,12 @@ TARGETS = {
     "record": Target("toml", "run.toml", _texts(LEARNED), _read_record),
     "campaign": Target("toml", "campaign.toml", _texts(CAMPAIGN), _read_campaign),
     "stored_campaign": Target("json", "campaign.json", _stored, _read_stored_campaign),
-    "done": Target("text", "done.txt", _texts("0 1 10 abcdef\n", "0 1 10 ab\n1 2 30 cd\n"), _read_done),
+    "done": Target(
+        "text",
+        "done.txt",
+        _texts("flat_out 0 1 10 abcdef\n", "optimal 0 1 10 ab\nppo 1 2 30 cd\n"),
+        _read_done,
+    ),
     "trajectory": Target("csv", "trajectory.csv", _trajectories, _read_trajectory),
     "show_kpis": Target(
         "json", "kpis.json", _texts('{"outcome": "arrived", "mass_kg": 1.5, "a": []}'), _show

@@ -117,7 +117,7 @@ def _header(path: Path, data: bytes) -> tuple[dict[str, Any], int]:
 def _metadata(path: Path, found: object) -> dict[str, Any]:
     """Our metadata."""
     text = found.get(KEY) if isinstance(found, dict) else None
-    metadata = _json(path, text.encode()) if isinstance(text, str) else None
+    metadata = _json(path, text.encode(errors="surrogatepass")) if isinstance(text, str) else None
     if not isinstance(metadata, dict):
         raise InputError("has no metropilot metadata", file=path)
     return metadata
