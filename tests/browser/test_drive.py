@@ -40,7 +40,8 @@ def depart(page, pace="10 ×"):
 def drawn(page, name):
     """How many points a curve of the picture has."""
     script = """name => { const el = document.querySelector('[data-test=live] .js-plotly-plot');
-        return el.data.find(t => t.name === name).x.length; }"""
+        const curve = el?.data?.find(t => t.name === name);
+        return curve ? curve.x.length : 0; }"""
     return page.evaluate(script, name)
 
 
