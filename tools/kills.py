@@ -79,9 +79,9 @@ def campaign(place: Path) -> None:
     declared = campaign_from_toml(told)
     store = Store(place / "out", declared)
     done = store.done()
-    for number in range(declared.shards):
-        if number not in done:
-            store.keep(drive_shard(declared.text, number))
+    for piece in declared.pieces():
+        if piece not in done:
+            store.keep(drive_shard(declared.text, piece))
     collect(place / "out")
     (place / "out" / "results.parquet").replace(place / "result")
 
