@@ -16,14 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.learned_driver import table, worst
+from benchmarks.beside_optimum import Result, beside_optimum, table, worst
 from benchmarks.report import circumstances, hand_out, page_options
-from metropilot.drivers import DRIVERS
 from metropilot.drivers.policy.loaded import load_driving_policy
 from metropilot.drivers.shipped import shipped_policy
 from metropilot.errors import MetropilotError
-from metropilot.evaluate import drive
-from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
+from metropilot.planning import minimum_running_time
 from metropilot.railway import load_line, load_trainset
 from metropilot.task import Run, Scenario
 
@@ -93,21 +91,6 @@ class Case:
     scenario: str
 
 
-@dataclass(frozen=True)
-class Result:
-    """What came of it; the gap in per cent."""
-
-    case: Case
-    outcome: str
-    scheduled_s: float
-    time_error_s: float
-    stop_error_m: float
-    gap: float
-    overspeed_mps: float
-    interventions: int
-    decision_us: float
-
-
 def driven(case: Case) -> Result | None:
     """Drive one case and compare it with the optimum for the running time it achieved; None: left out."""
     line = load_line(case.line)
@@ -118,20 +101,7 @@ def driven(case: Case) -> Result | None:
     scheduled_s = case.ratio * shortest if case.ratio else planned
     if scheduled_s < min(RATIOS[1:]) * shortest - 1e-6:
         return None
-    done = drive(Run(section, trainset, scheduled_s, SCENARIOS[case.scenario]), DRIVERS.make(DRIVER))
-    rows = done.trajectory
-    best = optimal_plan(section, done.trainset, done.running_time_s, PlanOptions(spacing_m=5.0))
-    return Result(
-        case=case,
-        outcome=done.outcome.value,
-        scheduled_s=scheduled_s,
-        time_error_s=done.running_time_s - scheduled_s,
-        stop_error_m=float(rows.position_m[-1]) - section.length_m,
-        gap=100.0 * (float(rows.energy_wheel_j[-1]) / best.bound_j - 1.0),
-        overspeed_mps=done.max_overspeed_mps,
-        interventions=done.interventions,
-        decision_us=float(np.median(done.decision_us)),
-    )
+    return beside_optimum(case, Run(section, trainset, scheduled_s, SCENARIOS[case.scenario]), DRIVER)
 
 
 def cases() -> list[Case]:

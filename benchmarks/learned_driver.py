@@ -13,12 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.beside_optimum import Result, beside_optimum, table, worst
 from benchmarks.report import circumstances, hand_out, page_options
-from metropilot.drivers import DRIVERS
 from metropilot.drivers.policy.loaded import load_driving_policy
 from metropilot.drivers.shipped import shipped_policy
-from metropilot.evaluate import drive
-from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
+from metropilot.planning import minimum_running_time
 from metropilot.railway import load_line, load_trainset
 from metropilot.task import Run, Scenario
 
@@ -84,64 +83,18 @@ class Case:
     scenario: str
 
 
-@dataclass(frozen=True)
-class Result:
-    """What came of it; gaps in per cent, ``floor`` is the optimum that knows the jerk limit."""
-
-    case: Case
-    outcome: str
-    scheduled_s: float
-    time_error_s: float
-    stop_error_m: float
-    gap: float
-    floor: float
-    overspeed_mps: float
-    interventions: int
-    decision_us: float
-
-
 def driven(case: Case) -> Result:
     """Drive one case and compare it with the optimum for the running time it achieved."""
     section, trainset = load_line(LINE).section(ORIGIN, DESTINATION), load_trainset(TRAINSET, case.load)
     shortest = SHORTEST * minimum_running_time(section, trainset)
     scheduled_s = shortest + case.share * (LONGEST_S - shortest)
-    done = drive(Run(section, trainset, scheduled_s, SCENARIOS[case.scenario]), DRIVERS.make(case.driver))
-    rows = done.trajectory
-    best = optimal_plan(section, done.trainset, done.running_time_s, PlanOptions(spacing_m=5.0))
-    floor = 0.0
-    if case.scenario == "jerk limit":
-        options = PlanOptions(jerk_mps3=trainset.actuation.jerk_limit_mps3, late_w=500.0, spacing_m=5.0)
-        limited = optimal_plan(section, done.trainset, done.running_time_s, options)
-        floor = 100.0 * (limited.energy_wheel_j / best.bound_j - 1.0)
-    return Result(
-        case=case,
-        outcome=done.outcome.value,
-        scheduled_s=scheduled_s,
-        time_error_s=done.running_time_s - scheduled_s,
-        stop_error_m=float(rows.position_m[-1]) - section.length_m,
-        gap=100.0 * (float(rows.energy_wheel_j[-1]) / best.bound_j - 1.0),
-        floor=floor,
-        overspeed_mps=done.max_overspeed_mps,
-        interventions=done.interventions,
-        decision_us=float(np.median(done.decision_us)),
-    )
+    run = Run(section, trainset, scheduled_s, SCENARIOS[case.scenario])
+    return beside_optimum(case, run, case.driver, floor=case.scenario == "jerk limit")
 
 
 def cases() -> list[Case]:
     """Drivers x scenarios x loads x scheduled times."""
     return [Case(d, load, s, name) for d in LEARNED for name in SCENARIOS for load in LOADS for s in SHARES]
-
-
-def table(heads: tuple[str, ...], lines: list[list[str]], words: int = 1) -> str:
-    """A table in Markdown, its first columns words."""
-    rule = "|" + "---|" * words + "---:|" * (len(heads) - words)
-    first, *rest = ["| " + " | ".join(line) + " |" for line in (list(heads), *lines)]
-    return "\n".join([first, rule, *rest])
-
-
-def worst(values: list[float]) -> float:
-    """The value farthest from zero."""
-    return max(values, key=abs)
 
 
 def summary(results: list[Result]) -> str:

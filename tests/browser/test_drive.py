@@ -134,3 +134,4 @@ def test_a_reload_finds_the_run_again(visit):
     expect(live).to_have_attribute("data-status", "running", timeout=PATIENCE_MS)
     until(lambda: drawn(page, "driven") > 5)
     page.get_by_role("button", name="Stop").click()
+    expect(live).to_have_attribute("data-status", "stopped", timeout=PATIENCE_MS)

@@ -137,9 +137,10 @@ def evaluation_of(request: RunRequest) -> Evaluate:
     """The early evaluation of a run: drives of its task from standstill.
 
     Raises:
-        InputError: The learner does not take this kind of action.
+        InputError: The learner does not take this kind of action, or not this task.
     """
     from metropilot.learn.driving import DrivingEvaluation
+    from metropilot.learn.generalist.course import only_worlds
     from metropilot.learn.generalist.pupil import pupil_spec
     from metropilot.learn.registry import make_learner
     from metropilot.task import DrivingTask
@@ -148,6 +149,7 @@ def evaluation_of(request: RunRequest) -> Evaluate:
     if not isinstance(task, DrivingTask):
         raise InputError("only driving tasks are evaluated by driving", field="task", value=request.name)
     if isinstance(request.config, TeacherConfig):
+        only_worlds(task)
         return DrivingEvaluation(task, pupil_spec(request.config, task.observation_size))
     return DrivingEvaluation(task, make_learner(request.config, task).spec)
 

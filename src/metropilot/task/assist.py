@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from metropilot.physics import resistance_and_gradient
 from metropilot.physics.effort import effort_at
 from metropilot.task.observers import Sight
-from metropilot.task.tables import PERMITTED, STOP_USE, Rows
+from metropilot.task.tables import LEAST_STOP_MPS2, PERMITTED, STOP_USE, Rows
 
 Array = Any
 
@@ -39,7 +39,6 @@ NEWTON_STEPS = 3
 SHORTEST_M = 0.5
 SHARED_M = 10.0
 """Nearer to the stop the deceleration asked for is what it is."""
-LEAST_MPS2 = 0.2
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ class Assists:
             return sure_mps2 * (self.stop_use / STOP_USE)
         left_m = rows.xp.maximum(rows.length_m[case] - position_m, SHORTEST_M)
         work, _ = rows.stop_at(case, position_m + 0.0 * left_m)
-        return self.stop_use * rows.xp.maximum(work / left_m, LEAST_MPS2)
+        return self.stop_use * rows.xp.maximum(work / left_m, LEAST_STOP_MPS2)
 
 
 class Needs(NamedTuple):

@@ -323,6 +323,17 @@ SECTION = (
     "command",
 )
 
+ANYWHERE = (
+    "speed",
+    "distance_left",
+    "time_left",
+    "reserve",
+    "mean_speed",
+    "braking",
+    "permitted",
+    "permitted_ahead",
+)
+
 OBSERVERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "position_speed": ("position_m", "speed"),
@@ -330,14 +341,7 @@ OBSERVERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "section": SECTION,
         "section_jerk": (*SECTION, "acceleration", "build_up"),
         "route": (
-            "speed",
-            "distance_left",
-            "time_left",
-            "reserve",
-            "mean_speed",
-            "braking",
-            "permitted",
-            "permitted_ahead",
+            *ANYWHERE,
             "climb_ahead",
             "efforts",
             "load",
@@ -345,14 +349,7 @@ OBSERVERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "acceleration",
         ),
         "line": (
-            "speed",
-            "distance_left",
-            "time_left",
-            "reserve",
-            "mean_speed",
-            "braking",
-            "permitted",
-            "permitted_ahead",
+            *ANYWHERE,
             "permitted_far",
             "climb_ahead",
             "climb_far",

@@ -80,6 +80,16 @@ def _untaught(pupil: Pupil) -> Standing:
     return Standing(pupil, dict(pupil.params), jnp.full((), -jnp.inf, jnp.float32))
 
 
+def only_worlds(task: DrivingTask) -> None:
+    """Refuse a task that the teacher has no lessons for.
+
+    Raises:
+        InputError: Its cases are no worlds, or its policy's action is no share of effort.
+    """
+    if not (isinstance(task.config, WorldsConfig) and isinstance(task.config.action, RegimeAction)):
+        raise InputError("the teacher knows only worlds", field="task", allowed="worlds")
+
+
 def teach_in_parts(config: TeacherConfig, task: DrivingTask, seed: int, sitting: Sitting) -> Learned:
     """Take the course, with progress and checkpoints.
 
@@ -93,8 +103,7 @@ def teach_in_parts(config: TeacherConfig, task: DrivingTask, seed: int, sitting:
         InputError: The checkpoint or a file of lessons is damaged or of another run, or the task's policy
             is no share of effort.
     """
-    if not (isinstance(task.config, WorldsConfig) and isinstance(task.config.action, RegimeAction)):
-        raise InputError("the teacher knows only worlds", field="task", allowed="worlds")
+    only_worlds(task)
     if sitting.evaluate is None:
         raise InputError("the course is judged by drives", field="evaluate")
     keep_compiled()
