@@ -294,7 +294,7 @@ class TeacherConfig(AbstractConfig):
     learning_rate: Scheduled = LESS_AND_LESS
     decisions: int = 38_400
     imitation_weight: float = 0.3
-    late_per_s: float = 0.03
+    late_per_s: float = 0.04
 
     def __post_init__(self) -> None:
         """Refuse numbers outside their range."""

@@ -21,7 +21,7 @@ from metropilot.task.tables import LEAST_STOP_MPS2, PERMITTED, STOP_USE, Rows
 Array = Any
 
 RELEASE_SHARE = 0.5
-"""Jerk at which the last brake is let go, over the trainset's limit."""
+"""Jerk at which the last brake is let go, over the trainset's limit, unless the assists say otherwise."""
 END_SHARE = 0.25
 """Deceleration at the stop over what the jerk limit allows to drop in one period."""
 RETURN_GAIN = 0.5
@@ -35,6 +35,10 @@ EASE_SHARE = 0.4
 """Jerk at which traction is eased off under the ceiling, over the trainset's limit."""
 LET_GO_SHARE = 0.75
 """Below this share of the planned deceleration the last braking was too early, and the policy drives on."""
+LAST_M = 1.0
+"""Nearer to the stop than this the last braking is not given up again."""
+CREEP_MPS, CREEP_M = 0.06, 0.05
+"""Slower and nearer than this it is stood still."""
 NEWTON_STEPS = 3
 SHORTEST_M = 0.5
 SHARED_M = 10.0
@@ -52,6 +56,7 @@ class Assists:
         stop_mps2: Deceleration of the last braking; 0: what is surely at hand at any speed, which is very
             little for a brake that fades, while a low limit before the stop may allow much more.
         stop_use: Share of what is surely at hand that the last braking is planned with.
+        release: Jerk at which the last brake is let go, over the trainset's limit: a soft one takes longer.
         late: Brake as late as the brakes surely allow: the last braking is planned with what the gradient
             leaves at each place, not with what it leaves at the worst, and begins within a period if that is
             when it must; and the speed is kept from which a lower ceiling ahead can be met.
@@ -62,6 +67,7 @@ class Assists:
     margin_mps: float = 0.15
     stop_mps2: float = 0.0
     stop_use: float = STOP_USE
+    release: float = RELEASE_SHARE
     late: bool = False
 
     def planned_mps2(self, rows: Rows, case: Array, sure_mps2: Array, position_m: Array) -> Array:
@@ -75,8 +81,9 @@ class Assists:
         """
         if not self.late:
             return sure_mps2 * (self.stop_use / STOP_USE)
-        left_m = rows.xp.maximum(rows.length_m[case] - position_m, SHORTEST_M)
-        work, _ = rows.stop_at(case, position_m + 0.0 * left_m)
+        position_m = rows.xp.minimum(position_m, rows.length_m[case] - SHORTEST_M)
+        left_m = rows.length_m[case] - position_m
+        work, _ = rows.stop_at(case, position_m)
         return self.stop_use * rows.xp.maximum(work / left_m, LEAST_STOP_MPS2)
 
 
@@ -137,7 +144,7 @@ def assisted(
         ceiling = share_for(sight, needs, ceiling_mps2(assists, sight, dt))
         command = xp.minimum(command, ceiling)
     if assists.stop:
-        stopping, wanted = stop_mps2(sight, stopping, dt)
+        stopping, wanted = stop_mps2(sight, stopping, dt, assists.release)
         entering = xp.asarray(False)
         if assists.late:
             wanted, entering = late_mps2(assists, sight, wanted, dt)
@@ -178,23 +185,32 @@ def ceiling_mps2(assists: Assists, sight: Sight, dt: float) -> Array:
     return xp.minimum(upward + downward, sight.vehicle.max_acceleration_mps2)
 
 
-def stop_mps2(sight: Sight, stopping: Array, dt: float) -> tuple[Array, Array]:
-    """Whether the last braking is on, and the deceleration it needs now, m/s^2."""
+def stop_mps2(
+    sight: Sight, stopping: Array, dt: float, release: float = RELEASE_SHARE
+) -> tuple[Array, Array]:
+    """Whether the last braking is on, and the deceleration it needs now, m/s^2.
+
+    Args:
+        sight: What the driver sees.
+        stopping: Whether it was on.
+        dt: Control period, s.
+        release: Jerk at which the brake is let go, over the limit.
+    """
     xp, vehicle = sight.xp, sight.vehicle
     v, a, s = sight.speed_mps, sight.acceleration_mps2, sight.length_m - sight.position_m
     jerk = xp.minimum(vehicle.jerk_mps3, AT_ONCE_MPS3)
     planned = sight.stop_mps2
     end = xp.minimum(END_SHARE * jerk * dt, planned)
     quick, gone = _built_up(xp, v, a, planned, jerk)
-    reach = gone + _braking_distance(quick, planned, end, RELEASE_SHARE * jerk)
+    reach = gone + _braking_distance(quick, planned, end, release * jerk)
     begins = s <= reach + xp.maximum(v + 0.5 * xp.maximum(a, 0.0) * dt, 0.0) * dt
     short = (v <= 0) & (s > INCH_M)
-    required, falling = _required(xp, v, s, planned, end, RELEASE_SHARE * jerk)
+    required, falling = _required(xp, v, s, planned, end, release * jerk)
     for _ in range(2):
         quick, gone = _built_up(xp, v, a, required, jerk)
-        again, _ = _required(xp, quick, s - gone, planned, end, RELEASE_SHARE * jerk)
+        again, _ = _required(xp, quick, s - gone, planned, end, release * jerk)
         required = xp.where(falling > 0, required, again)
-    early = (required < LET_GO_SHARE * planned) & (falling <= 0)
+    early = (required < LET_GO_SHARE * planned) & (falling <= 0) & (s > LAST_M)
     stopping = (stopping & (early ^ True) | begins) & (short ^ True)
     held = xp.maximum(required + RETURN_GAIN * (required - planned), 0.0)
     let_go = required - 0.5 * falling * dt
@@ -202,6 +218,7 @@ def stop_mps2(sight: Sight, stopping: Array, dt: float) -> tuple[Array, Array]:
     let_go = xp.where(v <= let_go * dt, last, let_go)
     wanted = xp.where(falling > 0, let_go, xp.where(required < STRONGEST_MPS2, held, required))
     wanted = xp.where(jerk < AT_ONCE_MPS3, wanted, xp.minimum(last, STRONGEST_MPS2))
+    wanted = xp.where((v < CREEP_MPS) & (s < CREEP_M), xp.maximum(wanted, HOLD_MPS2), wanted)
     wanted = xp.where(s > 1e-3, wanted, STRONGEST_MPS2)
     return stopping, xp.where(v > 0, wanted, HOLD_MPS2)
 

@@ -16,7 +16,7 @@ from metropilot.physics import Track, Vehicle
 from metropilot.physics.effort import effort_at
 from metropilot.physics.resistance import davis_n
 from metropilot.protection.types import Rates as Guaranteed
-from metropilot.task.tables import CLIMB, PERMITTED, Rows
+from metropilot.task.tables import CLIMB, PACES_MPS, PERMITTED, Rows
 
 Array = Any
 
@@ -24,6 +24,8 @@ AHEAD_M = (20.0, 50.0, 100.0, 200.0, 350.0, 600.0, 1000.0)
 FAR_M = (35.0, 75.0, 150.0, 275.0, 475.0, 800.0, 1500.0, 2200.0, 3500.0)
 COAST_NODES = np.linspace(0.0, 1.0, 25, dtype=np.float32)
 COAST_PASSES = 2
+FASTER_MPS = (1.5, 4.0)
+"""How much faster ``coasting_faster`` lets the trainset go before it coasts."""
 SLOWEST_J = 0.5
 CHECK_MPS = (12.0, 20.0)
 SPEED_MPS = 20.0
@@ -212,12 +214,29 @@ def efforts_ahead(sight: Sight) -> Sequence[Array]:
 
 
 def coasting(sight: Sight) -> Sequence[Array]:
-    """What is left of the time if the trainset coasts from here to the last braking; how slow it gets.
+    """What is left of the time if the trainset coasts from here to the last braking; how slow it gets."""
+    xp = sight.xp
+    taken, slowest = _coasted(sight, sight.speed_mps)
+    return [*_spare(sight, taken), xp.tanh((sight.left_s - taken) / 2.0), slowest]
+
+
+def coasting_faster(sight: Sight) -> Sequence[Array]:
+    """The same if it were somewhat faster: whether it is time to coast, and how soon it will be."""
+    xp, parts = sight.xp, []
+    for more in FASTER_MPS:
+        taken, slowest = _coasted(sight, sight.speed_mps + more)
+        spare = sight.left_s - taken
+        parts += [xp.tanh(spare / 20.0), xp.tanh(spare / 3.0), slowest]
+    return parts
+
+
+def _coasted(sight: Sight, v: Array) -> tuple[Array, Array]:
+    """Time to the stop if the trainset coasts from here at a speed, and its least speed on the way.
 
     Kinetic energy at a few nodes ahead, falling by resistance and climb, below the permitted speed and the
     last braking; resistance is taken at the speeds of the pass before.
     """
-    xp, vehicle, v = sight.xp, sight.vehicle, sight.speed_mps
+    xp, vehicle = sight.xp, sight.vehicle
     length = xp.maximum(sight.left_m, 1.0)
     way = xp.asarray(COAST_NODES, v.dtype).reshape((-1,) + (1,) * v.ndim) * length
     step, at = way[1:] - way[:-1], sight.position_m + way
@@ -233,8 +252,43 @@ def coasting(sight: Sight) -> Sequence[Array]:
         energy = xp.maximum(0.5 * v * v - climb - lost, SLOWEST_J)
     speeds = xp.minimum(xp.sqrt(2.0 * energy), top)
     taken = xp.sum(2.0 * step / (speeds[1:] + speeds[:-1] + 0.1), 0)
-    slowest = xp.min(speeds[:-3], 0) / SPEED_MPS
-    return [*_spare(sight, taken), xp.tanh((sight.left_s - taken) / 2.0), slowest]
+    return taken, xp.min(speeds[:-3], 0) / SPEED_MPS
+
+
+def pace(sight: Sight) -> Sequence[Array]:
+    """The speed that the time left asks for where limits and last braking let it, and what it is beside.
+
+    Solved from the tabled times at ``PACES_MPS``, straight in the inverse of the speed between them. Twice:
+    as it is, and less the time that reaching it under full traction takes.
+    """
+    xp, v = sight.xp, sight.speed_mps
+    times = sight.rows.paced_s(sight.case, sight.position_m)
+    wanted, free = _pace(sight, times, sight.left_s)
+    effort = effort_at(sight.vehicle, v).traction_n - davis_n(sight.vehicle, v)
+    pull = xp.minimum(effort / sight.vehicle.effective_mass_kg, sight.vehicle.max_acceleration_mps2)
+    missing = xp.maximum(wanted - v, 0.0)
+    lost = missing * missing / (2.0 * xp.maximum(pull, 0.1) * wanted)
+    after, _ = _pace(sight, times, sight.left_s - lost)
+    return [
+        wanted / SPEED_MPS,
+        after / SPEED_MPS,
+        xp.clip((after - v) / 5.0, -4.0, 4.0),
+        xp.tanh(after - v),
+        free / xp.maximum(sight.left_m, 1.0),
+    ]
+
+
+def _pace(sight: Sight, times: Sequence[Array], left_s: Array) -> tuple[Array, Array]:
+    """The speed whose time to the stop is the time left, and how many metres would be driven at it."""
+    xp = sight.xp
+    inverse, free = 1.0 / PACES_MPS[-1] + 0.0 * left_s, 0.0 * left_s
+    for k in range(len(PACES_MPS) - 1):
+        slower, faster = times[k], times[k + 1]
+        rise = 1.0 / PACES_MPS[k] - 1.0 / PACES_MPS[k + 1]
+        share = xp.clip((left_s - faster) / xp.maximum(slower - faster, 1e-3), 0.0, 1.0)
+        inverse = inverse + share * rise
+        free = free + xp.where((share > 0.0) & (share < 1.0), (slower - faster) / rise, 0.0)
+    return 1.0 / inverse, free
 
 
 def steady(sight: Sight) -> Sequence[Array]:
@@ -302,7 +356,9 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
             efforts,
             efforts_ahead,
             coasting,
+            coasting_faster,
             steady,
+            pace,
             load,
             delay,
             build_up,
@@ -356,7 +412,9 @@ OBSERVERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "efforts",
             "efforts_ahead",
             "coasting",
+            "coasting_faster",
             "steady",
+            "pace",
             "build_up",
         ),
     }

@@ -31,8 +31,10 @@ class Tables(NamedTuple):
         length_m: Distance to the stop. Shape (C,).
         load: Mass over the mean of all cases. Shape (C,).
         stop_mps2: Deceleration the last braking is planned with, surely at hand. Shape (C,).
-        braked: At the same nodes: what the brakes surely take out from here to the stop, J/kg, and the speed
-            from which they surely keep under the permitted speed of all that follows. Shape (C, N, 2).
+        braked: At the same nodes: what the brakes surely take out from here to the stop, J/kg; the speed
+            from which they surely keep under the permitted speed of all that follows; and for each of
+            ``PACES_MPS`` the time from the first node when that speed is kept wherever these two curves let
+            it. Shape (C, N, 2 + paces).
     """
 
     vehicle: Vehicle
@@ -55,6 +57,9 @@ STOP_PASSES = 4
 LEAST_STOP_MPS2 = 0.2
 SURE_RESISTANCE = 0.8
 """Share of the running resistance that a late stop counts on."""
+PACES_MPS = (3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, 17.0, 19.5, 22.5, 26.5, 32.0)
+"""Speeds that the time to go is tabled for."""
+SLOWEST_MPS = 0.3
 CURVES = ("emergency", "service", "permitted_mps", "pull_mps2", "usual_pull_mps2")
 """Protection's curves in ``Tables.ground``, in this order; the climb comes last."""
 PERMITTED, CLIMB = 2, 5
@@ -106,7 +111,8 @@ def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float
     table = to_go_table(vehicle, track).time_s
     pull = weight / spacing_m * float(vehicle.mass_kg) / float(vehicle.effective_mass_kg)
     work = _stop_work(vehicle, at, pull, section.length_m)
-    braked = np.stack([work, _follow_mps(vehicle, at, pull, protection.permitted_mps[:used])], axis=1)
+    follow = _follow_mps(vehicle, at, pull, protection.permitted_mps[:used])
+    braked = np.stack([work, follow, *_paced_s(at, np.minimum(follow, _stops_mps(work)))], axis=1)
     stop_mps2 = _stop_mps2(vehicle, track)
     return vehicle, track, protection, ground, table, section.length_m, stop_mps2, braked
 
@@ -140,6 +146,21 @@ def _stop_work(vehicle: Vehicle, at: np.ndarray, uphill: np.ndarray, length_m: f
         sure = effort_at(vehicle, speed).brake_n + SURE_RESISTANCE * davis_n(vehicle, speed)
         work = taken_out(np.clip(sure / mass + uphill, LEAST_STOP_MPS2, ends))
     return work
+
+
+def _stops_mps(work: np.ndarray) -> np.ndarray:
+    """Speed from which the last braking stops, m/s; beyond the stop none."""
+    return np.sqrt(2.0 * np.maximum(work, 0.0))
+
+
+def _paced_s(at: np.ndarray, most_mps: np.ndarray) -> list[np.ndarray]:
+    """Time from the first node at each of ``PACES_MPS`` or, where that is less, at what is possible."""
+    found = []
+    for pace in PACES_MPS:
+        speed = np.minimum(pace, most_mps)
+        taken = 2.0 * np.diff(at) / np.maximum(speed[1:] + speed[:-1], SLOWEST_MPS)
+        found.append(np.concatenate([[0.0], np.cumsum(taken)]))
+    return found
 
 
 def _sure_brake(vehicle: Vehicle) -> float:
@@ -272,6 +293,17 @@ class Rows:
         node, way = self.node(case, position_m)
         here, after = self.braked[case, node, 1], self.braked[case, node + 1, 1]
         return here + (after - here) * way
+
+    def paced_s(self, case: Array, position_m: Array) -> list[Array]:
+        """Time to the stop at each of ``PACES_MPS``, or as fast as limits and last braking let it, s."""
+        node, way = self.node(case, position_m)
+        last, rest = self.node(case, self.length_m[case])
+        found = []
+        for column in range(2, 2 + len(PACES_MPS)):
+            here, after = self.braked[case, node, column], self.braked[case, node + 1, column]
+            end, beyond = self.braked[case, last, column], self.braked[case, last + 1, column]
+            found.append(end + (beyond - end) * rest - here - (after - here) * way)
+        return found
 
     def to_go_s(self, case: Array, distance_m: Array, length_m: Array, speed_mps: Array) -> Array:
         """Flat-out time to the stop, bilinear in speed and the square root of the distance left, s."""

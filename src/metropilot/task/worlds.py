@@ -16,7 +16,7 @@ from metropilot.task.assist import Assists
 from metropilot.task.config import DrivingConfig
 
 OBSERVER = "line"
-ASSISTS = Assists(margin_mps=0.05, stop_use=0.99, late=True)
+ASSISTS = Assists(margin_mps=0.05, stop_use=0.99, release=0.95, late=True)
 """Closer to the limits than the standard: what a driver may not use, the optimum uses."""
 KMH = 3.6
 GRAVITY_MPS2 = 9.81
@@ -78,12 +78,14 @@ def _breaks(random: Generator, start: float, end: float, low: float, high: float
 
 
 def _gradients(random: Generator, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where each gradient begins, and its value; many sections have level stretches."""
+    """Where each gradient begins, and its value; many sections have level stretches, some lie on a slope."""
     steepest = random.choice(STEEPEST_PERMIL, p=[0.25, 0.3, 0.3, 0.15])
     at = _breaks(random, -400.0, length + 400.0, 100.0, 800.0)
     permil = np.clip(random.normal(0.0, steepest / 1.6, at.size), -steepest, steepest)
     if random.random() < 0.3:
         permil[random.random(at.size) < 0.4] = 0.0
+    if random.random() < 0.25:
+        permil = np.clip(permil + random.uniform(-0.6, 0.6) * steepest, -steepest, steepest)
     if random.random() < 0.5:
         k, pieces = int(random.integers(at.size)), int(random.integers(1, 5))
         permil[k : k + pieces] = random.choice([-1.0, 1.0]) * random.uniform(0.6, 1.0) * steepest

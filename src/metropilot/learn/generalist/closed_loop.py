@@ -19,7 +19,7 @@ from metropilot.drivers.policy.networks import Params
 from metropilot.physics.effort import effort_at
 from metropilot.physics.resistance import davis_n
 from metropilot.task.actions import RegimeAction
-from metropilot.task.assist import AT_ONCE_MPS3, END_SHARE, RELEASE_SHARE, Assists, ceiling_at
+from metropilot.task.assist import AT_ONCE_MPS3, END_SHARE, STRONGEST_MPS2, Assists, ceiling_at
 from metropilot.task.observers import Sight, observe
 from metropilot.task.tables import CLIMB, Rows, Tables
 
@@ -199,12 +199,18 @@ class ClosedLoop:
         command = self.action.command(sight, action, dt) + LEAK * (soft - jax.lax.stop_gradient(soft))
         command = jnp.clip(command, -1.0, 1.0)
         v, mass = now.speed_mps, vehicle.effective_mass_kg * begin.mass_factor
-        effort = effort_at(vehicle, v)
-        force = jnp.where(command >= 0.0, command * effort.traction_n, command * effort.brake_n)
         way = v * dt + 0.5
         rise = self._at(CLIMB, begin, now.position_m + way) - self._at(CLIMB, begin, now.position_m)
-        drag = begin.resistance_factor * davis_n(vehicle, v) / mass
-        drag = drag + rise / way * (vehicle.mass_kg / vehicle.effective_mass_kg)
+        slope = rise / way * (vehicle.mass_kg / vehicle.effective_mass_kg)
+
+        def acting(v: Array) -> tuple[Array, Array]:
+            effort = effort_at(vehicle, v)
+            force = jnp.where(command >= 0.0, command * effort.traction_n, command * effort.brake_n)
+            return force, begin.resistance_factor * davis_n(vehicle, v) / mass + slope
+
+        force, drag = acting(v)
+        gained = jnp.clip(force / mass - drag, -STRONGEST_MPS2, vehicle.max_acceleration_mps2) * dt
+        force, drag = acting(jnp.maximum(v + 0.5 * gained, 0.0))
         jerk = jnp.minimum(vehicle.jerk_mps3, AT_ONCE_MPS3)
         acceleration = jnp.minimum(force / mass - drag, self._ceiling(sight, jerk))
         wanted = jnp.minimum(acceleration, vehicle.max_acceleration_mps2) + drag
@@ -223,7 +229,7 @@ class ClosedLoop:
             energy_j=now.energy_j + jnp.maximum(mean, 0.0) * gone * begin.mass_factor,
         )
         planned = self._planned(begin, case, moved.position_m)
-        distance, duration = stopping(after, reached - drag, planned, jerk, dt)
+        distance, duration = stopping(after, reached - drag, planned, jerk, dt, self.assists.release)
         left = case.length_m - moved.position_m
         arrival = moved.time_s + duration + (left - distance) / after
         return moved._replace(arrival_s=arrival, done=left <= distance)
@@ -249,7 +255,9 @@ class ClosedLoop:
         return up + jnp.minimum(jnp.minimum(near / dt, later / ahead_s), 0.0)
 
 
-def stopping(v: Array, a: Array, planned: Array, jerk: Array, dt: float) -> tuple[Array, Array]:
+def stopping(
+    v: Array, a: Array, planned: Array, jerk: Array, dt: float, release: float
+) -> tuple[Array, Array]:
     """Distance and time of the last braking: build up, hold, let go.
 
     Args:
@@ -258,14 +266,15 @@ def stopping(v: Array, a: Array, planned: Array, jerk: Array, dt: float) -> tupl
         planned: Deceleration that is held.
         jerk: Jerk limit.
         dt: Period of the control that lets go.
+        release: Jerk at which it is let go, over the limit.
     """
     build = jnp.maximum(planned + a, 0.0) / jerk
     quick = jnp.maximum(v + a * build - 0.5 * jerk * build * build, 0.1)
     gone = v * build + 0.5 * a * build * build - jerk * build * build * build / 6.0
-    soft = RELEASE_SHARE * jerk
+    soft = release * jerk
     end = jnp.minimum(END_SHARE * jerk * dt, planned)
-    release = (planned - end) / soft
+    fades = (planned - end) / soft
     released = (planned * planned - end * end) / (2.0 * soft)
     held = (quick * quick - released * released) / (2.0 * planned)
-    distance = gone + held + release * release * (planned / 6.0 + end / 3.0)
-    return distance, build + (quick - released) / planned + release
+    distance = gone + held + fades * fades * (planned / 6.0 + end / 3.0)
+    return distance, build + (quick - released) / planned + fades

@@ -31,7 +31,7 @@ SPARE_S, SPARE_SHARE = 15.0, 0.05
 LEAST_J = 60.0
 """What a drive costs is counted against no less than this, per kilogram."""
 SECOND_W = (0.2, 25.0)
-ON_TIME_S = 0.5
+ON_TIME_S = 0.3
 """Below this the price of being off time is square, beyond straight."""
 DISTURBED = 0.5
 MASS, RESISTANCE = 0.1, 0.2
