@@ -133,3 +133,31 @@ def test_perception_survives_as_plain_values(name):
     with pytest.raises(Exception, match="feature"):
         Perception.from_dict(perception.as_dict() | {"features": ["colour"]})
     assert replace(perception, period_s=1.0) != perception
+
+
+@pytest.mark.parametrize("release", [0.5, 0.95])
+@pytest.mark.parametrize("ends", [("YZHC", "CQ"), ("XC", "XHM")])
+def test_a_late_stop_is_at_the_point_however_the_brake_is_let_go(release, ends):
+    """Full effort all the way, downhill and level: the stop assist alone brakes."""
+    section, trainset = load_line("yizhuang").section(*ends), load_trainset("dkz32", "AW0")
+    assists = Assists(margin_mps=0.05, stop_use=0.99, release=release, late=True)
+    config = config_of(False, action=CommandAction(), assists=assists)
+    done = drive(
+        Run(section, trainset, 150.0),
+        LearnedDriver(lambda _: np.ones(1, np.float32), config.perception),
+    )
+    assert done.outcome.value == "arrived"
+    assert abs(float(done.trajectory.position_m[-1]) - section.length_m) < 0.03
+    assert done.interventions == 0
+
+
+def test_letting_the_brake_go_sooner_takes_longer():
+    section, trainset = load_line("yizhuang").section("XC", "XHM"), load_trainset("dkz32", "AW0")
+
+    def taken_s(release):
+        assists = Assists(margin_mps=0.05, stop_use=0.99, release=release, late=True)
+        config = config_of(False, action=CommandAction(), assists=assists)
+        driver = LearnedDriver(lambda _: np.ones(1, np.float32), config.perception)
+        return drive(Run(section, trainset, 150.0), driver).running_time_s
+
+    assert 0.2 < taken_s(0.5) - taken_s(0.95) < 0.8
