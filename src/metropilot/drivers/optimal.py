@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
+from metropilot.drivers.adapted import Adapted, adapted_vehicle
 from metropilot.drivers.base import AbstractDriver, register
 from metropilot.drivers.headroom import Headroom, cleared, headroom_of
 from metropilot.drivers.observer import (
@@ -36,14 +37,6 @@ from metropilot.planning.optimal import Objective, fastest_time
 from metropilot.protection import Memory, Protection, at_start, protect
 from metropilot.railway import Section, Trainset
 from metropilot.task import Observation, Run, declared_bounds
-
-
-class Adapted(NamedTuple):
-    """What the plan in force assumed of the trainset: factors on effort, brake and resistance."""
-
-    traction: float = 1.0
-    brake: float = 1.0
-    resistance: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -398,15 +391,3 @@ def braking_room(memory: Following) -> float:
     """Distance the stop needs from the present speed."""
     v = memory.belief.speed_mps
     return v * v / (2 * memory.curve.deceleration_mps2) + v
-
-
-def adapted_vehicle(vehicle: Vehicle, adapted: Adapted) -> Vehicle:
-    """The trainset as it has shown itself: effort and resistance per mass scaled."""
-    up, down, drag = adapted
-    return vehicle._replace(
-        traction=vehicle.traction * up,
-        brake=vehicle.brake * down,
-        friction_n=vehicle.friction_n * down,
-        service_n=vehicle.service_n * down,
-        davis_n=vehicle.davis_n * drag,
-    )
