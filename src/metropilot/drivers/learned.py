@@ -142,7 +142,9 @@ class LearnedDriver(AbstractDriver):
 
     def _tables(self, run: Run, section: Section, trainset: Trainset) -> Tables:
         """One section and a trainset, in float64."""
-        tables = build_tables([(section, trainset, declared_bounds(run))], self.perception.spacing_m, np.float64)
+        tables = build_tables(
+            [(section, trainset, declared_bounds(run))], self.perception.spacing_m, np.float64
+        )
         return tables._replace(load=np.array([trainset.mass_kg / self.perception.mean_mass_kg]))
 
     def _moved(self, memory: LearnedMemory, section: Section) -> LearnedMemory:
@@ -163,9 +165,7 @@ class LearnedDriver(AbstractDriver):
         size = told.braked.shape[1]
         braked = np.pad(tables.braked, ((0, 0), (0, size), (0, 0)), "edge")[:, :size]
         braked[..., 1] = np.minimum(braked[..., 1], told.braked[..., 1])
-        rows = Rows(
-            tables._replace(ground=told.ground, protection=told.protection, braked=braked), jax=False
-        )
+        rows = Rows(tables._replace(ground=told.ground, protection=told.protection, braked=braked), jax=False)
         watch = memory.watch._replace(adapted=shown, adapted_at_s=time_s)
         return memory._replace(rows=rows, case=rows.case(0), watch=watch)
 

@@ -1,4 +1,4 @@
-"""What a learned driver does where the trainset answers differently than told: look ahead, allow for it, take care.
+"""Where a trainset answers differently than told, a learned driver looks ahead, allows for it and takes care.
 
 A policy and its assists see the trainset as told and the state as it is. That is right as long as both are: a
 command that acts late, a heavier trainset or a stronger resistance makes their last braking too late and
