@@ -9,6 +9,7 @@ the trainset answers differently than told, :mod:`metropilot.drivers.watching` s
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -132,12 +133,13 @@ class LearnedDriver(AbstractDriver):
         if watch is None or watch.care is None:
             return assisted(assists, sight, command, memory.stopping, dt)
         planned = assists.stop_mps2 * watch.shown.brake or float(sight.stop_mps2)
-        stopping, stop = watching.last_braking(watch, planned, bool(memory.stopping))
-        if stopping:
-            command = np.float64(stop.share)
+        stopping, share, ahead = watching.last_braking(watch, planned, bool(memory.stopping))
+        if stopping or sight.left_s < sight.to_go_s:
+            command = np.float64(share if stopping else 1.0)
         if assists.ceiling:
-            most = float(ceiling_mps2(assists, sight, dt))
-            command = np.float64(watching.eased(watch, stop.ahead, float(command), most))
+            near = replace(assists, margin_mps=watching.MARGIN_MPS)
+            most = float(ceiling_mps2(near, sight, dt))
+            command = np.float64(watching.eased(watch, ahead, float(command), most))
         return command, np.bool_(stopping)
 
     def _tables(self, run: Run, section: Section, trainset: Trainset) -> Tables:
@@ -173,9 +175,11 @@ class LearnedDriver(AbstractDriver):
         """What the policy sees: the state as it is, or as it will be when its command begins to act."""
         case, watch = memory.case, memory.watch
         time, x, v, a = observation[:4]
+        scheduled = observation.scheduled_time_s
         if watch is not None and watch.care is not None:
             ahead = watching.ahead_of(watch)
             time, x, v, a = time + ahead.seconds, ahead.position_m, ahead.speed_mps, ahead.acceleration_mps2
+            scheduled -= watching.RESERVE_S
         return Sight(
             rows=memory.rows,
             case=0,
@@ -189,6 +193,6 @@ class LearnedDriver(AbstractDriver):
             position_m=np.float64(x),
             speed_mps=np.float64(v),
             acceleration_mps2=np.float64(a),
-            scheduled_s=np.float64(observation.scheduled_time_s),
+            scheduled_s=np.float64(scheduled),
             command=memory.command,
         )

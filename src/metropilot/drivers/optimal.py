@@ -29,7 +29,7 @@ from metropilot.drivers.plan_reading import (
     pull_away,
     ramped_acceleration,
 )
-from metropilot.drivers.stopping import DROP_SHARE, Curve, Stop, curve_for, stop_command
+from metropilot.drivers.stopping import Curve, Stop, curve_for, stand, stop_command
 from metropilot.errors import Infeasible, SolverError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
 from metropilot.planning import Plan, PlanOptions, plan_arrays
@@ -133,7 +133,6 @@ class Following:
 
 LATE_W = 500.0
 LAST_METRES_M = 8.0
-CREEP_MPS = 0.06
 CREEP_M = 0.05
 LAST_STRETCH_M = 30.0
 EARLY_S = 1e-6
@@ -238,16 +237,7 @@ class Optimal(AbstractDriver):
 
     def _brake(self, memory: Following, stop: Stop) -> float:
         """The stop's command; in the last period the deceleration in force, where it ends near enough."""
-        ahead, dt = stop.ahead, memory.model.dt
-        rate = -ahead.acceleration_mps2
-        drop = float(memory.model.vehicle.jerk_mps3) * dt
-        if 0 < ahead.speed_mps <= rate * dt and rate <= drop:
-            short = self._left(memory, ahead) - ahead.speed_mps**2 / (2 * rate)
-            if abs(short) <= self.options.near_enough_m:
-                return share_for(memory.belief, ahead, -rate)
-        if ahead.speed_mps < CREEP_MPS and abs(self._left(memory, ahead)) < CREEP_M and math.isfinite(drop):
-            return share_for(memory.belief, ahead, -DROP_SHARE * drop)
-        return stop.share
+        return stand(memory.model, memory.belief, stop, self.options.near_enough_m, CREEP_M)
 
     def _follow(self, memory: Following) -> float:
         """The command that keeps to the plan's speed at the state where it begins to act."""

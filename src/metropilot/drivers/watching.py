@@ -29,7 +29,7 @@ from metropilot.drivers.observer import (
     share_for,
     weighs_load,
 )
-from metropilot.drivers.stopping import INCH_M, Stop, curve_for, stop_command
+from metropilot.drivers.stopping import INCH_M, curve_for, stand, stop_command
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.protection import Memory, Protection, at_start, protect
 from metropilot.railway import Section
@@ -43,15 +43,22 @@ SURE = 3.0
 """Standard deviations by which an effort must be off."""
 PATIENCE_S = 3.0
 """Least time between two adaptations to what was learned."""
-CAREFUL_USE = 0.92
+CAREFUL_USE = 0.97
 """Share of the policy's own last braking that is planned with."""
-BEGIN = 0.95
+BEGIN = 0.97
 """The last braking begins where it needs this share of the deceleration planned."""
 LET_GO = 0.75
 """Below this share of it the braking was too early, and the policy drives on..."""
 LET_GO_M = 60.0
 """...if there is more than this left to the stop."""
+RELEASE_SHARE = 0.95
+"""Jerk at which the last braking is let go, over the trainset's limit."""
+NEAR_ENOUGH_M = 0.1
+"""An error at the stop that is not worth the time a correction takes."""
+RESERVE_S = 0.5
+"""How much earlier than scheduled the policy is asked to arrive: careful braking and late commands take time."""
 MARGIN_MPS = 0.05
+"""How far below the permitted speed, less the error of a measurement, the ceiling is."""
 
 
 class Care(NamedTuple):
@@ -171,8 +178,8 @@ def eased(watch: Watch, ahead: Ahead, share: float, most_mps2: float) -> float:
     return min(share, share_for(watch.belief, ahead, most))
 
 
-def last_braking(watch: Watch, planned_mps2: float, stopping: bool) -> tuple[bool, Stop]:
-    """Whether the last braking is on, and what it asks for.
+def last_braking(watch: Watch, planned_mps2: float, stopping: bool) -> tuple[bool, float, Ahead]:
+    """Whether the last braking is on, the command it asks for, and the state in which that begins to act.
 
     Args:
         watch: What is believed.
@@ -181,13 +188,16 @@ def last_braking(watch: Watch, planned_mps2: float, stopping: bool) -> tuple[boo
     """
     model, rate = watch.model, CAREFUL_USE * planned_mps2
     target = float(model.track.length_m)
-    stop = stop_command(model, watch.belief, target, curve_for(model.vehicle, model.dt, rate))
-    left = target - stop.ahead.position_m
-    if stop.ahead.speed_mps <= 0 and left > INCH_M:
-        return False, stop
-    if stopping and stop.required_mps2 < LET_GO * rate and left > LET_GO_M:
-        return False, stop
-    return stopping or stop.required_mps2 >= BEGIN * rate, stop
+    curve = curve_for(model.vehicle, model.dt, rate)
+    if np.isfinite(curve.release_jerk_mps3):
+        curve = curve._replace(release_jerk_mps3=RELEASE_SHARE * curve.build_jerk_mps3)
+    stop = stop_command(model, watch.belief, target, curve)
+    left = stop.left_m
+    early = stop.required_mps2 < LET_GO * rate and left > LET_GO_M
+    short = stop.ahead.speed_mps <= 0 and left > INCH_M
+    begins = stop.required_mps2 >= BEGIN * rate
+    share = stand(model, watch.belief, stop, NEAR_ENOUGH_M, NEAR_ENOUGH_M)
+    return (begins or (stopping and not early)) and not short, share, stop.ahead
 
 
 def let_pass(watch: Watch, observation: Observation, share: float) -> tuple[float, Watch]:
