@@ -106,7 +106,7 @@ class LearnedDriver(AbstractDriver):
             watch = watching.noticed(memory.watch, memory.run, observation)
             memory = memory._replace(watch=watch)
             if watching.outdated(watch, observation.time_s) and not memory.stopping:
-                memory = self._adapted(memory, observation.time_s)
+                memory = self._adapted(memory, watch, observation.time_s)
         sight = self._sight(memory, observation)
         perception = self.perception
         action, wanted, decided = memory.action, memory.wanted, memory.decided
@@ -154,21 +154,22 @@ class LearnedDriver(AbstractDriver):
         told = self._tables(memory.run, section, memory.run.scenario.believed(memory.run.trainset))
         memory = memory._replace(section=section, told=told, rows=Rows(told, jax=False))
         if memory.watch is not None:
-            memory = memory._replace(watch=watching.moved(memory.watch, memory.run, section))
-            if memory.watch.adapted != Adapted():
-                return self._adapted(memory, memory.watch.adapted_at_s)
+            watch = watching.moved(memory.watch, memory.run, section)
+            memory = memory._replace(watch=watch)
+            if watch.adapted != Adapted():
+                return self._adapted(memory, watch, watch.adapted_at_s)
         return memory._replace(case=memory.rows.case(0))
 
-    def _adapted(self, memory: LearnedMemory, time_s: float) -> LearnedMemory:
+    def _adapted(self, memory: LearnedMemory, watch: Watch, time_s: float) -> LearnedMemory:
         """Tables of the trainset as it has shown itself, under protection as it is for the one told."""
-        told, shown = memory.told, memory.watch.shown
+        told, shown = memory.told, watch.shown
         trainset = adapted_trainset(memory.run.scenario.believed(memory.run.trainset), shown)
         tables = self._tables(memory.run, memory.section, trainset)
         size = told.braked.shape[1]
         braked = np.pad(tables.braked, ((0, 0), (0, size), (0, 0)), "edge")[:, :size]
         braked[..., 1] = np.minimum(braked[..., 1], told.braked[..., 1])
         rows = Rows(tables._replace(ground=told.ground, protection=told.protection, braked=braked), jax=False)
-        watch = memory.watch._replace(adapted=shown, adapted_at_s=time_s)
+        watch = watch._replace(adapted=shown, adapted_at_s=time_s)
         return memory._replace(rows=rows, case=rows.case(0), watch=watch)
 
     def _sight(self, memory: LearnedMemory, observation: Observation) -> Sight:

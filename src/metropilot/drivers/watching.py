@@ -56,7 +56,7 @@ RELEASE_SHARE = 0.95
 NEAR_ENOUGH_M = 0.1
 """An error at the stop that is not worth the time a correction takes."""
 RESERVE_S = 0.5
-"""How much earlier than scheduled the policy is asked to arrive: careful braking and late commands take time."""
+"""How much earlier than scheduled the policy is asked to arrive; careful braking takes time."""
 MARGIN_MPS = 0.05
 """How far below the permitted speed, less the error of a measurement, the ceiling is."""
 
@@ -215,8 +215,9 @@ def _care(watch: Watch, run: Run, section: Section) -> Care:
     bounds, belief = declared_bounds(run), watch.belief
     guard = protect(section, run.scenario.believed(run.trainset), bounds)
     watched = at_start(guard)
+    count, known = np.size(watched.recent), belief.commands.size
     watched = watched._replace(
-        recent=belief.commands[: np.size(watched.recent)].copy(),
+        recent=np.pad(belief.commands, (0, max(count - known, 0)), "edge")[:count],
         share=np.float64(belief.bank.share[belief.best]),
         acceleration_mps2=np.float64(belief.acceleration_mps2),
     )
