@@ -120,8 +120,9 @@ class LearnedDriver(AbstractDriver):
         command, stopping = self._assisted(memory, sight, command)
         command = perception.action.settled(sight, command)
         if memory.watch is not None:
-            command, watch = watching.let_pass(memory.watch, observation, command)
-            memory = memory._replace(watch=watching.gave(watch, float(command)))
+            share, watch = watching.let_pass(memory.watch, observation, float(command))
+            memory = memory._replace(watch=watching.gave(watch, share))
+            command = command if watch.care is None else np.float64(share)
         memory = memory._replace(
             command=command, action=action, wanted=wanted, decided=decided, stopping=stopping
         )

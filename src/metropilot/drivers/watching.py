@@ -207,7 +207,7 @@ def let_pass(watch: Watch, observation: Observation, share: float) -> tuple[floa
     care = watch.care
     seen = observation.position_m, observation.speed_mps
     share, watched = cleared(care.guard, care.watched, *seen, share)
-    return share, watch._replace(care=care._replace(watched=watched))
+    return float(share), watch._replace(care=care._replace(watched=watched))
 
 
 def _care(watch: Watch, run: Run, section: Section) -> Care:
