@@ -18,7 +18,7 @@ from metropilot.drivers.expert.ground import STEP_M, Ground, build_up_s, ground_
 from metropilot.drivers.expert.hoa import Hoa, felt, stop_share
 from metropilot.drivers.expert.legs import Leg, Legs, legs_of
 from metropilot.drivers.observer import Ahead, Model
-from metropilot.drivers.stopping import Curve, curve_for, weakest_gradient
+from metropilot.drivers.stopping import Curve, curve_for
 from metropilot.railway import Section
 from metropilot.task import Observation, Run
 from metropilot.task.expert import PLAIN, RELEASE_SHARE, Rules, Window, coasting_s, next_rate, window_of
@@ -76,7 +76,6 @@ class ExpertMemory(NamedTuple):
         legs: The speed-limit intervals.
         actuation: Commands on their way.
         hoa: What is known about the brake.
-        downhill_mps2: What the steepest way down to the stop takes off it, not above 0.
         rate_mps2: The rate ``u``.
         before_mps2: Acceleration of the period before.
     """
@@ -90,7 +89,6 @@ class ExpertMemory(NamedTuple):
     legs: Legs
     actuation: Actuation
     hoa: Hoa
-    downhill_mps2: float
     rate_mps2: float = 0.0
     before_mps2: float = 0.0
 
@@ -117,7 +115,6 @@ def prepared(run: Run, section: Section, rules: Rules, hoa: Hoa) -> ExpertMemory
         legs=legs_of(model, ground, rules),
         actuation=actuation_of(model),
         hoa=hoa,
-        downhill_mps2=min(weakest_gradient(model, float(section.length_m)), 0.0),
     )
 
 
@@ -136,8 +133,9 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
     state = (observation.position_m, observation.speed_mps, observation.acceleration_mps2)
     hoa = felt(memory.hoa, ground, actuation, state, memory.before_mps2)
     ahead = ahead_of(ground, actuation, state, hoa.gain)
-    plan = hoa.plan_mps2(ground.brake(ahead.speed_mps), ground.most_mps2, memory.downhill_mps2)
-    curve = curve_for(memory.model.vehicle, actuation.dt, plan)
+    curve = curve_for(
+        memory.model.vehicle, actuation.dt, hoa.plan_mps2(ground.brake(ahead.speed_mps), ground.most_mps2)
+    )
     share, braking = stop_share(hoa, ground, actuation, ahead, curve)
     rate = 0.0
     if not braking:

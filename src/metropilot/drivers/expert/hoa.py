@@ -68,16 +68,10 @@ class Hoa(NamedTuple):
     effort_jpkg: float = 0.0
     drag_jpkg: float = 0.0
 
-    def plan_mps2(self, brake_mps2: float, most_mps2: float, downhill_mps2: float = 0.0) -> float:
-        """Deceleration to plan the stop with: the less the gain is known, the less.
-
-        Args:
-            brake_mps2: Largest service braking.
-            most_mps2: Largest deceleration.
-            downhill_mps2: What the steepest way down to the stop takes off it, not above 0.
-        """
-        sure = brake_mps2 * min(self.gain * (1.0 - CAUTION * self.sigma), 1.0)
-        return min(USE * min(sure, most_mps2), max(sure + downhill_mps2, LEAST_EFFORT_MPS2))
+    def plan_mps2(self, brake_mps2: float, most_mps2: float) -> float:
+        """Deceleration to plan the stop with: the less the gain is known, the less."""
+        sure = min(self.gain * (1.0 - CAUTION * self.sigma), 1.0)
+        return USE * min(brake_mps2 * sure, most_mps2)
 
     def next_stop(self) -> Hoa:
         """What is carried to the next stop."""
