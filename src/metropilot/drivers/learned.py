@@ -2,20 +2,25 @@
 
 The policy is any function from an observation to an action; :class:`metropilot.learn.Policy` is one. What it
 sees and what its action means is a :class:`metropilot.task.Perception`, and the same functions as in the task
-read it. A policy decides once in its decision period; the assists act at the run's own control period.
+read it. A policy decides once in its decision period; the assists act at the run's own control period. Where
+the trainset answers differently than told, :mod:`metropilot.drivers.watching` says what is done about it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from metropilot.drivers import watching
+from metropilot.drivers.adapted import Adapted, adapted_trainset
 from metropilot.drivers.base import AbstractDriver
-from metropilot.railway import Section
+from metropilot.drivers.watching import Watch
+from metropilot.railway import Section, Trainset
 from metropilot.task import Observation, Perception, Run, declared_bounds
-from metropilot.task.assist import assisted
+from metropilot.task.assist import assisted, ceiling_mps2
 from metropilot.task.observers import Sight, observe
 from metropilot.task.tables import Rows, Tables, build_tables
 
@@ -33,17 +38,20 @@ class LearnedMemory(NamedTuple):
     Attributes:
         run: The run.
         section: The section as last announced.
-        rows: What it sees of it, as tables.
-        case: The one row of them.
+        told: The section and the trainset as told, as tables.
+        rows: What it sees of them: the same, or with the trainset as it has shown itself.
+        case: The one row of that.
         command: Last command.
         action: Action of the policy's last decision.
         wanted: Command it asked for.
         decided: Decisions taken.
         stopping: Whether the last braking has begun.
+        watch: What is believed of the trainset; None where no assist would use it.
     """
 
     run: Run
     section: Section
+    told: Tables
     rows: Rows
     case: Tables
     command: np.float64
@@ -51,6 +59,7 @@ class LearnedMemory(NamedTuple):
     wanted: np.float64
     decided: int
     stopping: np.bool_
+    watch: Watch | None
 
 
 @final
@@ -72,17 +81,34 @@ class LearnedDriver(AbstractDriver):
 
     def init(self, run: Run) -> LearnedMemory:
         """Build the tables the policy sees."""
-        rows = self._rows(run, run.section)
-        zero = np.float64(0.0)
-        return LearnedMemory(run, run.section, rows, rows.case(0), zero, None, zero, 0, np.bool_(False))
+        told = self._tables(run, run.section, run.scenario.believed(run.trainset))
+        rows, zero = Rows(told, jax=False), np.float64(0.0)
+        watch = watching.first_watch(run) if self.perception.assists.stop else None
+        return LearnedMemory(
+            run=run,
+            section=run.section,
+            told=told,
+            rows=rows,
+            case=rows.case(0),
+            command=zero,
+            action=None,
+            wanted=zero,
+            decided=0,
+            stopping=np.bool_(False),
+            watch=watch,
+        )
 
     def act(self, memory: LearnedMemory, observation: Observation) -> tuple[float, LearnedMemory]:
         """Decide if it is time to, then what the assists make of the decision."""
-        perception = self.perception
         if observation.section is not memory.section:
-            rows = self._rows(memory.run, observation.section)
-            memory = memory._replace(section=observation.section, rows=rows, case=rows.case(0))
+            memory = self._moved(memory, observation.section)
+        if memory.watch is not None:
+            watch = watching.noticed(memory.watch, memory.run, observation)
+            memory = memory._replace(watch=watch)
+            if watching.outdated(watch, observation.time_s) and not memory.stopping:
+                memory = self._adapted(memory, watch, observation.time_s)
         sight = self._sight(memory, observation)
+        perception = self.perception
         action, wanted, decided = memory.action, memory.wanted, memory.decided
         if observation.time_s >= decided * perception.period_s - EARLY_S:
             seen = observe(perception.features, sight)
@@ -91,24 +117,71 @@ class LearnedDriver(AbstractDriver):
             wanted = np.float64(perception.action.command(sight, action, perception.period_s))
             decided = int((observation.time_s + EARLY_S) / perception.period_s) + 1
         command = perception.action.held(sight, action, wanted)
-        dt = memory.run.dt
-        command, stopping = assisted(perception.assists, sight, command, memory.stopping, dt)
+        command, stopping = self._assisted(memory, sight, command)
         command = perception.action.settled(sight, command)
+        if memory.watch is not None:
+            share, watch = watching.let_pass(memory.watch, observation, float(command))
+            memory = memory._replace(watch=watching.gave(watch, share))
+            command = command if watch.care is None else np.float64(share)
         memory = memory._replace(
             command=command, action=action, wanted=wanted, decided=decided, stopping=stopping
         )
         return float(command), memory
 
-    def _rows(self, run: Run, section: Section) -> Rows:
-        """The tables of one section, in float64."""
-        trainset = run.scenario.believed(run.trainset)
-        case = (section, trainset, declared_bounds(run))
-        tables = build_tables([case], self.perception.spacing_m, np.float64)
-        load = np.array([trainset.mass_kg / self.perception.mean_mass_kg])
-        return Rows(tables._replace(load=load), jax=False)
+    def _assisted(self, memory: LearnedMemory, sight: Sight, command: Any) -> tuple[Any, Any]:  # noqa: ANN401
+        """The assists as learned; or with care, where the trainset answers differently than told."""
+        assists, watch, dt = self.perception.assists, memory.watch, memory.run.dt
+        if watch is None or watch.care is None:
+            return assisted(assists, sight, command, memory.stopping, dt)
+        planned = assists.stop_mps2 * watch.shown.brake or float(sight.stop_mps2)
+        stopping, share, ahead = watching.last_braking(watch, planned, bool(memory.stopping))
+        if stopping or sight.left_s < sight.to_go_s:
+            command = np.float64(share if stopping else 1.0)
+        if assists.ceiling:
+            near = replace(assists, margin_mps=watching.MARGIN_MPS)
+            most = float(ceiling_mps2(near, sight, dt))
+            command = np.float64(watching.eased(watch, ahead, float(command), most))
+        return command, np.bool_(stopping)
+
+    def _tables(self, run: Run, section: Section, trainset: Trainset) -> Tables:
+        """One section and a trainset, in float64."""
+        tables = build_tables(
+            [(section, trainset, declared_bounds(run))], self.perception.spacing_m, np.float64
+        )
+        return tables._replace(load=np.array([trainset.mass_kg / self.perception.mean_mass_kg]))
+
+    def _moved(self, memory: LearnedMemory, section: Section) -> LearnedMemory:
+        """The section with a restriction that has just been announced."""
+        told = self._tables(memory.run, section, memory.run.scenario.believed(memory.run.trainset))
+        memory = memory._replace(section=section, told=told, rows=Rows(told, jax=False))
+        if memory.watch is not None:
+            watch = watching.moved(memory.watch, memory.run, section)
+            memory = memory._replace(watch=watch)
+            if watch.adapted != Adapted():
+                return self._adapted(memory, watch, watch.adapted_at_s)
+        return memory._replace(case=memory.rows.case(0))
+
+    def _adapted(self, memory: LearnedMemory, watch: Watch, time_s: float) -> LearnedMemory:
+        """Tables of the trainset as it has shown itself, under protection as it is for the one told."""
+        told, shown = memory.told, watch.shown
+        trainset = adapted_trainset(memory.run.scenario.believed(memory.run.trainset), shown)
+        tables = self._tables(memory.run, memory.section, trainset)
+        size = told.braked.shape[1]
+        braked = np.pad(tables.braked, ((0, 0), (0, size), (0, 0)), "edge")[:, :size]
+        braked[..., 1] = np.minimum(braked[..., 1], told.braked[..., 1])
+        rows = Rows(tables._replace(ground=told.ground, protection=told.protection, braked=braked), jax=False)
+        watch = watch._replace(adapted=shown, adapted_at_s=time_s)
+        return memory._replace(rows=rows, case=rows.case(0), watch=watch)
 
     def _sight(self, memory: LearnedMemory, observation: Observation) -> Sight:
-        case = memory.case
+        """What the policy sees: the state as it is, or as it will be when its command begins to act."""
+        case, watch = memory.case, memory.watch
+        time, x, v, a = observation[:4]
+        scheduled = observation.scheduled_time_s
+        if watch is not None and watch.care is not None:
+            ahead = watching.ahead_of(watch)
+            time, x, v, a = time + ahead.seconds, ahead.position_m, ahead.speed_mps, ahead.acceleration_mps2
+            scheduled -= watching.RESERVE_S
         return Sight(
             rows=memory.rows,
             case=0,
@@ -116,14 +189,12 @@ class LearnedDriver(AbstractDriver):
             track=case.track,
             length_m=case.length_m,
             load=case.load,
-            stop_mps2=self.perception.assists.planned_mps2(
-                memory.rows, 0, case.stop_mps2, np.float64(observation.position_m)
-            ),
+            stop_mps2=self.perception.assists.planned_mps2(memory.rows, 0, case.stop_mps2, np.float64(x)),
             rates=case.protection.rates,
-            time_s=np.float64(observation.time_s),
-            position_m=np.float64(observation.position_m),
-            speed_mps=np.float64(observation.speed_mps),
-            acceleration_mps2=np.float64(observation.acceleration_mps2),
-            scheduled_s=np.float64(observation.scheduled_time_s),
+            time_s=np.float64(time),
+            position_m=np.float64(x),
+            speed_mps=np.float64(v),
+            acceleration_mps2=np.float64(a),
+            scheduled_s=np.float64(scheduled),
             command=memory.command,
         )

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
+from metropilot.drivers.adapted import Adapted, adapted_vehicle
 from metropilot.drivers.base import AbstractDriver, register
 from metropilot.drivers.headroom import Headroom, cleared, headroom_of
 from metropilot.drivers.observer import (
@@ -28,7 +29,7 @@ from metropilot.drivers.plan_reading import (
     pull_away,
     ramped_acceleration,
 )
-from metropilot.drivers.stopping import DROP_SHARE, Curve, Stop, curve_for, stop_command
+from metropilot.drivers.stopping import Curve, Stop, curve_for, stand, stop_command
 from metropilot.errors import Infeasible, SolverError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
 from metropilot.planning import Plan, PlanOptions, plan_arrays
@@ -36,14 +37,6 @@ from metropilot.planning.optimal import Objective, fastest_time
 from metropilot.protection import Memory, Protection, at_start, protect
 from metropilot.railway import Section, Trainset
 from metropilot.task import Observation, Run, declared_bounds
-
-
-class Adapted(NamedTuple):
-    """What the plan in force assumed of the trainset: factors on effort, brake and resistance."""
-
-    traction: float = 1.0
-    brake: float = 1.0
-    resistance: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -140,7 +133,6 @@ class Following:
 
 LATE_W = 500.0
 LAST_METRES_M = 8.0
-CREEP_MPS = 0.06
 CREEP_M = 0.05
 LAST_STRETCH_M = 30.0
 EARLY_S = 1e-6
@@ -245,16 +237,7 @@ class Optimal(AbstractDriver):
 
     def _brake(self, memory: Following, stop: Stop) -> float:
         """The stop's command; in the last period the deceleration in force, where it ends near enough."""
-        ahead, dt = stop.ahead, memory.model.dt
-        rate = -ahead.acceleration_mps2
-        drop = float(memory.model.vehicle.jerk_mps3) * dt
-        if 0 < ahead.speed_mps <= rate * dt and rate <= drop:
-            short = self._left(memory, ahead) - ahead.speed_mps**2 / (2 * rate)
-            if abs(short) <= self.options.near_enough_m:
-                return share_for(memory.belief, ahead, -rate)
-        if ahead.speed_mps < CREEP_MPS and abs(self._left(memory, ahead)) < CREEP_M and math.isfinite(drop):
-            return share_for(memory.belief, ahead, -DROP_SHARE * drop)
-        return stop.share
+        return stand(memory.model, memory.belief, stop, self.options.near_enough_m, CREEP_M)
 
     def _follow(self, memory: Following) -> float:
         """The command that keeps to the plan's speed at the state where it begins to act."""
@@ -398,15 +381,3 @@ def braking_room(memory: Following) -> float:
     """Distance the stop needs from the present speed."""
     v = memory.belief.speed_mps
     return v * v / (2 * memory.curve.deceleration_mps2) + v
-
-
-def adapted_vehicle(vehicle: Vehicle, adapted: Adapted) -> Vehicle:
-    """The trainset as it has shown itself: effort and resistance per mass scaled."""
-    up, down, drag = adapted
-    return vehicle._replace(
-        traction=vehicle.traction * up,
-        brake=vehicle.brake * down,
-        friction_n=vehicle.friction_n * down,
-        service_n=vehicle.service_n * down,
-        davis_n=vehicle.davis_n * drag,
-    )

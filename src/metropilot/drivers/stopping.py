@@ -34,6 +34,8 @@ RETURN_GAIN = 0.5
 """How strongly a departure from the wanted deceleration is corrected beyond what the stop needs."""
 SERVICE_USE = 0.95
 """Share of the deceleration at hand that a comfortable stop is planned with."""
+CREEP_MPS = 0.06
+"""Slower than this, and near enough, there is nothing left to correct."""
 DROP_SHARE = 0.6
 """Largest deceleration at the stop over what the jerk limit allows to drop in one period."""
 INCH_M = 0.2
@@ -206,11 +208,13 @@ class Stop(NamedTuple):
         required_mps2: Deceleration that must be held for the curve to end at the target, build-up included:
             begin braking when it reaches the deceleration you want.
         ahead: The state it was worked out for.
+        left_m: Distance to the target from there.
     """
 
     share: float
     required_mps2: float
     ahead: Ahead
+    left_m: float
 
 
 def stop_command(model: Model, belief: Belief, target_m: float, curve: Curve) -> Stop:
@@ -225,7 +229,7 @@ def stop_command(model: Model, belief: Belief, target_m: float, curve: Curve) ->
     ahead = look_ahead(model, belief)
     v, distance = ahead.speed_mps, target_m - ahead.position_m
     if v <= 0 and distance < INCH_M:
-        return Stop(share_for(belief, ahead, -max(curve.end_mps2, HOLD_MPS2)), 0.0, ahead)
+        return Stop(share_for(belief, ahead, -max(curve.end_mps2, HOLD_MPS2)), 0.0, ahead, distance)
     required, falling = required_ahead(ahead, distance, curve)
     if falling == 0.0 and required < STRONGEST_MPS2:
         wanted = max(required + RETURN_GAIN * (required - curve.deceleration_mps2), 0.0)
@@ -236,7 +240,27 @@ def stop_command(model: Model, belief: Belief, target_m: float, curve: Curve) ->
         if distance < INCH_M:
             wanted = max(wanted, 0.0)
     wanted = min(wanted, strongest(v, curve, model.dt))
-    return Stop(share_for(belief, ahead, -wanted), required, ahead)
+    return Stop(share_for(belief, ahead, -wanted), required, ahead, distance)
+
+
+def stand(model: Model, belief: Belief, stop: Stop, near_enough_m: float, creep_m: float) -> float:
+    """The stop's command; in the last period the deceleration in force, where it ends near enough.
+
+    Args:
+        model: What the driver believes about trainset and section.
+        belief: The belief.
+        stop: From :func:`stop_command`.
+        near_enough_m: Error at the stop that is not worth a correction in the last period.
+        creep_m: Nearer than this a trainset that hardly moves is made to stand.
+    """
+    ahead, left_m, dt = stop.ahead, stop.left_m, model.dt
+    rate, drop = -ahead.acceleration_mps2, float(model.vehicle.jerk_mps3) * dt
+    last = 0 < ahead.speed_mps <= rate * dt and rate <= drop
+    if last and abs(left_m - ahead.speed_mps**2 / (2 * rate)) <= near_enough_m:
+        return share_for(belief, ahead, -rate)
+    if ahead.speed_mps < CREEP_MPS and abs(left_m) < creep_m and math.isfinite(drop):
+        return share_for(belief, ahead, -DROP_SHARE * drop)
+    return stop.share
 
 
 def strongest(speed_mps: float, curve: Curve, dt: float) -> float:

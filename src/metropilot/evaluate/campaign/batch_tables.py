@@ -155,7 +155,7 @@ def mapped_together(function: Callable[..., Any], *trees: Any) -> Any:  # noqa: 
     return function(*trees)
 
 
-def most_slots(trainsets: Sequence[tuple[str, str]], extra_delay_s: float, dt: float) -> int:
+def most_slots(trainsets: Sequence[tuple[str, str]], dt: float) -> int:
     """Commands that may be on their way in any run of a campaign: the length of its pipelines."""
     delays = [load_trainset(name, load).actuation.delay_s for name, load in trainsets]
-    return delay_steps(max(delays) + extra_delay_s, dt) + 1
+    return delay_steps(max(delays), dt) + 1

@@ -23,7 +23,6 @@ from metropilot.evaluate.campaign.batch_tables import (
 )
 from metropilot.evaluate.campaign.declared import (
     BATCH,
-    DRAWN,
     Campaign,
     Case,
     seed_of,
@@ -38,7 +37,7 @@ from metropilot.evaluate.campaign.rows import (
     prepared,
     worker_mb,
 )
-from metropilot.evaluate.optimum import Optimum, optimum_of
+from metropilot.evaluate.optimum import Optimum
 from metropilot.evaluate.recorder import closed_trajectory, limits_at, track_overspeed
 from metropilot.evaluate.request import Request
 from metropilot.evaluate.rollout import OVERSPEED_MPS, Drive
@@ -57,8 +56,6 @@ from metropilot.protection.types import Memory
 from metropilot.railway import Section, Trainset
 from metropilot.task import CODES, NOISE_CUT, RUNNING, Outcome, Run, declared_bounds
 
-PLANT = ("mass_factor", "resistance_factor", "headwind_mps", "adhesion")
-"""What is drawn that the optimum depends on, beside section, trainset and load."""
 CURVES = Curves()
 """This worker's."""
 GUARD_SPACING_M = 1.0
@@ -112,7 +109,7 @@ class Start(NamedTuple):
 
 
 def drive_batch(campaign: Campaign, cases: Sequence[Case]) -> list[tuple[dict[str, Any], dict[str, Any]]]:
-    """Drive the rows of a shard, all by the same learned driver: result and timing of each.
+    """Drive rows by the same learned driver, all with the plant as told: result and timing of each.
 
     Args:
         campaign: The campaign.
@@ -150,25 +147,15 @@ def drive_batch(campaign: Campaign, cases: Sequence[Case]) -> list[tuple[dict[st
 
 
 def _optimum(campaign: Campaign, start: Start, drive: Drive) -> Optimum | None:
-    """The optimum of a run: off its plant's curve where seeds share the plant, else solved for itself."""
-    if _drawn(start.case, PLANT):
-        return optimum_of(drive, campaign.objective)
-    setting = start.setting
-    place = setting.places[int(drive.section is setting.sections[1])]
-    factors = tuple(getattr(setting.request, name) for name in PLANT)
-    plant = (place.section, place.trainset, factors, campaign.objective)
+    """The optimum of a run, off its plant's curve: seeds share the plant."""
+    place = start.setting.places[int(drive.section is start.setting.sections[1])]
+    plant = (place.section, place.trainset, campaign.objective)
     try:
         curve = CURVES.get(plant, drive.section, drive.trainset, campaign.objective)
         arrived = drive.outcome is Outcome.ARRIVED
         return curve.at(drive.running_time_s if arrived else drive.scheduled_time_s)
     except Infeasible:
         return None
-
-
-def _drawn(case: Case, names: Sequence[str]) -> bool:
-    """Whether any of these is drawn anew for every seed."""
-    ranges = case.disturbance.ranges
-    return any(name in ranges and ranges[name][0] < ranges[name][1] for name in names)
 
 
 def _start(
@@ -181,7 +168,8 @@ def _start(
     """A row ready to be driven; seeds that differ in nothing but noise share the last setting made."""
     seed = seed_of(campaign, case)
     key = str((case[2:8], case.disturbance.name))
-    if _drawn(case, DRAWN) or key not in settings:
+    ranges = case.disturbance.ranges.values()
+    if any(low < high for low, high in ranges) or key not in settings:
         settings.clear()
         settings[key] = _setting(campaign, case)
     setting = settings[key]
@@ -224,8 +212,7 @@ def _driven(campaign: Campaign, loaded: LoadedPolicy, starts: Sequence[Start]) -
     keep_compiled()
     policy = loaded.policy.policy
     kind = Kind(policy.spec, loaded.perception, campaign.dt_s, GUARD_SPACING_M)
-    most_s = max(d.ranges.get("delay_s", (0.0, 0.0))[1] for d in campaign.disturbances)
-    slots = most_slots(campaign.trainsets, most_s, campaign.dt_s)
+    slots = most_slots(campaign.trainsets, campaign.dt_s)
     tables, given = _given(loaded, starts, slots)
     going = _at_departure(given, slots, policy.spec.discrete, policy.spec.actions)
     sigma = [start.run.scenario.speed_noise_mps for start in starts]

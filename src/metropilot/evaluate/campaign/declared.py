@@ -39,6 +39,8 @@ DRAWN = (
     "adhesion",
 )
 """Fields of a request that a disturbance may set or draw."""
+MEASURED = ("speed_noise_mps",)
+"""Those that leave the plant as drivers are told it is."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,11 @@ class Disturbance:
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     restriction: tuple[float, float, float, float | None] | None = None
     arrival: tuple[float, float] | None = None
+
+    @property
+    def as_told(self) -> bool:
+        """Whether the plant is the one that drivers are told of, whatever they measure and hear of it."""
+        return not set(self.ranges) - set(MEASURED)
 
 
 class Case(NamedTuple):
@@ -117,7 +124,7 @@ class Campaign:
         objective: Energy the optimum minimises.
         dt_s: Control period.
         engine: ``host`` drives each run by itself, exactly as ``metropilot drive``; ``compiled`` drives
-            those of learned policies in batches.
+            those of learned policies in batches, where the plant is the one they are told of.
     """
 
     name: str
@@ -148,14 +155,14 @@ class Campaign:
         """Number of runs."""
         return prod(self.axes)
 
-    def is_compiled(self, driver: str) -> bool:
-        """Whether this driver's runs are driven as compiled batches."""
+    def is_compiled(self, driver: str, disturbance: Disturbance) -> bool:
+        """Whether a driver's runs are driven as compiled batches; elsewhere it acts on what it observes."""
         kind = DRIVERS.get(named_driver(driver)[0])
-        return self.engine == "compiled" and issubclass(kind, AbstractPolicyDriver)
+        return self.engine == "compiled" and issubclass(kind, AbstractPolicyDriver) and disturbance.as_told
 
     def shard_rows(self, driver: str) -> int:
         """Rows of a driver's shard; decided by driver and matrix alone."""
-        if self.is_compiled(driver):
+        if any(self.is_compiled(driver, disturbance) for disturbance in self.disturbances):
             return BATCH
         return min(max(-(-self.cells // SHARDS), 1), LARGEST_SHARD)
 

@@ -109,12 +109,13 @@ def drive_shard(text: str, piece: Piece) -> Shard:
 
     campaign, piece = from_text(text), Piece(*piece)
     cases = [campaign.case(row) for row in campaign.shard(piece)]
-    if campaign.is_compiled(piece.driver):
+    batch = [case for case in cases if campaign.is_compiled(case.driver, case.disturbance)]
+    found: dict[int, tuple[dict[str, Any], dict[str, Any]]] = {}
+    if batch:
         from metropilot.evaluate.campaign.compiled import drive_batch
 
-        driven = drive_batch(campaign, cases)
-    else:
-        driven = [drive_row(campaign, case) for case in cases]
+        found = dict(zip((case.row for case in batch), drive_batch(campaign, batch), strict=True))
+    driven = [found[case.row] if case.row in found else drive_row(campaign, case) for case in cases]
     results = parquet(RESULTS, [result for result, _ in driven])
     timings = parquet(TIMINGS, [timing for _, timing in driven])
     return Shard(piece, len(driven), results, timings, metropilot.__version__)

@@ -1,0 +1,224 @@
+"""Where a trainset answers differently than told, a learned driver looks ahead, allows for it and takes care.
+
+A policy and its assists see the trainset as told and the state as it is. That is right as long as both are: a
+command that acts late, a heavier trainset or a stronger resistance makes their last braking too late and
+their ceiling too high. So every run is watched by the observer of :mod:`metropilot.drivers.observer`. As long
+as it finds nothing, nothing of it is acted upon, and the drive is the policy's own to the last bit. Once it
+believes in another dead time or lag, or in efforts that are off by more than ``LEAST`` and by more than
+doubt allows, the policy sees the state in which its command begins to act and the trainset as it has shown
+itself, the last braking follows the law of :mod:`metropilot.drivers.stopping`, and the ceiling is that of
+:mod:`metropilot.drivers.headroom`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from metropilot.drivers.adapted import Adapted
+from metropilot.drivers.headroom import Headroom, cleared, headroom_of
+from metropilot.drivers.observer import (
+    Ahead,
+    Belief,
+    Model,
+    first_belief,
+    issued,
+    look_ahead,
+    observe,
+    share_for,
+    weighs_load,
+)
+from metropilot.drivers.stopping import INCH_M, curve_for, stand, stop_command
+from metropilot.physics import track_arrays, vehicle_arrays
+from metropilot.protection import Memory, Protection, at_start, protect
+from metropilot.railway import Section
+from metropilot.task import Observation, Run, declared_bounds
+
+LEAST = 0.04
+"""Efforts this near to what was told are as told."""
+LEAST_RESISTANCE = 0.2
+"""The same for resistance, which is a small part of what moves a trainset."""
+SURE = 3.0
+"""Standard deviations by which an effort must be off."""
+PATIENCE_S = 3.0
+"""Least time between two adaptations to what was learned."""
+CAREFUL_USE = 0.97
+"""Share of the policy's own last braking that is planned with."""
+BEGIN = 0.97
+"""The last braking begins where it needs this share of the deceleration planned."""
+LET_GO = 0.75
+"""Below this share of it the braking was too early, and the policy drives on..."""
+LET_GO_M = 60.0
+"""...if there is more than this left to the stop."""
+RELEASE_SHARE = 0.95
+"""Jerk at which the last braking is let go, over the trainset's limit."""
+NEAR_ENOUGH_M = 0.1
+"""An error at the stop that is not worth the time a correction takes."""
+RESERVE_S = 0.5
+"""How much earlier than scheduled the policy is asked to arrive; careful braking takes time."""
+MARGIN_MPS = 0.05
+"""How far below the permitted speed, less the error of a measurement, the ceiling is."""
+
+
+class Care(NamedTuple):
+    """What it takes to keep clear of protection.
+
+    Attributes:
+        guard: Protection of the section.
+        watched: What it remembers.
+        room: Speeds to keep under.
+    """
+
+    guard: Protection
+    watched: Memory
+    room: Headroom
+
+
+class Watch(NamedTuple):
+    """What is believed of a run.
+
+    Attributes:
+        model: Trainset and section as told.
+        belief: Where it is and how the trainset answers.
+        care: What it takes to keep clear of protection; None as long as all is as told.
+        adapted: What the tables in force assume of the trainset.
+        adapted_at_s: Since when.
+    """
+
+    model: Model
+    belief: Belief
+    care: Care | None
+    adapted: Adapted
+    adapted_at_s: float
+
+    @property
+    def shown(self) -> Adapted:
+        """The trainset as it has shown itself; a brake that turns out stronger counts for no more."""
+        belief = self.belief
+        return Adapted(belief.traction_gain, min(belief.brake_gain, 1.0), belief.resistance_factor)
+
+
+def first_watch(run: Run) -> Watch:
+    """What is believed before departure."""
+    trainset = run.scenario.believed(run.trainset)
+    vehicle = vehicle_arrays(trainset)
+    model = Model(vehicle, track_arrays(run.section, trainset), run.dt)
+    belief = first_belief(model, weighed_brakes=weighs_load(vehicle))
+    return Watch(model, belief, None, Adapted(), -np.inf)
+
+
+def noticed(watch: Watch, run: Run, observation: Observation) -> Watch:
+    """What is believed after this period's measurements.
+
+    Args:
+        watch: What was believed, the command of the last period included.
+        run: The run.
+        observation: What the driver is given.
+    """
+    seen = observation.position_m, observation.speed_mps, observation.acceleration_mps2
+    belief = observe(watch.model, watch.belief, *seen)
+    if watch.care is None:
+        watch = watch._replace(belief=belief)
+        return watch._replace(care=_care(watch, run, observation.section)) if departs(belief) else watch
+    if int(watch.care.watched.level) > 0:
+        belief = belief._replace(bank=watch.belief.bank, best=watch.belief.best)
+    return watch._replace(belief=belief)
+
+
+def moved(watch: Watch, run: Run, section: Section) -> Watch:
+    """The same on a section with a restriction that has just been announced."""
+    trainset = run.scenario.believed(run.trainset)
+    watch = watch._replace(model=watch.model._replace(track=track_arrays(section, trainset)))
+    if watch.care is None:
+        return watch
+    return watch._replace(care=_care(watch, run, section)._replace(watched=watch.care.watched))
+
+
+def gave(watch: Watch, share: float) -> Watch:
+    """What is believed once a command has been given."""
+    return watch._replace(belief=issued(watch.belief, share))
+
+
+def departs(belief: Belief) -> bool:
+    """Whether the trainset surely answers differently than told."""
+    if belief.best != 0:
+        return True
+    gains, covariance = belief.bank.gains[belief.best], belief.bank.covariance[belief.best]
+    off, sigma = np.abs(gains - 1.0), np.sqrt(np.diagonal(covariance))
+    least = np.array([LEAST, LEAST, LEAST_RESISTANCE])
+    return bool((off > np.maximum(least, SURE * sigma)).any())
+
+
+def outdated(watch: Watch, time_s: float) -> bool:
+    """Whether the tables in force are of another trainset than the one that has shown itself."""
+    if watch.care is None or time_s - watch.adapted_at_s < PATIENCE_S:
+        return False
+    off = np.abs(np.subtract(watch.shown, watch.adapted))
+    return bool((off > (LEAST, LEAST, LEAST_RESISTANCE)).any())
+
+
+def ahead_of(watch: Watch) -> Ahead:
+    """The state in which a command given now begins to act."""
+    return look_ahead(watch.model, watch.belief)
+
+
+def eased(watch: Watch, ahead: Ahead, share: float, most_mps2: float) -> float:
+    """The command that stays under the ceiling.
+
+    Args:
+        watch: What is believed.
+        ahead: From :func:`ahead_of`.
+        share: Command wanted.
+        most_mps2: Largest acceleration for other reasons.
+    """
+    if watch.care is None:
+        return share
+    most = min(watch.care.room.approach(ahead), most_mps2)
+    return min(share, share_for(watch.belief, ahead, most))
+
+
+def last_braking(watch: Watch, planned_mps2: float, stopping: bool) -> tuple[bool, float, Ahead]:
+    """Whether the last braking is on, the command it asks for, and the state in which that begins to act.
+
+    Args:
+        watch: What is believed.
+        planned_mps2: Deceleration the policy's last braking is planned with.
+        stopping: Whether it was on.
+    """
+    model, rate = watch.model, CAREFUL_USE * planned_mps2
+    target = float(model.track.length_m)
+    curve = curve_for(model.vehicle, model.dt, rate)
+    if np.isfinite(curve.release_jerk_mps3):
+        curve = curve._replace(release_jerk_mps3=RELEASE_SHARE * curve.build_jerk_mps3)
+    stop = stop_command(model, watch.belief, target, curve)
+    left = stop.left_m
+    early = stop.required_mps2 < LET_GO * rate and left > LET_GO_M
+    short = stop.ahead.speed_mps <= 0 and left > INCH_M
+    begins = stop.required_mps2 >= BEGIN * rate
+    share = stand(model, watch.belief, stop, NEAR_ENOUGH_M, NEAR_ENOUGH_M)
+    return (begins or (stopping and not early)) and not short, share, stop.ahead
+
+
+def let_pass(watch: Watch, observation: Observation, share: float) -> tuple[float, Watch]:
+    """The largest command up to this one that protection lets pass."""
+    if watch.care is None:
+        return share, watch
+    care = watch.care
+    seen = observation.position_m, observation.speed_mps
+    share, watched = cleared(care.guard, care.watched, *seen, share)
+    return float(share), watch._replace(care=care._replace(watched=watched))
+
+
+def _care(watch: Watch, run: Run, section: Section) -> Care:
+    """Protection as it is on a section, with the commands that are on their way."""
+    bounds, belief = declared_bounds(run), watch.belief
+    guard = protect(section, run.scenario.believed(run.trainset), bounds)
+    watched = at_start(guard)
+    count, known = np.size(watched.recent), belief.commands.size
+    watched = watched._replace(
+        recent=np.pad(belief.commands, (0, max(count - known, 0)), "edge")[:count],
+        share=np.float64(belief.bank.share[belief.best]),
+        acceleration_mps2=np.float64(belief.acceleration_mps2),
+    )
+    return Care(guard, watched, headroom_of(watch.model, guard, bounds, MARGIN_MPS))

@@ -1,0 +1,77 @@
+"""Learned drivers where the trainset answers differently than told; elsewhere they drive as they learned."""
+
+import numpy as np
+import pytest
+
+from metropilot.drivers.adapted import Adapted, adapted_trainset, adapted_vehicle
+from metropilot.evaluate import make_driver
+from metropilot.evaluate.rollout import Rollout
+from metropilot.physics import vehicle_arrays
+from metropilot.physics.effort import effort_at
+from metropilot.planning import minimum_running_time
+from metropilot.railway import Restriction, load_line, load_trainset
+from metropilot.task import News, Outcome, Run, Scenario
+
+LATE = {"extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
+
+
+def run_of(origin, destination, ratio=1.1, **fields):
+    section, trainset = load_line("yizhuang").section(origin, destination), load_trainset("dkz32", "AW2")
+    scenario = Scenario(**fields)
+    return Run(section, trainset, ratio * minimum_running_time(section, trainset), scenario, seed=3)
+
+
+def driven(run, name):
+    """The run, and when the driver began to act on what it observed."""
+    rollout, began = Rollout(run, make_driver(name)), None
+    while rollout.outcome is None:
+        rollout.advance()
+        if began is None and rollout.memory.watch.care is not None:
+            began = rollout.recorder.trajectory(rollout.track, 0.0).time_s[-1]
+    return rollout.drive(), began
+
+
+@pytest.mark.parametrize(
+    ("name", "section", "corner"),
+    [
+        ("generalist", ("YZQ", "WHY"), (0.8, 1.5)),
+        ("generalist", ("WYJ", "RJ"), (1.2, 0.5)),
+        ("ppo_scaled", ("YZQ", "WHY"), (1.2, 0.5)),
+        ("ppo_scaled", ("WYJ", "RJ"), (0.8, 1.5)),
+    ],
+)
+def test_in_the_corners_of_the_plant_it_stops_at_the_point_and_in_time(name, section, corner):
+    mass, drag = corner
+    done, began = driven(run_of(*section, mass_factor=mass, resistance_factor=drag, **LATE), name)
+    assert began is not None
+    assert began < 10.0
+    assert done.outcome is Outcome.ARRIVED
+    assert done.max_overspeed_mps == 0.0
+    assert abs(done.running_time_s - done.scheduled_time_s) < 3.0
+    assert abs(done.trajectory.position_m[-1] - done.section.length_m) < 0.3
+    assert done.interventions == 0
+
+
+@pytest.mark.parametrize(("name", "ideal"), [("generalist", True), ("ppo", False), ("dqn", True)])
+def test_where_all_is_as_told_nothing_observed_is_acted_upon(name, ideal):
+    run = run_of("RJ", "WYJ", 1.2, ideal_actuation=ideal)
+    news = (
+        News(30.0, scheduled_time_s=1.05 * run.scheduled_time_s),
+        News(30.0, restriction=Restriction(600.0, 800.0, 16.0)),
+    )
+    noisy = run_of("RJ", "WYJ", 1.2, ideal_actuation=ideal, speed_noise_mps=0.05, news=news)
+    for one in (run, noisy):
+        _, began = driven(one, name)
+        assert began is None
+
+
+def test_the_adapted_trainset_is_the_adapted_vehicle():
+    trainset, shown = load_trainset("dkz32", "AW2"), Adapted(0.83, 0.91, 1.4)
+    whole, numbers = (
+        vehicle_arrays(adapted_trainset(trainset, shown)),
+        adapted_vehicle(vehicle_arrays(trainset), shown),
+    )
+    for speed in np.linspace(0.0, 22.0, 12):
+        a, b = effort_at(whole, speed), effort_at(numbers, speed)
+        np.testing.assert_allclose(np.array(a), np.array(b), rtol=1e-12)
+    np.testing.assert_allclose(np.array(whole.davis_n), np.array(numbers.davis_n), rtol=1e-12)
