@@ -100,7 +100,7 @@ class DrivingConfig:
             mean_mass_kg=mean,
         )
 
-    def tables(self, dtype: type = np.float32) -> Tables:
-        """The cases as arrays (NumPy; takes about a tenth of a second a case)."""
+    def tables(self, dtype: type = np.float32, jobs: int = 1) -> Tables:
+        """The cases as arrays (NumPy; takes about a tenth of a second a case); by so many processes."""
         bounded = [(s, t, self.scenarios.bounds(s, t, self.dt)) for s, t in self.cases]
-        return build_tables(bounded, self.spacing_m, dtype)
+        return build_tables(bounded, self.spacing_m, dtype, jobs)

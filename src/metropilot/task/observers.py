@@ -23,6 +23,8 @@ Array = Any
 AHEAD_M = (20.0, 50.0, 100.0, 200.0, 350.0, 600.0, 1000.0)
 FAR_M = (35.0, 75.0, 150.0, 275.0, 475.0, 800.0, 1500.0, 2200.0, 3500.0)
 COAST_NODES = np.linspace(0.0, 1.0, 25, dtype=np.float32)
+UP_TO = np.tri(COAST_NODES.size, COAST_NODES.size - 1, -1, dtype=np.float32)
+"""Sums of the stretches up to each node: compiled, a product is several times faster than a running sum."""
 COAST_PASSES = 2
 FASTER_MPS = (1.5, 4.0)
 """How much faster ``coasting_faster`` lets the trainset go before it coasts."""
@@ -247,8 +249,7 @@ def _coasted(sight: Sight, v: Array) -> tuple[Array, Array]:
     energy = xp.maximum(0.5 * v * v - climb, SLOWEST_J)
     for _ in range(COAST_PASSES):
         drag = davis_n(vehicle, xp.minimum(xp.sqrt(2.0 * energy), top)) / vehicle.effective_mass_kg
-        lost = xp.cumsum(0.5 * (drag[1:] + drag[:-1]) * step, 0)
-        lost = xp.concatenate([xp.zeros_like(lost[:1]), lost])
+        lost = xp.tensordot(xp.asarray(UP_TO, v.dtype), 0.5 * (drag[1:] + drag[:-1]) * step, 1)
         energy = xp.maximum(0.5 * v * v - climb - lost, SLOWEST_J)
     speeds = xp.minimum(xp.sqrt(2.0 * energy), top)
     taken = xp.sum(2.0 * step / (speeds[1:] + speeds[:-1] + 0.1), 0)

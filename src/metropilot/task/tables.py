@@ -33,8 +33,8 @@ class Tables(NamedTuple):
         stop_mps2: Deceleration the last braking is planned with, surely at hand. Shape (C,).
         braked: At the same nodes: what the brakes surely take out from here to the stop, J/kg; the speed
             from which they surely keep under the permitted speed of all that follows; and for each of
-            ``PACES_MPS`` the time from the first node when that speed is kept wherever these two curves let
-            it. Shape (C, N, 2 + paces).
+            ``PACES_MPS`` the time to the stop when that speed is kept wherever these two curves let it.
+            Shape (C, N, 2 + paces).
     """
 
     vehicle: Vehicle
@@ -66,7 +66,10 @@ PERMITTED, CLIMB = 2, 5
 
 
 def build_tables(
-    cases: Sequence[tuple[Section, Trainset, Bounds]], spacing_m: float, dtype: type = np.float32
+    cases: Sequence[tuple[Section, Trainset, Bounds]],
+    spacing_m: float,
+    dtype: type = np.float32,
+    jobs: int = 1,
 ) -> Tables:
     """Tables of the cases (NumPy).
 
@@ -74,9 +77,10 @@ def build_tables(
         cases: Sections, each with a trainset and its load, and what protection is told to expect of it.
         spacing_m: Distance between protection's nodes.
         dtype: Number type.
+        jobs: Processes; 0: one a core.
     """
     masses = [trainset.mass_kg for _, trainset, _ in cases]
-    rows = [_case(*case, spacing_m) for case in cases]
+    rows = _rows(cases, spacing_m, jobs)
     vehicles, tracks, protections, grounds, tables, lengths, stops, brakings = zip(*rows, strict=True)
     nodes = max(ground.shape[0] for ground in grounds)
     ahead = np.arange(max(_look_ahead(protection) for protection in protections), dtype=np.int32)
@@ -97,6 +101,16 @@ def build_tables(
     return _mapped(lambda a: a if a.dtype.kind in "iub" else a.astype(dtype), whole)
 
 
+def _rows(cases: Sequence[tuple[Section, Trainset, Bounds]], spacing_m: float, jobs: int) -> list[Any]:
+    """What each case comes to; by several processes, for thousands of them."""
+    if jobs == 1:
+        return [_case(*case, spacing_m) for case in cases]
+    from joblib import Parallel, cpu_count, delayed
+
+    pool = Parallel(n_jobs=jobs or cpu_count(), batch_size=16)
+    return list(pool(delayed(_case)(*case, spacing_m) for case in cases))
+
+
 def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float) -> tuple[Any, ...]:
     from metropilot.task.to_go import to_go_table
 
@@ -112,7 +126,9 @@ def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float
     pull = weight / spacing_m * float(vehicle.mass_kg) / float(vehicle.effective_mass_kg)
     work = _stop_work(vehicle, at, pull, section.length_m)
     follow = _follow_mps(vehicle, at, pull, protection.permitted_mps[:used])
-    braked = np.stack([work, follow, *_paced_s(at, np.minimum(follow, _stops_mps(work)))], axis=1)
+    braked = np.stack(
+        [work, follow, *_paced_s(at, np.minimum(follow, _stops_mps(work)), section.length_m)], axis=1
+    )
     stop_mps2 = _stop_mps2(vehicle, track)
     return vehicle, track, protection, ground, table, section.length_m, stop_mps2, braked
 
@@ -153,13 +169,14 @@ def _stops_mps(work: np.ndarray) -> np.ndarray:
     return np.sqrt(2.0 * np.maximum(work, 0.0))
 
 
-def _paced_s(at: np.ndarray, most_mps: np.ndarray) -> list[np.ndarray]:
-    """Time from the first node at each of ``PACES_MPS`` or, where that is less, at what is possible."""
+def _paced_s(at: np.ndarray, most_mps: np.ndarray, length_m: float) -> list[np.ndarray]:
+    """Time to the stop from each node at each of ``PACES_MPS`` or, where less is possible, at that."""
     found = []
     for pace in PACES_MPS:
         speed = np.minimum(pace, most_mps)
         taken = 2.0 * np.diff(at) / np.maximum(speed[1:] + speed[:-1], SLOWEST_MPS)
-        found.append(np.concatenate([[0.0], np.cumsum(taken)]))
+        passed = np.concatenate([[0.0], np.cumsum(taken)])
+        found.append(np.interp(length_m, at, passed) - passed)
     return found
 
 
@@ -297,13 +314,9 @@ class Rows:
     def paced_s(self, case: Array, position_m: Array) -> list[Array]:
         """Time to the stop at each of ``PACES_MPS``, or as fast as limits and last braking let it, s."""
         node, way = self.node(case, position_m)
-        last, rest = self.node(case, self.length_m[case])
-        found = []
-        for column in range(2, 2 + len(PACES_MPS)):
-            here, after = self.braked[case, node, column], self.braked[case, node + 1, column]
-            end, beyond = self.braked[case, last, column], self.braked[case, last + 1, column]
-            found.append(end + (beyond - end) * rest - here - (after - here) * way)
-        return found
+        here, after = self.braked[case, node, 2:], self.braked[case, node + 1, 2:]
+        found = here + (after - here) * way[..., None]
+        return [found[..., k] for k in range(len(PACES_MPS))]
 
     def to_go_s(self, case: Array, distance_m: Array, length_m: Array, speed_mps: Array) -> Array:
         """Flat-out time to the stop, bilinear in speed and the square root of the distance left, s."""

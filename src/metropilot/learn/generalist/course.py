@@ -263,7 +263,7 @@ class _Course:
         )
         action = config.action
         assert isinstance(action, RegimeAction)
-        rows = Rows(config.tables(), jax=True)
+        rows = Rows(config.tables(jobs=0), jax=True)
         period_s = config.dt * config.periods
         return ClosedLoop(rows, config.features, action, config.assists, period_s), case.astype(np.int32)
 
