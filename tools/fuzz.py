@@ -49,7 +49,7 @@ class Log:
 
     def failed(self, error: BaseException, data: bytes) -> None:
         """Keep the first input of each place that fails."""
-        frames = [f for f in traceback.extract_tb(error.__traceback__) if "metropilot" in f.filename]
+        frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename.startswith(str(ROOT))]
         last = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
         place = f"{type(error).__name__} {last}"
         if place not in self.failures:

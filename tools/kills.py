@@ -6,8 +6,9 @@ Three kinds of work, each in a process of its own that is killed a random time a
   run nobody disturbed, bit for bit;
 - ``campaign``: a campaign in the same way (driven by the process that keeps its shards); its results are
   then those of an undisturbed one, bit for bit;
-- ``files``: plain writes without end (a drive's folder, a policy, a history, a line, the record of a run and
-  the index of runs); after each kill each of them is absent or one of the whole versions written.
+- ``files``: plain writes without end (a policy, also as ONNX, a history, a line, the record of a run and the
+  index of runs, the folders of a drive and of a comparison with their pictures); after each kill each of them
+  is absent or one of the whole versions written.
 
 Only a kill that met the process at work counts.
 """
@@ -24,10 +25,15 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+LONGEST_S = 5.0
+"""Within it, everything is written at least once."""
+PICTURES = 20
+"""Drawing takes as long as so many rounds of everything else."""
 ROOT = Path(__file__).resolve().parents[1]
 CAMPAIGN = """
 name = "mine"
@@ -86,13 +92,23 @@ def campaign(place: Path) -> None:
     (place / "out" / "results.parquet").replace(place / "result")
 
 
+@cache
+def driven() -> tuple[Any, Any]:
+    """A drive that is written again and again: what was asked for, and what came of it."""
+    from metropilot.evaluate import Entry, Request, drive, kpis_of
+
+    request = Request("yizhuang", "RJ", "WYJ", 110.0, driver="flat_out")
+    done = drive(request.run(), request.make_driver())
+    return request, Entry("flat_out", (done,), (kpis_of(done, None),), None)
+
+
 def files(place: Path) -> None:
     """Write one version after the other of everything, without end."""
     import numpy as np
 
     from metropilot.drivers.policy import Policy, PolicySpec, save_policy
-    from metropilot.evaluate.folder import filled, write_json
-    from metropilot.learn import PPOConfig
+    from metropilot.evaluate import write_comparison, write_run
+    from metropilot.learn import PPOConfig, export_onnx
     from metropilot.learn.history import write_history
     from metropilot.learn.runs import RunStore
     from metropilot.railway import load_line, write_line
@@ -105,9 +121,11 @@ def files(place: Path) -> None:
         write_history(place / "history.parquet", {"a": np.full(2000, float(k))})
         write_line(line, place / "line.toml")
         store.update(store.create(PPOConfig(), "drive", k, {}), status="done", steps=k)
-        with filled(place / "drive") as scratch:
-            for name in ("a.json", "b.json"):
-                write_json(scratch / name, {"k": k, "much": list(range(3000))})
+        export_onnx(Policy(spec, params), place / "policy.onnx", about={"k": k}, probes=10)
+        if k % PICTURES == 0:
+            request, entry = driven()
+            write_run(place / "drive", request, entry.drives[0], entry.kpis[0], None)
+            write_comparison(place / "compare", request, [entry])
 
 
 def look_at_files(place: Path) -> None:
@@ -131,14 +149,38 @@ def look_at_files(place: Path) -> None:
         same(column.size == 2000 and np.ptp(column) == 0, "history")
     if (place / "line.toml").exists():
         same(load_line(place / "line.toml") == load_line("yizhuang"), "line")
-    for name in ("a.json", "b.json"):
-        if (place / "drive" / name).exists():
-            found = json.loads((place / "drive" / name).read_text())
-            same(len(found["much"]) == 3000, name)
+    if (place / "policy.onnx").exists():
+        import onnxruntime
+
+        session = onnxruntime.InferenceSession(place / "policy.onnx", providers=["CPUExecutionProvider"])
+        same(session.get_modelmeta().custom_metadata_map["k"].isdigit(), "policy.onnx")
+    for folder in (place / "drive", place / "compare"):
+        look_at_folder(folder)
     store = RunStore(place / "runs")
     for record in store.recent():
         same(record.status in {"running", "interrupted", "done"}, "record")
         same(record.status != "done" or record.steps == record.seed, "record")
+
+
+def look_at_folder(folder: Path) -> None:
+    """Every file of a drive's or comparison's folder is absent or whole.
+
+    Raises:
+        AssertionError: One is neither.
+    """
+    from metropilot.evaluate import Trajectory, request_from_toml
+
+    request, entry = driven()
+    for path in folder.glob("*"):
+        if path.suffix == ".json":
+            same(bool(json.loads(path.read_text())), path.name)
+        elif path.suffix == ".csv":
+            same(len(Trajectory.read(path)) == len(entry.drives[0].trajectory), path.name)
+        elif path.suffix == ".toml":
+            same(request_from_toml(path) == request.resolved(), path.name)
+        elif path.suffix in {".png", ".svg"}:
+            end = b"IEND\xaeB`\x82" if path.suffix == ".png" else b"</svg>"
+            same(path.read_bytes().rstrip().endswith(end), path.name)
 
 
 def same(whole: bool, what: str) -> None:
@@ -206,7 +248,7 @@ def written(wanted: int, chance: random.Random, folder: Path) -> dict[str, Any]:
     place, kills = folder / "files", 0
     place.mkdir()
     while kills < wanted:
-        kills += killed(files, place, chance.uniform(0.0, 1.5))
+        kills += killed(files, place, chance.uniform(0.0, LONGEST_S))
         killed(look_at_files, place, None)
     left = [str(p.relative_to(place)) for p in place.rglob("*") if p.name.endswith(".partial")]
     return {"work": "files", "kills": kills, "looks": kills, "broken": 0, "partial files left": len(left)}
@@ -223,14 +265,18 @@ def main() -> None:
     sys.path[:0] = [str(ROOT / "src"), str(ROOT)]
     # Imported here once: a fork is at work at once. No program of JAX is run before a fork.
     import duckdb  # noqa: F401
+    import matplotlib.figure  # noqa: F401
+    import onnxruntime  # noqa: F401
 
-    import metropilot.evaluate
+    import metropilot.evaluate.gallery
+    import metropilot.evaluate.picture
     import metropilot.learn  # noqa: F401
 
     chance = random.Random(told.seed)
     with tempfile.TemporaryDirectory(prefix="metropilot-kills-") as name:
         folder = Path(name)
         os.environ["METROPILOT_HOME"] = str(folder / "home")
+        driven()
         rows = []
         for row in (
             lambda: written(told.files, chance, folder),

@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -93,13 +94,29 @@ class Target:
 
 
 def _read_railway(path: Path) -> None:
-    from metropilot.railway import Line, Trainset, import_file
+    """What is accepted can be looked at, and written and read again without a change."""
+    from metropilot.railway import Line, Trainset, import_file, write_journey, write_line, write_trainset
 
     found = import_file(path)
+    again = path.with_name("again.toml")
     if isinstance(found, Line):
-        assert all(0 < s.length_m < 1e6 for s in (*found.sections(), *found.sections(backward=True)))
+        for section in (*found.sections(), *found.sections(backward=True)):
+            assert 0 < section.length_m < 1e6
+            at = np.linspace(0.0, section.length_m, 5)
+            assert (section.limit_mps.at(at) > 0).all()
+            assert np.isfinite(section.gradient_permil.at(at)).all()
+        write_line(found, again)
     elif isinstance(found, Trainset):
-        assert found.mass_kg > 0
+        assert 0 < found.mass_kg <= found.effective_mass_kg < np.inf
+        for curve in (found.traction, found.electric_brake):
+            force = curve.at(np.linspace(0.0, found.max_speed_mps, 5))
+            assert (np.isfinite(force) & (force >= 0)).all()
+        write_trainset(found, again)
+    else:
+        steps = {np.sign(b.position_m - a.position_m) for a, b in pairwise(found.points)}
+        assert steps <= {0, 1} or steps <= {0, -1}
+        write_journey(found, again)
+    assert import_file(again) == found, "it reads back as something else"
 
 
 def _read_policy(path: Path) -> None:
@@ -115,26 +132,51 @@ def _read_policy(path: Path) -> None:
 def _read_checkpoint(path: Path) -> None:
     from metropilot.learn.checkpoint import load_checkpoint
 
-    load_checkpoint(path, {"weights": np.zeros((3, 4), np.float32), "step": np.zeros((), np.int32)})
+    wanted = {"weights": np.zeros((3, 4), np.float32), "step": np.zeros((), np.int32)}
+    state, history, about = load_checkpoint(path, wanted)
+    assert {k: (v.shape, v.dtype) for k, v in state.items()} == {
+        k: (v.shape, v.dtype) for k, v in wanted.items()
+    }
+    assert all(isinstance(column, np.ndarray) for column in history.values())
+    assert isinstance(about, dict)
 
 
 def _read_run(path: Path) -> None:
+    import tomli_w
+
     from metropilot.evaluate import request_from_toml
+    from metropilot.evaluate.request_file import to_table
 
     resolved = request_from_toml(path).resolved()
-    resolved.scenario(resolved.section())
+    section, scenario = resolved.section(), resolved.scenario(resolved.section())
+    assert 0 < section.length_m < 1e6
+    assert (section.limit_mps.value > 0).all()
+    assert all(item.at_s >= 0 for item in scenario.news)
+    text = tomli_w.dumps({"run": to_table(resolved)})
+    path.write_text(text)
+    again = tomli_w.dumps({"run": to_table(request_from_toml(path).resolved())})
+    assert again == text, "it reads back as something else"
 
 
 def _read_campaign(path: Path) -> None:
     from metropilot.evaluate.campaign.reading import campaign_from_toml
 
-    assert campaign_from_toml(path).rows > 0
+    _drivable(campaign_from_toml(path))
 
 
 def _read_stored_campaign(path: Path) -> None:
     from metropilot.evaluate.campaign.store import stored_campaign
 
-    assert stored_campaign(path.parent).rows > 0
+    _drivable(stored_campaign(path.parent))
+
+
+def _drivable(campaign) -> None:
+    """Its shards hold its rows, and each row is a case."""
+    assert campaign.rows > 0
+    if campaign.rows < 10_000:
+        rows = [row for piece in campaign.pieces() for row in campaign.shard(piece)]
+        assert rows == list(range(campaign.rows))
+        assert campaign.case(rows[-1]).driver == campaign.drivers[-1]
 
 
 def _read_done(path: Path) -> None:
@@ -153,13 +195,27 @@ def _read_done(path: Path) -> None:
 def _read_trajectory(path: Path) -> None:
     from metropilot.evaluate import Trajectory
 
-    assert np.isfinite(Trajectory.read(path).balance_n(1.0)).dtype == bool
+    found = Trajectory.read(path)
+    columns = vars(found)
+    assert {column.shape for column in columns.values()} == {(len(found),)}
+    assert len(found) > 0
+    assert all(column.dtype == np.float64 for name, column in columns.items() if name != "phase")
+    found.write(path)
+    again = vars(Trajectory.read(path))
+    for name, column in columns.items():
+        assert np.array_equal(again[name], column, equal_nan=name != "phase"), name
 
 
 def _read_record(path: Path) -> None:
-    from metropilot.learn.runs import record_of
+    from metropilot.learn.config_reading import config_to_mapping
+    from metropilot.learn.runs import INDEX, RunStore, record_of
 
-    record_of(path.parent).configuration()
+    record = record_of(path.parent)
+    assert record.status in {"running", "interrupted", "done", "failed"}
+    store = RunStore(path.parent.parent)
+    (store.root / INDEX).unlink(missing_ok=True)
+    assert [found.id for found in store.recent()] == [record.id], "the index of runs does not take it"
+    assert config_to_mapping(record.configuration())
 
 
 def _show(path: Path) -> None:
@@ -175,6 +231,8 @@ def _show(path: Path) -> None:
         with redirect_stdout(StringIO()) as said:
             show_run(path.parent, as_json=as_json)
         said.getvalue().encode()
+        if as_json:
+            assert isinstance(json.loads(said.getvalue()), dict)
 
 
 @cache
@@ -229,7 +287,7 @@ TARGETS = {
     "policy": Target("safetensors", "policy.safetensors", _policies, _read_policy),
     "checkpoint": Target("safetensors", "checkpoint.safetensors", _checkpoints, _read_checkpoint),
     "run": Target("toml", "run.toml", _texts(RUN), _read_run),
-    "record": Target("toml", "run.toml", _texts(LEARNED), _read_record),
+    "record": Target("toml", "r/run.toml", _texts(LEARNED), _read_record),
     "campaign": Target("toml", "campaign.toml", _texts(CAMPAIGN), _read_campaign),
     "stored_campaign": Target("json", "campaign.json", _stored, _read_stored_campaign),
     "done": Target(
@@ -252,7 +310,9 @@ def place(name: str) -> Path:
     ram = Path("/dev/shm")
     folder = tempfile.TemporaryDirectory(prefix="metropilot-fuzz-", dir=ram if ram.is_dir() else None)
     _KEPT.append(folder)
-    return Path(folder.name) / TARGETS[name].name
+    path = Path(folder.name) / TARGETS[name].name
+    path.parent.mkdir(exist_ok=True)
+    return path
 
 
 _KEPT: list[object] = []

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from tools.mutate_guards import ALL, GUARDS, ROOT, removed
+from tools.guards import ALL, GUARDS, ROOT, removed
 
 PAGE = (Path(ROOT) / "docs/safety.md").read_text()
 

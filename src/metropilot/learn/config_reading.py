@@ -16,6 +16,8 @@ from metropilot.learn.config import CONFIGS
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.schedules import Scheduled, read_schedule
 
+LARGEST = 10**18
+
 
 def config_from_mapping(algorithm: str, values: Mapping[str, Any], *, file: object = None) -> AbstractConfig:
     """A learner's configuration from plain values, as they stand in TOML or JSON.
@@ -55,7 +57,21 @@ def _read(key: str, value: Any, hints: Mapping[str, Any]) -> Any:
     if key not in hints:
         near = difflib.get_close_matches(key, hints, n=1, cutoff=0.0)[0]
         raise InputError(f"unknown key, the nearest is {near!r}", field=str(key))
+    if not _countable(value):
+        raise InputError("out of range", field=key, allowed=f"whole numbers below {LARGEST:.0e}")
     return _typed(key, value, hints[key])
+
+
+def _countable(value: Any) -> bool:
+    """Whether no whole number in a value is so large that it has no float, and no learner counts so far."""
+    todo = [value]
+    while todo:
+        found = todo.pop()
+        if isinstance(found, Mapping | list | tuple):
+            todo += found.values() if isinstance(found, Mapping) else found
+        elif isinstance(found, int) and abs(found) > LARGEST:
+            return False
+    return True
 
 
 def _typed(key: str, value: Any, hint: Any) -> Any:

@@ -9,6 +9,7 @@ its folder's lock was interrupted, and is shown so.
 from __future__ import annotations
 
 import json
+import math
 import secrets
 import sqlite3
 import tomllib
@@ -17,7 +18,7 @@ from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig
@@ -56,6 +57,8 @@ COLUMNS = (
     "machine",
     "kpis",
 )
+LARGEST = 2**63
+"""Above what SQLite holds."""
 PLAIN = {"config", "about", "versions", "kpis"}
 
 
@@ -306,13 +309,29 @@ def record_of(folder: Path) -> RunRecord:
 
 def read_record(path: Path) -> RunRecord | None:
     """A record from its ``run.toml``, or None if that is damaged; its id is the folder's name."""
-    kinds = {"seed": int, "steps": int, "seconds": float, "score": float, **dict.fromkeys(PLAIN, dict)}
     try:
-        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-        fits = all(type(value) is kinds.get(name, str) for name, value in table.items())
-        return replace(RunRecord(**{"score": None, **table}), id=path.resolve().parent.name) if fits else None
+        table: dict[str, Any] = {"score": None, **tomllib.loads(path.read_text(encoding="utf-8"))}
+        record = replace(RunRecord(**table), id=path.resolve().parent.name)
+        return record if _fits(record) else None
     except (OSError, ValueError, TypeError, RecursionError):
         return None
+
+
+def _fits(record: RunRecord) -> bool:
+    """Whether each value is of its kind, and the index can take it.
+
+    Raises:
+        TypeError: A table holds what JSON does not know, as a date.
+    """
+    kinds = {"seed": int, "steps": int, "seconds": float, "score": float, **dict.fromkeys(PLAIN, dict)}
+    values = {name: value for name, value in asdict(record).items() if value is not None}
+    return (
+        all(type(value) is kinds.get(name, str) for name, value in values.items())
+        and record.status in get_args(Status)
+        and max(abs(record.seed), abs(record.steps)) < LARGEST
+        and math.isfinite(record.seconds)
+        and bool(json.dumps([values[name] for name in PLAIN]))
+    )
 
 
 def _insert(database: sqlite3.Connection, record: RunRecord) -> None:

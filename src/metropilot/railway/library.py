@@ -65,7 +65,11 @@ def _json(text: str) -> object:
     def refuse(name: str) -> float:
         raise ValueError(f"{name} is not a number JSON knows")
 
-    return json.loads(text, parse_constant=refuse)
+    found = json.loads(text, parse_constant=refuse)
+    if "\\u" in text:
+        # Half a surrogate pair can be escaped, but no file can hold it.
+        json.dumps(found, ensure_ascii=False).encode()
+    return found
 
 
 def _parsed(file: object, text: str, parse: Callable[[str], object], name: str) -> dict[str, Any]:

@@ -31,9 +31,10 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         if os.name == "posix":
             _sync(path.parent)
     except OSError as error:
+        raise InputError("cannot write the file", file=path, value=error.strerror) from None
+    finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
-        raise InputError("cannot write the file", file=path, value=error.strerror) from None
 
 
 def _sync(path: Path) -> None:

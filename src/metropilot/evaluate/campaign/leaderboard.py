@@ -8,10 +8,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from metropilot.errors import InputError
 from metropilot.evaluate.campaign.store import stored_campaign
 from metropilot.evaluate.campaign.summary import POSSIBLE, asked, opened
 from metropilot.evaluate.folder import provenance
+from metropilot.railway.whole_file import write_whole
 
 DASH = "–"
 LEGEND = """\
@@ -44,12 +44,7 @@ def write_leaderboard(
         InputError: It cannot be written.
     """
     text = leaderboard(folder, summary, seconds, f"{command} --write-docs {page}")
-    try:
-        page.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(
-            "cannot write the page", file=page, field="write-docs", value=error.strerror
-        ) from None
+    write_whole(page, lambda partial: partial.write_text(text, encoding="utf-8"))
 
 
 def leaderboard(folder: Path, summary: Mapping[str, Any], seconds: float, command: str) -> str:

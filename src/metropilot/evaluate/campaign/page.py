@@ -12,6 +12,7 @@ from metropilot.evaluate.campaign.declared import Campaign
 from metropilot.evaluate.campaign.store import stored_campaign
 from metropilot.evaluate.campaign.summary import asked, opened
 from metropilot.evaluate.campaign.worst import drive_worst, worst_table
+from metropilot.railway.whole_file import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,6 +57,9 @@ def write_report(folder: Path, summary: Mapping[str, Any], about: Mapping[str, s
         folder: The campaign's folder.
         summary: From :func:`summarise`.
         about: What the head says beside it: time, machine, commit.
+
+    Raises:
+        InputError: The folder cannot be written.
     """
     campaign = stored_campaign(folder)
     worst = drive_worst(folder, campaign, summary["worst"])
@@ -68,7 +72,8 @@ def write_report(folder: Path, summary: Mapping[str, Any], about: Mapping[str, s
     body = "\n".join(parts)
     head = f"<meta charset='utf-8'><title>{escape(campaign.name)}</title><style>{STYLE}</style>"
     path = folder / REPORT
-    path.write_text(f"<!doctype html><html lang='en'><head>{head}</head><body>{body}</body></html>\n")
+    text = f"<!doctype html><html lang='en'><head>{head}</head><body>{body}</body></html>\n"
+    write_whole(path, lambda partial: partial.write_text(text, encoding="utf-8"))
     return path
 
 

@@ -146,7 +146,8 @@ def stored_campaign(folder: Path) -> Campaign:
     try:
         found = json.loads((folder / ABOUT).read_text())
         campaign = from_text(json.dumps(found["campaign"]))
-        whole = campaign.rows > 0 and found["digest"] == campaign.digest
+        known = campaign.rows > 0 and found["digest"] == campaign.digest
+        whole = known and len(set(campaign.drivers)) == len(campaign.drivers)
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         campaign, whole = None, False
     if campaign is None or not whole:

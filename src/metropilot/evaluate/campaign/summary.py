@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from metropilot.errors import InputError
 from metropilot.evaluate.campaign.rows import FAILED, INFEASIBLE
 from metropilot.evaluate.campaign.store import PARTS, TIMINGS, Store, stored_campaign
+from metropilot.railway.whole_file import write_whole
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -76,18 +78,27 @@ def _parts(folder: Path, kind: str) -> str:
 
 
 def collect(folder: Path) -> None:
-    """Write all parts as one file each: ``results.parquet``, ``timings.parquet``, ordered by row."""
+    """Write all parts as one file each: ``results.parquet``, ``timings.parquet``, ordered by row.
+
+    Raises:
+        InputError: A file cannot be written, or a part cannot be read.
+    """
+    for kind, target in ((PARTS, RESULTS_FILE), (TIMINGS, TIMINGS_FILE)):
+        query = f"SELECT * FROM ({_parts(folder, kind)}) ORDER BY row"
+        write_whole(folder / target, lambda partial, query=query: _copy(query, partial))
+
+
+def _copy(query: str, partial: Path) -> None:
+    """Write a query's rows as Parquet."""
     import duckdb
 
-    for source, target in ((PARTS, RESULTS_FILE), (TIMINGS, TIMINGS_FILE)):
-        partial = folder / f".{target}.partial"
-        with duckdb.connect(config={"threads": 1, "memory_limit": "512MB"}) as database:
-            place = str(partial).replace("'", "''")
-            database.execute(
-                f"COPY (SELECT * FROM ({_parts(folder, source)}) ORDER BY row) "
-                f"TO '{place}' (FORMAT parquet, COMPRESSION zstd)"
-            )
-        partial.replace(folder / target)
+    place = str(partial).replace("'", "''")
+    with duckdb.connect(config={"threads": 1, "memory_limit": "512MB"}) as database:
+        try:
+            database.execute(f"COPY ({query}) TO '{place}' (FORMAT parquet, COMPRESSION zstd)")
+        except duckdb.Error as error:
+            words = str(error).splitlines()[0]
+            raise InputError("cannot collect the results", file=partial, value=words) from None
 
 
 def summarise(folder: Path) -> dict[str, Any]:

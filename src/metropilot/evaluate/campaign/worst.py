@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from metropilot.errors import MetropilotError
 from metropilot.evaluate.campaign.declared import Campaign, request_of
 from metropilot.evaluate.campaign.rows import section_of
-from metropilot.evaluate.folder import write_run, write_run_toml
+from metropilot.evaluate.folder import check_writable, write_run, write_run_toml
 from metropilot.evaluate.kpis import kpis_of
 from metropilot.evaluate.optimum import Optimum, optimum_of
 from metropilot.evaluate.rollout import Drive, drive
@@ -45,6 +45,9 @@ def drive_worst(folder: Path, campaign: Campaign, worst: Sequence[Mapping[str, A
         folder: The campaign's folder.
         campaign: The campaign.
         worst: Their rows, the worst first.
+
+    Raises:
+        InputError: The folder cannot be written.
     """
     found = []
     for place, row in enumerate(worst, 1):
@@ -58,7 +61,7 @@ def drive_worst(folder: Path, campaign: Campaign, worst: Sequence[Mapping[str, A
             scheduled /= case.disturbance.arrival[0]
         request = request_of(campaign, case, scheduled, length_m)
         target = folder / WORST / f"{place:02d}"
-        target.mkdir(parents=True, exist_ok=True)
+        check_writable(target)
         picture = ""
         try:
             driven = drive(request.run(), request.make_driver())
