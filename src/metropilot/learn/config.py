@@ -278,17 +278,17 @@ class TeacherConfig(AbstractConfig):
     algorithm: ClassVar[str] = "teacher"
 
     keep: Keep = "last"
-    steps: int = 60_000_000
-    evaluations: int = 12
+    steps: int = 30_000_000
+    evaluations: int = 6
     hidden: tuple[int, ...] = (128, 128, 128)
     activation: Activation = "silu"
     normalise_observations: bool = True
     gamma: float = 1.0
     max_gradient_norm: float | None = 0.5
-    worlds: int = 3_000
+    worlds: int = 2_000
     plans: int = 7
     states: int = 60
-    batches: int = 20_000
+    batches: int = 12_000
     batch_size: int = 1_024
     imitation_rate: float = 1.5e-3
     learning_rate: Scheduled = LESS_AND_LESS

@@ -24,7 +24,7 @@ from metropilot.learn.generalist.pupil import Pupil, imitation_loss, labels, lea
 
 Array = Any
 
-DECISIONS = (150, 300, 450, 600)
+DECISIONS = (200, 400, 600)
 """Drives are put together by length, each length compiled by itself."""
 SPARE_S, SPARE_SHARE = 15.0, 0.05
 """Time beyond the optimal plan's that a drive may take before it is cut off."""
