@@ -81,7 +81,7 @@ def test_coasting_from_a_higher_speed_takes_less_time(room):
 
 
 def test_coasting_takes_what_integration_gives(room):
-    seen = sight(room, 0.3 * room.length_m, 14.0, 200.0)
+    seen = sight(room, 0.75 * room.length_m, 14.0, 200.0)
     vehicle, length = seen.vehicle, float(seen.left_m)
     way = np.linspace(0.0, length, 8001)
     climb = room.rows.ground_at(CLIMB, 0, seen.position_m + way)
