@@ -41,8 +41,9 @@ PAGE = """# One driver for every line
 8 km with random trainsets of 80 to 500 t ([`metropilot.task.worlds`](api.md)), in two steps: it imitates what
 the optimal plan does from {states:,} states on and beside the plan, and then drives in closed loop, where the
 gradient of energy and arrival time reaches the policy through the whole drive. It sees distances, limits,
-gradients, effort and resistance of this trainset, the time left, the pace it asks for under the limits ahead, and
-what flat-out driving, steady driving and coasting would take from here; nothing that names a place. The last braking and the easing off under the
+gradients, effort and resistance of this trainset, the time left, the pace it asks for under the limits ahead,
+and what flat-out driving, steady driving and coasting would take from here; nothing that names a place. The
+last braking and the easing off under the
 ceiling are given by assists, see [the driving task](task.md); protection supervises every run.
 
 ```sh
