@@ -41,16 +41,15 @@ PAGE = """# One driver for every line
 8 km with random trainsets of 80 to 500 t ([`metropilot.task.worlds`](api.md)), in two steps: it imitates what
 the optimal plan does from {states:,} states on and beside the plan, and then drives in closed loop, where the
 gradient of energy and arrival time reaches the policy through the whole drive. It sees distances, limits,
-gradients, effort and resistance of this trainset, the time left, the pace it asks for under the limits ahead,
-and what flat-out driving, steady driving and coasting would take from here; nothing that names a place. The
-last braking and the easing off under the
+gradients, effort and resistance of this trainset, the time left and what flat-out driving, steady driving and
+coasting would take from here; nothing that names a place. The last braking and the easing off under the
 ceiling are given by assists, see [the driving task](task.md); protection supervises every run.
 
 ```sh
 metropilot drive yizhuang RJ WYJ --time 110 --driver generalist
 ```
 
-`metropilot learn generalist --budget paper` makes it again.
+`metropilot learn generalist --budget paper` takes the course as it is now.
 
 Every run below is of the host loop (`metropilot drive`), and compared with the optimal plan for the running
 time it achieved (wheel traction energy). That optimum knows neither the jerk limit nor protection.
@@ -236,6 +235,7 @@ def taught() -> str:
         ["seed", f"{about['seed']}"],
         ["learning, lessons apart", f"{came['seconds']:.0f} s"],
         ["machine, date, commit", f"{came['machine']}; {came['date']}; {came['commit'][:9]}"],
+        *([["since then", came["since"]]] if "since" in came else []),
     ]
     return table(("what", "value"), lines, words=2)
 
