@@ -32,11 +32,12 @@ def adapted_vehicle(vehicle: Vehicle, adapted: Adapted) -> Vehicle:
 def adapted_trainset(trainset: Trainset, adapted: Adapted) -> Trainset:
     """The same for what is built from a trainset's data."""
     up, down, drag = adapted
+    a, b, c = trainset.davis.newtons(trainset.mass_kg)
     return replace(
         trainset,
         traction=trainset.traction.scaled(up),
         electric_brake=trainset.electric_brake.scaled(down),
         friction_brake_n=trainset.friction_brake_n * down,
         service_deceleration_mps2=trainset.service_deceleration_mps2 * down,
-        davis=Davis(*(drag * x for x in trainset.davis.newtons(trainset.mass_kg))),
+        davis=Davis(drag * a, drag * b, drag * c),
     )

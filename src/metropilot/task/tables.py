@@ -107,7 +107,7 @@ def _rows(cases: Sequence[tuple[Section, Trainset, Bounds]], spacing_m: float, j
         return [_case(*case, spacing_m) for case in cases]
     from joblib import Parallel, cpu_count, delayed
 
-    pool = Parallel(n_jobs=jobs or cpu_count(), batch_size=16)
+    pool = Parallel(n_jobs=jobs or cpu_count())
     return list(pool(delayed(_case)(*case, spacing_m) for case in cases))
 
 
