@@ -68,7 +68,10 @@ def _json(text: str) -> object:
     found = json.loads(text, parse_constant=refuse)
     if "\\u" in text:
         # Half a surrogate pair can be escaped, but no file can hold it.
-        json.dumps(found, ensure_ascii=False).encode()
+        try:
+            json.dumps(found, ensure_ascii=False).encode()
+        except UnicodeEncodeError:
+            raise ValueError("text must be proper Unicode, without lone surrogates") from None
     return found
 
 
