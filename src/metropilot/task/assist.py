@@ -11,8 +11,10 @@ task and on the host.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from metropilot.errors import InputError
 from metropilot.physics import resistance_and_gradient
 from metropilot.physics.effort import effort_at
 from metropilot.task.observers import Sight
@@ -44,6 +46,16 @@ SHORTEST_M = 0.5
 SHARED_M = 10.0
 """Nearer to the stop the deceleration asked for is what it is."""
 
+RANGES = MappingProxyType(
+    {
+        "margin_mps": (0.0, 5.0),
+        "stop_mps2": (0.0, STRONGEST_MPS2),
+        "stop_use": (0.1, 1.0),
+        "release": (0.1, 1.0),
+    }
+)
+"""What the numbers of :class:`Assists` may be."""
+
 
 @dataclass(frozen=True)
 class Assists:
@@ -69,6 +81,13 @@ class Assists:
     stop_use: float = STOP_USE
     release: float = RELEASE_SHARE
     late: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that no last braking or ceiling can be planned with."""
+        for name, (low, high) in RANGES.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError("out of range", field=name, value=value, allowed=f"{low:g} to {high:g}")
 
     def planned_mps2(self, rows: Rows, case: Array, sure_mps2: Array, position_m: Array) -> Array:
         """Deceleration to plan the last braking with from a position.
