@@ -60,7 +60,7 @@ SURE_RESISTANCE = 0.8
 PACES_MPS = (3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, 17.0, 19.5, 22.5, 26.5, 32.0)
 """Speeds that the time to go is tabled for."""
 SLOWEST_MPS = 0.3
-"""Twice the least mean speed between two nodes that a tabled time counts with."""
+"""Least sum of the speeds at two nodes that a tabled time counts with."""
 CURVES = ("emergency", "service", "permitted_mps", "pull_mps2", "usual_pull_mps2")
 """Protection's curves in ``Tables.ground``, in this order; the climb comes last."""
 PERMITTED, CLIMB = 2, 5
