@@ -26,4 +26,5 @@ def __dir__() -> list[str]:
     """List the public names: the version and the packages and modules that can be named."""
     from pkgutil import iter_modules
 
-    return sorted({*__all__, *(module.name for module in iter_modules(__path__))})
+    modules = (module.name for module in iter_modules(__path__))
+    return sorted({*__all__, *(name for name in modules if not name.startswith("_"))})

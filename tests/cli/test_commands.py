@@ -5,6 +5,8 @@ What drives runs as a program: this process checks types at run time, which make
 
 import json
 import shlex
+import subprocess
+import sys
 from importlib import import_module
 
 import pytest
@@ -167,6 +169,12 @@ def test_version(metropilot):
     import metropilot as package
 
     assert metropilot("--version").out.split() == ["metropilot", package.__version__]
+
+
+def test_as_a_module(metropilot):
+    command = [sys.executable, "-m", "metropilot", "--version"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert said.stdout == metropilot("--version").out
 
 
 def test_nothing_asked_shows_the_help(metropilot):
