@@ -57,6 +57,15 @@ def test_other_runs(trainset, ends, time_s):
     assert kpis_of(found, None).max_jerk_mps3 <= trainset.actuation.jerk_limit_mps3 + 0.4
 
 
+@pytest.mark.parametrize(("load", "more"), [("AW0", {}), ("AW3", {}), ("AW2", {"mass_factor": 1.2})])
+def test_stops_on_a_steep_way_down(load, more):
+    """20 permil down towards the stop: less of the brake is left than on the level."""
+    section = load_line("yizhuang").section("YZHC", "CQ")
+    found = drive(Run(section, load_trainset("dkz32", load), 108.0, Scenario(**more)), Eitoe())
+    assert abs(kpis_of(found, None).stopping_error_m) < 0.05
+    assert found.interventions == 0
+
+
 @pytest.mark.parametrize(
     "news",
     [

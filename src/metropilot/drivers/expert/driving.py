@@ -133,9 +133,9 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
     state = (observation.position_m, observation.speed_mps, observation.acceleration_mps2)
     hoa = felt(memory.hoa, ground, actuation, state, memory.before_mps2)
     ahead = ahead_of(ground, actuation, state, hoa.gain)
-    curve = curve_for(
-        memory.model.vehicle, actuation.dt, hoa.plan_mps2(ground.brake(ahead.speed_mps), ground.most_mps2)
-    )
+    brake, downhill = ground.brake(ahead.speed_mps), ground.downhill(ahead.position_m)
+    plan = hoa.plan_mps2(brake, downhill, ground.most_mps2)
+    curve = curve_for(memory.model.vehicle, actuation.dt, plan)
     share, braking = stop_share(hoa, ground, actuation, ahead, curve)
     rate = 0.0
     if not braking:

@@ -28,6 +28,8 @@ class Ground(NamedTuple):
     Attributes:
         length_m: Where to stop.
         climb_jpkg: Work of gradients and curves since the origin, by position.
+        downhill_mps2: What gradients and curves take off the last braking, by position: their mean from
+            there, or from somewhere behind it, to the stop, where that is worst; at most 0.
         safe_mps: Speed to stay under, by position.
         traction_mps2: Largest traction, by speed.
         brake_mps2: Braking that command -1 asks for, by speed.
@@ -38,6 +40,7 @@ class Ground(NamedTuple):
 
     length_m: float
     climb_jpkg: list[float]
+    downhill_mps2: list[float]
     safe_mps: list[float]
     traction_mps2: list[float]
     brake_mps2: list[float]
@@ -48,6 +51,10 @@ class Ground(NamedTuple):
     def climb(self, position_m: float) -> float:
         """Work of gradients and curves from the origin, J/kg."""
         return _between(self.climb_jpkg, position_m / STEP_M)
+
+    def downhill(self, position_m: float) -> float:
+        """What gradients and curves take off the last braking from a position, m/s^2; at most 0."""
+        return _between(self.downhill_mps2, position_m / STEP_M)
 
     def safe(self, position_m: float) -> float:
         """Speed to stay under, m/s."""
@@ -102,6 +109,7 @@ def ground_of(model: Model, ceiling: Ceiling, rules: Rules) -> Ground:
     return Ground(
         length_m=float(track.length_m),
         climb_jpkg=climb.tolist(),
+        downhill_mps2=_downhill(at, climb, float(track.length_m)).tolist(),
         safe_mps=_safe(model, ceiling, rules, at).tolist(),
         traction_mps2=[max(float(e.traction_n), 1.0) / mass for e in effort],
         brake_mps2=[max(float(e.brake_n), 1.0) / mass for e in effort],
@@ -109,6 +117,13 @@ def ground_of(model: Model, ceiling: Ceiling, rules: Rules) -> Ground:
         most_mps2=float(vehicle.max_acceleration_mps2),
         jerk_mps3=float(vehicle.jerk_mps3),
     )
+
+
+def _downhill(at: np.ndarray, climb: np.ndarray, length_m: float) -> np.ndarray:
+    """The least mean slope from a position or any place behind it to the stop, by position."""
+    left = np.maximum(length_m - at, STEP_M)
+    mean = np.where(at < length_m, (np.interp(length_m, at, climb) - climb) / left, 0.0)
+    return np.minimum.accumulate(np.minimum(mean, 0.0)[::-1])[::-1]
 
 
 def drops(model: Model) -> list[tuple[float, float]]:

@@ -68,10 +68,11 @@ class Hoa(NamedTuple):
     effort_jpkg: float = 0.0
     drag_jpkg: float = 0.0
 
-    def plan_mps2(self, brake_mps2: float, most_mps2: float) -> float:
-        """Deceleration to plan the stop with: the less the gain is known, the less."""
+    def plan_mps2(self, brake_mps2: float, downhill_mps2: float, most_mps2: float) -> float:
+        """Deceleration to plan the stop with: the less the gain is known the less, downhill what is left."""
         sure = min(self.gain * (1.0 - CAUTION * self.sigma), 1.0)
-        return USE * min(brake_mps2 * sure, most_mps2)
+        left = min(self.gain, 1.0) * brake_mps2 + downhill_mps2
+        return USE * min(brake_mps2 * sure, left, most_mps2)
 
     def next_stop(self) -> Hoa:
         """What is carried to the next stop."""
