@@ -65,7 +65,7 @@ lint: $(STAMP)  ## ruff: rules and format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(STAMP)  ## pyright
+types: $(WEB_STAMP)  ## pyright (of the tests in a browser, too)
 	$(BIN)/basedpyright --pythonpath $(BIN)/python
 
 layers: $(STAMP)  ## imports only point left
