@@ -29,9 +29,9 @@ DRIVER, BESIDE = "generalist", "optimal"
 LINE, TRAINSET, LOADS = "yizhuang", "dkz32", ("AW0", "AW2", "AW3")
 RATIOS = (0.0, 1.05, 1.1, 1.2, 1.4)
 """Scheduled time over the minimum of section and load; 0: the time planned by the line."""
-SCENARIOS = {"ideal actuation": Scenario(ideal_actuation=True), "jerk limit": Scenario()}
-LIMITED = "jerk limit"
-TARGETS = {"ideal actuation": (0.7, 2.5, 5.0), "jerk limit": (2.5, 5.0, 8.0)}
+IDEAL, LIMITED = "ideal actuation", "jerk limit"
+SCENARIOS = {IDEAL: Scenario(ideal_actuation=True), LIMITED: Scenario()}
+TARGETS = {IDEAL: (0.7, 2.5, 5.0), LIMITED: (2.5, 5.0, 8.0)}
 """Gap to the optimum, per cent: median, 95th percentile, worst."""
 ON_TIME_S, IN_PLACE_M = 1.0, 0.3
 LONGEST_M = 10_000.0

@@ -7,10 +7,9 @@ import atexit
 import os
 import shutil
 import tempfile
-import time
 
 from hypothesis import settings
-from jaxtyping import config, install_import_hook
+from jaxtyping import install_import_hook
 
 # JAX reads these when it is first imported: no silent promotion of dtypes or ranks, CPU only.
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -29,28 +28,6 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 
 # Every annotated function of metropilot checks its arguments' types and array shapes.
 install_import_hook("metropilot", "beartype.beartype")
-# With every call checked, a drive of thousands of periods takes ten times as long: after its first FULL_S
-# seconds a test is checked for ON_S seconds in every EVERY_S.
-FULL_S, ON_S, EVERY_S = 0.3, 0.05, 0.5
-BEGAN = [time.monotonic()]
-
-
-def pytest_runtest_logstart() -> None:
-    """A test begins: for a while everything is checked."""
-    BEGAN[0] = time.monotonic()
-
-
-class SampledChecks(type(config)):
-    """Asked at every call whether it is left unchecked."""
-
-    @property
-    def jaxtyping_disable(self) -> bool:
-        """Whether this moment is one without checks."""
-        seconds = time.monotonic() - BEGAN[0]
-        return seconds > FULL_S and seconds % EVERY_S > ON_S
-
-
-config.__class__ = SampledChecks
 
 settings.register_profile("dev", deadline=None, print_blob=True)
 settings.register_profile("ci", deadline=None, print_blob=True, derandomize=True, database=None)
