@@ -9,7 +9,7 @@ import shutil
 import tempfile
 
 from hypothesis import settings
-from jaxtyping import install_import_hook
+from tests import checking
 
 # JAX reads these when it is first imported: no silent promotion of dtypes or ranks, CPU only.
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -27,7 +27,7 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", os.environ["METROPILOT_TEST_H
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 
 # Every annotated function of metropilot checks its arguments' types and array shapes.
-install_import_hook("metropilot", "beartype.beartype")
+checking.install("metropilot")
 
 settings.register_profile("dev", deadline=None, print_blob=True)
 settings.register_profile("ci", deadline=None, print_blob=True, derandomize=True, database=None)
