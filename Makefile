@@ -54,7 +54,7 @@ test: $(STAMP)  ## run the tests (ARGS="-k protection" is passed to pytest)
 	$(ONE_THREAD) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --ignore tests/browser $(ARGS)
 
 test-web: $(WEB_STAMP)  ## click through the console in headless Chromium (says so where there is none)
-	$(BIN)/python -m pytest tests/browser $(ARGS)
+	$(BIN)/python -m pytest tests/browser -n $(WORKERS) --dist worksteal $(ARGS)
 
 wheel-check: $(STAMP)  ## build the wheel, install it into an empty environment, drive with it from elsewhere
 	$(BIN)/python tools/wheel_check.py $(ARGS)
