@@ -8,12 +8,8 @@ BENCH_STAMP := $(VENV)/.bench-stamp
 WEB_STAMP := $(VENV)/.web-stamp
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-# Two test processes, each single-threaded: small networks get slower on two threads. Most of their time would be
-# compiling programs that run once: XLA optimises less (LLVM at level 1, its older emitters), which halves it.
-QUICK_COMPILE := --xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1 \
-	--xla_llvm_disable_expensive_passes=true
-ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
-	XLA_FLAGS="--xla_cpu_multi_thread_eigen=false $(QUICK_COMPILE)"
+# Two test processes, each single-threaded: small networks get slower on two threads.
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false
 WORKERS ?= 2
 ARGS ?=
 

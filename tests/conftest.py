@@ -7,6 +7,7 @@ import atexit
 import os
 import shutil
 import tempfile
+from importlib.metadata import version
 
 from hypothesis import settings
 from tests import checking
@@ -20,6 +21,12 @@ os.environ["MPLBACKEND"] = "Agg"
 if "METROPILOT_TEST_HOME" not in os.environ:
     os.environ["METROPILOT_TEST_HOME"] = tempfile.mkdtemp(prefix="metropilot-tests-")
     atexit.register(shutil.rmtree, os.environ["METROPILOT_TEST_HOME"], ignore_errors=True)
+    # What runs once is not worth optimising hard: LLVM at level 1 and, where XLA still has them, its older
+    # emitters take half the time. XLA ends a program that gives it a flag it does not know.
+    _quick = ["--xla_backend_optimization_level=1", "--xla_llvm_disable_expensive_passes=true"]
+    if version("jaxlib").startswith("0.10."):
+        _quick.append("--xla_cpu_use_fusion_emitters=false")
+    os.environ["XLA_FLAGS"] = " ".join([*_quick, os.environ.get("XLA_FLAGS", "")]).strip()
 os.environ["METROPILOT_HOME"] = os.environ["METROPILOT_TEST_HOME"]
 # Most of the suite's time would be compiling: what one process has compiled all others take, programs that
 # tests start included.
