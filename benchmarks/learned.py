@@ -16,16 +16,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.report import Benchmark, Row, run
+from metropilot.processes import ONE_THREAD
 
 PROGRAM = Path(sys.executable).with_name("metropilot")
 LEARN = ("learn", "ppo", "--steps", "65536", "--set", "evaluations=1")
 SECOND = 3
 DECISIONS = 5_000
-ONE_THREAD = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
-}
 
 
 def learn_s(home: str, **switches: str) -> tuple[float, float]:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
 from multiprocessing import current_process
@@ -15,17 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from metropilot.errors import InputError
+from metropilot.processes import ONE_THREAD, environment
 
 if TYPE_CHECKING:
     from metropilot.learn import AbstractConfig, Policy
     from metropilot.task.interface import AbstractTask
-
-ONE_THREAD = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
-}
-"""Networks 64 wide get slower on two threads."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +90,7 @@ def learn_seeds(
     todo = [(job, place) for job, place in zip(jobs, places, strict=True) if not _done(job, place)]
     if todo:
         say(f"{len(jobs) - len(todo)} of {len(jobs)} learning runs are there, {len(todo)} to do")
-        with _environment(ONE_THREAD):
+        with environment(ONE_THREAD):
             pool = Parallel(n_jobs=min(processes, len(todo)), backend="loky", return_as="generator_unordered")
             for number, line in enumerate(pool(delayed(_learn)(job, place) for job, place in todo), 1):
                 say(f"{number} of {len(todo)}: {line}")
@@ -167,18 +159,3 @@ def _read(job: LearnJob, place: Path) -> SeedResult:
     score = float("-inf") if done["score"] is None else float(done["score"])
     history = read_history(place / "history.parquet")
     return SeedResult(job, policy, score, history, float(done["seconds"]), float(done["compile_seconds"]))
-
-
-@contextmanager
-def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Environment variables for the processes begun inside."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

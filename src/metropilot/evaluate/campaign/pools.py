@@ -6,21 +6,15 @@ on their way at a time, so that memory stays flat however long the campaign is.
 
 from __future__ import annotations
 
-import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from metropilot.errors import InputError, MetropilotError
 from metropilot.evaluate.campaign.declared import Piece
 from metropilot.evaluate.campaign.rows import Shard, drive_shard
+from metropilot.processes import ONE_THREAD, environment
 
-ONE_THREAD = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
-}
 RETRIES = 3
 LOCAL = "local"
 AHEAD = 2
@@ -125,21 +119,6 @@ def _from_ray(ray: Any, text: str, shards: Sequence[Piece]) -> Iterator[Shard]: 
                 yield Shard(*ray.get(reference))
             except ray.exceptions.WorkerCrashedError as error:
                 raise WorkersDied(f"{error}; what is done is kept, the same command goes on") from None
-
-
-@contextmanager
-def environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Environment variables for the processes begun inside."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 def own_memory_mb() -> float:
