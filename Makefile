@@ -6,11 +6,13 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-stamp
 BENCH_STAMP := $(VENV)/.bench-stamp
 WEB_STAMP := $(VENV)/.web-stamp
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+# Byte code is made of what is imported, when it is: of everything it would take half a minute.
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt
 
 # Two test processes, each single-threaded: small networks get slower on two threads.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false
 WORKERS ?= 2
+WEB_WORKERS ?= 2
 ARGS ?=
 
 SECTION := yizhuang RJ WYJ --time 101
@@ -50,7 +52,7 @@ test: $(STAMP)  ## run the tests (ARGS="-k protection" is passed to pytest)
 	$(ONE_THREAD) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --ignore tests/browser $(ARGS)
 
 test-web: $(WEB_STAMP)  ## click through the console in headless Chromium (says so where there is none)
-	$(BIN)/python -m pytest tests/browser -n $(WORKERS) --dist worksteal $(ARGS)
+	$(BIN)/python -m pytest tests/browser -n $(WEB_WORKERS) --dist worksteal $(ARGS)
 
 wheel-check: $(STAMP)  ## build the wheel, install it into an empty environment, drive with it from elsewhere
 	$(BIN)/python tools/wheel_check.py $(ARGS)

@@ -6,9 +6,12 @@ Nothing here imports JAX, so that a test of lines and trainsets does not pay for
 import atexit
 import os
 import shutil
+import sys
 import tempfile
 from importlib.metadata import version
+from pathlib import Path
 
+import pytest
 from hypothesis import settings
 from tests import checking
 
@@ -33,9 +36,20 @@ os.environ["METROPILOT_HOME"] = os.environ["METROPILOT_TEST_HOME"]
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", os.environ["METROPILOT_TEST_HOME"] + "/compiled")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 
+# Here a program runs for a moment: LLVM is not asked to optimise it at all.
+BRIEF = ("browser", "drivers", "learn", "physics", "studies", "task")
+
 # Every annotated function of metropilot checks its arguments' types and array shapes.
 checking.install("metropilot")
 
 settings.register_profile("dev", deadline=None, print_blob=True)
 settings.register_profile("ci", deadline=None, print_blob=True, derandomize=True, database=None)
 settings.load_profile("ci" if os.environ.get("CI") else "dev")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    brief = item.path.relative_to(Path(__file__).parent).parts[0] in BRIEF
+    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(int(brief))
+    if (jax := sys.modules.get("jax")) is not None:
+        jax.config.update("jax_disable_most_optimizations", brief)

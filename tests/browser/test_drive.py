@@ -65,18 +65,19 @@ def test_a_run_from_departure_to_kpis(visit):
 
 def test_told_to_arrive_later_on_the_way(visit):
     page = visit("/")
-    live = depart(page, "10 ×")
+    live = depart(page, "real time")
     page.get_by_label("Arrive after (s)").fill("125")
     page.locator('[data-test="tell-arrival"]').click()
     expect(page.locator('[data-mp="log"]')).to_contain_text("told to arrive later: after 125 s")
     expect(page.locator('[data-mp="scheduled"]')).to_contain_text("125")
+    choose(page, "Pace", "10 ×")
     expect(live).to_have_attribute("data-status", "done", timeout=PATIENCE_MS)
     assert number(page, "time") == pytest.approx(125, abs=3)
 
 
 def test_a_restriction_dropped_on_the_way(visit):
     page = visit("/", expected=("422",))
-    live = depart(page, "5 ×")
+    live = depart(page, "real time")
     page.get_by_label("From (m)").fill("800")
     page.get_by_label("To (m)").fill("900")
     page.get_by_label("km/h", exact=True).fill("30")
@@ -85,6 +86,7 @@ def test_a_restriction_dropped_on_the_way(visit):
         "restriction announced: 30 km/h from 800 to 900 m"
     )
     expect(page.locator(".mp-restrictions rect")).to_have_count(1)
+    choose(page, "Pace", "5 ×")
     until(lambda: number(page, "speed") > 30)
     page.get_by_label("From (m)").fill("1")
     page.get_by_label("To (m)").fill("1270")

@@ -36,9 +36,15 @@ def reached(metres):
     return lambda kind, data: kind == "rows" and any(row[1] > metres for row in data["rows"])
 
 
+def pace(server, live, value):
+    """While tests talk a run waits: on a busy machine talking takes long."""
+    server.post(f"/api/live/{live}/pace", {"pace": value})
+
+
 def test_a_live_run_is_told_news_and_arrives(server):
-    live = server.post("/api/live", {**SECTION, "pace": 20}, code=201)["id"]
+    live = server.post("/api/live", {**SECTION, "pace": 5}, code=201)["id"]
     seen = watch(server, live, until=reached(150))
+    pace(server, live, 0)
     at = server.post(f"/api/live/{live}/arrival", {"scheduled_time_s": 125})["at_s"]
     assert 5 < at < 60
     server.post(f"/api/live/{live}/restriction", {"from_m": 900, "to_m": 1000, "limit_mps": 12})
@@ -46,6 +52,7 @@ def test_a_live_run_is_told_news_and_arrives(server):
     assert near["error"]["field"] == "from_m"
     late = server.post(f"/api/live/{live}/arrival", {"scheduled_time_s": 1}, code=422)
     assert "passed" in late["error"]["message"]
+    pace(server, live, 30)
     rest = watch(server, live, after=seen[-1][0])
     assert rest[0][0] == seen[-1][0] + 1
     words = [data["words"] for _, kind, data in rest if kind == "event"]
@@ -66,7 +73,8 @@ def test_a_hand_that_lets_go_gives_the_lever_back(server):
     server.post(f"/api/live/{live}/lever", {"share": 1.0})
     given = watch(server, live, until=lambda kind, data: kind == "event" and "driver has" in data["words"])
     assert any(row[5] == 1.0 for row in rows(given))
-    assert given[-1][2]["time_s"] == pytest.approx(3.0, abs=1.0)
+    taken, back = (data["time_s"] for _, kind, data in given if kind == "event")
+    assert back - taken == pytest.approx(3.0, abs=1.0)
     server.post(f"/api/live/{live}/stop")
     assert watch(server, live)[-1][2] == {"status": "stopped"}
     assert server.post(f"/api/live/{live}/pace", {"pace": 2}, code=409)["error"]["message"]
@@ -87,12 +95,14 @@ def test_a_convoy_keeps_apart_when_its_head_brakes(server):
     asked = {**SECTION, "time_s": 120, "trainsets": 2, "pace": 10}
     live = server.post("/api/convoys", asked, code=201)["id"]
     seen = watch(server, live, until=lambda kind, data: kind == "rows" and data["rows"][-1][0] > 15)
+    pace(server, live, 0)
     server.post(f"/api/live/{live}/link", {"loss": 0.5, "delay_s": 0.3})
     server.post(f"/api/live/{live}/emergency")
     assert (
         server.post(f"/api/live/{live}/arrival", {"scheduled_time_s": 500}, code=422)["error"]["field"]
         == "kind"
     )
+    pace(server, live, 10)
     rest = watch(server, live, after=seen[-1][0])
     words = [data["words"] for _, kind, data in rest if kind == "event"]
     assert words == ["link: 0.3 s late, 0 s uneven, 50 % lost", "the head makes an emergency brake"]
@@ -107,6 +117,7 @@ def test_runs_survive_the_server(tmp_path):
     watch(first, live, until=reached(100))
     first.post(f"/api/live/{live}/arrival", {"scheduled_time_s": 120})
     seen = watch(first, live, until=reached(400))
+    pace(first, live, 1)
     job = first.post("/api/jobs/compare", {**SECTION, "seeds": 50}, code=202)["id"]
     first.kill()
     again = Server(tmp_path)

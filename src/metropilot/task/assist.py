@@ -294,13 +294,13 @@ def _required(
     """
     s = xp.maximum(s, 1e-3)
     top = xp.sqrt(end * end + 2.0 * jerk * v)
-    b = xp.clip(v * v / (2.0 * s), 0.05, xp.minimum(top, STRONGEST_MPS2) + 0.05)
+    b = xp.minimum(xp.maximum(v * v / (2.0 * s), 0.05), xp.minimum(top, STRONGEST_MPS2) + 0.05)
     for _ in range(NEWTON_STEPS):
         t, released = (b - end) / jerk, (b * b - end * end) / (2.0 * jerk)
         slope = (released * released - v * v) / (2.0 * b * b) - released / jerk
         slope = slope + (2.0 * t / jerk) * (b / 6.0 + end / 3.0) + t * t / 6.0
         step = (_braking_distance(v, b, end, jerk) - s) / xp.minimum(slope, -1e-2)
-        b = xp.clip(b - step, 0.05, STRONGEST_MPS2)
+        b = xp.minimum(xp.maximum(b - step, 0.05), STRONGEST_MPS2)
     least = _braking_distance(v, xp.maximum(top, 0.05), end, jerk)
     p = 2.0 * v
     left_s = 12.0 * s / (xp.sqrt(p * p + 24.0 * end * s) + p + 1e-9)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -142,6 +142,17 @@ class DrivingTask(AbstractTask):
 
     def step(self, key: Array, state: DriveState, action: Array) -> tuple[DriveState, Transition]:
         """One decision: map the action, then assist, supervise and move, once in each control period."""
+        return self._traced_once["step"](key, state, action)
+
+    @cached_property
+    def _traced_once(self) -> Mapping[str, Callable[..., Any]]:
+        """What a learner's program holds several times: traced for the first, put in place for the others."""
+        import jax
+
+        parts = {"step": self._step, "observe": self._observe}
+        return {name: jax.jit(part, inline=True) for name, part in parts.items()}
+
+    def _step(self, key: Array, state: DriveState, action: Array) -> tuple[DriveState, Transition]:
         import jax
         import jax.numpy as jnp
 
@@ -188,17 +199,19 @@ class DrivingTask(AbstractTask):
         )
         terms = {term.name: term.value(change) for term in config.rewards}
         reward = sum(terms.values(), jnp.zeros((), jnp.float32))
-        return after, Transition(self.observe(after, case), reward, terminated, truncated, terms)
+        return after, Transition(self.observe(after), reward, terminated, truncated, terms)
 
     def allowed(self, state: DriveState) -> Array | None:
         """Choices the action's filter allows in this state. Shape (count,), or None: all."""
         case = self.rows.case(state.start.case)
         return self.config.action.allowed(self.sight(state, case), self.config.dt * self.config.periods)
 
-    def observe(self, state: DriveState, case: Tables | None = None) -> Array:
+    def observe(self, state: DriveState) -> Array:
         """The observation of a state. Shape (O,)."""
-        case = self.rows.case(state.start.case) if case is None else case
-        return observe(self.config.features, self.sight(state, case))
+        return self._traced_once["observe"](state)
+
+    def _observe(self, state: DriveState) -> Array:
+        return observe(self.config.features, self.sight(state, self.rows.case(state.start.case)))
 
     def sight(self, state: DriveState, case: Tables) -> Sight:
         """What observers and actions may use of a state."""

@@ -6,6 +6,7 @@ and one row of :data:`FEATURES`; an observer is a list of their names.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -34,6 +35,8 @@ FASTER_MPS = (2.0,)
 """How much faster ``coasting_faster`` lets the trainset go before it coasts."""
 SLOWEST_J = 0.5
 CHECK_MPS = (12.0, 20.0)
+RISES_SPM = tuple(1.0 / slower - 1.0 / faster for slower, faster in itertools.pairwise(PACES_MPS))
+"""How much longer a metre takes at each of the paces than at the next."""
 SPEED_MPS = 20.0
 DISTANCE_M = 1000.0
 TIME_S = 100.0
@@ -177,13 +180,19 @@ def permitted_far(sight: Sight) -> Sequence[Array]:
 
 
 def _permitted_at(sight: Sight, ahead_m: Sequence[float]) -> Sequence[Array]:
-    ahead = (sight.rows.ground_at(PERMITTED, sight.case, sight.position_m + d) for d in ahead_m)
-    return [value / SPEED_MPS for value in ahead]
+    at = sight.position_m + _down(sight, ahead_m)
+    return list(sight.rows.ground_at(PERMITTED, sight.case, at) / SPEED_MPS)
+
+
+def _down(sight: Sight, values: Sequence[float] | np.ndarray) -> Array:
+    """Constants down a first axis, beside the position. Shape (K,), or (K, 1, ...) for many positions."""
+    position = sight.position_m
+    return sight.xp.asarray(values, position.dtype).reshape((-1,) + (1,) * position.ndim)
 
 
 def climb_ahead(sight: Sight) -> Sequence[Array]:
     """Mean of gradient and curve resistance over several distances ahead, and over all that is left."""
-    return [*climb_within(sight, AHEAD_M), *climb_within(sight, (np.inf,))]
+    return climb_within(sight, (*AHEAD_M, np.inf))
 
 
 def climb_far(sight: Sight) -> Sequence[Array]:
@@ -194,11 +203,9 @@ def climb_far(sight: Sight) -> Sequence[Array]:
 def climb_within(sight: Sight, ahead_m: Sequence[float]) -> Sequence[Array]:
     """Mean of gradient and curve resistance over distances ahead, the stop at the latest."""
     here = sight.rows.ground_at(CLIMB, sight.case, sight.position_m)
-    parts = []
-    for d in ahead_m:
-        way = sight.xp.clip(sight.left_m, 1.0, d)
-        parts.append((sight.rows.ground_at(CLIMB, sight.case, sight.position_m + way) - here) / way * 5.0)
-    return parts
+    way = sight.xp.minimum(sight.xp.maximum(sight.left_m, 1.0), _down(sight, ahead_m))
+    there = sight.rows.ground_at(CLIMB, sight.case, sight.position_m + way)
+    return list((there - here) / way * 5.0)
 
 
 def efforts(sight: Sight) -> Sequence[Array]:
@@ -245,7 +252,7 @@ def _coasted(sight: Sight, v: Array) -> tuple[Array, Array]:
     """
     xp, vehicle = sight.xp, sight.vehicle
     length = xp.maximum(sight.left_m, 1.0)
-    way = xp.asarray(COAST_NODES, v.dtype).reshape((-1,) + (1,) * v.ndim) * length
+    way = _down(sight, COAST_NODES) * length
     step, at = way[1:] - way[:-1], sight.position_m + way
     climb = sight.rows.ground_at(CLIMB, sight.case, at)
     climb = (climb - climb[:1]) * (vehicle.mass_kg / vehicle.effective_mass_kg)
@@ -292,16 +299,18 @@ def pace(sight: Sight) -> Sequence[Array]:
     ]
 
 
-def _pace(sight: Sight, times: Sequence[Array], left_s: Array) -> tuple[Array, Array]:
+def _pace(sight: Sight, times: Array, left_s: Array) -> tuple[Array, Array]:
     """The speed whose time to the stop is the time left, and how many metres would be driven at it."""
     xp = sight.xp
+    slower, faster = times[..., :-1], times[..., 1:]
+    rises = xp.asarray(RISES_SPM, times.dtype)
+    share = (left_s[..., None] - faster) / xp.maximum(slower - faster, 1e-3)
+    share = xp.minimum(xp.maximum(share, 0.0), 1.0)
+    driven = xp.where((share > 0.0) & (share < 1.0), (slower - faster) / rises, 0.0)
+    more = share * rises
     inverse, free = 1.0 / PACES_MPS[-1] + 0.0 * left_s, 0.0 * left_s
-    for k in range(len(PACES_MPS) - 1):
-        slower, faster = times[k], times[k + 1]
-        rise = 1.0 / PACES_MPS[k] - 1.0 / PACES_MPS[k + 1]
-        share = xp.clip((left_s - faster) / xp.maximum(slower - faster, 1e-3), 0.0, 1.0)
-        inverse = inverse + share * rise
-        free = free + xp.where((share > 0.0) & (share < 1.0), (slower - faster) / rise, 0.0)
+    for k in range(len(RISES_SPM)):
+        inverse, free = inverse + more[..., k], free + driven[..., k]
     return 1.0 / inverse, free
 
 

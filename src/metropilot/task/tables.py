@@ -291,8 +291,8 @@ class Rows:
         xp = self.xp
         last = self.ground.shape[1] - self.ahead.size - 2.0
         steps = (position_m - self.start_m[case]) / self.spacing_m
-        whole = xp.clip(xp.floor(steps), 0.0, last)
-        return whole.astype(np.int32), xp.clip(steps - whole, 0.0, 1.0)
+        whole = xp.minimum(xp.maximum(xp.floor(steps), 0.0), last)
+        return whole.astype(np.int32), xp.minimum(xp.maximum(steps - whole, 0.0), 1.0)
 
     def ground_at(self, column: int, case: Array, position_m: Array) -> Array:
         """One of the curves over the ground at one or many positions."""
@@ -312,12 +312,14 @@ class Rows:
         here, after = self.braked[case, node, 1], self.braked[case, node + 1, 1]
         return here + (after - here) * way
 
-    def paced_s(self, case: Array, position_m: Array) -> list[Array]:
-        """Time to the stop at each of ``PACES_MPS``, or as fast as limits and last braking let it, s."""
+    def paced_s(self, case: Array, position_m: Array) -> Array:
+        """Time to the stop at each of ``PACES_MPS``, or as fast as limits and last braking let it, s.
+
+        Shape (..., paces).
+        """
         node, way = self.node(case, position_m)
         here, after = self.braked[case, node, 2:], self.braked[case, node + 1, 2:]
-        found = here + (after - here) * way[..., None]
-        return [found[..., k] for k in range(len(PACES_MPS))]
+        return here + (after - here) * way[..., None]
 
     def to_go_s(self, case: Array, distance_m: Array, length_m: Array, speed_mps: Array) -> Array:
         """Flat-out time to the stop, bilinear in speed and the square root of the distance left, s."""

@@ -18,7 +18,7 @@ from metropilot.physics import track_arrays
 from metropilot.planning import Plan, PlanOptions, minimum_running_time, optimal_plan
 from metropilot.protection import LEVELS, permitted_speed, protect
 from metropilot.railway import Restriction
-from metropilot.task import News, declared_bounds
+from metropilot.task import PUNCTUALITY_S, News, declared_bounds
 from metropilot.web.work.drives import drive_out
 from metropilot.web.work.plain import numbers, station, window
 
@@ -118,7 +118,16 @@ class Engine:
         self.rollout.tell(News(self.time_s, scheduled_time_s=scheduled_s))
         self.rollout.scheduled_time_s = scheduled_s
         self.plan = self._plan()
-        return f"told to arrive {'earlier' if earlier else 'later'}: after {scheduled_s:g} s"
+        return f"told to arrive {'earlier' if earlier else 'later'}: after {scheduled_s:g} s{self._instead()}"
+
+    def _instead(self) -> str:
+        """When it can be there, where the time it was told cannot be met from here; else nothing."""
+        if self.plan is None:
+            return ", which nothing from here meets"
+        arrives_s = self.time_s + float(self.plan.time_s[-1])
+        if abs(arrives_s - self.rollout.scheduled_time_s) <= PUNCTUALITY_S:
+            return ""
+        return f"; from here it can be {arrives_s:.1f} s"
 
     def _restrict(self, restriction: Restriction) -> str:
         section = self.rollout.section
