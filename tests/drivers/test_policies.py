@@ -209,3 +209,13 @@ def test_a_policy_goes_with_the_run_it_drove(tmp_path):
     again = request_from_toml(moved / "run.toml")
     assert again.driver == "learned"
     assert again.make_driver().loaded.perception == PERCEPTION
+
+
+@pytest.mark.parametrize("driver", ["generalist", "ppo"])
+@pytest.mark.parametrize(("origin", "destination", "load"), [("RJ", "WYJ", "AW0"), ("WYJ", "WHY", "AW3")])
+def test_the_stand_jerks_no_more_than_the_trainset_may(driver, origin, destination, load):
+    request = Request("yizhuang", origin, destination, time_s=110.0, driver=driver, load=load)
+    driven = drive(request.run(), request.make_driver())
+    change = np.abs(np.diff(driven.trajectory.acceleration_mps2)).max()
+    assert change / driven.run.dt <= driven.run.trainset.actuation.jerk_limit_mps3 * (1 + 1e-6)
+    assert abs(driven.trajectory.position_m[-1] - driven.run.section.length_m) < 0.02

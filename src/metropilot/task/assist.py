@@ -41,6 +41,10 @@ LAST_M = 1.0
 """Nearer to the stop than this the last braking is not given up again."""
 CREEP_MPS, CREEP_M = 0.06, 0.05
 """Slower and nearer than this it is stood still."""
+SOFT_SHARE = 0.8
+"""Deceleration of the last centimetres over what the jerk limit allows to drop in one period."""
+SOFT_M, OFF_M = 0.05, 0.04
+"""So long they are at most, and so far from the stop they may end."""
 NEWTON_STEPS = 3
 SHORTEST_M = 0.5
 SHARED_M = 10.0
@@ -237,8 +241,11 @@ def stop_mps2(
     let_go = xp.where(v <= let_go * dt, last, let_go)
     wanted = xp.where(falling > 0, let_go, xp.where(required < STRONGEST_MPS2, held, required))
     wanted = xp.where(jerk < AT_ONCE_MPS3, wanted, xp.minimum(last, STRONGEST_MPS2))
-    wanted = xp.where((v < CREEP_MPS) & (s < CREEP_M), xp.maximum(wanted, HOLD_MPS2), wanted)
-    wanted = xp.where(s > 1e-3, wanted, STRONGEST_MPS2)
+    soft = xp.minimum(SOFT_SHARE * jerk * dt, HOLD_MPS2)
+    wanted = xp.where((v < CREEP_MPS) & (s < CREEP_M), xp.maximum(wanted, soft), wanted)
+    ends_m = v * v / (2.0 * soft)
+    softly = (jerk < AT_ONCE_MPS3) & (ends_m < SOFT_M) & (xp.abs(s - ends_m) < OFF_M)
+    wanted = xp.where(softly, soft, xp.where(s > 1e-3, wanted, STRONGEST_MPS2))
     return stopping, xp.where(v > 0, wanted, HOLD_MPS2)
 
 
