@@ -24,8 +24,8 @@ Array = Any
 
 RELEASE_SHARE = 0.5
 """Jerk at which the last brake is let go, over the trainset's limit, unless the assists say otherwise."""
-END_SHARE = 0.25
-"""Deceleration at the stop over what the jerk limit allows to drop in one period."""
+END_SHARE = 0.8
+"""Deceleration the stop is planned to end with, over what the jerk limit allows to drop in one period."""
 RETURN_GAIN = 0.5
 """How strongly a departure from the planned deceleration is answered beyond what the stop needs."""
 STRONGEST_MPS2 = 3.0
@@ -41,10 +41,8 @@ LAST_M = 1.0
 """Nearer to the stop than this the last braking is not given up again."""
 CREEP_MPS, CREEP_M = 0.06, 0.05
 """Slower and nearer than this it is stood still."""
-SOFT_SHARE = 0.8
-"""Deceleration of the last centimetres over what the jerk limit allows to drop in one period."""
-SOFT_M, OFF_M = 0.05, 0.04
-"""So long they are at most, and so far from the stop they may end."""
+SOFT_SHARE = 0.9
+"""Deceleration at the stand, at most, over the same."""
 NEWTON_STEPS = 3
 SHORTEST_M = 0.5
 SHARED_M = 10.0
@@ -241,11 +239,9 @@ def stop_mps2(
     let_go = xp.where(v <= let_go * dt, last, let_go)
     wanted = xp.where(falling > 0, let_go, xp.where(required < STRONGEST_MPS2, held, required))
     wanted = xp.where(jerk < AT_ONCE_MPS3, wanted, xp.minimum(last, STRONGEST_MPS2))
-    soft = xp.minimum(SOFT_SHARE * jerk * dt, HOLD_MPS2)
-    wanted = xp.where((v < CREEP_MPS) & (s < CREEP_M), xp.maximum(wanted, soft), wanted)
-    ends_m = v * v / (2.0 * soft)
-    softly = (jerk < AT_ONCE_MPS3) & (ends_m < SOFT_M) & (xp.abs(s - ends_m) < OFF_M)
-    wanted = xp.where(softly, soft, xp.where(s > 1e-3, wanted, STRONGEST_MPS2))
+    wanted = xp.where((v < CREEP_MPS) & (s < CREEP_M), xp.maximum(wanted, HOLD_MPS2), wanted)
+    wanted = xp.where(s > 1e-3, wanted, STRONGEST_MPS2)
+    wanted = xp.where(jerk < AT_ONCE_MPS3, xp.minimum(wanted, _softly(xp, v, jerk * dt, dt)), wanted)
     return stopping, xp.where(v > 0, wanted, HOLD_MPS2)
 
 
@@ -271,6 +267,14 @@ def late_mps2(assists: Assists, sight: Sight, wanted: Array, dt: float) -> tuple
     at_once = (sight.vehicle.jerk_mps3 >= AT_ONCE_MPS3) & (v > turn) & (room > v * dt)
     found = shape * xp.where(at_once, onto, wanted)
     return xp.where(v > 0, found, wanted), at_once & (onto < LET_GO_SHARE * planned)
+
+
+def _softly(xp: Any, v: Array, drop: Array, dt: float) -> Array:  # noqa: ANN401 (a module)
+    """The deceleration from which the jerk limit still lets go before standing; see ``drivers.stopping``."""
+    last, half = SOFT_SHARE * drop, 0.5 * drop
+    more = (last - half) * (last - half) + 4.0 * half * xp.maximum(v, 0.0) / dt
+    periods = (half - last + xp.sqrt(more)) / (2.0 * half)
+    return last + xp.maximum(periods - 1.0, 0.0) * drop
 
 
 def _built_up(xp: Any, v: Array, a: Array, wanted: Array, jerk: Array) -> tuple[Array, Array]:  # noqa: ANN401
