@@ -45,6 +45,13 @@ def drawn(page, name):
     return page.evaluate(script, name)
 
 
+def drawn_from(page, name):
+    """Where a curve of the picture begins."""
+    script = """name => document.querySelector('[data-test=live] .js-plotly-plot')
+        .data.find(t => t.name === name).x[0]"""
+    return page.evaluate(script, name)
+
+
 def test_a_run_from_departure_to_kpis(visit):
     page = visit("/")
     live = depart(page, "30 ×")
@@ -130,10 +137,12 @@ def test_a_hand_that_goes_too_fast_is_supervised(visit):
 
 def test_a_reload_finds_the_run_again(visit):
     page = visit("/")
-    depart(page, "2 ×")
+    gone = depart(page, "2 ×")
+    until(lambda: float(gone.get_attribute("data-position")) > 20)
     page.reload()
     live = page.locator('[data-test="live"]')
     expect(live).to_have_attribute("data-status", "running", timeout=PATIENCE_MS)
     until(lambda: drawn(page, "driven") > 5)
+    assert drawn_from(page, "driven") < 5.0, "what was driven before the reload is not there"
     page.get_by_role("button", name="Stop").click()
     expect(live).to_have_attribute("data-status", "stopped", timeout=PATIENCE_MS)

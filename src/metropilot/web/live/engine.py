@@ -123,11 +123,11 @@ class Engine:
     def _instead(self) -> str:
         """When it can be there, where the time it was told cannot be met from here; else nothing."""
         if self.plan is None:
-            return ", which nothing from here meets"
+            return "; no plan from here is found for that"
         arrives_s = self.time_s + float(self.plan.time_s[-1])
         if abs(arrives_s - self.rollout.scheduled_time_s) <= PUNCTUALITY_S:
             return ""
-        return f"; from here it can be {arrives_s:.1f} s"
+        return f"; from here it can be there after {arrives_s:.1f} s"
 
     def _restrict(self, restriction: Restriction) -> str:
         section = self.rollout.section

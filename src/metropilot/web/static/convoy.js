@@ -5,13 +5,14 @@
   class Convoy {
     constructor(root, id, chart) {
       Object.assign(this, { root, id, chart, kept: [], drawn: 0, waiting: false });
+      this.todo = [];
       this.source = new EventSource(`/api/live/${id}/stream`);
       for (const kind of ["scene", "rows", "event", "result", "end"])
         this.source.addEventListener(kind, (e) => this["on_" + kind](JSON.parse(e.data)));
       this.source.addEventListener("error", (e) => { if (e.data) this.say("", JSON.parse(e.data).error.message); });
     }
 
-    close() { this.source.close(); }
+    close() { this.source.close(); this.todo = []; }
 
     part(name) { return this.root.querySelector(`[data-mp="${name}"]`); }
 
@@ -29,10 +30,17 @@
       this.part("log").prepend(item);
     }
 
+    // In order, as in live.js.
     draw(use) {
+      this.todo.push(use);
+      if (this.todo.length === 1) this.drawAll();
+    }
+
+    drawAll() {
       const el = document.getElementById("c" + this.chart), component = window.getElement && getElement(this.chart);
-      if (!el || !component || !component.Plotly || !el.data) { setTimeout(() => this.draw(use), 60); return; }
-      use(component.Plotly, el);
+      if (!this.todo.length) return;
+      if (!el || !component || !component.Plotly || !el.data) { setTimeout(() => this.drawAll(), 60); return; }
+      for (const use of this.todo.splice(0)) use(component.Plotly, el);
     }
 
     on_scene(scene) {

@@ -19,7 +19,7 @@
   class View {
     constructor(root, id, chart) {
       this.root = root; this.id = id; this.chart = chart;
-      this.kept = []; this.drawn = 0; this.share = null; this.over = false; this.waiting = false;
+      this.kept = []; this.drawn = 0; this.share = null; this.over = false; this.waiting = false; this.todo = [];
       this.source = new EventSource(`/api/live/${id}/stream`);
       for (const kind of ["scene", "rows", "event", "result", "end"])
         this.source.addEventListener(kind, (e) => this[kind](JSON.parse(e.data)));
@@ -30,7 +30,7 @@
     }
 
     close() {
-      this.source.close(); clearInterval(this.timer); document.removeEventListener("keydown", this.onkey);
+      this.source.close(); clearInterval(this.timer); this.todo = []; document.removeEventListener("keydown", this.onkey);
     }
 
     part(name) { return this.root.querySelector(`[data-mp="${name}"]`); }
@@ -76,10 +76,17 @@
 
     row(values) { return Object.fromEntries(this.now.columns.map((name, k) => [name, values[k]])); }
 
+    // What is to be drawn is drawn in order, once the picture is there: the emptying first, not over what was drawn.
     draw(use) {
+      this.todo.push(use);
+      if (this.todo.length === 1) this.drawAll();
+    }
+
+    drawAll() {
       const el = document.getElementById("c" + this.chart), component = window.getElement && getElement(this.chart);
-      if (!el || !component || !component.Plotly || !el.data) { setTimeout(() => this.draw(use), 60); return; }
-      use(component.Plotly, el);
+      if (!this.todo.length) return;
+      if (!el || !component || !component.Plotly || !el.data) { setTimeout(() => this.drawAll(), 60); return; }
+      for (const use of this.todo.splice(0)) use(component.Plotly, el);
     }
 
     end(said) {
