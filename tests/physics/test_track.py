@@ -106,6 +106,12 @@ def test_padding_changes_no_result(seed):
     assert [s.line_j for s in tight] == [s.line_j for s in padded]
 
 
-def test_too_many_pieces_are_refused():
-    with pytest.raises(InputError, match="at most 1024"):
-        physics.padded_size(1025)
+def test_padded_sizes_have_no_end():
+    assert [physics.padded_size(count) for count in (1, 16, 17, 1024, 1025, 5000)] == [
+        16,
+        16,
+        32,
+        1024,
+        2048,
+        8192,
+    ]

@@ -242,3 +242,13 @@ def test_a_prediction_that_leaves_the_window_is_refused():
     slow, quick = np.float64(5.0), np.float64(40.0)
     assert stays_under(rates, high, distance, slow, np.float64(0.0), np.float64(0.0))
     assert not stays_under(rates, high, distance, quick, np.float64(0.0), np.float64(0.0))
+
+
+def test_the_look_ahead_grows_with_the_trainset():
+    """A long build-up at speed: 7.2 s at 160 km/h need more metres than any metro does."""
+    safe = SafeBraking(1.2, 1.0, reaction_s=2.0, buildup_s=5.2)
+    quick = replace(DKZ32, safe_braking=safe, max_speed_mps=160 / 3.6, traction=EffortCurve.constant(2e5))
+    section = level(limit_mps=160 / 3.6, length_m=9000.0)
+    protection = protect(section, quick, Bounds.of(quick, 1.0))
+    assert protection.ahead.size > 512
+    assert float(permitted_speed(protection, 2000.0)) > 140 / 3.6

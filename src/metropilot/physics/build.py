@@ -17,11 +17,11 @@ CLOTHOID_STEP_M = 10.0
 
 
 def padded_size(count: int, sizes: Sequence[int] = SIZES) -> int:
-    """The smallest of the agreed sizes that holds ``count`` entries."""
-    for size in sizes:
-        if count <= size:
-            return size
-    raise InputError("too many pieces", value=count, allowed=f"at most {sizes[-1]}")
+    """The smallest of the agreed sizes that holds ``count`` entries; beyond the largest, sizes double."""
+    size = next((size for size in sizes if count <= size), sizes[-1])
+    while size < count:
+        size *= 2
+    return size
 
 
 def _pad(values: ndarray, size: int, fill: float | None = None) -> ndarray:
@@ -112,8 +112,8 @@ def track_arrays(
         size: Padded number of nodes and of limit pieces; None picks the smallest of ``SIZES``.
 
     Raises:
-        InputError: The section has more pieces than the largest size, or a tunnel cross section the trainset
-            has no coefficient for, or a curve tighter than its formula allows.
+        InputError: A tunnel cross section the trainset has no coefficient for, or a curve tighter than its
+            formula allows.
     """
     nodes, slopes = _slopes(section, trainset)
     steps = np.diff(nodes)[:, None] * slopes[:-1]

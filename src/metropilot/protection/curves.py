@@ -57,7 +57,7 @@ def protect(
         before_m: How far before the origin the map begins.
 
     Raises:
-        InputError: The section is too long for the grid, or the look-ahead for its spacing.
+        InputError: The section is too long for the grid.
     """
     more = (bounds, stop_at_m, dtype, spacing_m, before_m)
     for known_section, known_trainset, known, answer in tuple(_RECENT):

@@ -54,6 +54,10 @@ NOT_NEGATIVE = Bounds(0.0)
 POSITIVE_OR_NONE = Bounds(0.0, above=True, infinite=True)
 SHARE = Bounds(0.0, 1.0)
 EFFICIENCY = Bounds(0.0, 1.0, above=True)
+ACTUATION_TIME = Bounds(0.0, 30.0)
+"""Dead times, lags and build-up times: longer ones are a wrong unit, not a railway."""
+EMERGENCY_RATE = Bounds(0.1, 30.0)
+EMERGENCY_JERK = Bounds(0.05, infinite=True)
 
 
 @dataclass(frozen=True)

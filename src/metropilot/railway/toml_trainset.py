@@ -10,8 +10,11 @@ import numpy as np
 
 from metropilot.errors import InputError
 from metropilot.railway.bounds import (
+    ACTUATION_TIME,
     ANY,
     EFFICIENCY,
+    EMERGENCY_JERK,
+    EMERGENCY_RATE,
     NOT_NEGATIVE,
     POSITIVE,
     POSITIVE_OR_NONE,
@@ -161,8 +164,8 @@ def _actuation(block: Node | None) -> Actuation:
     if block is None:
         return Actuation()
     return Actuation(
-        delay_s=block.quantity("delay", "time", NOT_NEGATIVE, 0.0),
-        lag_s=block.quantity("lag", "time", NOT_NEGATIVE, 0.0),
+        delay_s=block.quantity("delay", "time", ACTUATION_TIME, 0.0),
+        lag_s=block.quantity("lag", "time", ACTUATION_TIME, 0.0),
         jerk_limit_mps3=block.quantity("jerk_limit", "jerk", POSITIVE_OR_NONE, math.inf),
     )
 
@@ -171,11 +174,11 @@ def _safe_braking(block: Node | None) -> SafeBraking:
     if block is None:
         return SafeBraking()
     return SafeBraking(
-        emergency_deceleration_mps2=block.quantity("emergency_deceleration", "acceleration", POSITIVE),
+        emergency_deceleration_mps2=block.quantity("emergency_deceleration", "acceleration", EMERGENCY_RATE),
         service_deceleration_mps2=block.quantity("service_deceleration", "acceleration", POSITIVE),
-        reaction_s=block.quantity("reaction", "time", NOT_NEGATIVE, 0.0),
-        buildup_s=block.quantity("buildup", "time", NOT_NEGATIVE, 0.0),
-        emergency_jerk_mps3=block.quantity("emergency_jerk", "jerk", POSITIVE_OR_NONE, math.inf),
+        reaction_s=block.quantity("reaction", "time", ACTUATION_TIME, 0.0),
+        buildup_s=block.quantity("buildup", "time", ACTUATION_TIME, 0.0),
+        emergency_jerk_mps3=block.quantity("emergency_jerk", "jerk", EMERGENCY_JERK, math.inf),
     )
 
 

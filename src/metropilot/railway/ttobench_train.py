@@ -7,7 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from metropilot.railway.bounds import EFFICIENCY, NOT_NEGATIVE, POSITIVE, SHARE, Bounds, Column
+from metropilot.railway.bounds import (
+    ACTUATION_TIME,
+    EFFICIENCY,
+    EMERGENCY_RATE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    SHARE,
+    Bounds,
+    Column,
+)
 from metropilot.railway.effort import Efficiency, EffortCurve
 from metropilot.railway.node import Node
 from metropilot.railway.trainset import Couplers, Davis, SafeBraking, Trainset
@@ -163,10 +172,10 @@ def _safe_braking(
         )
         return assumed, [], (note,)
     block = root.table(ETCS)
-    cut_off = scalar(block, "T_traction", "time", NOT_NEGATIVE, 0.0)
+    cut_off = scalar(block, "T_traction", "time", ACTUATION_TIME, 0.0)
     dry = scalar(block, "K_dry_rst", "share", EFFICIENCY, 1.0)
     emergency = _lowest(block, "A_brake_emergency", ASSUMED_EMERGENCY_MPS2 / dry)
-    built_up = scalar(block, "T_be", "time", NOT_NEGATIVE, cut_off)
+    built_up = scalar(block, "T_be", "time", ACTUATION_TIME, cut_off)
     safe = SafeBraking(
         emergency_deceleration_mps2=emergency * dry,
         service_deceleration_mps2=_lowest(block, "A_brake_service", service),
@@ -182,7 +191,7 @@ def _lowest(block: Node, key: str, default: float) -> float:
         return default
     curve = block.table(key)
     speed = Column("velocity", "speed", NOT_NEGATIVE)
-    rows = curve.rows("values", (speed, Column("deceleration", "acceleration", POSITIVE)))
+    rows = curve.rows("values", (speed, Column("deceleration", "acceleration", EMERGENCY_RATE)))
     if not len(rows):
         raise curve.fail("needs at least one row", "values", allowed="rows of velocity and deceleration")
     curve.increasing(
