@@ -1,12 +1,15 @@
 """The driver `optimal` in closed loop, driven through the public door under protection."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from metropilot.drivers import DRIVERS
 from metropilot.errors import Infeasible
-from metropilot.evaluate import drive
+from metropilot.evaluate import Rollout, drive
 from metropilot.planning import minimum_running_time, optimal_plan
-from metropilot.railway import Restriction, load_line, load_trainset
+from metropilot.railway import Actuation, Restriction, Steps, load_line, load_trainset
 from metropilot.task import News, Outcome, Run, Scenario
 
 LATE = {"extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
@@ -97,3 +100,81 @@ def test_an_impossible_wish_on_the_way_is_answered_by_the_fastest_run():
 def test_a_time_below_the_minimum_is_refused_with_the_minimum():
     with pytest.raises(Infeasible, match=r"minimum running time is 83\.3 s"):
         drive(run_of(time_s=60.0), DRIVERS.make("optimal"))
+
+
+def dn40stop():
+    """A stop on 40 permil downhill."""
+    section = load_line("yizhuang").section("RJ", "WYJ")
+    return replace(
+        section,
+        length_m=1200.0,
+        limit_mps=Steps(np.array([-400.0]), np.array([80 / 3.6])),
+        gradient_permil=Steps(np.array([-400.0, 600.0]), np.array([0.0, -40.0])),
+        curves=(),
+    )
+
+
+def heavy():
+    """A load for which the brake has less than its service rate."""
+    return replace(load_trainset("dkz32"), loads={"MAX": 480e3}, load="MAX")
+
+
+LATE_TRAINSET = replace(load_trainset("dkz32"), actuation=Actuation(0.6, 0.4, 1.0))
+
+
+@pytest.mark.parametrize("driver", ["optimal", "mpc"])
+@pytest.mark.parametrize(
+    ("section", "trainset", "dt"),
+    [
+        (load_line("yizhuang").section("XHM", "JG"), heavy(), 0.2),
+        (dn40stop(), load_trainset("dkz32"), 0.5),
+        (dn40stop(), load_trainset("dkz32"), 1.0),
+    ],
+)
+def test_a_brake_with_nothing_to_spare_is_not_planned_to_its_last_newton(driver, section, trainset, dt):
+    run = Run(section, trainset, 1.12 * minimum_running_time(section, trainset), dt=dt)
+    done = drive(run, DRIVERS.make(driver))
+    check_safe_stop(done)
+    assert abs(done.trajectory.position_m[-1] - section.length_m) <= 0.1
+    assert done.interventions == 0
+
+
+def test_a_load_far_from_the_believed_one_does_not_overshoot():
+    done = drive(run_of(time_s=101.0, mass_factor=1.46), DRIVERS.make("mpc"))
+    check_safe_stop(done)
+    assert abs(done.trajectory.position_m[-1] - done.section.length_m) <= 0.1
+
+
+@pytest.mark.parametrize(("mass", "most"), [(1.05, 0.045), (1.1, 0.06), (1.2, 0.09)])
+def test_it_uses_what_it_observes_of_the_mass(mass, most):
+    """All of the section falls, so whoever powers too long has to brake it away (10, 22, 42 % before)."""
+    done = drive(run_of("XHM", "JG", time_s=157.0, mass_factor=mass), DRIVERS.make("optimal"))
+    check_safe_stop(done)
+    assert gap(done) <= most
+    coasting = np.abs(done.trajectory.command) < 1e-6
+    assert np.count_nonzero(np.diff(coasting)) <= 24
+
+
+@pytest.mark.parametrize("driver", ["optimal", "mpc"])
+@pytest.mark.parametrize("trainset", [load_trainset("dkz32"), LATE_TRAINSET])
+def test_nobody_is_left_standing_short_of_the_stop(driver, trainset):
+    """An emergency brake on the way, however near to the stop, is followed by a drive to the mark."""
+    section = load_line("yizhuang").section("RJ", "WYJ")
+    for left_m in (300.0, 25.0, 6.0):
+        rollout = Rollout(Run(section, trainset, 101.0), DRIVERS.make(driver))
+        braked = False
+        while rollout.outcome is None:
+            moment = rollout.advance()
+            if not braked and section.length_m - moment.position_m < left_m:
+                braked = True
+                rollout.watched = rollout.watched._replace(emergency=np.bool_(True))
+        assert rollout.outcome is Outcome.ARRIVED, left_m
+        assert moment.time_s < 125.0, left_m
+
+
+def test_a_lower_limit_is_met_without_intervention_where_commands_act_late():
+    section = load_line("yizhuang").section("RJ", "WYJ").restricted(Restriction(600.0, 800.0, 20 / 3.6))
+    run = Run(section, LATE_TRAINSET, 1.12 * minimum_running_time(section, LATE_TRAINSET))
+    done = drive(run, DRIVERS.make("optimal"))
+    check_safe_stop(done)
+    assert done.interventions == 0

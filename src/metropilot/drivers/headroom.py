@@ -12,7 +12,14 @@ from numpy import ndarray
 from metropilot.drivers.observer import Ahead, Model
 from metropilot.physics import Command
 from metropilot.planning.mesh import limit_at
-from metropilot.protection import Bounds, Memory, Protection, permitted_speed, supervise
+from metropilot.protection import (
+    Bounds,
+    Memory,
+    Protection,
+    permitted_before_service,
+    permitted_speed,
+    supervise,
+)
 
 CLEARING_STEPS = 7
 CATCH_PER_S = 1.0
@@ -56,6 +63,8 @@ def headroom_of(model: Model, guard: Protection, bounds: Bounds, margin_mps: flo
     rates, late = guard.rates, bounds.delay_s + bounds.lag_s
     at = np.arange(0.0, float(model.track.length_m) + 1.0, 1.0)
     cap = np.minimum(permitted_speed(guard, at), limit_at(model.track, at))
+    if late > 0.0:
+        cap = np.minimum(cap, permitted_before_service(guard, model.track, at))
     ratio = float(rates.mass_high / rates.mass_low)
     jerk = min(float(model.vehicle.jerk_mps3), 1e6)
     return Headroom(

@@ -59,8 +59,6 @@ class Mpc(AbstractDriver):
                 objective=chosen.objective,
                 period_s=chosen.period_s,
                 careful_brake_use=chosen.brake_use,
-                doubt=0.0,
-                weighed_brakes=True,
                 reserve_s=chosen.reserve_s,
                 spacing_m=chosen.spacing_m,
             )

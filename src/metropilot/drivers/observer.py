@@ -148,9 +148,8 @@ class Ahead(NamedTuple):
     brake_mps2: float
 
 
-def weighs_load(vehicle: Vehicle) -> bool:
-    """Whether full service braking is a rate at any load: there is force to spare for a heavier one."""
-    spare = 1.0 + 2.0 * MASS_SIGMA
+def weighs_load(vehicle: Vehicle, spare: float = 1.0 + 2.0 * MASS_SIGMA) -> bool:
+    """Whether full service braking is a rate, with force to spare for a load this many times as heavy."""
     speeds = np.linspace(0.0, float(vehicle.max_speed_mps), 9)
     electric = min(float(curve_n(vehicle.brake_from_mps, vehicle.brake, v)) for v in speeds)
     force = min(electric + float(vehicle.friction_n), float(vehicle.adhesion_n))

@@ -29,7 +29,15 @@ from metropilot.drivers.plan_reading import (
     pull_away,
     ramped_acceleration,
 )
-from metropilot.drivers.stopping import Curve, Stop, curve_for, stand, stop_command
+from metropilot.drivers.stopping import (
+    CREEP_MPS,
+    Curve,
+    Stop,
+    curve_for,
+    deceleration_to,
+    stand,
+    stop_command,
+)
 from metropilot.errors import Infeasible, SolverError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
 from metropilot.planning import Plan, PlanOptions, plan_arrays
@@ -49,16 +57,14 @@ class OptimalOptions:
         coast_band_mps2: Efforts below this are not given where the plan coasts.
         time_band_s: A departure in time that calls for a new plan.
         speed_band_mps: A departure in speed that calls for a new plan.
+        learned_band: Departures of traction, brake and resistance from those planned with that call for one.
         patience_s: Least time between two plans that a departure calls for.
         period_s: A new plan at least this often, with what was learned of the trainset by then.
         last_plan_m: No new plan this close to the braking point.
         release_share: Jerk of the last brake's release over the trainset's limit.
-        brake_use: Share of the braking force the plan counts on; the rest answers what goes differently.
-        careful_brake_use: The same where commands act late, or the trainset answers differently than told.
-        doubt: Standard deviations taken off the brake's gain once the mass turns out wrong, until braking has
-            shown it.
-        weighed_brakes: Take a brake that is controlled to a rate at any load (as the trainset's data say) for
-            what it is: a wrong mass says nothing of its gain.
+        brake_use: Share of the braking force that plan and stop count on; the rest is for corrections.
+        careful_brake_use: The same where commands act late, the brake has no force to spare, or the trainset
+            answers differently than told.
         handover_m: How near the stop its own law takes over from the plan.
         alarm: Where the stop needs this much more than the planned deceleration, its law takes over at once.
         careful_alarm: The same, wherever it is, where commands act late.
@@ -70,17 +76,16 @@ class OptimalOptions:
 
     objective: Objective = "wheel"
     speed_gain_per_s: float = 0.8
-    coast_band_mps2: float = 0.03
+    coast_band_mps2: float = 0.1
     time_band_s: float = 0.1
-    speed_band_mps: float = 0.5
-    patience_s: float = 4.0
+    speed_band_mps: float = 0.3
+    learned_band: tuple[float, float, float] = (0.02, 0.04, 0.03)
+    patience_s: float = 2.0
     period_s: float = math.inf
     last_plan_m: float = 30.0
     release_share: float = 0.95
     brake_use: float = 0.995
-    careful_brake_use: float = 0.92
-    doubt: float = 1.0
-    weighed_brakes: bool = False
+    careful_brake_use: float = 0.97
     handover_m: float = 60.0
     alarm: float = 1.15
     careful_alarm: float = 0.95
@@ -136,6 +141,8 @@ LAST_METRES_M = 8.0
 CREEP_M = 0.05
 LAST_STRETCH_M = 30.0
 EARLY_S = 1e-6
+WATCHED_SHARE = 0.5
+"""Below this share of the planned deceleration the stop is not near enough to ask what the brake can give."""
 SURPRISE = 0.05
 """A traction gain this far from 1 says that the mass is not what the driver was told."""
 
@@ -169,7 +176,7 @@ class Optimal(AbstractDriver):
                 unit="s",
                 allowed=f">= {minimum:.1f} s",
             )
-        careful = adapted_vehicle(vehicle, Adapted(brake=self._brake_use(Adapted(), room)))
+        careful = adapted_vehicle(vehicle, Adapted(brake=self._brake_use(vehicle, Adapted(), room)))
         plan = _plan(careful, track, run.scheduled_time_s - self.options.reserve_s, options)
         curve = self._curve(model, plan)
         return Following(
@@ -179,7 +186,7 @@ class Optimal(AbstractDriver):
             watched=at_start(guard),
             room=room,
             model=model,
-            belief=first_belief(model, weighed_brakes=self.options.weighed_brakes and weighs_load(vehicle)),
+            belief=first_belief(model, weighed_brakes=weighs_load(vehicle)),
             plan=plan,
             clock_s=0.0,
             curve=curve,
@@ -203,11 +210,17 @@ class Optimal(AbstractDriver):
         if memory.overruled:
             belief = belief._replace(bank=memory.belief.bank, best=memory.belief.best)
         memory = replace(memory, belief=belief)
+        if memory.braking and stands_short(memory):
+            memory = replace(memory, braking=False)
         if self._departs(memory, observation):
             memory = self._replanned(memory, observation)
         target = float(memory.model.track.length_m)
         stop = stop_command(memory.model, belief, target, memory.curve)
-        braking = memory.braking or self._takes_over(memory, stop)
+        available = self._available(memory, stop)
+        braking = memory.braking or self._takes_over(memory, stop, available)
+        if braking and available < memory.curve.deceleration_mps2:
+            curve = memory.curve._replace(deceleration_mps2=available)
+            stop = stop_command(memory.model, belief, target, curve)
         share = self._brake(memory, stop) if braking else self._follow(memory)
         share, watched = cleared(
             memory.guard, memory.watched, observation.position_m, observation.speed_mps, share
@@ -225,7 +238,7 @@ class Optimal(AbstractDriver):
         """Distance to the stop from the state where a command begins to act."""
         return float(memory.model.track.length_m) - ahead.position_m
 
-    def _takes_over(self, memory: Following, stop: Stop) -> bool:
+    def _takes_over(self, memory: Following, stop: Stop, available_mps2: float) -> bool:
         """Whether the stop's own law takes over: near the point, or where the plan would come too late."""
         left = self._left(memory, stop.ahead)
         rate = memory.curve.deceleration_mps2
@@ -233,7 +246,16 @@ class Optimal(AbstractDriver):
             needed = self.options.careful_alarm * rate
         else:
             needed = rate if left <= self.options.handover_m else self.options.alarm * rate
-        return left <= LAST_METRES_M or stop.required_mps2 >= needed
+        # Where the brake has nothing to spare, half a period's wait is more than it can make up for.
+        due = stop.required_mps2 * left / max(left - 0.5 * stop.ahead.speed_mps * memory.model.dt, 0.1)
+        return left <= LAST_METRES_M or stop.required_mps2 >= needed or due >= available_mps2
+
+    def _available(self, memory: Following, stop: Stop) -> float:
+        """The deceleration the stop may count on; infinite while it is far off."""
+        if stop.required_mps2 < WATCHED_SHARE * memory.curve.deceleration_mps2:
+            return math.inf
+        use = self._brake_use(memory.model.vehicle, memory.adapted, memory.room)
+        return use * deceleration_to(memory.model, memory.belief, stop)
 
     def _brake(self, memory: Following, stop: Stop) -> float:
         """The stop's command; in the last period the deceleration in force, where it ends near enough."""
@@ -243,6 +265,8 @@ class Optimal(AbstractDriver):
         """The command that keeps to the plan's speed at the state where it begins to act."""
         plan, dt = memory.plan, memory.model.dt
         ahead = look_ahead(memory.model, memory.belief)
+        # The plan counts on no stronger brake than the nominal one; neither may the command that follows it.
+        ahead = ahead._replace(brake_mps2=ahead.brake_mps2 / max(memory.belief.brake_gain, 1.0))
         here = plan_speed(plan, ahead.position_m)
         step = 0.5 * (here + ahead.speed_mps) * dt
         start = max(ahead.position_m, float(plan.position_m[0]))
@@ -271,6 +295,8 @@ class Optimal(AbstractDriver):
         if news:
             return True
         since_s = observation.time_s - memory.planned_at_s + EARLY_S
+        if stands_short(memory):
+            return since_s >= self.options.patience_s
         if memory.braking or since_s < min(self.options.patience_s, self.options.period_s):
             return False
         plan, belief = memory.plan, memory.belief
@@ -282,11 +308,12 @@ class Optimal(AbstractDriver):
             return True
         late = observation.time_s - memory.clock_s - plan_time(plan, belief.position_m)
         off = belief.speed_mps - plan_speed(plan, belief.position_m)
-        now = self._adaptation(belief)
-        learned = (
-            max(abs(now.traction - memory.adapted.traction), abs(now.brake - memory.adapted.brake)) > 0.04
+        learned = np.abs(np.subtract(self._adaptation(belief), memory.adapted))
+        return (
+            abs(late) > self.options.time_band_s
+            or abs(off) > self.options.speed_band_mps
+            or bool((learned > self.options.learned_band).any())
         )
-        return abs(late) > self.options.time_band_s or abs(off) > self.options.speed_band_mps or learned
 
     def _replanned(self, memory: Following, observation: Observation) -> Following:
         """A plan from the state as it is, with the trainset as it has shown itself."""
@@ -298,14 +325,17 @@ class Optimal(AbstractDriver):
             model = model._replace(track=track_arrays(observation.section, memory.trainset))
             room = headroom_of(model, guard, bounds, self.options.cap_margin_mps)
         adapted = self._adaptation(belief)
-        left = max(observation.scheduled_time_s - self.options.reserve_s - observation.time_s, 1.0)
+        # What is in flight cannot be changed: the plan begins where a command given now begins to act.
+        ahead = look_ahead(model, belief)
+        clock_s = observation.time_s + ahead.seconds
+        left = max(observation.scheduled_time_s - self.options.reserve_s - clock_s, 1.0)
         options = replace(
             self._plan_options(model, room),
-            start_m=max(belief.position_m, 0.0),
-            start_mps=max(belief.speed_mps, 0.0),
-            start_mps2=belief.acceleration_mps2,
+            start_m=max(ahead.position_m, 0.0),
+            start_mps=max(ahead.speed_mps, 0.0),
+            start_mps2=ahead.acceleration_mps2,
         )
-        use = self._brake_use(adapted, room)
+        use = self._brake_use(model.vehicle, adapted, room)
         vehicle = adapted_vehicle(model.vehicle, adapted._replace(brake=adapted.brake * use))
         told = replace(
             memory,
@@ -323,19 +353,17 @@ class Optimal(AbstractDriver):
             plan = _plan(vehicle, model.track, left, options, memory.plan)
         except SolverError:
             return told
-        return replace(told, plan=plan, clock_s=observation.time_s, curve=self._curve(model, plan))
+        return replace(told, plan=plan, clock_s=clock_s, curve=self._curve(model, plan))
 
     def _adaptation(self, belief: Belief) -> Adapted:
-        """What to plan with: a brake no stronger than told, and doubted once the mass turns out wrong."""
-        brake = belief.brake_gain
-        if abs(belief.traction_gain - 1.0) > SURPRISE:
-            brake -= self.options.doubt * belief.brake_gain_sigma
-        return Adapted(belief.traction_gain, min(brake, 1.0), belief.resistance_factor)
+        """What to plan with: the trainset as estimated, with a brake no stronger than nominal."""
+        return Adapted(belief.traction_gain, min(belief.brake_gain, 1.0), belief.resistance_factor)
 
-    def _brake_use(self, adapted: Adapted, room: Headroom) -> float:
+    def _brake_use(self, vehicle: Vehicle, adapted: Adapted, room: Headroom) -> float:
         """Share of the braking force to plan with."""
-        told = room.late_s == 0.0 and abs(adapted.traction - 1.0) <= SURPRISE
-        return self.options.brake_use if told else self.options.careful_brake_use
+        nominal = room.late_s == 0.0 and abs(adapted.traction - 1.0) <= SURPRISE
+        sure = nominal and weighs_load(vehicle, spare=1.0)
+        return self.options.brake_use if sure else self.options.careful_brake_use
 
     def _curve(self, model: Model, plan: Plan) -> Curve:
         """The stop the plan ends with: the deceleration it brakes at before it lets go."""
@@ -375,6 +403,13 @@ def _plan(
         return plan_arrays(vehicle, track, time_s, options, about)
     except SolverError:
         return plan_arrays(vehicle, track, time_s, replace(options, jerk_mps3=None, release_mps3=None))
+
+
+def stands_short(memory: Following) -> bool:
+    """Whether the trainset stands, once departed, so far from the stop that it takes a plan to get there."""
+    belief = memory.belief
+    left = float(memory.model.track.length_m) - belief.position_m
+    return belief.speed_mps < CREEP_MPS and left > LAST_METRES_M and belief.position_m > LAST_METRES_M
 
 
 def braking_room(memory: Following) -> float:

@@ -40,6 +40,10 @@ DROP_SHARE = 0.6
 """Largest deceleration at the stop over what the jerk limit allows to drop in one period."""
 INCH_M = 0.2
 """A trainset that would stand nearer to the target than this is left to stand."""
+DRAW_UP_MPS2 = 0.3
+"""Acceleration with which a trainset that stands short of the stop draws up to it..."""
+DRAW_UP_SHARE = 0.3
+"""...until a deceleration of this share of it would be needed to stop there."""
 HOLD_MPS2 = 0.1
 """Least deceleration asked for to stand."""
 BISECTIONS = 20
@@ -230,6 +234,8 @@ def stop_command(model: Model, belief: Belief, target_m: float, curve: Curve) ->
     v, distance = ahead.speed_mps, target_m - ahead.position_m
     if v <= 0 and distance < INCH_M:
         return Stop(share_for(belief, ahead, -max(curve.end_mps2, HOLD_MPS2)), 0.0, ahead, distance)
+    if distance >= INCH_M and v * v < 2.0 * DRAW_UP_SHARE * DRAW_UP_MPS2 * distance:
+        return Stop(share_for(belief, ahead, DRAW_UP_MPS2), 0.0, ahead, distance)
     required, falling = required_ahead(ahead, distance, curve)
     if falling == 0.0 and required < STRONGEST_MPS2:
         wanted = max(required + RETURN_GAIN * (required - curve.deceleration_mps2), 0.0)
@@ -241,6 +247,28 @@ def stop_command(model: Model, belief: Belief, target_m: float, curve: Curve) ->
             wanted = max(wanted, 0.0)
     wanted = min(wanted, strongest(v, curve, model.dt))
     return Stop(share_for(belief, ahead, -wanted), required, ahead, distance)
+
+
+def deceleration_to(model: Model, belief: Belief, stop: Stop) -> float:
+    """The constant deceleration that full service braking can keep up from a state to the stop, m/s^2.
+
+    Braking exchanges energy, so it is the least of the mean decelerations over every rest of the way; of the
+    effort the least on the way down to standstill counts.
+
+    Args:
+        model: What the driver believes about trainset and section.
+        belief: The belief; a brake stronger than nominal counts for no more, and so does a larger resistance.
+        stop: From :func:`stop_command`.
+    """
+    vehicle, ahead = model.vehicle, stop.ahead
+    done = np.linspace(0.0, 1.0, 9)
+    speeds = ahead.speed_mps * np.sqrt(1.0 - done)
+    at = ahead.position_m + done * max(stop.left_m, 0.0)
+    resistance, gradient = resistance_and_gradient(vehicle, model.track, at, speeds)
+    effort = min(float(effort_at(vehicle, v).brake_n) for v in speeds)
+    held = min(belief.resistance_factor, 1.0) * resistance + gradient
+    rests = np.cumsum(held[::-1]) / np.arange(1, held.size + 1)
+    return (min(belief.brake_gain, 1.0) * effort + float(rests.min())) / float(vehicle.effective_mass_kg)
 
 
 def stand(model: Model, belief: Belief, stop: Stop, near_enough_m: float, creep_m: float) -> float:

@@ -1,7 +1,7 @@
 """Permitted speed, and the supervisor that keeps every driver within the limits."""
 
 from metropilot.protection.bounds import Bounds
-from metropilot.protection.braking import permitted_braking
+from metropilot.protection.braking import permitted_before_service, permitted_braking
 from metropilot.protection.curves import protect
 from metropilot.protection.separation import Ahead, PairBounds, Separation, separate
 from metropilot.protection.supervisor import approach_margin, permitted_speed, spare_gap, supervise
@@ -18,6 +18,7 @@ __all__ = [
     "Verdict",
     "approach_margin",
     "at_start",
+    "permitted_before_service",
     "permitted_braking",
     "permitted_speed",
     "protect",
