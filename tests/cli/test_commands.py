@@ -54,6 +54,25 @@ def test_drive_on_time_is_zero(program):
     assert "arrived safely and on time" in said.out
 
 
+def test_a_requirement_shown_as_failed_is_in_headline_json_and_exit_code(program):
+    words = ("drive", *RUN, "--driver", "manual")
+    said = program(*words)
+    assert said.code == 1
+    assert "arrived on time, but jerk 1.57 m/s³" in said.out.splitlines()[0]
+    kpis = answer(program(*words, "--json"), 1)
+    assert (kpis["success"], kpis["failed"]) == (False, ["jerk"])
+
+
+def test_a_convoy_ends_as_its_worst_trainset(program):
+    words = ("convoy", *RUN[:3], "--time", "115")
+    said = program(*words)
+    assert said.code == 1
+    assert "trainset 2 arrived on time, but jerk" in said.out.splitlines()[0]
+    kpis = answer(program(*words, "--json"), 1)
+    assert (kpis["success"], kpis["outcome"], kpis["failed"]) == (False, "arrived", ["jerk"])
+    assert [row["success"] for row in kpis["trainsets"]] == [True, False]
+
+
 def test_compare(program, tmp_path):
     table = answer(program("compare", *RUN, "--drivers", "flat_out,manual", "--out", "out", "--json"))
     assert [d["driver"] for d in table["drivers"]] == ["flat_out", "manual"]

@@ -49,7 +49,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line and exit: 0 arrived safely and on time, 1 not, 2 for input that cannot be used.
+    """Run the command line and exit: 0 every requirement met, 1 not, 2 for input that cannot be used.
 
     Args:
         argv: Arguments without the program's name; the process's own by default.

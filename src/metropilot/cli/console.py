@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from metropilot.evaluate import Check
+
 Item = TypeVar("Item")
 NOTHING = "–"
 
@@ -45,6 +47,12 @@ def table(
     for row in rows:
         made.add_row(*(printable(cell) if isinstance(cell, str) else cell for cell in row))
     return made
+
+
+def requirements(checks: Iterable[Check]) -> Table:
+    """What was required, passed or failed."""
+    rows = [(c.name, c.value, c.wanted, "✓" if c.passed else "✗ FAILED") for c in checks]
+    return table("", ("requirement", "measured", "allowed", ""), rows, right=(1,))
 
 
 def printable(text: str) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from metropilot.cli import options as opt
-from metropilot.cli.console import console, number, print_json, table, working
+from metropilot.cli.console import console, number, print_json, requirements, table, working
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def convoy_command(
 ) -> int:
     """Drive virtually coupled trainsets: a head, and followers a few metres behind each other.
 
-    Exit code 0: all arrived safely, the head on time; 1: not; 2: input that cannot be used.
+    Exit code 0: every trainset met every requirement shown; 1: not; 2: input that cannot be used.
     """
     from metropilot.evaluate import Request
     from metropilot.evaluate.convoy_request import ConvoyRequest
@@ -154,14 +154,13 @@ def report(request: ConvoyRequest, kpis: ConvoyKpis) -> None:
     where = (
         f"{known.line} {known.origin} → {known.destination}, {request.count} x {known.trainset} {known.load}"
     )
-    verdict = "arrived safely and on time" if kpis.success else kpis.outcome.replace("_", " ")
-    verdict = f"{kpis.contacts} contacts" if kpis.contacts else verdict
     style = "bold" if kpis.success else "bold red"
-    out.print(f"{where}, {request.follower} behind {known.driver}: {verdict}", style=style)
+    out.print(f"{where}, {request.follower} behind {known.driver}: {kpis.verdict}", style=style)
     out.print(
         f"gap {kpis.gap_min_m:.2f} to {kpis.gap_max_m:.2f} m, speed difference at most "
         f"{kpis.speed_difference_max_mps:.3f} m/s, scheduled {kpis.scheduled_time_s:g} s"
     )
+    out.print(requirements(kpis.checks))
     columns = (
         "trainset",
         "driver",

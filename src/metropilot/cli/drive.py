@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metropilot.cli import options as opt
-from metropilot.cli.console import console, number, print_json, table, working
+from metropilot.cli.console import console, number, print_json, requirements, table, working
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def drive_command(
 ) -> int:
     """Drive one run under protection and report it.
 
-    Exit code 0: arrived safely and on time; 1: not; 2: input that cannot be used.
+    Exit code 0: every requirement shown was met; 1: not; 2: input that cannot be used.
     """
     from metropilot.evaluate import request_from_toml
 
@@ -118,22 +118,16 @@ def run_and_report(request: Request, out: Path | None, *, as_json: bool) -> int:
 
 def report(request: Request, kpis: Kpis) -> None:
     """The drive on the screen: what was required, and what it cost."""
-    from metropilot.evaluate import checks
+    from metropilot.evaluate import checks, verdict
 
     out = console()
     known = request.resolved()
     where = f"{known.line} {known.origin} → {known.destination}"
-    verdict = kpis.outcome.replace("_", " ")
-    if kpis.success:
-        verdict = "arrived safely and on time"
-    elif verdict == "arrived":
-        verdict = f"arrived {abs(kpis.time_error_s):.1f} s {'early' if kpis.time_error_s < 0 else 'late'}"
     out.print(
-        f"{where}, {known.trainset} {known.load}, driver {known.driver}: {verdict}",
+        f"{where}, {known.trainset} {known.load}, driver {known.driver}: {verdict(kpis)}",
         style="bold" if kpis.success else "bold red",
     )
-    required = [(c.name, c.value, c.wanted, "✓" if c.passed else "✗ FAILED") for c in checks(kpis)]
-    out.print(table("", ("requirement", "measured", "allowed", ""), required, right=(1,)))
+    out.print(requirements(checks(kpis)))
     out.print(table("", ("KPI", "value", ""), rows(kpis), right=(1,)))
 
 

@@ -304,6 +304,7 @@ def show_run(folder: Path, *, as_json: bool) -> int:
     out = console()
     told = [(key, json.dumps(value, ensure_ascii=False)) for key, value in asked.get("run", {}).items()]
     out.print(table(f"{folder}", ("run", ""), told))
+    kpis = {k: ", ".join(v) or None if k == "failed" else v for k, v in kpis.items()}
     flat = [(key, _value(value)) for key, value in kpis.items() if not isinstance(value, dict | list)]
     out.print(table("", ("KPI", ""), flat, right=(1,)))
     return 0
