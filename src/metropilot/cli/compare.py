@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from metropilot.cli import complete
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, number, print_json, progress, table
 from metropilot.errors import InputError
@@ -28,6 +29,8 @@ SHOWN: tuple[tuple[str, str, float, int], ...] = (
     ("regime_switches", "switches", 1.0, 0),
     ("decision_time_us_median", "µs", 1.0, 0),
 )
+SPARE = ("µs", "switches", "Σ|Δu|", "line kWh", "stop cm")
+"""Columns that are left out where there is no room, the first one first."""
 MAX_SEEDS = 10_000
 BESIDE = {"no intervention": "overruled", "jerk": "jerk"}
 """What the outcome adds of requirements that are failed on arrival."""
@@ -44,7 +47,12 @@ def compare_command(
     origin: opt.OriginArgument,
     destination: opt.DestinationArgument,
     drivers: Annotated[
-        str, typer.Option(help="Driver ids, separated by commas.", rich_help_panel=opt.ABOUT)
+        str,
+        typer.Option(
+            help="Driver ids, separated by commas.",
+            rich_help_panel=opt.ABOUT,
+            autocompletion=complete.drivers,
+        ),
     ] = "optimal,manual,flat_out",
     seeds: Annotated[
         int, typer.Option(help="Drives of each driver, each with its own seed.", rich_help_panel=opt.WORLD)
@@ -143,7 +151,7 @@ def report(request: Request, entries: Sequence[Entry], seeds: int) -> None:
         rows.append([entry.driver, _outcomes(entry), *cells])
     columns = ["driver", "outcome", *(words for _, words, _, _ in SHOWN)]
     out = console()
-    out.print(table(title, columns, rows, right=range(2, len(columns))))
+    out.print(table(title, columns, rows, right=range(2, len(columns)), spare=SPARE))
     legend = "time and stop: error; optimum: energy above it for the time achieved; µs: time of a decision"
     out.print(legend + ("; small: 95 % interval over the seeds" if seeds > 1 else ""), style="dim")
     if any(winners.values()):
