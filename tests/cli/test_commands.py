@@ -110,6 +110,13 @@ def test_a_table_breaks_between_words_only(program, name, width):
         assert max(map(len, said.out.splitlines())) > 100
 
 
+@pytest.mark.parametrize("width", [60, 80])
+@pytest.mark.parametrize(("name", "words"), [("lines", "Songjiazhuang"), ("trainsets", "CN_Beijing_Subway")])
+def test_the_catalogue_breaks_between_words_only(metropilot, monkeypatch, name, words, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    whole(metropilot(name).out, [words], width)
+
+
 def summary_row(name):
     shares = {"runs": 1014, "successes": 1001, "possible": 1014, "intervened": 12, "failed": 0}
     gaps = {"gap_median": 12.34, "gap_95": 23.4, "gap_worst": 145.6}

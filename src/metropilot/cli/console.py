@@ -110,11 +110,11 @@ def _fitted(
 
 
 def _widened(free: int, least: Sequence[int], full: Sequence[int]) -> list[int]:
-    """Widths from the least there must be to the full ones, the narrowest first, as far as there is room."""
+    """Widths from the least there must be towards the full ones: always the narrowest grows."""
     widths = list(least)
-    for k in sorted(range(len(widths)), key=lambda k: full[k] - least[k]):
-        more = min(full[k] - least[k], free)
-        widths[k], free = widths[k] + more, free - more
+    while free > 0 and (short := [k for k, width in enumerate(widths) if width < full[k]]):
+        widths[min(short, key=lambda k: widths[k])] += 1
+        free -= 1
     return widths
 
 
