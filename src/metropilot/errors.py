@@ -91,9 +91,10 @@ def renamed(names: Mapping[str, str], file: object = None) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if error.file is not None or error.field not in names:
+        outer = names.get(error.field or "")
+        if error.file is not None or outer is None:
             raise
-        raise error.at(file=file, field=names[error.field]) from error
+        raise error.at(file=file, field=outer) from error
 
 
 class Infeasible(InputError):
