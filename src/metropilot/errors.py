@@ -8,6 +8,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
 _LONGEST = 600
 """Characters of one part of a complaint; the list of what is allowed is ours, and shown whole."""
 
@@ -46,6 +49,17 @@ class InputError(MetropilotError, ValueError):
         self.allowed = allowed
         super().__init__(self.line())
 
+    def at(self, *, file: object = None, field: str | None = None, unit: str | None = None) -> InputError:
+        """The same complaint with another file, field or unit; what is None stays."""
+        return type(self)(
+            self.message,
+            file=self.file if file is None else file,
+            field=self.field if field is None else field,
+            value=self.value,
+            unit=self.unit if unit is None else unit,
+            allowed=self.allowed,
+        )
+
     def line(self) -> str:
         """The whole story on one line: ``file: field: message: value unit (allowed: ...)``.
 
@@ -63,6 +77,24 @@ class InputError(MetropilotError, ValueError):
 
 def _cut(text: str) -> str:
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 50]} ... {text[-40:]}"
+
+
+@contextmanager
+def renamed(names: Mapping[str, str], file: object = None) -> Iterator[None]:
+    """Complaints inside name their field as whoever asked wrote it.
+
+    Args:
+        names: From a field's name inside to its name outside; complaints of other fields, and those of a
+            file of their own, pass as they are.
+        file: The file in which the outer names stand.
+    """
+    try:
+        yield
+    except InputError as error:
+        outer = names.get(error.field or "")
+        if error.file is not None or outer is None:
+            raise
+        raise error.at(file=file, field=outer) from error
 
 
 class Infeasible(InputError):

@@ -4,10 +4,12 @@ What drives runs as a program: this process checks types at run time, which make
 """
 
 import json
+import os
 import shlex
 import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
@@ -54,6 +56,25 @@ def test_drive_on_time_is_zero(program):
     assert "arrived safely and on time" in said.out
 
 
+def test_a_requirement_shown_as_failed_is_in_headline_json_and_exit_code(program):
+    words = ("drive", *RUN, "--driver", "manual")
+    said = program(*words)
+    assert said.code == 1
+    assert "arrived on time, but jerk 1.57 m/s³" in said.out.splitlines()[0]
+    kpis = answer(program(*words, "--json"), 1)
+    assert (kpis["success"], kpis["failed"]) == (False, ["jerk"])
+
+
+def test_a_convoy_ends_as_its_worst_trainset(program):
+    words = ("convoy", *RUN[:3], "--time", "115")
+    said = program(*words)
+    assert said.code == 1
+    assert "trainset 2 arrived on time, but jerk" in said.out.splitlines()[0]
+    kpis = answer(program(*words, "--json"), 1)
+    assert (kpis["success"], kpis["outcome"], kpis["failed"]) == (False, "arrived", ["jerk"])
+    assert [row["success"] for row in kpis["trainsets"]] == [True, False]
+
+
 def test_compare(program, tmp_path):
     table = answer(program("compare", *RUN, "--drivers", "flat_out,manual", "--out", "out", "--json"))
     assert [d["driver"] for d in table["drivers"]] == ["flat_out", "manual"]
@@ -63,6 +84,61 @@ def test_compare(program, tmp_path):
     assert said.code == 0
     assert "early" in said.out
     assert "95 % interval" in said.out
+
+
+WORDS = {
+    "compare": (*RUN, "--drivers", "flat_out,manual", "--seeds", "2", "--speed-noise", "0.05"),
+    "convoy": ("yizhuang", "YZQ", "WHY", "--trainset", "cheng2023", "--time", "110"),
+}
+
+
+def whole(text, words, width):
+    """The words all stand in the text, none broken, and no line is wider than the output."""
+    assert max(map(len, text.splitlines())) <= width
+    found = set(text.replace("*", " ").split())
+    assert set(words) <= found, set(words) - found
+
+
+@pytest.mark.parametrize("width", [60, 80, 120, 200])
+@pytest.mark.parametrize("name", WORDS)
+def test_a_table_breaks_between_words_only(program, name, width):
+    said = program(name, *WORDS[name], env={**os.environ, "COLUMNS": str(width)})
+    ids = {"compare": ("flat_out", "manual", "outcome"), "convoy": ("follow_gap", "trainset", "overruled")}
+    whole(said.out, ids[name], width)
+    assert ("left out at this width" in said.out) == (width < 120)
+    if width == 200:
+        assert max(map(len, said.out.splitlines())) > 100
+
+
+@pytest.mark.parametrize("width", [60, 80])
+@pytest.mark.parametrize(("name", "words"), [("lines", "Songjiazhuang"), ("trainsets", "CN_Beijing_Subway")])
+def test_the_catalogue_breaks_between_words_only(metropilot, monkeypatch, name, words, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    whole(metropilot(name).out, [words], width)
+
+
+def summary_row(name):
+    shares = {"runs": 1014, "successes": 1001, "possible": 1014, "intervened": 12, "failed": 0}
+    gaps = {"gap_median": 12.34, "gap_95": 23.4, "gap_worst": 145.6}
+    return {
+        "driver": name,
+        **shares,
+        **gaps,
+        "late_worst_s": 12.34,
+        "stop_worst_m": 0.123,
+        "decision_us_median": 1234.0,
+    }
+
+
+@pytest.mark.parametrize("width", [60, 80, 120, 200])
+def test_a_campaigns_table_breaks_between_words_only(capsys, monkeypatch, tmp_path, width):
+    from metropilot.cli.campaign import report
+
+    monkeypatch.setenv("COLUMNS", str(width))
+    rows = [summary_row("generalist"), summary_row("improved_dqn")]
+    done = {"driven": 0}
+    report({"drivers": rows, "campaign": "c", "done": 1, "rows": 1, "sitting": done}, Path("campaigns/c"))
+    whole(capsys.readouterr().out, ("generalist", "improved_dqn", "median", "12.34", "1014"), width)
 
 
 def test_plan_of_a_run(metropilot, tmp_path):
@@ -122,6 +198,8 @@ def test_drivers_are_the_registry(metropilot):
         ("yizhuang-ttobench", "line", "9247"),
         ("dkz32:AW2", "trainset", "electric brake kN"),
         ("flat_out", "driver", "source: own"),
+        *((key, "driver", "source: ") for key in DRIVERS.ids() if key != "flat_out"),
+        *((key, "follower", "source: ") for key in FOLLOWERS.ids()),
     ],
 )
 def test_show(metropilot, what, kind, words):
@@ -163,6 +241,35 @@ def test_help_lists_what_the_commands_say(metropilot):
         own = metropilot(name, "--help").out
         assert "--json" in own
         assert "Examples" in own
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("dri", ["drive", "drivers"]),
+        ("drive yi", ["yizhuang", "yizhuang-ttobench"]),
+        ("drive yizhuang R", ["RJ", "RC"]),
+        ("drive nowhere R", []),
+        ("drive yizhuang RJ WYJ --trainset dkz", ["dkz32", "dkz32-contest"]),
+        ("drive yizhuang RJ WYJ --driver ppo", ["ppo", "ppo_scaled"]),
+        ("drive yizhuang RJ WYJ --ti", ["--time"]),
+        ("compare yizhuang RJ WYJ --drivers pid,opt", ["pid,optimal"]),
+        ("convoy yizhuang RJ WYJ --driver follow_m", ["follow_mpc"]),
+        ("plan yizhuang RJ WY", ["WYJ"]),
+        ("show follow_g", ["follow_gap"]),
+        ("reproduce lu", ["lu2023"]),
+    ],
+)
+def test_a_shell_completes(program, line, words):
+    asked = {"COMP_WORDS": f"metropilot {line}", "COMP_CWORD": str(len(line.split()))}
+    said = program(env={**os.environ, **asked, "_METROPILOT_COMPLETE": "complete_bash"})
+    assert (said.code, said.out.split()) == (0, words), said.err
+
+
+def test_the_script_that_makes_a_shell_complete(metropilot):
+    said = metropilot("--show-completion", "bash")
+    assert said.code == 0
+    assert "complete_bash" in said.out
 
 
 def test_version(metropilot):

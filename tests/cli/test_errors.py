@@ -2,6 +2,8 @@
 
 import json
 import os
+from importlib import import_module
+from typing import get_args, get_type_hints
 
 import pytest
 
@@ -55,6 +57,119 @@ def test_bad_input_is_one_line(metropilot, arguments, words):
     assert said.err.count("\n") == 1
     assert said.err.startswith("metropilot: ")
     assert words in said.err
+
+
+NUMERIC_BASE = {
+    "drive": RUN[1:],
+    "compare": ("yizhuang", "RJ", "WYJ", "--drivers", "flat_out"),
+    "convoy": ("yizhuang", "RJ", "WYJ", "--head", "flat_out"),
+    "plan": RUN[1:4],
+    "campaign": ("example",),
+    "learn": ("ppo",),
+    "reproduce": ("chen2023a",),
+    "serve": (),
+    "runs": (),
+}
+"""What a command needs beside the option that is tried; a comparison's run has the options of a drive."""
+ALLOWED = {("headwind", "-1"), ("adhesion", "inf")}
+NUMERIC = [
+    pytest.param(name, option, value, id=f"{name} --{option.replace('_', '-')}={value}")
+    for name, (module, _) in app.COMMANDS.items()
+    for option, hint in get_type_hints(getattr(import_module(module), f"{name}_command")).items()
+    if option != "return" and {hint, *get_args(hint)} & {int, float}
+    for value in ("nan", "-1", *(("inf",) if hint is not int else ()))
+    if (option, value) not in ALLOWED and (name != "compare" or option == "seeds")
+]
+
+
+@pytest.mark.parametrize(("name", "option", "value"), NUMERIC)
+def test_a_number_that_is_none_is_refused_by_its_option(
+    metropilot, tmp_path, monkeypatch, name, option, value
+):
+    monkeypatch.chdir(tmp_path)
+    written = f"--{option.replace('_', '-')}"
+    said = metropilot(name, *NUMERIC_BASE[name], f"{written}={value}")
+    assert said.code == 2, said
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert written in said.err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--delay", "100"), "--delay: out of range: 100.0 (allowed: 0 to 5)"),
+        (("--lag", "9"), "--lag: "),
+        (("--headwind", "99"), "--headwind: "),
+        (("--speed-noise", "2"), "--speed-noise: "),
+        (("--resistance-factor", "7"), "--resistance-factor: "),
+        (("--adhesion", "0"), "--adhesion: "),
+        (("--restriction", "400-300@40"), "--restriction: "),
+        (("--arrive", "x"), "--arrive: "),
+        (("--arrive", "1e9@30"), "--arrive: running time out of range"),
+        (("--time", "1e9"), "--time: running time out of range"),
+        (("--time", "83.3"), "is 83.33 s: 83.3 s (allowed: 83.33 to 2499 s)"),
+    ],
+)
+def test_a_complaint_names_the_option_as_it_was_written(metropilot, arguments, words):
+    said = metropilot(*RUN, *arguments)
+    assert (said.code, said.err.count("\n")) == (2, 1)
+    assert words in said.err
+
+
+def test_the_stated_minimum_is_enough(metropilot):
+    from metropilot.evaluate import Request
+
+    Request("yizhuang", "RJ", "WYJ", 83.33).run()
+    assert metropilot("plan", "yizhuang", "RJ", "WYJ", "--time", "83.33").code == 0
+    assert "allowed: 83.33 to" in metropilot("plan", "yizhuang", "RJ", "WYJ", "--time", "83.3").err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--head", "nobody"), "--head: unknown driver"),
+        (("--driver", "nobody"), "--driver: unknown follower"),
+        (("--delay", "9"), "--delay: out of range"),
+        (("--trainsets", "1"), "--trainsets: "),
+        (("--mass-factors", "1,9"), "--mass-factors: "),
+        (("--uncouple-at", "-1"), "--uncouple-at: "),
+        (("--head-emergency", "-1"), "--head-emergency: "),
+        (("--time", "1e9"), "minimum running time of the convoy"),
+    ],
+)
+def test_a_convoys_complaints_name_its_own_options(metropilot, arguments, words):
+    said = metropilot("convoy", "yizhuang", "RJ", "WYJ", *arguments)
+    assert (said.code, said.err.count("\n")) == (2, 1)
+    assert words in said.err
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("delay_s = 100", "run.delay_s: out of range"),
+        ("time_s = 1e9", "run.time_s: running time out of range"),
+        ("dt_s = 9", "run.dt_s: "),
+        ('arrivals = ["x"]', "run.arrivals: "),
+        ('restrictions = ["x"]', "run.restrictions: "),
+        ("seed = -1", "run.seed: "),
+    ],
+)
+def test_a_complaint_about_a_run_file_names_file_and_key(metropilot, tmp_path, text, words):
+    path = tmp_path / "run.toml"
+    path.write_text(f'[run]\nline = "yizhuang"\norigin = "RJ"\ndestination = "WYJ"\n{text}\n')
+    said = metropilot("drive", "--from", path)
+    assert (said.code, said.err.count("\n")) == (2, 1)
+    assert f"{path}: {words}" in said.err
+
+
+def test_too_few_steps_are_refused_with_the_least_there_are(metropilot, tmp_path):
+    said = metropilot("learn", "ppo", "--steps", "10", "--out", tmp_path / "mine")
+    assert (said.code, said.err.count("\n")) == (2, 1)
+    assert "--steps: too few for 8 evaluations" in said.err
+    assert "262144 or more" in said.err
+    assert not (tmp_path / "mine").exists()
 
 
 def test_the_same_as_json(metropilot):

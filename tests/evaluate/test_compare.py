@@ -45,9 +45,16 @@ def test_the_best_is_the_lowest_of_those_that_succeed(entries):
     assert first.successes == 2
     thrifty = replace(first, driver="b", kpis=tuple(replace(k, energy_wheel_kwh=1.0) for k in first.kpis))
     lost = replace(
-        first, driver="c", kpis=tuple(replace(k, energy_wheel_kwh=0.1, safe=False) for k in first.kpis)
+        first,
+        driver="c",
+        kpis=tuple(replace(k, energy_wheel_kwh=0.1, outcome="overspeed", safe=False) for k in first.kpis),
     )
-    assert best([first, thrifty, lost], "energy_wheel_kwh") == "b"
+    rough = replace(
+        first,
+        driver="d",
+        kpis=tuple(replace(k, energy_wheel_kwh=0.2, interventions=2) for k in first.kpis),
+    )
+    assert best([first, thrifty, lost, rough], "energy_wheel_kwh") == "b"
     assert best([first, lost], "energy_wheel_kwh") is None, "the best needs a rival"
 
 

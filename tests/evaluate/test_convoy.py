@@ -1,5 +1,6 @@
 """Convoys on the host: followers, the link, coupling and uncoupling, KPIs; a small hostile campaign."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -52,6 +53,53 @@ def test_every_follower_holds_the_gap(follower):
     assert sum(drive.interventions) == 0
     assert [member.number for member in kpis.trainsets] == [1, 2]
     assert kpis.trainsets[1].energy_wheel_kwh == pytest.approx(kpis.trainsets[0].energy_wheel_kwh, rel=0.1)
+
+
+def test_a_convoy_is_judged_by_each_of_its_trainsets():
+    drive = run(count=3)
+    head = drive.trajectories[0]
+    # The head is taken to stand at its mark.
+    section = replace(drive.convoy.section, length_m=float(head.position_m[-1]))
+    drive = replace(drive, convoy=replace(drive.convoy, section=section))
+    good = convoy_kpis(drive, float(drive.time_s[-1]) - 3.0)
+    assert (good.success, good.outcome, good.verdict) == (True, "arrived", "arrived safely and on time")
+    assert all(row["success"] and row["failed"] == [] for row in good.as_dict()["trainsets"])
+
+    overruled = convoy_kpis(replace(drive, interventions=(0, 0, 2)), good.scheduled_time_s)
+    assert not overruled.success
+    assert overruled.verdict == "trainset 3 arrived on time, but 2 interventions"
+    told = overruled.as_dict()
+    assert (told["success"], told["failed"]) == (False, ["no intervention"])
+    assert [row["success"] for row in told["trainsets"]] == [True, True, False]
+
+    # The second is a metre short of its own mark, and the third with it, at the wanted gap behind.
+    moved = [replace(t, position_m=t.position_m - 1.0) if k else t for k, t in enumerate(drive.trajectories)]
+    short = convoy_kpis(replace(drive, trajectories=tuple(moved)), good.scheduled_time_s)
+    assert [m.outcome for m in short.trainsets] == ["arrived", "stalled", "stalled"]
+    assert short.trainsets[1].stopping_error_m == pytest.approx(-1.0, abs=0.3)
+    assert short.outcome == "stalled"
+
+    late = convoy_kpis(drive, good.scheduled_time_s - 20.0)
+    assert [m.failed for m in late.trainsets] == [("on time",)] * 3
+    assert "trainset 2 arrived 2" in late.verdict
+
+    touched = convoy_kpis(replace(drive, gap_m=drive.gap_m - np.array([0.0, 50.0])), good.scheduled_time_s)
+    assert (touched.contacts, touched.outcome, touched.success) == (1, "contact", False)
+    assert touched.trainsets[2].failed == ("no contact",)
+    assert touched.trainsets[1].failed == ()
+
+
+def test_a_follower_above_its_jerk_limit_fails_the_convoy():
+    section, trainset = load_line("yizhuang").section("YZQ", "WHY"), load_trainset("cheng2023")
+    smooth = replace(trainset, actuation=replace(trainset.actuation, jerk_limit_mps3=1.0))
+    follows = Convoy(section, (trainset, smooth), dt=DT)
+    drive = drive_convoy(
+        follows, HeadRun("restless", commands(), Outcome.ARRIVED), FOLLOWERS.make("follow_gap")
+    )
+    kpis = convoy_kpis(drive, drive.time_s[-1])
+    assert "jerk" not in kpis.trainsets[0].failed
+    assert ("jerk" in kpis.trainsets[1].failed) == (kpis.trainsets[1].max_jerk_mps3 > 1.0)
+    assert kpis.trainsets[1].jerk_limit_mps3 == 1.0
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from metropilot.evaluate import checks, drive, kpis_of, optimum_of, to_json
+from metropilot.evaluate import checks, drive, kpis_of, optimum_of, to_json, verdict
 from metropilot.task import Outcome
 
 DESIGN = (
@@ -76,6 +76,49 @@ def test_early_is_arrived_but_no_success(driven):
     assert (kpis.outcome, kpis.safe, kpis.punctual, kpis.success) == ("arrived", True, False, False)
     failed = [check.name for check in checks(kpis) if not check.passed]
     assert failed == ["on time"]
+
+
+def judged(driven, **changes):
+    """A drive on time that met every requirement, but for some of its figures."""
+    good = {"time_error_s": 0.0, "punctual": True, "interventions": 0, "max_jerk_mps3": 1.0}
+    return replace(kpis_of(driven, None), **good | changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said", "failed"),
+    [
+        ({}, "arrived safely and on time", []),
+        ({"interventions": 1}, "arrived on time, but 1 intervention", ["no intervention"]),
+        (
+            {"interventions": 2, "max_jerk_mps3": 6.13},
+            "arrived on time, but 2 interventions, jerk 6.13 m/s³",
+            ["no intervention", "jerk"],
+        ),
+        ({"max_jerk_mps3": 1.0004}, "arrived on time, but jerk 1.0004 m/s³", ["jerk"]),
+        (
+            {"time_error_s": 8.24, "punctual": False, "max_jerk_mps3": 2.0},
+            "arrived 8.2 s late, jerk 2.00 m/s³",
+            ["on time", "jerk"],
+        ),
+        (
+            {"outcome": "out_of_time", "stopping_error_m": -80.0, "interventions": 3},
+            "out of time, 3 interventions",
+            ["stops at the mark", "on time", "no intervention"],
+        ),
+    ],
+)
+def test_headline_verdict_and_json_name_every_requirement_that_failed(driven, changes, said, failed):
+    kpis = judged(driven, **changes)
+    assert verdict(kpis) == said
+    assert kpis.success == (not failed)
+    told = kpis.as_dict()
+    assert (told["success"], told["failed"]) == (not failed, failed)
+
+
+def test_campaigns_count_as_before_what_arrived_safely_and_on_time(driven):
+    kpis = judged(driven, interventions=2, max_jerk_mps3=6.0)
+    assert kpis.on_time
+    assert not kpis.success
 
 
 def test_what_did_not_arrive_has_no_optimum(driven):

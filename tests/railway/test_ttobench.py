@@ -10,6 +10,7 @@ import pytest
 from tests.railway import samples
 
 from metropilot.errors import InputError
+from metropilot.physics import brake_available_n, vehicle_arrays
 from metropilot.railway import (
     Couplers,
     Curve,
@@ -106,6 +107,29 @@ class TestTrain:
         assert trainset.couplers == Couplers(vehicles=4)
         np.testing.assert_allclose(trainset.tunnel_n_per_mps2, [(24.0, 12.96), (40.0, 6.48)])
         assert trainset.max_speed_mps == 120 / 3.6
+
+    def test_full_service_braking_is_the_declared_deceleration_and_not_every_brake_there_is(self, save):
+        document = samples.train()
+        document["max pn braking force"]["value"] = 1600.0
+        trainset = load_trainset(save(document))
+        assert trainset.service_deceleration_mps2 == trainset.max_deceleration_mps2 == 1.1
+        vehicle = vehicle_arrays(trainset)
+        full = float(brake_available_n(vehicle, 5.0)) / trainset.effective_mass_kg
+        assert full == pytest.approx(1.1)
+
+    @pytest.mark.parametrize(("friction_kn", "service_mps2"), [(1600.0, 1.0), (0.0, math.inf)])
+    def test_where_none_is_declared_strong_brakes_are_used_up_to_an_assumed_rate(
+        self, save, tmp_path, friction_kn, service_mps2
+    ):
+        document = samples.train()
+        del document["max deceleration"]
+        document["max pn braking force"]["value"] = friction_kn
+        document["max reg braking force"]["value"] = 170.0  # On 172.8 t: 0.98 m/s2.
+        trainset = load_trainset(save(document))
+        assert trainset.service_deceleration_mps2 == service_mps2
+        assert any("service braking assumed" in note for note in trainset.notes) == (service_mps2 == 1.0)
+        assert export_ttobench(trainset, tmp_path / "back.json") == ()
+        assert import_file(tmp_path / "back.json") == trainset
 
     def test_the_etcs_block_is_what_protection_relies_on(self, save):
         trainset = load_trainset(save(samples.train()))

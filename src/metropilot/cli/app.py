@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -11,6 +12,7 @@ from typing import Annotated, NoReturn
 import typer
 
 import metropilot
+from metropilot.cli.complete import asked_words
 from metropilot.errors import InputError, MetropilotError
 
 SUMMARY = "Compute, learn, compare and explain how a metro train should be driven, against the optimum."
@@ -48,8 +50,13 @@ COMMANDS: dict[str, tuple[str, str]] = {
 """Each command: the module that holds it, and its line in the help. Modules are imported on use."""
 
 
+FIELDS = {"restrictions": "restriction", "arrivals": "arrive"}
+"""Fields of a request that stand for a repeatable option."""
+UNIT = re.compile(r"_(s|m|mps|mps2|mps3|mb)$")
+
+
 def main(argv: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line and exit: 0 arrived safely and on time, 1 not, 2 for input that cannot be used.
+    """Run the command line and exit: 0 every requirement met, 1 not, 2 for input that cannot be used.
 
     Args:
         argv: Arguments without the program's name; the process's own by default.
@@ -78,10 +85,10 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 
 def _run(arguments: list[str]) -> int:
     """Build only the command that is asked for, and run it."""
-    wanted = next((word for word in arguments if not word.startswith("-")), None)
+    words = arguments or asked_words()
+    wanted = next((word for word in words if not word.startswith("-")), None)
     app = typer.Typer(
         name="metropilot",
-        add_completion=False,
         no_args_is_help=False,
         rich_markup_mode="rich",
         pretty_exceptions_enable=False,
@@ -95,10 +102,37 @@ def _run(arguments: list[str]) -> int:
             app.command(name, epilog=epilog)(getattr(found, f"{name}_command"))
         else:
             app.command(name, help=summary)(_stub)
-    code = app(arguments or ["--help"], prog_name="metropilot", standalone_mode=False)
+    try:
+        code = app(arguments or ["--help"], prog_name="metropilot", standalone_mode=False)
+    except InputError as error:
+        raise _as_option(error, app, wanted) from error
     if not arguments:
         return BAD_INPUT
     return code if isinstance(code, int) else 0
+
+
+def _as_option(error: InputError, app: typer.Typer, command: str | None) -> InputError:
+    """The complaint with its field as the option that the user wrote, if there is such a one.
+
+    A field carries its unit (``delay_s``), an option does not (``--delay``).
+    """
+    if error.file is not None or not error.field or command not in COMMANDS:
+        return error
+    group = typer.main.get_command(app)
+    options = {
+        param.name: option.removeprefix("--")
+        for param in getattr(group, "commands", {})[command].params
+        for option in param.opts
+        if option.startswith("--")
+    }
+    field, _, rest = error.field.partition(" ")
+    field = FIELDS.get(field, field).replace("-", "_")
+    bare = UNIT.sub("", field)
+    for name in (field, bare):
+        if name in options or name in options.values():
+            written = options.get(name, name)
+            return error.at(field=f"--{written} {rest}".strip())
+    return error
 
 
 def _stub() -> None:
@@ -134,6 +168,8 @@ def _fail(line: str, code: int, error: InputError | None = None, *, as_json: boo
         import json
 
         shape = {name: getattr(error, name, None) for name in ("file", "field", "value", "unit", "allowed")}
+        if shape["field"]:
+            shape["field"] = shape["field"].removeprefix("--")
         message = error.message if error else line
         sys.stdout.write(json.dumps({"error": {"message": message, **shape}}, default=str) + "\n")
     sys.stderr.write(f"metropilot: {' '.join(line.split())}\n")

@@ -145,7 +145,8 @@ def report(summary: dict[str, Any], folder: Path) -> None:
     )
     out = console()
     title = f"{summary['campaign']}: {summary['done']} of {summary['rows']} runs"
-    out.print(table(title, columns, rows, right=range(1, len(columns))))
+    spare = ("decision µs", "95 %", "overruled", "stop worst m", "worst %")
+    out.print(table(title, columns, rows, right=range(1, len(columns)), spare=spare))
     done = summary["sitting"]
     if done["driven"]:
         out.print(f"{done['driven']} runs in {done['seconds']:.1f} s, {done['runs_per_s']:.2f} a second.")

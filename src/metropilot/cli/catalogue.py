@@ -50,7 +50,8 @@ def lines_command(as_json: opt.Json = False) -> int:
         ends = line.stations[0], line.stations[-1]
         length = f"{(ends[1].position_m - ends[0].position_m) / 1000:.2f}"
         rows.append((line.id, line.name, str(len(line.stations)), length, f"{ends[0].name} – {ends[1].name}"))
-    console().print(table("", ("id", "name", "stations", "km", "from – to"), rows, right=(2, 3)))
+    columns = ("id", "name", "stations", "km", "from – to")
+    console().print(table("", columns, rows, right=(2, 3), spare=("stations", "km")))
     return 0
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from metropilot.cli import complete
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, number, print_json, progress, table
 from metropilot.errors import InputError
@@ -28,7 +29,11 @@ SHOWN: tuple[tuple[str, str, float, int], ...] = (
     ("regime_switches", "switches", 1.0, 0),
     ("decision_time_us_median", "µs", 1.0, 0),
 )
+SPARE = ("µs", "switches", "Σ|Δu|", "line kWh", "stop cm")
+"""Columns that are left out where there is no room, the first one first."""
 MAX_SEEDS = 10_000
+BESIDE = {"no intervention": "overruled", "jerk": "jerk"}
+"""What the outcome adds of requirements that are failed on arrival."""
 EXAMPLES = {
     "compare": (
         "metropilot compare yizhuang RJ WYJ --time 101 --drivers optimal,manual,flat_out --out compare",
@@ -42,7 +47,12 @@ def compare_command(
     origin: opt.OriginArgument,
     destination: opt.DestinationArgument,
     drivers: Annotated[
-        str, typer.Option(help="Driver ids, separated by commas.", rich_help_panel=opt.ABOUT)
+        str,
+        typer.Option(
+            help="Driver ids, separated by commas.",
+            rich_help_panel=opt.ABOUT,
+            autocompletion=complete.drivers,
+        ),
     ] = "optimal,manual,flat_out",
     seeds: Annotated[
         int, typer.Option(help="Drives of each driver, each with its own seed.", rich_help_panel=opt.WORLD)
@@ -68,8 +78,9 @@ def compare_command(
 ) -> int:
     """Drive the same run with several drivers.
 
-    The best of those that always arrived safely and on time is highlighted in each column. With --seeds
-    the mean over the seeds is shown with its 95 % bootstrap interval. Exit code 0: compared; 2: input that
+    The best of those that always met every requirement of a drive is highlighted in each column. With
+    --seeds the mean over the seeds is shown with its 95 % bootstrap interval. Exit code 0: compared, whatever
+    each driver achieved (`successes` in the JSON counts those that met every requirement); 2: input that
     cannot be used.
     """
     names = [name.strip() for name in drivers.split(",") if name.strip()]
@@ -140,11 +151,11 @@ def report(request: Request, entries: Sequence[Entry], seeds: int) -> None:
         rows.append([entry.driver, _outcomes(entry), *cells])
     columns = ["driver", "outcome", *(words for _, words, _, _ in SHOWN)]
     out = console()
-    out.print(table(title, columns, rows, right=range(2, len(columns))))
+    out.print(table(title, columns, rows, right=range(2, len(columns)), spare=SPARE))
     legend = "time and stop: error; optimum: energy above it for the time achieved; µs: time of a decision"
     out.print(legend + ("; small: 95 % interval over the seeds" if seeds > 1 else ""), style="dim")
     if any(winners.values()):
-        out.print("* best of those that always arrived safely and on time", style="dim")
+        out.print("* best of those that always met every requirement", style="dim")
 
 
 def _cell(entry: Entry, name: str, factor: float, digits: int, winner: str | None) -> str | Text:
@@ -165,14 +176,16 @@ def _cell(entry: Entry, name: str, factor: float, digits: int, winner: str | Non
 
 def _outcomes(entry: Entry) -> str:
     """How the drives ended: one word, or a count of each."""
-    said = [verdict(k) for k in entry.kpis]
+    said = [ended(k) for k in entry.kpis]
     if len(said) == 1:
         return said[0]
     return "\n".join(f"{said.count(word)} {word}" for word in dict.fromkeys(said))
 
 
-def verdict(kpis: Kpis) -> str:
-    """The outcome in words, with early and late told apart."""
-    if kpis.outcome != "arrived" or kpis.punctual:
-        return kpis.outcome.replace("_", " ")
-    return "early" if kpis.time_error_s < 0 else "late"
+def ended(kpis: Kpis) -> str:
+    """The outcome in a word or two: early and late told apart, and what else was failed."""
+    said = kpis.outcome.replace("_", " ")
+    if said == "arrived" and not kpis.punctual:
+        said = "early" if kpis.time_error_s < 0 else "late"
+    beside = [word for name, word in BESIDE.items() if name in kpis.failed]
+    return ", ".join([said, *beside])

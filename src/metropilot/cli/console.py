@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,15 +12,26 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from metropilot.evaluate import Check
+
 Item = TypeVar("Item")
 NOTHING = "–"
+USUAL_WIDTH = 120
 
 
 def console() -> Console:
-    """The output; 120 columns wide where it is not a terminal. Text is shown as it is, brackets included."""
+    """The output, as wide as it is. Text is shown as it is, brackets included."""
     from rich.console import Console
 
-    return Console(width=None if sys.stdout.isatty() else 120, highlight=False, markup=False, emoji=False)
+    return Console(width=screen_width(), highlight=False, markup=False, emoji=False)
+
+
+def screen_width() -> int | None:
+    """Columns of the output: ``COLUMNS``, or 120 where it is not a terminal (None: ask the terminal)."""
+    told = os.environ.get("COLUMNS", "")
+    if told.isascii() and told.isdigit() and int(told) > 0:
+        return int(told)
+    return None if sys.stdout.isatty() else USUAL_WIDTH
 
 
 def print_json(values: object) -> None:
@@ -30,21 +42,86 @@ def print_json(values: object) -> None:
 
 
 def table(
-    title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]], *, right: Iterable[int] = ()
+    title: str,
+    columns: Sequence[str],
+    rows: Iterable[Sequence[Any]],
+    *,
+    right: Iterable[int] = (),
+    spare: Sequence[str] = (),
 ) -> Table:
-    """A table; the columns numbered in ``right`` are set flush right."""
+    """A table that fits the output: lines break between words, never inside.
+
+    Args:
+        title: Above it; empty: none.
+        columns: Their heads.
+        rows: Their cells: text, or rich's.
+        right: Numbers of the columns that are set flush right.
+        spare: Heads of columns that may be left out where there is no room, the first one first.
+    """
     from rich import box
     from rich.table import Table
 
+    shown = [[printable(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
+    cells = [[name, *(row[k] for row in shown)] for k, name in enumerate(columns)]
+    kept, widths, tight = _fitted(columns, cells, spare)
     made = Table(
-        title=title or None, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False
+        title=title or None,
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        padding=(0, 1, 0, 0) if tight else (0, 1),
+        caption_justify="left",
     )
+    left_out = [name for k, name in enumerate(columns) if k not in kept]
+    if left_out:
+        made.caption = f"left out at this width: {', '.join(left_out)}"
     flush = set(right)
-    for index, name in enumerate(columns):
-        made.add_column(name, justify="right" if index in flush else "left", overflow="fold")
-    for row in rows:
-        made.add_row(*(printable(cell) if isinstance(cell, str) else cell for cell in row))
+    for k, width in zip(kept, widths, strict=True):
+        made.add_column(columns[k], justify="right" if k in flush else "left", overflow="fold", width=width)
+    for row in shown:
+        made.add_row(*(row[k] for k in kept))
     return made
+
+
+def _fitted(
+    columns: Sequence[str], cells: Sequence[Sequence[Any]], spare: Sequence[str]
+) -> tuple[list[int], list[int], bool]:
+    """Which columns fit the output, how wide each is, and whether they stand close together."""
+    from rich.cells import cell_len
+
+    room = console().width
+    lines = [[line for cell in column for line in str(cell).split("\n")] for column in cells]
+    full = [max(map(cell_len, column)) for column in lines]
+    # A word that takes half of the output (a path) is folded after all.
+    words = [
+        min(max((cell_len(word) for line in column for word in line.split()), default=0), max(room // 2, 1))
+        for column in lines
+    ]
+    kept, leave = list(range(len(columns))), [columns.index(name) for name in spare]
+    while True:
+        for tight, between in ((False, 3 * len(kept) - 1), (True, 2 * len(kept))):
+            free = room - between - sum(words[k] for k in kept)
+            if free >= 0 and (tight or sum(full[k] for k in kept) + between <= room or not leave):
+                return kept, _widened(free, [words[k] for k in kept], [full[k] for k in kept]), tight
+        if not leave:
+            return kept, [words[k] for k in kept], True
+        kept.remove(leave.pop(0))
+
+
+def _widened(free: int, least: Sequence[int], full: Sequence[int]) -> list[int]:
+    """Widths from the least there must be towards the full ones: always the narrowest grows."""
+    widths = list(least)
+    while free > 0 and (short := [k for k, width in enumerate(widths) if width < full[k]]):
+        widths[min(short, key=lambda k: widths[k])] += 1
+        free -= 1
+    return widths
+
+
+def requirements(checks: Iterable[Check]) -> Table:
+    """What was required, passed or failed."""
+    rows = [(c.name, c.value, c.wanted, "✓" if c.passed else "✗ FAILED") for c in checks]
+    return table("", ("requirement", "measured", "allowed", ""), rows, right=(1,))
 
 
 def printable(text: str) -> str:

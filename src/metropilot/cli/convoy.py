@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from metropilot.cli import complete
 from metropilot.cli import options as opt
-from metropilot.cli.console import console, number, print_json, table, working
-from metropilot.errors import InputError
+from metropilot.cli.console import console, number, print_json, requirements, table, working
+from metropilot.errors import InputError, renamed
 
 if TYPE_CHECKING:
     from metropilot.evaluate.convoy_kpis import ConvoyKpis, MemberKpis
@@ -23,6 +24,14 @@ EXAMPLES = {
         "metropilot convoy yizhuang YZQ WHY --trainset cheng2023 --mass-factors 1,1.2 --head-emergency 40",
     ),
 }
+OPTIONS = {
+    "driver": "head",
+    "follower": "driver",
+    "count": "trainsets",
+    "masses": "mass_factors",
+    "emergency_s": "head_emergency",
+}
+"""Fields of the request whose options are called otherwise."""
 CONVOY, LINK = "The convoy", "The link between trainsets"
 
 
@@ -35,12 +44,19 @@ def convoy_command(
     driver: Annotated[
         str,
         typer.Option(
-            help="Driver of the followers; see `metropilot drivers --followers`.", rich_help_panel=CONVOY
+            help="Driver of the followers; see `metropilot drivers --followers`.",
+            rich_help_panel=CONVOY,
+            autocompletion=complete.followers,
         ),
     ] = "follow_gap",
     options: opt.DriverOptions = None,
     head: Annotated[
-        str, typer.Option(help="Driver of the head; see `metropilot drivers`.", rich_help_panel=CONVOY)
+        str,
+        typer.Option(
+            help="Driver of the head; see `metropilot drivers`.",
+            rich_help_panel=CONVOY,
+            autocompletion=complete.drivers,
+        ),
     ] = "optimal",
     trainset: opt.TrainsetOption = "dkz32",
     load: opt.Load = None,
@@ -85,27 +101,28 @@ def convoy_command(
 ) -> int:
     """Drive virtually coupled trainsets: a head, and followers a few metres behind each other.
 
-    Exit code 0: all arrived safely, the head on time; 1: not; 2: input that cannot be used.
+    Exit code 0: every trainset met every requirement shown; 1: not; 2: input that cannot be used.
     """
     from metropilot.evaluate import Request
     from metropilot.evaluate.convoy_request import ConvoyRequest
     from metropilot.task.convoy_link import Link
 
-    request = ConvoyRequest(
-        head=Request(line, origin, destination, time, trainset, load, head, dt_s=dt, seed=seed),
-        count=trainsets,
-        follower=driver,
-        options=_options(options),
-        gap_m=gap,
-        start_gap_m=start_gap,
-        apart_m=apart,
-        uncouple_at_m=uncouple_at,
-        link=Link(delay, jitter, loss),
-        guard=guard,  # pyright: ignore[reportArgumentType] (checked by Convoy)
-        masses=_factors(mass_factors),
-        emergency_s=head_emergency,
-    )
-    return run_and_report(request, out, as_json=as_json)
+    with renamed(OPTIONS):
+        request = ConvoyRequest(
+            head=Request(line, origin, destination, time, trainset, load, head, dt_s=dt, seed=seed),
+            count=trainsets,
+            follower=driver,
+            options=_options(options),
+            gap_m=gap,
+            start_gap_m=start_gap,
+            apart_m=apart,
+            uncouple_at_m=uncouple_at,
+            link=Link(delay, jitter, loss),
+            guard=guard,  # pyright: ignore[reportArgumentType] (checked by Convoy)
+            masses=_factors(mass_factors),
+            emergency_s=head_emergency,
+        )
+        return run_and_report(request, out, as_json=as_json)
 
 
 def _options(texts: list[str] | None) -> dict[str, Any]:
@@ -154,41 +171,34 @@ def report(request: ConvoyRequest, kpis: ConvoyKpis) -> None:
     where = (
         f"{known.line} {known.origin} → {known.destination}, {request.count} x {known.trainset} {known.load}"
     )
-    verdict = "arrived safely and on time" if kpis.success else kpis.outcome.replace("_", " ")
-    verdict = f"{kpis.contacts} contacts" if kpis.contacts else verdict
     style = "bold" if kpis.success else "bold red"
-    out.print(f"{where}, {request.follower} behind {known.driver}: {verdict}", style=style)
+    out.print(f"{where}, {request.follower} behind {known.driver}: {kpis.verdict}", style=style)
     out.print(
         f"gap {kpis.gap_min_m:.2f} to {kpis.gap_max_m:.2f} m, speed difference at most "
         f"{kpis.speed_difference_max_mps:.3f} m/s, scheduled {kpis.scheduled_time_s:g} s"
     )
+    out.print(requirements(kpis.checks))
     columns = (
-        "trainset",
-        "driver",
-        "time",
-        "stop",
-        "gap",
-        "speed diff.",
-        "wheel",
-        "line",
-        "jerk",
-        "overruled",
+        *("trainset", "driver", "outcome", "time s", "stop m", "gap m", "speed diff. m/s"),
+        *("wheel kWh", "line kWh", "jerk m/s³", "overruled"),
     )
-    out.print(table("", columns, map(_row, kpis.trainsets), right=range(2, len(columns))))
+    spare = ("line kWh", "wheel kWh", "speed diff. m/s", "time s", "outcome")
+    rows = map(_row, kpis.trainsets)
+    out.print(table("", columns, rows, right=range(3, len(columns)), spare=spare))
 
 
 def _row(member: MemberKpis) -> tuple[str, ...]:
     """One trainset."""
-    gap = "–" if member.gap_min_m is None else f"{member.gap_min_m:.2f}–{member.gap_max_m:.2f} m"
     return (
         str(member.number),
         member.driver,
-        number(member.running_time_s, 1, "s"),
-        f"{member.stopping_error_m:+.2f} m",
-        gap,
-        number(member.speed_difference_max_mps, 3, "m/s"),
-        number(member.energy_wheel_kwh, 2, "kWh"),
-        number(member.energy_line_kwh, 2, "kWh"),
-        number(member.max_jerk_mps3, 2, "m/s³"),
+        member.outcome.replace("_", " "),
+        number(member.running_time_s, 1),
+        f"{member.stopping_error_m:+.2f}",
+        "–" if member.gap_min_m is None else f"{member.gap_min_m:.2f}–{member.gap_max_m:.2f}",
+        number(member.speed_difference_max_mps, 3),
+        number(member.energy_wheel_kwh, 2),
+        number(member.energy_line_kwh, 2),
+        number(member.max_jerk_mps3, 2),
         str(member.interventions),
     )

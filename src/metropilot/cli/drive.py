@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metropilot.cli import options as opt
-from metropilot.cli.console import console, number, print_json, table, working
+from metropilot.cli.console import console, number, print_json, requirements, table, working
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,11 +24,9 @@ EXAMPLES = {
 
 
 def drive_command(
-    line: Annotated[
-        str | None, typer.Argument(help="Line: catalogue id or path to a .toml or .json file.")
-    ] = None,
-    origin: Annotated[str | None, typer.Argument(help="Station of departure: code or name.")] = None,
-    destination: Annotated[str | None, typer.Argument(help="Station of arrival: code or name.")] = None,
+    line: Annotated[str | None, opt.LINE] = None,
+    origin: Annotated[str | None, opt.ORIGIN] = None,
+    destination: Annotated[str | None, opt.DESTINATION] = None,
     time: opt.Time = None,
     trainset: opt.TrainsetOption = "dkz32",
     load: opt.Load = None,
@@ -55,41 +53,42 @@ def drive_command(
 ) -> int:
     """Drive one run under protection and report it.
 
-    Exit code 0: arrived safely and on time; 1: not; 2: input that cannot be used.
+    Exit code 0: every requirement shown was met; 1: not; 2: input that cannot be used.
     """
-    from metropilot.evaluate import request_from_toml
+    from metropilot.evaluate.request_file import in_run_toml, request_from_toml
 
     if again is not None:
         if line is not None:
             raise InputError("a line and a run.toml cannot be driven at once", field="from", value=str(again))
         request = request_from_toml(again)
-    else:
-        if line is None or origin is None or destination is None:
-            missing = "line" if line is None else "origin" if origin is None else "destination"
-            raise InputError("missing", field=missing, allowed="LINE ORIGIN DESTINATION, or --from RUN.TOML")
-        request = opt.request_of(
-            line=line,
-            origin=origin,
-            destination=destination,
-            time_s=time,
-            trainset=trainset,
-            load=load,
-            driver=driver,
-            options=options,
-            objective=objective,
-            dt_s=dt,
-            seed=seed,
-            ideal=ideal,
-            mass_factor=mass_factor,
-            resistance_factor=resistance_factor,
-            delay_s=delay,
-            lag_s=lag,
-            speed_noise_mps=speed_noise,
-            headwind_mps=headwind,
-            adhesion=adhesion,
-            restrictions=restriction,
-            arrivals=arrive,
-        )
+        with in_run_toml(again):
+            return run_and_report(request, out, as_json=as_json)
+    if line is None or origin is None or destination is None:
+        missing = "line" if line is None else "origin" if origin is None else "destination"
+        raise InputError("missing", field=missing, allowed="LINE ORIGIN DESTINATION, or --from RUN.TOML")
+    request = opt.request_of(
+        line=line,
+        origin=origin,
+        destination=destination,
+        time_s=time,
+        trainset=trainset,
+        load=load,
+        driver=driver,
+        options=options,
+        objective=objective,
+        dt_s=dt,
+        seed=seed,
+        ideal=ideal,
+        mass_factor=mass_factor,
+        resistance_factor=resistance_factor,
+        delay_s=delay,
+        lag_s=lag,
+        speed_noise_mps=speed_noise,
+        headwind_mps=headwind,
+        adhesion=adhesion,
+        restrictions=restriction,
+        arrivals=arrive,
+    )
     return run_and_report(request, out, as_json=as_json)
 
 
@@ -118,31 +117,28 @@ def run_and_report(request: Request, out: Path | None, *, as_json: bool) -> int:
 
 def report(request: Request, kpis: Kpis) -> None:
     """The drive on the screen: what was required, and what it cost."""
-    from metropilot.evaluate import checks
+    from metropilot.evaluate import checks, verdict
 
     out = console()
     known = request.resolved()
     where = f"{known.line} {known.origin} → {known.destination}"
-    verdict = kpis.outcome.replace("_", " ")
-    if kpis.success:
-        verdict = "arrived safely and on time"
-    elif verdict == "arrived":
-        verdict = f"arrived {abs(kpis.time_error_s):.1f} s {'early' if kpis.time_error_s < 0 else 'late'}"
     out.print(
-        f"{where}, {known.trainset} {known.load}, driver {known.driver}: {verdict}",
+        f"{where}, {known.trainset} {known.load}, driver {known.driver}: {verdict(kpis)}",
         style="bold" if kpis.success else "bold red",
     )
-    required = [(c.name, c.value, c.wanted, "✓" if c.passed else "✗ FAILED") for c in checks(kpis)]
-    out.print(table("", ("requirement", "measured", "allowed", ""), required, right=(1,)))
+    out.print(requirements(checks(kpis)))
     out.print(table("", ("KPI", "value", ""), rows(kpis), right=(1,)))
 
 
 def rows(kpis: Kpis) -> list[tuple[str, str, str]]:
     """The KPIs worth a line on the screen: name, value with unit, remark."""
+    from metropilot.planning import stated_s
+
     share, gap = kpis.optimality_gap_percent, kpis.certificate_gap_percent
     objective = "at the wheel" if kpis.energy_objective == "wheel" else "net at the line"
     certificate = "" if gap is None else f"certified within {max(gap, 0.001):.3f} %"
-    fastest = number(kpis.minimum_running_time_s, 1, "s")
+    least = kpis.minimum_running_time_s
+    fastest = number(None if least is None else stated_s(least), 2, "s")
     return [
         (
             "running time",

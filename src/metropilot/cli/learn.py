@@ -80,6 +80,7 @@ def learn_command(
     """
     from dataclasses import replace
 
+    from metropilot.learn.config import TeacherConfig
     from metropilot.learn.recipes import evaluation_of, new_request, resumed_request
 
     if resume is not None:
@@ -95,6 +96,8 @@ def learn_command(
 
         raise InputError("missing", field="driver", allowed=", ".join(RECIPES) + ", or --resume RUN")
     budget, seed = budget or "quick", seed or 0
+    if not 0 <= seed < 2**31:
+        raise InputError("out of range", field="seed", value=seed, allowed="0 to 2^31 - 1")
     told = dict(map(setting, settings or ())) | ({} if steps is None else {"steps": steps})
     command = shlex.join(["metropilot", "learn", driver, *_asked(task, budget, steps, seed, settings)])
     request = new_request(driver, budget=budget, task=task, seed=seed, command=command, **told)
@@ -102,6 +105,8 @@ def learn_command(
     if out is not None:
         _free(out)
     evaluate = evaluation_of(request)
+    if "steps" in told and not isinstance(request.config, TeacherConfig):
+        _check_steps(request, evaluate)
     store, record = new_run(request, out)
     return learn_and_report(store, request, record, evaluate, as_json=as_json)
 
@@ -134,6 +139,25 @@ def setting(text: str) -> tuple[str, Any]:
             whole = isinstance(number, float) and number.is_integer() and "e" in value.lower()
             return name, int(number) if whole else number
     return name, value
+
+
+def _check_steps(request: RunRequest, evaluate: Evaluate) -> None:
+    """Refuse fewer steps than a run can have, and say where it has more than were asked for.
+
+    Raises:
+        InputError: Fewer steps than every evaluation has after one iteration.
+    """
+    from metropilot.learn.loop import make_loop
+
+    loop = make_loop(request.config, request.task, evaluate)
+    asked, whole = request.config.steps, loop.learner.iteration_steps
+    least = whole * loop.chunks
+    what = f"{loop.chunks} evaluations after whole iterations of {whole} steps"
+    if asked < least:
+        more = f"; {whole} with --set evaluations=1" if loop.chunks > 1 else ""
+        raise InputError(f"too few for {what}", field="steps", value=asked, allowed=f"{least} or more{more}")
+    if loop.steps > asked:
+        sys.stderr.write(f"metropilot: --steps {asked} is rounded up to {loop.steps}: {what}\n")
 
 
 def _nothing_new(new: dict[str, Any], record: RunRecord) -> None:

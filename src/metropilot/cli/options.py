@@ -7,14 +7,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from metropilot.cli import complete
+
 if TYPE_CHECKING:
     from metropilot.evaluate import Request
 
 ABOUT, WORLD, OUTPUT = "What to drive", "What goes differently than planned", "Output"
 
-LineArgument = Annotated[str, typer.Argument(help="Line: catalogue id or path to a .toml or .json file.")]
-OriginArgument = Annotated[str, typer.Argument(help="Station of departure: code or name.")]
-DestinationArgument = Annotated[str, typer.Argument(help="Station of arrival: code or name.")]
+LINE = typer.Argument(
+    help="Line: catalogue id or path to a .toml or .json file.", autocompletion=complete.lines
+)
+ORIGIN = typer.Argument(help="Station of departure: code or name.", autocompletion=complete.stations)
+DESTINATION = typer.Argument(help="Station of arrival: code or name.", autocompletion=complete.stations)
+LineArgument = Annotated[str, LINE]
+OriginArgument = Annotated[str, ORIGIN]
+DestinationArgument = Annotated[str, DESTINATION]
 Time = Annotated[
     float | None,
     typer.Option(
@@ -22,10 +29,22 @@ Time = Annotated[
     ),
 ]
 TrainsetOption = Annotated[
-    str, typer.Option(help="Trainset: catalogue id or path, with its load as ID:LOAD.", rich_help_panel=ABOUT)
+    str,
+    typer.Option(
+        help="Trainset: catalogue id or path, with its load as ID:LOAD.",
+        rich_help_panel=ABOUT,
+        autocompletion=complete.trainsets,
+    ),
 ]
 Load = Annotated[str | None, typer.Option(help="Load aboard, e.g. AW2.", rich_help_panel=ABOUT)]
-Driver = Annotated[str, typer.Option(help="Driver id; see `metropilot drivers`.", rich_help_panel=ABOUT)]
+Driver = Annotated[
+    str,
+    typer.Option(
+        help="Driver id; see `metropilot drivers`.",
+        rich_help_panel=ABOUT,
+        autocompletion=complete.drivers,
+    ),
+]
 DriverOptions = Annotated[
     list[str] | None,
     typer.Option(

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from metropilot.cli import complete
 from metropilot.cli import options as opt
 from metropilot.errors import InputError
 
@@ -23,9 +24,15 @@ EXAMPLES = {
 def plan_command(
     line: opt.LineArgument,
     origin: Annotated[
-        str | None, typer.Argument(help="Station of departure; the line's first if not given.")
+        str | None,
+        typer.Argument(
+            help="Station of departure; the line's first if not given.", autocompletion=complete.stations
+        ),
     ] = None,
-    destination: Annotated[str | None, typer.Argument(help="Station of arrival; the line's last.")] = None,
+    destination: Annotated[
+        str | None,
+        typer.Argument(help="Station of arrival; the line's last.", autocompletion=complete.stations),
+    ] = None,
     time: Annotated[
         float | None,
         typer.Option(
@@ -70,8 +77,8 @@ def plan_command(
         )
     if objective not in ("wheel", "line"):
         raise InputError("unknown objective", field="objective", value=objective, allowed="wheel, line")
-    if jerk is not None and not jerk > 0:
-        raise InputError("out of range", field="jerk", value=jerk, unit="m/s³", allowed="> 0")
+    if jerk is not None and not 0 < jerk < float("inf"):
+        raise InputError("out of range", field="jerk", value=jerk, unit="m/s³", allowed="> 0, finite")
     if time is not None and not 0 < time < float("inf"):
         raise InputError(
             "running time out of range", field="time", value=time, unit="s", allowed="> 0, finite"

@@ -14,10 +14,12 @@ from metropilot.planning import (
     JourneyPlan,
     Plan,
     PlanOptions,
+    check_running_time,
     journey_waypoints,
     minimum_running_time,
     optimal_plan,
     plan_journey,
+    stated_s,
     time_energy_front,
     timetable_waypoints,
 )
@@ -53,11 +55,12 @@ def run(asked: Asked, section: Section, time_s: float | None) -> int:
     time_s = time_s if time_s is not None else section.planned_time_s
     if time_s is None:
         raise InputError(
-            f"the line plans no running time for {section.name}; give one", field="time", allowed="> 0 s"
+            f"the line plans no running time for {section.name}; give one", field="time_s", allowed="> 0 s"
         )
     with working(f"planning {section.name}"):
-        plan = optimal_plan(section, asked.trainset, time_s, asked.options)
         fastest = minimum_running_time(section, asked.trainset)
+        check_running_time(time_s, fastest)
+        plan = optimal_plan(section, asked.trainset, time_s, asked.options)
     values = {
         "line": section.line_id,
         "origin": section.origin.code,
@@ -77,7 +80,7 @@ def run(asked: Asked, section: Section, time_s: float | None) -> int:
             (
                 "running time",
                 number(plan.running_time_s, 2, "s"),
-                f"asked {time_s:g} s, minimum {fastest:.1f} s",
+                f"asked {time_s:g} s, minimum {stated_s(fastest):.2f} s",
             ),
             *energy_rows(plan, asked.options),
         ]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from metropilot.cli import complete
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, heading, print_json, table
 from metropilot.errors import InputError
@@ -26,11 +27,15 @@ EXAMPLES = {
 
 
 def reproduce_command(
-    study: Annotated[str, typer.Argument(help="Study id; see `metropilot studies`.")],
+    study: Annotated[
+        str, typer.Argument(help="Study id; see `metropilot studies`.", autocompletion=complete.studies)
+    ],
     budget: Annotated[
         str, typer.Option(help="quick (about two minutes) or paper (within an hour).")
     ] = "quick",
-    seeds: Annotated[int | None, typer.Option(help="Number of seeds; the budget's own if not given.")] = None,
+    seeds: Annotated[
+        int | None, typer.Option(min=1, help="Number of seeds; the budget's own if not given.")
+    ] = None,
     reference: Annotated[
         str | None, typer.Option(help="Reference to track, where the study has one.")
     ] = None,
@@ -112,7 +117,7 @@ def _report(report: Report, folder: Path) -> None:
     for name, rows in report.tables().items():
         cells = [(r.case, r.driver, r.kpi, r.unit, *numbers(r)) for r in rows]
         columns = ("case", "driver", "KPI", "unit", "published", "ours", "range", "optimum")
-        out.print(table(name, columns, cells, right=(4, 5, 6, 7)))
+        out.print(table(name, columns, cells, right=(4, 5, 6, 7), spare=("range", "unit")))
     heading(out, "What to read from it", report.remarks)
     heading(out, "Deviations from the paper", [f"{n}. {text}" for n, text in enumerate(report.deviations, 1)])
     out.print(f"\n{report.seeds} seeds in {report.seconds:.0f} s.")

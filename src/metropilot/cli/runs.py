@@ -29,7 +29,7 @@ def runs_command(
     folder: Annotated[
         Path | None, typer.Option(help="Folder of the runs; yours if not given.", rich_help_panel=opt.OUTPUT)
     ] = None,
-    most: Annotated[int, typer.Option(help="At most so many.", rich_help_panel=opt.OUTPUT)] = 100,
+    most: Annotated[int, typer.Option(min=1, help="At most so many.", rich_help_panel=opt.OUTPUT)] = 100,
     as_json: opt.Json = False,
 ) -> int:
     """List the learning runs, the newest first."""
@@ -57,7 +57,9 @@ def runs_command(
         for record in found
     ]
     columns = ("id", "driver", "task", "seed", "status", "steps", "time", "safe %", "above optimum %")
-    console().print(table("", columns, rows, right=(3, 5, 6, 7, 8)))
+    console().print(
+        table("", columns, rows, right=(3, 5, 6, 7, 8), spare=("seed", "time", "above optimum %"))
+    )
     if not rows:
         console().print(f"No runs in {store.root}")
     return 0

@@ -36,8 +36,12 @@ def serve_command(
         typer.Option(envvar="METROPILOT_TOKEN", help="What a browser or program must present."),
     ] = None,
     workers: Annotated[int, typer.Option(min=1, help="Drives and comparisons computed at once.")] = 1,
-    upload_mb: Annotated[float, typer.Option("--upload-mb", min=0.01, help="Largest upload, MB.")] = 1.0,
-    job_s: Annotated[float, typer.Option("--job-s", min=1.0, help="Longest drive or comparison, s.")] = 600.0,
+    upload_mb: Annotated[
+        float, typer.Option("--upload-mb", min=0.01, max=1000.0, help="Largest upload, MB.")
+    ] = 1.0,
+    job_s: Annotated[
+        float, typer.Option("--job-s", min=1.0, max=86_400.0, help="Longest drive or comparison, s.")
+    ] = 600.0,
     as_json: opt.Json = False,
 ) -> int:
     """Open the web console and the HTTP API.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from metropilot.cli import complete
 from metropilot.cli import options as opt
 from metropilot.cli.console import citations, console, heading, number, print_json, table
 from metropilot.cli.show_learned import policy_json, read_policy, say_policy, show_learning_run, show_policy
@@ -17,6 +18,7 @@ from metropilot.errors import InputError
 
 if TYPE_CHECKING:
     from metropilot.drivers import AbstractDriver
+    from metropilot.drivers.followers import AbstractFollower
     from metropilot.learn import RunRecord
     from metropilot.railway import Line, Section, Trainset
 
@@ -26,6 +28,7 @@ EXAMPLES = {
         "metropilot show yizhuang",
         "metropilot show dkz32:AW2",
         "metropilot show optimal --json",
+        "metropilot show follow_gap",
         "metropilot show drive",
     ),
 }
@@ -33,27 +36,34 @@ EXAMPLES = {
 
 def show_command(
     what: Annotated[
-        str, typer.Argument(metavar="ID|PATH", help="Line, trainset, driver, file, run or its folder.")
+        str,
+        typer.Argument(
+            metavar="ID|PATH",
+            autocompletion=complete.shown,
+            help="Line, trainset, driver, follower, file, run or its folder.",
+        ),
     ],
     as_json: opt.Json = False,
 ) -> int:
     """Show a line, a trainset, a driver, a policy or a run."""
     from metropilot.drivers import DRIVERS
+    from metropilot.drivers.followers import FOLLOWERS
     from metropilot.railway import list_lines, list_trainsets, load_line, load_trainset
 
     if what in list_lines():
         return show_line(load_line(what), as_json=as_json)
     if what.partition(":")[0] in list_trainsets():
         return show_trainset(load_trainset(what), as_json=as_json)
-    if what in DRIVERS.ids():
-        return show_driver(DRIVERS.get(what), as_json=as_json)
+    for kind, registry in (("driver", DRIVERS), ("follower", FOLLOWERS)):
+        if what in registry.ids():
+            return show_driver(registry.get(what), kind, as_json=as_json)
     if (Path(what) / "run.toml").is_file():
         return show_run_folder(Path(what), as_json=as_json)
     if Path(what).exists():
         return show_file(Path(what), as_json=as_json)
     if (found := run_of_id(what)) is not None:
         return show_learning_run(*found, as_json=as_json)
-    known = (*list_lines(), *list_trainsets(), *DRIVERS.ids())
+    known = (*list_lines(), *list_trainsets(), *DRIVERS.ids(), *FOLLOWERS.ids())
     near = get_close_matches(what, known, 1)
     hint = f", did you mean {near[0]}?" if near else ""
     raise InputError(
@@ -254,8 +264,10 @@ def _service(t: Trainset) -> list[str]:
     ]
 
 
-def show_driver(driver: type[AbstractDriver], *, as_json: bool) -> int:
-    """What a driver does, and the options it takes."""
+def show_driver(
+    driver: type[AbstractDriver | AbstractFollower], kind: str = "driver", *, as_json: bool
+) -> int:
+    """What a driver, or a follower in a convoy, does, and the options it takes."""
     import inspect
 
     from metropilot.drivers.shipped import shipped_policy
@@ -268,7 +280,7 @@ def show_driver(driver: type[AbstractDriver], *, as_json: bool) -> int:
     if as_json:
         print_json(
             {
-                "kind": "driver",
+                "kind": kind,
                 "id": driver.id,
                 "summary": driver.summary,
                 "source": driver.source,
@@ -304,6 +316,7 @@ def show_run(folder: Path, *, as_json: bool) -> int:
     out = console()
     told = [(key, json.dumps(value, ensure_ascii=False)) for key, value in asked.get("run", {}).items()]
     out.print(table(f"{folder}", ("run", ""), told))
+    kpis = {k: ", ".join(v) or None if k == "failed" else v for k, v in kpis.items()}
     flat = [(key, _value(value)) for key, value in kpis.items() if not isinstance(value, dict | list)]
     out.print(table("", ("KPI", ""), flat, right=(1,)))
     return 0

@@ -12,7 +12,7 @@ from metropilot.evaluate.folder import (
     write_json,
     write_run,
 )
-from metropilot.evaluate.kpis import Check, Kpis, checks, kpis_of
+from metropilot.evaluate.kpis import Check, Kpis, checks, kpis_of, verdict
 from metropilot.evaluate.optimum import Objective, Optimum, optimum_of
 from metropilot.evaluate.request import Request
 from metropilot.evaluate.request_file import request_from_toml
@@ -49,6 +49,7 @@ __all__ = [
     "provenance",
     "request_from_toml",
     "to_json",
+    "verdict",
     "write_comparison",
     "write_json",
     "write_run",

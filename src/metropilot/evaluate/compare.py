@@ -58,7 +58,7 @@ class Entry:
 
     @property
     def successes(self) -> int:
-        """Seeds that arrived safely and on time."""
+        """Seeds that met every requirement."""
         return sum(k.success for k in self.kpis)
 
 
@@ -122,6 +122,6 @@ def bootstrap(values: Float[ndarray, " seeds"]) -> Interval:
 
 
 def best(entries: Sequence[Entry], name: str) -> str | None:
-    """The driver with the lowest magnitude of a KPI among those that always arrived safely and on time."""
+    """The driver with the lowest magnitude of a KPI among those that always met every requirement."""
     means = {e.driver: i.mean for e in entries if e.successes == len(e.kpis) and (i := e.interval(name))}
     return min(means, key=lambda d: abs(means[d])) if len(means) > 1 else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -9,10 +10,23 @@ import numpy as np
 
 from metropilot.evaluate import measures
 from metropilot.evaluate.convoy_drive import ConvoyDrive
-from metropilot.task import PUNCTUALITY_S, Outcome
+from metropilot.evaluate.kpis import (
+    JERK,
+    NO_INTERVENTION,
+    NO_OVERSPEED,
+    ON_TIME,
+    STOPS,
+    Check,
+    checks,
+    verdict_words,
+)
+from metropilot.task import PUNCTUALITY_S, STOP_TOLERANCE_M, Outcome
 
 J_PER_KWH = 3.6e6
 OVERSPEED_MPS = 1e-6
+CONTACT, NO_CONTACT = "contact", "no contact"
+NAMED = 3
+"""So many trainsets that failed are named in a headline."""
 
 
 @dataclass(frozen=True)
@@ -22,10 +36,12 @@ class MemberKpis:
     Attributes:
         number: 1 is the head.
         driver: Who drove it.
-        outcome: Of its own run: a follower arrives behind a head that does.
+        outcome: Of its own run, judged by its own mark; ``contact`` if it touched the trainset ahead.
         mass_kg: True mass.
         running_time_s: Until its last stand.
-        stopping_error_m: Of the head: position less the stop; of a follower: wanted gap less gap.
+        time_error_s: Running time minus scheduled time; positive is late.
+        stopping_error_m: Position of its front less its own mark; positive is beyond it. The head's mark is
+            the stop; a follower's is where it stands at the wanted gap from a trainset ahead at its mark.
         energy_wheel_kwh: Traction energy at the wheel.
         energy_regenerated_kwh: Given back to the line.
         energy_line_kwh: Net at the line.
@@ -40,6 +56,7 @@ class MemberKpis:
         max_acceleration_mps2: Largest acceleration.
         max_deceleration_mps2: Largest deceleration.
         max_jerk_mps3: Largest jerk.
+        jerk_limit_mps3: Jerk limit of the trainset in service, None if it has none.
         comfort_huang2025: Sum of the changes of the command.
         decision_time_us_median: Median time of a decision; None for the head.
     """
@@ -49,6 +66,7 @@ class MemberKpis:
     outcome: str
     mass_kg: float
     running_time_s: float
+    time_error_s: float
     stopping_error_m: float
     energy_wheel_kwh: float
     energy_regenerated_kwh: float
@@ -64,8 +82,25 @@ class MemberKpis:
     max_acceleration_mps2: float
     max_deceleration_mps2: float
     max_jerk_mps3: float
+    jerk_limit_mps3: float | None
     comfort_huang2025: float
     decision_time_us_median: float | None
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """The requirements of a run, and that it touched nobody."""
+        gap = "–" if self.gap_min_m is None else f"{self.gap_min_m:.2f} m"
+        return (*checks(self), Check(NO_CONTACT, gap, "> 0 m", self.outcome != CONTACT))
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Names of the requirements that it did not meet."""
+        return tuple(check.name for check in self.checks if not check.passed)
+
+    @property
+    def verdict(self) -> str:
+        """How its run ended, in words that name every requirement it failed."""
+        return verdict_words(self, self.checks)
 
 
 @dataclass(frozen=True)
@@ -73,7 +108,8 @@ class ConvoyKpis:
     """KPIs of a convoy.
 
     Attributes:
-        outcome: How the head's run ended; ``overspeed`` if any trainset was too fast.
+        outcome: ``contact`` or ``overspeed`` if any trainset was so; else the outcome of the first, from the
+            head on, that did not arrive; ``arrived`` if all did.
         punctual: Whether the head arrived within 3 s of the scheduled time.
         scheduled_time_s: Scheduled running time.
         gap_min_m: Smallest gap of all pairs.
@@ -93,13 +129,50 @@ class ConvoyKpis:
     trainsets: tuple[MemberKpis, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, words and None, ready for JSON."""
-        return asdict(self)
+        """Plain numbers, words and None, ready for JSON: the fields, and the verdicts on them."""
+        found = asdict(self) | {
+            "success": self.success,
+            "failed": [c.name for c in self.checks if not c.passed],
+        }
+        rows = zip(found["trainsets"], self.trainsets, strict=True)
+        found["trainsets"] = [row | {"success": not m.failed, "failed": list(m.failed)} for row, m in rows]
+        return found
 
     @property
     def success(self) -> bool:
-        """Whether all arrived safely and on time: what the exit code says."""
-        return self.outcome == Outcome.ARRIVED.value and self.punctual and self.contacts == 0
+        """Whether every trainset met every requirement: what headline and exit code say."""
+        return not any(member.failed for member in self.trainsets)
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """The requirements, each with the trainset that came off worst; passed where all passed."""
+        return tuple(self._worst(name) for name in (*WORST, NO_CONTACT))
+
+    @property
+    def verdict(self) -> str:
+        """How the run ended, in words that name the trainsets that failed, and in what."""
+        bad = [f"trainset {m.number} {m.verdict}" for m in self.trainsets if m.failed]
+        more = [f"{len(bad) - NAMED} more failed"] if len(bad) > NAMED else []
+        return "; ".join(bad[:NAMED] + more) or "arrived safely and on time"
+
+    def _worst(self, name: str) -> Check:
+        """One requirement over all trainsets."""
+        if name == NO_CONTACT:
+            return Check(name, f"{self.gap_min_m:.2f} m", "> 0 m", self.contacts == 0)
+        size = WORST[name]
+        rows = [(m, next(c for c in m.checks if c.name == name)) for m in self.trainsets]
+        member, check = max(rows, key=lambda row: (not row[1].passed, size(row[0])))
+        return check._replace(value=f"{check.value} (trainset {member.number})")
+
+
+WORST: Mapping[str, Callable[[MemberKpis], float]] = {
+    STOPS: lambda m: abs(m.stopping_error_m),
+    ON_TIME: lambda m: abs(m.time_error_s),
+    NO_OVERSPEED: lambda m: m.max_overspeed_mps,
+    NO_INTERVENTION: lambda m: m.interventions,
+    JERK: lambda m: m.max_jerk_mps3,
+}
+"""By which measure the worst trainset of a requirement is found."""
 
 
 def convoy_kpis(drive: ConvoyDrive, scheduled_time_s: float) -> ConvoyKpis:
@@ -109,13 +182,15 @@ def convoy_kpis(drive: ConvoyDrive, scheduled_time_s: float) -> ConvoyKpis:
         drive: The run.
         scheduled_time_s: The head's scheduled running time.
     """
-    rows = tuple(_member(drive, k) for k in range(len(drive.trajectories)))
+    marks = _marks(drive)
+    rows = tuple(_member(drive, k, scheduled_time_s, mark) for k, mark in enumerate(marks))
     head = rows[0]
-    fast = max(drive.overspeed_mps) > OVERSPEED_MPS
-    arrived = drive.outcome is Outcome.ARRIVED
+    ended = [member.outcome for member in rows]
+    arrived = Outcome.ARRIVED.value
+    bad = next((word for word in (CONTACT, Outcome.OVERSPEED.value) if word in ended), None)
     return ConvoyKpis(
-        outcome=Outcome.OVERSPEED.value if fast else drive.outcome.value,
-        punctual=bool(arrived and abs(head.running_time_s - scheduled_time_s) <= PUNCTUALITY_S),
+        outcome=bad or next((word for word in ended if word != arrived), arrived),
+        punctual=bool(drive.outcome is Outcome.ARRIVED and abs(head.time_error_s) <= PUNCTUALITY_S),
         scheduled_time_s=scheduled_time_s,
         gap_min_m=float(drive.gap_m.min()),
         gap_max_m=float(drive.gap_m.max()),
@@ -125,7 +200,31 @@ def convoy_kpis(drive: ConvoyDrive, scheduled_time_s: float) -> ConvoyKpis:
     )
 
 
-def _member(drive: ConvoyDrive, k: int) -> MemberKpis:
+def _marks(drive: ConvoyDrive) -> list[float]:
+    """Where each trainset's front is to stand."""
+    convoy, marks = drive.convoy, [drive.convoy.section.length_m]
+    for k, ahead in enumerate(convoy.trainsets[:-1], 1):
+        uncoupled = float(drive.trajectories[k].position_m[-1]) >= convoy.uncouple_at_m + convoy.starts_m[k]
+        marks.append(marks[-1] - ahead.length_m - (convoy.apart_m if uncoupled else convoy.gap_m))
+    return marks
+
+
+def _ended(drive: ConvoyDrive, k: int, error_m: float) -> str:
+    """Outcome of one trainset."""
+    if k and bool((drive.gap_m[:, k - 1] < 0).any()):
+        return CONTACT
+    if drive.overspeed_mps[k] > OVERSPEED_MPS:
+        return Outcome.OVERSPEED.value
+    if k == 0 or drive.outcome is not Outcome.ARRIVED:
+        return drive.outcome.value
+    if drive.trajectories[k].speed_mps[-1] > 0:
+        return Outcome.OUT_OF_TIME.value
+    if abs(error_m) <= STOP_TOLERANCE_M:
+        return Outcome.ARRIVED.value
+    return (Outcome.OVERSHOT if error_m > 0 else Outcome.STALLED).value
+
+
+def _member(drive: ConvoyDrive, k: int, scheduled_time_s: float, mark_m: float) -> MemberKpis:
     """One trainset."""
     t, convoy = drive.trajectories[k], drive.convoy
     mass = convoy.trainsets[k].mass_kg * (convoy.mass_factors[k] if convoy.mass_factors else 1.0)
@@ -133,17 +232,15 @@ def _member(drive: ConvoyDrive, k: int) -> MemberKpis:
     stands = float(t.time_s[min(int(moving[-1]) + 1, len(t) - 1)]) if moving.size else 0.0
     gaps = drive.gap_m[:, k - 1] if k else None
     apart = drive.speed_difference_mps[:, k - 1] if k else None
-    apart_m = convoy.apart_m if float(t.position_m[-1]) >= convoy.uncouple_at_m + convoy.starts_m[k] else None
-    error = float(t.position_m[-1]) - convoy.section.length_m
-    if gaps is not None:
-        error = (convoy.gap_m if apart_m is None else apart_m) - float(gaps[-1])
-    touched = bool((drive.gap_m[:, max(k - 1, 0)] < 0).any()) if k else False
+    error = float(t.position_m[-1]) - mark_m
+    limit = convoy.trainsets[k].actuation.jerk_limit_mps3
     return MemberKpis(
         number=k + 1,
         driver=drive.follower if k else drive.head,
-        outcome="contact" if touched else drive.outcome.value,
+        outcome=_ended(drive, k, error),
         mass_kg=mass,
         running_time_s=stands,
+        time_error_s=stands - scheduled_time_s,
         stopping_error_m=error,
         energy_wheel_kwh=float(t.energy_wheel_j[-1]) / J_PER_KWH,
         energy_regenerated_kwh=drive.recovered_j[k] / J_PER_KWH,
@@ -159,6 +256,7 @@ def _member(drive: ConvoyDrive, k: int) -> MemberKpis:
         max_acceleration_mps2=float(max(t.acceleration_mps2.max(), 0.0)),
         max_deceleration_mps2=float(max(-t.acceleration_mps2.min(), 0.0)),
         max_jerk_mps3=measures.max_jerk(t),
+        jerk_limit_mps3=limit if np.isfinite(limit) else None,
         comfort_huang2025=measures.command_variation(t),
         decision_time_us_median=drive.decision_us[k] if k else None,
     )

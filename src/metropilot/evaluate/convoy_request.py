@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from metropilot.drivers.followers import FOLLOWERS, AbstractFollower
-from metropilot.errors import Infeasible, InputError
+from metropilot.errors import InputError, renamed
 from metropilot.evaluate.convoy_drive import ConvoyDrive, HeadRun, drive_convoy
 from metropilot.evaluate.driver_options import make_driver, with_options
-from metropilot.evaluate.request import Request
+from metropilot.evaluate.request import OUTER, Request
 from metropilot.evaluate.rollout import drive
-from metropilot.planning import minimum_running_time
+from metropilot.planning import check_running_time, minimum_running_time
 from metropilot.task import Run
 from metropilot.task.convoy_link import Link
 from metropilot.task.convoy_members import GAP_M, Convoy, Guard
@@ -53,6 +53,13 @@ class ConvoyRequest:
     masses: tuple[float, ...] = ()
     emergency_s: float | None = None
 
+    def __post_init__(self) -> None:
+        for name, unit in (("emergency_s", "s"), ("uncouple_at_m", "m")):
+            value = getattr(self, name)
+            if value is not None and not 0.0 <= value < float("inf"):
+                allowed = f">= 0 {unit}, finite"
+                raise InputError("out of range", field=name, value=value, unit=unit, allowed=allowed)
+
     def convoy(self) -> Convoy:
         """The convoy.
 
@@ -63,6 +70,11 @@ class ConvoyRequest:
             raise InputError(
                 "number of trainsets out of range", field="trainsets", value=self.count, allowed="2 to 16"
             )
+        with renamed({"mass": "masses"}):
+            return self._convoy()
+
+    def _convoy(self) -> Convoy:
+        """The same, its complaints in the words of a convoy."""
         return Convoy(
             section=self.head.section(),
             trainsets=(self.head.loaded(),) * self.count,
@@ -84,16 +96,14 @@ class ConvoyRequest:
         """
         section, trainset = convoy.leader()
         time_s = self.head.time_s if self.head.time_s is not None else convoy.section.planned_time_s
-        fastest = minimum_running_time(section, trainset)
-        if time_s is None or time_s < fastest:
-            raise Infeasible(
-                f"minimum running time of the convoy is {fastest:.1f} s",
-                field="time",
-                value=time_s,
-                unit="s",
-                allowed=f"{fastest:.1f} s or more",
-            )
-        return Run(section, trainset, time_s, dt=self.head.dt_s, seed=self.head.seed)
+        if time_s is None:
+            words = f"the line plans no running time for {convoy.section.name}; give one"
+            raise InputError(words, field="time_s", allowed="> 0 s")
+        check_running_time(
+            time_s, minimum_running_time(section, trainset), "minimum running time of the convoy"
+        )
+        with renamed(OUTER):
+            return Run(section, trainset, time_s, dt=self.head.dt_s, seed=self.head.seed)
 
     def head_run(self, convoy: Convoy) -> HeadRun:
         """The head alone, driven by its driver.
@@ -113,7 +123,8 @@ class ConvoyRequest:
         Raises:
             InputError: No such follower, or no such option of it.
         """
-        return with_options(FOLLOWERS.get(self.follower), self.options)
+        with renamed({"driver": "follower"}):
+            return with_options(FOLLOWERS.get(self.follower), self.options)
 
     def drive(self, convoy: Convoy | None = None, follower: AbstractFollower | None = None) -> ConvoyDrive:
         """Drive the head, then the convoy behind it.

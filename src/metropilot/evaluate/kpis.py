@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -95,12 +96,22 @@ class Kpis:
     decision_time_us_median: float
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, words and None, ready for JSON."""
-        return asdict(self)
+        """Plain numbers, words and None, ready for JSON: the fields, and the verdict on them."""
+        return asdict(self) | {"success": self.success, "failed": list(self.failed)}
 
     @property
     def success(self) -> bool:
-        """Whether the run arrived safely and on time: what the exit code says."""
+        """Whether every requirement of :func:`checks` is met: what headline and exit code say."""
+        return not self.failed
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Names of the requirements that are not met."""
+        return tuple(check.name for check in checks(self) if not check.passed)
+
+    @property
+    def on_time(self) -> bool:
+        """Whether it arrived safely and on time, whatever jerk and interventions: what campaigns count."""
         return self.outcome == Outcome.ARRIVED.value and self.safe and self.punctual
 
 
@@ -189,32 +200,101 @@ class Check(NamedTuple):
     passed: bool
 
 
-def checks(kpis: Kpis) -> tuple[Check, ...]:
+@runtime_checkable
+class Judged(Protocol):
+    """What a run is judged by: :class:`Kpis`, or the KPIs of one trainset of a convoy."""
+
+    @property
+    def outcome(self) -> str:
+        """How it ended."""
+        ...
+
+    @property
+    def time_error_s(self) -> float:
+        """Running time minus scheduled time."""
+        ...
+
+    @property
+    def stopping_error_m(self) -> float:
+        """Where the head stood minus its mark."""
+        ...
+
+    @property
+    def max_overspeed_mps(self) -> float:
+        """Largest excess over the limit."""
+        ...
+
+    @property
+    def interventions(self) -> int:
+        """How many times protection overruled the driver."""
+        ...
+
+    @property
+    def max_jerk_mps3(self) -> float:
+        """Largest jerk."""
+        ...
+
+    @property
+    def jerk_limit_mps3(self) -> float | None:
+        """Jerk limit, None if there is none."""
+        ...
+
+
+STOPS, ON_TIME, NO_OVERSPEED = "stops at the mark", "on time", "no overspeed"
+NO_INTERVENTION, JERK = "no intervention", "jerk"
+
+
+def checks(kpis: Judged) -> tuple[Check, ...]:
     """The five requirements of a run, passed or failed."""
     arrived = kpis.outcome not in (Outcome.STALLED.value, Outcome.OUT_OF_TIME.value)
     stop, late, limit = kpis.stopping_error_m, kpis.time_error_s, kpis.jerk_limit_mps3
-    rows = [
+    jerk = kpis.max_jerk_mps3
+    smooth = limit is None or jerk <= limit * (1 + ROUNDING) + ROUNDING
+    return (
         Check(
-            "stops at the mark",
+            STOPS,
             f"{stop:+.3f} m",
             f"within {STOP_TOLERANCE_M:g} m",
             arrived and abs(stop) <= STOP_TOLERANCE_M,
         ),
         Check(
-            "on time", f"{late:+.2f} s", f"within {PUNCTUALITY_S:g} s", arrived and abs(late) <= PUNCTUALITY_S
+            ON_TIME, f"{late:+.2f} s", f"within {PUNCTUALITY_S:g} s", arrived and abs(late) <= PUNCTUALITY_S
         ),
         Check(
-            "no overspeed",
+            NO_OVERSPEED,
             f"{3.6 * kpis.max_overspeed_mps:.2f} km/h",
             "0 km/h",
             kpis.outcome != Outcome.OVERSPEED.value,
         ),
-        Check("no intervention", str(kpis.interventions), "0", kpis.interventions == 0),
+        Check(NO_INTERVENTION, str(kpis.interventions), "0", kpis.interventions == 0),
         Check(
-            "jerk",
-            f"{kpis.max_jerk_mps3:.2f} m/s³",
+            JERK,
+            f"{jerk:.2f} m/s³" if smooth or round(jerk, 2) > (limit or 0.0) else f"{jerk:.7g} m/s³",
             "no limit" if limit is None else f"at most {limit:g} m/s³",
-            limit is None or kpis.max_jerk_mps3 <= limit * (1 + ROUNDING) + ROUNDING,
+            smooth,
         ),
-    ]
-    return tuple(rows)
+    )
+
+
+def verdict(kpis: Judged) -> str:
+    """How a run ended, in words that name every requirement it failed."""
+    return verdict_words(kpis, checks(kpis))
+
+
+def verdict_words(kpis: Judged, required: Sequence[Check]) -> str:
+    """The same of requirements that were checked before."""
+    failed = {check.name: check.value for check in required if not check.passed}
+    if not failed:
+        return "arrived safely and on time"
+    ended, late = kpis.outcome.replace("_", " "), kpis.time_error_s
+    if kpis.outcome == Outcome.ARRIVED.value:
+        ended = (
+            f"arrived {abs(late):.1f} s {'early' if late < 0 else 'late'}"
+            if ON_TIME in failed
+            else "arrived on time"
+        )
+    count = kpis.interventions
+    beside = [f"{count} intervention{'s' if count > 1 else ''}"] if NO_INTERVENTION in failed else []
+    beside += [f"jerk {failed[JERK]}"] if JERK in failed else []
+    joint = ", but " if ended == "arrived on time" else ", "
+    return ended + (joint + ", ".join(beside) if beside else "")

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot.evaluate.kpis import Kpis
+from metropilot.evaluate.kpis import JERK, Kpis
 from metropilot.evaluate.optimum import Optimum
 from metropilot.evaluate.rollout import Drive
 from metropilot.evaluate.style import (
@@ -85,6 +85,8 @@ def subtitle(kpis: Kpis) -> str:
         words.append(f"optimum {kpis.optimality_gap_percent:+.1f} %".replace("-", "−"))
     if kpis.interventions:
         words.append(f"{kpis.interventions} intervention{'s' if kpis.interventions > 1 else ''}")
+    if JERK in kpis.failed:
+        words.append(f"jerk {kpis.max_jerk_mps3:.1f} m/s³")
     return " · ".join(words)
 
 

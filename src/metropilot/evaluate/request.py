@@ -8,16 +8,26 @@ from dataclasses import dataclass, field, replace
 from typing import Any, get_args
 
 from metropilot.drivers import DRIVERS, AbstractDriver
-from metropilot.errors import Infeasible, InputError
+from metropilot.errors import InputError, renamed
 from metropilot.evaluate.driver_options import make_driver, named_driver, option_defaults
 from metropilot.evaluate.optimum import Objective
-from metropilot.planning import minimum_running_time
+from metropilot.planning import LONGEST_RATIO, check_running_time, minimum_running_time
 from metropilot.railway import Restriction, Section, Trainset, load_line, load_trainset
 from metropilot.task import CONTROL_PERIOD_S, News, Run, Scenario
 
 KMH = 1 / 3.6
 NUMBER = r"\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
 RESTRICTION = re.compile(rf"({NUMBER})-({NUMBER})@({NUMBER})(?:@({NUMBER}))?")
+OUTER = {
+    "scheduled_time_s": "time_s",
+    "dt": "dt_s",
+    "ideal_actuation": "ideal",
+    "extra_delay_s": "delay_s",
+    "extra_lag_s": "lag_s",
+    "restriction": "restrictions",
+    "news": "arrivals",
+}
+"""Fields of a run and of its scenario, as a request calls them."""
 ARRIVAL = re.compile(rf"({NUMBER})@({NUMBER})")
 
 
@@ -123,22 +133,18 @@ class Request:
             Infeasible: The scheduled time is below the minimum running time, which the message names. A
                 temporary restriction that costs more than the reserve is no such case: the run will be late.
         """
-        section, trainset = self.section(), self.loaded()
-        time_s = self.time_s if self.time_s is not None else section.planned_time_s
-        if time_s is None:
-            raise InputError(
-                f"the line plans no running time for {section.name}; give one", field="time", allowed="> 0 s"
-            )
-        run = Run(section, trainset, time_s, self.scenario(section), self.dt_s, self.seed)
+        with renamed(OUTER):
+            section, trainset = self.section(), self.loaded()
+            time_s = self.time_s if self.time_s is not None else section.planned_time_s
+            if time_s is None:
+                words = f"the line plans no running time for {section.name}; give one"
+                raise InputError(words, field="time_s", allowed="> 0 s")
+            run = Run(section, trainset, time_s, self.scenario(section), self.dt_s, self.seed)
         fastest = fastest_s or minimum_running_time(self.open_section(), trainset)
-        if time_s < fastest:
-            raise Infeasible(
-                f"minimum running time is {fastest:.1f} s",
-                field="time",
-                value=time_s,
-                unit="s",
-                allowed=f"{fastest:.1f} s or more",
-            )
+        check_running_time(time_s, fastest)
+        for news in run.scenario.news:
+            if news.scheduled_time_s is not None and news.scheduled_time_s > LONGEST_RATIO * fastest:
+                check_running_time(news.scheduled_time_s, fastest, field="arrivals")
         return run
 
     def make_driver(self) -> AbstractDriver:
@@ -182,7 +188,7 @@ def parse_restriction(text: str, section: Section) -> tuple[Restriction, float |
     if match is None:
         raise InputError(
             "not a restriction",
-            field="restriction",
+            field="restrictions",
             value=text,
             allowed="FROM-TO@KMH or FROM-TO@KMH@T, e.g. 400-600@40 or 400-600@40@30 (m, m, km/h, s)",
         )
@@ -190,7 +196,7 @@ def parse_restriction(text: str, section: Section) -> tuple[Restriction, float |
     if start >= section.length_m:
         raise InputError(
             "restriction begins beyond the stop",
-            field="restriction",
+            field="restrictions",
             value=text,
             allowed=f"0 to {section.length_m:g} m",
         )
@@ -208,7 +214,7 @@ def parse_arrival(text: str) -> News:
     if match is None or float(match[1]) <= float(match[2]):
         raise InputError(
             "not a new running time",
-            field="arrive",
+            field="arrivals",
             value=text,
             allowed="S@T with S later than T, e.g. 116@30: arrive after 116 s, told after 30 s",
         )

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import fields
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from metropilot.errors import InputError
+from metropilot.errors import InputError, renamed
 from metropilot.evaluate.request import Request
 from metropilot.railway.text_file import file_text
 
@@ -80,7 +81,13 @@ def request_from_toml(path: Path) -> Request:
     policy = values.get("options", {}).get(POLICY)
     if isinstance(policy, str) and policy:
         values["options"] = {**values["options"], POLICY: str(path.parent / policy)}
-    return Request(**values)
+    with in_run_toml(path):
+        return Request(**values)
+
+
+def in_run_toml(path: Path) -> AbstractContextManager[None]:
+    """Complaints about a request that was read from this `run.toml` name the file and the key in it."""
+    return renamed({name: f"run.{name}" for name in NAMES} | {"set": "run.options"}, path)
 
 
 def _checked(path: Path, key: str, value: Any) -> Any:  # noqa: ANN401 (whatever TOML holds)

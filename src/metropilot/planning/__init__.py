@@ -1,5 +1,6 @@
 """Plans: flat out, energy-optimal with a certificate, journeys, and what a second costs."""
 
+from metropilot.planning.fastest import LONGEST_RATIO, check_running_time, stated_s
 from metropilot.planning.front import Front, time_energy_front
 from metropilot.planning.journey import (
     Call,
@@ -20,6 +21,7 @@ from metropilot.planning.references import (
 )
 
 __all__ = [
+    "LONGEST_RATIO",
     "Call",
     "Front",
     "JourneyPlan",
@@ -30,6 +32,7 @@ __all__ = [
     "Reference",
     "ReferenceShape",
     "Waypoint",
+    "check_running_time",
     "journey_waypoints",
     "minimum_running_time",
     "notch_plan",
@@ -39,6 +42,7 @@ __all__ = [
     "plan_journey",
     "reference",
     "reference_for_time",
+    "stated_s",
     "time_energy_front",
     "timetable_waypoints",
 ]

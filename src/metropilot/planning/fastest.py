@@ -8,11 +8,48 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot.errors import Infeasible, InputError
 from metropilot.planning.effort_table import STEP_MPS, Specific
 from metropilot.planning.mesh import Mesh
 
+LONGEST_RATIO = 30.0
+"""Longest scheduled running time over the minimum: ten times, the slowest a campaign asks for, put off
+threefold on the way. A run is given up after twice its time, so that every run has an end."""
 NEARLY_FULL = 0.98
 """Share of the brakes a start above a cap is braked with: the rest keeps the plan's programme feasible."""
+
+
+def stated_s(minimum_s: float) -> float:
+    """A minimum running time as a user is told it: rounded up, so that asking for it is enough."""
+    return math.ceil(100.0 * minimum_s) / 100.0
+
+
+def check_running_time(
+    time_s: float, minimum_s: float, what: str = "minimum running time", field: str = "time_s"
+) -> None:
+    """Refuse a scheduled running time that nobody can keep, or that is out of all proportion.
+
+    Args:
+        time_s: The running time.
+        minimum_s: The minimum running time.
+        what: What that minimum is called.
+        field: The field that holds the time.
+
+    Raises:
+        Infeasible: Below the minimum.
+        InputError: Not a number, or beyond ``LONGEST_RATIO`` times the minimum.
+    """
+    if not math.isfinite(minimum_s):
+        raise Infeasible(
+            f"{what} is without end: the trainset stalls on the way", field=field, value=time_s, unit="s"
+        )
+    least, most = stated_s(minimum_s), math.floor(LONGEST_RATIO * minimum_s)
+    allowed = f"{least:.2f} to {most} s"
+    if not time_s <= most:
+        words = f"running time out of range, {what} is {least:.2f} s"
+        raise InputError(words, field=field, value=time_s, unit="s", allowed=allowed)
+    if time_s < minimum_s:
+        raise Infeasible(f"{what} is {least:.2f} s", field=field, value=time_s, unit="s", allowed=allowed)
 
 
 def fastest_profile(

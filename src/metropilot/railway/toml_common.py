@@ -17,14 +17,7 @@ T = TypeVar("T")
 
 def located(error: InputError, file: object, unit: str | None = None) -> InputError:
     """The same complaint with the file it is about."""
-    return InputError(
-        error.message,
-        file=file,
-        field=error.field,
-        value=error.value,
-        unit=error.unit or unit,
-        allowed=error.allowed,
-    )
+    return error.at(file=file, unit=error.unit or unit)
 
 
 class Document:

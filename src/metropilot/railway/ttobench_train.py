@@ -33,9 +33,11 @@ LOWEST_EFFICIENCY = 0.01
 def read_train(root: Node, stem: str) -> Trainset:
     """The trainset that a TTOBench train describes.
 
-    Efforts are the smaller of force and power over speed. What the format leaves open: no bound on
-    acceleration where none is given, all regenerated energy credited (the benchmark's convention), ideal
-    actuation, and, without an ETCS block, protection's rates assumed (said in ``notes``).
+    Efforts are the smaller of force and power over speed. Full service braking (command -1) is the train's
+    ``max deceleration``: the force of its brakes together is what an emergency brake may use. What the format
+    leaves open: no bound on acceleration where none is given, all regenerated energy credited (the
+    benchmark's convention), ideal actuation, and, where the train gives no deceleration or no ETCS block,
+    the rates of service or of protection assumed (said in ``notes``).
 
     Raises:
         InputError: Anything in it is missing, malformed or out of range.
@@ -67,6 +69,12 @@ def read_train(root: Node, stem: str) -> Trainset:
     fields["tunnel_n_per_mps2"] = _tunnel(root)
     fields["couplers"] = _couplers(root)
     safe, unused, notes = _safe_braking(root, efforts[1], fields)
+    declared = fields["max_deceleration_mps2"]
+    service = service_deceleration(
+        declared, efforts[1], fields["friction_brake_n"], fields["loads"][LOAD], fields["rotating_fraction"]
+    )
+    if service != declared:
+        notes = (*notes, f"Full service braking assumed: {service:g} m/s2.")
     if ETCS in root:
         kept_raw[ETCS] = root.data[ETCS]
     extra = kept(root, metadata, {})
@@ -89,6 +97,7 @@ def read_train(root: Node, stem: str) -> Trainset:
         traction=efforts[0],
         electric_brake=efforts[1],
         receptivity=1.0,
+        service_deceleration_mps2=service,
         safe_braking=safe,
         source=dict.fromkeys((*blocks, *(("protection",) if ETCS in root else ())), metadata.citation),
         notes=notes,
@@ -145,6 +154,18 @@ def _efficiency(root: Node, key: str, effort: EffortCurve, *, braking: bool) -> 
         share = (power - losses) / power if braking else power / (power + losses)
     share = np.nan_to_num(share, nan=1.0, neginf=0.0)
     return Efficiency(speeds, loads, np.clip(share, LOWEST_EFFICIENCY, 1.0))
+
+
+def service_deceleration(
+    declared_mps2: float, electric: EffortCurve, friction_n: float, mass_kg: float, rotating_fraction: float
+) -> float:
+    """Full service braking of a train file: what it declares, m/s2.
+
+    Where it declares nothing, its brakes are the bound, or 1 m/s2 (assumed) if they are stronger than that.
+    """
+    strongest = (float(electric.at(0.0)) + friction_n) / (mass_kg * (1.0 + rotating_fraction))
+    stands = math.isfinite(declared_mps2) or strongest <= ASSUMED_SERVICE_MPS2
+    return declared_mps2 if stands else ASSUMED_SERVICE_MPS2
 
 
 def assumed_braking(

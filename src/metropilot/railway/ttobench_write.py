@@ -16,7 +16,7 @@ from metropilot.railway.toml_line import short_radius
 from metropilot.railway.toml_write import save
 from metropilot.railway.trainset import Couplers, Trainset
 from metropilot.railway.ttobench_track import TIMING_COLUMNS
-from metropilot.railway.ttobench_train import EFFICIENCIES, ETCS, assumed_braking
+from metropilot.railway.ttobench_train import EFFICIENCIES, ETCS, assumed_braking, service_deceleration
 from metropilot.railway.units import pick
 
 VERSION = "TTOBench v1.5"
@@ -177,13 +177,16 @@ def _lost(t: Trainset) -> list[str]:
     plain = Trainset("", "", {"base": 1.0}, "base", t.davis, t.traction, t.electric_brake, receptivity=1.0)
     names = (
         "curve_formula",
-        "service_deceleration_mps2",
         "receptivity",
         "auxiliary_w",
         "actuation",
         "adhesion",
     )
     lost = [name for name in (*names, "notches", "gravity_mps2") if getattr(t, name) != getattr(plain, name)]
+    service = service_deceleration(
+        t.max_deceleration_mps2, t.electric_brake, t.friction_brake_n, t.mass_kg, t.rotating_fraction
+    )
+    lost += ["service_deceleration_mps2"] if t.service_deceleration_mps2 != service else []
     lost += ["loads"] if len(t.loads) > 1 else []
     lost += ["davis.per_mass"] if t.davis.per_mass else []
     lost += ["couplers"] if t.couplers != Couplers(vehicles=t.couplers.vehicles) else []

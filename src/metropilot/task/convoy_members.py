@@ -92,6 +92,10 @@ class Convoy:
                     unit="m",
                     allowed=allowed,
                 )
+        if not self.uncouple_at_m >= 0.0:
+            raise InputError(
+                "out of range", field="uncouple_at_m", value=self.uncouple_at_m, unit="m", allowed=">= 0 m"
+            )
         for name, low, high in (("mass", 0.5, 2.0), ("resistance", 0.0, 5.0), ("adhesion", 0.01, 1.0)):
             values = getattr(self, name if name == "adhesion" else f"{name}_factors")
             if len(values) not in {0, count}:

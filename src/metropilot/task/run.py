@@ -152,7 +152,7 @@ class Run:
         if not (np.isfinite(self.scheduled_time_s) and self.scheduled_time_s > 0):
             raise InputError(
                 "scheduled time out of range",
-                field="time",
+                field="scheduled_time_s",
                 value=self.scheduled_time_s,
                 unit="s",
                 allowed="greater than the minimum running time, finite",

@@ -222,4 +222,4 @@ def _disturbance(path: Path, item: _Disturbance) -> Disturbance:
 
 def _at(path: Path, field: str, error: InputError) -> InputError:
     """The same complaint, with the campaign's file and field."""
-    return InputError(error.message, file=path, field=field, value=error.value, allowed=error.allowed)
+    return error.at(file=path, field=field)

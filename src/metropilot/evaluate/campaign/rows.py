@@ -175,7 +175,7 @@ def measured(campaign: Campaign, driven: Drive, optimum: Optimum | None, result:
     kpis = kpis_of(driven, optimum, campaign.objective)
     found = kpis.as_dict()
     result |= {name: found[name] for name in (*TRUTHS, *NUMBERS, *COUNTS, "outcome", "scheduled_time_s")}
-    result["success"] = kpis.success
+    result["success"] = kpis.on_time
     return kpis
 
 

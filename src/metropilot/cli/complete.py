@@ -1,0 +1,77 @@
+"""Words a shell may complete; each list is read only when it is asked for."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+
+import typer
+
+VARIABLE = "_METROPILOT_COMPLETE"
+"""What a shell's completion script sets when it asks for words."""
+
+
+def asked_words() -> list[str]:
+    """The words on the command line that a shell wants completed, without the program's name."""
+    if VARIABLE not in os.environ:
+        return []
+    line = os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS", "")
+    return line.split()[1:]
+
+
+def lines(incomplete: str) -> list[str]:
+    """Ids of lines."""
+    from metropilot.railway import list_lines
+
+    return _matching(list_lines(), incomplete)
+
+
+def trainsets(incomplete: str) -> list[str]:
+    """Ids of trainsets."""
+    from metropilot.railway import list_trainsets
+
+    return _matching(list_trainsets(), incomplete)
+
+
+def stations(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Codes of the line's stations."""
+    from metropilot.errors import InputError
+    from metropilot.railway import load_line
+
+    try:
+        found = load_line(str(ctx.params.get("line") or "")).stations
+    except InputError:
+        return []
+    return [s.code for s in found if s.code.lower().startswith(incomplete.lower())]
+
+
+def drivers(incomplete: str) -> list[str]:
+    """Ids of drivers, the last of several separated by commas."""
+    from metropilot.drivers import DRIVERS
+
+    done, comma, last = incomplete.rpartition(",")
+    return [f"{done}{comma}{key}" for key in _matching(DRIVERS.ids(), last)]
+
+
+def followers(incomplete: str) -> list[str]:
+    """Ids of the drivers of followers."""
+    from metropilot.drivers.followers import FOLLOWERS
+
+    return _matching(FOLLOWERS.ids(), incomplete)
+
+
+def shown(incomplete: str) -> list[str]:
+    """Ids of whatever can be shown."""
+    kinds = (lines, trainsets, drivers, followers)
+    return list(dict.fromkeys(key for kind in kinds for key in kind(incomplete)))
+
+
+def studies(incomplete: str) -> list[str]:
+    """Ids of studies."""
+    from metropilot.studies import STUDIES
+
+    return _matching(STUDIES, incomplete)
+
+
+def _matching(keys: Iterable[str], incomplete: str) -> list[str]:
+    return [key for key in keys if key.startswith(incomplete)]
