@@ -30,7 +30,7 @@ from metropilot.drivers.observer import (
     weighs_load,
 )
 from metropilot.drivers.stopping import INCH_M, curve_for, stand, stop_command
-from metropilot.physics import track_arrays, vehicle_arrays
+from metropilot.physics import Vehicle, track_arrays, vehicle_arrays
 from metropilot.protection import Memory, Protection, at_start, protect
 from metropilot.railway import Section
 from metropilot.task import Observation, Run, declared_bounds
@@ -105,7 +105,8 @@ def first_watch(run: Run) -> Watch:
     vehicle = vehicle_arrays(trainset)
     model = Model(vehicle, track_arrays(run.section, trainset), run.dt)
     belief = first_belief(model, weighed_brakes=weighs_load(vehicle))
-    return Watch(model, belief, None, Adapted(), -np.inf)
+    watch = Watch(model, belief, None, Adapted(), -np.inf)
+    return watch._replace(care=_care(watch, run, run.section)) if answers_late(vehicle) else watch
 
 
 def noticed(watch: Watch, run: Run, observation: Observation) -> Watch:
@@ -138,6 +139,11 @@ def moved(watch: Watch, run: Run, section: Section) -> Watch:
 def gave(watch: Watch, share: float) -> Watch:
     """What is believed once a command has been given."""
     return watch._replace(belief=issued(watch.belief, share))
+
+
+def answers_late(vehicle: Vehicle) -> bool:
+    """Whether a trainset's own data declare a dead time or a lag of its service actuation."""
+    return float(vehicle.delay_s) > 0.0 or float(vehicle.lag_s) > 0.0
 
 
 def departs(belief: Belief) -> bool:
