@@ -52,7 +52,10 @@ LET_GO = 0.75
 LET_GO_M = 60.0
 """...if there is more than this left to the stop."""
 RELEASE_SHARE = 0.95
-"""Jerk at which the last braking is let go, over the trainset's limit."""
+"""Jerk at which the last braking is let go, over the trainset's limit..."""
+LATE_BUILD_SHARE, LATE_RELEASE_SHARE = 0.5, 0.35
+"""...and, where dead time or lag are declared, at which it is built up and let go: what is on its way cannot
+be taken back, and the rest of the limit is there to answer the error."""
 NEAR_ENOUGH_M = 0.1
 """An error at the stop that is not worth the time a correction takes."""
 RESERVE_S = 0.5
@@ -194,9 +197,12 @@ def last_braking(watch: Watch, planned_mps2: float, stopping: bool) -> tuple[boo
     """
     model, rate = watch.model, CAREFUL_USE * planned_mps2
     target = float(model.track.length_m)
-    curve = curve_for(model.vehicle, model.dt, rate)
+    vehicle, build, release = model.vehicle, 1.0, RELEASE_SHARE
+    if answers_late(vehicle):
+        build, release = LATE_BUILD_SHARE, LATE_RELEASE_SHARE
+    curve = curve_for(vehicle._replace(jerk_mps3=build * vehicle.jerk_mps3), model.dt, rate)
     if np.isfinite(curve.release_jerk_mps3):
-        curve = curve._replace(release_jerk_mps3=RELEASE_SHARE * curve.build_jerk_mps3)
+        curve = curve._replace(release_jerk_mps3=release * float(vehicle.jerk_mps3))
     stop = stop_command(model, watch.belief, target, curve)
     left = stop.left_m
     early = stop.required_mps2 < LET_GO * rate and left > LET_GO_M
