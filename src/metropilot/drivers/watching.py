@@ -3,11 +3,11 @@
 A policy and its assists see the trainset as told and the state as it is. That is right as long as both are: a
 command that acts late, a heavier trainset or a stronger resistance makes their last braking too late and
 their ceiling too high. So every run is watched by the observer of :mod:`metropilot.drivers.observer`. As long
-as it finds nothing, nothing of it is acted upon, and the drive is the policy's own to the last bit. Once it
-believes in another dead time or lag, or in efforts that are off by more than ``LEAST`` and by more than
-doubt allows, the policy sees the state in which its command begins to act and the trainset as it has shown
-itself, the last braking follows the law of :mod:`metropilot.drivers.stopping`, and the ceiling is that of
-:mod:`metropilot.drivers.headroom`.
+as the trainset declares neither dead time nor lag, and the observer finds nothing, nothing of it is acted
+upon, and the drive is the policy's own to the last bit. With a dead time or lag, declared or found, or
+efforts that are off by more than ``LEAST`` and by more than doubt allows, the policy sees the state in which
+its command begins to act and the trainset as it has shown itself, the last braking follows the law of
+:mod:`metropilot.drivers.stopping`, and the ceiling is that of :mod:`metropilot.drivers.headroom`.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Watch(NamedTuple):
     Attributes:
         model: Trainset and section as told.
         belief: Where it is and how the trainset answers.
-        care: What it takes to keep clear of protection; None as long as all is as told.
+        care: What it takes to keep clear of protection; None as long as all is as told and nothing is late.
         adapted: What the tables in force assume of the trainset.
         adapted_at_s: Since when.
     """
