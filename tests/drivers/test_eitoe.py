@@ -14,7 +14,16 @@ from metropilot.drivers.shipped import PolicyOptions, shipped_policy
 from metropilot.errors import InputError
 from metropilot.evaluate import Rollout, drive, kpis_of, make_driver
 from metropilot.evaluate.indices import indices_of
-from metropilot.railway import Actuation, Restriction, load_line, load_trainset
+from metropilot.railway import (
+    Actuation,
+    Curve,
+    Restriction,
+    Section,
+    Station,
+    Steps,
+    load_line,
+    load_trainset,
+)
 from metropilot.task import News, Run, Scenario
 from metropilot.task.expert import Rules
 
@@ -25,6 +34,16 @@ DELAYED = replace(PLAIN, actuation=Actuation(0.6, 0.4, float("inf")))
 def run_of(ends=("RJ", "WYJ"), time_s=101.0, trainset=DELAYED, **scenario):
     section = load_line("yizhuang-ttobench").section(*ends)
     return Run(section, trainset, time_s, Scenario(**scenario))
+
+
+def downhill(permil, length_m=1200.0):
+    """A section that falls toward its stop."""
+    ends = Station("A", "A", 0.0), Station("B", "B", length_m)
+    limits, slope = (
+        Steps(np.zeros(1), np.array([80 / 3.6])),
+        Steps(np.array([0.0, 600.0]), np.array([0.0, -permil])),
+    )
+    return Section("test", *ends, length_m, limits, slope, (Curve(-300.0, 0.0, 0.0),))
 
 
 def good(found):
@@ -64,6 +83,23 @@ def test_stops_on_a_steep_way_down(load, more):
     found = drive(Run(section, load_trainset("dkz32", load), 108.0, Scenario(**more)), Eitoe())
     assert abs(kpis_of(found, None).stopping_error_m) < 0.05
     assert found.interventions == 0
+
+
+@pytest.mark.parametrize(
+    ("permil", "service_mps2", "dt", "name"),
+    [
+        (0.0, 1.0, 1.0, "eitoe"),
+        (40.0, 1.0, 1.0, "eitoe"),
+        (40.0, 0.7, 1.0, "eitop"),
+        (40.0, 0.7, 0.2, "eitoe"),
+    ],
+)
+def test_stops_at_the_mark_whatever_the_period_and_the_brakes(permil, service_mps2, dt, name):
+    trainset = replace(PLAIN, service_deceleration_mps2=service_mps2)
+    found = drive(Run(downhill(permil), trainset, 110.0, dt=dt), make_driver(name))
+    assert abs(kpis_of(found, None).stopping_error_m) < 0.1
+    assert found.interventions == 0
+    assert kpis_of(found, None).max_jerk_mps3 < 1.001
 
 
 @pytest.mark.parametrize(

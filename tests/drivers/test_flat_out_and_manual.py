@@ -1,12 +1,14 @@
 """The two drivers on the real line, under protection."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from metropilot.drivers import DRIVERS
 from metropilot.evaluate import drive
 from metropilot.planning import minimum_running_time
-from metropilot.railway import Restriction, load_line, load_trainset
+from metropilot.railway import Curve, Restriction, Section, Station, Steps, load_line, load_trainset
 from metropilot.task import News, Outcome, Run, Scenario
 
 UNKNOWN = {"resistance_factor": 1.5, "extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
@@ -70,6 +72,25 @@ def test_manual_arrives_on_time_and_at_the_stop(dkz32, name, seed):
     assert done.outcome is Outcome.ARRIVED
     assert (done.interventions, done.max_overspeed_mps) == (0, 0.0)
     assert abs(done.running_time_s - where.planned_time_s) < 3.0
+    assert abs(error) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("service_mps2", "length_m", "time_s", "dt"),
+    [(1.0, 1200.0, 96.0, 0.2), (0.7, 1200.0, 111.0, 1.0), (1.0, 300.0, 54.0, 1.0)],
+)
+def test_manual_brakes_no_harder_than_brakes_and_gradient_allow(dkz32, service_mps2, length_m, time_s, dt):
+    """40 permil down toward the stop, and brakes that are just enough."""
+    ends = Station("A", "A", 0.0), Station("B", "B", length_m)
+    limits, slope = (
+        Steps(np.zeros(1), np.array([22.0])),
+        Steps(np.array([0.0, 600.0]), np.array([0.0, -40.0])),
+    )
+    where = Section("test", *ends, length_m, limits, slope, (Curve(-300.0, 0.0, 0.0),))
+    trainset = replace(dkz32, service_deceleration_mps2=service_mps2)
+    done, error = driven("manual", Run(where, trainset, time_s, dt=dt))
+    assert done.outcome is Outcome.ARRIVED
+    assert done.interventions == 0
     assert abs(error) < 0.3
 
 

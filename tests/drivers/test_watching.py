@@ -1,15 +1,17 @@
 """Learned drivers where the trainset answers differently than told; elsewhere they drive as they learned."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from metropilot.drivers.adapted import Adapted, adapted_trainset, adapted_vehicle
-from metropilot.evaluate import make_driver
+from metropilot.evaluate import kpis_of, make_driver
 from metropilot.evaluate.rollout import Rollout
 from metropilot.physics import vehicle_arrays
 from metropilot.physics.effort import effort_at
 from metropilot.planning import minimum_running_time
-from metropilot.railway import Restriction, load_line, load_trainset
+from metropilot.railway import Actuation, Restriction, load_line, load_trainset
 from metropilot.task import News, Outcome, Run, Scenario
 
 LATE = {"extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
@@ -63,6 +65,33 @@ def test_where_all_is_as_told_nothing_observed_is_acted_upon(name, ideal):
     for one in (run, noisy):
         _, began = driven(one, name)
         assert began is None
+
+
+@pytest.mark.parametrize(
+    ("name", "load", "delay_s", "lag_s"),
+    [
+        ("generalist", "AW0", 0.1, 0.0),
+        ("generalist", "AW2", 0.3, 0.2),
+        ("generalist", "AW0", 1.0, 0.6),
+        ("ppo", "AW0", 0.6, 0.2),
+        ("ppo_scaled", "AW0", 0.0, 0.6),
+    ],
+)
+def test_a_dead_time_or_lag_that_is_declared_is_allowed_for(name, load, delay_s, lag_s):
+    plain = load_trainset("dkz32", load)
+    jerk = plain.actuation.jerk_limit_mps3
+    trainset = replace(plain, actuation=Actuation(delay_s, lag_s, jerk))
+    run = Run(load_line("yizhuang").section("RJ", "WYJ"), trainset, 105.0)
+    done, _ = driven(run, name)
+    kpis = kpis_of(done, None)
+    on_the_way = (done.trajectory.position_m > 20.0) & (
+        done.trajectory.position_m < run.section.length_m - 5.0
+    )
+    assert kpis.success
+    assert abs(kpis.stopping_error_m) < 0.05
+    assert kpis.interventions == 0
+    assert done.trajectory.speed_mps[on_the_way].min() > 1.0
+    assert kpis.max_jerk_mps3 < 1.2 * jerk
 
 
 def test_the_adapted_trainset_is_the_adapted_vehicle():

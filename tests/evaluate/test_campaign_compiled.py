@@ -14,7 +14,7 @@ from metropilot.evaluate.campaign.rows import RESULTS, drive_row, drive_shard, p
 from metropilot.evaluate.recorder import step_overspeed, track_overspeed
 from metropilot.physics import at_rest, track_arrays, vehicle_arrays
 from metropilot.planning import optimal_plan
-from metropilot.railway import Restriction, load_line, load_trainset
+from metropilot.railway import Restriction, load_line, load_trainset, write_trainset
 
 MATRIX = Campaign(
     "both ways",
@@ -102,9 +102,19 @@ PLANTS = {
 def test_only_learned_policies_are_compiled_and_only_where_asked():
     both = replace(MATRIX, drivers=("ppo_scaled", "optimal"))
     told = both.disturbances[0]
-    assert [both.is_compiled(name, told) for name in both.drivers] == [True, False]
-    assert not replace(both, engine="host").is_compiled("ppo_scaled", told)
+    assert [both.is_compiled(name, told, both.trainsets[0]) for name in both.drivers] == [True, False]
+    assert not replace(both, engine="host").is_compiled("ppo_scaled", told, both.trainsets[0])
     assert both.shard_rows("ppo_scaled") == BATCH > both.shard_rows("optimal")
+
+
+def test_a_trainset_that_declares_a_dead_time_is_driven_by_the_host(tmp_path):
+    known = load_trainset("dkz32")
+    write_trainset(
+        replace(known, id="late", actuation=replace(known.actuation, delay_s=0.3)), tmp_path / "late.toml"
+    )
+    late = (str(tmp_path / "late.toml"), "AW0")
+    assert not MATRIX.is_compiled("ppo", Disturbance("as told"), late)
+    assert MATRIX.is_compiled("ppo", Disturbance("ideal", ideal=True), late)
 
 
 @pytest.mark.parametrize("name", [*PLANTS, "speed_noise_mps"])
@@ -113,7 +123,7 @@ def test_a_plant_that_is_not_as_told_is_driven_by_the_host(name):
     told = Disturbance(
         name, ranges=PLANTS | {name: (0.0, 0.1)} if name not in PLANTS else {name: PLANTS[name]}
     )
-    assert not MATRIX.is_compiled("ppo", told)
+    assert not MATRIX.is_compiled("ppo", told, MATRIX.trainsets[0])
     alone = replace(MATRIX, disturbances=(told,))
     assert alone.shard_rows("ppo") == replace(alone, engine="host").shard_rows("ppo")
     both = replace(MATRIX, disturbances=(*MATRIX.disturbances, told))

@@ -31,7 +31,15 @@ from metropilot.drivers.observer import (
     observe,
     share_for,
 )
-from metropilot.drivers.stopping import Curve, curve_for, required_ahead, stop_command
+from metropilot.drivers.stopping import (
+    SERVICE_USE,
+    Curve,
+    curve_for,
+    required_ahead,
+    stop_command,
+    weakest_gradient,
+)
+from metropilot.physics.effort import effort_at
 from metropilot.railway import Section
 from metropilot.task import Observation, Run
 
@@ -43,6 +51,8 @@ LOOK_AGAIN_S = 3.0
 RESERVE_S = 0.3
 HUMAN_MARGIN_MPS = 0.7
 LATE_S = 1.0
+LEAST_MPS2 = 0.1
+"""Least deceleration to plan a stop with."""
 
 
 class Habits(NamedTuple):
@@ -149,6 +159,7 @@ def drawn_habits(seed: int) -> Habits:
 def _prepared(run: Run, section: Section, scheduled_s: float, habits: Habits) -> ManualMemory:
     model = model_of(run, section)
     ceiling = ceiling_of(run, section, HUMAN_MARGIN_MPS)
+    habits = habits._replace(deceleration_mps2=min(habits.deceleration_mps2, _at_hand_mps2(model)))
     forecast = forecast_of(model, ceiling, habits.deceleration_mps2)
     left = scheduled_s - RESERVE_S - _overhead_s(model, habits, standing=True)
     coast = section.length_m * (1.0 - habits.coast_share)
@@ -166,6 +177,15 @@ def _prepared(run: Run, section: Section, scheduled_s: float, habits: Habits) ->
         lever=Lever(),
         intent=Intent(cruise, coast),
     )
+
+
+def _at_hand_mps2(model: Model) -> float:
+    """Deceleration the data sheet promises at any speed, on the worst gradient on the way to the stop."""
+    vehicle = model.vehicle
+    speeds = np.linspace(0.0, float(vehicle.max_speed_mps), 9)
+    brake = min(float(effort_at(vehicle, v).brake_n) for v in speeds) / float(vehicle.effective_mass_kg)
+    gradient = min(weakest_gradient(model, float(model.track.length_m)), 0.0)
+    return max(SERVICE_USE * (brake + gradient), LEAST_MPS2)
 
 
 def _overhead_s(model: Model, habits: Habits, *, standing: bool) -> float:
@@ -213,11 +233,12 @@ def _decided(memory: ManualMemory) -> tuple[float, Intent]:
     if intent.braking:
         return _notched(stop_command(model, belief, target, curve).share), intent
     ahead = look_ahead(model, belief)
-    early_m = ahead.speed_mps * (memory.habits.reaction_s + memory.habits.onset_s)
+    hand_s = max(memory.habits.reaction_s, model.dt)
+    early_m = ahead.speed_mps * (hand_s + memory.habits.onset_s)
     required, _ = required_ahead(ahead, target - ahead.position_m - early_m, curve)
     if required >= curve.deceleration_mps2:
         return _notched(stop_command(model, belief, target, curve).share), intent._replace(braking=True)
-    sooner = ahead._replace(position_m=ahead.position_m + ahead.speed_mps * memory.habits.reaction_s)
+    sooner = ahead._replace(position_m=ahead.position_m + ahead.speed_mps * hand_s)
     limited = ceiling_acceleration(model, sooner, memory.ceiling, math.inf, curve)
     if limited < -0.05:
         return _notched(min(share_for(belief, ahead, limited), 0.0)), intent._replace(powering=False)

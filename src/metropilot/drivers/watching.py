@@ -3,11 +3,11 @@
 A policy and its assists see the trainset as told and the state as it is. That is right as long as both are: a
 command that acts late, a heavier trainset or a stronger resistance makes their last braking too late and
 their ceiling too high. So every run is watched by the observer of :mod:`metropilot.drivers.observer`. As long
-as it finds nothing, nothing of it is acted upon, and the drive is the policy's own to the last bit. Once it
-believes in another dead time or lag, or in efforts that are off by more than ``LEAST`` and by more than
-doubt allows, the policy sees the state in which its command begins to act and the trainset as it has shown
-itself, the last braking follows the law of :mod:`metropilot.drivers.stopping`, and the ceiling is that of
-:mod:`metropilot.drivers.headroom`.
+as the trainset declares neither dead time nor lag, and the observer finds nothing, nothing of it is acted
+upon, and the drive is the policy's own to the last bit. With a dead time or lag, declared or found, or
+efforts that are off by more than ``LEAST`` and by more than doubt allows, the policy sees the state in which
+its command begins to act and the trainset as it has shown itself, the last braking follows the law of
+:mod:`metropilot.drivers.stopping`, and the ceiling is that of :mod:`metropilot.drivers.headroom`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from metropilot.drivers.observer import (
     weighs_load,
 )
 from metropilot.drivers.stopping import INCH_M, curve_for, stand, stop_command
-from metropilot.physics import track_arrays, vehicle_arrays
+from metropilot.physics import Vehicle, track_arrays, vehicle_arrays
 from metropilot.protection import Memory, Protection, at_start, protect
 from metropilot.railway import Section
 from metropilot.task import Observation, Run, declared_bounds
@@ -52,7 +52,10 @@ LET_GO = 0.75
 LET_GO_M = 60.0
 """...if there is more than this left to the stop."""
 RELEASE_SHARE = 0.95
-"""Jerk at which the last braking is let go, over the trainset's limit."""
+"""Jerk at which the last braking is let go, over the trainset's limit..."""
+LATE_BUILD_SHARE, LATE_RELEASE_SHARE = 0.5, 0.35
+"""...and, where dead time or lag are declared, at which it is built up and let go: what is on its way cannot
+be taken back, and the rest of the limit is there to answer the error."""
 NEAR_ENOUGH_M = 0.1
 """An error at the stop that is not worth the time a correction takes."""
 RESERVE_S = 0.5
@@ -81,7 +84,7 @@ class Watch(NamedTuple):
     Attributes:
         model: Trainset and section as told.
         belief: Where it is and how the trainset answers.
-        care: What it takes to keep clear of protection; None as long as all is as told.
+        care: What it takes to keep clear of protection; None as long as all is as told and nothing is late.
         adapted: What the tables in force assume of the trainset.
         adapted_at_s: Since when.
     """
@@ -105,7 +108,8 @@ def first_watch(run: Run) -> Watch:
     vehicle = vehicle_arrays(trainset)
     model = Model(vehicle, track_arrays(run.section, trainset), run.dt)
     belief = first_belief(model, weighed_brakes=weighs_load(vehicle))
-    return Watch(model, belief, None, Adapted(), -np.inf)
+    watch = Watch(model, belief, None, Adapted(), -np.inf)
+    return watch._replace(care=_care(watch, run, run.section)) if answers_late(vehicle) else watch
 
 
 def noticed(watch: Watch, run: Run, observation: Observation) -> Watch:
@@ -138,6 +142,11 @@ def moved(watch: Watch, run: Run, section: Section) -> Watch:
 def gave(watch: Watch, share: float) -> Watch:
     """What is believed once a command has been given."""
     return watch._replace(belief=issued(watch.belief, share))
+
+
+def answers_late(vehicle: Vehicle) -> bool:
+    """Whether a trainset's own data declare a dead time or a lag of its service actuation."""
+    return float(vehicle.delay_s) > 0.0 or float(vehicle.lag_s) > 0.0
 
 
 def departs(belief: Belief) -> bool:
@@ -188,9 +197,12 @@ def last_braking(watch: Watch, planned_mps2: float, stopping: bool) -> tuple[boo
     """
     model, rate = watch.model, CAREFUL_USE * planned_mps2
     target = float(model.track.length_m)
-    curve = curve_for(model.vehicle, model.dt, rate)
+    vehicle, build, release = model.vehicle, 1.0, RELEASE_SHARE
+    if answers_late(vehicle):
+        build, release = LATE_BUILD_SHARE, LATE_RELEASE_SHARE
+    curve = curve_for(vehicle._replace(jerk_mps3=build * vehicle.jerk_mps3), model.dt, rate)
     if np.isfinite(curve.release_jerk_mps3):
-        curve = curve._replace(release_jerk_mps3=RELEASE_SHARE * curve.build_jerk_mps3)
+        curve = curve._replace(release_jerk_mps3=release * float(vehicle.jerk_mps3))
     stop = stop_command(model, watch.belief, target, curve)
     left = stop.left_m
     early = stop.required_mps2 < LET_GO * rate and left > LET_GO_M

@@ -122,7 +122,8 @@ def ground_of(model: Model, ceiling: Ceiling, rules: Rules) -> Ground:
 def _downhill(at: np.ndarray, climb: np.ndarray, length_m: float) -> np.ndarray:
     """The least mean slope from a position or any place behind it to the stop, by position."""
     left = np.maximum(length_m - at, STEP_M)
-    mean = np.where(at < length_m, (np.interp(length_m, at, climb) - climb) / left, 0.0)
+    mean = (np.interp(length_m, at, climb) - climb) / left
+    mean = np.where(at < length_m, mean, mean[np.flatnonzero(at < length_m)[-1]])
     return np.minimum.accumulate(np.minimum(mean, 0.0)[::-1])[::-1]
 
 

@@ -45,6 +45,10 @@ GAIN = (0.5, 1.6)
 CAUTION = 1.7
 USE = 0.97
 NEAR = 0.4
+COARSE = 0.05
+"""A period in which braking changes the speed by more than twice this share is no measure of distance."""
+PAST_M = 0.1
+"""Farther past the stop than this it is better to stand with all the jerk limit allows."""
 
 
 class Hoa(NamedTuple):
@@ -121,7 +125,7 @@ def _at_balise(hoa: Hoa, ground: Ground, x: float, v: float, work: tuple[float, 
     if hoa.passed >= len(BALISES_M) or ground.length_m - x > BALISES_M[hoa.passed]:
         return hoa
     gain = hoa.gain
-    if hoa.passed > 0 and hoa.effort_jpkg > LEAST_EFFORT_MPS2:
+    if hoa.passed > 0 and hoa.effort_jpkg > LEAST_EFFORT_MPS2 and 0.5 * work[0] <= COARSE * v * v:
         lost = 0.5 * (hoa.speed_mps * hoa.speed_mps - v * v)
         said = (lost - hoa.drag_jpkg) / hoa.effort_jpkg
         gain += HEURISTIC * min(max(said - gain, -0.1), 0.1)
@@ -149,7 +153,9 @@ def stop_share(
     required, falling = required_ahead(ahead, distance, curve)
     if not hoa.braking:
         sooner, _ = required_ahead(ahead, distance - v * (0.5 * actuation.lag_s + 0.25 * dt), curve)
-        if sooner < plan:
+        way = _way(v, -max(ahead.acceleration_mps2, 0.0), dt)
+        later, _ = required_ahead(ahead, distance - way, curve)
+        if sooner < plan and later <= plan / USE:
             return 0.0, False
     if falling == 0.0 and required < STRONGEST_MPS2:
         wanted = max(required + RETURN_GAIN * (required - plan), 0.0)
@@ -160,4 +166,14 @@ def stop_share(
         if distance < INCH_M:
             wanted = max(wanted, 0.0)
     wanted = min(wanted, strongest(v, curve, dt))
+    if _way(v, wanted, dt) > distance + PAST_M:
+        short = v * v / (2.0 * distance) if distance > 0.0 else STRONGEST_MPS2
+        wanted = max(wanted, min(short, curve.build_jerk_mps3 * dt))
     return share_of(actuation, ahead, ahead.resistance_mps2 - wanted), True
+
+
+def _way(speed_mps: float, deceleration_mps2: float, dt: float) -> float:
+    """Distance gone in a period, or to the stand in it."""
+    if speed_mps <= deceleration_mps2 * dt:
+        return 0.5 * speed_mps * speed_mps / deceleration_mps2 if deceleration_mps2 > 0.0 else 0.0
+    return (speed_mps - 0.5 * deceleration_mps2 * dt) * dt

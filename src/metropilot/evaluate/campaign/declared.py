@@ -10,7 +10,9 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from hashlib import sha256
+from itertools import product
 from math import prod
 from typing import Literal, NamedTuple
 
@@ -21,6 +23,7 @@ from metropilot.drivers.shipped import AbstractPolicyDriver
 from metropilot.evaluate.driver_options import named_driver
 from metropilot.evaluate.optimum import Objective
 from metropilot.evaluate.request import Request
+from metropilot.railway import load_trainset
 from metropilot.task import CONTROL_PERIOD_S
 
 PLANNED = "planned"
@@ -155,14 +158,23 @@ class Campaign:
         """Number of runs."""
         return prod(self.axes)
 
-    def is_compiled(self, driver: str, disturbance: Disturbance) -> bool:
-        """Whether a driver's runs are driven as compiled batches; elsewhere it acts on what it observes."""
+    def is_compiled(self, driver: str, disturbance: Disturbance, trainset: tuple[str, str]) -> bool:
+        """Whether a driver's runs are driven as compiled batches; elsewhere it acts on what it observes.
+
+        Args:
+            driver: Driver id, options included.
+            disturbance: What goes differently.
+            trainset: Trainset and load; of one that declares a dead time or lag every driver looks ahead.
+        """
         kind = DRIVERS.get(named_driver(driver)[0])
-        return self.engine == "compiled" and issubclass(kind, AbstractPolicyDriver) and disturbance.as_told
+        if self.engine != "compiled" or not issubclass(kind, AbstractPolicyDriver) or not disturbance.as_told:
+            return False
+        return disturbance.ideal or not _declares_late(*trainset)
 
     def shard_rows(self, driver: str) -> int:
         """Rows of a driver's shard; decided by driver and matrix alone."""
-        if any(self.is_compiled(driver, disturbance) for disturbance in self.disturbances):
+        pairs = product(self.disturbances, self.trainsets)
+        if any(self.is_compiled(driver, disturbance, trainset) for disturbance, trainset in pairs):
             return BATCH
         return min(max(-(-self.cells // SHARDS), 1), LARGEST_SHARD)
 
@@ -269,3 +281,10 @@ def request_of(campaign: Campaign, case: Case, scheduled_s: float, length_m: flo
         seed=seed,
         **drawn(told, seed),
     )
+
+
+@cache
+def _declares_late(trainset: str, load: str) -> bool:
+    """Whether a trainset declares a dead time or a lag."""
+    actuation = load_trainset(trainset, load).actuation
+    return actuation.delay_s > 0.0 or actuation.lag_s > 0.0

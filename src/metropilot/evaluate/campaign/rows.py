@@ -109,7 +109,11 @@ def drive_shard(text: str, piece: Piece) -> Shard:
 
     campaign, piece = from_text(text), Piece(*piece)
     cases = [campaign.case(row) for row in campaign.shard(piece)]
-    batch = [case for case in cases if campaign.is_compiled(case.driver, case.disturbance)]
+    batch = [
+        case
+        for case in cases
+        if campaign.is_compiled(case.driver, case.disturbance, (case.trainset, case.load))
+    ]
     found: dict[int, tuple[dict[str, Any], dict[str, Any]]] = {}
     if batch:
         from metropilot.evaluate.campaign.compiled import drive_batch
