@@ -98,7 +98,7 @@ def test_an_impossible_wish_on_the_way_is_answered_by_the_fastest_run():
 
 
 def test_a_time_below_the_minimum_is_refused_with_the_minimum():
-    with pytest.raises(Infeasible, match=r"minimum running time is 83\.3 s"):
+    with pytest.raises(Infeasible, match=r"minimum running time is 83\.33 s"):
         drive(run_of(time_s=60.0), DRIVERS.make("optimal"))
 
 

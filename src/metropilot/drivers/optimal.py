@@ -38,9 +38,9 @@ from metropilot.drivers.stopping import (
     stand,
     stop_command,
 )
-from metropilot.errors import Infeasible, SolverError
+from metropilot.errors import SolverError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
-from metropilot.planning import Plan, PlanOptions, plan_arrays
+from metropilot.planning import Plan, PlanOptions, check_running_time, plan_arrays
 from metropilot.planning.optimal import Objective, fastest_time
 from metropilot.protection import Memory, Protection, at_start, protect
 from metropilot.railway import Section, Trainset
@@ -167,15 +167,7 @@ class Optimal(AbstractDriver):
         guard = protect(run.section, trainset, bounds)
         room = headroom_of(model, guard, bounds, self.options.cap_margin_mps)
         options = self._plan_options(model, room)
-        minimum = fastest_time(vehicle, track, PlanOptions())
-        if run.scheduled_time_s < minimum:
-            raise Infeasible(
-                f"minimum running time is {minimum:.1f} s",
-                field="time",
-                value=run.scheduled_time_s,
-                unit="s",
-                allowed=f">= {minimum:.1f} s",
-            )
+        check_running_time(run.scheduled_time_s, fastest_time(vehicle, track, PlanOptions()))
         careful = adapted_vehicle(vehicle, Adapted(brake=self._brake_use(vehicle, Adapted(), room)))
         plan = _plan(careful, track, run.scheduled_time_s - self.options.reserve_s, options)
         curve = self._curve(model, plan)
