@@ -17,6 +17,7 @@ Everything is a pure function over :class:`Belief`. One control period is: :func
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -62,7 +63,7 @@ class Bank(NamedTuple):
     """Hypotheses about dead time and lag, each with its own parameters.
 
     Attributes:
-        delay_steps: Dead time in control periods. Shape (H,).
+        delay_steps: Dead time in control periods, not always whole. Shape (H,).
         keep: Share of the old effort that the lag keeps over a period. Shape (H,).
         share: Command after delay and lag. Shape (H,).
         gains: Traction gain, brake gain, resistance factor. Shape (H, 3).
@@ -169,7 +170,7 @@ def first_belief(
             moves the gain of traction alone.
     """
     dt = model.dt
-    known = round(float(model.vehicle.delay_s) / dt)
+    known = round(float(model.vehicle.delay_s) / dt, 6)
     extra = np.arange(round(MAX_EXTRA_DELAY_S / dt) + 1)
     lags = np.array(EXTRA_LAGS_S) + float(model.vehicle.lag_s)
     steps, lag = (x.ravel() for x in np.meshgrid(known + extra, lags, indexing="ij"))
@@ -190,7 +191,7 @@ def first_belief(
         speed_mps=float(speed_mps),
         acceleration_mps2=0.0,
         covariance=np.diag([POSITION_SIGMA_M**2, SPEED_SIGMA_MPS**2]),
-        commands=np.zeros(int(steps.max()) + 1),
+        commands=np.zeros(math.ceil(steps.max()) + 1),
         bank=bank,
         best=0,
         started=False,
@@ -258,7 +259,7 @@ def _fuse(
 def _learn(model: Model, belief: Belief, answer: float) -> tuple[Bank, int]:
     """Compare the answer to the last command with what each hypothesis expected, and learn from it."""
     vehicle, bank, v = model.vehicle, belief.bank, belief.speed_mps
-    acting = belief.commands[bank.delay_steps]
+    acting = _acting(belief.commands, bank.delay_steps)
     share = acting + (bank.share - acting) * bank.keep
     resistance, gradient, traction, brake = _efforts(model, belief.position_m, v)
     features = np.stack(
@@ -305,12 +306,14 @@ def look_ahead(model: Model, belief: Belief) -> Ahead:
         belief.acceleration_mps2,
         float(bank.share[belief.best]),
     )
-    steps, keep = int(bank.delay_steps[belief.best]), float(bank.keep[belief.best])
+    age, keep = float(bank.delay_steps[belief.best]), float(bank.keep[belief.best])
+    steps = math.ceil(age)
     up, down, drag = (float(k) for k in bank.gains[belief.best])
     room = float(vehicle.jerk_mps3) * dt
     here = _efforts(model, x, v)
     for k in range(steps):
-        acting = float(belief.commands[steps - 1 - k])
+        # The command given now is not known yet: where a part of it acts already, the newest stands for it.
+        acting = float(_acting(belief.commands, max(age - 1 - k, 0.0)))
         share = acting + (share - acting) * keep
         wanted = max(share, 0.0) * up * here[2] + min(share, 0.0) * down * here[3] - drag * here[0] - here[1]
         a = min(max(wanted, a - room), a + room)
@@ -319,6 +322,14 @@ def look_ahead(model: Model, belief: Belief) -> Ahead:
         x, v = x + 0.5 * (v + after) * dt, after
     there = _efforts(model, x, v) if steps else here
     return Ahead(steps * dt, x, v, a, share, drag * there[0], there[1], up * there[2], down * there[3])
+
+
+def _acting(commands: ndarray, age: ndarray | float) -> ndarray | float:
+    """The command issued so many periods ago, blended between two as the plant does."""
+    whole = np.floor(age).astype(int)
+    part = age - whole
+    older = commands[np.minimum(whole + 1, commands.size - 1)]
+    return commands[whole] * (1.0 - part) + older * part
 
 
 def share_for(belief: Belief, ahead: Ahead, wanted_mps2: float, lead: float = LAG_LEAD) -> float:

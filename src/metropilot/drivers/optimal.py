@@ -62,6 +62,7 @@ class OptimalOptions:
         period_s: A new plan at least this often, with what was learned of the trainset by then.
         last_plan_m: No new plan this close to the braking point.
         release_share: Jerk of the last brake's release over the trainset's limit.
+        late_release_share: The same where commands act late: what the lag keeps of the brake comes on top.
         brake_use: Share of the braking force that plan and stop count on; the rest is for corrections.
         careful_brake_use: The same where commands act late, the brake has no force to spare, or the trainset
             answers differently than told.
@@ -84,6 +85,7 @@ class OptimalOptions:
     period_s: float = math.inf
     last_plan_m: float = 30.0
     release_share: float = 0.95
+    late_release_share: float = 0.5
     brake_use: float = 0.995
     careful_brake_use: float = 0.97
     handover_m: float = 60.0
@@ -170,7 +172,7 @@ class Optimal(AbstractDriver):
         check_running_time(run.scheduled_time_s, fastest_time(vehicle, track, PlanOptions()))
         careful = adapted_vehicle(vehicle, Adapted(brake=self._brake_use(vehicle, Adapted(), room)))
         plan = _plan(careful, track, run.scheduled_time_s - self.options.reserve_s, options)
-        curve = self._curve(model, plan)
+        curve = self._curve(model, plan, room)
         return Following(
             trainset=trainset,
             run=run,
@@ -345,7 +347,7 @@ class Optimal(AbstractDriver):
             plan = _plan(vehicle, model.track, left, options, memory.plan)
         except SolverError:
             return told
-        return replace(told, plan=plan, clock_s=clock_s, curve=self._curve(model, plan))
+        return replace(told, plan=plan, clock_s=clock_s, curve=self._curve(model, plan, room))
 
     def _adaptation(self, belief: Belief) -> Adapted:
         """What to plan with: the trainset as estimated, with a brake no stronger than nominal."""
@@ -357,7 +359,11 @@ class Optimal(AbstractDriver):
         sure = nominal and weighs_load(vehicle, spare=1.0)
         return self.options.brake_use if sure else self.options.careful_brake_use
 
-    def _curve(self, model: Model, plan: Plan) -> Curve:
+    def _release_share(self, room: Headroom) -> float:
+        """Jerk of the last brake's release over the trainset's limit."""
+        return self.options.late_release_share if room.late_s > 0.0 else self.options.release_share
+
+    def _curve(self, model: Model, plan: Plan, room: Headroom) -> Curve:
         """The stop the plan ends with: the deceleration it brakes at before it lets go."""
         vehicle = model.vehicle
         braking = -np.diff(plan.speed_mps**2) / (2 * np.diff(plan.position_m))
@@ -366,7 +372,7 @@ class Optimal(AbstractDriver):
         rate = min(max(rate, 0.3), float(vehicle.max_deceleration_mps2))
         curve = curve_for(vehicle, model.dt, rate)
         if np.isfinite(curve.release_jerk_mps3):
-            curve = curve._replace(release_jerk_mps3=self.options.release_share * float(vehicle.jerk_mps3))
+            curve = curve._replace(release_jerk_mps3=self._release_share(room) * float(vehicle.jerk_mps3))
         return curve
 
     def _plan_options(self, model: Model, room: Headroom) -> PlanOptions:
@@ -381,7 +387,7 @@ class Optimal(AbstractDriver):
             spacing_m=self.options.spacing_m,
             late_w=LATE_W,
             jerk_mps3=jerk if limited else None,
-            release_mps3=self.options.release_share * jerk if limited else None,
+            release_mps3=self._release_share(room) * jerk if limited else None,
             cap_m=room.position_m,
             cap_mps=np.min(late, axis=0),
         )
