@@ -81,7 +81,10 @@ def test_restrictions(request_rj):
 
 @pytest.mark.parametrize(
     "text",
-    ["", "400", "400-600", "600-400@40", "400-600@0", "400-600@-5", "a-b@c", "5000-6000@40", "400-600@nan"],
+    [
+        *("", "400", "400-600", "600-400@40", "400-600@0", "400-600@-5", "a-b@c", "5000-6000@40"),
+        *("400-600@nan", "400-600@0.0001", "400-600@4.9", "400-600@500", "400-600@401@30", "400-1500@40"),
+    ],
 )
 def test_bad_restrictions(request_rj, text):
     with pytest.raises(InputError, match="restriction"):

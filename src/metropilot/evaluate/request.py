@@ -176,7 +176,7 @@ def parse_restriction(text: str, section: Section) -> tuple[Restriction, float |
     """``FROM-TO@KMH`` or ``FROM-TO@KMH@T``: the restriction, and when it is told (None: before departure).
 
     Raises:
-        InputError: Not of that form, or outside the section.
+        InputError: Not of that form, outside the section, or of a speed below 5 or above 400 km/h.
     """
     match = RESTRICTION.fullmatch(text.replace(" ", ""))
     if match is None:
@@ -193,6 +193,13 @@ def parse_restriction(text: str, section: Section) -> tuple[Restriction, float |
             field="restriction",
             value=text,
             allowed=f"0 to {section.length_m:g} m",
+        )
+    if end > section.length_m:
+        raise InputError(
+            "restriction ends beyond the stop",
+            field="restriction",
+            value=text,
+            allowed=f"at most {section.length_m:g} m",
         )
     at_s = None if match[4] is None else float(match[4])
     return Restriction(start, end, kmh * KMH), at_s

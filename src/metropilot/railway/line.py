@@ -13,6 +13,9 @@ from metropilot.errors import InputError
 from metropilot.railway.bounds import tidy
 from metropilot.railway.profile import Steps
 
+RESTRICTION_KMH = (5.0, 400.0)
+"""Speeds a temporary restriction may have, km/h."""
+
 
 @dataclass(frozen=True)
 class Station:
@@ -64,7 +67,7 @@ class Restriction:
     Attributes:
         from_m: Start, m from the section's origin.
         to_m: End, m from the section's origin.
-        limit_mps: The restricted speed.
+        limit_mps: The restricted speed, 5 to 400 km/h.
     """
 
     from_m: float
@@ -80,13 +83,14 @@ class Restriction:
                 unit="m",
                 allowed="from < to, finite",
             )
-        if not (np.isfinite(self.limit_mps) and self.limit_mps > 0):
+        low, high = RESTRICTION_KMH
+        if not low - 1e-6 <= 3.6 * self.limit_mps <= high + 1e-6:
             raise InputError(
-                "a restriction needs a speed",
+                "a restriction needs a speed that can be driven",
                 field="restriction",
-                value=self.limit_mps,
-                unit="m/s",
-                allowed="> 0",
+                value=tidy(3.6 * self.limit_mps),
+                unit="km/h",
+                allowed=f"{low:g} to {high:g} km/h",
             )
 
 
