@@ -92,6 +92,9 @@ def test_a_comparison(server):
             {**SECTION, "restrictions": [{"from_m": 5, "to_m": 9, "limit_mps": 0}]},
             "restrictions[0].limit_mps",
         ),
+        ({**SECTION, "restrictions": [{"from_m": 5, "to_m": 9, "limit_mps": 1e-4}]}, "restriction"),
+        ({**SECTION, "restrictions": [{"from_m": 5, "to_m": 9, "limit_mps": 500 / 3.6}]}, "restriction"),
+        ({**SECTION, "restrictions": [{"from_m": 5, "to_m": 9000, "limit_mps": 10}]}, "restriction"),
     ],
 )
 def test_what_cannot_be_used_is_named(server, body, field):

@@ -59,7 +59,7 @@ class DdpgPidOptions(AbstractTrackingOptions):
     """What it follows, and which policy sets the gains.
 
     Attributes:
-        policy: A policy file or the folder of a learning run; empty: the one shipped.
+        policy: A policy file, or the folder or id of a learning run; empty: the one shipped.
     """
 
     policy: str = ""

@@ -93,7 +93,7 @@ class DriverOut(BaseModel):
 class Uploaded(BaseModel):
     """What a file turned out to be."""
 
-    kind: Literal["line", "trainset"]
+    kind: Literal["line", "trainset", "policy"]
     id: str
     name: str
     notes: list[str]

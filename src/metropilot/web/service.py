@@ -9,8 +9,10 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
+from metropilot.drivers.policy.loaded import FILE
 from metropilot.errors import InputError
 from metropilot.evaluate import Request
+from metropilot.evaluate.request_file import POLICY
 from metropilot.web.asked import (
     CompareAsked,
     ConvoyAsked,
@@ -32,7 +34,7 @@ from metropilot.web.work import drives, learning, plans, studying
 if TYPE_CHECKING:
     from metropilot.evaluate.convoy_request import ConvoyRequest
 
-SUFFIXES = (".toml", ".json")
+SUFFIXES = (".toml", ".json", ".safetensors")
 SAVE_STEPS = 25
 LONELY_S = 600.0
 """A run that waits and that nobody watches ends after this; it can be resumed."""
@@ -80,9 +82,30 @@ class Service:
         await asyncio.to_thread(self.pools.stop)
 
     # ------------------------------------------------------------------------------------------ names
-    def paths(self) -> dict[str, str]:
+    def paths(self, kind: str | None = None) -> dict[str, str]:
         """Uploads by id: where their files are."""
-        return {row.id: str(self.root / "uploads" / row.file) for row in self.store.uploads()}
+        return {row.id: str(self.root / "uploads" / row.file) for row in self.store.uploads(kind)}
+
+    def policies(self) -> dict[str, str]:
+        """Policy files by the id of their learning run or upload, the newest runs first."""
+        runs = self.root / "runs"
+        found = sorted(runs.glob(f"*/{FILE}"), key=lambda path: path.stat().st_mtime, reverse=True)
+        inside = [path for path in found if path.resolve().is_relative_to(runs.resolve())]
+        return {path.parent.name: str(path) for path in inside} | self.paths(POLICY)
+
+    def path(self, kind: str, key: str) -> str:
+        """The file that an id means; a line or trainset that was not uploaded is one of the catalogue.
+
+        Raises:
+            InputError: No policy of that id.
+        """
+        if kind != POLICY:
+            return self.paths(kind).get(key, key)
+        found = self.policies().get(key)
+        if found is None:
+            allowed = "the id of a learning run that has a policy, or of an uploaded policy"
+            raise InputError("no such policy", field=f"options.{POLICY}", value=key, allowed=allowed)
+        return found
 
     def request(self, asked: SectionAsked) -> Request:
         """The run that is meant.
@@ -91,10 +114,10 @@ class Service:
             InputError: A name is unknown, or a number is not allowed.
         """
         values = asked.model_dump(exclude={"drivers", "seeds", "pace"})
-        return resolve(DriveAsked.model_validate(values), self.paths())
+        return resolve(DriveAsked.model_validate(values), self.path)
 
     async def upload(self, name: str, content: bytes) -> tuple[UploadRow, dict[str, Any]]:
-        """Take a line or trainset file.
+        """Take a line, trainset or policy file.
 
         Raises:
             InputError: It is too large, of no known kind, or malformed: the message names the field.
@@ -102,7 +125,9 @@ class Service:
         shown = Path(name.replace("\\", "/")).name[:80] or "file"
         suffix = Path(shown).suffix.lower()
         if suffix not in SUFFIXES:
-            raise InputError("unknown kind of file", file=shown, allowed="a file ending in .toml or .json")
+            raise InputError(
+                "unknown kind of file", file=shown, allowed=f"a file ending in {', '.join(SUFFIXES)}"
+            )
         if len(content) > self.settings.upload_bytes:
             limit = f"at most {self.settings.upload_bytes:,} bytes".replace(",", " ")
             raise InputError("too large", file=shown, value=len(content), unit="bytes", allowed=limit)
@@ -145,8 +170,7 @@ class Service:
 
     async def journey(self, asked: dict[str, Any]) -> dict[str, Any]:
         """A journey."""
-        paths = self.paths()
-        names = {name: paths.get(asked[name], asked[name]) for name in ("line", "trainset")}
+        names = {name: self.path(name, asked[name]) for name in ("line", "trainset")}
         return await self.pools.answer(plans.journey_of, {**asked, **names})
 
     # ------------------------------------------------------------------------------------------ jobs
@@ -170,8 +194,10 @@ class Service:
         else:
             request = self.request(asked)
             request.run()
-            names = asked.drivers if isinstance(asked, CompareAsked) else [asked.driver]
-            self._check_drivers(request, names)
+            if isinstance(asked, CompareAsked):
+                self._compared(asked)
+            else:
+                request.make_driver()
             kind = "compare" if isinstance(asked, CompareAsked) else "drive"
         job = self.store.new_job(kind, asked.model_dump())
         self._schedule(job, kind, asked.model_dump(), None)
@@ -209,7 +235,7 @@ class Service:
             future = self.pools.submit(kind, studying.study_job, root, job, asked)
         elif kind == "compare":
             body = CompareAsked.model_validate(asked)
-            what = (self.request(body), body.drivers, body.seeds)
+            what = (self.request(body), self._compared(body), body.seeds)
             future = self.pools.submit(kind, drives.compare_job, root, job, *what)
         else:
             request = self.request(DriveAsked.model_validate(asked))
@@ -237,13 +263,19 @@ class Service:
         done = {} if stopped else {"progress": 1.0}
         self.store.update(job, status="stopped" if stopped else "done", words=words, result=result, **done)
 
-    @staticmethod
-    def _check_drivers(request: Request, names: list[str]) -> None:
-        from dataclasses import replace
+    def _compared(self, asked: CompareAsked) -> dict[str, str]:
+        """The drivers of a comparison as :func:`metropilot.evaluate.compare` takes them, by their names.
 
-        for name in names:
-            options = request.options if name == request.driver else {}
-            replace(request, driver=name, options=options).make_driver()
+        Raises:
+            InputError: No such driver, or no such option of it.
+        """
+        found = {}
+        for name in asked.drivers:
+            options = asked.options if name == asked.driver else {}
+            request = self.request(asked.model_copy(update={"driver": name, "options": options}))
+            request.make_driver()
+            found[name] = ":".join([request.driver, *(f"{k}={v}" for k, v in request.options.items())])
+        return found
 
     @staticmethod
     def _check_learning(asked: LearnAsked) -> None:
@@ -314,7 +346,7 @@ class Service:
     def _run(self, asked: LiveAsked) -> Request:
         request = self.request(asked)
         request.run()
-        self._check_drivers(request, [asked.driver])
+        request.make_driver()
         return request
 
     def _convoy(self, asked: ConvoyAsked) -> ConvoyRequest:

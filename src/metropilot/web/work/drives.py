@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -65,19 +66,29 @@ def drive_job(root: str, job: str, request: Request) -> dict[str, Any]:
     return drive_out(driven, kpis, optimum)
 
 
-def compare_job(root: str, job: str, request: Request, drivers: list[str], seeds: int) -> dict[str, Any]:
-    """Drive the same run with several drivers and seeds."""
+def compare_job(root: str, job: str, request: Request, drivers: dict[str, str], seeds: int) -> dict[str, Any]:
+    """Drive the same run with several drivers and seeds.
+
+    Args:
+        root: Folder of the server's data.
+        job: Id of the job.
+        request: The run.
+        drivers: What :func:`metropilot.evaluate.compare` takes, by the names the drivers are shown by.
+        seeds: Drives of each driver.
+    """
     store = Store(Path(root))
     store.update(job, status="running", progress=0.0, words="driving")
-    todo = jobs(drivers, request.seed, seeds)
+    todo = jobs(list(drivers.values()), request.seed, seeds)
+    shown = {taken: name for name, taken in drivers.items()}
 
     def told() -> Any:  # noqa: ANN401 (a generator of jobs)
         for k, item in enumerate(todo):
-            words = f"{item.driver}, seed {item.seed}" if seeds > 1 else item.driver
+            words = shown[item.driver] + (f", seed {item.seed}" if seeds > 1 else "")
             store.update(job, progress=k / (len(todo) + 1), words=words)
             yield item
 
-    entries = compare(request, told())
+    driven = compare(replace(request, options={}), told())
+    entries = [replace(entry, driver=shown[entry.driver]) for entry in driven]
     store.update(job, progress=0.95, words="drawing")
     write_comparison(folder_of(root, job), request, entries)
     spread = {row["driver"]: row["kpis"] for row in comparison_json(request, entries)["drivers"]}

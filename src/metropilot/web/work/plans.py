@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from metropilot.drivers.policy.loaded import load_driving_policy
 from metropilot.errors import Infeasible, InputError
 from metropilot.evaluate import Request
+from metropilot.evaluate.request_file import POLICY
 from metropilot.planning import (
     JourneyPlan,
     Plan,
@@ -25,6 +27,8 @@ from metropilot.web.work.plain import numbers, station, window
 
 BARELY = 1.0 + 1e-4
 LONGEST_M = 200_000.0
+SUFFIX = ".safetensors"
+"""Of a policy's file."""
 
 
 def section_of(request: Request) -> dict[str, Any]:
@@ -158,12 +162,19 @@ def _journey_out(made: JourneyPlan) -> dict[str, Any]:
 
 
 def read_upload(path: str, shown: str) -> dict[str, Any]:
-    """Whether a file holds a line or a trainset.
+    """Whether a file holds a line, a trainset or a policy that drives.
 
     Raises:
         InputError: It does not; the message names the file as its sender does, and the field.
     """
     try:
+        if Path(path).suffix == SUFFIX:
+            about = load_driving_policy(path).about
+            return {
+                "kind": POLICY,
+                "name": shown,
+                "notes": [f"task {about['task']}"] if "task" in about else [],
+            }
         found = import_file(Path(path))
     except InputError as error:
         shape = {name: getattr(error, name) for name in ("field", "value", "unit", "allowed")}
