@@ -2,6 +2,8 @@
 
 import json
 import time
+from io import BytesIO
+from zipfile import ZipFile
 
 import pytest
 from tests.web.program import Server
@@ -109,6 +111,15 @@ def test_a_convoy_keeps_apart_when_its_head_brakes(server):
     result = next(data for _, kind, data in rest if kind == "result")
     assert result["kpis"]["contacts"] == 0
     assert 0 < result["kpis"]["gap_min_m"] < 5.93
+    server.wait(live)
+    archive = server.client.get(f"/api/jobs/{live}/files/trajectories.zip").content
+    with ZipFile(BytesIO(archive)) as files:
+        assert files.namelist() == ["trajectory-1.csv", "trajectory-2.csv"]
+        for name in files.namelist():
+            text = files.read(name).decode()
+            assert text.startswith("time_s,position_m")
+            assert text == server.client.get(f"/api/jobs/{live}/files/{name}").text
+    server.get(f"/api/jobs/{live}/files/trajectory-3.csv", code=404)
 
 
 def test_runs_survive_the_server(tmp_path):

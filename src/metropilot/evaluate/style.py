@@ -34,6 +34,20 @@ SERIES = (
     (SKY, (0, (3, 1))),
     (BLACK, (0, (1, 3))),
 )
+
+
+def series(drivers: Sequence[str]) -> dict[str, tuple[str, Any]]:
+    """A colour and a line style for each driver, the same in every picture of these drivers.
+
+    Past the palette's end the colours come again, in other line styles.
+    """
+    styles = [dashes for _, dashes in SERIES]
+    return {
+        name: (SERIES[k % len(SERIES)][0], styles[(k + k // len(SERIES)) % len(SERIES)])
+        for k, name in enumerate(dict.fromkeys(drivers))
+    }
+
+
 SETTINGS: Any = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],

@@ -250,10 +250,11 @@ def file_of(service: Service, job: str, name: str) -> Path:
     Raises:
         Refused: No such job or file (404).
     """
-    from metropilot.web.work.drives import FILES
+    from metropilot.web.work.drives import FILES, archive
 
     row = service.store.job(job)
-    path = service.root / "jobs" / row.id / name
+    folder = service.root / "jobs" / row.id
+    path = archive(folder) if name == "trajectories.zip" else folder / name
     if name not in FILES.get(row.kind, ()) or not path.is_file():
         raise Refused("no such file", 404, field="name", value=name)
     return path

@@ -26,7 +26,7 @@ from metropilot.web.refused import Refused
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 
-FileName = Annotated[str, Path(pattern=r"^[a-z]{1,16}\.(csv|json|svg|png|toml)$")]
+FileName = Annotated[str, Path(pattern=r"^[a-z]{1,16}(-[0-9])?\.(csv|json|svg|png|toml|zip)$")]
 
 
 def routes(service: Service) -> APIRouter:
@@ -75,7 +75,10 @@ def routes(service: Service) -> APIRouter:
 
     @router.get("/jobs/{job_id}/files/{name}", response_class=FileResponse)
     def file(job_id: Key, name: FileName) -> FileResponse:
-        """A file of a job: `trajectory.csv`, `kpis.json`, `profile.svg`, `profile.png`, `run.toml`, ..."""
+        """A file of a job: `trajectory.csv`, `kpis.json`, `profile.svg`, `run.toml`, ...
+
+        Of a convoy `trajectory-1.csv` and so on, and all of them in `trajectories.zip`.
+        """
         return FileResponse(catalogue.file_of(service, job_id, name), filename=f"{job_id}-{name}")
 
     @router.post("/jobs/{job_id}/stop", response_model=JobOut)

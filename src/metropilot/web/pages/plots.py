@@ -6,11 +6,17 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-from metropilot.evaluate.style import BLACK, BLUE, GREEN, GREY, KMH, ORANGE, PURPLE, SKY, VERMILION
+from metropilot.evaluate.style import BLACK, BLUE, GREEN, GREY, KMH, ORANGE, SERIES, SKY, VERMILION, series
 
 KWH = 3.6e6
-SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, GREY, SKY)
-DASHES = ("solid", "dash", "dashdot", "dot", "longdash", "longdashdot", "solid")
+DASHES = dict(
+    zip(
+        (dashes for _, dashes in SERIES),
+        ("solid", "dash", "dashdot", "dot", "longdashdot", "longdash", "2px,6px"),
+        strict=True,
+    )
+)
+"""The printed line styles as Plotly names them."""
 INK = "#5a6673"
 CONFIG = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
 Figure = dict[str, Any]
@@ -91,7 +97,7 @@ def run_figure() -> Figure:
     traces = [
         line("speed limit", [], [], BLACK, width=1.4, shape="hv"),
         line("permitted speed", [], [], ORANGE, width=1.6, dash="dash"),
-        line("optimal plan", [], [], SKY, width=6, opacity=0.65),
+        line("optimal plan", [], [], SKY, width=6.0, opacity=0.65),
         line("driven", [], [], BLUE, width=2.2),
         {
             "type": "scatter",
@@ -110,7 +116,7 @@ def run_figure() -> Figure:
             **below,
         },
         line("command", [], [], BLUE, width=1.4, shape="hv", fill="tozeroy", yaxis="y2", showlegend=False),
-        line("plan's energy", [], [], SKY, width=6, opacity=0.65, yaxis="y3", showlegend=False),
+        line("plan's energy", [], [], SKY, width=6.0, opacity=0.65, yaxis="y3", showlegend=False),
         line("energy at the wheel", [], [], BLUE, yaxis="y3", showlegend=False),
         line("net at the line", [], [], GREY, width=1.4, dash="dash", yaxis="y3"),
     ]
@@ -151,14 +157,15 @@ def compare_figure(entries: Sequence[dict[str, Any]]) -> Figure:
     if first["plan"]:
         plan = first["plan"]
         where = plan["position_m"]
-        traces.append(line("optimal plan", where, kmh(plan["speed_mps"]), SKY, width=6, opacity=0.65))
+        traces.append(line("optimal plan", where, kmh(plan["speed_mps"]), SKY, width=6.0, opacity=0.65))
         work = kwh(plan["energy_wheel_so_far_j"])
         below = {"yaxis": "y2", "showlegend": False, "opacity": 0.65}
-        traces.append(line("plan's energy", where, work, SKY, width=6, **below))
-    for k, entry in enumerate(entries):
+        traces.append(line("plan's energy", where, work, SKY, width=6.0, **below))
+    styles = series([entry["driver"] for entry in entries])
+    for entry in entries:
         columns, name = entry["drive"]["columns"], entry["driver"]
-        style = {"dash": DASHES[k % len(DASHES)], "legendgroup": name}
-        colour = SERIES[k % len(SERIES)]
+        colour, dashes = styles[name]
+        style = {"dash": DASHES[dashes], "legendgroup": name}
         where = columns["position_m"]
         traces.append(line(name, where, kmh(columns["speed_mps"]), colour, **style))
         energy = kwh(columns["energy_wheel_j"])
@@ -179,22 +186,23 @@ def front_figure(
     energy = kwh(front["energy_j"])
     time_s, here = cursor
     traces = [
-        line("optimum", front["time_s"], energy, BLUE, mode="lines+markers", shape="spline"),
+        line("optimum", front["time_s"], energy, SKY, width=4.0, mode="lines+markers", shape="spline"),
         {
             "type": "scatter",
             "mode": "markers",
             "name": "cursor",
             "x": [time_s],
             "y": [here],
-            "marker": {"size": 13, "color": BLUE, "line": {"width": 3, "color": "#fff"}},
+            "marker": {"size": 13, "color": SKY, "line": {"width": 3, "color": "#fff"}},
             "showlegend": False,
         },
     ]
+    styles = series([entry["driver"] for entry in entries])
     for k, entry in enumerate(entries):
         kpis = entry["drive"]["kpis"]
         if kpis["outcome"] != "arrived":
             continue
-        colour = SERIES[(k + 1) % len(SERIES)]
+        colour, _ = styles[entry["driver"]]
         traces.append(
             {
                 "type": "scatter",
@@ -210,7 +218,7 @@ def front_figure(
     now = {"type": "line", "x0": time_s, "x1": time_s, "yref": "paper", "y0": 0, "y1": 1}
     shapes = [
         {**wall, "line": {"color": GREY, "width": 1, "dash": "dot"}},
-        {**now, "line": {"color": BLUE, "width": 1}},
+        {**now, "line": {"color": SKY, "width": 1}},
     ]
     return figure(
         traces,
@@ -270,13 +278,13 @@ def convoy_figure() -> Figure:
     traces = []
     for kind, where in (("gap", "y"), ("difference", "y2")):
         for k in range(MOST):
-            style: Trace = {"dash": DASHES[(k + 1) % len(DASHES)], "yaxis": where, "showlegend": False}
-            colour = SERIES[(k + 1) % len(SERIES)]
+            colour, dashes = SERIES[k % len(SERIES)]
+            style: Trace = {"dash": DASHES[dashes], "yaxis": where, "showlegend": False}
             traces.append(line(f"{kind} {k + 1} to {k + 2}", [], [], colour, **style))
     for k in range(MOST):
-        style = {"dash": DASHES[k % len(DASHES)], "yaxis": "y3", "showlegend": k < 3}
-        name = "head" if k == 0 else f"trainset {k + 1}"
-        traces.append(line(name, [], [], SERIES[k % len(SERIES)], **style))
+        colour, dashes = (BLACK, "-") if k == 0 else SERIES[(k - 1) % len(SERIES)]
+        style = {"dash": DASHES[dashes], "yaxis": "y3", "showlegend": k < 3}
+        traces.append(line("head" if k == 0 else f"trainset {k + 1}", [], [], colour, **style))
     return figure(
         traces,
         560,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_DEFLATED, ZipFile
 
 from metropilot.evaluate import (
     COLUMNS,
@@ -22,10 +23,13 @@ from metropilot.evaluate import (
     write_comparison,
     write_run,
 )
+from metropilot.railway.whole_file import write_whole
 from metropilot.web.store import Store
 from metropilot.web.work.plain import numbers
 from metropilot.web.work.plans import plan_out
 
+MOST = 6
+"""Trainsets of a live convoy."""
 FILES = {
     "drive": ("trajectory.csv", "kpis.json", "profile.svg", "profile.png", "run.toml"),
     "live": (
@@ -36,6 +40,9 @@ FILES = {
         "run.toml",
         "run.json",
         "convoy.svg",
+        "convoy.png",
+        "trajectories.zip",
+        *(f"trajectory-{k + 1}.csv" for k in range(MOST)),
     ),
     "compare": ("comparison.json", "comparison.svg", "comparison.png", "run.toml"),
 }
@@ -104,6 +111,20 @@ def compare_job(root: str, job: str, request: Request, drivers: dict[str, str], 
         for e in entries
     ]
     return {"entries": found}
+
+
+def archive(folder: Path) -> Path:
+    """`trajectories.zip` of a convoy's folder: every trainset's trajectory; made when it is first wanted."""
+    path, found = folder / "trajectories.zip", sorted(folder.glob("trajectory-*.csv"))
+    if found and not path.exists():
+
+        def write(partial: Path) -> None:
+            with ZipFile(partial, "w", ZIP_DEFLATED) as made:
+                for each in found:
+                    made.write(each, each.name)
+
+        write_whole(path, write)
+    return path
 
 
 def folder_of(root: str, job: str) -> Path:
