@@ -65,6 +65,17 @@ def test_compare(program, tmp_path):
     assert "95 % interval" in said.out
 
 
+def test_a_convoy_leaves_a_trajectory_of_every_trainset(program, tmp_path):
+    asked = ("--time", "115", "--trainsets", "3", "--out", "out", "--json")
+    kpis = answer(program("convoy", *RUN[:3], *asked))
+    assert kpis == json.loads((tmp_path / "out" / "kpis.json").read_text())
+    for number in (1, 2, 3):
+        lines = (tmp_path / "out" / f"trajectory-{number}.csv").read_text().splitlines()
+        assert lines[0].split(",")[0] == COLUMNS[0]
+        assert len(lines) > 1000
+    assert not (tmp_path / "out" / "trajectory-4.csv").exists()
+
+
 def test_plan_of_a_run(metropilot, tmp_path):
     plan = answer(metropilot("plan", *RUN, "--out", tmp_path, "--json"))
     assert plan["running_time_s"] == pytest.approx(101, abs=0.01)

@@ -2,6 +2,7 @@
 
 import pytest
 
+from metropilot.drivers.shipped import shipped_policy
 from metropilot.railway import load_line, write_line
 
 SECTION = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ"}
@@ -111,6 +112,29 @@ def test_an_upload_is_used_like_any_line(server, tmp_path):
     assert [p.parent.name for p in server.data.rglob("*.toml") if p.parent.name == "uploads"] == ["uploads"]
     server.client.delete(f"/api/uploads/{key}")
     refused(server.post("/api/section", {**SECTION, "line": key}, code=422), "line")
+
+
+def test_an_uploaded_policy_drives_by_its_id(server, tmp_path):
+    content = shipped_policy("ppo").read_bytes()
+    answer = server.client.post("/api/uploads", files={"file": ("mine.safetensors", content)})
+    assert answer.status_code == 201, answer.text
+    key = answer.json()["id"]
+    assert answer.json()["kind"] == "policy"
+    told = {"driver": "learned", "options": {"policy": key}}
+    asked = {**SECTION, "time_s": 110, "drivers": ["ppo", "learned"], **told}
+    job = server.post("/api/jobs/compare", asked, code=202)["id"]
+    server.wait(job)
+    entries = server.get(f"/api/jobs/{job}/compare")["entries"]
+    assert [e["driver"] for e in entries] == ["ppo", "learned"]
+    ours, theirs = (e["kpis"]["energy_wheel_kwh"]["mean"] for e in entries)
+    assert ours == theirs
+    assert str(server.data) not in str(entries)
+    refused(server.post("/api/jobs/drive", {**SECTION, "driver": "learned"}, code=422), "options.policy")
+    other = shipped_policy("ddpg_pid").read_bytes()
+    answer = server.client.post("/api/uploads", files={"file": ("gains.safetensors", other)})
+    assert refused(answer.json(), "perception")["file"] == "gains.safetensors"
+    server.client.delete(f"/api/uploads/{key}")
+    refused(server.post("/api/jobs/drive", {**SECTION, **told}, code=422), "options.policy")
 
 
 def test_a_bad_upload_names_the_field(server, tmp_path):

@@ -12,7 +12,7 @@ from metropilot.evaluate.style import SERIES, series
 from metropilot.web.asked import ConvoyAsked, DriveAsked, JourneyAsked, LearnAsked, NewLink
 from metropilot.web.pages.form import allowed, validated
 from metropilot.web.pages.frame import frame
-from metropilot.web.pages.plots import compare_figure, convoy_figure, front_figure
+from metropilot.web.pages.plots import compare_figure, convoy_figure, driven_convoy, front_figure
 
 
 @pytest.mark.parametrize(
@@ -70,6 +70,16 @@ def test_a_driver_has_one_colour_in_every_picture():
     assert len(set(series(names).values())) == len(names)
     gaps = [t["line"]["color"] for t in convoy_figure()["data"][:5]]
     assert gaps == [colour for colour, _ in SERIES[:5]]
+
+
+def test_a_convoy_of_an_earlier_server_is_drawn_whole():
+    speeds = [{"time_s": [0.0, 1.0], "speed_mps": [0.0, 10.0]}] * 3
+    gaps = {"gap_m": [[6.0, 7.0], [6.5, 7.5]], "speed_difference_mps": [[0.0, 0.1], [0.0, 0.2]]}
+    drawn = driven_convoy({"time_s": [0.0, 1.0], "speeds": speeds, **gaps})["data"]
+    assert [list(t["y"]) for t in drawn[:3]] == [[6.0, 6.5], [7.0, 7.5], []]
+    assert list(drawn[7]["y"]) == pytest.approx([0.36, 0.72])
+    assert [list(t["y"]) for t in drawn[12:16]] == [[0.0, 36.0]] * 3 + [[]]
+    assert [t["showlegend"] for t in drawn[12:16]] == [True, True, True, False]
 
 
 def test_what_is_under_way_for_a_page_ends_with_it():

@@ -197,7 +197,7 @@ class Service:
             if isinstance(asked, CompareAsked):
                 self._compared(asked)
             else:
-                request.make_driver()
+                self._check_driver(request)
             kind = "compare" if isinstance(asked, CompareAsked) else "drive"
         job = self.store.new_job(kind, asked.model_dump())
         self._schedule(job, kind, asked.model_dump(), None)
@@ -263,6 +263,23 @@ class Service:
         done = {} if stopped else {"progress": 1.0}
         self.store.update(job, status="stopped" if stopped else "done", words=words, result=result, **done)
 
+    @staticmethod
+    def _check_driver(request: Request) -> None:
+        """Make the driver, and read the policy that it was told to drive by.
+
+        Raises:
+            InputError: No such driver or option, or the policy is none of this driver's.
+        """
+        from metropilot.drivers.shipped import AbstractPolicyDriver
+
+        driver = request.make_driver()
+        if isinstance(driver, AbstractPolicyDriver):
+            try:
+                _ = driver.loaded
+            except InputError as error:
+                told = {"value": error.value, "unit": error.unit, "allowed": error.allowed}
+                raise InputError(error.message, field=f"options.{POLICY}", **told) from None
+
     def _compared(self, asked: CompareAsked) -> dict[str, str]:
         """The drivers of a comparison as :func:`metropilot.evaluate.compare` takes them, by their names.
 
@@ -273,7 +290,7 @@ class Service:
         for name in asked.drivers:
             options = asked.options if name == asked.driver else {}
             request = self.request(asked.model_copy(update={"driver": name, "options": options}))
-            request.make_driver()
+            self._check_driver(request)
             found[name] = ":".join([request.driver, *(f"{k}={v}" for k, v in request.options.items())])
         return found
 
@@ -346,7 +363,7 @@ class Service:
     def _run(self, asked: LiveAsked) -> Request:
         request = self.request(asked)
         request.run()
-        request.make_driver()
+        self._check_driver(request)
         return request
 
     def _convoy(self, asked: ConvoyAsked) -> ConvoyRequest:

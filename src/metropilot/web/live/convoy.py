@@ -133,7 +133,16 @@ class ConvoyEngine:
         kpis = convoy_kpis(driven, self.scheduled_s)
         write_convoy(folder, self.request, driven, kpis)
         short = {"success": kpis.success, "kpis": kpis.as_dict(), "checks": convoy_checks(kpis.as_dict())}
-        full = {**short, "time_s": numbers(driven.time_s, 3), "gap_m": driven.gap_m.round(4).tolist()}
+        full = {
+            **short,
+            "time_s": numbers(driven.time_s, 3),
+            "gap_m": driven.gap_m.round(4).tolist(),
+            "speed_difference_mps": driven.speed_difference_mps.round(5).tolist(),
+            "speeds": [
+                {"time_s": numbers(t.time_s, 3), "speed_mps": numbers(t.speed_mps, 4)}
+                for t in driven.trajectories
+            ],
+        }
         return short, full, kpis.outcome
 
 

@@ -14,7 +14,7 @@ from metropilot.web.asked import ConvoyAsked, NewLink
 from metropilot.web.pages.drive import checks_table
 from metropilot.web.pages.form import SectionForm, bounded, driver_choice, driver_names, validated
 from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, table
-from metropilot.web.pages.plots import convoy_figure
+from metropilot.web.pages.plots import convoy_figure, driven_convoy
 from metropilot.web.pages.strip import section_strip
 from metropilot.web.refused import Refused
 from metropilot.web.service import Service
@@ -81,7 +81,8 @@ class ConvoyPage:
             with self.root, ui.element("div").classes("mp-stack"):
                 with ui.element("div").classes("mp-row items-center"):
                     ui.label("Live convoy").classes("mp-h").props("role=heading aria-level=2")
-                    ui.label("not departed").classes("mp-soft").props('data-mp="status" aria-live=polite')
+                    self.status = ui.label("not departed").classes("mp-soft")
+                    self.status.props('data-mp="status" aria-live=polite')
                 self.strip = ui.html("").classes("mp-strip")
                 reads(READS)
                 self.plot = ui.plotly(convoy_figure()).classes("mp-plot")
@@ -261,12 +262,10 @@ class ConvoyPage:
             links([(name, f"/api/jobs/{run}/files/{name}") for name in names])
 
     def show_over(self, row: JobRow, found: dict[str, Any]) -> None:
-        """A convoy that an earlier server drove: its gaps and its KPIs."""
-        drawn = convoy_figure()
-        for k, gaps in enumerate(zip(*found["gap_m"], strict=True)):
-            drawn["data"][k] |= {"x": found["time_s"], "y": list(gaps)}
-        self.plot.update_figure(drawn)
+        """A convoy that an earlier server drove."""
+        self.plot.update_figure(driven_convoy(found))
         self.root.props(f"data-status={row.status}")
+        self.status.text = "all stand"
         self.show_tables(row.id, found)
 
 

@@ -295,6 +295,20 @@ def convoy_figure() -> Figure:
     )
 
 
+def driven_convoy(found: dict[str, Any]) -> Figure:
+    """The same of a convoy that was driven before."""
+    made = convoy_figure()
+    for first, name, factor in ((0, "gap_m", 1.0), (MOST, "speed_difference_mps", KMH)):
+        for k, values in enumerate(zip(*found.get(name, ()), strict=True)):
+            made["data"][first + k] |= {"x": found["time_s"], "y": [factor * x for x in values]}
+    for k, trainset in enumerate(found.get("speeds", ())):
+        seen = {"x": trainset["time_s"], "y": kmh(trainset["speed_mps"]), "showlegend": True}
+        made["data"][2 * MOST + k] |= seen
+    for trace in made["data"][2 * MOST + len(found.get("speeds", ())) :]:
+        trace["showlegend"] = False
+    return made
+
+
 def history_figure(columns: dict[str, list[float | None]]) -> Figure:
     """A learning run over its steps: how many drives from standstill end well, and what they cost."""
     steps = columns.get("steps", [])
