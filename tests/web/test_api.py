@@ -1,5 +1,7 @@
 """The HTTP API of a running server: what it answers, and how it refuses."""
 
+import re
+
 import pytest
 
 from metropilot.railway import load_line, write_line
@@ -134,7 +136,56 @@ def test_pages_are_there_and_load_nothing_from_elsewhere(server, path):
 
 def test_what_is_no_route_is_told_in_the_same_shape(server):
     refused(server.get("/api/nowhere", code=404), "path")
-    refused(server.post("/api/lines", {}, code=404), "path")
+    refused(server.post("/api/nowhere", {}, code=404), "path")
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "allowed"),
+    [
+        ("PUT", "/api/lines", "GET"),
+        ("POST", "/api/lines", "GET"),
+        ("GET", "/api/plan", "POST"),
+        ("DELETE", "/api/jobs/x/files/run.toml", "GET"),
+        ("OPTIONS", "/api/live", "GET, POST"),
+    ],
+)
+def test_a_route_asked_in_another_way_says_in_which(server, method, path, allowed):
+    answer = server.client.request(method, path)
+    assert (answer.status_code, answer.headers["allow"]) == (405, allowed)
+    error = refused(answer.json(), "method")
+    assert (error["value"], error["allowed"]) == (method, allowed)
+
+
+@pytest.mark.parametrize(
+    ("kind", "body", "code", "field"),
+    [
+        ("text/plain", b"hello", 415, "Content-Type"),
+        ("text/plain", b'{"line": "yizhuang"}', 415, "Content-Type"),
+        ("application/x-www-form-urlencoded", b"line=yizhuang", 415, "Content-Type"),
+        ("application/octet-stream", b"\xff\x00", 415, "Content-Type"),
+        ("application/json", b"{bad", 422, "body"),
+        ("application/json", b"[1]", 422, "body"),
+        ("application/json", b"", 422, "body"),
+    ],
+)
+def test_a_body_that_is_not_json_is_told_in_one_line(server, kind, body, code, field):
+    answer = server.client.post("/api/plan", content=body, headers={"Content-Type": kind})
+    assert answer.status_code == code
+    error = refused(answer.json(), field)
+    assert "\n" not in error["message"]
+    assert "b'" not in answer.text
+    assert error["value"] == (kind if code == 415 else "[1]" if body == b"[1]" else None)
+
+
+def test_the_api_is_described_on_a_page_that_needs_nothing_else(server):
+    answer = server.client.get("/api/docs")
+    assert answer.headers["content-type"].startswith("text/html")
+    document = server.get("/api/openapi.json")
+    for path in document["paths"]:
+        assert f"<code>{path}</code>" in answer.text
+    for name in document["components"]["schemas"]:
+        assert f'id="{name}"' in answer.text
+    assert not re.search(r"<(script|img|link|iframe)|https?://|url\(", answer.text)
 
 
 def test_no_other_file_is_readable(server):

@@ -172,7 +172,8 @@ class Driving:
     def _tell(self, engine: AnyEngine, kind: str, words: str) -> bool:
         """Say what happened, if anything did."""
         if words:
-            self._say("event", {"time_s": engine.time_s, "kind": kind, "words": words})
+            said = {"time_s": engine.time_s, "kind": kind, "words": words}
+            self._say("event", said, {"lever": engine.lever()})
         return bool(words)
 
     def _heard(self, engine: AnyEngine) -> bool:
