@@ -1,8 +1,13 @@
 """The HTTP API of a running server: what it answers, and how it refuses."""
 
+import io
+import json
 import re
+import subprocess
+import zipfile
 
 import pytest
+from tests.web.program import PROGRAM
 
 from metropilot.railway import load_line, write_line
 
@@ -110,6 +115,34 @@ def test_an_upload_is_used_like_any_line(server, tmp_path):
     assert [p.parent.name for p in server.data.rglob("*.toml") if p.parent.name == "uploads"] == ["uploads"]
     server.client.delete(f"/api/uploads/{key}")
     refused(server.post("/api/section", {**SECTION, "line": key}, code=422), "line")
+
+
+@pytest.mark.parametrize("kind", ["drive", "live"])
+def test_the_archive_of_a_run_on_an_uploaded_line_is_driven_again_anywhere(server, tmp_path, kind):
+    write_line(load_line("yizhuang"), tmp_path / "mine.toml")
+    text = (tmp_path / "mine.toml").read_bytes()
+    key = server.client.post("/api/uploads", files={"file": ("mine.toml", text)}).json()["id"]
+    asked = {**SECTION, "line": key, "time_s": 101}
+    if kind == "drive":
+        job = server.post("/api/jobs/drive", asked, code=202)["id"]
+    else:
+        job = server.post("/api/live", {**asked, "pace": 0}, code=201)["id"]
+        server.post(f"/api/live/{job}/arrival", {"scheduled_time_s": 110})
+        server.post(f"/api/live/{job}/restriction", {"from_m": 700, "to_m": 800, "limit_mps": 14.7})
+        server.post(f"/api/live/{job}/pace", {"pace": 50})
+    server.wait(job)
+    server.client.delete(f"/api/uploads/{key}")
+    answer = server.client.get(f"/api/jobs/{job}/files/run.zip")
+    assert answer.headers["content-type"] == "application/zip"
+    zipfile.ZipFile(io.BytesIO(answer.content)).extractall(tmp_path)
+    folder = tmp_path / job
+    assert str(server.data) not in (folder / "run.toml").read_text()
+    again = [PROGRAM, "drive", "--from", folder / "run.toml", "--out", tmp_path / "again"]
+    done = subprocess.run(again, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    kpis = [json.loads((place / "kpis.json").read_text()) for place in (folder, tmp_path / "again")]
+    for name in ("running_time_s", "energy_wheel_kwh", "stopping_error_m", "scheduled_time_s"):
+        assert kpis[0][name] == pytest.approx(kpis[1][name], abs=1e-6)
 
 
 def test_a_bad_upload_names_the_field(server, tmp_path):

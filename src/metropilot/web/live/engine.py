@@ -28,6 +28,7 @@ HAND_S = 3.0
 """The lever falls back to the driver unless whoever holds it says so within this time."""
 COLUMNS = (*Moment._fields, "plan_energy_wheel_j", "step")
 """``plan_energy_wheel_j``: what the reference plan has used where the trainset is (see :class:`Engine`)."""
+KMH = 3.6
 NOBODY = "api"
 """Who holds the lever where a request does not say."""
 LATE_W = 500.0
@@ -63,6 +64,7 @@ class Engine:
         self.holder: str | None = None
         self.held_since_s = 0.0
         self.due: list[str] = []
+        self.news: list[News] = []
         self._plan_anew()
 
     @property
@@ -172,7 +174,7 @@ class Engine:
                 unit="s",
                 allowed=f"> {self.time_s:.1f} s",
             )
-        self.rollout.tell(News(self.time_s, scheduled_time_s=scheduled_s))
+        self._announce(News(self.time_s, scheduled_time_s=scheduled_s))
         self.rollout.scheduled_time_s = scheduled_s
         self._plan_anew()
         return self._arrival_words(before_s)
@@ -181,6 +183,10 @@ class Engine:
         scheduled_s = self.rollout.scheduled_time_s
         way = "earlier" if scheduled_s < before_s else "later"
         return f"told to arrive {way}: after {scheduled_s:g} s{self._instead()}"
+
+    def _announce(self, news: News) -> None:
+        self.news.append(news)
+        self.rollout.tell(news)
 
     def _instead(self) -> str:
         """When it can be there, where the time it was told cannot be met from here; else nothing."""
@@ -219,7 +225,7 @@ class Engine:
                 unit="m",
                 allowed=f"{nearest:.0f} m or further" if nearest is not None else "a higher speed",
             )
-        self.rollout.tell(News(self.time_s, restriction=restriction))
+        self._announce(News(self.time_s, restriction=restriction))
         self.rollout.hear()
         self._plan_anew()
         return restriction_words(restriction)
@@ -331,8 +337,24 @@ class Engine:
         optimum = optimum_of(driven, self.request.objective)
         kpis = kpis_of(driven, optimum, self.request.objective)
         full = drive_out(driven, kpis, optimum)
-        write_run(folder, self.request, driven, kpis, optimum)
+        write_run(folder, self.told(), driven, kpis, optimum)
         return {name: full[name] for name in SHORT}, full, kpis.outcome
+
+    def told(self) -> Request:
+        """The request with what the driver was told on the way; what a hand did is not in it."""
+        restrictions = tuple(
+            f"{r.from_m!r}-{r.to_m!r}@{r.limit_mps * KMH!r}@{n.at_s!r}"
+            for n in self.news
+            if (r := n.restriction) is not None
+        )
+        arrivals = tuple(
+            f"{n.scheduled_time_s!r}@{n.at_s!r}" for n in self.news if n.scheduled_time_s is not None
+        )
+        return replace(
+            self.request,
+            restrictions=(*self.request.restrictions, *restrictions),
+            arrivals=(*self.request.arrivals, *arrivals),
+        )
 
     @property
     def minimum_s(self) -> float:

@@ -156,7 +156,7 @@ class ComparePage:
         with self.result:
             compare_table(self.entries)
             ui.plotly(compare_figure(self.entries)).classes("mp-plot").props('data-test="picture"')
-            names = ("comparison.json", "comparison.svg", "run.toml")
+            names = ("comparison.json", "comparison.svg", "run.zip")
             links([(name, f"/api/jobs/{self.job}/files/{name}") for name in names])
         await self.move_cursor()
 
