@@ -14,7 +14,6 @@ from starlette.exceptions import HTTPException
 from metropilot.errors import MetropilotError
 from metropilot.web.refused import FIELDS, detail_of, plain
 
-
 JSON = "application/json"
 METHOD_NOT_ALLOWED = 405
 

@@ -27,7 +27,9 @@ Every error is `{"error": {"message", "file", "field", "value", "unit", "allowed
 
 
 def make_api(service: Service) -> FastAPI:
-    """The API alone, described at ``/api/openapi.json`` and, to be read, ``/api/docs``. The service opens and closes with it.
+    """The API alone, described at ``/api/openapi.json`` and, to be read, at ``/api/docs``.
+
+    The service opens and closes with it.
 
     Args:
         service: What does the work.

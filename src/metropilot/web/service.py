@@ -321,6 +321,17 @@ class Service:
         kind = ConvoyAsked if "follower" in row.asked else LiveAsked
         return await self.go_live(kind.model_validate(row.asked), job)
 
+    def live_run(self, job: str) -> JobRow:
+        """A live run or convoy as it is stored, also one of an earlier server.
+
+        Raises:
+            Refused: There is none of that id (404).
+        """
+        row = self.store.job(job)
+        if row.kind != "live":
+            raise Refused("no such live run", 404, field="id", value=job)
+        return row
+
     def live_runs(self) -> list[JobRow]:
         """Live runs that go on, and the newest of those that can be resumed."""
         rows = self.store.jobs("live", limit=1000)

@@ -66,8 +66,7 @@ def page(document: Schema) -> str:
     title = f"{info['title']} {info['version']}: the HTTP API"
     parts = [
         f"<h1>{escape(title)}</h1><p>{escape(info['description'])}</p>",
-        '<p>For programs: <a href="/api/openapi.json">/api/openapi.json</a>. '
-        'The console: <a href="/">drive</a>.</p>',
+        '<p>For programs: <a href="/api/openapi.json">/api/openapi.json</a>.</p>',
     ]
     for tag, rows in groupby(found, key=lambda row: row[0]):
         parts.append(f"<h2>{escape(tag)}</h2>")

@@ -78,8 +78,8 @@ def routes(service: Service) -> APIRouter:
     def file(job_id: Key, name: FileName) -> Response:
         """A file of a job: `trajectory.csv`, `kpis.json`, `profile.svg`, `profile.png`, `run.toml`, ...
 
-        `run.zip` holds all of them and the files that `run.toml` names (an uploaded line, trainset or policy),
-        so that `metropilot drive --from run.toml` drives it again anywhere.
+        `run.zip` holds all of them and the files that `run.toml` names (an uploaded line, trainset or
+        policy), so that `metropilot drive --from run.toml` drives it again anywhere.
         """
         if name == ARCHIVE:
             told = {"Content-Disposition": f'attachment; filename="{job_id}.zip"'}

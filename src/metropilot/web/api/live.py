@@ -28,8 +28,8 @@ STREAM: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "Server-sent events, numbered: `scene` (track, permitted speed, plan, names of the "
         "columns), `rows` (one a control period), `event` (news, in words), `result` (KPIs), `error`, `end`. "
-        "In a scene, `plan` leads from where the trainset was when it was made to the stop; `reference` leads "
-        "from departure to the stop for what is in force now, and is what a run's energy is compared with: "
+        "In a scene, `plan` leads from where the trainset was when it was made to the stop; `reference` "
+        "leads from departure to the stop for what is in force now, and a run's energy is compared with it: "
         "`plan_energy_wheel_j` of a row is what it has used at that position. "
         "`Last-Event-ID` goes on from there; without it everything is told from departure.",
         "content": {"text/event-stream": {"schema": {"type": "string"}}},

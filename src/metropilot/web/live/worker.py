@@ -178,7 +178,10 @@ class Driving:
 
     def _heard(self, engine: AnyEngine) -> bool:
         """Say what the request had the driver told, if anything."""
-        return any([self._tell(engine, "news", words) for words in engine.heard()])
+        heard = engine.heard()
+        for words in heard:
+            self._tell(engine, "news", words)
+        return bool(heard)
 
     def _drive(self, engine: AnyEngine) -> None:
         """The control periods that are due, at most so many before orders are heard again."""

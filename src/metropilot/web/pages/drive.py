@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 from fastapi import Request
+from fastapi.responses import RedirectResponse
 from nicegui import events, ui
 from pydantic import ValidationError
 
 from metropilot.errors import InputError, MetropilotError
 from metropilot.web import catalogue
 from metropilot.web.asked import LiveAsked, NewRestriction, PlanAsked
+from metropilot.web.live.session import Session
 from metropilot.web.pages.form import DisturbanceForm, SectionForm, driver_names
 from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, table
-from metropilot.web.pages.plots import planned_run, run_figure
+from metropilot.web.pages.plots import driven_run, planned_run, run_figure
+from metropilot.web.pages.runs import RunList
 from metropilot.web.pages.strip import line_strip, section_strip
 from metropilot.web.refused import Refused
-from metropilot.web.service import Service
+from metropilot.web.service import RESUMABLE, Service
+from metropilot.web.store import JobRow
 
 PACES = {1: "real time", 2: "2 ×", 5: "5 ×", 10: "10 ×", 30: "30 ×"}
 READS = (
@@ -31,6 +36,12 @@ READS = (
     ("against the plan", "–", "against"),
     ("protection", "–", "level"),
 )
+TAKEN = ("trajectory.csv", "kpis.json", "profile.svg", "run.zip")
+MORE = ("options", "objective", "restrictions", "arrivals", "dt_s")
+"""What a run may have been asked that has no field on the page."""
+PLANNED = ("objective", "restrictions")
+"""Those that the plan before departure depends on."""
+PLAIN = {name: LiveAsked.model_fields[name].default for name in MORE}
 KEYS = (("M", "take"), ("↑ ↓", "10 % more, less"), ("0", "coast"), ("B", "full brake"), ("Esc", "give back"))
 
 
@@ -48,13 +59,32 @@ def validated(kind: type[Any], values: dict[str, Any]) -> Any:  # noqa: ANN401 (
 
 
 class DrivePage:
-    """The page's state for one browser."""
+    """The page's state for one browser.
+
+    Args:
+        service: The server's work.
+        run: Id of the live run that a link names.
+
+    Attributes:
+        row: That run as it is stored, None if there is none.
+        lost: Why the link could not be followed.
+    """
 
     def __init__(self, service: Service, run: str | None) -> None:
         self.service = service
-        self.run = run if run in service.sessions else None
-        self.form = SectionForm(service, self.section_changed, self.time_moved)
-        self.disturbances = DisturbanceForm()
+        self.row: JobRow | None = None
+        self.lost: MetropilotError | None = None
+        try:
+            self.row = service.live_run(run) if run else None
+            first = {} if self.row is None else self.row.asked
+            self.form = SectionForm(service, self.section_changed, self.time_moved, first)
+        except MetropilotError as error:  # no such run, or its line is gone
+            self.lost, first = error, {}
+            self.form = SectionForm(service, self.section_changed, self.time_moved)
+        self.run = None if self.row is None else self.row.id
+        self.first = first
+        self.more = {name: first[name] for name in MORE if first.get(name) != PLAIN[name] and name in first}
+        self.disturbances = DisturbanceForm(first)
         self.wanted_s: float | None = None
         self.planning = False
 
@@ -64,29 +94,43 @@ class DrivePage:
             with card("Run"):
                 self.form.build()
                 drivers = driver_names()
-                first = "optimal" if "optimal" in drivers else next(iter(drivers))
+                first = next(
+                    name for name in (self.first.get("driver"), "optimal", *drivers) if name in drivers
+                )
                 self.driver = ui.select(drivers, value=first, label="Driver").props(
                     "outlined dense options-dense"
                 )
                 self.form.problem.beside("driver", self.driver)
                 self.disturbances.build(self.form.problem)
+                self.build_more()
                 with ui.element("div").classes("mp-row"):
-                    self.pace = ui.select(PACES, value=1, label="Pace", on_change=self.change_pace)
+                    pace = self.first.get("pace", 1)
+                    pace = pace if pace in PACES else 1
+                    self.pace = ui.select(PACES, value=pace, label="Pace", on_change=self.change_pace)
                     self.pace.props("outlined dense")
                     ui.button("Depart", icon="play_arrow", on_click=self.depart).props(
                         'unelevated data-test="depart"'
                     )
-                    self.stop_button = ui.button("Stop", on_click=self.stop).props("outline")
+                    ui.button("Stop", on_click=self.stop).props('outline data-test="stop"')
+                self.departure = Problem()
+                self.departure.fields = self.form.problem.fields
+                self.departure.label.props('data-test="departure-problem"')
             self.build_news()
+            RunList(self.service, self.run).build()
         with ui.element("div").classes("mp-col"):
             with card():
                 self.map = ui.html("").classes("mp-strip")
-            self.root = ui.element("section").classes("mp-card").props('data-test="live" data-status="none"')
+            self.root = ui.element("section").classes("mp-card").props('data-test="live"')
+            self.root.props(f"data-status={'none' if self.row is None else self.row.status}")
             with self.root, ui.element("div").classes("mp-stack"):
                 with ui.element("div").classes("mp-row items-center"):
                     ui.label("Live run").classes("mp-h").props("role=heading aria-level=2")
-                    ui.label("not departed").classes("mp-soft").props('data-mp="status" aria-live=polite')
+                    status = ui.label(self.said()).classes("mp-soft")
+                    status.props('data-mp="status" aria-live=polite')
                     ui.label("").classes("mp-soft").props('data-mp="pace"')
+                    self.resume_button = ui.button("Resume", icon="replay", on_click=self.resume)
+                    self.resume_button.props('outline dense data-test="resume"')
+                    self.resume_button.set_visibility(self.row is not None and self.row.status in RESUMABLE)
                 self.strip = ui.html("").classes("mp-strip")
                 reads(READS)
                 self.lever()
@@ -94,6 +138,28 @@ class DrivePage:
                 ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite aria-label="News"')
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
             self.root.on("mp-result", self.show_result, ["detail"])
+            self.root.on("mp-end", self.ended, ["detail"])
+
+    def said(self) -> str:
+        """How the run of the link stands."""
+        row = self.row
+        if row is None:
+            return "not departed"
+        return f"{row.status}: {row.words}" if row.words else row.status
+
+    def build_more(self) -> None:
+        """What the run of the link was asked besides the fields: kept for the next one, or left out."""
+        if not self.more:
+            return
+        with ui.element("div").classes("mp-row items-center") as row:
+            words = "; ".join(f"{name} {json.dumps(value)}" for name, value in self.more.items())
+            ui.label(f"As in this run: {words}").classes("mp-soft").props('data-test="more"')
+
+            def leave_out() -> None:
+                self.more.clear()
+                row.delete()
+
+            ui.button("Leave out", on_click=leave_out).props("flat dense no-caps")
 
     def lever(self) -> None:
         """The lever: take it, move it, give it back."""
@@ -130,25 +196,50 @@ class DrivePage:
                 self.kmh = ui.number("km/h", value=40, min=5, max=120, step=5)
                 for name, element in (("from_m", self.from_m), ("to_m", self.to_m), ("limit_mps", self.kmh)):
                     self.news.beside(name, element.props("outlined dense"))
-            ui.button("Drop the restriction", on_click=self.restrict).props('outline data-test="restrict"')
+            ui.button("Add speed restriction", on_click=self.restrict).props('outline data-test="restrict"')
 
     async def start(self) -> None:
         """After the page is there: the section, and the run it came for."""
         await self.form.load()
-        if self.run:
-            await self.attach(self.run)
+        if self.gone:
+            return
+        session = self.session()
+        if session is not None:
+            self.attach(session)
+        elif self.row is not None:
+            found = self.service.store.result(self.row.id)
+            if found is not None:
+                self.plot.update_figure(driven_run(found))
+                self.show_kpis(self.row.id, found)
+            if self.row.error is not None:
+                told = self.row.error
+                self.departure.show(InputError(told["message"], field=told["field"], allowed=told["allowed"]))
+        if self.lost is not None:
+            self.departure.show(self.lost)
+
+    @property
+    def gone(self) -> bool:
+        """Whether the page was left while it waited; then there is nothing to update."""
+        return self.root.client.is_deleted
 
     async def section_changed(self) -> None:
         """Draw the track anew; a run that is watched keeps its own."""
+        if self.gone:
+            return
         form = self.form
         self.map.content = line_strip(form.line, (form.origin_in.value, form.destination_in.value))
+        if form.section is not None and (self.live() is None or not self.strip.content):
+            self.draw_section(form.section, form.trainset_in.value)
         if self.live() is None and form.section is not None:
-            length = catalogue.trainset_out(self.service, form.trainset_in.value)["length_m"]
-            self.strip.content = section_strip(form.section, length)
             self.arrival.value = form.slider.value
-            end = form.section["length_m"]
-            self.from_m.value, self.to_m.value = round(0.55 * end, -1), round(0.7 * end, -1)
             await self.time_moved()
+
+    def draw_section(self, section: dict[str, Any], trainset: str) -> None:
+        """The section with its trainset, and where a restriction could be."""
+        length = catalogue.trainset_out(self.service, trainset)["length_m"]
+        self.strip.content = section_strip(section, length)
+        end = section["length_m"]
+        self.from_m.value, self.to_m.value = round(0.55 * end, -1), round(0.7 * end, -1)
 
     async def time_moved(self) -> None:
         """Show the plan for the time, while nothing runs; the latest time wins."""
@@ -159,46 +250,70 @@ class DrivePage:
         try:
             while (now := self.wanted_s) is not None:
                 self.wanted_s = None
+                known = {name: self.more[name] for name in PLANNED if name in self.more}
                 with self.form.problem.watching():
-                    plan = await self.service.plan(
-                        PlanAsked.model_validate({**self.form.asked(), "time_s": now})
-                    )
+                    asked = {**self.form.asked(), **known, "time_s": now}
+                    plan = await self.service.plan(PlanAsked.model_validate(asked))
+                    if self.gone:
+                        return
                     if self.live() is None and self.form.section is not None:
                         self.plot.update_figure(planned_run(self.form.section, plan))
                         self.arrival.value = now
         finally:
             self.planning = False
 
-    def live(self) -> Any:  # noqa: ANN401 (a session or None)
+    def session(self) -> Session | None:
+        """The run of the page, while the server has it."""
+        return self.service.sessions.get(self.run or "")
+
+    def live(self) -> Session | None:
         """The run that is watched, while it goes on."""
-        session = self.service.sessions.get(self.run or "")
+        session = self.session()
         return session if session is not None and not session.over else None
 
     async def depart(self) -> None:
         """Start a live run and watch it."""
-        with self.form.problem.watching():
+        with self.departure.watching():
             if self.form.section is None:
                 raise Refused("choose a section first", 422, field="origin")
-            values = {**self.form.asked(), **self.disturbances.asked()}
+            values = {**self.more, **self.form.asked(), **self.disturbances.asked()}
+            if self.driver.value != self.first.get("driver"):
+                values.pop("options", None)
             asked = validated(
                 LiveAsked, {**values, "driver": self.driver.value, "pace": float(self.pace.value)}
             )
-            if (before := self.live()) is not None:
-                await before.ask({"kind": "stop"})
+            before = self.live()
+            if before is not None and before.viewers <= 1:
+                await before.stop()
             session = await self.service.go_live(asked)
             self.run = session.id
-            length = catalogue.trainset_out(self.service, asked.trainset)["length_m"]
-            self.strip.content = section_strip(self.form.section, length)
-            self.arrival.value = asked.time_s
-            await self.attach(session.id)
+            if self.gone:
+                return
+            self.draw_section(self.form.section, asked.trainset)
+            self.attach(session)
 
-    async def attach(self, run: str) -> None:
+    async def resume(self) -> None:
+        """Go on with the run of the page."""
+        with self.departure.watching():
+            session = await self.service.resume_live(self.run or "")
+            if not self.gone:
+                self.attach(session)
+
+    def attach(self, session: Session) -> None:
         """Let the browser watch a run."""
         self.result.clear()
         self.news.clear()
+        self.resume_button.set_visibility(False)
+        self.arrival.value = self.scheduled_s(session)
         with self.result:
             ui.label("KPIs, passed and failed, when it has stopped.").classes("mp-soft")
-        ui.run_javascript(f"metropilot.live('c{self.root.id}', {run!r}, {self.plot.id})")
+        ui.run_javascript(f"metropilot.live('c{self.root.id}', {session.id!r}, {self.plot.id})")
+
+    @staticmethod
+    def scheduled_s(session: Session) -> float | None:
+        """The running time that is in force, whoever sent it."""
+        known = session.known.scheduled_time_s
+        return session.asked["time_s"] if known is None else known
 
     async def ask(self, event: dict[str, Any]) -> None:
         """Tell the run something.
@@ -220,11 +335,13 @@ class DrivePage:
 
     async def shift(self, seconds: float) -> None:
         """A little earlier or later than it is now."""
-        self.arrival.value = (self.arrival.value or 0) + seconds
+        session = self.live()
+        base = self.arrival.value if session is None else self.scheduled_s(session)
+        self.arrival.value = (base or 0) + seconds
         await self.tell_arrival()
 
     async def restrict(self) -> None:
-        """Drop a restriction on the track."""
+        """Add a temporary speed restriction."""
         with self.news.watching():
             values = {
                 "from_m": self.from_m.value,
@@ -242,21 +359,35 @@ class DrivePage:
     async def stop(self) -> None:
         """End the run."""
         with self.news.watching():
-            await self.ask({"kind": "stop"})
+            session = self.live()
+            if session is None:
+                raise Refused("no run is under way; depart first", 409)
+            await session.stop()
 
     def show_result(self, event: events.GenericEventArguments) -> None:
         """KPIs with pass and fail; taken from the store, not from the browser."""
         del event
-        session = self.service.sessions.get(self.run or "")
-        found = session.summary if session is not None else None
-        if session is None or found is None:
-            return
+        session = self.session()
+        if session is not None and session.summary is not None:
+            self.show_kpis(session.id, session.summary)
+
+    def show_kpis(self, run: str, found: dict[str, Any]) -> None:
+        """KPIs with pass and fail, and files to take home."""
         self.result.clear()
         with self.result:
             checks_table(found["checks"])
             kpis_table(found["kpis"])
-            names = ("trajectory.csv", "kpis.json", "profile.svg", "run.toml")
-            links([(name, f"/api/jobs/{session.id}/files/{name}") for name in names])
+            links([(name, f"/api/jobs/{run}/files/{name}") for name in TAKEN])
+
+    def ended(self, event: events.GenericEventArguments) -> None:
+        """The run is over: offer what can be done next, and say why it failed."""
+        del event
+        session = self.session()
+        if session is None:
+            return
+        self.resume_button.set_visibility(session.known.status in RESUMABLE)
+        if session.known.status == "failed":
+            self.departure.show(session.failure())
 
 
 def checks_table(checks: list[dict[str, Any]]) -> None:
@@ -298,12 +429,13 @@ def install(service: Service) -> None:
     """Add the page."""
 
     @ui.page("/", title="Drive · metropilot")
-    async def drive(request: Request, run: str | None = None) -> None:
+    async def drive(request: Request, run: str | None = None) -> RedirectResponse | None:
+        page = DrivePage(service, run)
+        if page.row is not None and "follower" in page.row.asked:
+            return RedirectResponse(f"/convoy?run={page.row.id}")
         with frame(request, "/"):
-            page = DrivePage(service, run)
             page.build()
         await ui.context.client.connected()
-        try:
+        with page.departure.watching():
             await page.start()
-        except MetropilotError as error:
-            page.form.problem.show(error)
+        return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
 from nicegui import ui
@@ -16,6 +16,7 @@ from metropilot.web.pages.strip import names
 from metropilot.web.service import Service
 
 SLOWEST = 1.6
+FIRST = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ", "trainset": "dkz32", "load": None}
 Changed = Callable[[], Awaitable[None]]
 
 
@@ -26,6 +27,7 @@ class SectionForm:
         service: The server's work.
         changed: Called when section, trainset or bounds have changed.
         moved: Called when only the time has.
+        first: What the fields hold at first, as a request has it; what is not named is as it always is.
 
     Attributes:
         problem: Where it says what is wrong.
@@ -34,11 +36,19 @@ class SectionForm:
 
     problem: Problem
 
-    def __init__(self, service: Service, changed: Changed, moved: Changed | None = None) -> None:
+    def __init__(
+        self,
+        service: Service,
+        changed: Changed,
+        moved: Changed | None = None,
+        first: Mapping[str, Any] | None = None,
+    ) -> None:
         self.service = service
+        self.first = {**FIRST, **(first or {})}
+        self.first_s: float | None = self.first.get("time_s")
         self.changed, self.moved = changed, moved
         self.section: dict[str, Any] | None = None
-        self.line = catalogue.line_out(service, "yizhuang")
+        self.line = catalogue.line_out(service, self.first["line"])
         self._filling = False
 
     @property
@@ -50,17 +60,20 @@ class SectionForm:
         """Place the fields."""
         lines = {row["id"]: row["name"] for row in catalogue.line_rows(self.service)}
         trainsets = {row["id"]: row["name"] for row in catalogue.trainset_rows(self.service)}
-        self.line_in = ui.select(lines, value="yizhuang", label="Line", on_change=self._line_changed)
+        self.line_in = ui.select(lines, value=self.first["line"], label="Line", on_change=self._line_changed)
         stops = names(self.line["stops"])
-        self.origin_in = ui.select(stops, value="RJ", label="From", on_change=self._refresh)
-        self.destination_in = ui.select(stops, value="WYJ", label="To", on_change=self._refresh)
-        first = "dkz32" if "dkz32" in trainsets else next(iter(trainsets))
+        self.origin_in = ui.select(stops, value=self._code("origin"), label="From", on_change=self._refresh)
+        self.destination_in = ui.select(
+            stops, value=self._code("destination"), label="To", on_change=self._refresh
+        )
+        first = self.first["trainset"] if self.first["trainset"] in trainsets else next(iter(trainsets))
         with ui.element("div").classes("mp-row"):
             self.trainset_in = ui.select(
                 trainsets, value=first, label="Trainset", on_change=self._trainset_changed
             )
             self.load_in = ui.select(self._loads(first), label="Load", on_change=self._refresh)
-            self.load_in.value = next(iter(self._loads(first)))
+            loads = self._loads(first)
+            self.load_in.value = self.first["load"] if self.first["load"] in loads else next(iter(loads))
         for element in (self.line_in, self.origin_in, self.destination_in, self.trainset_in, self.load_in):
             element.props("outlined dense options-dense")
         self.time_words = ui.label("Running time").classes("mp-soft")
@@ -94,13 +107,22 @@ class SectionForm:
             return
         least = math.ceil(self.section["minimum_running_time_s"])
         most = math.ceil(SLOWEST * least)
-        planned = self.section["planned_time_s"] or math.ceil(1.12 * least)
+        planned = self.first_s or self.section["planned_time_s"] or math.ceil(1.12 * least)
+        least, most = min(least, math.floor(planned)), max(most, math.ceil(planned))
+        self.first_s = None
         self._filling = True
         self.slider.props["min"], self.slider.props["max"] = least, most
         self.slider.value = min(max(planned, least), most)
         self._filling = False
         self._say_time()
         await self.changed()
+
+    def _code(self, name: str) -> str:
+        """The station a field holds at first, by its code; a request may have named it otherwise."""
+        section = catalogue.line(self.service, self.first["line"]).section(
+            self.first["origin"], self.first["destination"]
+        )
+        return getattr(section, name).code
 
     def _say_time(self) -> None:
         if self.section is None:
@@ -147,7 +169,11 @@ class SectionForm:
 
 
 class DisturbanceForm:
-    """What goes differently than planned."""
+    """What goes differently than planned.
+
+    Args:
+        first: What the fields hold at first, as a request has it.
+    """
 
     FIELDS = (
         ("mass_factor", "True mass / believed", 1.0, 0.5, 2.0, 0.05),
@@ -158,17 +184,23 @@ class DisturbanceForm:
         ("seed", "Seed", 0, 0, 2**31, 1),
     )
 
+    def __init__(self, first: Mapping[str, Any] | None = None) -> None:
+        self.first = first or {}
+
     def build(self, problem: Problem) -> None:
-        """Place the fields, folded away."""
+        """Place the fields, folded away while all is as planned."""
         self.inputs: dict[str, ui.number] = {}
+        plain = {"ideal": False, **{name: value for name, _, value, *_ in self.FIELDS}}
+        open_ = any(self.first.get(name, value) != value for name, value in plain.items())
         with (
-            ui.expansion("What goes differently than planned").props("dense").classes("mp-soft"),
+            ui.expansion("What goes differently than planned", value=open_).props("dense").classes("mp-soft"),
             ui.element("div").classes("mp-stack"),
         ):
             for name, words, value, low, high, step in self.FIELDS:
-                made = ui.number(words, value=value, min=low, max=high, step=step)
+                made = ui.number(words, value=self.first.get(name, value), min=low, max=high, step=step)
                 self.inputs[name] = problem.beside(name, made.props("outlined dense"))
             self.ideal = ui.checkbox("Ideal actuation: no delay, lag or jerk limit")
+            self.ideal.value = bool(self.first.get("ideal"))
 
     def asked(self) -> dict[str, Any]:
         """The fields of a request; an empty one is as planned."""
