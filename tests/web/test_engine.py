@@ -9,6 +9,7 @@ from metropilot.evaluate import Request
 from metropilot.planning import PlanOptions, optimal_plan
 from metropilot.railway import Restriction, load_line, load_trainset
 from metropilot.web.live.engine import COLUMNS, HAND_S, Engine
+from metropilot.web.pages.frame import clock
 from metropilot.web.refused import Refused
 
 ROW = {name: k for k, name in enumerate(COLUMNS)}
@@ -153,3 +154,11 @@ def test_the_lever_has_one_holder(monkeypatch):
     assert engine.forgotten()
     assert engine.apply({**GIVE, "take_over": True}) == "the driver has the lever again"
     assert engine.lever() is None
+
+
+@pytest.mark.parametrize(
+    ("seconds", "shown"),
+    [(0.0, "0:00.0"), (59.94, "0:59.9"), (59.96, "1:00.0"), (2399.97, "40:00.0"), (61.25, "1:01.2")],
+)
+def test_minutes_and_seconds_are_rounded_before_they_are_parted(seconds, shown):
+    assert clock(seconds) == shown

@@ -71,9 +71,9 @@ class SectionForm:
             self.trainset_in = ui.select(
                 trainsets, value=first, label="Trainset", on_change=self._trainset_changed
             )
-            self.load_in = ui.select(self._loads(first), label="Load", on_change=self._refresh)
             loads = self._loads(first)
-            self.load_in.value = self.first["load"] if self.first["load"] in loads else next(iter(loads))
+            load = self.first["load"] if self.first["load"] in loads else next(iter(loads))
+            self.load_in = ui.select(loads, value=load, label="Load", on_change=self._refresh)
         for element in (self.line_in, self.origin_in, self.destination_in, self.trainset_in, self.load_in):
             element.props("outlined dense options-dense")
         self.time_words = ui.label("Running time").classes("mp-soft")
