@@ -119,7 +119,7 @@ def test_the_lever_by_hand_from_the_keyboard(visit):
     until(lambda: "brake" in page.locator('[data-mp="command"]').inner_text())
     page.keyboard.press("Escape")
     expect(page.locator('[data-mp="log"]')).to_contain_text("the driver has the lever again")
-    page.get_by_role("button", name="Stop").click()
+    page.get_by_role("button", name="Stop", exact=True).click()
     expect(live).to_have_attribute("data-status", "stopped", timeout=PATIENCE_MS)
 
 
@@ -282,5 +282,5 @@ def test_a_reload_finds_the_run_again(visit):
     expect(live).to_have_attribute("data-status", "running", timeout=PATIENCE_MS)
     until(lambda: drawn(page, "driven") > 5)
     assert drawn_from(page, "driven") < 5.0, "what was driven before the reload is not there"
-    page.get_by_role("button", name="Stop").click()
+    page.get_by_role("button", name="Stop", exact=True).click()
     expect(live).to_have_attribute("data-status", "stopped", timeout=PATIENCE_MS)
