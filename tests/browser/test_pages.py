@@ -216,7 +216,7 @@ def test_by_keyboard_alone(visit):
     expect(page.locator('[data-test="live"]')).to_have_attribute(
         "data-status", "running", timeout=PATIENCE_MS
     )
-    page.get_by_role("button", name="Stop").click()
+    page.get_by_role("button", name="Stop", exact=True).click()
 
 
 def test_the_first_page_is_there_in_two_seconds(visit):

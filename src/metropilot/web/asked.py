@@ -187,9 +187,15 @@ class NewRestriction(Asked):
 
 
 class Lever(Asked):
-    """The lever by hand: a share of the effort; null gives it back. It falls back unless renewed in 3 s."""
+    """The lever by hand: a share of the effort; null gives it back. It falls back unless renewed in 3 s.
+
+    It has one holder at a time, who goes by the name given here. Anybody else is refused (409) unless
+    ``take_over`` says that the lever is to be taken from whoever holds it.
+    """
 
     share: Annotated[float, Field(ge=-1, le=1)] | None
+    holder: Word = "api"
+    take_over: bool = False
 
 
 class Pace(Asked):

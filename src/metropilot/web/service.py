@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import secrets
 from concurrent.futures import Future
+from contextlib import suppress
 from pathlib import Path
-from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from metropilot.drivers.policy.loaded import FILE
@@ -28,7 +28,7 @@ from metropilot.web.live.session import Session, Spare, start_spare
 from metropilot.web.pools import Pools, explained
 from metropilot.web.refused import Refused, detail_of
 from metropilot.web.settings import Settings
-from metropilot.web.store import OVER, Store, UploadRow
+from metropilot.web.store import OVER, JobRow, Store, UploadRow
 from metropilot.web.work import drives, learning, plans, studying
 
 if TYPE_CHECKING:
@@ -36,8 +36,11 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".toml", ".json", ".safetensors")
 SAVE_STEPS = 25
-LONELY_S = 600.0
-"""A run that waits and that nobody watches ends after this; it can be resumed."""
+ABANDONED_S = 120.0
+"""A live run that nobody watches or asks about is stopped after this; it can be resumed."""
+RESUMABLE = ("interrupted", "stopped")
+LISTED = 6
+"""Live runs that can be resumed and are listed, the newest first."""
 FORGET = 50
 
 
@@ -208,6 +211,10 @@ class Service:
         row = self.store.job(job)
         if row.status in OVER:
             return
+        session = self.sessions.get(job)
+        if session is not None and not session.over:
+            asyncio.run_coroutine_threadsafe(session.stop(), session.loop)
+            return
         self.store.update(job, stop=1)
         future = self.futures.get(job)
         if row.kind != "learn" or row.status == "queued":
@@ -320,11 +327,13 @@ class Service:
 
         Raises:
             InputError: The run cannot be driven.
-            Refused: Too many live runs (429).
+            Refused: Too many live runs (429), or it failed to start (422).
         """
-        running = [s for s in self.sessions.values() if not s.over]
+        await self.stop_abandoned()
+        running = [s.id for s in self.sessions.values() if not s.over]
         if len(running) >= self.settings.live_runs:
-            raise Refused(f"at most {self.settings.live_runs} live runs at once", 429)
+            words = f"at most {self.settings.live_runs} live runs at once; stop one of {', '.join(running)}"
+            raise Refused(words, 429)
         convoy = isinstance(asked, ConvoyAsked)
         request: Any = self._convoy(asked) if convoy else self._run(asked)
         order: dict[str, Any] = {
@@ -343,9 +352,10 @@ class Service:
         session = Session(job, asked.model_dump(), spare, self._keep)
         self._forget_old()
         self.sessions[job] = session
-        self.store.update(job, status="running", words="")
+        self.store.update(job, status="running", words="", error=None)
         session.start(order)
         self.spare = start_spare(self.settings.worker_bytes)
+        await session.wait_begun()
         return session
 
     async def resume_live(self, job: str) -> Session:
@@ -355,10 +365,37 @@ class Service:
             Refused: It is no live run, or it is over or running (409).
         """
         row = self.store.job(job)
-        if row.kind != "live" or row.status not in {"interrupted", "stopped"}:
+        if row.kind != "live" or row.status not in RESUMABLE:
             raise Refused(f"a {row.kind} that is {row.status} cannot be resumed", 409, field="id", value=job)
         kind = ConvoyAsked if "follower" in row.asked else LiveAsked
         return await self.go_live(kind.model_validate(row.asked), job)
+
+    def live_run(self, job: str) -> JobRow:
+        """A live run or convoy as it is stored, also one of an earlier server.
+
+        Raises:
+            Refused: There is none of that id (404).
+        """
+        row = self.store.job(job)
+        if row.kind != "live":
+            raise Refused("no such live run", 404, field="id", value=job)
+        return row
+
+    def live_runs(self) -> list[JobRow]:
+        """Live runs that go on, and the newest of those that can be resumed."""
+        rows = self.store.jobs("live", limit=1000)
+        going = [row for row in rows if row.status == "running" and row.id in self.sessions]
+        return going + [row for row in rows if row.status in RESUMABLE][:LISTED]
+
+    async def stop_abandoned(self) -> None:
+        """Stop the live runs that nobody has watched for long, so that they take nobody's place."""
+        for session in list(self.sessions.values()):
+            if session.over or session.unwatched_s <= ABANDONED_S:
+                continue
+            with suppress(Refused):
+                await session.stop()
+                words = f"nobody watched it for {ABANDONED_S:g} s; it can be resumed"
+                self.store.update(session.id, words=words)
 
     def _run(self, asked: LiveAsked) -> Request:
         request = self.request(asked)
@@ -417,10 +454,12 @@ class Service:
                 self.store.update(job, progress=known["step"])
         elif kind == "kept":
             self.store.update(job, result=known["result"], words=known["outcome"])
-        elif kind == "error":
-            self.store.update(job, words=known["text"].decode()[:500])
         else:
-            self.store.update(job, status=known["status"])
+            error = known["error"]
+            changes = {"error": error, "words": error["message"]} if error is not None else {}
+            if "step" in known:
+                changes["progress"] = known["step"]
+            self.store.update(job, status=known["status"], **changes)
 
     def _forget_old(self) -> None:
         over = [key for key, session in self.sessions.items() if session.over and not session.viewers]
@@ -428,10 +467,7 @@ class Service:
             del self.sessions[key]
 
     async def _watching(self) -> None:
-        """End runs that wait for nobody."""
+        """Stop what is abandoned, for as long as the server runs."""
         while True:
             await asyncio.sleep(10.0)
-            for session in list(self.sessions.values()):
-                lonely = session.viewers == 0 and monotonic() - session.left_at > LONELY_S
-                if not session.over and lonely and session.known.pace <= 0:
-                    await session.ask({"kind": "stop"})
+            await self.stop_abandoned()

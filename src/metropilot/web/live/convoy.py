@@ -79,6 +79,13 @@ class ConvoyEngine:
         """A convoy has no lever."""
         return False
 
+    def lever(self) -> None:
+        """A convoy has no lever."""
+
+    def heard(self) -> list[str]:
+        """A convoy's head is told nothing on the way."""
+        return []
+
     def apply(self, event: Event) -> str:
         """Make the link worse or better, or let the head brake; what happened, in words.
 

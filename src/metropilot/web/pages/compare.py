@@ -8,15 +8,15 @@ from fastapi import Request
 from nicegui import ui
 
 from metropilot.errors import MetropilotError
-from metropilot.evaluate.request_file import POLICY
 from metropilot.web import catalogue
-from metropilot.web.asked import CompareAsked, PlanAsked
+from metropilot.web.asked import CompareAsked
 from metropilot.web.pages.form import (
     DisturbanceForm,
     SectionForm,
     bounded,
     driver_choice,
     driver_names,
+    other_options,
     validated,
 )
 from metropilot.web.pages.frame import card, empty, frame, links, number, refresh_while, table
@@ -110,28 +110,22 @@ class ComparePage:
         asked = row.asked
         self.form.restore(asked)
         self.disturbances.restore(asked)
-        self.options = {
-            "driver": asked["driver"],
-            "options": {name: value for name, value in asked["options"].items() if name != POLICY},
-        }
         self.seeds.value = asked["seeds"]
-        self.drivers.value = [
-            driver_choice(
+        chosen = {
+            name: driver_choice(
                 self.service, self.drivers, name, asked["options"] if name == asked["driver"] else {}
             )
             for name in asked["drivers"]
-        ]
+        }
+        self.drivers.value = list(chosen.values())
+        driver = chosen.get(asked["driver"], asked["driver"])
+        self.options = {"driver": driver, "options": other_options(asked["options"])}
 
     async def load_front(self) -> None:
         """The front of the section."""
         with self.form.problem.watching():
-            self.front = await self.service.front(self.planned(None))
+            self.front = await self.service.front(self.form.planned(None))
             await self.move_cursor()
-
-    def planned(self, time_s: float | None) -> PlanAsked:
-        """What is to be planned."""
-        kept = {"objective": self.form.kept["objective"]} if "objective" in self.form.kept else {}
-        return validated(PlanAsked, {**self.form.asked(), **kept, "time_s": time_s})
 
     def shown(self) -> list[dict[str, Any]]:
         """The drives that belong on the front that is shown: those of its section."""
@@ -152,7 +146,7 @@ class ComparePage:
             while (now := self.wanted_s) is not None:
                 self.wanted_s = None
                 with self.form.problem.watching():
-                    self.say_second(now, await self.service.plan(self.planned(now)))
+                    self.say_second(now, await self.service.plan(self.form.planned(now)))
         finally:
             self.planning = False
 
@@ -220,7 +214,7 @@ class ComparePage:
             ui.label(what).classes("mp-soft").props('data-test="driven"')
             compare_table(self.entries)
             ui.plotly(compare_figure(self.entries)).classes("mp-plot").props('data-test="picture"')
-            names = ("comparison.json", "comparison.svg", "run.toml")
+            names = ("comparison.json", "comparison.svg", "run.zip")
             links([(name, f"/api/jobs/{self.job}/files/{name}") for name in names])
         await self.move_cursor()
 

@@ -151,6 +151,15 @@ class SectionForm:
             "time_s": self.time_s,
         }
 
+    def planned(self, time_s: float | None) -> PlanAsked:
+        """The plan that belongs to the fields, for a time.
+
+        Raises:
+            InputError: A field is not allowed.
+        """
+        kept = {name: self.kept[name] for name in ("objective",) if name in self.kept}
+        return validated(PlanAsked, {**self.asked(), **kept, "time_s": time_s})
+
     def restore(self, asked: dict[str, Any]) -> None:
         """Fill the fields as a run was asked for; the page loads afterwards.
 
@@ -174,7 +183,7 @@ class SectionForm:
         plain = {name: field.get_default() for name, field in DriveAsked.model_fields.items()}
         names_kept = ("restrictions", "arrivals", "objective", "dt_s")
         self.kept = {name: asked[name] for name in names_kept if asked.get(name, plain[name]) != plain[name]}
-        self.kept_words.text = kept_words(self.kept)
+        self.kept_words.text = kept_words(self.kept, asked.get("options", {}))
         self.linked = True
 
     async def load(self) -> None:
@@ -190,9 +199,8 @@ class SectionForm:
         least = math.ceil(self.section["minimum_running_time_s"])
         most = math.ceil(SLOWEST * least)
         planned = self._restored_s or self.section["planned_time_s"] or math.ceil(1.12 * least)
-        if self._restored_s is not None:
-            least, most = min(least, self._restored_s), max(most, self._restored_s)
-            self._restored_s = None
+        least, most = min(least, math.floor(planned)), max(most, math.ceil(planned))
+        self._restored_s = None
         self._filling = True
         self.slider.props["min"], self.slider.props["max"] = least, most
         self.slider.value = min(max(planned, least), most)
@@ -255,8 +263,8 @@ def loads(service: Service, trainset: str) -> dict[str, str]:
     return {name: f"{name} · {kg / 1000:.0f} t" for name, kg in found.items()}
 
 
-def kept_words(kept: dict[str, Any]) -> str:
-    """What a linked run was asked that has no field."""
+def kept_words(kept: dict[str, Any], options: dict[str, Any]) -> str:
+    """What a linked run was asked that has no field: the driver's options too, but for its policy."""
     said = [
         f"{3.6 * r['limit_mps']:.0f} km/h from {r['from_m']:g} to {r['to_m']:g} m"
         + ("" if r["told_s"] is None else f", told after {r['told_s']:g} s")
@@ -267,6 +275,7 @@ def kept_words(kept: dict[str, Any]) -> str:
         for a in kept.get("arrivals", ())
     ]
     said += [f"{name} {kept[name]}" for name in ("objective", "dt_s") if name in kept]
+    said += [f"{name} {value}" for name, value in other_options(options).items()]
     return f"Of the linked run: {'; '.join(said)}." if said else ""
 
 
@@ -330,3 +339,8 @@ def driver_choice(
     if found not in select.options:
         select.set_options({**driver_names(service), found: f"{driver} · {policy}" if policy else driver})
     return found
+
+
+def other_options(options: dict[str, Any]) -> dict[str, Any]:
+    """Options of a driver without its policy, which is part of :func:`driver_choice`."""
+    return {name: value for name, value in options.items() if name != POLICY}

@@ -141,6 +141,12 @@ def number(value: float | None, digits: int = 2, unit: str = "") -> str:
     return f"{value:.{digits}f}".replace("-", "−") + (f" {unit}" if unit else "")
 
 
+def clock(seconds: float) -> str:
+    """Minutes and seconds, rounded to a tenth before they are parted: never ``39:60.0``."""
+    minutes, tenths = divmod(round(10 * seconds), 600)
+    return f"{minutes}:{tenths / 10:04.1f}"
+
+
 def links(items: Sequence[tuple[str, str]]) -> None:
     """Files to take home."""
     with ui.element("div").classes("mp-links"):

@@ -11,7 +11,7 @@ from nicegui import ui
 from metropilot.web import catalogue
 from metropilot.web.asked import JourneyAsked
 from metropilot.web.pages.form import bounded, loads, validated
-from metropilot.web.pages.frame import Problem, card, frame, number, reads, table
+from metropilot.web.pages.frame import Problem, card, clock, frame, number, reads, table
 from metropilot.web.pages.plots import blank, journey_figure, sections_figure
 from metropilot.web.pages.strip import line_strip, names
 from metropilot.web.service import Service
@@ -133,11 +133,6 @@ class JourneyPage:
         self.rows.clear()
         with self.rows:
             table(columns, rows, right=range(1, 6), name="Sections")
-
-
-def clock(seconds: float) -> str:
-    """Minutes and seconds."""
-    return f"{int(seconds // 60)}:{seconds % 60:04.1f}"
 
 
 def install(service: Service) -> None:

@@ -139,11 +139,38 @@ def run_figure() -> Figure:
 def planned_run(section: dict[str, Any], plan: dict[str, Any]) -> Figure:
     """A run before it is driven: the limit and the optimal plan."""
     made = run_figure()
-    values = {
+    values: dict[int, tuple[Sequence[float], Sequence[float]]] = {
         0: stairs(section["limit_mps"], section["length_m"], KMH),
         2: (plan["position_m"], kmh(plan["speed_mps"])),
         7: (plan["position_m"], kwh(plan["energy_wheel_so_far_j"])),
     }
+    return _filled(made, values)
+
+
+def driven_run(driven: dict[str, Any]) -> Figure:
+    """A run that was driven to its end: limit, permitted speed, the optimum for the time it took, the drive.
+
+    Args:
+        driven: As :class:`metropilot.web.answers.DriveOut`.
+    """
+    columns, plan = driven["columns"], driven["plan"]
+    at = columns["position_m"]
+    values: dict[int, tuple[Sequence[float], Sequence[float]]] = {
+        0: (at, kmh(columns["limit_mps"])),
+        1: (at, kmh(columns["permitted_mps"])),
+        3: (at, kmh(columns["speed_mps"])),
+        6: (at, columns["command"]),
+        8: (at, kwh(columns["energy_wheel_j"])),
+        9: (at, kwh(columns["energy_line_j"])),
+    }
+    if plan is not None:
+        values[2] = (plan["position_m"], kmh(plan["speed_mps"]))
+        values[7] = (plan["position_m"], kwh(plan["energy_wheel_so_far_j"]))
+    return _filled(run_figure(), values)
+
+
+def _filled(made: Figure, values: dict[int, tuple[Sequence[float], Sequence[float]]]) -> Figure:
+    """A figure with the curves of some of its traces."""
     for index, (x, y) in values.items():
         made["data"][index]["x"], made["data"][index]["y"] = list(x), list(y)
     return made
