@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from metropilot.errors import SolverError
+from metropilot.errors import InputError, SolverError
 from metropilot.evaluate import Request
 from metropilot.planning import PlanOptions, optimal_plan
 from metropilot.railway import Restriction, load_line, load_trainset
@@ -107,6 +107,26 @@ def test_a_run_is_compared_with_the_plan_for_what_is_in_force():
     at_m, planned = compared(until(engine, 300.0))
     assert planned == pytest.approx(planned_j(125.0, at_m, restriction), rel=1e-3)
     assert engine.scene()["reference"]["running_time_s"] == pytest.approx(125.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("from_m", "to_m", "kmh", "words"),
+    [
+        (900.0, 9000.0, 40.0, "ends beyond the stop"),
+        (5000.0, 9000.0, 40.0, "begins beyond the stop"),
+        (900.0, 1000.0, 80.0, "no effect"),
+        (900.0, 1000.0, 2.0, "5 to 400 km/h"),
+    ],
+)
+def test_a_restriction_is_checked_on_the_way_as_before_departure(from_m, to_m, kmh, words):
+    engine = Engine(Request("yizhuang", "RJ", "WYJ", time_s=101.0))
+    with pytest.raises(InputError, match=words) as refused:
+        engine.apply({"kind": "restriction", "from_m": from_m, "to_m": to_m, "limit_mps": kmh / 3.6})
+    with pytest.raises(InputError, match=words) as before:
+        Request("yizhuang", "RJ", "WYJ", time_s=101.0, restrictions=(f"{from_m}-{to_m}@{kmh}",)).run()
+    assert str(refused.value) == str(before.value)
+    assert engine.rollout.section.restrictions == ()
+    assert engine.news == []
 
 
 def test_news_that_the_request_brings_is_in_force_when_it_is_told():

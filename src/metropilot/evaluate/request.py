@@ -84,9 +84,9 @@ class Request:
 
     def section(self) -> Section:
         """The section with every restriction known before departure."""
-        section = self.open_section()
+        section = line_section = self.open_section()
         for text in self.restrictions:
-            restriction, at_s = parse_restriction(text, section)
+            restriction, at_s = parse_restriction(text, line_section)
             if at_s is None:
                 section = section.restricted(restriction)
         return section
@@ -95,8 +95,9 @@ class Request:
         """The section without temporary restrictions."""
         return load_line(self.line).section(self.origin, self.destination)
 
-    def scenario(self, section: Section) -> Scenario:
+    def scenario(self) -> Scenario:
         """What the driver is not told, and what it is told on the way."""
+        section = self.open_section()
         announced = [parse_restriction(text, section) for text in self.restrictions]
         news = [News(at_s, restriction=r) for r, at_s in announced if at_s is not None]
         news += [parse_arrival(text) for text in self.arrivals]
@@ -129,7 +130,7 @@ class Request:
             raise InputError(
                 f"the line plans no running time for {section.name}; give one", field="time", allowed="> 0 s"
             )
-        run = Run(section, trainset, time_s, self.scenario(section), self.dt_s, self.seed)
+        run = Run(section, trainset, time_s, self.scenario(), self.dt_s, self.seed)
         fastest = fastest_s or minimum_running_time(self.open_section(), trainset)
         if time_s < fastest:
             raise Infeasible(
@@ -176,7 +177,8 @@ def parse_restriction(text: str, section: Section) -> tuple[Restriction, float |
     """``FROM-TO@KMH`` or ``FROM-TO@KMH@T``: the restriction, and when it is told (None: before departure).
 
     Raises:
-        InputError: Not of that form, outside the section, or of a speed below 5 or above 400 km/h.
+        InputError: Not of that form, not within the section, of a speed below 5 or above 400 km/h, or
+            nowhere below the line's own limit.
     """
     match = RESTRICTION.fullmatch(text.replace(" ", ""))
     if match is None:
@@ -187,22 +189,8 @@ def parse_restriction(text: str, section: Section) -> tuple[Restriction, float |
             allowed="FROM-TO@KMH or FROM-TO@KMH@T, e.g. 400-600@40 or 400-600@40@30 (m, m, km/h, s)",
         )
     start, end, kmh = (float(x) for x in match.groups()[:3])
-    if start >= section.length_m:
-        raise InputError(
-            "restriction begins beyond the stop",
-            field="restriction",
-            value=text,
-            allowed=f"0 to {section.length_m:g} m",
-        )
-    if end > section.length_m:
-        raise InputError(
-            "restriction ends beyond the stop",
-            field="restriction",
-            value=text,
-            allowed=f"at most {section.length_m:g} m",
-        )
     at_s = None if match[4] is None else float(match[4])
-    return Restriction(start, end, kmh * KMH), at_s
+    return section.checked(Restriction(start, end, kmh * KMH)), at_s
 
 
 def parse_arrival(text: str) -> News:

@@ -198,15 +198,7 @@ class Engine:
         return f"; from here it can be there after {arrives_s:.1f} s"
 
     def _restrict(self, restriction: Restriction) -> str:
-        section = self.rollout.section
-        if restriction.from_m >= section.length_m:
-            raise InputError(
-                "begins beyond the stop",
-                field="from_m",
-                value=restriction.from_m,
-                unit="m",
-                allowed=f"< {section.length_m:g} m",
-            )
+        self.open.checked(restriction)
         tail = float(self.rollout.state.position_m) - self.rollout.trainset.length_m
         if restriction.to_m <= tail:
             raise InputError(
