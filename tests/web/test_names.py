@@ -93,6 +93,30 @@ def test_no_name_opens_a_file_of_the_server(service):
     assert service.store.jobs() == []
 
 
+@pytest.mark.parametrize("route", ["jobs/drive", "jobs/compare", "live", "convoys"])
+@pytest.mark.parametrize("driver", ["ddpg_pid", "eitop", "itor", "pid_lu2023", "dqn"])
+def test_a_policy_that_is_none_of_the_drivers_is_refused_at_once(service, driver, route):
+    run = service.root / "runs" / "of-another-kind"
+    run.mkdir()
+    shutil.copyfile(shipped_policy("ddpg_pid"), run / "policy.safetensors")
+    key = RUN if driver in {"ddpg_pid", "eitop", "itor"} else run.name
+    named = f"{driver}:policy={key}"
+    body = {**SECTION, "drivers": [named]} if route.endswith("compare") else {**SECTION, "driver": named}
+
+    async def ask():
+        transport = httpx.ASGITransport(make_api(service))
+        async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
+            return await client.post(f"/api/{route}", json=body)
+
+    answer = asyncio.run(ask())
+    assert answer.status_code == 422, answer.text
+    error = answer.json()["error"]
+    assert (error["field"], error["file"]) == ("options.policy", None)
+    assert "\n" not in error["message"]
+    assert str(service.root) not in answer.text
+    assert service.store.jobs() == []
+
+
 def test_a_learning_run_and_an_upload_drive_by_their_ids(service):
     asked = DriveAsked(**SECTION, driver="learned", options={"policy": RUN})
     request = service.request(asked)

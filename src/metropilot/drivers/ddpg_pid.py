@@ -92,6 +92,10 @@ class DdpgPid(AbstractTracker):
         """
         return load_gains_policy(self.path)
 
+    def read_policy(self) -> object:
+        """What sets the gains."""
+        return self.policy
+
     def fresh(self, run: Run) -> Errors:
         """No errors yet."""
         del run

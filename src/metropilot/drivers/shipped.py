@@ -63,6 +63,10 @@ class AbstractPolicyDriver(AbstractDriver):
         """
         return load_driving_policy(self.path)
 
+    def read_policy(self) -> object:
+        """What it drives by."""
+        return self.loaded
+
     @cached_property
     def _driver(self) -> LearnedDriver:
         return LearnedDriver(self.loaded.policy, self.loaded.perception)

@@ -277,15 +277,12 @@ class Service:
         Raises:
             InputError: No such driver or option, or the policy is none of this driver's.
         """
-        from metropilot.drivers.shipped import AbstractPolicyDriver
-
         driver = request.make_driver()
-        if isinstance(driver, AbstractPolicyDriver):
-            try:
-                _ = driver.loaded
-            except InputError as error:
-                told = {"value": error.value, "unit": error.unit, "allowed": error.allowed}
-                raise InputError(error.message, field=f"options.{POLICY}", **told) from None
+        try:
+            driver.read_policy()
+        except InputError as error:
+            told = {"value": error.value, "unit": error.unit, "allowed": error.allowed}
+            raise InputError(error.message, field=f"options.{POLICY}", **told) from None
 
     def _compared(self, asked: CompareAsked) -> dict[str, str]:
         """The drivers of a comparison as :func:`metropilot.evaluate.compare` takes them, by their names.
