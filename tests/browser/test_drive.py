@@ -1,11 +1,14 @@
 """The page Drive: depart, news on the way, the lever by hand, KPIs."""
 
 import re
+import shutil
 import time
 
 import pytest
 from playwright.sync_api import expect
 from tests.web.program import Server
+
+from metropilot.drivers.shipped import shipped_policy
 
 PATIENCE_MS = 60_000
 
@@ -284,3 +287,23 @@ def test_a_reload_finds_the_run_again(visit):
     assert drawn_from(page, "driven") < 5.0, "what was driven before the reload is not there"
     page.get_by_role("button", name="Stop", exact=True).click()
     expect(live).to_have_attribute("data-status", "stopped", timeout=PATIENCE_MS)
+
+
+def test_what_was_learned_drives_and_its_link_restores_it(visit, server):
+    runs = ("ppo-20260202-120000-ab12", "ppo-20260203-120000-ab12")
+    for run in runs:
+        (server.data / "runs" / run).mkdir(parents=True)
+        shutil.copyfile(shipped_policy("ppo"), server.data / "runs" / run / "policy.safetensors")
+    told = {**TOLD, "driver": "learned", "options": {"policy": runs[0]}}
+    live = server.post("/api/live", told, code=201)["id"]
+    page = visit(f"/?run={live}")
+    expect(page.get_by_text("Running time 164 s · minimum")).to_be_visible(timeout=PATIENCE_MS)
+    expect(page.get_by_label("Driver", exact=True)).to_have_value(f"learned · {runs[0]}")
+    choose(page, "Driver", f"learned · {runs[1]}")
+    page.locator('[data-test="depart"]').click()
+    view = page.locator('[data-test="live"]')
+    expect(view).not_to_have_attribute("data-run", live)
+    expect(view).to_have_attribute("data-status", "running")
+    asked = server.get("/api/live/" + view.get_attribute("data-run"))["asked"]
+    assert (asked["driver"], asked["options"], asked["dt_s"]) == (f"learned:policy={runs[1]}", {}, 0.1)
+    stop_all(server)

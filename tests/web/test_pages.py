@@ -7,6 +7,7 @@ from nicegui import Client, core, ui
 from nicegui.page import page
 from starlette.requests import Request
 
+from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
 from metropilot.evaluate.style import SERIES, series
 from metropilot.web.asked import ConvoyAsked, DriveAsked, JourneyAsked, LearnAsked, NewLink
@@ -70,6 +71,24 @@ def test_a_driver_has_one_colour_in_every_picture():
     assert len(set(series(names).values())) == len(names)
     gaps = [t["line"]["color"] for t in convoy_figure()["data"][:5]]
     assert gaps == [colour for colour, _ in SERIES[:5]]
+
+
+def test_a_driver_has_one_colour_in_every_comparison():
+    usual = ["optimal", "manual", "flat_out", "ppo", "mpc", "pid"]
+    every = [*DRIVERS.ids(), "pid:kp=3", "learned:policy=ppo-20260101-120000-ab12"]
+    styles = series(every)
+    assert len(set(styles.values())) == len(every)
+    assert len({styles[name][0] for name in usual}) == len(usual)
+    assert series(every[::-1]) == styles
+    for name in every:
+        assert series([name]) == {name: styles[name]}
+        assert series([name, "optimal"])[name] == styles[name]
+    on_front = front_figure(
+        {"time_s": [90.0], "energy_j": [1.0], "minimum_running_time_s": 83.0},
+        (95.0, 1.0),
+        [*map(entry, every)],
+    )["data"][2:]
+    assert len({(t["marker"]["color"], t["marker"]["symbol"]) for t in on_front}) == len(every)
 
 
 def test_a_convoy_of_an_earlier_server_is_drawn_whole():

@@ -17,6 +17,10 @@ DASHES = dict(
     )
 )
 """The printed line styles as Plotly names them."""
+SYMBOLS = dict(
+    zip(DASHES, ("diamond", "square", "cross", "x", "triangle-up", "circle", "star"), strict=True),
+)
+"""Markers that belong to them, so that drivers of one colour stay apart."""
 INK = "#5a6673"
 CONFIG = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
 Figure = dict[str, Any]
@@ -225,11 +229,11 @@ def front_figure(
         },
     ]
     styles = series([entry["driver"] for entry in entries])
-    for k, entry in enumerate(entries):
+    for entry in entries:
         kpis = entry["drive"]["kpis"]
         if kpis["outcome"] != "arrived":
             continue
-        colour, _ = styles[entry["driver"]]
+        colour, dashes = styles[entry["driver"]]
         traces.append(
             {
                 "type": "scatter",
@@ -237,7 +241,7 @@ def front_figure(
                 "name": entry["driver"],
                 "x": [kpis["running_time_s"]],
                 "y": [kpis["energy_wheel_kwh"]],
-                "marker": {"size": 10, "color": colour, "symbol": ("diamond", "square", "cross", "x")[k % 4]},
+                "marker": {"size": 10, "color": colour, "symbol": SYMBOLS[dashes]},
             }
         )
     least = front["minimum_running_time_s"]
