@@ -1,10 +1,14 @@
 """The page Drive: depart, news on the way, the lever by hand, KPIs."""
 
 import re
+import shutil
 import time
 
 import pytest
 from playwright.sync_api import expect
+from tests.web.program import Server
+
+from metropilot.drivers.shipped import shipped_policy
 
 PATIENCE_MS = 60_000
 
@@ -82,7 +86,7 @@ def test_told_to_arrive_later_on_the_way(visit):
     assert number(page, "time") == pytest.approx(125, abs=3)
 
 
-def test_a_restriction_dropped_on_the_way(visit):
+def test_a_restriction_added_on_the_way(visit):
     page = visit("/", expected=("422",))
     live = depart(page, "real time")
     page.get_by_label("From (m)").fill("800")
@@ -118,12 +122,12 @@ def test_the_lever_by_hand_from_the_keyboard(visit):
     until(lambda: "brake" in page.locator('[data-mp="command"]').inner_text())
     page.keyboard.press("Escape")
     expect(page.locator('[data-mp="log"]')).to_contain_text("the driver has the lever again")
-    page.get_by_role("button", name="Stop").click()
+    page.get_by_role("button", name="Stop", exact=True).click()
     expect(live).to_have_attribute("data-status", "stopped", timeout=PATIENCE_MS)
 
 
 def test_a_hand_that_goes_too_fast_is_supervised(visit):
-    page = visit("/", expected=("409",))  # the lever is renewed once more when the run is over
+    page = visit("/", expected=("409",))  # the lever may be renewed once more when the run is over
     live = depart(page, "10 ×")
     page.locator("body").press("m")
     for _ in range(10):
@@ -135,6 +139,143 @@ def test_a_hand_that_goes_too_fast_is_supervised(visit):
     expect(page.locator('[data-test="result"]').get_by_text("no overspeed")).to_be_visible()
 
 
+TOLD = {
+    "line": "yizhuang",
+    "origin": "TJN",
+    "destination": "JHL",
+    "time_s": 163.5,
+    "trainset": "dkz32",
+    "load": "AW2",
+    "driver": "manual",
+    "mass_factor": 1.05,
+    "seed": 7,
+    "dt_s": 0.1,
+    "pace": 0,
+}
+
+
+def stop_all(server):
+    for live in server.get("/api/live"):
+        if live["status"] == "running":
+            server.post(f"/api/live/{live['id']}/stop")
+
+
+def restored(page):
+    """The form of a page that came by a link to ``TOLD``."""
+    expect(page.get_by_text("Running time 164 s · minimum")).to_be_visible(timeout=PATIENCE_MS)
+    expect(page.get_by_label("From", exact=True)).to_have_value("TJN · Tongji South Road")
+    expect(page.get_by_label("To", exact=True)).to_have_value("JHL · Jinghai Road")
+    expect(page.get_by_label("Load", exact=True)).to_have_value(re.compile("AW2"))
+    expect(page.get_by_label("Driver", exact=True)).to_have_value("manual")
+    expect(page.get_by_label("True mass / believed")).to_have_value("1.05")
+    expect(page.get_by_label("Seed", exact=True)).to_have_value("7")
+    expect(page.locator('[data-test="kept"]')).to_have_text("Of the linked run: dt_s 0.1.")
+    expect(page.locator(".mp-strip text[font-weight='700']").first).to_have_text(re.compile("TJN"))
+
+
+def test_a_link_restores_the_form_the_map_and_the_time(visit, server):
+    live = server.post("/api/live", TOLD, code=201)["id"]
+    server.post(f"/api/live/{live}/arrival", {"scheduled_time_s": 180})
+    page = visit(f"/?run={live}")
+    restored(page)
+    expect(page.locator('[data-mp="scheduled"]')).to_contain_text("180")
+    page.get_by_role("button", name="10 s later").click()
+    expect(page.locator('[data-mp="log"]')).to_contain_text("after 190 s")
+    server.post(f"/api/live/{live}/arrival", {"scheduled_time_s": 185})
+    page.get_by_role("button", name="10 s later").click()
+    expect(page.locator('[data-mp="log"]')).to_contain_text("after 195 s")
+    page.locator('[data-test="stop"]').click()
+    expect(page.locator('[data-mp="status"]')).to_have_text("stopped; it can be resumed")
+    page.locator('[data-test="depart"]').click()
+    expect(page.locator('[data-test="live"]')).not_to_have_attribute("data-run", live)
+    expect(page.locator('[data-test="live"]')).to_have_attribute("data-status", "running")
+    again = server.get("/api/live/" + page.locator('[data-test="live"]').get_attribute("data-run"))
+    assert {name: again["asked"][name] for name in TOLD if name != "pace"} == {
+        name: value for name, value in TOLD.items() if name != "pace"
+    }
+    stop_all(server)
+
+
+def test_the_list_opens_stops_and_resumes(visit, server):
+    stop_all(server)
+    live = server.post("/api/live", TOLD, code=201)["id"]
+    page = visit("/compare")
+    page.get_by_role("link", name="Drive", exact=True).click()
+    row = page.locator(f'[data-run="{live}"].mp-run')
+    expect(row).to_contain_text("TJN – JHL · manual · 163.5 s")
+    expect(row).to_contain_text("0:00.0 · waiting · nobody watches")
+    row.get_by_role("link", name=re.compile("Open")).click()
+    restored(page)
+    expect(row).to_contain_text("(this one)")
+    expect(row).to_contain_text("1 watching")
+    row.get_by_role("button", name=re.compile("Stop")).click()
+    expect(row).to_have_attribute("data-status", "stopped")
+    expect(page.locator('[data-mp="status"]')).to_have_text("stopped; it can be resumed")
+    row.get_by_role("button", name=re.compile("Resume")).click()
+    expect(page.locator('[data-test="live"]')).to_have_attribute("data-status", "running")
+    restored(page)
+    stop_all(server)
+
+
+def test_a_link_after_a_restart_offers_to_resume(browser, tmp_path):
+    first = Server(tmp_path)
+    live = first.post("/api/live", {**TOLD, "pace": 30}, code=201)["id"]
+    until(lambda: first.get(f"/api/live/{live}")["time_s"] > 20)
+    first.kill()
+    again = Server(tmp_path)
+    page = browser.new_page()
+    try:
+        page.goto(f"{again.url}/?run={live}")
+        restored(page)
+        said = "interrupted: the server was restarted; it can be resumed"
+        expect(page.locator('[data-mp="status"]')).to_have_text(said)
+        page.locator('[data-test="resume"]').click()
+        live_run = page.locator('[data-test="live"]')
+        expect(live_run).to_have_attribute("data-status", "done", timeout=2 * PATIENCE_MS)
+        expect(page.locator('[data-mp="status"]')).to_have_text("arrived at its end")
+        page.reload()
+        expect(page.locator('[data-test="result"]').get_by_text("stops at the mark")).to_be_visible()
+        assert "Traceback" not in (tmp_path / "server.log").read_text()
+    finally:
+        page.close()
+        again.close()
+
+
+def test_two_pages_and_one_lever(visit, server):
+    live = server.post("/api/live", TOLD, code=201)["id"]
+    one, two = visit(f"/?run={live}"), visit(f"/?run={live}", expected=("409",))
+    for page in (one, two):
+        expect(page.locator('[data-test="live"]')).to_have_attribute("data-status", "running")
+        expect(page.locator('[data-mp="hand"]')).to_have_text("the driver has it")
+    one.locator("body").press("m")
+    expect(one.locator('[data-mp="hand"]')).to_have_text("by hand: 0 %")
+    held = one.locator('[data-test="live"]').get_attribute("data-holder")
+    expect(two.locator('[data-mp="hand"]')).to_have_text(f"held by {held} since 0.0 s")
+    two.locator("body").press("m")
+    expect(two.locator('[data-test="live"]')).to_have_attribute("data-hand", "false")
+    one.locator("body").press("ArrowUp")
+    expect(one.locator('[data-mp="hand"]')).to_have_text("by hand: 10 %")
+    two.get_by_role("button", name="Take the lever over").click()
+    expect(two.locator('[data-mp="hand"]')).to_have_text("by hand: 0 %")
+    other = two.locator('[data-test="live"]').get_attribute("data-holder")
+    expect(one.locator('[data-mp="hand"]')).to_have_text(f"held by {other} since 0.0 s")
+    two.wait_for_timeout(4000)
+    expect(two.locator('[data-mp="hand"]')).to_have_text("by hand: 0 %")
+    two.goto("about:blank")
+    expect(one.locator('[data-mp="hand"]')).to_have_text("the driver has it")
+    stop_all(server)
+
+
+def test_a_run_that_cannot_start_says_why_beside_the_button(visit):
+    page = visit("/")
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    choose(page, "Driver", "learned")
+    page.locator('[data-test="depart"]').click()
+    problem = page.locator('[data-test="departure-problem"]')
+    expect(problem).to_contain_text("needs a policy")
+    expect(page.locator('[data-test="live"]')).to_have_attribute("data-status", "none")
+
+
 def test_a_reload_finds_the_run_again(visit):
     page = visit("/")
     gone = depart(page, "2 ×")
@@ -144,5 +285,25 @@ def test_a_reload_finds_the_run_again(visit):
     expect(live).to_have_attribute("data-status", "running", timeout=PATIENCE_MS)
     until(lambda: drawn(page, "driven") > 5)
     assert drawn_from(page, "driven") < 5.0, "what was driven before the reload is not there"
-    page.get_by_role("button", name="Stop").click()
+    page.get_by_role("button", name="Stop", exact=True).click()
     expect(live).to_have_attribute("data-status", "stopped", timeout=PATIENCE_MS)
+
+
+def test_what_was_learned_drives_and_its_link_restores_it(visit, server):
+    runs = ("ppo-20260202-120000-ab12", "ppo-20260203-120000-ab12")
+    for run in runs:
+        (server.data / "runs" / run).mkdir(parents=True)
+        shutil.copyfile(shipped_policy("ppo"), server.data / "runs" / run / "policy.safetensors")
+    told = {**TOLD, "driver": "learned", "options": {"policy": runs[0]}}
+    live = server.post("/api/live", told, code=201)["id"]
+    page = visit(f"/?run={live}")
+    expect(page.get_by_text("Running time 164 s · minimum")).to_be_visible(timeout=PATIENCE_MS)
+    expect(page.get_by_label("Driver", exact=True)).to_have_value(f"learned · {runs[0]}")
+    choose(page, "Driver", f"learned · {runs[1]}")
+    page.locator('[data-test="depart"]').click()
+    view = page.locator('[data-test="live"]')
+    expect(view).not_to_have_attribute("data-run", live)
+    expect(view).to_have_attribute("data-status", "running")
+    asked = server.get("/api/live/" + view.get_attribute("data-run"))["asked"]
+    assert (asked["driver"], asked["options"], asked["dt_s"]) == (f"learned:policy={runs[1]}", {}, 0.1)
+    stop_all(server)

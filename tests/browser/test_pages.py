@@ -2,10 +2,12 @@
 
 import os
 import re
+import shutil
 
 import pytest
 from playwright.sync_api import expect
 
+from metropilot.drivers.shipped import shipped_policy
 from metropilot.railway import load_line, write_line
 
 PATIENCE_MS = 90_000
@@ -31,6 +33,88 @@ def test_compare(visit):
     expect(page.locator('[data-test="front"]')).to_contain_text("flat_out")
 
 
+def test_a_link_to_a_comparison_restores_all_of_it(visit, server):
+    asked = {
+        "line": "yizhuang",
+        "origin": "XHM",
+        "destination": "JG",
+        "time_s": 150,
+        "load": "AW2",
+        "seed": 3,
+        "mass_factor": 1.1,
+        "drivers": ["manual", "flat_out"],
+        "driver": "manual",
+        "seeds": 2,
+        "restrictions": [{"from_m": 300, "to_m": 500, "limit_mps": 15}],
+    }
+    job = server.post("/api/jobs/compare", asked, code=202)["id"]
+    server.wait(job)
+    page = visit(f"/compare?job={job}")
+    front = page.locator('[data-test="front"]')
+    expect(front).to_contain_text("flat_out", timeout=PATIENCE_MS)
+    for label, value in (("Seed", "3"), ("True mass / believed", "1.1"), ("Seeds of each driver", "2")):
+        expect(page.get_by_label(label, exact=True)).to_have_value(value)
+    for text in ("XHM · Xiaohongmen", "JG · Jiugong", "AW2 · 284 t"):
+        expect(
+            page.get_by_text(text, exact=True).or_(page.locator(f'[value="{text}"]')).first
+        ).to_be_attached()
+    expect(page.get_by_text("Running time 150 s")).to_be_visible()
+    expect(page.locator('[data-test="kept"]')).to_contain_text("54 km/h from 300 to 500 m")
+    expect(page.locator('[data-test="driven"]')).to_have_text("yizhuang XHM → JG, dkz32 AW2")
+    least = "document.querySelector('[data-test=front]').layout.shapes[0].x0"
+    body = {name: asked[name] for name in ("line", "origin", "destination", "load", "restrictions")}
+    assert page.evaluate(least) == pytest.approx(server.post("/api/front", body)["minimum_running_time_s"])
+    colours = """(test) => Object.fromEntries(document.querySelector(`[data-test=${test}]`).data
+        .filter(t => ["manual", "flat_out"].includes(t.name))
+        .map(t => [t.name, (t.marker || t.line).color]))"""
+    found = [page.evaluate(colours, test) for test in ("front", "picture")]
+    assert found[0] == found[1]
+    page.get_by_label("To", exact=True).click()
+    page.get_by_role("option", name="YZQ", exact=False).click()
+    expect(front).not_to_contain_text("flat_out", timeout=PATIENCE_MS)
+
+
+def test_a_link_to_no_comparison_says_so(visit):
+    page = visit("/compare?job=compare-nowhere")
+    expect(page.locator('[data-test="problem"]').first).to_contain_text("no such job", timeout=PATIENCE_MS)
+
+
+def test_what_is_not_allowed_is_said_beside_its_field(visit):
+    page = visit("/compare")
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    page.get_by_text("What goes differently than planned").click()
+    field = page.locator("label").filter(has_text="True mass / believed")
+    expect(field).to_contain_text("0.5 to 2")
+    page.get_by_label("True mass / believed").fill("0")
+    page.get_by_text("What goes differently than planned").click()
+    page.locator('[data-test="compare"]').click()
+    expect(field).to_contain_text("out of range (allowed: 0.5 to 2)")
+    expect(page.get_by_label("True mass / believed")).to_be_visible()
+    expect(page.get_by_label("True mass / believed")).to_have_value("0")
+
+
+def test_what_was_learned_is_compared(visit, server):
+    run = "ppo-20260101-120000-ab12"
+    (server.data / "runs" / run).mkdir(parents=True)
+    shutil.copyfile(shipped_policy("ppo"), server.data / "runs" / run / "policy.safetensors")
+    page = visit(f"/compare?driver=learned:policy={run}")
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    page.locator('[data-test="compare"]').click()
+    rows = page.locator('[aria-label="Comparison"] tbody tr')
+    expect(rows).to_have_count(2, timeout=PATIENCE_MS)
+    expect(rows.nth(1)).to_contain_text(run)
+    expect(rows.nth(1)).to_contain_text("on time")
+
+
+@pytest.mark.parametrize("width", [390, 360])
+def test_every_page_is_reached_on_a_telephone(visit, width):
+    page = visit("/learn", width=width, height=844)
+    for name in ("Drive", "Compare", "Journey", "Convoy", "Learn", "Lines"):
+        box = page.get_by_role("navigation", name="Pages").get_by_role("link", name=name).bounding_box()
+        assert box["x"] >= 0, name
+        assert box["x"] + box["width"] <= width, name
+
+
 def test_journey(visit):
     page = visit("/journey")
     sections = page.locator('[data-test="sections"] tbody tr')
@@ -38,6 +122,14 @@ def test_journey(visit):
     expect(page.locator('[data-test="summary"]')).to_contain_text("against the timetable's times")
     saved = re.search(r"−(\d+\.\d+) %", page.locator('[data-test="summary"]').inner_text())
     assert float(saved[1]) > 0.1
+    summary = page.locator('[data-test="summary"]')
+    light = re.search(r"([\d.]+) kWh", summary.inner_text())
+    page.get_by_role("combobox", name="Load").click()
+    page.get_by_role("option", name="AW3", exact=False).click()
+    page.locator('[data-test="plan"]').click()
+    expect(summary).not_to_contain_text(light[0], timeout=PATIENCE_MS)
+    heavy = re.search(r"([\d.]+) kWh", summary.inner_text())
+    assert float(heavy[1]) > 1.3 * float(light[1])
     page.locator('[data-test="total"]').locator("input").or_(page.get_by_label("Whole journey")).first.fill(
         "600"
     )
@@ -124,7 +216,7 @@ def test_by_keyboard_alone(visit):
     expect(page.locator('[data-test="live"]')).to_have_attribute(
         "data-status", "running", timeout=PATIENCE_MS
     )
-    page.get_by_role("button", name="Stop").click()
+    page.get_by_role("button", name="Stop", exact=True).click()
 
 
 def test_the_first_page_is_there_in_two_seconds(visit):

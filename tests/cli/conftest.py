@@ -31,6 +31,12 @@ def metropilot(capsys):
     return run
 
 
+@pytest.fixture(autouse=True)
+def usual_width(monkeypatch):
+    """As wide as an output that is no terminal, whatever runs the tests says."""
+    monkeypatch.delenv("COLUMNS", raising=False)
+
+
 @pytest.fixture
 def program(tmp_path):
     """Run one command as a program, as a user does."""

@@ -141,6 +141,17 @@ def test_a_campaigns_table_breaks_between_words_only(capsys, monkeypatch, tmp_pa
     whole(capsys.readouterr().out, ("generalist", "improved_dqn", "median", "12.34", "1014"), width)
 
 
+def test_a_convoy_leaves_a_trajectory_of_every_trainset(program, tmp_path):
+    asked = ("--time", "115", "--trainsets", "3", "--out", "out", "--json")
+    kpis = answer(program("convoy", *RUN[:3], *asked))
+    assert kpis == json.loads((tmp_path / "out" / "kpis.json").read_text())
+    for number in (1, 2, 3):
+        lines = (tmp_path / "out" / f"trajectory-{number}.csv").read_text().splitlines()
+        assert lines[0].split(",")[0] == COLUMNS[0]
+        assert len(lines) > 1000
+    assert not (tmp_path / "out" / "trajectory-4.csv").exists()
+
+
 def test_plan_of_a_run(metropilot, tmp_path):
     plan = answer(metropilot("plan", *RUN, "--out", tmp_path, "--json"))
     assert plan["running_time_s"] == pytest.approx(101, abs=0.01)
@@ -266,7 +277,9 @@ def test_a_shell_completes(program, line, words):
     assert (said.code, said.out.split()) == (0, words), said.err
 
 
-def test_the_script_that_makes_a_shell_complete(metropilot):
+def test_the_script_that_makes_a_shell_complete(metropilot, monkeypatch):
+    monkeypatch.setenv("SHELL", "/bin/bash")
+    monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")
     said = metropilot("--show-completion", "bash")
     assert said.code == 0
     assert "complete_bash" in said.out

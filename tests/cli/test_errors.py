@@ -30,6 +30,8 @@ BAD = [
     ((*RUN, "--mass-factor", "inf"), "0.5 to 2"),
     ((*RUN, "--dt", "0"), "0.01 to 1"),
     ((*RUN, "--restriction", "here"), "FROM-TO@KMH"),
+    ((*RUN, "--restriction", "400-600@0.0001"), "5 to 400 km/h"),
+    ((*RUN, "--restriction", "400-600@500"), "5 to 400 km/h"),
     ((*RUN, "--arrive", "90"), "S@T"),
     ((*RUN, "--seed", "-1"), "seed"),
     ((*RUN, "--from", "run.toml"), "at once"),

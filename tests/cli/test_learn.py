@@ -6,6 +6,7 @@ The first compiles; the others take its programs from the cache that all tests s
 import json
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from metropilot.drivers.policy import load_policy
+from metropilot.drivers.shipped import shipped_policy
 from metropilot.task import TASKS
 
 PROGRAM = Path(sys.executable).with_name("metropilot")
@@ -149,6 +151,30 @@ def test_runs_are_listed_with_what_became_of_them(metropilot, tmp_path, monkeypa
     assert answer(metropilot("show", record.id, "--json"))["id"] == record.id
     assert metropilot("learn", "--resume", record.id, "--seed", "1").code == 2
     assert metropilot("learn", "--resume", record.id).code == 0
+
+
+def test_a_run_drives_by_its_id(metropilot, tmp_path, monkeypatch):
+    monkeypatch.setenv("METROPILOT_HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    name = "ppo-20260101-120000-ab12"
+    (tmp_path / "runs" / name).mkdir(parents=True)
+    shutil.copyfile(shipped_policy("ppo"), tmp_path / "runs" / name / "policy.safetensors")
+    section = ("yizhuang", "RJ", "WYJ", "--time", "110")
+    said = answer(metropilot("drive", *section, "--driver", "ppo", "--json"))
+    again = ("--driver", "learned", "--set", f"policy={name}", "--out", "driven", "--json")
+    learned = answer(metropilot("drive", *section, *again))
+    assert learned["energy_wheel_kwh"] == said["energy_wheel_kwh"]
+    told = tmp_path / "mine.toml"
+    text = (tmp_path / "driven" / "run.toml").read_text()
+    told.write_text(text.replace('policy = "policy.safetensors"', f'policy = "{name}"'))
+    assert name in told.read_text()
+    from_toml = answer(metropilot("drive", "--from", told, "--json"))
+    assert from_toml["energy_wheel_kwh"] == said["energy_wheel_kwh"]
+    rows = answer(metropilot("compare", *section, "--drivers", f"ppo,learned:policy={name}", "--json"))
+    first, second = (row["kpis"]["energy_wheel_kwh"]["mean"] for row in rows["drivers"])
+    assert first == second
+    refused = metropilot("drive", *section, "--driver", "learned", "--set", "policy=another")
+    assert (refused.code, refused.err.count("\n")) == (2, 1)
 
 
 def test_tasks_are_the_registry(metropilot):

@@ -81,11 +81,23 @@ def test_restrictions(request_rj):
 
 @pytest.mark.parametrize(
     "text",
-    ["", "400", "400-600", "600-400@40", "400-600@0", "400-600@-5", "a-b@c", "5000-6000@40", "400-600@nan"],
+    [
+        *("", "400", "400-600", "600-400@40", "400-600@0", "400-600@-5", "a-b@c", "5000-6000@40"),
+        *("400-600@nan", "400-600@0.0001", "400-600@4.9", "400-600@500", "400-600@401@30", "400-1500@40"),
+        *("400-600@80", "400-600@120@30"),
+    ],
 )
 def test_bad_restrictions(request_rj, text):
     with pytest.raises(InputError, match="restriction"):
         replace(request_rj, restrictions=(text,)).run()
+
+
+def test_a_restriction_beside_another_is_held_to_the_lines_own_limit(request_rj):
+    twice = replace(request_rj, restrictions=("400-600@36", "400-600@36@20", "300-700@50")).run()
+    assert [r.limit_mps for r in twice.section.restrictions] == [pytest.approx(10), pytest.approx(50 / 3.6)]
+    assert len(twice.scenario.news) == 1
+    with pytest.raises(InputError, match=r"no effect.*5 to below 80 km/h"):
+        replace(request_rj, restrictions=("400-600@36", "400-600@80@20")).run()
 
 
 def test_arrivals():

@@ -148,7 +148,7 @@ def _read_run(path: Path) -> None:
     from metropilot.evaluate.request_file import to_table
 
     resolved = request_from_toml(path).resolved()
-    section, scenario = resolved.section(), resolved.scenario(resolved.section())
+    section, scenario = resolved.section(), resolved.scenario()
     assert 0 < section.length_m < 1e6
     assert (section.limit_mps.value > 0).all()
     assert all(item.at_s >= 0 for item in scenario.news)

@@ -150,7 +150,9 @@ class TestSections:
         np.testing.assert_array_equal(section.limit_mps.at(np.array([99.0, 100, 299, 300])), [10, 5, 5, 20])
         assert len(section.restrictions) == 1
 
-    @pytest.mark.parametrize("args", [(5, 5, 10), (5, 9, 0), (0, np.inf, 3), (0, 5, np.nan)])
+    @pytest.mark.parametrize(
+        "args", [(5, 5, 10), (5, 9, 0), (0, np.inf, 3), (0, 5, np.nan), (5, 9, 1.3), (5, 9, 112)]
+    )
     def test_a_restriction_must_make_sense(self, args):
         with pytest.raises(InputError, match="restriction"):
             Restriction(*(float(a) for a in args))

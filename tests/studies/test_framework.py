@@ -91,7 +91,7 @@ def test_reproduce_writes_report_page_and_figures(registered, tmp_path, capsys):
         (["some2020", "--reference", "square"], "s_curve, optimal"),
         (["some2020", "--set", "colour=red"], "reference"),
         (["some2020", "--set", "colour"], "NAME=VALUE"),
-        (["some2020", "--seeds", "0"], ">= 1"),
+        (["some2020", "--seeds", "0"], "greater than or equal to 1"),
     ],
 )
 def test_what_cannot_be_done_is_one_line(registered, tmp_path, capsys, arguments, said):

@@ -1,7 +1,15 @@
 """The HTTP API of a running server: what it answers, and how it refuses."""
 
-import pytest
+import io
+import json
+import re
+import subprocess
+import zipfile
 
+import pytest
+from tests.web.program import PROGRAM
+
+from metropilot.drivers.shipped import shipped_policy
 from metropilot.railway import load_line, write_line
 
 SECTION = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ"}
@@ -92,6 +100,9 @@ def test_a_comparison(server):
             {**SECTION, "restrictions": [{"from_m": 5, "to_m": 9, "limit_mps": 0}]},
             "restrictions[0].limit_mps",
         ),
+        ({**SECTION, "restrictions": [{"from_m": 5, "to_m": 9, "limit_mps": 1e-4}]}, "restriction"),
+        ({**SECTION, "restrictions": [{"from_m": 5, "to_m": 9, "limit_mps": 500 / 3.6}]}, "restriction"),
+        ({**SECTION, "restrictions": [{"from_m": 5, "to_m": 9000, "limit_mps": 10}]}, "restriction"),
     ],
 )
 def test_what_cannot_be_used_is_named(server, body, field):
@@ -108,6 +119,57 @@ def test_an_upload_is_used_like_any_line(server, tmp_path):
     assert [p.parent.name for p in server.data.rglob("*.toml") if p.parent.name == "uploads"] == ["uploads"]
     server.client.delete(f"/api/uploads/{key}")
     refused(server.post("/api/section", {**SECTION, "line": key}, code=422), "line")
+
+
+def test_an_uploaded_policy_drives_by_its_id(server, tmp_path):
+    content = shipped_policy("ppo").read_bytes()
+    answer = server.client.post("/api/uploads", files={"file": ("mine.safetensors", content)})
+    assert answer.status_code == 201, answer.text
+    key = answer.json()["id"]
+    assert answer.json()["kind"] == "policy"
+    told = {"driver": "learned", "options": {"policy": key}}
+    asked = {**SECTION, "time_s": 110, "drivers": ["ppo", "learned"], **told}
+    job = server.post("/api/jobs/compare", asked, code=202)["id"]
+    server.wait(job)
+    entries = server.get(f"/api/jobs/{job}/compare")["entries"]
+    assert [e["driver"] for e in entries] == ["ppo", "learned"]
+    ours, theirs = (e["kpis"]["energy_wheel_kwh"]["mean"] for e in entries)
+    assert ours == theirs
+    assert str(server.data) not in str(entries)
+    refused(server.post("/api/jobs/drive", {**SECTION, "driver": "learned"}, code=422), "options.policy")
+    other = shipped_policy("ddpg_pid").read_bytes()
+    answer = server.client.post("/api/uploads", files={"file": ("gains.safetensors", other)})
+    assert refused(answer.json(), "perception")["file"] == "gains.safetensors"
+    server.client.delete(f"/api/uploads/{key}")
+    refused(server.post("/api/jobs/drive", {**SECTION, **told}, code=422), "options.policy")
+
+
+@pytest.mark.parametrize("kind", ["drive", "live"])
+def test_the_archive_of_a_run_on_an_uploaded_line_is_driven_again_anywhere(server, tmp_path, kind):
+    write_line(load_line("yizhuang"), tmp_path / "mine.toml")
+    text = (tmp_path / "mine.toml").read_bytes()
+    key = server.client.post("/api/uploads", files={"file": ("mine.toml", text)}).json()["id"]
+    asked = {**SECTION, "line": key, "time_s": 101}
+    if kind == "drive":
+        job = server.post("/api/jobs/drive", asked, code=202)["id"]
+    else:
+        job = server.post("/api/live", {**asked, "pace": 0}, code=201)["id"]
+        server.post(f"/api/live/{job}/arrival", {"scheduled_time_s": 110})
+        server.post(f"/api/live/{job}/restriction", {"from_m": 700, "to_m": 800, "limit_mps": 14.7})
+        server.post(f"/api/live/{job}/pace", {"pace": 50})
+    server.wait(job)
+    server.client.delete(f"/api/uploads/{key}")
+    answer = server.client.get(f"/api/jobs/{job}/files/run.zip")
+    assert answer.headers["content-type"] == "application/zip"
+    zipfile.ZipFile(io.BytesIO(answer.content)).extractall(tmp_path)
+    folder = tmp_path / job
+    assert str(server.data) not in (folder / "run.toml").read_text()
+    again = [PROGRAM, "drive", "--from", folder / "run.toml", "--out", tmp_path / "again"]
+    done = subprocess.run(again, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    kpis = [json.loads((place / "kpis.json").read_text()) for place in (folder, tmp_path / "again")]
+    for name in ("running_time_s", "energy_wheel_kwh", "stopping_error_m", "scheduled_time_s"):
+        assert kpis[0][name] == pytest.approx(kpis[1][name], abs=1e-6)
 
 
 def test_a_bad_upload_names_the_field(server, tmp_path):
@@ -134,7 +196,56 @@ def test_pages_are_there_and_load_nothing_from_elsewhere(server, path):
 
 def test_what_is_no_route_is_told_in_the_same_shape(server):
     refused(server.get("/api/nowhere", code=404), "path")
-    refused(server.post("/api/lines", {}, code=404), "path")
+    refused(server.post("/api/nowhere", {}, code=404), "path")
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "allowed"),
+    [
+        ("PUT", "/api/lines", "GET"),
+        ("POST", "/api/lines", "GET"),
+        ("GET", "/api/plan", "POST"),
+        ("DELETE", "/api/jobs/x/files/run.toml", "GET"),
+        ("OPTIONS", "/api/live", "GET, POST"),
+    ],
+)
+def test_a_route_asked_in_another_way_says_in_which(server, method, path, allowed):
+    answer = server.client.request(method, path)
+    assert (answer.status_code, answer.headers["allow"]) == (405, allowed)
+    error = refused(answer.json(), "method")
+    assert (error["value"], error["allowed"]) == (method, allowed)
+
+
+@pytest.mark.parametrize(
+    ("kind", "body", "code", "field"),
+    [
+        ("text/plain", b"hello", 415, "Content-Type"),
+        ("text/plain", b'{"line": "yizhuang"}', 415, "Content-Type"),
+        ("application/x-www-form-urlencoded", b"line=yizhuang", 415, "Content-Type"),
+        ("application/octet-stream", b"\xff\x00", 415, "Content-Type"),
+        ("application/json", b"{bad", 422, "body"),
+        ("application/json", b"[1]", 422, "body"),
+        ("application/json", b"", 422, "body"),
+    ],
+)
+def test_a_body_that_is_not_json_is_told_in_one_line(server, kind, body, code, field):
+    answer = server.client.post("/api/plan", content=body, headers={"Content-Type": kind})
+    assert answer.status_code == code
+    error = refused(answer.json(), field)
+    assert "\n" not in error["message"]
+    assert "b'" not in answer.text
+    assert error["value"] == (kind if code == 415 else "[1]" if body == b"[1]" else None)
+
+
+def test_the_api_is_described_on_a_page_that_needs_nothing_else(server):
+    answer = server.client.get("/api/docs")
+    assert answer.headers["content-type"].startswith("text/html")
+    document = server.get("/api/openapi.json")
+    for path in document["paths"]:
+        assert f"<code>{path}</code>" in answer.text
+    for name in document["components"]["schemas"]:
+        assert f'id="{name}"' in answer.text
+    assert not re.search(r"<(script|img|link|iframe)|https?://|url\(", answer.text)
 
 
 def test_no_other_file_is_readable(server):

@@ -78,6 +78,28 @@ def test_a_body_too_large_is_refused_whatever_it_says(tmp_path):
         ask(local, "POST", content=endless())
 
 
+@pytest.mark.parametrize("left", [True, False])
+def test_an_error_after_its_browser_has_left_is_nobodys(tmp_path, left):
+    async def late(scope, receive, send):
+        await receive()
+        raise RuntimeError("No response returned.")
+
+    async def receive():
+        return {"type": "http.disconnect" if left else "http.request", "body": b"", "more_body": False}
+
+    async def send(message):
+        raise AssertionError(message)
+
+    scope = {"type": "http", "method": "GET", "path": "/", "query_string": b""}
+    scope["headers"] = [(b"host", b"127.0.0.1:8060")]
+    answer = Guard(late, Settings(data=tmp_path))(scope, receive, send)
+    if left:
+        asyncio.run(answer)
+    else:
+        with pytest.raises(RuntimeError):
+            asyncio.run(answer)
+
+
 def test_a_host_beyond_loopback_needs_a_token(tmp_path):
     with pytest.raises(InputError, match="token"):
         Settings(data=tmp_path, host="0.0.0.0")

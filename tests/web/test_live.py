@@ -1,10 +1,18 @@
 """Live runs over HTTP: watched, told news, taken over, resumed after the server died."""
 
+import asyncio
 import json
 import time
+from io import BytesIO
+from zipfile import ZipFile
 
 import pytest
 from tests.web.program import Server
+
+from metropilot.web import Settings
+from metropilot.web.asked import LiveAsked
+from metropilot.web.refused import Refused
+from metropilot.web.service import Service
 
 SECTION = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ", "time_s": 101}
 
@@ -80,6 +88,91 @@ def test_a_hand_that_lets_go_gives_the_lever_back(server):
     assert server.post(f"/api/live/{live}/pace", {"pace": 2}, code=409)["error"]["message"]
 
 
+def test_the_lever_has_one_holder(server):
+    live = server.post("/api/live", {**SECTION, "pace": 0}, code=201)["id"]
+    lever = f"/api/live/{live}/lever"
+    server.post(lever, {"share": 0.5, "holder": "tab-1"})
+    assert server.get(f"/api/live/{live}")["lever"] == {"holder": "tab-1", "since_s": 0.0}
+    for body in ({"share": -1.0, "holder": "tab-2"}, {"share": None, "holder": "tab-2"}, {"share": 0.5}):
+        error = server.post(lever, body, code=409)["error"]
+        assert error["message"] == "the lever is held by tab-1 since 0.0 s after departure"
+        assert error["field"] == "holder"
+        assert "take_over" in error["allowed"]
+    server.post(lever, {"share": -1.0, "holder": "tab-2", "take_over": True})
+    assert server.post(lever, {"share": 0.5, "holder": "tab-1"}, code=409)["error"]["value"] == "tab-1"
+    seen = watch(server, live, until=lambda kind, data: kind == "event" and "driver has" in data["words"])
+    assert [data["words"] for _, kind, data in seen if kind == "event"] == [
+        "the lever is taken by hand by tab-1",
+        "the lever is taken over from tab-1 by tab-2",
+        "the driver has the lever again",
+    ], "a run that waits takes the lever from whoever is gone as well"
+    assert server.get(f"/api/live/{live}")["lever"] is None
+    server.post(f"/api/live/{live}/stop")
+
+
+def test_a_run_that_cannot_start_has_failed_and_says_why(server):
+    slow = {"driver": "mpc", "restrictions": [{"from_m": 0, "to_m": 1200, "limit_mps": 1.4}]}
+    error = server.post("/api/live", {**SECTION, **slow}, code=422)["error"]
+    assert error["field"] == "time"
+    job = server.get("/api/jobs", params={"kind": "live", "limit": 1})[0]
+    assert job["status"] == "failed"
+    assert job["words"] == job["error"]["message"] == error["message"]
+    told = server.get(f"/api/live/{job['id']}")
+    assert (told["status"], told["error"]["message"]) == ("failed", error["message"])
+    assert watch(server, job["id"])[-1][2] == {"status": "failed", "message": error["message"]}
+    server.post(f"/api/live/{job['id']}/resume", code=409)
+
+
+def test_a_run_that_is_stopped_goes_on_where_it_was(server):
+    live = server.post("/api/live", {**SECTION, "pace": 10}, code=201)["id"]
+    watch(server, live, until=reached(100))
+    server.post(f"/api/live/{live}/lever", {"share": -0.2})
+    at = server.post(f"/api/jobs/{live}/stop")
+    ended = watch(server, live)
+    assert ended[-1][2] == {"status": "stopped"}
+    at = rows(ended)[-1]
+    again = server.post(f"/api/live/{live}/resume", code=201)
+    assert again["status"] == "running"
+    pace(server, live, 0)
+    assert server.get(f"/api/live/{live}")["time_s"] == pytest.approx(at[0], abs=1.0)
+    words = [data["words"] for _, kind, data in watch_now(server, live) if kind == "event"]
+    assert words == ["the lever is taken by hand by api", "the driver has the lever again"]
+    server.post(f"/api/live/{live}/stop")
+
+
+def watch_now(server, live):
+    """What was said so far of a run that waits."""
+    return watch(server, live, until=lambda kind, data: kind == "rows" and data["pace"] == 0)
+
+
+def test_what_nobody_watches_is_stopped_and_can_be_resumed(tmp_path, monkeypatch):
+    async def story():
+        service = Service(Settings(data=tmp_path, live_runs=1))
+        asked = LiveAsked.model_validate({**SECTION, "pace": 0})
+        left = await service.go_live(asked)
+        with pytest.raises(Refused, match=f"stop one of {left.id}"):
+            await service.go_live(asked)
+        monkeypatch.setattr("metropilot.web.service.ABANDONED_S", 0.3)
+        watcher = left.listen()
+        await anext(watcher)
+        await asyncio.sleep(0.4)
+        with pytest.raises(Refused, match="at most 1"):
+            await service.go_live(asked)
+        await watcher.aclose()
+        await asyncio.sleep(0.4)
+        second = await service.go_live(asked)
+        row = service.store.job(left.id)
+        assert (row.status, row.words) == ("stopped", "nobody watched it for 0.3 s; it can be resumed")
+        assert [r.id for r in service.live_runs()] == [second.id, left.id]
+        await second.stop()
+        again = await service.resume_live(left.id)
+        assert (again.id, again.over) == (left.id, False)
+        await again.stop()
+        await service.close()
+
+    asyncio.run(story())
+
+
 def test_a_run_waits_and_is_bounded_in_number(server):
     lives = [server.post("/api/live", {**SECTION, "pace": 0}, code=201)["id"] for _ in range(4)]
     server.post("/api/live", {**SECTION, "pace": 0}, code=429)
@@ -109,6 +202,15 @@ def test_a_convoy_keeps_apart_when_its_head_brakes(server):
     result = next(data for _, kind, data in rest if kind == "result")
     assert result["kpis"]["contacts"] == 0
     assert 0 < result["kpis"]["gap_min_m"] < 5.93
+    server.wait(live)
+    archive = server.client.get(f"/api/jobs/{live}/files/trajectories.zip").content
+    with ZipFile(BytesIO(archive)) as files:
+        assert files.namelist() == ["trajectory-1.csv", "trajectory-2.csv"]
+        for name in files.namelist():
+            text = files.read(name).decode()
+            assert text.startswith("time_s,position_m")
+            assert text == server.client.get(f"/api/jobs/{live}/files/{name}").text
+    server.get(f"/api/jobs/{live}/files/trajectory-3.csv", code=404)
 
 
 def test_runs_survive_the_server(tmp_path):

@@ -190,8 +190,8 @@ def new_run(request: RunRequest, out: Path | None) -> tuple[RunStore, RunRecord]
     Raises:
         InputError: The folder cannot be written.
     """
+    from metropilot.home import runs_folder
     from metropilot.learn import RunStore
-    from metropilot.learn.home import runs_folder
     from metropilot.learn.recorded import begin_run
 
     if out is None:
@@ -208,8 +208,8 @@ def found_run(text: str) -> tuple[RunStore, RunRecord]:
     Raises:
         InputError: No such run.
     """
+    from metropilot.home import runs_folder
     from metropilot.learn import RunStore
-    from metropilot.learn.home import runs_folder
 
     folder = Path(text).expanduser()
     if folder.is_dir():

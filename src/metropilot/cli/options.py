@@ -82,7 +82,8 @@ Restrictions = Annotated[
     typer.Option(
         "--restriction",
         metavar="FROM-TO@KMH[@T]",
-        help="Temporary speed restriction, m from the origin and km/h; @T: announced T s after departure.",
+        help="Temporary speed restriction, m from the origin and 5 to 400 km/h; @T: announced T s after "
+        "departure.",
         rich_help_panel=WORLD,
     ),
 ]

@@ -34,8 +34,8 @@ def runs_command(
 ) -> int:
     """List the learning runs, the newest first."""
     from metropilot.cli.learn_report import clock, figure, learned_json
+    from metropilot.home import runs_folder
     from metropilot.learn import RunStore
-    from metropilot.learn.home import runs_folder
 
     store = RunStore(folder or runs_folder())
     found = store.find(" ".join(words or ()), most)

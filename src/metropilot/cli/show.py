@@ -76,8 +76,8 @@ def show_command(
 
 def run_of_id(what: str) -> tuple[RunRecord, Path] | None:
     """The learning run of the user's whose id this is, or begins so, and its folder."""
+    from metropilot.home import runs_folder
     from metropilot.learn import RunStore
-    from metropilot.learn.home import runs_folder
 
     store = RunStore(runs_folder())
     try:

@@ -36,6 +36,14 @@ class AbstractDriver(ABC):
     def act(self, memory: Memory, observation: Observation) -> tuple[float, Memory]:
         """The command in [-1, 1] for the coming control period, and the memory to bring next time."""
 
+    def read_policy(self) -> object:
+        """The policy it drives by, read from its file; None for a driver that has none.
+
+        Raises:
+            InputError: The file cannot be used, or is of a policy that is none of this driver's.
+        """
+        return None
+
 
 DriverClass = TypeVar("DriverClass", bound=type[AbstractDriver])
 _REGISTRY: dict[str, type[AbstractDriver]] = {}

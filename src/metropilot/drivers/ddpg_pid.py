@@ -59,7 +59,7 @@ class DdpgPidOptions(AbstractTrackingOptions):
     """What it follows, and which policy sets the gains.
 
     Attributes:
-        policy: A policy file or the folder of a learning run; empty: the one shipped.
+        policy: A policy file, or the folder or id of a learning run; empty: the one shipped.
     """
 
     policy: str = ""
@@ -91,6 +91,10 @@ class DdpgPid(AbstractTracker):
             InputError: The file cannot be used.
         """
         return load_gains_policy(self.path)
+
+    def read_policy(self) -> object:
+        """What sets the gains."""
+        return self.policy
 
     def fresh(self, run: Run) -> Errors:
         """No errors yet."""

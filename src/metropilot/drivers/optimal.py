@@ -340,9 +340,8 @@ class Optimal(AbstractDriver):
             scheduled_s=observation.scheduled_time_s,
             planned_at_s=observation.time_s,
             adapted=adapted,
+            braking=False,
         )
-        if memory.braking:
-            return told
         try:
             plan = _plan(vehicle, model.track, left, options, memory.plan)
         except SolverError:

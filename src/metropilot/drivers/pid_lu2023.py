@@ -51,9 +51,15 @@ class PidLu2023(AbstractTracker):
         self.gains = Gains(self.given.kp, self.given.ki, self.given.kd)
         self.curve: TimedReference | None = None
 
+        self.learned = ImprovedDqn(PolicyOptions(self.given.policy))
+
+    def read_policy(self) -> object:
+        """What drives the curve it tracks."""
+        return self.learned.loaded
+
     def init(self, run: Run) -> Following:
         """Let improved DQN drive the run ahead of departure, and take its curve as the reference."""
-        learned = rehearse(run, ImprovedDqn(PolicyOptions(self.given.policy)))
+        learned = rehearse(run, self.learned)
         self.curve = sampled_profile(learned.position_m, learned.speed_mps, PERIOD_S)
         return super().init(run)
 

@@ -1,7 +1,7 @@
 """Drivers that were learned: one small class and one policy file each, and one that drives any policy file.
 
 ``policies/<id>.safetensors`` in this package is the policy of the driver ``<id>``; a driver whose file is not
-there is not registered. Each takes an option ``policy``: another file, or the folder of a learning run.
+there is not registered. Each takes an option ``policy``: another file, or the folder or id of a learning run.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class PolicyOptions:
     """Which policy drives.
 
     Attributes:
-        policy: A policy file or the folder of a learning run; empty: the one shipped with the driver.
+        policy: A policy file, or the folder or id of a learning run; empty: the one shipped with the driver.
     """
 
     policy: str = ""
@@ -62,6 +62,10 @@ class AbstractPolicyDriver(AbstractDriver):
             InputError: The file cannot be used.
         """
         return load_driving_policy(self.path)
+
+    def read_policy(self) -> object:
+        """What it drives by."""
+        return self.loaded
 
     @cached_property
     def _driver(self) -> LearnedDriver:
@@ -100,21 +104,23 @@ def register_shipped(driver: DriverClass) -> DriverClass:
 @final
 @register
 class FromFile(AbstractPolicyDriver):
-    """Any learned policy: ``--set policy=FILE``, a policy file or the folder of a learning run.
+    """Any learned policy: ``--set policy=PATH``, a policy file, or the folder or id of a learning run.
 
     Args:
         options: Which policy.
     """
 
     id: ClassVar[str] = "learned"
-    summary: ClassVar[str] = "A learned policy from a file or a learning run (--set policy=PATH)"
+    summary: ClassVar[str] = (
+        "A learned policy from a file or a learning run (--set policy=PATH or policy=RUN)"
+    )
     source: ClassVar[str] = "own"
 
     @property
     def path(self) -> Path:
         """The file given."""
         if not self.options.policy:
-            allowed = "--set policy=PATH, a policy file or the folder of a learning run"
+            allowed = "--set policy=PATH, a policy file, or the folder or id of a learning run"
             raise InputError("the driver learned needs a policy", field="policy", allowed=allowed)
         return Path(self.options.policy)
 

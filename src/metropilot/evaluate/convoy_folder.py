@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from metropilot.evaluate.convoy_drive import ConvoyDrive
 from metropilot.evaluate.convoy_kpis import ConvoyKpis
 from metropilot.evaluate.convoy_request import ConvoyRequest
-from metropilot.evaluate.folder import filled, provenance, write_json
+from metropilot.evaluate.folder import carried, filled, provenance, write_json
+from metropilot.evaluate.request_file import to_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,6 +19,8 @@ WIDTH_IN, HEIGHT_IN = 8.4, 7.0
 
 def write_convoy(folder: Path, request: ConvoyRequest, drive: ConvoyDrive, kpis: ConvoyKpis) -> None:
     """Write `trajectory-N.csv` of each trainset, `kpis.json`, `run.json`, `convoy.svg` and `convoy.png`.
+
+    Beside `run.json` lie the line, trainset and policy files that it names.
 
     Args:
         folder: Where to; made if it is not there.
@@ -34,7 +37,10 @@ def write_convoy(folder: Path, request: ConvoyRequest, drive: ConvoyDrive, kpis:
         for k, trajectory in enumerate(drive.trajectories, 1):
             trajectory.write(scratch / f"trajectory-{k}.csv")
         write_json(scratch / "kpis.json", kpis.as_dict())
-        write_json(scratch / "run.json", {"run": request.table(), "made_with": provenance()})
+        head = to_table(carried(scratch, request.head.resolved()))
+        write_json(
+            scratch / "run.json", {"run": {**request.table(), "head": head}, "made_with": provenance()}
+        )
         save(convoy_figure(drive, kpis), scratch / "convoy")
 
 

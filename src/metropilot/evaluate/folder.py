@@ -150,20 +150,24 @@ def write_run_toml(folder: Path, request: Request) -> None:
     """Write `run.toml` and, beside it, the line, trainset and policy files it was read from."""
     import tomli_w
 
-    resolved = request.resolved()
+    table = {"run": to_table(carried(folder, request.resolved())), "made_with": provenance()}
+    head = "# Drive it again: metropilot drive --from run.toml\n\n"
+    (folder / "run.toml").write_text(head + tomli_w.dumps(table), encoding="utf-8")
+
+
+def carried(folder: Path, request: Request) -> Request:
+    """The same request with the line, trainset and policy files copied into a folder and named there."""
     for kind in FILES:
-        source = Path(getattr(resolved, kind))
+        source = Path(getattr(request, kind))
         if is_file(source.name):
             name = f"{kind}{source.suffix.lower()}"
             shutil.copyfile(source, folder / name)
-            resolved = replace(resolved, **{kind: name})
-    if resolved.options.get(POLICY):
-        source = policy_path(resolved.options[POLICY])
+            request = replace(request, **{kind: name})
+    if request.options.get(POLICY):
+        source = policy_path(request.options[POLICY])
         shutil.copyfile(source, folder / source.name)
-        resolved = replace(resolved, options={**resolved.options, POLICY: source.name})
-    table = {"run": to_table(resolved), "made_with": provenance()}
-    head = "# Drive it again: metropilot drive --from run.toml\n\n"
-    (folder / "run.toml").write_text(head + tomli_w.dumps(table), encoding="utf-8")
+        request = replace(request, options={**request.options, POLICY: source.name})
+    return request
 
 
 def provenance() -> dict[str, str]:

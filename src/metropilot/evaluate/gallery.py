@@ -21,12 +21,12 @@ from metropilot.evaluate.style import (
     GREY,
     KMH,
     ORANGE,
-    SERIES,
     VERMILION,
     headline,
     house_style,
     label,
     new_panels,
+    series,
 )
 from metropilot.planning import Call, Front, Plan
 from metropilot.railway import Section, Trainset
@@ -50,8 +50,9 @@ def comparison_figure(entries: Sequence[Entry]) -> Figure:
         draw_limits(speed, first.section, first.trainset)
         if entries[0].optimum is not None:
             draw_plan(speed, entries[0].optimum.plan, f"optimum for the time of {entries[0].driver}")
-        for entry, (colour, dashes) in zip(entries, _series(len(entries)), strict=True):
-            look = {"color": colour, "ls": dashes}
+        styles = series([entry.driver for entry in entries])
+        for entry in entries:
+            look = dict(zip(("color", "ls"), styles[entry.driver], strict=True))
             t = entry.drives[0].trajectory
             used = t.energy_wheel_j / J_PER_KWH
             total = f"{entry.driver}: {used[-1]:.1f} kWh in {entry.kpis[0].running_time_s:.1f} s"
@@ -72,11 +73,6 @@ def comparison_figure(entries: Sequence[Entry]) -> Figure:
         title = f"{section.origin.name} – {section.destination.name}, {section.length_m:.0f} m"
         headline(speed, title, f"{trainset.id} {trainset.load}, scheduled {first.scheduled_time_s:g} s")
         return figure
-
-
-def _series(count: int) -> list[tuple[str, object]]:
-    """A colour and a line style for each driver; past the palette's end they repeat."""
-    return [SERIES[k % len(SERIES)] for k in range(count)]
 
 
 def front_figure(section: Section, front: Front, planned: Plan | None, words: str, objective: str) -> Figure:

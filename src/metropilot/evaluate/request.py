@@ -94,9 +94,9 @@ class Request:
 
     def section(self) -> Section:
         """The section with every restriction known before departure."""
-        section = self.open_section()
+        section = line_section = self.open_section()
         for text in self.restrictions:
-            restriction, at_s = parse_restriction(text, section)
+            restriction, at_s = parse_restriction(text, line_section)
             if at_s is None:
                 section = section.restricted(restriction)
         return section
@@ -105,8 +105,9 @@ class Request:
         """The section without temporary restrictions."""
         return load_line(self.line).section(self.origin, self.destination)
 
-    def scenario(self, section: Section) -> Scenario:
+    def scenario(self) -> Scenario:
         """What the driver is not told, and what it is told on the way."""
+        section = self.open_section()
         announced = [parse_restriction(text, section) for text in self.restrictions]
         news = [News(at_s, restriction=r) for r, at_s in announced if at_s is not None]
         news += [parse_arrival(text) for text in self.arrivals]
@@ -139,7 +140,7 @@ class Request:
             if time_s is None:
                 words = f"the line plans no running time for {section.name}; give one"
                 raise InputError(words, field="time_s", allowed="> 0 s")
-            run = Run(section, trainset, time_s, self.scenario(section), self.dt_s, self.seed)
+            run = Run(section, trainset, time_s, self.scenario(), self.dt_s, self.seed)
         fastest = fastest_s or minimum_running_time(self.open_section(), trainset)
         check_running_time(time_s, fastest)
         for news in run.scenario.news:
@@ -182,7 +183,8 @@ def parse_restriction(text: str, section: Section) -> tuple[Restriction, float |
     """``FROM-TO@KMH`` or ``FROM-TO@KMH@T``: the restriction, and when it is told (None: before departure).
 
     Raises:
-        InputError: Not of that form, or outside the section.
+        InputError: Not of that form, not within the section, of a speed below 5 or above 400 km/h, or
+            nowhere below the line's own limit.
     """
     match = RESTRICTION.fullmatch(text.replace(" ", ""))
     if match is None:
@@ -193,15 +195,8 @@ def parse_restriction(text: str, section: Section) -> tuple[Restriction, float |
             allowed="FROM-TO@KMH or FROM-TO@KMH@T, e.g. 400-600@40 or 400-600@40@30 (m, m, km/h, s)",
         )
     start, end, kmh = (float(x) for x in match.groups()[:3])
-    if start >= section.length_m:
-        raise InputError(
-            "restriction begins beyond the stop",
-            field="restrictions",
-            value=text,
-            allowed=f"0 to {section.length_m:g} m",
-        )
     at_s = None if match[4] is None else float(match[4])
-    return Restriction(start, end, kmh * KMH), at_s
+    return section.checked(Restriction(start, end, kmh * KMH)), at_s
 
 
 def parse_arrival(text: str) -> News:

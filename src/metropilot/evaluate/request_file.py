@@ -10,6 +10,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from metropilot.drivers.policy.loaded import policy_path
 from metropilot.errors import InputError, renamed
 from metropilot.evaluate.request import Request
 from metropilot.railway.text_file import file_text
@@ -17,7 +18,7 @@ from metropilot.railway.text_file import file_text
 NAMES = tuple(f.name for f in fields(Request))
 FILES = ("line", "trainset")
 POLICY = "policy"
-"""The option of a driver that is a path."""
+"""The option of a driver that names a file, or a learning run."""
 KINDS: Mapping[str, tuple[type, ...]] = {
     "options": (dict,),
     "ideal": (bool,),
@@ -80,7 +81,9 @@ def request_from_toml(path: Path) -> Request:
             values[name] = str(path.parent / values[name])
     policy = values.get("options", {}).get(POLICY)
     if isinstance(policy, str) and policy:
-        values["options"] = {**values["options"], POLICY: str(path.parent / policy)}
+        near = path.parent / policy
+        meant = near if near.exists() else policy_path(policy)
+        values["options"] = {**values["options"], POLICY: str(meant if meant.exists() else near)}
     with in_run_toml(path):
         return Request(**values)
 

@@ -6,6 +6,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zlib import crc32
+
+from metropilot.drivers import DRIVERS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,6 +37,30 @@ SERIES = (
     (SKY, (0, (3, 1))),
     (BLACK, (0, (1, 3))),
 )
+
+
+USUAL = ("optimal", "manual", "flat_out", "ppo", "mpc", "pid", "learned")
+"""Drivers that are compared most: one colour of the palette each."""
+
+
+def series(drivers: Sequence[str]) -> dict[str, tuple[str, Any]]:
+    """A colour and a line style for each driver, the same in every picture; no two drivers share both.
+
+    A registered driver has its own; past the palette's end the colours come again, in other line styles. One
+    named with its options (``pid:kp=3``) has what its name decides, and gives way only where another such
+    driver of the picture has that already.
+    """
+    styles = [dashes for _, dashes in SERIES]
+    count = len(SERIES)
+    places = {name: k for k, name in enumerate(dict.fromkeys((*USUAL, *DRIVERS.ids())))}
+    taken = {name: places[name] for name in drivers if name in places}
+    free = max(count**2 - len(places), 1)
+    for name in sorted(set(drivers) - set(taken)):
+        wanted = [len(places) + (crc32(name.encode()) + k) % free for k in range(free)]
+        taken[name] = next((k for k in wanted if k not in taken.values()), wanted[0])
+    return {name: (SERIES[k % count][0], styles[(k + k // count) % count]) for name, k in taken.items()}
+
+
 SETTINGS: Any = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from metropilot.drivers.policy.policy import Policy, PolicySpec, act
     from metropilot.drivers.policy.policy_file import load_policy, save_policy
+    from metropilot.home import runs_folder
     from metropilot.learn.compile_cache import keep_compiled
     from metropilot.learn.config import (
         CONFIGS,
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from metropilot.learn.driving import DrivingEvaluation
     from metropilot.learn.export import ExportReport, export_onnx
     from metropilot.learn.history import read_history, write_history
-    from metropilot.learn.home import runs_folder
     from metropilot.learn.loop import Loop, LoopState, default_evaluation, learn, make_loop
     from metropilot.learn.recipes import RECIPES, Recipe, evaluation_of, new_request, recipe, resumed_request
     from metropilot.learn.recorded import RunRequest, begin_run, learn_run
@@ -114,7 +114,7 @@ _HOME = {
     "read_history": "history",
     "recipe": "recipes",
     "resumed_request": "recipes",
-    "runs_folder": "home",
+    "runs_folder": "metropilot.home",
     "save_policy": "metropilot.drivers.policy.policy_file",
     "write_history": "history",
 }

@@ -13,7 +13,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from metropilot.errors import InputError
-from metropilot.learn.home import cache_folder
+from metropilot.home import cache_folder
 from metropilot.railway import Section, Trainset
 from metropilot.railway.whole_file import write_whole
 from metropilot.task.optima import Optima, optima_of

@@ -13,6 +13,9 @@ from metropilot.errors import InputError
 from metropilot.railway.bounds import tidy
 from metropilot.railway.profile import Steps
 
+RESTRICTION_KMH = (5.0, 400.0)
+"""Speeds a temporary restriction may have, km/h."""
+
 
 @dataclass(frozen=True)
 class Station:
@@ -64,7 +67,7 @@ class Restriction:
     Attributes:
         from_m: Start, m from the section's origin.
         to_m: End, m from the section's origin.
-        limit_mps: The restricted speed.
+        limit_mps: The restricted speed, 5 to 400 km/h.
     """
 
     from_m: float
@@ -80,13 +83,14 @@ class Restriction:
                 unit="m",
                 allowed="from < to, finite",
             )
-        if not (np.isfinite(self.limit_mps) and self.limit_mps > 0):
+        low, high = RESTRICTION_KMH
+        if not low - 1e-6 <= 3.6 * self.limit_mps <= high + 1e-6:
             raise InputError(
-                "a restriction needs a speed",
+                "a restriction needs a speed that can be driven",
                 field="restriction",
-                value=self.limit_mps,
-                unit="m/s",
-                allowed="> 0",
+                value=tidy(3.6 * self.limit_mps),
+                unit="km/h",
+                allowed=f"{low:g} to {high:g} km/h",
             )
 
 
@@ -120,6 +124,39 @@ class Section:
     tunnels: tuple[Tunnel, ...] = ()
     planned_time_s: float | None = None
     restrictions: tuple[Restriction, ...] = ()
+
+    def checked(self, restriction: Restriction) -> Restriction:
+        """A temporary speed restriction as it was entered, if it makes sense on this section.
+
+        Call it on the section without restrictions: its limits are then the line's own.
+
+        Raises:
+            InputError: It does not lie within the section, or is nowhere below the line's own limit.
+        """
+        where = {
+            "field": "restriction",
+            "value": f"{restriction.from_m:g} to {restriction.to_m:g}",
+            "unit": "m",
+        }
+        within = f"0 to {self.length_m:g} m"
+        if restriction.from_m < 0:
+            raise InputError("a restriction begins before the departure", allowed=within, **where)
+        if restriction.from_m >= self.length_m:
+            raise InputError("a restriction begins beyond the stop", allowed=within, **where)
+        if restriction.to_m > self.length_m:
+            raise InputError("a restriction ends beyond the stop", allowed=within, **where)
+        edges = self.limit_mps.from_m
+        inside = edges[(edges > restriction.from_m) & (edges < restriction.to_m)]
+        highest_mps = float(self.limit_mps.at(np.append(inside, restriction.from_m)).max())
+        if restriction.limit_mps >= highest_mps - 1e-9:
+            raise InputError(
+                "a restriction has no effect: the line's own limit is no higher there",
+                field="restriction",
+                value=tidy(3.6 * restriction.limit_mps),
+                unit="km/h",
+                allowed=f"{RESTRICTION_KMH[0]:g} to below {tidy(3.6 * highest_mps)} km/h",
+            )
+        return restriction
 
     def restricted(self, restriction: Restriction) -> Section:
         """The section with one more temporary speed restriction in force."""

@@ -93,7 +93,7 @@ class DriverOut(BaseModel):
 class Uploaded(BaseModel):
     """What a file turned out to be."""
 
-    kind: Literal["line", "trainset"]
+    kind: Literal["line", "trainset", "policy"]
     id: str
     name: str
     notes: list[str]
@@ -220,8 +220,15 @@ class CompareOut(BaseModel):
     entries: list[EntryOut]
 
 
+class LeverOut(BaseModel):
+    """Who holds the lever by hand, and since when (time since departure)."""
+
+    holder: str
+    since_s: float
+
+
 class LiveOut(BaseModel):
-    """A live run."""
+    """A live run; ``lever`` is null while the driver has it."""
 
     id: str
     status: JobStatus
@@ -231,7 +238,10 @@ class LiveOut(BaseModel):
     pace: float
     behind_s: float
     viewers: int
+    scheduled_time_s: float | None
+    lever: LeverOut | None
     outcome: str | None
+    error: dict[str, Any] | None
 
 
 class Told(BaseModel):

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from metropilot.errors import InputError
 from metropilot.evaluate import Request
+from metropilot.evaluate.driver_options import named_driver
+from metropilot.evaluate.request_file import POLICY
 
 Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$", examples=["yizhuang"])]
 Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,32}$")]
+DriverName = Annotated[
+    str,
+    Field(
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}(:policy=[A-Za-z0-9][A-Za-z0-9_-]{0,63})?$",
+        examples=["optimal", "learned:policy=RUN"],
+    ),
+]
+"""A driver, and the learning run or upload whose policy drives."""
 StationKey = Annotated[str, Field(min_length=1, max_length=80, examples=["RJ"])]
 Seconds = Annotated[float, Field(gt=0, le=36_000, description="s")]
 Metres = Annotated[float, Field(ge=0, le=200_000, description="m from the section's origin")]
 Speed = Annotated[float, Field(gt=0, le=150, description="m/s")]
-Option = bool | int | float | Word
+Option = bool | int | float | Id
 KMH = 3.6
 
 
@@ -75,7 +86,7 @@ class PlanAsked(SectionAsked):
 class DriveAsked(PlanAsked):
     """A run: the plan's fields, the driver, and what goes differently than planned."""
 
-    driver: Id = "optimal"
+    driver: DriverName = "optimal"
     options: dict[Word, Option] = {}
     ideal: bool = False
     mass_factor: Annotated[float, Field(ge=0.5, le=2)] = 1.0
@@ -91,7 +102,11 @@ class DriveAsked(PlanAsked):
 class CompareAsked(DriveAsked):
     """Several drivers on one run."""
 
-    drivers: Annotated[list[Id], Field(min_length=1, max_length=12)] = ["optimal", "manual", "flat_out"]
+    drivers: Annotated[list[DriverName], Field(min_length=1, max_length=12)] = [
+        "optimal",
+        "manual",
+        "flat_out",
+    ]
     seeds: Annotated[int, Field(ge=1, le=50)] = 1
 
 
@@ -135,7 +150,7 @@ class ConvoyAsked(SectionAsked):
     """A live convoy: the head's run, followers behind it, the link between them."""
 
     time_s: Seconds | None = None
-    driver: Id = "optimal"
+    driver: DriverName = "optimal"
     trainsets: Annotated[int, Field(ge=2, le=6)] = 3
     follower: Id = "follow_gap"
     gap_m: Annotated[float, Field(ge=0.5, le=2000, description="wanted gap, m")] = 5.92
@@ -172,9 +187,15 @@ class NewRestriction(Asked):
 
 
 class Lever(Asked):
-    """The lever by hand: a share of the effort; null gives it back. It falls back unless renewed in 3 s."""
+    """The lever by hand: a share of the effort; null gives it back. It falls back unless renewed in 3 s.
+
+    It has one holder at a time, who goes by the name given here. Anybody else is refused (409) unless
+    ``take_over`` says that the lever is to be taken from whoever holds it.
+    """
 
     share: Annotated[float, Field(ge=-1, le=1)] | None
+    holder: Word = "api"
+    take_over: bool = False
 
 
 class Pace(Asked):
@@ -183,21 +204,26 @@ class Pace(Asked):
     pace: Annotated[float, Field(ge=0, le=100)]
 
 
-def request_of(asked: DriveAsked, paths: dict[str, str]) -> Request:
+def request_of(asked: DriveAsked, path: Callable[[str, str], str]) -> Request:
     """The run as :mod:`metropilot.evaluate` takes it.
 
     Args:
         asked: The body.
-        paths: Where the uploads that it names lie, by id.
+        path: From a kind (line, trainset, policy) and an id to the file that is meant.
+
+    Raises:
+        InputError: No policy of that id.
     """
+    driver, named = named_driver(asked.driver)
+    options = asked.options | named
+    if POLICY in options:
+        options[POLICY] = path(POLICY, str(options[POLICY]))
     given: dict[str, Any] = asked.model_dump(
         include={
             "origin",
             "destination",
             "time_s",
             "load",
-            "driver",
-            "options",
             "ideal",
             "mass_factor",
             "resistance_factor",
@@ -210,8 +236,10 @@ def request_of(asked: DriveAsked, paths: dict[str, str]) -> Request:
         }
     )
     return Request(
-        line=paths.get(asked.line, asked.line),
-        trainset=paths.get(asked.trainset, asked.trainset),
+        line=path("line", asked.line),
+        trainset=path("trainset", asked.trainset),
+        driver=driver,
+        options=options,
         restrictions=tuple(r.text() for r in asked.restrictions),
         arrivals=tuple(f"{a.scheduled_time_s!r}@{a.told_s!r}" for a in asked.arrivals),
         **given,

@@ -5,8 +5,10 @@ from __future__ import annotations
 import inspect
 import json
 import math
+from io import BytesIO
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_DEFLATED, ZipFile
 
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
@@ -250,10 +252,29 @@ def file_of(service: Service, job: str, name: str) -> Path:
     Raises:
         Refused: No such job or file (404).
     """
-    from metropilot.web.work.drives import FILES
+    from metropilot.web.work.drives import FILES, archive
 
     row = service.store.job(job)
-    path = service.root / "jobs" / row.id / name
+    folder = service.root / "jobs" / row.id
+    path = archive(folder) if name == "trajectories.zip" else folder / name
     if name not in FILES.get(row.kind, ()) or not path.is_file():
         raise Refused("no such file", 404, field="name", value=name)
     return path
+
+
+def archive_of(service: Service, job: str) -> bytes:
+    """Every file of a job as a ZIP archive, in a folder of the job's name.
+
+    Raises:
+        Refused: No such job, or it has no files (404).
+    """
+    row = service.store.job(job)
+    folder = service.root / "jobs" / row.id
+    files = sorted(p for p in folder.glob("[!.]*") if p.is_file() and p.suffix != ".zip")
+    if not files:
+        raise Refused("no files: nothing was driven to its end", 404, field="id", value=job)
+    made = BytesIO()
+    with ZipFile(made, "w", ZIP_DEFLATED) as archive:
+        for path in files:
+            archive.write(path, f"{row.id}/{path.name}")
+    return made.getvalue()

@@ -14,6 +14,9 @@ from starlette.exceptions import HTTPException
 from metropilot.errors import MetropilotError
 from metropilot.web.refused import FIELDS, detail_of, plain
 
+JSON = "application/json"
+METHOD_NOT_ALLOWED = 405
+
 
 class ErrorDetail(BaseModel):
     """What is wrong, where, and what is allowed; the same as the command line prints with ``--json``."""
@@ -41,13 +44,27 @@ def install(app: FastAPI) -> None:
     """Let an application answer every error in the one shape."""
 
     @app.exception_handler(RequestValidationError)
-    async def invalid(_: Request, error: RequestValidationError) -> JSONResponse:
+    async def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
         first = error.errors()[0]
-        return answer(422, {"message": first["msg"], "field": _path(first["loc"]), "value": _given(first)})
+        kind = request.headers.get("content-type", "")
+        if first["loc"] == ("body",) and isinstance(first.get("input"), bytes):
+            value = kind[:80] or None
+            told = {"message": "not JSON", "field": "Content-Type", "value": value, "allowed": JSON}
+            return answer(415, told)
+        if first["type"] == "json_invalid":
+            why = str(first.get("ctx", {}).get("error", "")).lower()
+            return answer(422, {"message": f"not JSON: {why}", "field": "body", "allowed": "a JSON object"})
+        field = _path(first["loc"]) or "body"
+        return answer(422, {"message": first["msg"], "field": field, "value": _given(first)})
 
     @app.exception_handler(HTTPException)
-    async def http(_: Request, error: HTTPException) -> JSONResponse:
-        response = answer(error.status_code, {"message": str(error.detail)})
+    async def http(request: Request, error: HTTPException) -> JSONResponse:
+        told: dict[str, Any] = {"message": str(error.detail)}
+        if error.status_code == METHOD_NOT_ALLOWED:
+            allowed = (error.headers or {}).get("Allow")
+            told = {"message": "not allowed here", "field": "method", "value": request.method}
+            told["allowed"] = allowed
+        response = answer(error.status_code, told)
         response.headers.update(error.headers or {})
         return response
 

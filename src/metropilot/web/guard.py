@@ -48,12 +48,20 @@ class Guard:
             return
         refusal = self._refusal(scope)
         if refusal is None:
-            bounded = Bounded(receive, self._bound(scope)) if scope["type"] == "http" else receive
-            await self.app(scope, bounded, _with_headers(send))
+            await self._through(scope, receive, send)
         elif scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008})
         else:
             await refusal(scope, receive, send)
+
+    async def _through(self, scope: Scope, receive: Receive, send: Send) -> None:
+        bounded = Bounded(receive, self._bound(scope))
+        try:
+            await self.app(scope, bounded, _with_headers(send))
+        except RuntimeError:
+            # Starlette's "No response returned": whoever asked went away before there was an answer.
+            if not bounded.left:
+                raise
 
     def _refusal(self, scope: Scope) -> Response | None:
         headers = Headers(scope=scope)
@@ -115,10 +123,12 @@ class Bounded:
         self.receive = receive
         self.bound = bound
         self.seen = 0
+        self.left = False
 
     async def __call__(self) -> Message:
         """The next message."""
         message = await self.receive()
+        self.left = self.left or message["type"] == "http.disconnect"
         if message["type"] == "http.request":
             self.seen += len(message.get("body", b""))
             if self.seen > self.bound:

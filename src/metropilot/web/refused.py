@@ -13,9 +13,21 @@ FIELDS = ("file", "field", "value", "unit", "allowed")
 class Refused(InputError):
     """A request that is in order but cannot be met now, with its HTTP status."""
 
-    def __init__(self, message: str, status: int, *, field: str | None = None, value: object = None) -> None:
-        super().__init__(message, field=field, value=value)
+    def __init__(
+        self,
+        message: str,
+        status: int,
+        *,
+        field: str | None = None,
+        value: object = None,
+        allowed: str | None = None,
+    ) -> None:
+        super().__init__(message, field=field, value=value, allowed=allowed)
         self.status = status
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Cross a pipe with its status."""
+        return Refused, (self.message, self.status), self.__dict__
 
 
 def detail_of(error: Exception) -> dict[str, Any]:

@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from typing import Any
 
 from fastapi import FastAPI
+from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp
 
 import metropilot
 from metropilot.web import errors
 from metropilot.web.answers import Health
-from metropilot.web.api import catalogue, jobs, live, planning
+from metropilot.web.api import catalogue, docs, jobs, live, planning
 from metropilot.web.guard import Guard
 from metropilot.web.refused import Refused
 from metropilot.web.service import Service
 from metropilot.web.settings import Settings
 
-METHODS = ("GET", "POST", "PUT", "PATCH", "DELETE")
+METHODS = ("GET", "HEAD", "OPTIONS", "POST", "PUT", "PATCH", "DELETE", "TRACE")
 SUMMARY = """Drive, compare, plan and learn over HTTP. SI units, in the names of the fields.
 
 Every error is `{"error": {"message", "file", "field", "value", "unit", "allowed"}}`."""
 
 
 def make_api(service: Service) -> FastAPI:
-    """The API alone, described at ``/api/openapi.json``. The service opens and closes with it.
+    """The API alone, described at ``/api/openapi.json`` and, to be read, at ``/api/docs``.
+
+    The service opens and closes with it.
 
     Args:
         service: What does the work.
@@ -63,12 +68,26 @@ def make_api(service: Service) -> FastAPI:
     for module in (catalogue, planning, jobs, live):
         app.include_router(module.routes(service), prefix="/api")
 
+    app.include_router(docs.routes(app), prefix="/api")
+
     @app.api_route("/api/{rest:path}", methods=list(METHODS), include_in_schema=False)
     def nowhere(rest: str) -> None:
-        """What is no route of ours is no page either."""
-        raise Refused("no such route", 404, field="path", value=f"/api/{rest}"[:200])
+        """What is no route of ours is no page either; a route of ours is asked in its own way."""
+        path = f"/api/{rest}"
+        if known := _methods(app.openapi()["paths"], path):
+            raise HTTPException(errors.METHOD_NOT_ALLOWED, headers={"Allow": ", ".join(known)})
+        raise Refused("no such route", 404, field="path", value=path[:200])
 
     return app
+
+
+def _methods(paths: dict[str, Any], path: str) -> list[str]:
+    """How a path may be asked; nothing if it is none of ours."""
+    for template, operations in paths.items():
+        parts = (re.escape(part) for part in re.split(r"\{[^}]*\}", template))
+        if re.fullmatch("[^/]+".join(parts), path):
+            return sorted(method.upper() for method in operations)
+    return []
 
 
 def make_app(settings: Settings) -> ASGIApp:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import secrets
 from concurrent.futures import Future
+from contextlib import suppress
 from pathlib import Path
-from time import monotonic
 from typing import TYPE_CHECKING, Any
 
+from metropilot.drivers.policy.loaded import FILE
 from metropilot.errors import InputError
 from metropilot.evaluate import Request
+from metropilot.evaluate.request_file import POLICY
 from metropilot.web.asked import (
     CompareAsked,
     ConvoyAsked,
@@ -26,16 +28,19 @@ from metropilot.web.live.session import Session, Spare, start_spare
 from metropilot.web.pools import Pools, explained
 from metropilot.web.refused import Refused, detail_of
 from metropilot.web.settings import Settings
-from metropilot.web.store import OVER, Store, UploadRow
+from metropilot.web.store import OVER, JobRow, Store, UploadRow
 from metropilot.web.work import drives, learning, plans, studying
 
 if TYPE_CHECKING:
     from metropilot.evaluate.convoy_request import ConvoyRequest
 
-SUFFIXES = (".toml", ".json")
+SUFFIXES = (".toml", ".json", ".safetensors")
 SAVE_STEPS = 25
-LONELY_S = 600.0
-"""A run that waits and that nobody watches ends after this; it can be resumed."""
+ABANDONED_S = 120.0
+"""A live run that nobody watches or asks about is stopped after this; it can be resumed."""
+RESUMABLE = ("interrupted", "stopped")
+LISTED = 6
+"""Live runs that can be resumed and are listed, the newest first."""
 FORGET = 50
 
 
@@ -80,9 +85,30 @@ class Service:
         await asyncio.to_thread(self.pools.stop)
 
     # ------------------------------------------------------------------------------------------ names
-    def paths(self) -> dict[str, str]:
+    def paths(self, kind: str | None = None) -> dict[str, str]:
         """Uploads by id: where their files are."""
-        return {row.id: str(self.root / "uploads" / row.file) for row in self.store.uploads()}
+        return {row.id: str(self.root / "uploads" / row.file) for row in self.store.uploads(kind)}
+
+    def policies(self) -> dict[str, str]:
+        """Policy files by the id of their learning run or upload, the newest runs first."""
+        runs = self.root / "runs"
+        found = sorted(runs.glob(f"*/{FILE}"), key=lambda path: path.stat().st_mtime, reverse=True)
+        inside = [path for path in found if path.resolve().is_relative_to(runs.resolve())]
+        return {path.parent.name: str(path) for path in inside} | self.paths(POLICY)
+
+    def path(self, kind: str, key: str) -> str:
+        """The file that an id means; a line or trainset that was not uploaded is one of the catalogue.
+
+        Raises:
+            InputError: No policy of that id.
+        """
+        if kind != POLICY:
+            return self.paths(kind).get(key, key)
+        found = self.policies().get(key)
+        if found is None:
+            allowed = "the id of a learning run that has a policy, or of an uploaded policy"
+            raise InputError("no such policy", field=f"options.{POLICY}", value=key, allowed=allowed)
+        return found
 
     def request(self, asked: SectionAsked) -> Request:
         """The run that is meant.
@@ -91,10 +117,10 @@ class Service:
             InputError: A name is unknown, or a number is not allowed.
         """
         values = asked.model_dump(exclude={"drivers", "seeds", "pace"})
-        return resolve(DriveAsked.model_validate(values), self.paths())
+        return resolve(DriveAsked.model_validate(values), self.path)
 
     async def upload(self, name: str, content: bytes) -> tuple[UploadRow, dict[str, Any]]:
-        """Take a line or trainset file.
+        """Take a line, trainset or policy file.
 
         Raises:
             InputError: It is too large, of no known kind, or malformed: the message names the field.
@@ -102,7 +128,9 @@ class Service:
         shown = Path(name.replace("\\", "/")).name[:80] or "file"
         suffix = Path(shown).suffix.lower()
         if suffix not in SUFFIXES:
-            raise InputError("unknown kind of file", file=shown, allowed="a file ending in .toml or .json")
+            raise InputError(
+                "unknown kind of file", file=shown, allowed=f"a file ending in {', '.join(SUFFIXES)}"
+            )
         if len(content) > self.settings.upload_bytes:
             limit = f"at most {self.settings.upload_bytes:,} bytes".replace(",", " ")
             raise InputError("too large", file=shown, value=len(content), unit="bytes", allowed=limit)
@@ -145,8 +173,7 @@ class Service:
 
     async def journey(self, asked: dict[str, Any]) -> dict[str, Any]:
         """A journey."""
-        paths = self.paths()
-        names = {name: paths.get(asked[name], asked[name]) for name in ("line", "trainset")}
+        names = {name: self.path(name, asked[name]) for name in ("line", "trainset")}
         return await self.pools.answer(plans.journey_of, {**asked, **names})
 
     # ------------------------------------------------------------------------------------------ jobs
@@ -170,8 +197,10 @@ class Service:
         else:
             request = self.request(asked)
             request.run()
-            names = asked.drivers if isinstance(asked, CompareAsked) else [asked.driver]
-            self._check_drivers(request, names)
+            if isinstance(asked, CompareAsked):
+                self._compared(asked)
+            else:
+                self._check_driver(request)
             kind = "compare" if isinstance(asked, CompareAsked) else "drive"
         job = self.store.new_job(kind, asked.model_dump())
         self._schedule(job, kind, asked.model_dump(), None)
@@ -181,6 +210,10 @@ class Service:
         """Ask a job to end: a learning run ends at its next checkpoint, anything else at once."""
         row = self.store.job(job)
         if row.status in OVER:
+            return
+        session = self.sessions.get(job)
+        if session is not None and not session.over:
+            asyncio.run_coroutine_threadsafe(session.stop(), session.loop)
             return
         self.store.update(job, stop=1)
         future = self.futures.get(job)
@@ -209,7 +242,7 @@ class Service:
             future = self.pools.submit(kind, studying.study_job, root, job, asked)
         elif kind == "compare":
             body = CompareAsked.model_validate(asked)
-            what = (self.request(body), body.drivers, body.seeds)
+            what = (self.request(body), self._compared(body), body.seeds)
             future = self.pools.submit(kind, drives.compare_job, root, job, *what)
         else:
             request = self.request(DriveAsked.model_validate(asked))
@@ -238,12 +271,32 @@ class Service:
         self.store.update(job, status="stopped" if stopped else "done", words=words, result=result, **done)
 
     @staticmethod
-    def _check_drivers(request: Request, names: list[str]) -> None:
-        from dataclasses import replace
+    def _check_driver(request: Request) -> None:
+        """Make the driver, and read the policy that it was told to drive by.
 
-        for name in names:
-            options = request.options if name == request.driver else {}
-            replace(request, driver=name, options=options).make_driver()
+        Raises:
+            InputError: No such driver or option, or the policy is none of this driver's.
+        """
+        driver = request.make_driver()
+        try:
+            driver.read_policy()
+        except InputError as error:
+            told = {"value": error.value, "unit": error.unit, "allowed": error.allowed}
+            raise InputError(error.message, field=f"options.{POLICY}", **told) from None
+
+    def _compared(self, asked: CompareAsked) -> dict[str, str]:
+        """The drivers of a comparison as :func:`metropilot.evaluate.compare` takes them, by their names.
+
+        Raises:
+            InputError: No such driver, or no such option of it.
+        """
+        found = {}
+        for name in asked.drivers:
+            options = asked.options if name == asked.driver else {}
+            request = self.request(asked.model_copy(update={"driver": name, "options": options}))
+            self._check_driver(request)
+            found[name] = ":".join([request.driver, *(f"{k}={v}" for k, v in request.options.items())])
+        return found
 
     @staticmethod
     def _check_learning(asked: LearnAsked) -> None:
@@ -271,11 +324,13 @@ class Service:
 
         Raises:
             InputError: The run cannot be driven.
-            Refused: Too many live runs (429).
+            Refused: Too many live runs (429), or it failed to start (422).
         """
-        running = [s for s in self.sessions.values() if not s.over]
+        await self.stop_abandoned()
+        running = [s.id for s in self.sessions.values() if not s.over]
         if len(running) >= self.settings.live_runs:
-            raise Refused(f"at most {self.settings.live_runs} live runs at once", 429)
+            words = f"at most {self.settings.live_runs} live runs at once; stop one of {', '.join(running)}"
+            raise Refused(words, 429)
         convoy = isinstance(asked, ConvoyAsked)
         request: Any = self._convoy(asked) if convoy else self._run(asked)
         order: dict[str, Any] = {
@@ -294,9 +349,10 @@ class Service:
         session = Session(job, asked.model_dump(), spare, self._keep)
         self._forget_old()
         self.sessions[job] = session
-        self.store.update(job, status="running", words="")
+        self.store.update(job, status="running", words="", error=None)
         session.start(order)
         self.spare = start_spare(self.settings.worker_bytes)
+        await session.wait_begun()
         return session
 
     async def resume_live(self, job: str) -> Session:
@@ -306,15 +362,42 @@ class Service:
             Refused: It is no live run, or it is over or running (409).
         """
         row = self.store.job(job)
-        if row.kind != "live" or row.status not in {"interrupted", "stopped"}:
+        if row.kind != "live" or row.status not in RESUMABLE:
             raise Refused(f"a {row.kind} that is {row.status} cannot be resumed", 409, field="id", value=job)
         kind = ConvoyAsked if "follower" in row.asked else LiveAsked
         return await self.go_live(kind.model_validate(row.asked), job)
 
+    def live_run(self, job: str) -> JobRow:
+        """A live run or convoy as it is stored, also one of an earlier server.
+
+        Raises:
+            Refused: There is none of that id (404).
+        """
+        row = self.store.job(job)
+        if row.kind != "live":
+            raise Refused("no such live run", 404, field="id", value=job)
+        return row
+
+    def live_runs(self) -> list[JobRow]:
+        """Live runs that go on, and the newest of those that can be resumed."""
+        rows = self.store.jobs("live", limit=1000)
+        going = [row for row in rows if row.status == "running" and row.id in self.sessions]
+        return going + [row for row in rows if row.status in RESUMABLE][:LISTED]
+
+    async def stop_abandoned(self) -> None:
+        """Stop the live runs that nobody has watched for long, so that they take nobody's place."""
+        for session in list(self.sessions.values()):
+            if session.over or session.unwatched_s <= ABANDONED_S:
+                continue
+            with suppress(Refused):
+                await session.stop()
+                words = f"nobody watched it for {ABANDONED_S:g} s; it can be resumed"
+                self.store.update(session.id, words=words)
+
     def _run(self, asked: LiveAsked) -> Request:
         request = self.request(asked)
         request.run()
-        self._check_drivers(request, [asked.driver])
+        self._check_driver(request)
         return request
 
     def _convoy(self, asked: ConvoyAsked) -> ConvoyRequest:
@@ -368,10 +451,12 @@ class Service:
                 self.store.update(job, progress=known["step"])
         elif kind == "kept":
             self.store.update(job, result=known["result"], words=known["outcome"])
-        elif kind == "error":
-            self.store.update(job, words=known["text"].decode()[:500])
         else:
-            self.store.update(job, status=known["status"])
+            error = known["error"]
+            changes = {"error": error, "words": error["message"]} if error is not None else {}
+            if "step" in known:
+                changes["progress"] = known["step"]
+            self.store.update(job, status=known["status"], **changes)
 
     def _forget_old(self) -> None:
         over = [key for key, session in self.sessions.items() if session.over and not session.viewers]
@@ -379,10 +464,7 @@ class Service:
             del self.sessions[key]
 
     async def _watching(self) -> None:
-        """End runs that wait for nobody."""
+        """Stop what is abandoned, for as long as the server runs."""
         while True:
             await asyncio.sleep(10.0)
-            for session in list(self.sessions.values()):
-                lonely = session.viewers == 0 and monotonic() - session.left_at > LONELY_S
-                if not session.over and lonely and session.known.pace <= 0:
-                    await session.ask({"kind": "stop"})
+            await self.stop_abandoned()

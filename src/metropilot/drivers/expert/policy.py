@@ -63,6 +63,10 @@ class AbstractExpertPolicyDriver(AbstractDriver):
             raise InputError("did not learn inside the expert", file=self.path, field="perception.action")
         return loaded
 
+    def read_policy(self) -> object:
+        """What changes the rate."""
+        return self.loaded
+
     @cached_property
     def _action(self) -> ExpertAction | ExpertChoiceAction:
         return cast("ExpertAction | ExpertChoiceAction", self.loaded.perception.action)

@@ -30,7 +30,7 @@ class FollowPolicyOptions:
     """Which policy sets the gains.
 
     Attributes:
-        policy: A policy file or the folder of a learning run; empty: the one shipped with the driver.
+        policy: A policy file, or the folder or id of a learning run; empty: the one shipped with the driver.
     """
 
     policy: str = ""

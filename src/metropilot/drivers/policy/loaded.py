@@ -12,6 +12,7 @@ import numpy as np
 from metropilot.drivers.policy.policy import Policy, chosen, network_output
 from metropilot.drivers.policy.policy_file import load_policy
 from metropilot.errors import InputError
+from metropilot.home import runs_folder
 from metropilot.task import Perception
 
 FILE = "policy.safetensors"
@@ -71,8 +72,11 @@ class LoadedPolicy:
 
 
 def policy_path(given: str | Path) -> Path:
-    """The policy file that a path means: the file itself, or the one in a learning run's folder."""
+    """The policy file that is meant: the file itself, or that of a learning run by its folder or its id."""
     path = Path(given)
+    if not path.exists() and path.name == str(given):
+        kept = runs_folder() / path / FILE
+        return kept if kept.exists() else path
     return path / FILE if path.is_dir() else path
 
 
@@ -80,7 +84,7 @@ def load_driving_policy(given: str | Path) -> LoadedPolicy:
     """Read the policy of a driver.
 
     Args:
-        given: A policy file, or the folder of a learning run.
+        given: A policy file, or the folder or id of a learning run.
 
     Raises:
         InputError: The file cannot be read, is damaged, does not say how to drive with it, or says what does

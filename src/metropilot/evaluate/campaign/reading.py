@@ -15,6 +15,7 @@ from metropilot.evaluate.campaign.declared import DRAWN, Campaign, Disturbance
 from metropilot.evaluate.driver_options import make_driver
 from metropilot.evaluate.request_file import is_file
 from metropilot.railway import load_line, load_trainset
+from metropilot.railway.line import RESTRICTION_KMH
 from metropilot.railway.text_file import file_text
 from metropilot.task import CONTROL_PERIOD_S, Scenario
 
@@ -33,7 +34,7 @@ class _Strict(BaseModel):
 class _Restriction(_Strict):
     start: Annotated[float, Field(alias="from", ge=0, lt=1)]
     end: Annotated[float, Field(alias="to", gt=0, le=1)]
-    kmh: Annotated[float, Field(gt=0, le=500)]
+    kmh: Annotated[float, Field(ge=RESTRICTION_KMH[0], le=RESTRICTION_KMH[1])]
     announced: Share | None = None
 
 

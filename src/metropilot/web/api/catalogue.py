@@ -44,7 +44,10 @@ def routes(service: Service) -> APIRouter:
 
     @router.post("/uploads", response_model=Uploaded, status_code=201)
     async def upload(file: UploadFile) -> dict[str, Any]:
-        """Upload a line or trainset: metropilot's TOML or TTOBench's JSON. Its id is used like any other."""
+        """Upload a line or trainset (metropilot's TOML, TTOBench's JSON) or a policy (safetensors).
+
+        Its id is used like any other; that of a policy as the option `policy` of a driver.
+        """
         content = await file.read(service.settings.upload_bytes + 1)
         row, found = await service.upload(file.filename or "file", content)
         return {"kind": row.kind, "id": row.id, "name": row.name, "notes": found["notes"]}

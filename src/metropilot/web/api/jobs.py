@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query
-from fastapi.responses import FileResponse
+from fastapi.responses import FileResponse, Response
 
 from metropilot.web import catalogue
 from metropilot.web.answers import (
@@ -26,7 +26,8 @@ from metropilot.web.refused import Refused
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 
-FileName = Annotated[str, Path(pattern=r"^[a-z]{1,16}\.(csv|json|svg|png|toml)$")]
+ARCHIVE = "run.zip"
+FileName = Annotated[str, Path(pattern=r"^[a-z]{1,16}(-[0-9])?\.(csv|json|svg|png|toml|zip)$")]
 
 
 def routes(service: Service) -> APIRouter:
@@ -74,8 +75,17 @@ def routes(service: Service) -> APIRouter:
         return _result(service, job_id, ("compare",))
 
     @router.get("/jobs/{job_id}/files/{name}", response_class=FileResponse)
-    def file(job_id: Key, name: FileName) -> FileResponse:
-        """A file of a job: `trajectory.csv`, `kpis.json`, `profile.svg`, `profile.png`, `run.toml`, ..."""
+    def file(job_id: Key, name: FileName) -> Response:
+        """A file of a job: `trajectory.csv`, `kpis.json`, `profile.svg`, `profile.png`, `run.toml`, ...
+
+        `run.zip` holds all of them and the files that `run.toml` names (an uploaded line, trainset or
+        policy), so that `metropilot drive --from run.toml` drives it again anywhere. Of a convoy there are
+        `trajectory-1.csv` and so on, and all of these in `trajectories.zip`.
+        """
+        if name == ARCHIVE:
+            told = {"Content-Disposition": f'attachment; filename="{job_id}.zip"'}
+            content = catalogue.archive_of(service, job_id)
+            return Response(content, media_type="application/zip", headers=told)
         return FileResponse(catalogue.file_of(service, job_id, name), filename=f"{job_id}-{name}")
 
     @router.post("/jobs/{job_id}/stop", response_model=JobOut)

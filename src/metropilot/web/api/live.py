@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
+from time import monotonic
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header
@@ -27,6 +28,9 @@ STREAM: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "Server-sent events, numbered: `scene` (track, permitted speed, plan, names of the "
         "columns), `rows` (one a control period), `event` (news, in words), `result` (KPIs), `error`, `end`. "
+        "In a scene, `plan` leads from where the trainset was when it was made to the stop; `reference` "
+        "leads from departure to the stop for what is in force now, and a run's energy is compared with it: "
+        "`plan_energy_wheel_j` of a row is what it has used at that position. "
         "`Last-Event-ID` goes on from there; without it everything is told from departure.",
         "content": {"text/event-stream": {"schema": {"type": "string"}}},
     }
@@ -45,7 +49,10 @@ def live_out(session: Session) -> dict[str, Any]:
         "pace": known.pace,
         "behind_s": known.behind_s,
         "viewers": session.viewers,
+        "scheduled_time_s": known.scheduled_time_s,
+        "lever": known.lever,
         "outcome": known.outcome,
+        "error": known.error,
     }
 
 
@@ -84,8 +91,10 @@ def routes(service: Service) -> APIRouter:
 
     @router.get("/live/{live_id}", response_model=LiveOut)
     async def one(live_id: Key) -> dict[str, Any]:
-        """A live run."""
-        return live_out(service.session(live_id))
+        """A live run. Asking counts as watching: one that nobody watches for 2 min is stopped."""
+        session = service.session(live_id)
+        session.seen_at = monotonic()
+        return live_out(session)
 
     @router.get("/live/{live_id}/stream", response_class=StreamingResponse, responses=STREAM)
     async def stream(
@@ -104,12 +113,15 @@ def routes(service: Service) -> APIRouter:
 
     @router.post("/live/{live_id}/restriction", response_model=Told)
     async def restriction(live_id: Key, asked: NewRestriction) -> dict[str, Any]:
-        """Drop a temporary speed restriction on the track ahead."""
+        """Add a temporary speed restriction on the track ahead."""
         return await tell(live_id, "restriction", asked)
 
     @router.post("/live/{live_id}/lever", response_model=Told)
     async def lever(live_id: Key, asked: Lever) -> dict[str, Any]:
-        """Hold the lever by hand, under protection; renew it within 3 s or the driver has it again."""
+        """Hold the lever by hand, under protection; renew it within 3 s or the driver has it again.
+
+        It has one holder: another one is refused (409) and told who holds it and since when.
+        """
         return await tell(live_id, "lever", asked)
 
     @router.post("/live/{live_id}/pace", response_model=Told)
@@ -120,7 +132,7 @@ def routes(service: Service) -> APIRouter:
     @router.post("/live/{live_id}/stop", response_model=Told)
     async def stop(live_id: Key) -> dict[str, Any]:
         """End a live run; it can be resumed."""
-        return await tell(live_id, "stop", Asked())
+        return {"id": live_id, "at_s": await service.session(live_id).stop()}
 
     @router.post("/live/{live_id}/resume", response_model=LiveOut, status_code=201)
     async def resume(live_id: Key) -> dict[str, Any]:

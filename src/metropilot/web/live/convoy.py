@@ -79,6 +79,13 @@ class ConvoyEngine:
         """A convoy has no lever."""
         return False
 
+    def lever(self) -> None:
+        """A convoy has no lever."""
+
+    def heard(self) -> list[str]:
+        """A convoy's head is told nothing on the way."""
+        return []
+
     def apply(self, event: Event) -> str:
         """Make the link worse or better, or let the head brake; what happened, in words.
 
@@ -133,7 +140,16 @@ class ConvoyEngine:
         kpis = convoy_kpis(driven, self.scheduled_s)
         write_convoy(folder, self.request, driven, kpis)
         short = {"success": kpis.success, "kpis": kpis.as_dict(), "checks": convoy_checks(kpis.as_dict())}
-        full = {**short, "time_s": numbers(driven.time_s, 3), "gap_m": driven.gap_m.round(4).tolist()}
+        full = {
+            **short,
+            "time_s": numbers(driven.time_s, 3),
+            "gap_m": driven.gap_m.round(4).tolist(),
+            "speed_difference_mps": driven.speed_difference_mps.round(5).tolist(),
+            "speeds": [
+                {"time_s": numbers(t.time_s, 3), "speed_mps": numbers(t.speed_mps, 4)}
+                for t in driven.trajectories
+            ],
+        }
         return short, full, kpis.outcome
 
 

@@ -19,12 +19,18 @@ from metropilot.planning import Plan, PlanOptions, minimum_running_time, optimal
 from metropilot.protection import LEVELS, permitted_speed, protect
 from metropilot.railway import Restriction
 from metropilot.task import PUNCTUALITY_S, News, declared_bounds
+from metropilot.web.refused import Refused
 from metropilot.web.work.drives import drive_out
 from metropilot.web.work.plain import numbers, station, window
+from metropilot.web.work.plans import work_j
 
 HAND_S = 3.0
 """The lever falls back to the driver unless whoever holds it says so within this time."""
-COLUMNS = (*Moment._fields, "step")
+COLUMNS = (*Moment._fields, "plan_energy_wheel_j", "step")
+"""``plan_energy_wheel_j``: what the reference plan has used where the trainset is (see :class:`Engine`)."""
+KMH = 3.6
+NOBODY = "api"
+"""Who holds the lever where a request does not say."""
 LATE_W = 500.0
 SHORT = ("driver", "success", "kpis", "checks")
 PERMITTED_STEP_M = 5.0
@@ -35,8 +41,18 @@ Event = dict[str, Any]
 class Engine:
     """A live run.
 
+    Two plans are kept. ``plan`` leads from where the trainset was when it was made (at departure, at a new
+    arrival time or restriction, or when the driver got the lever again) to the stop: what is still possible.
+    ``reference`` leads from departure to the stop for the scheduled running time and the restrictions in
+    force: what the run is compared with. Driven and reference energy both count from departure, whatever
+    happened on the way; where the time cannot be met even from departure, the reference is late.
+
     Args:
         request: What is to be driven.
+
+    Attributes:
+        holder: Who holds the lever, None while the driver does.
+        held_since_s: When the holder took it, time since departure.
     """
 
     def __init__(self, request: Request) -> None:
@@ -45,7 +61,11 @@ class Engine:
         self.open = request.open_section()
         self.steps = 0
         self.renewed = 0.0
-        self.plan = self._plan()
+        self.holder: str | None = None
+        self.held_since_s = 0.0
+        self.due: list[str] = []
+        self.news: list[News] = []
+        self._plan_anew()
 
     @property
     def time_s(self) -> float:
@@ -69,15 +89,31 @@ class Engine:
 
     def advance(self) -> list[Any]:
         """One control period; the row it gives, in the order of ``COLUMNS``."""
+        scheduled_s, section = self.rollout.scheduled_time_s, self.rollout.section
         moment = self.rollout.advance()
         self.steps += 1
-        return [*(round(x, 4) for x in moment), self.steps]
+        if self.rollout.scheduled_time_s != scheduled_s or self.rollout.section is not section:
+            self._plan_anew()
+            if self.rollout.scheduled_time_s != scheduled_s:
+                self.due.append(self._arrival_words(scheduled_s))
+            self.due += [
+                restriction_words(r)
+                for r in self.rollout.section.restrictions
+                if r not in section.restrictions
+            ]
+        return [*(round(x, 4) for x in moment), self._reference_j(moment.position_m), self.steps]
+
+    def heard(self) -> list[str]:
+        """What the request had the driver told since the last call, in words."""
+        words, self.due = self.due, []
+        return words
 
     def apply(self, event: Event) -> str:
         """Tell the driver something, or take the lever; what happened, in words.
 
         Raises:
             InputError: It cannot be: the message says what can.
+            Refused: Somebody else holds the lever (409).
         """
         kind = event["kind"]
         if kind == "arrival":
@@ -86,27 +122,50 @@ class Engine:
             return self._restrict(Restriction(event["from_m"], event["to_m"], event["limit_mps"]))
         if kind != "lever":
             raise InputError("a run cannot be told that", field="kind", value=kind)
-        share = event["share"]
-        by_hand = self.rollout.by_hand is not None
+        take_over = bool(event.get("take_over"))
+        return self._lever(event["share"], event.get("holder", NOBODY), take_over=take_over)
+
+    def _lever(self, share: float | None, holder: str, *, take_over: bool) -> str:
+        """Take the lever, move it, or (None) give it back; it has one holder at a time."""
+        held = self.holder
+        if held not in {None, holder} and not take_over:
+            raise Refused(
+                f"the lever is held by {held} since {self.held_since_s:.1f} s after departure",
+                409,
+                field="holder",
+                value=holder,
+                allowed="take_over: true takes it over",
+            )
         self.rollout.take(share)
         self.renewed = monotonic()
+        self.holder = None if share is None else holder
+        if self.holder == held:
+            return ""
         if share is None:
-            return "the driver has the lever again" if by_hand else ""
-        return "" if by_hand else "the lever is taken by hand"
+            self._plan_anew()
+            return "the driver has the lever again"
+        self.held_since_s = self.time_s
+        return f"the lever is taken {'by hand' if held is None else f'over from {held}'} by {holder}"
 
     def holds(self, event: Event) -> bool:
-        """Whether the lever is there already; then the hand on it is felt again, and nothing changes."""
+        """Whether the lever is there already; then its holder's hand is felt again, and nothing changes."""
         if event["kind"] != "lever" or event["share"] != self.rollout.by_hand:
+            return False
+        if self.holder not in {None, event.get("holder", NOBODY)}:
             return False
         self.renewed = monotonic()
         return True
 
     def forgotten(self) -> bool:
         """Whether the hand on the lever has not been felt for too long."""
-        return self.rollout.by_hand is not None and monotonic() - self.renewed > HAND_S
+        return self.holder is not None and monotonic() - self.renewed > HAND_S
+
+    def lever(self) -> dict[str, Any] | None:
+        """Who holds the lever, and since when; None while the driver does."""
+        return None if self.holder is None else {"holder": self.holder, "since_s": self.held_since_s}
 
     def _arrival(self, scheduled_s: float) -> str:
-        earlier = scheduled_s < self.rollout.scheduled_time_s
+        before_s = self.rollout.scheduled_time_s
         if scheduled_s <= self.time_s:
             raise InputError(
                 "that time has passed",
@@ -115,10 +174,19 @@ class Engine:
                 unit="s",
                 allowed=f"> {self.time_s:.1f} s",
             )
-        self.rollout.tell(News(self.time_s, scheduled_time_s=scheduled_s))
+        self._announce(News(self.time_s, scheduled_time_s=scheduled_s))
         self.rollout.scheduled_time_s = scheduled_s
-        self.plan = self._plan()
-        return f"told to arrive {'earlier' if earlier else 'later'}: after {scheduled_s:g} s{self._instead()}"
+        self._plan_anew()
+        return self._arrival_words(before_s)
+
+    def _arrival_words(self, before_s: float) -> str:
+        scheduled_s = self.rollout.scheduled_time_s
+        way = "earlier" if scheduled_s < before_s else "later"
+        return f"told to arrive {way}: after {scheduled_s:g} s{self._instead()}"
+
+    def _announce(self, news: News) -> None:
+        self.news.append(news)
+        self.rollout.tell(news)
 
     def _instead(self) -> str:
         """When it can be there, where the time it was told cannot be met from here; else nothing."""
@@ -130,15 +198,7 @@ class Engine:
         return f"; from here it can be there after {arrives_s:.1f} s"
 
     def _restrict(self, restriction: Restriction) -> str:
-        section = self.rollout.section
-        if restriction.from_m >= section.length_m:
-            raise InputError(
-                "begins beyond the stop",
-                field="from_m",
-                value=restriction.from_m,
-                unit="m",
-                allowed=f"< {section.length_m:g} m",
-            )
+        self.open.checked(restriction)
         tail = float(self.rollout.state.position_m) - self.rollout.trainset.length_m
         if restriction.to_m <= tail:
             raise InputError(
@@ -157,11 +217,10 @@ class Engine:
                 unit="m",
                 allowed=f"{nearest:.0f} m or further" if nearest is not None else "a higher speed",
             )
-        self.rollout.tell(News(self.time_s, restriction=restriction))
+        self._announce(News(self.time_s, restriction=restriction))
         self.rollout.hear()
-        self.plan = self._plan()
-        where = f"{restriction.from_m:.0f} to {restriction.to_m:.0f} m"
-        return f"restriction announced: {3.6 * restriction.limit_mps:.0f} km/h from {where}"
+        self._plan_anew()
+        return restriction_words(restriction)
 
     def _in_time(self, restriction: Restriction) -> bool:
         """Whether the speed is one protection would permit with the restriction."""
@@ -180,16 +239,24 @@ class Engine:
                 return float(at)
         return None
 
-    def _plan(self) -> Plan | None:
-        """The optimal plan from here, which may be late where the time cannot be met."""
-        state, rollout = self.rollout.state, self.rollout
-        left = max(rollout.scheduled_time_s - self.time_s, 1.0)
-        speed = float(state.speed_mps)
+    def _plan_anew(self) -> None:
+        """Make both plans for what is in force now."""
+        state = self.rollout.state
+        self.planned_s = self.time_s
+        self.plan = self._plan(max(float(state.position_m), 0.0), float(state.speed_mps), self.time_s)
+        force = (self.rollout.scheduled_time_s, self.rollout.section.restrictions)
+        if self.steps == 0:
+            self.force, self.reference = force, self.plan
+        elif force != self.force:
+            self.force, self.reference = force, self._plan(0.0, 0.0, 0.0)
+        self.reference_used_j = None if self.reference is None else work_j(self.reference)
+
+    def _plan(self, start_m: float, start_mps: float, time_s: float) -> Plan | None:
+        """The optimal plan from a state to the stop, which may be late where the time cannot be met."""
+        rollout = self.rollout
+        left = max(rollout.scheduled_time_s - time_s, 1.0)
         options = PlanOptions(
-            objective=self.request.objective,
-            start_m=max(float(state.position_m), 0.0),
-            start_mps=speed,
-            late_w=LATE_W,
+            objective=self.request.objective, start_m=start_m, start_mps=start_mps, late_w=LATE_W
         )
         try:
             return optimal_plan(
@@ -198,21 +265,31 @@ class Engine:
         except (Infeasible, SolverError):
             return None
 
+    def _reference_j(self, position_m: float) -> float | None:
+        """Traction energy the reference plan has used at a position."""
+        if self.reference is None or self.reference_used_j is None:
+            return None
+        return round(float(np.interp(position_m, self.reference.position_m, self.reference_used_j)), 1)
+
     def scene(self) -> dict[str, Any]:
         """What stands still between events: track, permitted speed, plan."""
-        rollout, plan = self.rollout, self.plan
+        rollout, plan, reference = self.rollout, self.plan, self.reference
         section, trainset = rollout.section, rollout.run.trainset
         track = track_arrays(section, trainset)
         at = np.append(np.arange(0.0, section.length_m, PERMITTED_STEP_M), section.length_m)
         inside = (track.limit_from_m < section.length_m) & np.isfinite(track.limit_from_m)
-        drawn = None
+        drawn = compared = None
         if plan is not None:
-            work = np.concatenate([[0.0], np.cumsum(plan.traction_n * np.diff(plan.position_m))])
             drawn = {
                 "position_m": numbers(plan.position_m, 2),
                 "speed_mps": numbers(plan.speed_mps, 4),
-                "energy_wheel_j": numbers(float(rollout.state.traction_j) + work, 0),
-                "time_s": numbers(self.time_s + plan.time_s, 3),
+                "time_s": numbers(self.planned_s + plan.time_s, 3),
+            }
+        if reference is not None and self.reference_used_j is not None:
+            compared = {
+                "position_m": numbers(reference.position_m, 2),
+                "energy_wheel_j": numbers(self.reference_used_j, 0),
+                "running_time_s": round(float(reference.time_s[-1]), 3),
             }
         return {
             "columns": list(COLUMNS),
@@ -242,7 +319,8 @@ class Engine:
                 "speed_mps": numbers(permitted_speed(rollout.protection, at), 4),
             },
             "plan": drawn,
-            "by_hand": rollout.by_hand is not None,
+            "reference": compared,
+            "lever": self.lever(),
         }
 
     def report(self, folder: Path) -> tuple[dict[str, Any], dict[str, Any], str]:
@@ -251,10 +329,32 @@ class Engine:
         optimum = optimum_of(driven, self.request.objective)
         kpis = kpis_of(driven, optimum, self.request.objective)
         full = drive_out(driven, kpis, optimum)
-        write_run(folder, self.request, driven, kpis, optimum)
+        write_run(folder, self.told(), driven, kpis, optimum)
         return {name: full[name] for name in SHORT}, full, kpis.outcome
+
+    def told(self) -> Request:
+        """The request with what the driver was told on the way; what a hand did is not in it."""
+        restrictions = tuple(
+            f"{r.from_m!r}-{r.to_m!r}@{r.limit_mps * KMH!r}@{n.at_s!r}"
+            for n in self.news
+            if (r := n.restriction) is not None
+        )
+        arrivals = tuple(
+            f"{n.scheduled_time_s!r}@{n.at_s!r}" for n in self.news if n.scheduled_time_s is not None
+        )
+        return replace(
+            self.request,
+            restrictions=(*self.request.restrictions, *restrictions),
+            arrivals=(*self.request.arrivals, *arrivals),
+        )
 
     @property
     def minimum_s(self) -> float:
         """Minimum running time of the section as it was before departure."""
         return minimum_running_time(self.open, self.rollout.run.trainset)
+
+
+def restriction_words(restriction: Restriction) -> str:
+    """A restriction that is announced, in words."""
+    where = f"{restriction.from_m:.0f} to {restriction.to_m:.0f} m"
+    return f"restriction announced: {3.6 * restriction.limit_mps:.0f} km/h from {where}"

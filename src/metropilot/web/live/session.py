@@ -6,7 +6,8 @@ import asyncio
 import itertools
 import json
 from collections.abc import AsyncIterator, Callable
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, fields
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -15,11 +16,12 @@ from time import monotonic
 from typing import Any, cast
 
 from metropilot.web.live.worker import main
-from metropilot.web.refused import Refused
+from metropilot.web.refused import FIELDS, Refused
 
 ANSWER_S = 10.0
 KEEP_ALIVE_S = 15.0
-SHOWN = ("scene", "rows", "event", "result", "error", "end")
+SHOWN = ("scene", "rows", "event", "result", "error")
+DIED = "the process of the run ended before the run did, most likely of too little memory"
 
 
 @dataclass
@@ -50,7 +52,13 @@ class Known:
     pace: float = 1.0
     behind_s: float = 0.0
     outcome: str | None = None
+    scheduled_time_s: float | None = None
+    lever: dict[str, Any] | None = None
+    error: dict[str, Any] | None = None
     status: str = "running"
+
+
+KNOWN = tuple(f.name for f in fields(Known) if f.name not in {"status", "error"})
 
 
 @dataclass
@@ -66,6 +74,7 @@ class Session:
         said: Everything said so far, as events of the stream.
         viewers: How many listen.
         summary: KPIs and requirements, once it has stopped.
+        seen_at: When somebody last watched it or asked about it.
     """
 
     id: str
@@ -76,13 +85,14 @@ class Session:
     said: list[bytes] = field(default_factory=list)
     viewers: int = 0
     summary: dict[str, Any] | None = None
-    left_at: float = field(default_factory=monotonic)
+    seen_at: float = field(default_factory=monotonic)
 
     def __post_init__(self) -> None:
         self.loop = asyncio.get_running_loop()
         self.more = asyncio.Event()
         self.numbers = itertools.count()
         self.answers: dict[int, asyncio.Future[dict[str, Any]]] = {}
+        self.begun, self.ended = asyncio.Event(), asyncio.Event()
         self.known.pace = float(self.asked["pace"])
 
     @property
@@ -90,10 +100,32 @@ class Session:
         """Whether it has ended."""
         return self.known.status != "running"
 
+    @property
+    def unwatched_s(self) -> float:
+        """How long nobody has watched it or asked about it."""
+        return 0.0 if self.viewers else monotonic() - self.seen_at
+
     def start(self, order: dict[str, Any]) -> None:
         """Give the process its order and listen."""
         self.spare.pipe.send(order)
         Thread(target=self._listen, daemon=True, name=self.id).start()
+
+    async def wait_begun(self) -> None:
+        """Wait until it stands ready to depart; a slow machine is not waited for without end.
+
+        Raises:
+            Refused: It cannot depart; the message says why.
+        """
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self.begun.wait(), ANSWER_S)
+        if self.known.status == "failed":
+            raise self.failure()
+
+    def failure(self) -> Refused:
+        """Why it failed."""
+        told = self.known.error or {"message": DIED}
+        shown = {name: told.get(name) for name in ("field", "value", "allowed")}
+        return Refused(told["message"], 422, **shown)
 
     async def ask(self, event: dict[str, Any]) -> float:
         """Tell the run something; at what time it took note.
@@ -104,6 +136,7 @@ class Session:
         """
         if self.over:
             raise Refused("the run is over", 409, field="id", value=self.id)
+        self.seen_at = monotonic()
         number = next(self.numbers)
         future = self.answers[number] = self.loop.create_future()
         try:
@@ -116,6 +149,17 @@ class Session:
         if "error" in answer:
             raise answer["error"]
         return float(answer["time_s"])
+
+    async def stop(self) -> float:
+        """End the run, so that it can be resumed; at what time it ended.
+
+        Raises:
+            Refused: The run is over, or does not answer.
+        """
+        at = await self.ask({"kind": "stop"})
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self.ended.wait(), ANSWER_S)
+        return at
 
     async def listen(self, after: int = -1) -> AsyncIterator[bytes]:
         """Everything said from an event on, then what is said from now on, until the run is over."""
@@ -136,7 +180,7 @@ class Session:
                     yield b": still here\n\n"
         finally:
             self.viewers -= 1
-            self.left_at = monotonic()
+            self.seen_at = monotonic()
 
     def kill(self) -> None:
         """End the process at once."""
@@ -144,22 +188,23 @@ class Session:
 
     def _listen(self) -> None:
         """In a thread of its own: forward what the process says."""
-        status = "failed"
+        last: dict[str, Any] = {"status": "failed"}
+        error: dict[str, Any] | None = None
         try:
             while True:
                 kind, text, known = self.spare.pipe.recv()
                 if kind == "end":
-                    status = "stopped" if b'"stopped":true' in text else "done"
-                if kind in {"journal", "kept", "rows", "error"}:
-                    self.kept(self, kind, known if kind != "error" else {"text": text})
-                self._in_loop(self._took, kind, text, known)
-                if kind == "end":
+                    last = known
                     break
+                error = known["error"] if kind == "error" else error
+                if kind in {"journal", "kept", "rows"}:
+                    self.kept(self, kind, known)
+                self._in_loop(self._took, kind, text, known)
         except (EOFError, OSError):
-            pass
+            error = {"message": DIED, **dict.fromkeys(FIELDS)}
         self.spare.process.join()
-        self.kept(self, "end", {"status": status})
-        self._in_loop(self._ended, status)
+        self.kept(self, "end", {**last, "error": error})
+        self._in_loop(self._ended, last["status"], error)
 
     def _in_loop(self, call: Callable[..., None], *values: object) -> None:
         try:
@@ -169,23 +214,28 @@ class Session:
 
     def _took(self, kind: str, text: bytes, known: dict[str, Any]) -> None:
         for name, value in known.items():
-            if name in {"time_s", "position_m", "step", "pace", "behind_s", "outcome"}:
+            if name in KNOWN:
                 setattr(self.known, name, value)
         if kind == "answer":
             future = self.answers.get(known["number"])
             if future is not None and not future.done():
                 future.set_result(known)
-        elif kind in SHOWN and kind != "end":
+        elif kind in SHOWN:
             if kind == "result":
                 self.summary = json.loads(text)
+            elif kind == "scene":
+                self.begun.set()
             self._say(kind, text)
 
-    def _ended(self, status: str) -> None:
-        self.known.status = status
+    def _ended(self, status: str, error: dict[str, Any] | None) -> None:
+        self.known.status, self.known.error, self.known.lever = status, error, None
+        self.begun.set()
+        self.ended.set()
         for future in self.answers.values():
             if not future.done():
                 future.set_result({"error": Refused("the run is over", 409, field="id", value=self.id)})
-        self._say("end", b'{"status":"' + status.encode() + b'"}')
+        said = {"status": status} | ({} if error is None else {"message": error["message"]})
+        self._say("end", json.dumps(said).encode())
 
     def _say(self, kind: str, text: bytes) -> None:
         self.said.append(b"id: %d\nevent: %s\ndata: %s\n\n" % (len(self.said), kind.encode(), text))

@@ -6,9 +6,11 @@ import json
 from multiprocessing.connection import Connection
 from pathlib import Path
 from time import monotonic
+from traceback import print_exc
 from typing import TYPE_CHECKING, Any
 
 from metropilot.errors import MetropilotError
+from metropilot.web.pools import explained
 from metropilot.web.refused import detail_of
 from metropilot.web.work.setup import begin
 
@@ -22,6 +24,8 @@ FLUSH_S = 0.1
 MOST_STEPS = 40
 GIVEN_UP_S = 0.5
 """Further behind than this the clock is set back: a run never races to catch up."""
+GIVE_BACK = {"kind": "lever", "share": None, "take_over": True}
+"""Whoever holds the lever, the driver gets it."""
 
 
 def main(pipe: Connection, worker_bytes: int) -> None:
@@ -53,7 +57,8 @@ class Driving:
         self.flushed = 0.0
 
     def to_the_end(self) -> None:
-        """Begin, replay, drive, report."""
+        """Begin, replay, drive, report; whatever goes wrong is said before the end."""
+        steps, failed = self.order["step"], False
         try:
             engine = self._engine()
             self._replay(engine)
@@ -61,11 +66,19 @@ class Driving:
             while not engine.over and not self.stopped:
                 self._listen(engine)
                 self._drive(engine)
+            steps = engine.steps
             if not self.stopped:
                 self._report(engine)
-        except MetropilotError as error:
-            self._say("error", {"error": detail_of(error)})
-        self._say("end", {"stopped": self.stopped})
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            raise  # the server is gone
+        except Exception as error:  # noqa: BLE001 (whatever it is, the run has failed and the user is told)
+            failed = True
+            if not isinstance(error, MetropilotError):
+                print_exc()
+            detail = detail_of(explained(error, 0.0))
+            self._say("error", {"error": detail}, {"error": detail})
+        status = "failed" if failed else "stopped" if self.stopped else "done"
+        self._say("end", {"status": status}, {"status": status, "step": steps})
 
     def _engine(self) -> AnyEngine:
         from metropilot.web.live.convoy import ConvoyEngine
@@ -73,8 +86,13 @@ class Driving:
 
         return (ConvoyEngine if self.order["convoy"] else Engine)(self.order["request"])
 
-    def _say(self, kind: str, value: dict[str, Any]) -> None:
-        self.pipe.send((kind, encoded(value), {}))
+    def _say(self, kind: str, value: dict[str, Any], known: dict[str, Any] | None = None) -> None:
+        self.pipe.send((kind, encoded(value), known or {}))
+
+    def _say_scene(self, engine: AnyEngine) -> None:
+        scene = engine.scene()
+        known = {"scheduled_time_s": scene["scheduled_time_s"], "lever": engine.lever()}
+        self._say("scene", scene, known)
 
     def _rows(self, engine: AnyEngine, rows: list[list[Any]]) -> None:
         self.flushed = monotonic()
@@ -87,21 +105,21 @@ class Driving:
         """Do again what was done before the server went away."""
         journal = list(self.order["journal"])
         end = max([self.order["step"], *(step for step, _ in journal)])
-        self._say("scene", engine.scene())
+        self._say_scene(engine)
         rows = []
         while not engine.over:
             while journal and journal[0][0] <= engine.steps:
-                engine.apply(journal.pop(0)[1])
+                event = journal.pop(0)[1]
+                self._tell(engine, event["kind"], engine.apply(event))
             if engine.steps >= end:
                 break
             rows.append(engine.advance())
-        let_go = {"kind": "lever", "share": None}
-        if not engine.holds(let_go):
-            engine.apply(let_go)
+            self._heard(engine)
         if rows:
             self._clock(engine)
             self._rows(engine, rows)
-            self._say("scene", engine.scene())
+            self._say_scene(engine)
+        self._apply(engine, GIVE_BACK)
 
     def _clock(self, engine: AnyEngine) -> None:
         """From now on the run's clock goes at the pace."""
@@ -138,7 +156,8 @@ class Driving:
             self._clock(engine)
         else:
             self._apply(engine, event)
-        self.pipe.send(("answer", b"", {"number": number, "time_s": engine.time_s}))
+        known = {"number": number, "time_s": engine.time_s, "lever": engine.lever()}
+        self.pipe.send(("answer", b"", known))
         if event["kind"] == "pace":
             self._rows(engine, [])
 
@@ -147,16 +166,29 @@ class Driving:
             return
         words = engine.apply(event)
         self.pipe.send(("journal", b"", {"step": engine.steps, "event": event}))
+        if self._tell(engine, event["kind"], words):
+            self._say_scene(engine)
+
+    def _tell(self, engine: AnyEngine, kind: str, words: str) -> bool:
+        """Say what happened, if anything did."""
         if words:
-            self._say("event", {"time_s": engine.time_s, "kind": event["kind"], "words": words})
-            self._say("scene", engine.scene())
+            said = {"time_s": engine.time_s, "kind": kind, "words": words}
+            self._say("event", said, {"lever": engine.lever()})
+        return bool(words)
+
+    def _heard(self, engine: AnyEngine) -> bool:
+        """Say what the request had the driver told, if anything."""
+        heard = engine.heard()
+        for words in heard:
+            self._tell(engine, "news", words)
+        return bool(heard)
 
     def _drive(self, engine: AnyEngine) -> None:
         """The control periods that are due, at most so many before orders are heard again."""
+        if engine.forgotten():
+            self._apply(engine, GIVE_BACK)
         if self.pace <= 0:
             return
-        if engine.forgotten():
-            self._apply(engine, {"kind": "lever", "share": None})
         dt, rows, began = engine.dt_s, [], monotonic()
         while engine.time_s + dt <= self._wanted_s() + 1e-6 and not engine.over:
             rows.append(engine.advance())
@@ -164,6 +196,8 @@ class Driving:
                 break
         if rows:
             self._rows(engine, rows)
+        if self._heard(engine):
+            self._say_scene(engine)
         if self._wanted_s() - engine.time_s > GIVEN_UP_S * max(self.pace, 1.0):
             self._clock(engine)
 

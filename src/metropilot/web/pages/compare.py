@@ -8,12 +8,22 @@ from fastapi import Request
 from nicegui import ui
 
 from metropilot.errors import MetropilotError
-from metropilot.web.asked import CompareAsked, PlanAsked
-from metropilot.web.pages.drive import validated
-from metropilot.web.pages.form import DisturbanceForm, SectionForm, driver_names
+from metropilot.web import catalogue
+from metropilot.web.asked import CompareAsked
+from metropilot.web.pages.form import (
+    DisturbanceForm,
+    SectionForm,
+    bounded,
+    driver_choice,
+    driver_names,
+    other_options,
+    validated,
+)
 from metropilot.web.pages.frame import card, empty, frame, links, number, refresh_while, table
 from metropilot.web.pages.plots import blank, compare_figure, front_figure
+from metropilot.web.refused import Refused
 from metropilot.web.service import Service
+from metropilot.web.store import JobRow
 
 SHOWN = (
     ("time_error_s", "time (s)", 1.0, 2),
@@ -34,11 +44,14 @@ POLL_S = 0.4
 class ComparePage:
     """The page's state for one browser."""
 
-    def __init__(self, service: Service, job: str | None) -> None:
+    def __init__(self, service: Service, job: str | None, driver: str | None = None) -> None:
         self.service = service
         self.job = job
+        self.driver = driver
         self.front: dict[str, Any] | None = None
         self.entries: list[dict[str, Any]] = []
+        self.driven: dict[str, Any] = {}
+        self.options: dict[str, Any] = {}
         self.wanted_s: float | None = None
         self.planning = False
         self.form = SectionForm(service, self.load_front, self.move_cursor)
@@ -48,15 +61,14 @@ class ComparePage:
         """Left what is asked, right what came of it."""
         with ui.element("div").classes("mp-col"), card("Run"):
             self.form.build()
-            drivers = driver_names()
-            chosen = [name for name in ("optimal", "manual", "flat_out") if name in drivers]
+            drivers = driver_names(self.service)
+            wanted = ("optimal", "manual", "flat_out") if self.driver is None else ("optimal", self.driver)
+            chosen = [name for name in wanted if name in drivers]
             self.drivers = ui.select(drivers, value=chosen, label="Drivers", multiple=True)
             self.drivers.props("outlined dense options-dense use-chips")
             self.form.problem.beside("drivers", self.drivers).props('data-test="drivers"')
             self.form.problem.beside("driver", self.drivers)
-            self.seeds = ui.number("Seeds of each driver", value=1, min=1, max=50, step=1).props(
-                "outlined dense"
-            )
+            self.seeds = bounded("Seeds of each driver", CompareAsked, "seeds", value=1, step=1)
             self.form.problem.beside("seeds", self.seeds)
             self.disturbances.build(self.form.problem)
             with ui.element("div").classes("mp-row"):
@@ -74,17 +86,53 @@ class ComparePage:
                     empty("Choose drivers and press Compare.")
 
     async def load(self) -> None:
-        """After the page is there."""
+        """After the page is there: the form of the run it came for, then the section."""
+        wrong = None
+        try:
+            if self.job:
+                self.restore(self.service.store.job(self.job))
+        except MetropilotError as error:
+            wrong = error
         await self.form.load()
-        if self.job:
+        if wrong is not None:
+            self.form.problem.show(wrong)
+        elif self.job:
             self.watch()
+
+    def restore(self, row: JobRow) -> None:
+        """Fill the form as a comparison was asked for.
+
+        Raises:
+            MetropilotError: It is none, or its line, station or trainset is not here any more.
+        """
+        if row.kind != "compare":
+            raise Refused(f"the job is a {row.kind}, no comparison", 404, field="id", value=row.id)
+        asked = row.asked
+        self.form.restore(asked)
+        self.disturbances.restore(asked)
+        self.seeds.value = asked["seeds"]
+        chosen = {
+            name: driver_choice(
+                self.service, self.drivers, name, asked["options"] if name == asked["driver"] else {}
+            )
+            for name in asked["drivers"]
+        }
+        self.drivers.value = list(chosen.values())
+        driver = chosen.get(asked["driver"], asked["driver"])
+        self.options = {"driver": driver, "options": other_options(asked["options"])}
 
     async def load_front(self) -> None:
         """The front of the section."""
-        asked = PlanAsked.model_validate({**self.form.asked(), "time_s": None})
         with self.form.problem.watching():
-            self.front = await self.service.front(asked)
+            self.front = await self.service.front(self.form.planned(None))
             await self.move_cursor()
+
+    def shown(self) -> list[dict[str, Any]]:
+        """The drives that belong on the front that is shown: those of its section."""
+        plain = {"objective": "wheel", "restrictions": []}
+        here = {**plain, **self.form.kept, **self.form.asked(), "time_s": self.driven.get("time_s")}
+        same = all(self.driven.get(name) == value for name, value in here.items())
+        return self.entries if same else []
 
     async def move_cursor(self) -> None:
         """What a second costs where the slider is."""
@@ -98,10 +146,7 @@ class ComparePage:
             while (now := self.wanted_s) is not None:
                 self.wanted_s = None
                 with self.form.problem.watching():
-                    plan = await self.service.plan(
-                        PlanAsked.model_validate({**self.form.asked(), "time_s": now})
-                    )
-                    self.say_second(now, plan)
+                    self.say_second(now, await self.service.plan(self.form.planned(now)))
         finally:
             self.planning = False
 
@@ -114,14 +159,17 @@ class ComparePage:
             f"The next second saves {second:.0f} Wh, {100 * second / 1000 / energy:.1f} %."
         )
         if self.front is not None:
-            self.front_plot.update_figure(front_figure(self.front, (now, energy), self.entries))
+            self.front_plot.update_figure(front_figure(self.front, (now, energy), self.shown()))
 
     async def start(self) -> None:
         """Queue the comparison."""
         with self.form.problem.watching():
-            values = {**self.form.asked(), **self.disturbances.asked()}
-            values |= {"drivers": list(self.drivers.value or []), "seeds": int(self.seeds.value or 0)}
-            asked = validated(CompareAsked, {**values, "driver": (values["drivers"] or ["optimal"])[0]})
+            values = {**self.form.kept, **self.form.asked(), **self.disturbances.asked()}
+            drivers = list(self.drivers.value or [])
+            values |= {"drivers": drivers, "seeds": self.seeds.value, "driver": (drivers or ["optimal"])[0]}
+            if self.form.linked and self.options.get("driver") in drivers:
+                values |= self.options
+            asked = validated(CompareAsked, values)
             self.job = self.service.submit(asked)
             ui.run_javascript(f"history.replaceState(null, '', '/compare?job={self.job}')")
             self.watch()
@@ -147,16 +195,26 @@ class ComparePage:
         self.going = False
         found = self.service.store.result(row.id) if row.status == "done" else None
         if found is not None:
-            self.entries = found["entries"]
+            self.entries, self.driven = found["entries"], self.resolved(row.asked)
             await self.show()
+
+    def resolved(self, asked: dict[str, Any]) -> dict[str, Any]:
+        """What was asked for with stations by code and the load named, as the form has them."""
+        line = catalogue.line(self.service, asked["line"])
+        load = asked["load"] or catalogue.trainset_out(self.service, asked["trainset"])["load"]
+        codes = {name: line.station(asked[name]).code for name in ("origin", "destination")}
+        return {**asked, **codes, "load": load}
 
     async def show(self) -> None:
         """Table and picture."""
         self.result.clear()
         with self.result:
+            ends = f"{self.driven['origin']} → {self.driven['destination']}"
+            what = f"{self.driven['line']} {ends}, {self.driven['trainset']} {self.driven['load']}"
+            ui.label(what).classes("mp-soft").props('data-test="driven"')
             compare_table(self.entries)
             ui.plotly(compare_figure(self.entries)).classes("mp-plot").props('data-test="picture"')
-            names = ("comparison.json", "comparison.svg", "run.toml")
+            names = ("comparison.json", "comparison.svg", "run.zip")
             links([(name, f"/api/jobs/{self.job}/files/{name}") for name in names])
         await self.move_cursor()
 
@@ -212,9 +270,9 @@ def install(service: Service) -> None:
     """Add the page."""
 
     @ui.page("/compare", title="Compare · metropilot")
-    async def compare(request: Request, job: str | None = None) -> None:
+    async def compare(request: Request, job: str | None = None, driver: str | None = None) -> None:
         with frame(request, "/compare"):
-            page = ComparePage(service, job)
+            page = ComparePage(service, job, driver)
             page.build()
         await ui.context.client.connected()
         await page.load()

@@ -11,13 +11,14 @@ from metropilot.drivers.followers import FOLLOWERS
 from metropilot.errors import MetropilotError
 from metropilot.web import catalogue
 from metropilot.web.asked import ConvoyAsked, NewLink
-from metropilot.web.pages.drive import checks_table, validated
-from metropilot.web.pages.form import SectionForm, driver_names
+from metropilot.web.pages.drive import checks_table
+from metropilot.web.pages.form import SectionForm, bounded, driver_choice, driver_names, validated
 from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, table
-from metropilot.web.pages.plots import convoy_figure
+from metropilot.web.pages.plots import convoy_figure, driven_convoy
 from metropilot.web.pages.strip import section_strip
 from metropilot.web.refused import Refused
 from metropilot.web.service import Service
+from metropilot.web.store import JobRow
 
 PACES = {1: "real time", 2: "2 ×", 5: "5 ×", 10: "10 ×"}
 GUARDS = {
@@ -43,8 +44,9 @@ class ConvoyPage:
 
     def __init__(self, service: Service, run: str | None) -> None:
         self.service = service
-        found = service.sessions.get(run or "")
-        self.run = run if found is not None and "follower" in found.asked else None
+        self.link_to = run
+        self.run: str | None = None
+        self.kept: dict[str, Any] = {}
         self.form = SectionForm(service, self.section_changed)
 
     def build(self) -> None:
@@ -55,10 +57,10 @@ class ConvoyPage:
                 problem = self.form.problem
                 followers = list(FOLLOWERS.ids())
                 with ui.element("div").classes("mp-row"):
-                    self.count = ui.number("Trainsets", value=3, min=2, max=6, step=1)
-                    self.gap = ui.number("Wanted gap (m)", value=5.92, min=0.5, step=1)
+                    self.count = bounded("Trainsets", ConvoyAsked, "trainsets", value=3, step=1)
+                    self.gap = bounded("Wanted gap (m)", ConvoyAsked, "gap_m", value=5.92, step=1)
                 with ui.element("div").classes("mp-row"):
-                    self.head = ui.select(driver_names(), value="optimal", label="Head")
+                    self.head = ui.select(driver_names(self.service), value="optimal", label="Head")
                     self.follower = ui.select(followers, value="follow_gap", label="Followers")
                 self.guard = ui.select(GUARDS, value="coupled", label="Protection relies on")
                 fields = (("trainsets", self.count), ("gap_m", self.gap), ("driver", self.head))
@@ -79,7 +81,8 @@ class ConvoyPage:
             with self.root, ui.element("div").classes("mp-stack"):
                 with ui.element("div").classes("mp-row items-center"):
                     ui.label("Live convoy").classes("mp-h").props("role=heading aria-level=2")
-                    ui.label("not departed").classes("mp-soft").props('data-mp="status" aria-live=polite')
+                    self.status = ui.label("not departed").classes("mp-soft")
+                    self.status.props('data-mp="status" aria-live=polite')
                 self.strip = ui.html("").classes("mp-strip")
                 reads(READS)
                 self.plot = ui.plotly(convoy_figure()).classes("mp-plot")
@@ -92,9 +95,9 @@ class ConvoyPage:
         with card("The link", "From each trainset to the one behind it; changes act at once.", late=True):
             self.news = Problem()
             with ui.element("div").classes("mp-row"):
-                self.delay = ui.number("Delay (s)", value=0.0, min=0, max=2, step=0.1)
-                self.jitter = ui.number("Uneven (s)", value=0.0, min=0, max=1, step=0.1)
-                self.loss = ui.number("Lost (%)", value=0, min=0, max=100, step=5)
+                self.delay = bounded("Delay (s)", NewLink, "delay_s", value=0.0, step=0.1)
+                self.jitter = bounded("Uneven (s)", NewLink, "jitter_s", value=0.0, step=0.1)
+                self.loss = bounded("Lost (%)", NewLink, "loss", 100.0, value=0, step=5)
                 for name, element in (
                     ("delay_s", self.delay),
                     ("jitter_s", self.jitter),
@@ -112,17 +115,51 @@ class ConvoyPage:
                 brake.props('data-test="emergency"')
 
     async def start(self) -> None:
-        """After the page is there."""
-        await self.form.load()
-        if self.run:
-            self.attach(self.run, int(self.service.session(self.run).asked["trainsets"]))
+        """After the page is there: the form of the run it came for, then the section."""
+        row = None
+        try:
+            if self.link_to:
+                row = self.service.store.job(self.link_to)
+                self.restore(row)
+        finally:
+            await self.form.load()
+        if row is None:
+            return
+        self.draw_section()
+        if row.id in self.service.sessions:
+            self.run = row.id
+            self.attach(row.id, row.asked["trainsets"])
+        elif (found := self.service.store.result(row.id)) is not None:
+            self.show_over(row, found)
+        else:
+            self.form.problem.label.text = f"{row.id}: {row.status}; {row.words or 'nothing was kept of it'}"
+
+    def restore(self, row: JobRow) -> None:
+        """Fill the form as a convoy was asked for.
+
+        Raises:
+            MetropilotError: It is none, or its line, station or trainset is not here any more.
+        """
+        asked = row.asked
+        if "follower" not in asked:
+            raise Refused(f"the job is a {row.kind}, no convoy", 404, field="id", value=row.id)
+        self.form.restore(asked)
+        self.count.value, self.gap.value = asked["trainsets"], asked["gap_m"]
+        self.head.value = driver_choice(self.service, self.head, asked["driver"])
+        self.follower.value, self.guard.value = asked["follower"], asked["guard"]
+        self.delay.value, self.jitter.value = asked["delay_s"], asked["jitter_s"]
+        self.loss.value = 100 * asked["loss"]
+        session = self.service.sessions.get(row.id)
+        pace = asked["pace"] if session is None else session.known.pace
+        self.pace.value = pace if pace in PACES else self.pace.value
+        self.kept = {name: asked[name] for name in ("start_gap_m", "seed")}
 
     async def section_changed(self) -> None:
         """Draw the section, with room for the convoy behind its origin."""
         if self.form.section is not None and self.live() is None:
-            self.form.slider.value = round(
-                max(self.form.time_s, 1.35 * self.form.section["minimum_running_time_s"])
-            )
+            if not self.form.linked:
+                slow = 1.35 * self.form.section["minimum_running_time_s"]
+                self.form.slider.value = round(max(self.form.time_s, slow))
             self.draw_section()
 
     def draw_section(self) -> None:
@@ -146,13 +183,15 @@ class ConvoyPage:
                 {
                     **self.form.asked(),
                     "driver": self.head.value,
-                    "trainsets": int(self.count.value or 0),
+                    "trainsets": self.count.value,
                     "follower": self.follower.value,
                     "gap_m": self.gap.value,
                     "guard": self.guard.value,
                     "pace": float(self.pace.value or 1),
                     **self.link(),
+                    **(self.kept if self.form.linked else {}),
                 },
+                loss=100.0,
             )
             if (before := self.live()) is not None:
                 await before.ask({"kind": "stop"})
@@ -187,7 +226,7 @@ class ConvoyPage:
     async def relink(self) -> None:
         """Make the link worse, better or silent."""
         with self.news.watching():
-            asked = validated(NewLink, {**self.link(), "silent": bool(self.silent.value)})
+            asked = validated(NewLink, {**self.link(), "silent": bool(self.silent.value)}, loss=100.0)
             await self.ask({"kind": "link", **asked.model_dump()})
 
     async def brake(self) -> None:
@@ -211,12 +250,23 @@ class ConvoyPage:
         session = self.service.sessions.get(self.run or "")
         if session is None or session.summary is None:
             return
+        self.show_tables(session.id, session.summary)
+
+    def show_tables(self, run: str, summary: dict[str, Any]) -> None:
+        """Requirements, KPIs and files of a convoy."""
         self.result.clear()
         with self.result:
-            checks_table(session.summary["checks"])
-            members_table(session.summary["kpis"]["trainsets"])
-            names = ("kpis.json", "convoy.svg")
-            links([(name, f"/api/jobs/{session.id}/files/{name}") for name in names])
+            checks_table(summary["checks"])
+            members_table(summary["kpis"]["trainsets"])
+            names = ("trajectories.zip", "kpis.json", "convoy.svg")
+            links([(name, f"/api/jobs/{run}/files/{name}") for name in names])
+
+    def show_over(self, row: JobRow, found: dict[str, Any]) -> None:
+        """A convoy that an earlier server drove."""
+        self.plot.update_figure(driven_convoy(found))
+        self.root.props(f"data-status={row.status}")
+        self.status.text = "all stand"
+        self.show_tables(row.id, found)
 
 
 def members_table(trainsets: list[dict[str, Any]]) -> None:

@@ -5,18 +5,30 @@ from __future__ import annotations
 from typing import Any
 
 from fastapi import Request
+from fastapi.responses import RedirectResponse
 from nicegui import events, ui
-from pydantic import ValidationError
 
 from metropilot.errors import InputError, MetropilotError
+from metropilot.railway.line import RESTRICTION_KMH
 from metropilot.web import catalogue
-from metropilot.web.asked import LiveAsked, NewRestriction, PlanAsked
-from metropilot.web.pages.form import DisturbanceForm, SectionForm, driver_names
+from metropilot.web.asked import LiveAsked, NewArrival, NewRestriction
+from metropilot.web.live.session import Session
+from metropilot.web.pages.form import (
+    DisturbanceForm,
+    SectionForm,
+    bounded,
+    driver_choice,
+    driver_names,
+    other_options,
+    validated,
+)
 from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, table
-from metropilot.web.pages.plots import planned_run, run_figure
+from metropilot.web.pages.plots import driven_run, planned_run, run_figure
+from metropilot.web.pages.runs import RunList
 from metropilot.web.pages.strip import line_strip, section_strip
 from metropilot.web.refused import Refused
-from metropilot.web.service import Service
+from metropilot.web.service import RESUMABLE, Service
+from metropilot.web.store import JobRow
 
 PACES = {1: "real time", 2: "2 ×", 5: "5 ×", 10: "10 ×", 30: "30 ×"}
 READS = (
@@ -31,28 +43,35 @@ READS = (
     ("against the plan", "–", "against"),
     ("protection", "–", "level"),
 )
+TAKEN = ("trajectory.csv", "kpis.json", "profile.svg", "run.zip")
 KEYS = (("M", "take"), ("↑ ↓", "10 % more, less"), ("0", "coast"), ("B", "full brake"), ("Esc", "give back"))
 
 
-def validated(kind: type[Any], values: dict[str, Any]) -> Any:  # noqa: ANN401 (the model's instance)
-    """A request's body, refused in the API's words.
-
-    Raises:
-        InputError: A field is not allowed.
-    """
-    try:
-        return kind.model_validate(values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise InputError(first["msg"], field=str(first["loc"][0]), value=str(first["input"])) from None
-
-
 class DrivePage:
-    """The page's state for one browser."""
+    """The page's state for one browser.
+
+    Args:
+        service: The server's work.
+        run: Id of the live run that a link names.
+
+    Attributes:
+        row: That run as it is stored, None if there is none.
+        lost: Why the link could not be followed.
+    """
 
     def __init__(self, service: Service, run: str | None) -> None:
         self.service = service
-        self.run = run if run in service.sessions else None
+        self.row: JobRow | None = None
+        self.lost: MetropilotError | None = None
+        try:
+            row = service.live_run(run) if run else None
+            if row is not None and "follower" in row.asked:
+                raise Refused("the run is a convoy; see the page Convoy", 404, field="id", value=row.id)
+            self.row = row
+        except MetropilotError as error:
+            self.lost = error
+        self.run = None if self.row is None else self.row.id
+        self.options: dict[str, Any] = {}
         self.form = SectionForm(service, self.section_changed, self.time_moved)
         self.disturbances = DisturbanceForm()
         self.wanted_s: float | None = None
@@ -63,7 +82,7 @@ class DrivePage:
         with ui.element("div").classes("mp-col"):
             with card("Run"):
                 self.form.build()
-                drivers = driver_names()
+                drivers = driver_names(self.service)
                 first = "optimal" if "optimal" in drivers else next(iter(drivers))
                 self.driver = ui.select(drivers, value=first, label="Driver").props(
                     "outlined dense options-dense"
@@ -76,17 +95,29 @@ class DrivePage:
                     ui.button("Depart", icon="play_arrow", on_click=self.depart).props(
                         'unelevated data-test="depart"'
                     )
-                    self.stop_button = ui.button("Stop", on_click=self.stop).props("outline")
+                    ui.button("Stop", on_click=self.stop).props('outline data-test="stop"')
+                self.departure = Problem()
+                self.departure.fields, self.departure.folds = (
+                    self.form.problem.fields,
+                    self.form.problem.folds,
+                )
+                self.departure.label.props('data-test="departure-problem"')
             self.build_news()
+            RunList(self.service, self.run).build()
         with ui.element("div").classes("mp-col"):
             with card():
                 self.map = ui.html("").classes("mp-strip")
-            self.root = ui.element("section").classes("mp-card").props('data-test="live" data-status="none"')
+            self.root = ui.element("section").classes("mp-card").props('data-test="live"')
+            self.root.props(f"data-status={'none' if self.row is None else self.row.status}")
             with self.root, ui.element("div").classes("mp-stack"):
                 with ui.element("div").classes("mp-row items-center"):
                     ui.label("Live run").classes("mp-h").props("role=heading aria-level=2")
-                    ui.label("not departed").classes("mp-soft").props('data-mp="status" aria-live=polite')
+                    status = ui.label(self.said()).classes("mp-soft")
+                    status.props('data-mp="status" aria-live=polite')
                     ui.label("").classes("mp-soft").props('data-mp="pace"')
+                    self.resume_button = ui.button("Resume", icon="replay", on_click=self.resume)
+                    self.resume_button.props('outline dense data-test="resume"')
+                    self.resume_button.set_visibility(self.row is not None and self.row.status in RESUMABLE)
                 self.strip = ui.html("").classes("mp-strip")
                 reads(READS)
                 self.lever()
@@ -94,6 +125,14 @@ class DrivePage:
                 ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite aria-label="News"')
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
             self.root.on("mp-result", self.show_result, ["detail"])
+            self.root.on("mp-end", self.ended, ["detail"])
+
+    def said(self) -> str:
+        """How the run of the link stands."""
+        row = self.row
+        if row is None:
+            return "not departed"
+        return f"{row.status}: {row.words}" if row.words else row.status
 
     def lever(self) -> None:
         """The lever: take it, move it, give it back."""
@@ -118,37 +157,74 @@ class DrivePage:
         with card("On the way", "What the driver is told while it drives.", late=True):
             self.news = Problem()
             with ui.element("div").classes("mp-row"):
-                self.arrival = ui.number("Arrive after (s)", value=101, min=1, step=1).props("outlined dense")
+                self.arrival = bounded("Arrive after (s)", NewArrival, "scheduled_time_s", value=101, step=1)
                 self.news.beside("scheduled_time_s", self.arrival)
                 ui.button("Tell", on_click=self.tell_arrival).props('outline data-test="tell-arrival"')
             with ui.element("div").classes("mp-row"):
                 ui.button("10 s earlier", on_click=lambda: self.shift(-10)).props("flat dense no-caps")
                 ui.button("10 s later", on_click=lambda: self.shift(10)).props("flat dense no-caps")
             with ui.element("div").classes("mp-row"):
-                self.from_m = ui.number("From (m)", value=700, min=0, step=50)
-                self.to_m = ui.number("To (m)", value=900, min=0, step=50)
-                self.kmh = ui.number("km/h", value=40, min=5, max=120, step=5)
+                self.from_m = ui.number("From (m)", value=700, step=50)
+                self.to_m = ui.number("To (m)", value=900, step=50)
+                low, high = RESTRICTION_KMH
+                self.kmh = ui.number("km/h", value=40, step=5).props(f'hint="{low:g} to {high:g}"')
                 for name, element in (("from_m", self.from_m), ("to_m", self.to_m), ("limit_mps", self.kmh)):
                     self.news.beside(name, element.props("outlined dense"))
-            ui.button("Drop the restriction", on_click=self.restrict).props('outline data-test="restrict"')
+            ui.button("Add speed restriction", on_click=self.restrict).props('outline data-test="restrict"')
 
     async def start(self) -> None:
-        """After the page is there: the section, and the run it came for."""
+        """After the page is there: the form of the run it came for, the section, and that run."""
+        try:
+            if self.row is not None:
+                self.restore(self.row)
+        except MetropilotError as error:
+            self.lost = error
         await self.form.load()
-        if self.run:
-            await self.attach(self.run)
+        session = self.session()
+        if session is not None:
+            self.attach(session)
+        elif self.row is not None:
+            found = self.service.store.result(self.row.id)
+            if found is not None:
+                self.plot.update_figure(driven_run(found))
+                self.show_kpis(self.row.id, found)
+            if self.row.error is not None:
+                told = self.row.error
+                self.departure.show(InputError(told["message"], field=told["field"], allowed=told["allowed"]))
+        if self.lost is not None:
+            self.departure.show(self.lost)
+
+    def restore(self, row: JobRow) -> None:
+        """Fill the form as a run was asked for.
+
+        Raises:
+            InputError: Its line, station or trainset is not here any more.
+        """
+        asked = row.asked
+        self.form.restore(asked)
+        self.disturbances.restore(asked)
+        self.driver.value = driver_choice(self.service, self.driver, asked["driver"], asked["options"])
+        self.options = {"driver": self.driver.value, "options": other_options(asked["options"])}
+        session = self.session()
+        pace = asked["pace"] if session is None else session.known.pace
+        self.pace.value = pace if pace in PACES else self.pace.value
 
     async def section_changed(self) -> None:
         """Draw the track anew; a run that is watched keeps its own."""
         form = self.form
         self.map.content = line_strip(form.line, (form.origin_in.value, form.destination_in.value))
+        if form.section is not None and (self.live() is None or not self.strip.content):
+            self.draw_section(form.section, form.trainset_in.value)
         if self.live() is None and form.section is not None:
-            length = catalogue.trainset_out(self.service, form.trainset_in.value)["length_m"]
-            self.strip.content = section_strip(form.section, length)
             self.arrival.value = form.slider.value
-            end = form.section["length_m"]
-            self.from_m.value, self.to_m.value = round(0.55 * end, -1), round(0.7 * end, -1)
             await self.time_moved()
+
+    def draw_section(self, section: dict[str, Any], trainset: str) -> None:
+        """The section with its trainset, and where a restriction could be."""
+        length = catalogue.trainset_out(self.service, trainset)["length_m"]
+        self.strip.content = section_strip(section, length)
+        end = section["length_m"]
+        self.from_m.value, self.to_m.value = round(0.55 * end, -1), round(0.7 * end, -1)
 
     async def time_moved(self) -> None:
         """Show the plan for the time, while nothing runs; the latest time wins."""
@@ -160,45 +236,60 @@ class DrivePage:
             while (now := self.wanted_s) is not None:
                 self.wanted_s = None
                 with self.form.problem.watching():
-                    plan = await self.service.plan(
-                        PlanAsked.model_validate({**self.form.asked(), "time_s": now})
-                    )
+                    plan = await self.service.plan(self.form.planned(now))
                     if self.live() is None and self.form.section is not None:
                         self.plot.update_figure(planned_run(self.form.section, plan))
                         self.arrival.value = now
         finally:
             self.planning = False
 
-    def live(self) -> Any:  # noqa: ANN401 (a session or None)
+    def session(self) -> Session | None:
+        """The run of the page, while the server has it."""
+        return self.service.sessions.get(self.run or "")
+
+    def live(self) -> Session | None:
         """The run that is watched, while it goes on."""
-        session = self.service.sessions.get(self.run or "")
+        session = self.session()
         return session if session is not None and not session.over else None
 
     async def depart(self) -> None:
         """Start a live run and watch it."""
-        with self.form.problem.watching():
+        with self.departure.watching():
             if self.form.section is None:
                 raise Refused("choose a section first", 422, field="origin")
-            values = {**self.form.asked(), **self.disturbances.asked()}
-            asked = validated(
-                LiveAsked, {**values, "driver": self.driver.value, "pace": float(self.pace.value)}
-            )
-            if (before := self.live()) is not None:
-                await before.ask({"kind": "stop"})
+            values = {**self.form.kept, **self.form.asked(), **self.disturbances.asked()}
+            values |= {"driver": self.driver.value, "pace": float(self.pace.value)}
+            if self.form.linked and self.options.get("driver") == self.driver.value:
+                values |= self.options
+            asked = validated(LiveAsked, values)
+            before = self.live()
+            if before is not None and before.viewers <= 1:
+                await before.stop()
             session = await self.service.go_live(asked)
             self.run = session.id
-            length = catalogue.trainset_out(self.service, asked.trainset)["length_m"]
-            self.strip.content = section_strip(self.form.section, length)
-            self.arrival.value = asked.time_s
-            await self.attach(session.id)
+            self.draw_section(self.form.section, asked.trainset)
+            self.attach(session)
 
-    async def attach(self, run: str) -> None:
+    async def resume(self) -> None:
+        """Go on with the run of the page."""
+        with self.departure.watching():
+            self.attach(await self.service.resume_live(self.run or ""))
+
+    def attach(self, session: Session) -> None:
         """Let the browser watch a run."""
         self.result.clear()
         self.news.clear()
+        self.resume_button.set_visibility(False)
+        self.arrival.value = self.scheduled_s(session)
         with self.result:
             ui.label("KPIs, passed and failed, when it has stopped.").classes("mp-soft")
-        ui.run_javascript(f"metropilot.live('c{self.root.id}', {run!r}, {self.plot.id})")
+        ui.run_javascript(f"metropilot.live('c{self.root.id}', {session.id!r}, {self.plot.id})")
+
+    @staticmethod
+    def scheduled_s(session: Session) -> float | None:
+        """The running time that is in force, whoever sent it."""
+        known = session.known.scheduled_time_s
+        return session.asked["time_s"] if known is None else known
 
     async def ask(self, event: dict[str, Any]) -> None:
         """Tell the run something.
@@ -216,47 +307,65 @@ class DrivePage:
         with self.news.watching():
             if self.arrival.value is None:
                 raise InputError("a time is needed", field="scheduled_time_s", unit="s")
-            await self.ask({"kind": "arrival", "scheduled_time_s": float(self.arrival.value)})
+            asked = validated(NewArrival, {"scheduled_time_s": self.arrival.value})
+            await self.ask({"kind": "arrival", **asked.model_dump()})
 
     async def shift(self, seconds: float) -> None:
         """A little earlier or later than it is now."""
-        self.arrival.value = (self.arrival.value or 0) + seconds
+        session = self.live()
+        base = self.arrival.value if session is None else self.scheduled_s(session)
+        self.arrival.value = (base or 0) + seconds
         await self.tell_arrival()
 
     async def restrict(self) -> None:
-        """Drop a restriction on the track."""
+        """Add a temporary speed restriction."""
         with self.news.watching():
             values = {
                 "from_m": self.from_m.value,
                 "to_m": self.to_m.value,
                 "limit_mps": (self.kmh.value or 0) / 3.6,
             }
-            asked = validated(NewRestriction, values)
+            asked = validated(NewRestriction, values, limit_mps=3.6)
             await self.ask({"kind": "restriction", **asked.model_dump()})
 
     async def change_pace(self) -> None:
         """Faster or slower, also on the way."""
-        if (session := self.live()) is not None:
-            await session.ask({"kind": "pace", "pace": float(self.pace.value)})
+        pace = float(self.pace.value)
+        if (session := self.live()) is not None and session.known.pace != pace:
+            await session.ask({"kind": "pace", "pace": pace})
 
     async def stop(self) -> None:
         """End the run."""
         with self.news.watching():
-            await self.ask({"kind": "stop"})
+            session = self.live()
+            if session is None:
+                raise Refused("no run is under way; depart first", 409)
+            await session.stop()
 
     def show_result(self, event: events.GenericEventArguments) -> None:
         """KPIs with pass and fail; taken from the store, not from the browser."""
         del event
-        session = self.service.sessions.get(self.run or "")
-        found = session.summary if session is not None else None
-        if session is None or found is None:
-            return
+        session = self.session()
+        if session is not None and session.summary is not None:
+            self.show_kpis(session.id, session.summary)
+
+    def show_kpis(self, run: str, found: dict[str, Any]) -> None:
+        """KPIs with pass and fail, and files to take home."""
         self.result.clear()
         with self.result:
             checks_table(found["checks"])
             kpis_table(found["kpis"])
-            names = ("trajectory.csv", "kpis.json", "profile.svg", "run.toml")
-            links([(name, f"/api/jobs/{session.id}/files/{name}") for name in names])
+            links([(name, f"/api/jobs/{run}/files/{name}") for name in TAKEN])
+
+    def ended(self, event: events.GenericEventArguments) -> None:
+        """The run is over: offer what can be done next, and say why it failed."""
+        del event
+        session = self.session()
+        if session is None:
+            return
+        self.resume_button.set_visibility(session.known.status in RESUMABLE)
+        if session.known.status == "failed":
+            self.departure.show(session.failure())
 
 
 def checks_table(checks: list[dict[str, Any]]) -> None:
@@ -298,12 +407,13 @@ def install(service: Service) -> None:
     """Add the page."""
 
     @ui.page("/", title="Drive · metropilot")
-    async def drive(request: Request, run: str | None = None) -> None:
+    async def drive(request: Request, run: str | None = None) -> RedirectResponse | None:
+        page = DrivePage(service, run)
+        if page.row is not None and "follower" in page.row.asked:
+            return RedirectResponse(f"/convoy?run={page.row.id}")
         with frame(request, "/"):
-            page = DrivePage(service, run)
             page.build()
         await ui.context.client.connected()
-        try:
+        with page.departure.watching():
             await page.start()
-        except MetropilotError as error:
-            page.form.problem.show(error)
+        return None

@@ -4,19 +4,81 @@ from __future__ import annotations
 
 import math
 from collections.abc import Awaitable, Callable
-from typing import Any
+from typing import Any, TypeVar
 
 from nicegui import ui
+from pydantic import BaseModel, ValidationError
 
-from metropilot.errors import MetropilotError
+from metropilot.errors import InputError, MetropilotError
+from metropilot.evaluate.driver_options import named_driver
+from metropilot.evaluate.request_file import POLICY
 from metropilot.web import catalogue
-from metropilot.web.asked import PlanAsked
+from metropilot.web.asked import DriveAsked, PlanAsked
 from metropilot.web.pages.frame import Problem, number
 from metropilot.web.pages.strip import names
 from metropilot.web.service import Service
 
 SLOWEST = 1.6
+COUNTLESS = 2.0**53
+"""A bound this high is no bound to a reader."""
+POLICIES_SHOWN = 20
 Changed = Callable[[], Awaitable[None]]
+Body = TypeVar("Body", bound=BaseModel)
+
+
+def allowed(kind: type[BaseModel], name: str, scale: float = 1.0) -> str:
+    """Which numbers a field of a request may hold, in words.
+
+    Args:
+        kind: The request's body.
+        name: The field.
+        scale: What the reader's unit is of the field's (100 for percent of a share).
+    """
+    told = kind.model_json_schema()["properties"][name]
+    told = told.get("anyOf", [told])[0]
+    low = told.get("minimum", told.get("exclusiveMinimum"))
+    high = told.get("maximum", told.get("exclusiveMaximum", math.inf))
+    least, most = (f"{scale * bound:,.10g}".replace(",", " ") for bound in (low, high))
+    least = least if "minimum" in told else f"above {least}"
+    most = most if "maximum" in told else f"below {most}"
+    return f"{least} or more" if high >= COUNTLESS else f"{least} to {most}"
+
+
+def bounded(words: str, kind: type[BaseModel], name: str, scale: float = 1.0, **more: Any) -> ui.number:  # noqa: ANN401
+    """A field for a number that says what is allowed; what is not is refused, never changed.
+
+    Args:
+        words: Its label.
+        kind: The request's body.
+        name: The field there.
+        scale: What the reader's unit is of the field's.
+        more: ``value``, ``step``, ``on_change``.
+    """
+    made = ui.number(words, **more)
+    return made.props(f'outlined dense hint="{allowed(kind, name, scale)}"')
+
+
+def validated(kind: type[Body], values: dict[str, Any], **scales: float) -> Body:
+    """A request's body, refused in one line that says what is allowed.
+
+    Args:
+        kind: The body.
+        values: Its fields.
+        scales: What the reader's unit is of a field's, where it is another.
+
+    Raises:
+        InputError: A field is not allowed.
+    """
+    try:
+        return kind.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = str(first["loc"][0])
+        if len(first["loc"]) == 1 and first["type"].startswith(("greater", "less")):
+            scale = scales.get(name, 1.0)
+            told = {"value": first["input"] * scale, "allowed": allowed(kind, name, scale)}
+            raise InputError("out of range", field=name, **told) from None
+        raise InputError(first["msg"], field=name, value=str(first["input"])) from None
 
 
 class SectionForm:
@@ -30,6 +92,8 @@ class SectionForm:
     Attributes:
         problem: Where it says what is wrong.
         section: The section as it was last answered.
+        linked: Whether the fields are still those of the run a link named.
+        kept: What that run was asked besides, which has no field: restrictions, the objective, ...
     """
 
     problem: Problem
@@ -39,7 +103,10 @@ class SectionForm:
         self.changed, self.moved = changed, moved
         self.section: dict[str, Any] | None = None
         self.line = catalogue.line_out(service, "yizhuang")
+        self.linked = False
+        self.kept: dict[str, Any] = {}
         self._filling = False
+        self._restored_s: float | None = None
 
     @property
     def time_s(self) -> float:
@@ -59,13 +126,14 @@ class SectionForm:
             self.trainset_in = ui.select(
                 trainsets, value=first, label="Trainset", on_change=self._trainset_changed
             )
-            self.load_in = ui.select(self._loads(first), label="Load", on_change=self._refresh)
-            self.load_in.value = next(iter(self._loads(first)))
+            aboard = loads(self.service, first)
+            self.load_in = ui.select(aboard, value=next(iter(aboard)), label="Load", on_change=self._refresh)
         for element in (self.line_in, self.origin_in, self.destination_in, self.trainset_in, self.load_in):
             element.props("outlined dense options-dense")
         self.time_words = ui.label("Running time").classes("mp-soft")
         self.slider = ui.slider(min=60, max=160, step=1, value=101, on_change=self._time_moved)
         self.slider.props('label aria-label="Scheduled running time in seconds" data-test="time"')
+        self.kept_words = ui.label("").classes("mp-soft").props('data-test="kept"')
         self.problem = Problem()
         fields = (("line", self.line_in), ("station", self.origin_in), ("origin", self.origin_in))
         for name, element in (*fields, ("destination", self.destination_in), ("trainset", self.trainset_in)):
@@ -73,7 +141,8 @@ class SectionForm:
 
     def asked(self) -> dict[str, Any]:
         """The fields of a request."""
-        return {
+        restrictions = {name: self.kept[name] for name in ("restrictions",) if name in self.kept}
+        return restrictions | {
             "line": self.line_in.value,
             "origin": self.origin_in.value,
             "destination": self.destination_in.value,
@@ -81,6 +150,41 @@ class SectionForm:
             "load": self.load_in.value,
             "time_s": self.time_s,
         }
+
+    def planned(self, time_s: float | None) -> PlanAsked:
+        """The plan that belongs to the fields, for a time.
+
+        Raises:
+            InputError: A field is not allowed.
+        """
+        kept = {name: self.kept[name] for name in ("objective",) if name in self.kept}
+        return validated(PlanAsked, {**self.asked(), **kept, "time_s": time_s})
+
+    def restore(self, asked: dict[str, Any]) -> None:
+        """Fill the fields as a run was asked for; the page loads afterwards.
+
+        Raises:
+            InputError: Its line, station or trainset is not here any more.
+        """
+        line = catalogue.line(self.service, asked["line"])
+        trainset = catalogue.trainset_out(self.service, asked["trainset"])
+        ends = [line.station(asked[name]).code for name in ("origin", "destination")]
+        self._filling = True
+        self.line = catalogue.line_out(self.service, asked["line"])
+        stops = names(self.line["stops"])
+        self.line_in.value, self.trainset_in.value = asked["line"], asked["trainset"]
+        self.origin_in.set_options(stops, value=ends[0])
+        self.destination_in.set_options(stops, value=ends[1])
+        self.load_in.set_options(
+            loads(self.service, asked["trainset"]), value=asked["load"] or trainset["load"]
+        )
+        self._filling = False
+        self._restored_s = asked["time_s"]
+        plain = {name: field.get_default() for name, field in DriveAsked.model_fields.items()}
+        names_kept = ("restrictions", "arrivals", "objective", "dt_s")
+        self.kept = {name: asked[name] for name in names_kept if asked.get(name, plain[name]) != plain[name]}
+        self.kept_words.text = kept_words(self.kept, asked.get("options", {}))
+        self.linked = True
 
     async def load(self) -> None:
         """Ask for the section and bound the slider by its minimum running time."""
@@ -94,7 +198,9 @@ class SectionForm:
             return
         least = math.ceil(self.section["minimum_running_time_s"])
         most = math.ceil(SLOWEST * least)
-        planned = self.section["planned_time_s"] or math.ceil(1.12 * least)
+        planned = self._restored_s or self.section["planned_time_s"] or math.ceil(1.12 * least)
+        least, most = min(least, math.floor(planned)), max(most, math.ceil(planned))
+        self._restored_s = None
         self._filling = True
         self.slider.props["min"], self.slider.props["max"] = least, most
         self.slider.value = min(max(planned, least), most)
@@ -113,11 +219,16 @@ class SectionForm:
             f"reserve {number(100 * (now / least - 1), 0, '%')}{timetable}"
         )
 
-    def _loads(self, trainset: str) -> dict[str, str]:
-        loads = catalogue.trainset_out(self.service, trainset)["loads_kg"]
-        return {name: f"{name} · {kg / 1000:.0f} t" for name, kg in loads.items()}
+    def _changed_by_hand(self) -> bool:
+        """Whether a change of a field was made by whoever looks at the page."""
+        if self._filling:
+            return False
+        self.linked, self.kept, self.kept_words.text = False, {}, ""
+        return True
 
-    async def _line_changed(self) -> None:
+    def _line_changed(self) -> Awaitable[None] | None:
+        if not self._changed_by_hand():
+            return None
         self.line = catalogue.line_out(self.service, self.line_in.value)
         stops = names(self.line["stops"])
         self._filling = True
@@ -125,58 +236,111 @@ class SectionForm:
         self.origin_in.set_options(stops, value=codes[0])
         self.destination_in.set_options(stops, value=codes[1])
         self._filling = False
-        await self.load()
+        return self.load()
 
-    async def _trainset_changed(self) -> None:
-        loads = self._loads(self.trainset_in.value)
+    def _trainset_changed(self) -> Awaitable[None] | None:
+        if not self._changed_by_hand():
+            return None
+        found = loads(self.service, self.trainset_in.value)
         self._filling = True
-        self.load_in.set_options(loads, value=next(iter(loads)))
+        self.load_in.set_options(found, value=next(iter(found)))
         self._filling = False
-        await self.load()
+        return self.load()
 
-    async def _refresh(self) -> None:
-        if not self._filling:
-            await self.load()
+    def _refresh(self) -> Awaitable[None] | None:
+        return self.load() if self._changed_by_hand() else None
 
-    async def _time_moved(self) -> None:
+    def _time_moved(self) -> Awaitable[None] | None:
         if self._filling:
-            return
+            return None
         self._say_time()
-        if self.moved is not None:
-            await self.moved()
+        return None if self.moved is None else self.moved()
+
+
+def loads(service: Service, trainset: str) -> dict[str, str]:
+    """Loads of a trainset for a list to choose from."""
+    found = catalogue.trainset_out(service, trainset)["loads_kg"]
+    return {name: f"{name} · {kg / 1000:.0f} t" for name, kg in found.items()}
+
+
+def kept_words(kept: dict[str, Any], options: dict[str, Any]) -> str:
+    """What a linked run was asked that has no field: the driver's options too, but for its policy."""
+    said = [
+        f"{3.6 * r['limit_mps']:.0f} km/h from {r['from_m']:g} to {r['to_m']:g} m"
+        + ("" if r["told_s"] is None else f", told after {r['told_s']:g} s")
+        for r in kept.get("restrictions", ())
+    ]
+    said += [
+        f"arrive after {a['scheduled_time_s']:g} s, told after {a['told_s']:g} s"
+        for a in kept.get("arrivals", ())
+    ]
+    said += [f"{name} {kept[name]}" for name in ("objective", "dt_s") if name in kept]
+    said += [f"{name} {value}" for name, value in other_options(options).items()]
+    return f"Of the linked run: {'; '.join(said)}." if said else ""
 
 
 class DisturbanceForm:
     """What goes differently than planned."""
 
     FIELDS = (
-        ("mass_factor", "True mass / believed", 1.0, 0.5, 2.0, 0.05),
-        ("resistance_factor", "True resistance / believed", 1.0, 0.0, 5.0, 0.1),
-        ("delay_s", "Dead time on top (s)", 0.0, 0.0, 5.0, 0.1),
-        ("lag_s", "Lag on top (s)", 0.0, 0.0, 5.0, 0.1),
-        ("speed_noise_mps", "Speed noise, 1σ (m/s)", 0.0, 0.0, 1.0, 0.01),
-        ("seed", "Seed", 0, 0, 2**31, 1),
+        ("mass_factor", "True mass / believed", 1.0, 0.05),
+        ("resistance_factor", "True resistance / believed", 1.0, 0.1),
+        ("delay_s", "Dead time on top (s)", 0.0, 0.1),
+        ("lag_s", "Lag on top (s)", 0.0, 0.1),
+        ("speed_noise_mps", "Speed noise, 1σ (m/s)", 0.0, 0.01),
+        ("seed", "Seed", 0, 1),
     )
 
     def build(self, problem: Problem) -> None:
         """Place the fields, folded away."""
         self.inputs: dict[str, ui.number] = {}
-        with (
-            ui.expansion("What goes differently than planned").props("dense").classes("mp-soft"),
-            ui.element("div").classes("mp-stack"),
-        ):
-            for name, words, value, low, high, step in self.FIELDS:
-                made = ui.number(words, value=value, min=low, max=high, step=step)
-                self.inputs[name] = problem.beside(name, made.props("outlined dense"))
+        self.fold = ui.expansion("What goes differently than planned").props("dense").classes("mp-soft")
+        with self.fold, ui.element("div").classes("mp-stack"):
+            for name, words, value, step in self.FIELDS:
+                made = bounded(words, DriveAsked, name, value=value, step=step)
+                self.inputs[name] = problem.beside(name, made, self.fold)
             self.ideal = ui.checkbox("Ideal actuation: no delay, lag or jerk limit")
 
     def asked(self) -> dict[str, Any]:
         """The fields of a request; an empty one is as planned."""
-        plain = {name: value for name, _, value, *_ in self.FIELDS}
+        plain = {name: value for name, _, value, _ in self.FIELDS}
         given = {n: plain[n] if e.value is None else e.value for n, e in self.inputs.items()}
-        return {**given, "seed": int(given["seed"]), "ideal": self.ideal.value}
+        return {**given, "ideal": self.ideal.value}
+
+    def restore(self, asked: dict[str, Any]) -> None:
+        """Fill the fields as a run was asked for, and unfold what is not as planned."""
+        for name, _, value, _ in self.FIELDS:
+            self.inputs[name].value = asked.get(name, value)
+        self.ideal.value = asked.get("ideal", False)
+        if self.asked() != {**{name: value for name, _, value, _ in self.FIELDS}, "ideal": False}:
+            self.fold.open()
 
 
-def driver_names() -> dict[str, str]:
-    """Drivers for a list to choose from."""
-    return {row["id"]: row["id"] for row in catalogue.driver_rows()}
+def driver_names(service: Service | None = None) -> dict[str, str]:
+    """Drivers for a list to choose from, with what was learned or uploaded here.
+
+    Args:
+        service: Whose learning runs; None: nobody's.
+    """
+    found = {row["id"]: row["id"] for row in catalogue.driver_rows()}
+    policies = [] if service is None else list(service.policies())[:POLICIES_SHOWN]
+    if policies:
+        found.pop("learned", None)
+    return found | {f"learned:{POLICY}={key}": f"learned · {key}" for key in policies}
+
+
+def driver_choice(
+    service: Service, select: ui.select, name: str, options: dict[str, Any] | None = None
+) -> str:
+    """The entry of a list of drivers that a request means; added where the list was too short for it."""
+    driver, named = named_driver(name)
+    policy = ({**(options or {}), **named}).get(POLICY)
+    found = f"{driver}:{POLICY}={policy}" if policy else driver
+    if found not in select.options:
+        select.set_options({**driver_names(service), found: f"{driver} · {policy}" if policy else driver})
+    return found
+
+
+def other_options(options: dict[str, Any]) -> dict[str, Any]:
+    """Options of a driver without its policy, which is part of :func:`driver_choice`."""
+    return {name: value for name, value in options.items() if name != POLICY}

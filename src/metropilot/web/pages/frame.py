@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from fastapi import Request
-from nicegui import ui
+from nicegui import Client, ui
+from nicegui.slot import Slot
 
 from metropilot.errors import MetropilotError
 from metropilot.web.refused import detail_of
@@ -31,7 +33,8 @@ NEXT_THEME = {"auto": "light", "light": "dark", "dark": "auto"}
 
 @contextmanager
 def frame(request: Request, active: str) -> Iterator[None]:
-    """A page: everything inside is its main part."""
+    """A page: everything inside is its main part. What is under way for it ends with it."""
+    ui.context.client.on_delete(_end_with)
     theme = request.cookies.get(THEME, "auto")
     theme = theme if theme in THEMES else "auto"
     ui.dark_mode(THEMES[theme])
@@ -48,6 +51,15 @@ def frame(request: Request, active: str) -> Iterator[None]:
         _theme_button(theme)
     with ui.element("div").classes("mp-main").props("id=main tabindex=-1"):
         yield
+
+
+def _end_with(client: Client) -> None:
+    """Cancel what a page that was left still waits for: there is nothing any more that it could change."""
+    for task in asyncio.all_tasks() - {asyncio.current_task()}:
+        for slot in Slot.stacks.get(id(task), ()):
+            with suppress(RuntimeError):  # of a slot that is gone already
+                if slot.parent.client is client:
+                    task.cancel()
 
 
 def _theme_button(theme: str) -> None:
@@ -129,6 +141,12 @@ def number(value: float | None, digits: int = 2, unit: str = "") -> str:
     return f"{value:.{digits}f}".replace("-", "−") + (f" {unit}" if unit else "")
 
 
+def clock(seconds: float) -> str:
+    """Minutes and seconds, rounded to a tenth before they are parted: never ``39:60.0``."""
+    minutes, tenths = divmod(round(10 * seconds), 600)
+    return f"{minutes}:{tenths / 10:04.1f}"
+
+
 def links(items: Sequence[tuple[str, str]]) -> None:
     """Files to take home."""
     with ui.element("div").classes("mp-links"):
@@ -141,11 +159,14 @@ class Problem:
 
     def __init__(self) -> None:
         self.fields: dict[str, Any] = {}
+        self.folds: dict[str, ui.expansion] = {}
         self.label = ui.label().classes("mp-error").props('role=alert data-test="problem"')
 
-    def beside(self, name: str, element: Any) -> Any:  # noqa: ANN401 (any field of NiceGUI)
-        """Show errors about a field there."""
+    def beside(self, name: str, element: Any, fold: ui.expansion | None = None) -> Any:  # noqa: ANN401 (any field of NiceGUI)
+        """Show errors about a field there; what it is folded into is opened then."""
         self.fields[name] = element
+        if fold is not None:
+            self.folds[name] = fold
         return element
 
     def clear(self) -> None:
@@ -170,6 +191,8 @@ class Problem:
             )
             self.label.text = (f"{where}: " if where else "") + told["message"] + value + allowed
             return
+        if name in self.folds:
+            self.folds[name].open()
         element.props("error").props(f'error-message="{_attribute(words)}"')
 
     @contextmanager

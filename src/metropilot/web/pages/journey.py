@@ -10,8 +10,8 @@ from nicegui import ui
 
 from metropilot.web import catalogue
 from metropilot.web.asked import JourneyAsked
-from metropilot.web.pages.drive import validated
-from metropilot.web.pages.frame import Problem, card, frame, number, reads, table
+from metropilot.web.pages.form import bounded, loads, validated
+from metropilot.web.pages.frame import Problem, card, clock, frame, number, reads, table
 from metropilot.web.pages.plots import blank, journey_figure, sections_figure
 from metropilot.web.pages.strip import line_strip, names
 from metropilot.web.service import Service
@@ -39,15 +39,17 @@ class JourneyPage:
                 "line": ui.select(lines, value="yizhuang", label="Line", on_change=self.line_changed),
                 "origin": ui.select(stops, value=ends[0], label="From"),
                 "destination": ui.select(stops, value=ends[-1], label="To"),
-                "trainset": ui.select(trainsets, value="dkz32", label="Trainset"),
+                "trainset": ui.select(
+                    trainsets, value="dkz32", label="Trainset", on_change=self.trainset_changed
+                ),
+                "load": ui.select(loads(self.service, "dkz32"), label="Load"),
             }
+            fields["load"].value = next(iter(fields["load"].options))
             self.fields = fields
             for name, element in fields.items():
                 self.problem.beside(name, element.props("outlined dense options-dense"))
             self.way = ui.radio(WAYS, value="optimum").props("dense")
-            self.total = ui.number("Whole journey, dwells included (s)", min=60, step=10).props(
-                "outlined dense"
-            )
+            self.total = bounded("Whole journey, dwells included (s)", JourneyAsked, "total_s", step=10)
             self.problem.beside("total_s", self.total).props('data-test="total"')
             self.problem.beside("journey", self.total)
             ui.button("Plan", on_click=self.plan).props('unelevated data-test="plan"')
@@ -72,6 +74,11 @@ class JourneyPage:
         self.fields["destination"].set_options(stops, value=ends[-1])
         self.total.value = None
         await self.plan()
+
+    def trainset_changed(self) -> None:
+        """Another trainset has other loads."""
+        found = loads(self.service, self.fields["trainset"].value)
+        self.fields["load"].set_options(found, value=next(iter(found)))
 
     async def plan(self) -> None:
         """Plan the journey; without a total, that of the timetable is spread."""
@@ -126,11 +133,6 @@ class JourneyPage:
         self.rows.clear()
         with self.rows:
             table(columns, rows, right=range(1, 6), name="Sections")
-
-
-def clock(seconds: float) -> str:
-    """Minutes and seconds."""
-    return f"{int(seconds // 60)}:{seconds % 60:04.1f}"
 
 
 def install(service: Service) -> None:

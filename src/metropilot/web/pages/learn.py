@@ -11,7 +11,7 @@ from nicegui import run, ui
 from metropilot.errors import MetropilotError
 from metropilot.web import catalogue
 from metropilot.web.asked import LearnAsked, StudyAsked
-from metropilot.web.pages.drive import validated
+from metropilot.web.pages.form import bounded, validated
 from metropilot.web.pages.frame import Problem, card, empty, frame, number, refresh_while, table
 from metropilot.web.pages.plots import blank, history_figure
 from metropilot.web.refused import Refused
@@ -43,8 +43,8 @@ class LearnPage:
                     ["quick", "paper"], value="quick", label="Budget", on_change=self.say_recipe
                 )
                 self.words = ui.label("").classes("mp-soft")
-                self.steps = ui.number("Environment steps", min=1000, step=50_000)
-                self.seed = ui.number("Seed", value=0, min=0, step=1)
+                self.steps = bounded("Environment steps", LearnAsked, "steps", step=50_000)
+                self.seed = bounded("Seed", LearnAsked, "seed", value=0, step=1)
                 self.problem = Problem()
                 fields = (
                     ("driver", self.driver),
@@ -67,6 +67,8 @@ class LearnPage:
                     self.resume_button = ui.button("Resume", on_click=self.resume).props(
                         'outline data-test="resume"'
                     )
+                self.drive_it = ui.link("Compare its policy with the optimum", "/compare")
+                self.drive_it.classes("mp-links").props('data-test="drive-it"').set_visibility(False)
                 self.bar = ui.linear_progress(value=0, show_value=False).props(
                     'aria-label="Progress" rounded'
                 )
@@ -92,7 +94,7 @@ class LearnPage:
         """Queue a learning run."""
         with self.problem.watching():
             values = {"driver": self.driver.value, "budget": self.budget.value}
-            numbers = {"steps": int(self.steps.value or 0), "seed": int(self.seed.value or 0)}
+            numbers = {"steps": self.steps.value, "seed": self.seed.value}
             self.job = self.service.submit(validated(LearnAsked, {**values, **numbers}))
             self.follow()
 
@@ -143,6 +145,8 @@ class LearnPage:
         waits = blank(560, "The curves begin with the first evaluation.")
         self.plot.update_figure(history_figure(columns) if steps else waits)
         self.look_buttons(row.status)
+        self.drive_it.set_visibility(row.run in self.service.policies())
+        self.drive_it.props(f"href=/compare?driver=learned:policy={row.run}")
         self.fill()
 
     def look_buttons(self, status: str | None) -> None:

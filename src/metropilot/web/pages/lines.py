@@ -30,7 +30,11 @@ class LinesPage:
             with card("Lines"):
                 self.list = ui.element("div").classes("mp-stack")
             most = f"{self.service.settings.upload_bytes / 1e6:g} MB"
-            with card("Upload", f"A line or a trainset: metropilot's TOML or TTOBench's JSON, up to {most}."):
+            with card(
+                "Upload",
+                "A line or a trainset (metropilot's TOML, TTOBench's JSON), "
+                f"or a learned policy (safetensors), up to {most}.",
+            ):
                 upload = ui.upload(
                     on_upload=self.upload,
                     on_rejected=lambda: self.refuse_large(most),
@@ -38,7 +42,9 @@ class LinesPage:
                     auto_upload=True,
                     label="Choose or drop a file",
                 )
-                self.upload_in = upload.props('accept=".toml,.json" flat bordered').classes("w-full")
+                self.upload_in = upload.props('accept=".toml,.json,.safetensors" flat bordered').classes(
+                    "w-full"
+                )
                 self.said = ui.element("div").classes("mp-stack").props('role=status data-test="upload-said"')
         with ui.element("div").classes("mp-col"):
             self.shown = ui.element("div").classes("mp-col").props('data-test="line"')
@@ -149,7 +155,7 @@ class LinesPage:
         """A file the browser did not even send."""
         self.said.clear()
         with self.said:
-            ui.label(f"not taken: a .toml or .json file of at most {most}").classes("mp-error")
+            ui.label(f"not taken: a .toml, .json or .safetensors file of at most {most}").classes("mp-error")
 
     def forget(self, key: str) -> None:
         """Remove an upload."""

@@ -6,11 +6,21 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-from metropilot.evaluate.style import BLACK, BLUE, GREEN, GREY, KMH, ORANGE, PURPLE, SKY, VERMILION
+from metropilot.evaluate.style import BLACK, BLUE, GREEN, GREY, KMH, ORANGE, SERIES, SKY, VERMILION, series
 
 KWH = 3.6e6
-SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, GREY, SKY)
-DASHES = ("solid", "dash", "dashdot", "dot", "longdash", "longdashdot", "solid")
+DASHES = dict(
+    zip(
+        (dashes for _, dashes in SERIES),
+        ("solid", "dash", "dashdot", "dot", "longdashdot", "longdash", "2px,6px"),
+        strict=True,
+    )
+)
+"""The printed line styles as Plotly names them."""
+SYMBOLS = dict(
+    zip(DASHES, ("diamond", "square", "cross", "x", "triangle-up", "circle", "star"), strict=True),
+)
+"""Markers that belong to them, so that drivers of one colour stay apart."""
 INK = "#5a6673"
 CONFIG = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
 Figure = dict[str, Any]
@@ -91,7 +101,7 @@ def run_figure() -> Figure:
     traces = [
         line("speed limit", [], [], BLACK, width=1.4, shape="hv"),
         line("permitted speed", [], [], ORANGE, width=1.6, dash="dash"),
-        line("optimal plan", [], [], SKY, width=6, opacity=0.65),
+        line("optimal plan", [], [], SKY, width=6.0, opacity=0.65),
         line("driven", [], [], BLUE, width=2.2),
         {
             "type": "scatter",
@@ -110,7 +120,7 @@ def run_figure() -> Figure:
             **below,
         },
         line("command", [], [], BLUE, width=1.4, shape="hv", fill="tozeroy", yaxis="y2", showlegend=False),
-        line("plan's energy", [], [], SKY, width=6, opacity=0.65, yaxis="y3", showlegend=False),
+        line("plan's energy", [], [], SKY, width=6.0, opacity=0.65, yaxis="y3", showlegend=False),
         line("energy at the wheel", [], [], BLUE, yaxis="y3", showlegend=False),
         line("net at the line", [], [], GREY, width=1.4, dash="dash", yaxis="y3"),
     ]
@@ -133,11 +143,38 @@ def run_figure() -> Figure:
 def planned_run(section: dict[str, Any], plan: dict[str, Any]) -> Figure:
     """A run before it is driven: the limit and the optimal plan."""
     made = run_figure()
-    values = {
+    values: dict[int, tuple[Sequence[float], Sequence[float]]] = {
         0: stairs(section["limit_mps"], section["length_m"], KMH),
         2: (plan["position_m"], kmh(plan["speed_mps"])),
         7: (plan["position_m"], kwh(plan["energy_wheel_so_far_j"])),
     }
+    return _filled(made, values)
+
+
+def driven_run(driven: dict[str, Any]) -> Figure:
+    """A run that was driven to its end: limit, permitted speed, the optimum for the time it took, the drive.
+
+    Args:
+        driven: As :class:`metropilot.web.answers.DriveOut`.
+    """
+    columns, plan = driven["columns"], driven["plan"]
+    at = columns["position_m"]
+    values: dict[int, tuple[Sequence[float], Sequence[float]]] = {
+        0: (at, kmh(columns["limit_mps"])),
+        1: (at, kmh(columns["permitted_mps"])),
+        3: (at, kmh(columns["speed_mps"])),
+        6: (at, columns["command"]),
+        8: (at, kwh(columns["energy_wheel_j"])),
+        9: (at, kwh(columns["energy_line_j"])),
+    }
+    if plan is not None:
+        values[2] = (plan["position_m"], kmh(plan["speed_mps"]))
+        values[7] = (plan["position_m"], kwh(plan["energy_wheel_so_far_j"]))
+    return _filled(run_figure(), values)
+
+
+def _filled(made: Figure, values: dict[int, tuple[Sequence[float], Sequence[float]]]) -> Figure:
+    """A figure with the curves of some of its traces."""
     for index, (x, y) in values.items():
         made["data"][index]["x"], made["data"][index]["y"] = list(x), list(y)
     return made
@@ -151,14 +188,15 @@ def compare_figure(entries: Sequence[dict[str, Any]]) -> Figure:
     if first["plan"]:
         plan = first["plan"]
         where = plan["position_m"]
-        traces.append(line("optimal plan", where, kmh(plan["speed_mps"]), SKY, width=6, opacity=0.65))
+        traces.append(line("optimal plan", where, kmh(plan["speed_mps"]), SKY, width=6.0, opacity=0.65))
         work = kwh(plan["energy_wheel_so_far_j"])
         below = {"yaxis": "y2", "showlegend": False, "opacity": 0.65}
-        traces.append(line("plan's energy", where, work, SKY, width=6, **below))
-    for k, entry in enumerate(entries):
+        traces.append(line("plan's energy", where, work, SKY, width=6.0, **below))
+    styles = series([entry["driver"] for entry in entries])
+    for entry in entries:
         columns, name = entry["drive"]["columns"], entry["driver"]
-        style = {"dash": DASHES[k % len(DASHES)], "legendgroup": name}
-        colour = SERIES[k % len(SERIES)]
+        colour, dashes = styles[name]
+        style = {"dash": DASHES[dashes], "legendgroup": name}
         where = columns["position_m"]
         traces.append(line(name, where, kmh(columns["speed_mps"]), colour, **style))
         energy = kwh(columns["energy_wheel_j"])
@@ -179,22 +217,23 @@ def front_figure(
     energy = kwh(front["energy_j"])
     time_s, here = cursor
     traces = [
-        line("optimum", front["time_s"], energy, BLUE, mode="lines+markers", shape="spline"),
+        line("optimum", front["time_s"], energy, SKY, width=4.0, mode="lines+markers", shape="spline"),
         {
             "type": "scatter",
             "mode": "markers",
             "name": "cursor",
             "x": [time_s],
             "y": [here],
-            "marker": {"size": 13, "color": BLUE, "line": {"width": 3, "color": "#fff"}},
+            "marker": {"size": 13, "color": SKY, "line": {"width": 3, "color": "#fff"}},
             "showlegend": False,
         },
     ]
-    for k, entry in enumerate(entries):
+    styles = series([entry["driver"] for entry in entries])
+    for entry in entries:
         kpis = entry["drive"]["kpis"]
         if kpis["outcome"] != "arrived":
             continue
-        colour = SERIES[(k + 1) % len(SERIES)]
+        colour, dashes = styles[entry["driver"]]
         traces.append(
             {
                 "type": "scatter",
@@ -202,7 +241,7 @@ def front_figure(
                 "name": entry["driver"],
                 "x": [kpis["running_time_s"]],
                 "y": [kpis["energy_wheel_kwh"]],
-                "marker": {"size": 10, "color": colour, "symbol": ("diamond", "square", "cross", "x")[k % 4]},
+                "marker": {"size": 10, "color": colour, "symbol": SYMBOLS[dashes]},
             }
         )
     least = front["minimum_running_time_s"]
@@ -210,7 +249,7 @@ def front_figure(
     now = {"type": "line", "x0": time_s, "x1": time_s, "yref": "paper", "y0": 0, "y1": 1}
     shapes = [
         {**wall, "line": {"color": GREY, "width": 1, "dash": "dot"}},
-        {**now, "line": {"color": BLUE, "width": 1}},
+        {**now, "line": {"color": SKY, "width": 1}},
     ]
     return figure(
         traces,
@@ -270,13 +309,13 @@ def convoy_figure() -> Figure:
     traces = []
     for kind, where in (("gap", "y"), ("difference", "y2")):
         for k in range(MOST):
-            style: Trace = {"dash": DASHES[(k + 1) % len(DASHES)], "yaxis": where, "showlegend": False}
-            colour = SERIES[(k + 1) % len(SERIES)]
+            colour, dashes = SERIES[k % len(SERIES)]
+            style: Trace = {"dash": DASHES[dashes], "yaxis": where, "showlegend": False}
             traces.append(line(f"{kind} {k + 1} to {k + 2}", [], [], colour, **style))
     for k in range(MOST):
-        style = {"dash": DASHES[k % len(DASHES)], "yaxis": "y3", "showlegend": k < 3}
-        name = "head" if k == 0 else f"trainset {k + 1}"
-        traces.append(line(name, [], [], SERIES[k % len(SERIES)], **style))
+        colour, dashes = (BLACK, "-") if k == 0 else SERIES[(k - 1) % len(SERIES)]
+        style = {"dash": DASHES[dashes], "yaxis": "y3", "showlegend": k < 3}
+        traces.append(line("head" if k == 0 else f"trainset {k + 1}", [], [], colour, **style))
     return figure(
         traces,
         560,
@@ -285,6 +324,20 @@ def convoy_figure() -> Figure:
         yaxis2=axis("difference (km/h)", domain=[0.36, 0.6]),
         yaxis3=axis("speed (km/h)", domain=[0.0, 0.3], rangemode="tozero"),
     )
+
+
+def driven_convoy(found: dict[str, Any]) -> Figure:
+    """The same of a convoy that was driven before."""
+    made = convoy_figure()
+    for first, name, factor in ((0, "gap_m", 1.0), (MOST, "speed_difference_mps", KMH)):
+        for k, values in enumerate(zip(*found.get(name, ()), strict=True)):
+            made["data"][first + k] |= {"x": found["time_s"], "y": [factor * x for x in values]}
+    for k, trainset in enumerate(found.get("speeds", ())):
+        seen = {"x": trainset["time_s"], "y": kmh(trainset["speed_mps"]), "showlegend": True}
+        made["data"][2 * MOST + k] |= seen
+    for trace in made["data"][2 * MOST + len(found.get("speeds", ())) :]:
+        trace["showlegend"] = False
+    return made
 
 
 def history_figure(columns: dict[str, list[float | None]]) -> Figure:

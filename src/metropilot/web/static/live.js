@@ -3,34 +3,35 @@
   const KMH = 3.6, KWH = 3.6e6, RENEW_MS = 800, STEP = 0.1;
   const LIMIT = 0, PERMITTED = 1, PLAN = 2, DRIVEN = 3, PROTECTION = 4, HEAD = 5, COMMAND = 6, PLAN_ENERGY = 7, WHEEL = 8, LINE = 9;
 
-  const post = (path, body) => fetch(path, {
-    method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body),
+  const post = (path, body, leaving) => fetch(path, {
+    method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body), keepalive: leaving,
   });
 
-  // The value of a plan at a position: straight in v² over distance, or straight.
-  function at(xs, ys, x, square) {
-    if (!xs || x < xs[0]) return null;
-    let low = 0, high = xs.length - 1;
-    while (high - low > 1) { const k = (low + high) >> 1; if (xs[k] <= x) low = k; else high = k; }
-    const share = Math.min(Math.max((x - xs[low]) / Math.max(xs[high] - xs[low], 1e-9), 0), 1);
-    return square ? Math.sqrt(ys[low] ** 2 + (ys[high] ** 2 - ys[low] ** 2) * share) : ys[low] + (ys[high] - ys[low]) * share;
-  }
+  // Whose hand is on the lever: this page, for as long as it is open.
+  const HOLDER = "tab-" + [...crypto.getRandomValues(new Uint8Array(2))].map((b) => b.toString(16).padStart(2, "0")).join("");
 
   class View {
     constructor(root, id, chart) {
       this.root = root; this.id = id; this.chart = chart;
-      this.kept = []; this.drawn = 0; this.share = null; this.over = false; this.waiting = false; this.todo = [];
+      this.kept = []; this.drawn = 0; this.over = false; this.waiting = false; this.todo = [];
+      this.share = null; this.confirmed = false; this.other = null;
       this.source = new EventSource(`/api/live/${id}/stream`);
       for (const kind of ["scene", "rows", "event", "result", "end"])
         this.source.addEventListener(kind, (e) => this[kind](JSON.parse(e.data)));
-      this.source.addEventListener("error", (e) => { if (e.data) this.say(null, JSON.parse(e.data).error.message); });
+      this.source.addEventListener("error", (e) => {
+        if (e.data) this.say(null, JSON.parse(e.data).error.message);
+        else if (this.source.readyState === EventSource.CLOSED && !this.over) this.set("status", "the server does not answer; reload the page");
+      });
       this.onkey = (e) => this.key(e);
       document.addEventListener("keydown", this.onkey);
+      this.onleave = () => { if (this.share !== null && !this.over) this.send({ share: null, holder: HOLDER }, true); };
+      window.addEventListener("pagehide", this.onleave);
       this.timer = setInterval(() => this.renew(), RENEW_MS);
     }
 
     close() {
       this.source.close(); clearInterval(this.timer); this.todo = []; document.removeEventListener("keydown", this.onkey);
+      this.onleave(); window.removeEventListener("pagehide", this.onleave);
     }
 
     part(name) { return this.root.querySelector(`[data-mp="${name}"]`); }
@@ -45,18 +46,19 @@
     scene(scene) {
       this.now = scene;
       this.set("scheduled", scene.scheduled_time_s.toFixed(0), "s");
-      this.part("hand").dataset.held = scene.by_hand;
-      if (!scene.by_hand && this.share !== null) this.drop();
+      const mine = scene.lever !== null && scene.lever.holder === HOLDER;
+      this.other = mine ? null : scene.lever;
+      if (this.share !== null && !mine && (this.other || this.confirmed)) this.drop(); else this.shown();
       const svg = this.root.querySelector(".mp-strip svg");
       if (svg) this.strip(svg, scene);
       this.draw((Plotly, el) => {
         const end = scene.length_m, limit = scene.limit;
         const xs = [...limit.from_m.map((x) => Math.max(x, 0)), end], ys = limit.limit_mps.map((v) => v * KMH);
         ys.push(ys[ys.length - 1]);
-        const plan = scene.plan || { position_m: [], speed_mps: [], energy_wheel_j: [] };
+        const plan = scene.plan || { position_m: [], speed_mps: [] }, reference = scene.reference || { position_m: [], energy_wheel_j: [] };
         const top = Math.max(...ys) * 1.1;
-        Plotly.restyle(el, { x: [xs, scene.permitted.position_m, plan.position_m, plan.position_m],
-          y: [ys, scene.permitted.speed_mps.map((v) => v * KMH), plan.speed_mps.map((v) => v * KMH), plan.energy_wheel_j.map((j) => j / KWH)],
+        Plotly.restyle(el, { x: [xs, scene.permitted.position_m, plan.position_m, reference.position_m],
+          y: [ys, scene.permitted.speed_mps.map((v) => v * KMH), plan.speed_mps.map((v) => v * KMH), reference.energy_wheel_j.map((j) => j / KWH)],
         }, [LIMIT, PERMITTED, PLAN, PLAN_ENERGY]);
         Plotly.relayout(el, { "xaxis.range": [-0.01 * end, 1.02 * end], "yaxis.range": [0, top],
           shapes: scene.restrictions.map((r) => ({ type: "rect", xref: "x", yref: "y", x0: r.from_m, x1: r.to_m, y0: r.limit_mps * KMH, y1: top,
@@ -92,7 +94,9 @@
     end(said) {
       this.source.close(); this.over = true; this.drop();
       this.root.dataset.status = said.status;
-      this.set("status", { done: "arrived at its end", stopped: "stopped", failed: "broken off" }[said.status] || said.status);
+      const done = this.outcome === "arrived" ? "arrived at its end" : `ended: ${(this.outcome || "").replaceAll("_", " ")}`;
+      this.set("status", { done, stopped: "stopped; it can be resumed", failed: `failed: ${said.message}` }[said.status] || said.status);
+      this.root.dispatchEvent(new CustomEvent("mp-end", { detail: said.status, bubbles: true }));
     }
 
     event(said) { this.say(said.time_s, said.words); }
@@ -104,28 +108,40 @@
       list.prepend(item);
     }
 
-    result(said) { this.root.dispatchEvent(new CustomEvent("mp-result", { detail: said, bubbles: true })); }
+    result(said) { this.outcome = said.kpis.outcome; this.root.dispatchEvent(new CustomEvent("mp-result", { detail: said, bubbles: true })); }
 
-    take(share) {
+    take(share, over = false) {
       this.share = Math.round(Math.min(Math.max(share, -1), 1) * 100) / 100;
-      this.lever();
+      this.lever(over);
     }
 
-    drop() { this.share = null; this.shown(); }
+    drop() { this.share = null; this.confirmed = false; this.shown(); }
 
-    give() { this.share = null; this.lever(); }
+    give() { this.share = null; this.confirmed = false; this.lever(); }
 
     renew() { if (this.share !== null && !this.over) this.lever(); }
 
-    lever() { this.shown(); if (!this.over) post(`/api/live/${this.id}/lever`, { share: this.share }); }
+    send(body, leaving = false) { return post(`/api/live/${this.id}/lever`, body, leaving); }
+
+    // The lever goes to the server; where somebody else holds it, it says who.
+    async lever(over = false) {
+      this.shown();
+      if (this.over) return;
+      const share = this.share, answer = await this.send({ share, holder: HOLDER, take_over: over }).catch(() => null);
+      if (answer === null || this.over) return;
+      if (answer.ok) { if (share !== null && this.share !== null) this.confirmed = true; return; }
+      const held = this.share !== null;
+      this.drop();
+      if (held) this.say(null, (await answer.json()).error.message);
+    }
 
     shown() {
-      const held = this.share !== null, slider = this.part("slider");
-      this.root.dataset.hand = held;
-      this.set("hand", held ? `by hand: ${(this.share * 100).toFixed(0)} %` : "the driver has it");
+      const held = this.share !== null, slider = this.part("slider"), other = held || this.over ? null : this.other;
+      this.root.dataset.hand = held; this.root.dataset.holder = held ? HOLDER : other ? other.holder : "";
+      this.set("hand", held ? `by hand: ${(this.share * 100).toFixed(0)} %` : other ? `held by ${other.holder} since ${other.since_s.toFixed(1)} s` : "the driver has it");
       if (slider) { slider.value = held ? this.share : 0; slider.disabled = !held; }
       const button = this.part("take");
-      if (button) button.textContent = held ? "Give the lever back (Esc)" : "Take the lever (M)";
+      if (button) { button.textContent = held ? "Give the lever back (Esc)" : other ? "Take the lever over" : "Take the lever (M)"; button.title = `this page is ${HOLDER}`; }
     }
 
     key(e) {
@@ -133,7 +149,7 @@
       const typing = e.target.closest && e.target.closest("input:not([type=range]), textarea, [role=listbox], [role=combobox]");
       if (typing) return;
       const held = this.share !== null;
-      const does = { m: () => !held && this.take(0), ArrowUp: () => held && this.take(this.share + STEP), ArrowDown: () => held && this.take(this.share - STEP),
+      const does = { m: () => !held && !this.other && this.take(0), ArrowUp: () => held && this.take(this.share + STEP), ArrowDown: () => held && this.take(this.share - STEP),
         0: () => held && this.take(0), b: () => held && this.take(-1), Escape: () => held && this.give() }[e.key];
       if (does && does() !== false) e.preventDefault();
     }
@@ -149,7 +165,7 @@
     update() {
       const last = this.kept[this.kept.length - 1];
       if (!last || !this.now) return;
-      const scene = this.now, plan = scene.plan;
+      const scene = this.now, best = last.plan_energy_wheel_j;
       this.root.dataset.time = last.time_s; this.root.dataset.position = last.position_m;
       this.set("speed", (last.speed_mps * KMH).toFixed(1), "km/h");
       this.set("permitted", (last.permitted_mps * KMH).toFixed(1), "km/h");
@@ -160,7 +176,6 @@
       const before = this.kept[this.kept.length - 2];
       if (before) this.set("power", ((last.energy_line_j - before.energy_line_j) / (last.time_s - before.time_s || 1) / 1000).toFixed(0), "kW");
       this.set("energy", (last.energy_wheel_j / KWH).toFixed(2), "kWh");
-      const best = plan && at(plan.position_m, plan.energy_wheel_j, last.position_m);
       this.set("against", best > 36000 ? `${((last.energy_wheel_j / best - 1) * 100).toFixed(1)}` : "–", "%");
       this.set("level", scene.levels[last.level] === "none" ? "watching" : scene.levels[last.level]);
       this.part("level").className = last.level ? "v mp-fail" : "v";
@@ -201,7 +216,7 @@
       view.set("status", "under way");
       view.shown();
     },
-    hand() { if (view) view.share === null ? view.take(0) : view.give(); },
+    hand() { if (view) view.share === null ? view.take(0, view.other !== null) : view.give(); },
     slide(value) { if (view && view.share !== null) view.take(+value); },
   };
 })();

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_DEFLATED, ZipFile
 
 from metropilot.evaluate import (
     COLUMNS,
@@ -21,10 +23,13 @@ from metropilot.evaluate import (
     write_comparison,
     write_run,
 )
+from metropilot.railway.whole_file import write_whole
 from metropilot.web.store import Store
 from metropilot.web.work.plain import numbers
 from metropilot.web.work.plans import plan_out
 
+MOST = 6
+"""Trainsets of a live convoy."""
 FILES = {
     "drive": ("trajectory.csv", "kpis.json", "profile.svg", "profile.png", "run.toml"),
     "live": (
@@ -35,6 +40,9 @@ FILES = {
         "run.toml",
         "run.json",
         "convoy.svg",
+        "convoy.png",
+        "trajectories.zip",
+        *(f"trajectory-{k + 1}.csv" for k in range(MOST)),
     ),
     "compare": ("comparison.json", "comparison.svg", "comparison.png", "run.toml"),
 }
@@ -65,19 +73,29 @@ def drive_job(root: str, job: str, request: Request) -> dict[str, Any]:
     return drive_out(driven, kpis, optimum)
 
 
-def compare_job(root: str, job: str, request: Request, drivers: list[str], seeds: int) -> dict[str, Any]:
-    """Drive the same run with several drivers and seeds."""
+def compare_job(root: str, job: str, request: Request, drivers: dict[str, str], seeds: int) -> dict[str, Any]:
+    """Drive the same run with several drivers and seeds.
+
+    Args:
+        root: Folder of the server's data.
+        job: Id of the job.
+        request: The run.
+        drivers: What :func:`metropilot.evaluate.compare` takes, by the names the drivers are shown by.
+        seeds: Drives of each driver.
+    """
     store = Store(Path(root))
     store.update(job, status="running", progress=0.0, words="driving")
-    todo = jobs(drivers, request.seed, seeds)
+    todo = jobs(list(drivers.values()), request.seed, seeds)
+    shown = {taken: name for name, taken in drivers.items()}
 
     def told() -> Any:  # noqa: ANN401 (a generator of jobs)
         for k, item in enumerate(todo):
-            words = f"{item.driver}, seed {item.seed}" if seeds > 1 else item.driver
+            words = shown[item.driver] + (f", seed {item.seed}" if seeds > 1 else "")
             store.update(job, progress=k / (len(todo) + 1), words=words)
             yield item
 
-    entries = compare(request, told())
+    driven = compare(replace(request, options={}), told())
+    entries = [replace(entry, driver=shown[entry.driver]) for entry in driven]
     store.update(job, progress=0.95, words="drawing")
     write_comparison(folder_of(root, job), request, entries)
     spread = {row["driver"]: row["kpis"] for row in comparison_json(request, entries)["drivers"]}
@@ -93,6 +111,20 @@ def compare_job(root: str, job: str, request: Request, drivers: list[str], seeds
         for e in entries
     ]
     return {"entries": found}
+
+
+def archive(folder: Path) -> Path:
+    """`trajectories.zip` of a convoy's folder: every trainset's trajectory; made when it is first wanted."""
+    path, found = folder / "trajectories.zip", sorted(folder.glob("trajectory-*.csv"))
+    if found and not path.exists():
+
+        def write(partial: Path) -> None:
+            with ZipFile(partial, "w", ZIP_DEFLATED) as made:
+                for each in found:
+                    made.write(each, each.name)
+
+        write_whole(path, write)
+    return path
 
 
 def folder_of(root: str, job: str) -> Path:

@@ -7,9 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
+from metropilot.drivers.policy.loaded import load_driving_policy
 from metropilot.errors import Infeasible, InputError
 from metropilot.evaluate import Request
+from metropilot.evaluate.request_file import POLICY
 from metropilot.planning import (
     JourneyPlan,
     Plan,
@@ -25,6 +28,8 @@ from metropilot.web.work.plain import numbers, station, window
 
 BARELY = 1.0 + 1e-4
 LONGEST_M = 200_000.0
+SUFFIX = ".safetensors"
+"""Of a policy's file."""
 
 
 def section_of(request: Request) -> dict[str, Any]:
@@ -61,14 +66,18 @@ def plan_of(request: Request) -> dict[str, Any]:
     return plan_out(optimal_plan(section, trainset, max(time_s, fastest * BARELY), options), fastest)
 
 
+def work_j(plan: Plan) -> Float[np.ndarray, " positions"]:
+    """Traction energy at the wheel used so far, at each position of a plan."""
+    return np.concatenate([[0.0], np.cumsum(plan.traction_n * np.diff(plan.position_m))])
+
+
 def plan_out(plan: Plan, fastest_s: float) -> dict[str, Any]:
     """A plan as plain values."""
-    work = np.concatenate([[0.0], np.cumsum(plan.traction_n * np.diff(plan.position_m))])
     return {
         "position_m": numbers(plan.position_m, 3),
         "speed_mps": numbers(plan.speed_mps, 4),
         "time_s": numbers(plan.time_s, 3),
-        "energy_wheel_so_far_j": numbers(work, 0),
+        "energy_wheel_so_far_j": numbers(work_j(plan), 0),
         "running_time_s": plan.running_time_s,
         "minimum_running_time_s": fastest_s,
         "energy_j": plan.energy_j,
@@ -158,12 +167,19 @@ def _journey_out(made: JourneyPlan) -> dict[str, Any]:
 
 
 def read_upload(path: str, shown: str) -> dict[str, Any]:
-    """Whether a file holds a line or a trainset.
+    """Whether a file holds a line, a trainset or a policy that drives.
 
     Raises:
         InputError: It does not; the message names the file as its sender does, and the field.
     """
     try:
+        if Path(path).suffix == SUFFIX:
+            about = load_driving_policy(path).about
+            return {
+                "kind": POLICY,
+                "name": shown,
+                "notes": [f"task {about['task']}"] if "task" in about else [],
+            }
         found = import_file(Path(path))
     except InputError as error:
         shape = {name: getattr(error, name) for name in ("field", "value", "unit", "allowed")}

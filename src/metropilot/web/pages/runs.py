@@ -1,0 +1,99 @@
+"""The list of live runs: none is lost by leaving its page, and none blocks another unseen."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from functools import partial
+from typing import Any
+
+from nicegui import ui
+
+from metropilot.web.pages.frame import Problem, card, clock, empty
+from metropilot.web.service import ABANDONED_S, Service
+from metropilot.web.store import JobRow
+
+EVERY_S = 2.0
+
+
+class RunList:
+    """Live runs that go on or can be resumed, kept up to date.
+
+    Args:
+        service: The server's work.
+        run: The one this page shows.
+    """
+
+    def __init__(self, service: Service, run: str | None) -> None:
+        self.service = service
+        self.run = run
+        self.shown: list[tuple[Any, ...]] | None = None
+
+    def build(self) -> None:
+        """Place the list."""
+        with card(
+            "Live runs", f"One that nobody watches for {ABANDONED_S / 60:g} min is stopped.", late=True
+        ):
+            self.problem = Problem()
+            self.rows = ui.element("div").classes("mp-stack").props('data-test="runs"')
+        self.refresh()
+        ui.timer(EVERY_S, self.refresh)
+
+    def refresh(self) -> None:
+        """Draw the rows again where something has changed, the time alone where nothing else has."""
+        found = self.service.live_runs()
+        shown = [(row.id, row.status, row.words) for row in found]
+        if shown != self.shown:
+            self.shown = shown
+            self.rows.clear()
+            with self.rows:
+                self.words = {row.id: self.row(row) for row in found}
+                if not found:
+                    empty("No run is under way.")
+        for row in found:
+            self.words[row.id].text = self.state(row)
+
+    def state(self, row: JobRow) -> str:
+        """How a run stands."""
+        session = self.service.sessions.get(row.id)
+        if session is None or session.over:
+            return f"{row.status}: {row.words}" if row.words else f"{row.status}; it can be resumed"
+        known = session.known
+        watched = f" · {session.viewers} watching" if session.viewers else " · nobody watches"
+        lever = "" if known.lever is None else f" · lever: {known.lever['holder']}"
+        return f"{clock(known.time_s)} · {f'{known.pace:g} ×' if known.pace else 'waiting'}{watched}{lever}"
+
+    def row(self, row: JobRow) -> ui.label:
+        """One run: what it is, how it stands (the label that is returned), what can be done."""
+        convoy = "follower" in row.asked
+        asked, path = row.asked, f"/convoy?run={row.id}" if convoy else f"/?run={row.id}"
+        what = f"convoy of {asked['trainsets']}" if convoy else asked["driver"]
+        name = f"{asked['origin']} – {asked['destination']} · {what}"
+        if asked["time_s"] is not None:
+            name += f" · {asked['time_s']:g} s"
+        with ui.element("div").classes("mp-run").props(f'data-run="{row.id}" data-status="{row.status}"'):
+            ui.label(name + (" (this one)" if row.id == self.run else ""))
+            words = ui.label("").classes("mp-soft")
+            with ui.element("div").classes("mp-links"):
+                if row.status == "running":
+                    ui.link("Open", path).props(f'aria-label="Open {name}"')
+                    self.button("Stop", name, partial(self.stop, row.id))
+                else:
+                    ui.link("Show", path).props(f'aria-label="Show {name}"')
+                    self.button("Resume", name, partial(self.resume, row.id, path))
+        return words
+
+    @staticmethod
+    def button(words: str, name: str, act: Callable[[], Awaitable[None]]) -> None:
+        """A small button of a row."""
+        ui.button(words, on_click=act).props(f'flat dense no-caps aria-label="{words} {name}"')
+
+    async def stop(self, run: str) -> None:
+        """Stop a run; it can be resumed."""
+        with self.problem.watching():
+            await self.service.session(run).stop()
+
+    async def resume(self, run: str, path: str) -> None:
+        """Go on with a run, and open it."""
+        with self.problem.watching():
+            await self.service.resume_live(run)
+            ui.navigate.to(path)

@@ -1,0 +1,126 @@
+"""Parts of the pages, without a browser."""
+
+import asyncio
+
+import pytest
+from nicegui import Client, core, ui
+from nicegui.page import page
+from starlette.requests import Request
+
+from metropilot.drivers import DRIVERS
+from metropilot.errors import InputError
+from metropilot.evaluate.style import SERIES, series
+from metropilot.web.asked import ConvoyAsked, DriveAsked, JourneyAsked, LearnAsked, NewLink
+from metropilot.web.pages.form import allowed, validated
+from metropilot.web.pages.frame import frame
+from metropilot.web.pages.plots import compare_figure, convoy_figure, driven_convoy, front_figure
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "scale", "words"),
+    [
+        (DriveAsked, "mass_factor", 1.0, "0.5 to 2"),
+        (DriveAsked, "seed", 1.0, "0 or more"),
+        (LearnAsked, "steps", 1.0, "1 000 to 50 000 000"),
+        (LearnAsked, "seed", 1.0, "0 to below 2 147 483 648"),
+        (JourneyAsked, "total_s", 1.0, "above 0 to 36 000"),
+        (NewLink, "loss", 100.0, "0 to 100"),
+    ],
+)
+def test_a_field_says_what_its_request_allows(kind, name, scale, words):
+    assert allowed(kind, name, scale) == words
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "scales", "told"),
+    [
+        (DriveAsked, {"mass_factor": 0}, {}, ("mass_factor", 0, "0.5 to 2")),
+        (ConvoyAsked, {"trainsets": 1}, {}, ("trainsets", 1, "2 to 6")),
+        (NewLink, {"loss": 1.2}, {"loss": 100.0}, ("loss", 120, "0 to 100")),
+    ],
+)
+def test_what_is_not_allowed_is_refused_in_one_line(kind, values, scales, told):
+    with pytest.raises(InputError) as refused:
+        validated(kind, values, **scales)
+    error = refused.value
+    assert (error.field, error.value, error.allowed) == (told[0], pytest.approx(told[1]), told[2])
+    assert "\n" not in str(error)
+
+
+def test_half_a_trainset_is_refused():
+    with pytest.raises(InputError, match="trainsets"):
+        validated(ConvoyAsked, {"trainsets": 2.5})
+
+
+def entry(name):
+    columns = {"position_m": [0], "limit_mps": [9.0], "speed_mps": [0.0], "energy_wheel_j": [0.0]}
+    kpis = {"outcome": "arrived", "running_time_s": 101.0, "energy_wheel_kwh": 9.0}
+    return {"driver": name, "drive": {"columns": columns, "plan": None, "kpis": kpis}}
+
+
+def test_a_driver_has_one_colour_in_every_picture():
+    names = [f"driver_{k}" for k in range(12)]
+    entries = [entry(name) for name in names]
+    front = {"time_s": [90.0], "energy_j": [1.0], "minimum_running_time_s": 83.0}
+    on_front = {
+        t["name"]: t["marker"]["color"] for t in front_figure(front, (95.0, 1.0), entries)["data"][2:]
+    }
+    lines = {t["name"]: t["line"]["color"] for t in compare_figure(entries)["data"] if t["name"] in names}
+    printed = {name: colour for name, (colour, _) in series(names).items()}
+    assert on_front == lines == printed
+    assert len(set(series(names).values())) == len(names)
+    gaps = [t["line"]["color"] for t in convoy_figure()["data"][:5]]
+    assert gaps == [colour for colour, _ in SERIES[:5]]
+
+
+def test_a_driver_has_one_colour_in_every_comparison():
+    usual = ["optimal", "manual", "flat_out", "ppo", "mpc", "pid"]
+    every = [*DRIVERS.ids(), "pid:kp=3", "learned:policy=ppo-20260101-120000-ab12"]
+    styles = series(every)
+    assert len(set(styles.values())) == len(every)
+    assert len({styles[name][0] for name in usual}) == len(usual)
+    assert series(every[::-1]) == styles
+    for name in every:
+        assert series([name]) == {name: styles[name]}
+        assert series([name, "optimal"])[name] == styles[name]
+    on_front = front_figure(
+        {"time_s": [90.0], "energy_j": [1.0], "minimum_running_time_s": 83.0},
+        (95.0, 1.0),
+        [*map(entry, every)],
+    )["data"][2:]
+    assert len({(t["marker"]["color"], t["marker"]["symbol"]) for t in on_front}) == len(every)
+
+
+def test_a_convoy_of_an_earlier_server_is_drawn_whole():
+    speeds = [{"time_s": [0.0, 1.0], "speed_mps": [0.0, 10.0]}] * 3
+    gaps = {"gap_m": [[6.0, 7.0], [6.5, 7.5]], "speed_difference_mps": [[0.0, 0.1], [0.0, 0.2]]}
+    drawn = driven_convoy({"time_s": [0.0, 1.0], "speeds": speeds, **gaps})["data"]
+    assert [list(t["y"]) for t in drawn[:3]] == [[6.0, 6.5], [7.0, 7.5], []]
+    assert list(drawn[7]["y"]) == pytest.approx([0.36, 0.72])
+    assert [list(t["y"]) for t in drawn[12:16]] == [[0.0, 36.0]] * 3 + [[]]
+    assert [t["showlegend"] for t in drawn[12:16]] == [True, True, True, False]
+
+
+def test_what_is_under_way_for_a_page_ends_with_it():
+    async def leave():
+        core.loop = asyncio.get_running_loop()
+        scope = {"type": "http", "method": "GET", "path": "/", "headers": [], "query_string": b""}
+        request = Request(scope)
+        clients = [Client(page("/left"), request=request) for _ in range(2)]
+        for client in clients:
+            with client, frame(request, "/"):
+                ui.label("there")
+
+        async def work(client):
+            with client:
+                await asyncio.sleep(0.3)
+                ui.label("late")
+
+        tasks = [asyncio.create_task(work(client)) for client in clients]
+        await asyncio.sleep(0)
+        clients[0].delete()
+        await asyncio.wait(tasks)
+        clients[1].delete()
+        return [task.cancelled() for task in tasks]
+
+    assert asyncio.run(leave()) == [True, False]
