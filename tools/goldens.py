@@ -1,8 +1,8 @@
 """Record what metropilot drives, to the bit, and compare another commit with it.
 
 `python tools/goldens.py record FOLDER` drives through the command line only, so that the same file serves
-before and after modules have moved; `python tools/goldens.py compare BEFORE AFTER` names every difference. For
-changes that must not move a number. Times that the machine took are left out.
+before and after modules have moved; `python tools/goldens.py compare BEFORE AFTER` names every difference.
+Meant for changes that must not move a number. Times that the machine took are left out.
 """
 
 from __future__ import annotations

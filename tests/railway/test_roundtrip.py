@@ -159,7 +159,7 @@ def trainsets(draw):
         auxiliary_w=draw(not_negative),
         actuation=Actuation(draw(st.floats(0, 2)), draw(st.floats(0, 2)), draw(bound)),
         adhesion=draw(bound),
-        safe_braking=SafeBraking(draw(positive(3.0)), draw(positive(3.0)), 0.5, 0.25, draw(bound)),
+        safe_braking=SafeBraking(draw(st.floats(0.1, 3.0)), draw(positive(3.0)), 0.5, 0.25, draw(bound)),
         couplers=Couplers(draw(st.integers(1, 12)), draw(positive(1e9)), draw(not_negative)),
         notches=draw(
             st.dictionaries(words, st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=3).map(tuple))
