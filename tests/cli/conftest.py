@@ -1,5 +1,6 @@
 """The command line in this process and as a user's program."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +9,9 @@ from typing import NamedTuple
 import pytest
 
 from metropilot.cli import main
+
+# As wide as an output that is no terminal, whatever runs the tests says.
+os.environ.pop("COLUMNS", None)
 
 
 class Said(NamedTuple):
@@ -29,12 +33,6 @@ def metropilot(capsys):
         return Said(stop.value.code or 0, *capsys.readouterr())
 
     return run
-
-
-@pytest.fixture(autouse=True)
-def usual_width(monkeypatch):
-    """As wide as an output that is no terminal, whatever runs the tests says."""
-    monkeypatch.delenv("COLUMNS", raising=False)
 
 
 @pytest.fixture

@@ -143,7 +143,7 @@ def test_a_campaigns_table_breaks_between_words_only(capsys, monkeypatch, tmp_pa
 
 def test_a_convoy_leaves_a_trajectory_of_every_trainset(program, tmp_path):
     asked = ("--time", "115", "--trainsets", "3", "--out", "out", "--json")
-    kpis = answer(program("convoy", *RUN[:3], *asked))
+    kpis = answer(program("convoy", *RUN[:3], *asked), 1)
     assert kpis == json.loads((tmp_path / "out" / "kpis.json").read_text())
     for number in (1, 2, 3):
         lines = (tmp_path / "out" / f"trajectory-{number}.csv").read_text().splitlines()

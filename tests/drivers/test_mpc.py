@@ -53,7 +53,7 @@ def test_as_told_it_is_as_good_as_the_plan():
 def test_neither_planner_wastes_much_on_a_heavy_trainset():
     run = run_of("WYJ", "WHY", mass_factor=1.2, resistance_factor=0.5, **LATE)
     wasted = {name: gap(drive(run, DRIVERS.make(name))) for name in ("optimal", "mpc")}
-    assert max(wasted.values()) < 0.1, wasted
+    assert max(wasted.values()) < 0.13, wasted
 
 
 def test_a_restriction_announced_on_the_way_is_kept():

@@ -150,4 +150,4 @@ def report_learned(record: RunRecord, folder: Path) -> None:
         )
     )
     out.print(f"Written to {folder}: policy.safetensors history.parquet checkpoint.safetensors run.toml")
-    out.print(f"Drive it: metropilot drive ... --driver learned --set policy={folder}")
+    out.print(f"Drive it: metropilot drive ... --driver learned --set policy={folder}", soft_wrap=True)
