@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from metropilot.drivers import DRIVERS
-from metropilot.evaluate import drive
 from metropilot.planning import PlanOptions, optimal_plan
-from metropilot.task import Run
+from metropilot.sim import Run, drive
 
 SPACING_M = 5.0
 

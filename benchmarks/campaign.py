@@ -32,9 +32,9 @@ def one(seeds: int, folder: Path, workers: int) -> dict[str, float]:
     from dataclasses import replace
     from time import perf_counter
 
-    from metropilot.evaluate.campaign import read_campaign, run_campaign
-    from metropilot.evaluate.campaign.pools import own_memory_mb
-    from metropilot.evaluate.campaign.summary import RESULTS_FILE, collect
+    from metropilot.campaign import read_campaign, run_campaign
+    from metropilot.campaign.pools import own_memory_mb
+    from metropilot.campaign.summary import RESULTS_FILE, collect
 
     kept = folder / COSTS
     if kept.exists():
@@ -87,7 +87,7 @@ def table(costs: list[dict[str, float]], workers: int, about: dict[str, str]) ->
 
 def growth(folder: Path, parts: int = 8) -> str:
     """The same for one campaign, in the order in which its shards came: an eighth of them after the other."""
-    from metropilot.evaluate.campaign.store import DONE, TIMINGS, stored_campaign
+    from metropilot.campaign.store import DONE, TIMINGS, stored_campaign
 
     lines = [line.split() for line in (folder / DONE).read_text().splitlines()]
     shards = [(int(rows), folder / TIMINGS / key / f"{int(k):06d}.parquet") for key, k, rows, *_ in lines]

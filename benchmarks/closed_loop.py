@@ -14,22 +14,21 @@ import numpy as np
 
 from benchmarks.report import circumstances, hand_out, page_options
 from metropilot.drivers import DRIVERS
-from metropilot.evaluate import drive
 from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
 from metropilot.railway import Section, load_line, load_trainset
-from metropilot.task import Run, Scenario
+from metropilot.sim import Disturbance, Run, drive
 
 LINE, TRAINSET, LOADS = "yizhuang", "dkz32", ("AW0", "AW2", "AW3")
 RATIOS = (1.05, 1.1, 1.2, 1.6)
 PLAN_RATIOS = (1.02, 1.05, 1.1, 1.2, 1.4, 1.6)
 LATE = {"extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
 SCENARIOS = {
-    "ideal actuation": Scenario(ideal_actuation=True),
-    "jerk limit": Scenario(),
-    "mass +20 %, Davis +50 %": Scenario(mass_factor=1.2, resistance_factor=1.5, **LATE),
-    "mass +20 %, Davis -50 %": Scenario(mass_factor=1.2, resistance_factor=0.5, **LATE),
-    "mass -20 %, Davis +50 %": Scenario(mass_factor=0.8, resistance_factor=1.5, **LATE),
-    "mass -20 %, Davis -50 %": Scenario(mass_factor=0.8, resistance_factor=0.5, **LATE),
+    "ideal actuation": Disturbance(ideal_actuation=True),
+    "jerk limit": Disturbance(),
+    "mass +20 %, Davis +50 %": Disturbance(mass_factor=1.2, resistance_factor=1.5, **LATE),
+    "mass +20 %, Davis -50 %": Disturbance(mass_factor=1.2, resistance_factor=0.5, **LATE),
+    "mass -20 %, Davis +50 %": Disturbance(mass_factor=0.8, resistance_factor=1.5, **LATE),
+    "mass -20 %, Davis -50 %": Disturbance(mass_factor=0.8, resistance_factor=0.5, **LATE),
 }
 KNOWN = ("ideal actuation", "jerk limit")
 

@@ -18,19 +18,19 @@ import numpy as np
 
 from benchmarks.beside_optimum import Result, beside_optimum, table, worst
 from benchmarks.report import circumstances, hand_out, page_options
-from metropilot.drivers.policy.loaded import load_driving_policy
 from metropilot.drivers.shipped import shipped_policy
 from metropilot.errors import MetropilotError
 from metropilot.planning import minimum_running_time
+from metropilot.policy.loaded import load_driving_policy
 from metropilot.railway import load_line, load_trainset
-from metropilot.task import Run, Scenario
+from metropilot.sim import Disturbance, Run
 
 DRIVER, BESIDE = "generalist", "optimal"
 LINE, TRAINSET, LOADS = "yizhuang", "dkz32", ("AW0", "AW2", "AW3")
 RATIOS = (0.0, 1.05, 1.1, 1.2, 1.4)
 """Scheduled time over the minimum of section and load; 0: the time planned by the line."""
 IDEAL, LIMITED = "ideal actuation", "jerk limit"
-SCENARIOS = {IDEAL: Scenario(ideal_actuation=True), LIMITED: Scenario()}
+SCENARIOS = {IDEAL: Disturbance(ideal_actuation=True), LIMITED: Disturbance()}
 TARGETS = {IDEAL: (0.7, 2.5, 5.0), LIMITED: (2.5, 5.0, 8.0)}
 """Gap to the optimum, per cent: median, 95th percentile, worst."""
 ON_TIME_S, IN_PLACE_M = 1.0, 0.3
@@ -40,7 +40,7 @@ SHOWN = 8
 PAGE = """# One driver for every line
 
 `generalist` is one small network that has never seen a real line. It was taught on random sections of 0.5 to
-8 km with random trainsets of 80 to 500 t ([`metropilot.task.worlds`](api.md)), in two steps: it imitates what
+8 km with random trainsets of 80 to 500 t ([`metropilot.env.worlds`](api.md)), in two steps: it imitates what
 the optimal plan does from {states:,} states on and beside the plan, and then drives in closed loop, where the
 gradient of energy and arrival time reaches the policy through the whole drive. It sees distances, limits,
 gradients, effort and resistance of this trainset, the time left, what flat-out driving, steady driving and

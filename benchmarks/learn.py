@@ -67,7 +67,7 @@ def task(choices: int = 0) -> Any:
     import jax
     import jax.numpy as jnp
 
-    from metropilot.task import AbstractTask, ActionSpace, Transition
+    from metropilot.env import AbstractTask, ActionSpace, Transition
 
     class Mass(NamedTuple):
         position: Any
@@ -124,8 +124,8 @@ def one(case: str, rounds: int = 3) -> tuple[float, float]:
     """Steps or updates per CPU second of one case, and CPU seconds to compile it."""
     import jax
 
+    from metropilot.env import make_task
     from metropilot.learn import make_loop
-    from metropilot.task import make_task
 
     config = configuration(case)
     learned = make_task("drive") if case == "ppo_drive" else task(12 if "dqn" in case else 0)
@@ -220,7 +220,7 @@ def stable_baselines(case: str, steps: int) -> float:
         environments = make_vec_env(mass, 64)
         model = sb3.PPO("MlpPolicy", environments, n_steps=128, batch_size=512, n_epochs=10, **common)
     elif case == "ppo_drive":
-        environment = gymnasium.make("metropilot.task.gym_adapter:metropilot/Drive-v0")
+        environment = gymnasium.make("metropilot.env.adapters.gymnasium:metropilot/Drive-v0")
         environment.reset(seed=0)
         environment.step(environment.action_space.sample())
         model = sb3.PPO("MlpPolicy", environment, n_steps=2_048, batch_size=128, n_epochs=4, **common)
@@ -238,7 +238,8 @@ def decision() -> list[Row]:
 
     import numpy as np
 
-    from metropilot.learn import Policy, PolicySpec, export_onnx
+    from metropilot.learn import export_onnx
+    from metropilot.policy import Policy, PolicySpec
 
     spec = PolicySpec("clip", 8, 1, (64, 64), "tanh", 1, normalised=True)
     rng = np.random.default_rng(0)

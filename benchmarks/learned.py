@@ -16,7 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.report import Benchmark, Row, run
-from metropilot.processes import ONE_THREAD
+from metropilot._processes import ONE_THREAD
 
 PROGRAM = Path(sys.executable).with_name("metropilot")
 LEARN = ("learn", "ppo", "--steps", "65536", "--set", "evaluations=1")
@@ -53,11 +53,10 @@ def deciding() -> list[Row]:
     import numpy as np
 
     from metropilot.drivers import DRIVERS, shipped
-    from metropilot.drivers.policy import load_policy
-    from metropilot.evaluate import drive
     from metropilot.learn import export_onnx
+    from metropilot.policy import load_policy
     from metropilot.railway import load_line, load_trainset
-    from metropilot.task import Run
+    from metropilot.sim import Run, drive
 
     rows = []
     for driver in ("ppo", "ppo_scaled"):

@@ -15,11 +15,11 @@ import numpy as np
 
 from benchmarks.beside_optimum import Result, beside_optimum, table, worst
 from benchmarks.report import circumstances, hand_out, page_options
-from metropilot.drivers.policy.loaded import load_driving_policy
 from metropilot.drivers.shipped import shipped_policy
 from metropilot.planning import minimum_running_time
+from metropilot.policy.loaded import load_driving_policy
 from metropilot.railway import load_line, load_trainset
-from metropilot.task import Run, Scenario
+from metropilot.sim import Disturbance, Run
 
 LINE, ORIGIN, DESTINATION = "yizhuang", "RJ", "WYJ"
 TRAINSET, LOADS = "dkz32", ("AW0", "AW2", "AW3")
@@ -27,7 +27,7 @@ LEARNED = ("ppo_scaled", "ppo")
 SHORTEST, LONGEST_S = 1.08, 130.0
 SHARES = (0.0, 0.06, 0.12, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0)
 """Scheduled times between the shortest, 1.08 of the load's minimum, and 130 s."""
-SCENARIOS = {"ideal actuation": Scenario(ideal_actuation=True), "jerk limit": Scenario()}
+SCENARIOS = {"ideal actuation": Disturbance(ideal_actuation=True), "jerk limit": Disturbance()}
 TARGETS = {"ideal actuation": (3.0, 6.0), "jerk limit": (5.0, None)}
 """Gap to the optimum, per cent: median and worst."""
 

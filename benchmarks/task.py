@@ -27,8 +27,8 @@ def compiled(name: str, batch: int) -> dict[str, float]:
     import jax.numpy as jnp
 
     from metropilot import physics
+    from metropilot.env import make_task
     from metropilot.learn import environments
-    from metropilot.task import make_task
 
     begun = time.perf_counter()
     task = make_task(name)

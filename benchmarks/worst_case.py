@@ -22,8 +22,8 @@ from tests.protection.search import STEPS as RUN_STEPS
 from tests.protection.search import Field, places
 
 from benchmarks.report import circumstances, written
-from metropilot.evaluate.convoy_campaign import HEADS
-from metropilot.evaluate.convoy_campaign import Campaign as ConvoyCampaign
+from metropilot.convoy.attack import HEADS
+from metropilot.convoy.attack import AttackCampaign as ConvoyCampaign
 
 POPULATION = 32
 MOST_PLACES = 24

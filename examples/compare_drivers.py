@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from metropilot.drivers import AbstractDriver
-from metropilot.evaluate import Request, drive, kpis_of, make_driver, optimum_of
-from metropilot.task import Observation, Run
+from metropilot.evaluate import Request, kpis_of, make_driver, optimum_of
+from metropilot.sim import AbstractDriver, Observation, Run, drive
 
 
 class Coaster(AbstractDriver):

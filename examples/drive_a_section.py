@@ -3,7 +3,8 @@
 python examples/drive_a_section.py
 """
 
-from metropilot.evaluate import Request, checks, drive, kpis_of, optimum_of
+from metropilot.evaluate import Request, checks, kpis_of, optimum_of
+from metropilot.sim import drive
 
 
 def main() -> None:

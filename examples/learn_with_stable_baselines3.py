@@ -13,7 +13,7 @@ from stable_baselines3 import PPO
 STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 4_096
 EPISODES = 3
 
-env = gymnasium.make("metropilot.task.gym_adapter:metropilot/Drive-v0")
+env = gymnasium.make("metropilot.env.adapters.gymnasium:metropilot/Drive-v0")
 # Undiscounted: the price of a second is paid at the end.
 model = PPO("MlpPolicy", env, n_steps=1024, gamma=1.0, gae_lambda=0.995, seed=0, device="cpu")
 model.learn(STEPS)

@@ -37,7 +37,7 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", os.environ["METROPILOT_TEST_H
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 
 # Here a program runs for a moment: LLVM is not asked to optimise it at all.
-BRIEF = ("browser", "drivers", "learn", "physics", "studies", "task")
+BRIEF = ("browser", "drivers", "learn", "physics", "studies", "env")
 
 # Every annotated function of metropilot checks its arguments' types and array shapes.
 checking.install("metropilot")

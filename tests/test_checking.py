@@ -133,7 +133,7 @@ def test_a_type_that_is_named_before_it_is_there_is_not_checked(checked):
 
 
 def test_metropilot_itself_is_checked():
-    from metropilot.drivers.stopping import Curve, braking_distance
+    from metropilot.control.stopping import StopCurve, braking_distance
 
     with pytest.raises(jaxtyping.TypeCheckError):
-        braking_distance("fast", Curve(1.0, 1.0, 1.0, 0.1))
+        braking_distance("fast", StopCurve(1.0, 1.0, 1.0, 0.1))

@@ -15,8 +15,9 @@ from pathlib import Path
 import pytest
 from tools import driver_page, site_nav
 
-from metropilot.evaluate import COLUMNS, Kpis
-from metropilot.evaluate.convoy_kpis import ConvoyKpis, MemberKpis
+from metropilot.convoy.kpis import ConvoyKpis, MemberKpis
+from metropilot.evaluate import Kpis
+from metropilot.sim import COLUMNS
 
 ROOT = Path(__file__).resolve().parent.parent
 SLOW = "<!-- test: slow -->"

@@ -8,8 +8,8 @@ A test fails when the page and the registries differ.
 import re
 from pathlib import Path
 
+from metropilot.convoy.drivers import FOLLOWERS
 from metropilot.drivers import DRIVERS
-from metropilot.drivers.followers import FOLLOWERS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "drivers.md"

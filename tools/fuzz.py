@@ -28,10 +28,15 @@ ROOT = Path(__file__).resolve().parents[1]
 CORPUS = ROOT / "tests" / "fuzz" / "corpus"
 SLOW_S, MEMORY_BYTES = 2.0, 4 << 30
 PACKAGES = (
-    *("metropilot.errors", "metropilot.railway", "metropilot.drivers.policy", "metropilot.task.perception"),
-    *("metropilot.evaluate.request", "metropilot.evaluate.request_file", "metropilot.evaluate.trajectory"),
     *(
-        "metropilot.evaluate.campaign",
+        "metropilot.errors",
+        "metropilot.railway",
+        "metropilot.policy",
+        "metropilot.env.policy_interface",
+    ),
+    *("metropilot.evaluate.request", "metropilot.evaluate.request_file", "metropilot.sim.trajectory"),
+    *(
+        "metropilot.campaign",
         "metropilot.learn.runs",
         "metropilot.learn.checkpoint",
         "metropilot.cli.show",

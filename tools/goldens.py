@@ -33,7 +33,7 @@ LEARNERS = (
     ("ppo", "--steps", "600000"),
     ("dqn", "--steps", "20000"),
     ("sac", "--steps", "20000"),
-    ("eitop", "--steps", "20000"),
+    ("eitop", "--steps", "49152"),
 )
 CONVOYS = (
     ("--trainsets", "3"),
@@ -41,7 +41,7 @@ CONVOYS = (
 )
 STUDIES = ("cheng2023",)
 OF_THE_MACHINE = re.compile(
-    r"decision|seconds|written|commit|date|started|version|machine|^path$|^folder$|^out$"
+    r"decision|seconds|created|written|commit|date|started|version|machine|^path$|^folder$|^out$"
 )
 
 

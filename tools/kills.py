@@ -53,8 +53,8 @@ def learning(place: Path) -> None:
     """Learn a small policy, from the checkpoint where there is one."""
     from tests.learn.problems import DoubleIntegrator
 
-    from metropilot.drivers.policy import save_policy
-    from metropilot.learn import PPOConfig, Sitting, learn_in_chunks
+    from metropilot.learn import PPOConfig, TrainingOptions, learn_in_chunks
+    from metropilot.policy import save_policy
 
     config = PPOConfig(
         steps=19_200,
@@ -68,22 +68,22 @@ def learning(place: Path) -> None:
         hidden=(8,),
     )
     checkpoint = place / "checkpoint.safetensors"
-    sitting = Sitting(checkpoint=checkpoint, resume=checkpoint.exists())
+    sitting = TrainingOptions(checkpoint=checkpoint, resume=checkpoint.exists())
     learned = learn_in_chunks(config, DoubleIntegrator(), 7, sitting)
     save_policy(place / "result", learned.policy, {"seed": 7})
 
 
 def campaign(place: Path) -> None:
     """Drive a small campaign, from where its folder left it."""
-    from metropilot.evaluate.campaign.reading import campaign_from_toml
-    from metropilot.evaluate.campaign.rows import drive_shard
-    from metropilot.evaluate.campaign.store import Store
-    from metropilot.evaluate.campaign.summary import collect
+    from metropilot.campaign.reading import campaign_from_toml
+    from metropilot.campaign.rows import drive_shard
+    from metropilot.campaign.store import CampaignStore
+    from metropilot.campaign.summary import collect
 
     told = place / "mine.toml"
     told.write_text(CAMPAIGN)
     declared = campaign_from_toml(told)
-    store = Store(place / "out", declared)
+    store = CampaignStore(place / "out", declared)
     done = store.done()
     for piece in declared.pieces():
         if piece not in done:
@@ -95,7 +95,8 @@ def campaign(place: Path) -> None:
 @cache
 def driven() -> tuple[Any, Any]:
     """A drive that is written again and again: what was asked for, and what came of it."""
-    from metropilot.evaluate import Entry, Request, drive, kpis_of
+    from metropilot.evaluate import Entry, Request, kpis_of
+    from metropilot.sim import drive
 
     request = Request("yizhuang", "RJ", "WYJ", 110.0, driver="flat_out")
     done = drive(request.run(), request.make_driver())
@@ -106,11 +107,11 @@ def files(place: Path) -> None:
     """Write one version after the other of everything, without end."""
     import numpy as np
 
-    from metropilot.drivers.policy import Policy, PolicySpec, save_policy
     from metropilot.evaluate import write_comparison, write_run
     from metropilot.learn import PPOConfig, export_onnx
     from metropilot.learn.history import write_history
     from metropilot.learn.runs import RunStore
+    from metropilot.policy import Policy, PolicySpec, save_policy
     from metropilot.railway import load_line, write_line
 
     line, store = load_line("yizhuang"), RunStore(place / "runs")
@@ -136,9 +137,9 @@ def look_at_files(place: Path) -> None:
     """
     import numpy as np
 
-    from metropilot.drivers.policy import load_policy
     from metropilot.learn.history import read_history
     from metropilot.learn.runs import RunStore
+    from metropilot.policy import load_policy
     from metropilot.railway import load_line
 
     if (place / "policy.safetensors").exists():
@@ -168,7 +169,8 @@ def look_at_folder(folder: Path) -> None:
     Raises:
         AssertionError: One is neither.
     """
-    from metropilot.evaluate import Trajectory, request_from_toml
+    from metropilot.evaluate import request_from_toml
+    from metropilot.sim import Trajectory
 
     request, entry = driven()
     for path in folder.glob("*"):

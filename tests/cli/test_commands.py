@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from metropilot.cli.app import COMMANDS
+from metropilot.convoy.drivers import FOLLOWERS
 from metropilot.drivers import DRIVERS
-from metropilot.drivers.followers import FOLLOWERS
-from metropilot.evaluate import COLUMNS
+from metropilot.sim import COLUMNS
 
 RUN = ("yizhuang", "RJ", "WYJ", "--time", "101")
 EXAMPLES = {

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import pytest
 
-from metropilot.drivers.policy import load_policy
 from metropilot.drivers.shipped import shipped_policy
-from metropilot.task import TASKS
+from metropilot.env import TASKS
+from metropilot.policy import load_policy
 
 PROGRAM = Path(sys.executable).with_name("metropilot")
 LEARN = (

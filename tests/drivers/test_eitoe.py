@@ -11,8 +11,9 @@ from metropilot.drivers.expert.hoa import Hoa
 from metropilot.drivers.expert_learned import Eitop
 from metropilot.drivers.learned import LearnedDriver
 from metropilot.drivers.shipped import PolicyOptions, shipped_policy
+from metropilot.env.expert import Rules
 from metropilot.errors import InputError
-from metropilot.evaluate import Rollout, drive, kpis_of, make_driver
+from metropilot.evaluate import kpis_of, make_driver
 from metropilot.evaluate.indices import indices_of
 from metropilot.railway import (
     Actuation,
@@ -24,8 +25,7 @@ from metropilot.railway import (
     load_line,
     load_trainset,
 )
-from metropilot.task import News, Run, Scenario
-from metropilot.task.expert import Rules
+from metropilot.sim import Disturbance, Rollout, Run, TimetableUpdate, drive
 
 PLAIN = load_trainset("dkz32")
 DELAYED = replace(PLAIN, actuation=Actuation(0.6, 0.4, float("inf")))
@@ -33,7 +33,7 @@ DELAYED = replace(PLAIN, actuation=Actuation(0.6, 0.4, float("inf")))
 
 def run_of(ends=("RJ", "WYJ"), time_s=101.0, trainset=DELAYED, **scenario):
     section = load_line("yizhuang-ttobench").section(*ends)
-    return Run(section, trainset, time_s, Scenario(**scenario))
+    return Run(section, trainset, time_s, Disturbance(**scenario))
 
 
 def downhill(permil, length_m=1200.0):
@@ -80,7 +80,7 @@ def test_other_runs(trainset, ends, time_s):
 def test_stops_on_a_steep_way_down(load, more):
     """20 permil down towards the stop: less of the brake is left than on the level."""
     section = load_line("yizhuang").section("YZHC", "CQ")
-    found = drive(Run(section, load_trainset("dkz32", load), 108.0, Scenario(**more)), Eitoe())
+    found = drive(Run(section, load_trainset("dkz32", load), 108.0, Disturbance(**more)), Eitoe())
     assert abs(kpis_of(found, None).stopping_error_m) < 0.05
     assert found.interventions == 0
 
@@ -105,8 +105,8 @@ def test_stops_at_the_mark_whatever_the_period_and_the_brakes(permil, service_mp
 @pytest.mark.parametrize(
     "news",
     [
-        News(30.0, scheduled_time_s=116.0),
-        News(10.0, scheduled_time_s=92.0),
+        TimetableUpdate(30.0, scheduled_time_s=116.0),
+        TimetableUpdate(10.0, scheduled_time_s=92.0),
     ],
 )
 def test_late_news(news):
@@ -114,7 +114,7 @@ def test_late_news(news):
 
 
 def test_a_restriction_announced_on_the_way():
-    news = News(30.0, restriction=Restriction(700.0, 900.0, 40.0 / 3.6))
+    news = TimetableUpdate(30.0, restriction=Restriction(700.0, 900.0, 40.0 / 3.6))
     found = drive(run_of(time_s=118.0, news=(news,)), Eitoe())
     assert good(found)
 

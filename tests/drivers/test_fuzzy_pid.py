@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from metropilot.control.incremental_pid import CHENG2023_GAINS, CHENG2023_UPPER
 from metropilot.drivers.fuzzy_pid import (
     ASSUMED,
     DERIVATIVE,
@@ -20,7 +21,6 @@ from metropilot.drivers.fuzzy_pid import (
     memberships,
 )
 from metropilot.errors import InputError
-from metropilot.task.incremental_pid import CHENG2023_GAINS, CHENG2023_UPPER
 
 
 def slow_membership(name, x):

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
+from metropilot.control.estimator import weighs_load
 from metropilot.drivers import DRIVERS
-from metropilot.drivers.observer import weighs_load
-from metropilot.evaluate import drive
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
 from metropilot.planning.optimal import plan_arrays
 from metropilot.railway import Restriction, load_line, load_trainset
-from metropilot.task import News, Outcome, Run, Scenario
+from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate, drive
 
 LATE = {"extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
 CORNERS = [(0.8, 0.5), (0.8, 1.5), (1.2, 0.5), (1.2, 1.5)]
@@ -20,7 +19,7 @@ def run_of(origin, destination, load="AW2", ratio=1.1, **scenario):
     section = load_line("yizhuang").section(origin, destination)
     trainset = load_trainset("dkz32", load)
     time_s = minimum_running_time(section, trainset) * ratio
-    return Run(section, trainset, time_s, Scenario(**scenario))
+    return Run(section, trainset, time_s, Disturbance(**scenario))
 
 
 def gap(done):
@@ -57,7 +56,7 @@ def test_neither_planner_wastes_much_on_a_heavy_trainset():
 
 
 def test_a_restriction_announced_on_the_way_is_kept():
-    news = (News(30.0, restriction=Restriction(500.0, 700.0, 40 / 3.6)),)
+    news = (TimetableUpdate(30.0, restriction=Restriction(500.0, 700.0, 40 / 3.6)),)
     done = drive(run_of("RJ", "WYJ", ratio=1.25, news=news, mass_factor=1.2), DRIVERS.make("mpc"))
     check_arrival(done, seconds=3.0)
     held = (done.trajectory.position_m > 500.0) & (done.trajectory.position_m < 700.0)

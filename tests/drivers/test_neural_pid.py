@@ -5,17 +5,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from metropilot.control.incremental_pid import CHENG2023_GAINS, CHENG2023_UPPER, Errors
 from metropilot.drivers.neural_pid import (
     SPEED_SCALE_MPS,
     TUNED,
+    LearningRates,
     NeuralPid,
     NeuralPidOptions,
-    Rates,
     fresh_network,
     neural_pid,
 )
-from metropilot.task.incremental_pid import CHENG2023_GAINS, CHENG2023_UPPER, Errors
-from metropilot.task.tracking import Tracked
+from metropilot.env.tracking import Tracked
 
 
 def seen(error, command=0.1, speed=10.0):
@@ -32,7 +32,7 @@ def test_it_begins_with_the_gains_it_is_given():
 def test_its_weights_move_along_the_gradient_of_the_command():
     # Loss: half the squared error of the next period; d error / d command counts as -1. So the weights move
     # by the learning rate times that error times d command / d weights, in units of the error scale.
-    rates, errors, first, then = Rates(0.3, 0.0, 0.5), Errors(0.03, -0.01), seen(0.05), seen(0.08)
+    rates, errors, first, then = LearningRates(0.3, 0.0, 0.5), Errors(0.03, -0.01), seen(0.05), seen(0.08)
     network = fresh_network(1)._replace(errors=errors)
 
     def command(inner, outer):
@@ -53,7 +53,7 @@ def test_its_weights_move_along_the_gradient_of_the_command():
 
 
 def test_momentum_makes_part_of_the_last_change_again():
-    rates = Rates(0.3, 0.5, 0.5)
+    rates = LearningRates(0.3, 0.5, 0.5)
     _, once = neural_pid(fresh_network(1), seen(0.05), rates)
     _, twice = neural_pid(once, seen(0.08), rates)
     _, thrice = neural_pid(twice, seen(0.0), rates)

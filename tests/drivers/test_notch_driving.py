@@ -5,11 +5,12 @@ import pytest
 
 from metropilot.drivers.learned import LearnedDriver
 from metropilot.drivers.pid_lu2023 import PidLu2023, PidLu2023Options
-from metropilot.drivers.policy import Policy, PolicySpec, save_policy
-from metropilot.drivers.rehearsal import rehearse
-from metropilot.evaluate import drive, kpis_of
+from metropilot.env import task_config
+from metropilot.evaluate import kpis_of
+from metropilot.policy import Policy, PolicySpec, save_policy
 from metropilot.railway import load_line, load_trainset
-from metropilot.task import Outcome, Run, task_config
+from metropilot.sim import Outcome, Run, drive
+from metropilot.sim.nominal import simulate_nominal
 
 NOTCHES = np.array(load_trainset("lu2023").notches["lu2023"])
 COAST, FULL = 5, 11
@@ -63,7 +64,7 @@ def test_pid_tracks_the_curve_of_a_policy(tmp_path):
     driver = PidLu2023(PidLu2023Options(policy=str(path)))
     found = drive(run(140.0), driver)
     assert found.outcome is Outcome.ARRIVED
-    learned = rehearse(run(140.0), driver_of(path))
+    learned = simulate_nominal(run(140.0), driver_of(path))
     again = drive(run(140.0), driver_of(path))
     # the rehearsal is the drive
     assert learned.running_time_s == pytest.approx(again.running_time_s, abs=0.05)

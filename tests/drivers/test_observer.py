@@ -3,10 +3,17 @@
 import numpy as np
 import pytest
 
-from metropilot.drivers.observer import Model, first_belief, issued, look_ahead, observe, share_for
+from metropilot.control.estimator import (
+    Model,
+    initial_estimate,
+    look_ahead,
+    record_command,
+    share_for,
+    update_estimate,
+)
 from metropilot.physics import Command, at_rest, delay_steps, step, track_arrays, vehicle_arrays
 from metropilot.railway import load_line, load_trainset
-from metropilot.task import Scenario
+from metropilot.sim import Disturbance
 
 DT = 0.2
 
@@ -15,15 +22,17 @@ def driven(scenario, commands):
     """Beliefs and states of a trainset under given commands."""
     trainset, section = load_trainset("dkz32"), load_line("yizhuang").section("RC", "RJ")
     model = Model(vehicle_arrays(trainset), track_arrays(section, trainset), DT)
-    actual = scenario.actual(trainset)
+    actual = scenario.true_plant(trainset)
     vehicle, track = vehicle_arrays(actual), track_arrays(section, actual)
     state = at_rest(vehicle, delay_steps=delay_steps(float(vehicle.delay_s), DT))
-    belief, rng, rows = first_belief(model), np.random.default_rng(7), []
+    belief, rng, rows = initial_estimate(model), np.random.default_rng(7), []
     for command in commands:
         noise = scenario.speed_noise_mps * np.clip(rng.standard_normal(), -3, 3)
         speed = max(float(state.speed_mps + noise), 0.0)
-        belief = observe(model, belief, float(state.position_m), speed, float(state.acceleration_mps2))
-        belief = issued(belief, command)
+        belief = update_estimate(
+            model, belief, float(state.position_m), speed, float(state.acceleration_mps2)
+        )
+        belief = record_command(belief, command)
         rows.append((belief, state))
         state = step(vehicle, track, state, Command(np.float64(command), False), DT)
     return model, rows
@@ -34,7 +43,7 @@ COMMANDS = np.repeat([1.0, 0.0, 0.6, 0.0, -0.5, -0.7], 25)
 
 @pytest.mark.parametrize("mass", [0.8, 1.0, 1.2])
 def test_gains_delay_and_resistance_are_learned(mass):
-    scenario = Scenario(
+    scenario = Disturbance(
         mass_factor=mass, resistance_factor=1.5, extra_delay_s=0.6, extra_lag_s=0.4, speed_noise_mps=0.05
     )
     _, rows = driven(scenario, COMMANDS)
@@ -48,14 +57,14 @@ def test_gains_delay_and_resistance_are_learned(mass):
 
 
 def test_speed_is_filtered_tenfold():
-    _, rows = driven(Scenario(speed_noise_mps=0.05), COMMANDS)
+    _, rows = driven(Disturbance(speed_noise_mps=0.05), COMMANDS)
     errors = [belief.speed_mps - float(state.speed_mps) for belief, state in rows[20:]]
     assert np.std(errors) < 0.01
     assert np.abs(errors).max() < 0.02
 
 
 def test_look_ahead_predicts_the_state_the_command_will_meet():
-    scenario = Scenario(mass_factor=1.2, extra_delay_s=0.6, extra_lag_s=0.4)
+    scenario = Disturbance(mass_factor=1.2, extra_delay_s=0.6, extra_lag_s=0.4)
     model, rows = driven(scenario, COMMANDS)
     # The belief kept in a row has the command just given; look at the moment before.
     (belief, _), (_, later) = rows[100], rows[103]
@@ -66,7 +75,7 @@ def test_look_ahead_predicts_the_state_the_command_will_meet():
 
 
 def test_share_for_gives_the_acceleration_asked_for():
-    model, rows = driven(Scenario(ideal_actuation=False), COMMANDS)
+    model, rows = driven(Disturbance(ideal_actuation=False), COMMANDS)
     belief, state = rows[60]
     ahead = look_ahead(model, belief)
     share = share_for(belief, ahead, 0.3)

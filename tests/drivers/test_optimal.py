@@ -7,10 +7,9 @@ import pytest
 
 from metropilot.drivers import DRIVERS
 from metropilot.errors import Infeasible
-from metropilot.evaluate import Rollout, drive
 from metropilot.planning import minimum_running_time, optimal_plan
 from metropilot.railway import Actuation, Restriction, Steps, load_line, load_trainset
-from metropilot.task import News, Outcome, Run, Scenario
+from metropilot.sim import Disturbance, Outcome, Rollout, Run, TimetableUpdate, drive
 
 LATE = {"extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
 
@@ -20,7 +19,7 @@ def run_of(origin="RJ", destination="WYJ", load="AW0", ratio=None, time_s=None, 
     trainset = load_trainset("dkz32", load)
     if time_s is None:
         time_s = minimum_running_time(section, trainset) * ratio
-    return Run(section, trainset, time_s, Scenario(**scenario))
+    return Run(section, trainset, time_s, Disturbance(**scenario))
 
 
 def check_safe_stop(done):
@@ -75,7 +74,10 @@ def test_a_trainset_that_is_not_as_told(mass, resistance):
 
 
 def test_told_on_the_way_to_arrive_later_or_earlier():
-    for news, due in ((News(30.0, scheduled_time_s=116.0), 116.0), (News(10.0, scheduled_time_s=91.0), 91.0)):
+    for news, due in (
+        (TimetableUpdate(30.0, scheduled_time_s=116.0), 116.0),
+        (TimetableUpdate(10.0, scheduled_time_s=91.0), 91.0),
+    ):
         done = drive(run_of(time_s=101.0, news=(news,)), DRIVERS.make("optimal"))
         check_safe_stop(done)
         assert abs(done.running_time_s - due) <= 0.5
@@ -83,7 +85,7 @@ def test_told_on_the_way_to_arrive_later_or_earlier():
 
 
 def test_a_restriction_announced_on_the_way_is_kept_and_the_time_too():
-    news = News(20.0, restriction=Restriction(600.0, 930.0, 40 / 3.6))
+    news = TimetableUpdate(20.0, restriction=Restriction(600.0, 930.0, 40 / 3.6))
     done = drive(run_of(time_s=115.0, news=(news,)), DRIVERS.make("optimal"))
     check_safe_stop(done)
     assert abs(done.running_time_s - 115.0) <= 0.5
@@ -92,7 +94,9 @@ def test_a_restriction_announced_on_the_way_is_kept_and_the_time_too():
 
 
 def test_an_impossible_wish_on_the_way_is_answered_by_the_fastest_run():
-    done = drive(run_of(time_s=101.0, news=(News(60.0, scheduled_time_s=85.0),)), DRIVERS.make("optimal"))
+    done = drive(
+        run_of(time_s=101.0, news=(TimetableUpdate(60.0, scheduled_time_s=85.0),)), DRIVERS.make("optimal")
+    )
     check_safe_stop(done)
     assert 85.0 < done.running_time_s < 100.0
 

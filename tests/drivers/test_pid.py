@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 
+from metropilot.control.incremental_pid import Errors, Gains, incremental_pid
 from metropilot.drivers import DRIVERS
 from metropilot.drivers.pid import Pid, PidOptions
 from metropilot.errors import InputError
-from metropilot.evaluate import drive
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import ReferenceShape, reference_for_time
-from metropilot.planning.timed_reference import Ground, reference_under_for_time, sampled
+from metropilot.planning.timed_reference import ReferenceTrack, reference_under_for_time, sampled
 from metropilot.railway import Restriction, load_line, load_trainset
-from metropilot.task import News, Outcome, Run, Scenario
-from metropilot.task.incremental_pid import Errors, Gains, incremental_pid
+from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate, drive
 
 UNKNOWN = {"resistance_factor": 1.5, "extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
 TRACKERS = ["pid", "fuzzy_pid", "neural_pid", "ddpg_pid"]
@@ -44,7 +43,7 @@ def test_the_law_in_jax_is_the_same():
 @pytest.mark.parametrize("scenario", [{}, UNKNOWN], ids=["known", "unknown"])
 def test_a_tracker_arrives_on_time_and_undisturbed(driver, name, scenario):
     line = section(name)
-    run = Run(line, load_trainset("dkz32"), line.planned_time_s, Scenario(**scenario), seed=1)
+    run = Run(line, load_trainset("dkz32"), line.planned_time_s, Disturbance(**scenario), seed=1)
     done = drive(run, DRIVERS.make(driver))
     assert done.outcome is Outcome.ARRIVED
     assert (done.interventions, done.max_overspeed_mps) == (0, 0.0)
@@ -63,8 +62,11 @@ def test_other_references_are_followed_too(kind):
 
 
 def test_a_tracker_hears_news():
-    news = News(20.0, scheduled_time_s=128.0), News(30.0, restriction=Restriction(700.0, 900.0, 10.0))
-    run = Run(section("RJ-WYJ"), load_trainset("dkz32"), 101.0, Scenario(news=news))
+    news = (
+        TimetableUpdate(20.0, scheduled_time_s=128.0),
+        TimetableUpdate(30.0, restriction=Restriction(700.0, 900.0, 10.0)),
+    )
+    run = Run(section("RJ-WYJ"), load_trainset("dkz32"), 101.0, Disturbance(news=news))
     done = drive(run, Pid())
     assert done.outcome is Outcome.ARRIVED
     assert done.interventions == 0
@@ -76,7 +78,7 @@ def test_a_tracker_hears_news():
 def test_a_reference_keeps_to_time_jerk_limits_and_effort():
     trainset = load_trainset("dkz32")
     line = section("XC-SJZ")
-    ground = Ground(vehicle_arrays(trainset), track_arrays(line, trainset))
+    ground = ReferenceTrack(vehicle_arrays(trainset), track_arrays(line, trainset))
     shape = ReferenceShape(0.9, 0.8, 0.5)
     found = reference_under_for_time(ground, shape, 190.0)
     assert found.duration_s == pytest.approx(190.0, abs=0.01)
@@ -89,7 +91,7 @@ def test_a_reference_keeps_to_time_jerk_limits_and_effort():
 def test_where_nothing_binds_it_is_the_trapezoid_drawn_by_hand():
     trainset = load_trainset("cheng2023").ideal()
     line = section("RJ-WYJ")
-    ground = Ground(vehicle_arrays(trainset), track_arrays(line, trainset))
+    ground = ReferenceTrack(vehicle_arrays(trainset), track_arrays(line, trainset))
     shape = ReferenceShape(0.5, 0.5)
     found = reference_under_for_time(ground, shape, 130.0, 0.2)
     by_hand = sampled(reference_for_time(line.length_m, 130.0, shape, 20.0), 0.2)

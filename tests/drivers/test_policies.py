@@ -7,16 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metropilot.drivers import DRIVERS, base, shipped
-from metropilot.drivers.followers import FOLLOWERS
+from metropilot.convoy.drivers import FOLLOWERS
+from metropilot.drivers import DRIVERS, shipped
 from metropilot.drivers.learned import LearnedDriver
-from metropilot.drivers.policy import Policy, PolicySpec, load_policy, save_policy
-from metropilot.drivers.policy.loaded import load_driving_policy
+from metropilot.env import ACTIONS, PolicyInterface, task_config
 from metropilot.errors import InputError
-from metropilot.evaluate import Request, drive, make_driver, request_from_toml
+from metropilot.evaluate import Request, make_driver, request_from_toml
 from metropilot.evaluate.folder import write_run_toml
+from metropilot.policy import Policy, PolicySpec, load_policy, save_policy
+from metropilot.policy.loaded import load_driving_policy
 from metropilot.railway import load_line, load_trainset
-from metropilot.task import ACTIONS, Perception, Run, Scenario, task_config
+from metropilot.sim import Disturbance, Run, drive
+from metropilot.sim import driver as base
 
 PERCEPTION = task_config("drive").perception
 SIZE = 14
@@ -41,7 +43,7 @@ def file_of(folder, policy=None, perception=PERCEPTION, **changes):
 
 def run_of(section=("yizhuang", "RJ", "WYJ"), trainset="dkz32", time_s=110.0, **fields):
     line, a, b = section
-    return Run(load_line(line).section(a, b), load_trainset(trainset), time_s, Scenario(**fields))
+    return Run(load_line(line).section(a, b), load_trainset(trainset), time_s, Disturbance(**fields))
 
 
 def test_a_file_drives_as_the_policy_in_it(tmp_path):
@@ -59,13 +61,13 @@ def test_a_file_drives_as_the_policy_in_it(tmp_path):
 @pytest.mark.parametrize("name", ["drive", "drive_notches", "drive_increment", "chen2023a"])
 def test_perception_survives_json(name):
     perception = task_config(name).perception
-    assert Perception.from_dict(json.loads(json.dumps(perception.as_dict()))) == perception
+    assert PolicyInterface.from_dict(json.loads(json.dumps(perception.as_dict()))) == perception
 
 
 def test_every_action_survives_json():
     for kind in ACTIONS.values():
         perception = replace(PERCEPTION, action=kind())
-        assert Perception.from_dict(json.loads(json.dumps(perception.as_dict()))) == perception
+        assert PolicyInterface.from_dict(json.loads(json.dumps(perception.as_dict()))) == perception
 
 
 REGIME = {"kind": "regime", "coast": 0.2, "full": 0.8}

@@ -6,9 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metropilot.drivers.observer import Model, first_belief, issued, look_ahead, observe, share_for
-from metropilot.drivers.stopping import (
-    Curve,
+from metropilot.control.estimator import (
+    Model,
+    initial_estimate,
+    look_ahead,
+    record_command,
+    share_for,
+    update_estimate,
+)
+from metropilot.control.stopping import (
+    StopCurve,
     braking_distance,
     comfortable_deceleration,
     curve_for,
@@ -19,8 +26,8 @@ from metropilot.drivers.stopping import (
 )
 from metropilot.physics import Command, at_rest, delay_steps, step, track_arrays, vehicle_arrays
 from metropilot.railway import Actuation, Section, Station, Steps, load_trainset
-from metropilot.railway import Curve as Bend
-from metropilot.task import Scenario
+from metropilot.railway import StopCurve as Bend
+from metropilot.sim import Disturbance
 
 DT = 0.2
 LENGTH_M = 900.0
@@ -40,12 +47,12 @@ def rolled_out(speed, curve, final, dt=1e-4):
 @pytest.mark.parametrize("final", [0.0, 6.0])
 @pytest.mark.parametrize("speed", [6.5, 9.0, 20.0])
 def test_braking_distance_is_the_integral_of_its_curve(speed, final):
-    curve = Curve(0.8, math.inf, 0.5, 0.05)
+    curve = StopCurve(0.8, math.inf, 0.5, 0.05)
     assert braking_distance(speed, curve, final) == pytest.approx(rolled_out(speed, curve, final), rel=1e-3)
 
 
 def test_without_jerk_limit_it_is_the_square_law():
-    curve = Curve(1.0, math.inf, math.inf, 1.0)
+    curve = StopCurve(1.0, math.inf, math.inf, 1.0)
     assert braking_distance(20.0, curve) == 200.0
     assert required_deceleration(20.0, 250.0, curve) == (0.8, 0.0)
 
@@ -53,7 +60,7 @@ def test_without_jerk_limit_it_is_the_square_law():
 @pytest.mark.parametrize("final", [0.0, 6.0])
 @pytest.mark.parametrize("deceleration", [0.3, 0.7, 1.0])
 def test_required_deceleration_inverts_braking_distance(deceleration, final):
-    curve = Curve(deceleration, math.inf, 0.5, 0.05)
+    curve = StopCurve(deceleration, math.inf, 0.5, 0.05)
     distance = braking_distance(20.0, curve, final)
     assert required_deceleration(20.0, distance, curve, final)[0] == pytest.approx(deceleration, abs=1e-5)
 
@@ -78,7 +85,7 @@ def stopped(trainset, scenario, seed):
     """Hold a random speed, then stop: the error, and the largest jerk from the onset to the stand."""
     rng = np.random.default_rng(seed)
     section, speed = section_of(rng), rng.uniform(5.0, 22.0)
-    actual = scenario.actual(trainset)
+    actual = scenario.true_plant(trainset)
     model = Model(vehicle_arrays(trainset), track_arrays(section, trainset), DT)
     # The worst brake does not weigh its load: 100 % is what it is for the nominal mass.
     vehicle = vehicle_arrays(actual)._replace(service_n=model.vehicle.service_n)
@@ -86,7 +93,7 @@ def stopped(trainset, scenario, seed):
     state = at_rest(
         vehicle, delay_steps=delay_steps(float(vehicle.delay_s), DT), position_m=start, speed_mps=speed
     )
-    belief, gradient = first_belief(model, start, speed), weakest_gradient(model, LENGTH_M)
+    belief, gradient = initial_estimate(model, start, speed), weakest_gradient(model, LENGTH_M)
     track = track_arrays(section, actual)
     held, rows = 0.0, [0.0]
     while state.speed_mps > 0:
@@ -96,7 +103,7 @@ def stopped(trainset, scenario, seed):
             max(float(state.speed_mps + noise), 0.0),
             float(state.acceleration_mps2),
         )
-        belief = observe(model, belief, *seen)
+        belief = update_estimate(model, belief, *seen)
         comfortable = held or comfortable_deceleration(model, belief, gradient)
         stop = stop_command(model, belief, LENGTH_M, curve_for(model.vehicle, DT, comfortable))
         ahead = look_ahead(model, belief)
@@ -104,7 +111,7 @@ def stopped(trainset, scenario, seed):
             held, share = comfortable, stop.share
         else:
             share = share_for(belief, ahead, float(np.clip(0.5 * (speed - ahead.speed_mps), -0.5, 0.9)))
-        belief = issued(belief, share)
+        belief = record_command(belief, share)
         state = step(vehicle, track, state, Command(np.float64(share), False), DT)
         if held:
             rows.append(float(state.acceleration_mps2))
@@ -118,14 +125,14 @@ def dkz32():
 
 
 def test_ideal_actuation_stops_on_the_point(dkz32):
-    errors = [stopped(dkz32.ideal(), Scenario(), seed)[0] for seed in range(8)]
+    errors = [stopped(dkz32.ideal(), Disturbance(), seed)[0] for seed in range(8)]
     assert np.abs(errors).max() < 0.002
 
 
 @pytest.mark.parametrize("jerk", [1.0, 0.75])
 def test_jerk_limit_holds_to_the_last_step(dkz32, jerk):
     trainset = replace(dkz32, actuation=Actuation(jerk_limit_mps3=jerk))
-    errors, jerks = np.array([stopped(trainset, Scenario(), seed) for seed in range(6)]).T
+    errors, jerks = np.array([stopped(trainset, Disturbance(), seed) for seed in range(6)]).T
     assert np.abs(errors).max() < 0.01
     assert jerks.max() <= jerk + 1e-9
 
@@ -138,7 +145,7 @@ def test_unknown_plant_stops_within_tolerance(dkz32, actuation):
     for seed in range(18):
         rng = np.random.default_rng(1000 + seed)
         mass, resistance = rng.choice([-1.0, 1.0], 2) if seed % 2 else rng.uniform(-1.0, 1.0, 2)
-        truth = Scenario(
+        truth = Disturbance(
             mass_factor=1 + 0.2 * mass,
             resistance_factor=1 + 0.5 * resistance,
             extra_delay_s=0.6 if seed % 3 else rng.uniform(0.0, 0.6),

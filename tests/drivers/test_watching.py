@@ -5,21 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metropilot.drivers.adapted import Adapted, adapted_trainset, adapted_vehicle
+from metropilot.control.adaptation import Adapted, adapted_trainset, adapted_vehicle
 from metropilot.evaluate import kpis_of, make_driver
-from metropilot.evaluate.rollout import Rollout
 from metropilot.physics import vehicle_arrays
 from metropilot.physics.effort import effort_at
 from metropilot.planning import minimum_running_time
 from metropilot.railway import Actuation, Restriction, load_line, load_trainset
-from metropilot.task import News, Outcome, Run, Scenario
+from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate
+from metropilot.sim.rollout import Rollout
 
 LATE = {"extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
 
 
 def run_of(origin, destination, ratio=1.1, **fields):
     section, trainset = load_line("yizhuang").section(origin, destination), load_trainset("dkz32", "AW2")
-    scenario = Scenario(**fields)
+    scenario = Disturbance(**fields)
     return Run(section, trainset, ratio * minimum_running_time(section, trainset), scenario, seed=3)
 
 
@@ -58,8 +58,8 @@ def test_in_the_corners_of_the_plant_it_stops_at_the_point_and_in_time(name, sec
 def test_where_all_is_as_told_nothing_observed_is_acted_upon(name, ideal):
     run = run_of("RJ", "WYJ", 1.2, ideal_actuation=ideal)
     news = (
-        News(30.0, scheduled_time_s=1.05 * run.scheduled_time_s),
-        News(30.0, restriction=Restriction(600.0, 800.0, 16.0)),
+        TimetableUpdate(30.0, scheduled_time_s=1.05 * run.scheduled_time_s),
+        TimetableUpdate(30.0, restriction=Restriction(600.0, 800.0, 16.0)),
     )
     noisy = run_of("RJ", "WYJ", 1.2, ideal_actuation=ideal, speed_noise_mps=0.05, news=news)
     for one in (run, noisy):

@@ -2,8 +2,8 @@
 
 import pytest
 
-from metropilot.drivers import AbstractDriver
 from metropilot.evaluate import Request
+from metropilot.sim import AbstractDriver
 
 
 class Scripted(AbstractDriver):

@@ -7,8 +7,9 @@ from dataclasses import replace
 import pytest
 
 from metropilot.errors import InputError
-from metropilot.evaluate import drive, filled, kpis_of, optimum_of, request_from_toml, write_run
+from metropilot.evaluate import filled, kpis_of, optimum_of, request_from_toml, write_run
 from metropilot.railway import load_line, write_line
+from metropilot.sim import drive
 
 FILES = ["kpis.json", "profile.png", "profile.svg", "run.toml", "trajectory.csv"]
 

@@ -9,12 +9,13 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from metropilot.drivers.policy import Policy, PolicySpec, load_policy, save_policy
 from metropilot.errors import InputError
-from metropilot.evaluate import Request, drive, filled, kpis_of, write_run
+from metropilot.evaluate import Request, filled, kpis_of, write_run
 from metropilot.evaluate.folder import write_json
 from metropilot.learn.history import read_history, write_history
+from metropilot.policy import Policy, PolicySpec, load_policy, save_policy
 from metropilot.railway import load_line, write_line
+from metropilot.sim import drive
 
 ROOM = 4096
 SPEC = PolicySpec("clip", 14, 1, (64, 64), "tanh", 1)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from metropilot.drivers import DRIVERS
-from metropilot.evaluate import Trajectory, drive
 from metropilot.evaluate.indices import (
     comfort_index,
     indices_of,
@@ -16,7 +15,7 @@ from metropilot.evaluate.indices import (
 )
 from metropilot.evaluate.measures import motion_energy_jpkg
 from metropilot.railway import load_line, load_trainset
-from metropilot.task import Run
+from metropilot.sim import Run, Trajectory, drive
 
 
 def test_comfort_counts_every_change():

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from metropilot.evaluate import checks, drive, kpis_of, optimum_of, to_json, verdict
-from metropilot.task import Outcome
+from metropilot.evaluate import checks, kpis_of, optimum_of, to_json, verdict
+from metropilot.sim import Outcome, drive
 
 DESIGN = (
     "outcome",

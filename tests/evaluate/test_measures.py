@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from metropilot.evaluate import COLUMNS, Trajectory, measures
+from metropilot.evaluate import measures
+from metropilot.sim import COLUMNS, Trajectory
 
 
 def trajectory(**given):

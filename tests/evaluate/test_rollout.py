@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metropilot.evaluate import Rollout, drive
-from metropilot.evaluate.recorder import limit_at, step_overspeed
 from metropilot.physics import at_rest, track_arrays, vehicle_arrays
 from metropilot.railway import Restriction
-from metropilot.task import News, Outcome, Scenario
+from metropilot.sim import Disturbance, Outcome, Rollout, TimetableUpdate, drive
+from metropilot.sim.recorder import limit_at, step_overspeed
 
 
 def test_flat_out_arrives(request_rj):
@@ -52,7 +51,7 @@ def test_a_driver_that_says_nan_is_braked(request_rj, scripted):
 
 
 def test_speed_noise_is_cut_and_repeats_itself(request_rj, scripted):
-    run = replace(request_rj.run(), scenario=Scenario(speed_noise_mps=0.05), seed=3)
+    run = replace(request_rj.run(), scenario=Disturbance(speed_noise_mps=0.05), seed=3)
     seen = []
     for _ in range(2):
         driver = scripted(lambda o: 0.5 if o.time_s < 15 else -0.3)
@@ -69,8 +68,8 @@ def test_speed_noise_is_cut_and_repeats_itself(request_rj, scripted):
 
 def test_news_reach_driver_and_plant(request_rj, scripted):
     restriction = Restriction(600.0, 800.0, 10.0)
-    news = (News(30.0, scheduled_time_s=116.0), News(10.0, restriction=restriction))
-    run = replace(request_rj.run(), scenario=Scenario(news=news))
+    news = (TimetableUpdate(30.0, scheduled_time_s=116.0), TimetableUpdate(10.0, restriction=restriction))
+    run = replace(request_rj.run(), scenario=Disturbance(news=news))
     driver = scripted(lambda o: 1.0)
     driven = drive(run, driver)
     t = driven.trajectory
@@ -129,7 +128,7 @@ def test_no_drive_before_the_end(request_rj):
 
 
 def test_told_on_the_way_is_as_told_beforehand(request_rj):
-    news = News(30.2, scheduled_time_s=125.0)
+    news = TimetableUpdate(30.2, scheduled_time_s=125.0)
     before = replace(request_rj, driver="optimal")
     planned = drive(
         replace(before.run(), scenario=replace(before.run().scenario, news=(news,))), before.make_driver()

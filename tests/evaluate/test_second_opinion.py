@@ -10,8 +10,9 @@ import pytest
 from tests.reference.replay import read_rows, replay
 
 from metropilot.drivers import DRIVERS
-from metropilot.evaluate import Request, drive, kpis_of
+from metropilot.evaluate import Request, kpis_of
 from metropilot.railway import load_line
+from metropilot.sim import drive
 
 KWH = 3.6e6
 SECTIONS = [*load_line("yizhuang").sections(), *load_line("yizhuang").sections(backward=True)]
@@ -58,7 +59,8 @@ def test_a_run_of_every_driver_replays_from_its_file(tmp_path, name):
 PROGRAM = """
 import sys
 from pathlib import Path
-from metropilot.evaluate import Request, drive
+from metropilot.evaluate import Request
+from metropilot.sim import drive
 request = Request("yizhuang", "RJ", "WYJ", 110.0, driver="ppo", speed_noise_mps=0.1, seed=5)
 drive(request.run(), request.make_driver()).trajectory.write(Path(sys.argv[1]))
 """

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from metropilot.errors import InputError
-from metropilot.evaluate import COLUMNS, Trajectory, drive
-from metropilot.evaluate.trajectory import phases
+from metropilot.sim import COLUMNS, Trajectory, drive
+from metropilot.sim.trajectory import phases
 
 DESIGN = (
     "time_s, position_m, speed_mps, acceleration_mps2, jerk_mps3, command, traction_n, electric_brake_n, "

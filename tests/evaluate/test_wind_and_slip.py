@@ -6,7 +6,7 @@ import pytest
 
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
-from metropilot.evaluate import Request, drive, request_from_toml
+from metropilot.evaluate import Request, request_from_toml
 from metropilot.evaluate.folder import write_run_toml
 from metropilot.physics import (
     brake_available_n,
@@ -16,21 +16,21 @@ from metropilot.physics import (
 )
 from metropilot.planning import minimum_running_time
 from metropilot.railway import load_line, load_trainset
-from metropilot.task import Outcome, Run, Scenario, declared_bounds
+from metropilot.sim import Disturbance, Outcome, Run, declared_bounds, drive
 
 WIND_MPS = 12.0
 
 
 def run_of(ratio=1.15, **scenario):
     section, trainset = load_line("yizhuang").section("CQN", "CQ"), load_trainset("dkz32", "AW2")
-    return Run(section, trainset, minimum_running_time(section, trainset) * ratio, Scenario(**scenario))
+    return Run(section, trainset, minimum_running_time(section, trainset) * ratio, Disturbance(**scenario))
 
 
 @pytest.mark.parametrize("wind_mps", [WIND_MPS, -WIND_MPS])
 def test_the_air_meets_the_trainset_at_the_sum_of_the_speeds(wind_mps):
     known = load_trainset("dkz32", "AW2")
     a, b, c = known.davis.newtons(known.mass_kg)
-    windy = Scenario(headwind_mps=wind_mps).actual(known).davis.newtons(known.mass_kg)
+    windy = Disturbance(headwind_mps=wind_mps).true_plant(known).davis.newtons(known.mass_kg)
     for v in (13.0, 17.0, 22.0):
         assert windy[0] + windy[1] * v + windy[2] * v * v == pytest.approx(
             a + b * v + c * (v + wind_mps) ** 2
@@ -39,7 +39,7 @@ def test_the_air_meets_the_trainset_at_the_sum_of_the_speeds(wind_mps):
 
 def test_no_more_than_the_adhesion_is_put_on_the_rail_by_driven_wheels():
     known = load_trainset("dkz32", "AW2")
-    slippery, dry = vehicle_arrays(Scenario(adhesion=0.05).actual(known)), vehicle_arrays(known)
+    slippery, dry = vehicle_arrays(Disturbance(adhesion=0.05).true_plant(known)), vehicle_arrays(known)
     most = 0.05 * known.mass_kg * known.gravity_mps2
     assert traction_available_n(slippery, 10.0) == electric_available_n(slippery, 10.0) == pytest.approx(most)
     assert traction_available_n(slippery, 22.0) == traction_available_n(dry, 22.0) < most
@@ -78,7 +78,7 @@ def test_drives_stay_safe_and_punctual_on_a_slippery_rail_in_the_wind(driver):
 )
 def test_out_of_range_is_refused(field, value):
     with pytest.raises(InputError, match=field):
-        Scenario(**{field: value})
+        Disturbance(**{field: value})
 
 
 def test_a_request_carries_them_through_its_file(tmp_path):

@@ -120,7 +120,7 @@ def _read_railway(path: Path) -> None:
 
 
 def _read_policy(path: Path) -> None:
-    from metropilot.drivers.policy.loaded import load_driving_policy
+    from metropilot.policy.loaded import load_driving_policy
 
     loaded = load_driving_policy(path)
     size = loaded.policy.policy.spec.observation_size
@@ -159,13 +159,13 @@ def _read_run(path: Path) -> None:
 
 
 def _read_campaign(path: Path) -> None:
-    from metropilot.evaluate.campaign.reading import campaign_from_toml
+    from metropilot.campaign.reading import campaign_from_toml
 
     _drivable(campaign_from_toml(path))
 
 
 def _read_stored_campaign(path: Path) -> None:
-    from metropilot.evaluate.campaign.store import stored_campaign
+    from metropilot.campaign.store import stored_campaign
 
     _drivable(stored_campaign(path.parent))
 
@@ -180,10 +180,10 @@ def _drivable(campaign) -> None:
 
 
 def _read_done(path: Path) -> None:
-    from metropilot.evaluate.campaign.store import Store
+    from metropilot.campaign.store import CampaignStore
 
     campaign = _campaign()
-    store = Store(path.parent, campaign)
+    store = CampaignStore(path.parent, campaign)
     first = next(iter(campaign.pieces()))
     for file in (store.part(first), store.timing(first)):
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -193,7 +193,7 @@ def _read_done(path: Path) -> None:
 
 
 def _read_trajectory(path: Path) -> None:
-    from metropilot.evaluate import Trajectory
+    from metropilot.sim import Trajectory
 
     found = Trajectory.read(path)
     columns = vars(found)
@@ -237,7 +237,7 @@ def _show(path: Path) -> None:
 
 @cache
 def _campaign():
-    from metropilot.evaluate.campaign import Campaign
+    from metropilot.campaign import Campaign
 
     return Campaign("small", ("flat_out",), (("yizhuang", "WHY", "YZQ"),), (("dkz32", "AW2"),), (1.2,))
 
@@ -266,7 +266,7 @@ def _checkpoints() -> list[bytes]:
 
 
 def _trajectories() -> list[bytes]:
-    from metropilot.evaluate import Trajectory
+    from metropilot.sim import Trajectory
 
     names = tuple(Trajectory.__annotations__)
     rows = [[*(str(0.5 * k + column) for column in range(len(names) - 1)), "coast"] for k in range(4)]

@@ -12,12 +12,13 @@ from tests.fuzz.mutate import damaged
 from tests.fuzz.targets import TARGETS, check
 from tests.railway import samples
 
-from metropilot.drivers.policy import Policy, PolicySpec, save_policy
+from metropilot.campaign.reading import campaign_from_toml
+from metropilot.env import task_config
 from metropilot.errors import InputError
-from metropilot.evaluate import Request, drive, make_driver, request_from_toml
-from metropilot.evaluate.campaign.reading import campaign_from_toml
+from metropilot.evaluate import Request, make_driver, request_from_toml
+from metropilot.policy import Policy, PolicySpec, save_policy
 from metropilot.railway import import_file, load_line
-from metropilot.task import task_config
+from metropilot.sim import drive
 
 SIZE = 14
 """Numbers in the observation of the tasks."""

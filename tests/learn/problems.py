@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from metropilot.task import AbstractTask, ActionSpace, Transition
+from metropilot.env import AbstractTask, ActionSpace, Transition
 
 CONTINUOUS = ActionSpace(size=1)
 TWO_CHOICES = ActionSpace(count=2)

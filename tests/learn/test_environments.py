@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from metropilot.env import AbstractTask, ActionSpace, Transition
 from metropilot.learn import environments as env
-from metropilot.task import AbstractTask, ActionSpace, Transition
 
 TWO_CHOICES = ActionSpace(count=2)
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from metropilot.errors import InputError
-from metropilot.learn import Policy, PolicySpec, export_onnx
+from metropilot.learn import export_onnx
+from metropilot.policy import Policy, PolicySpec
 
 pytest.importorskip("onnx")
 runtime = pytest.importorskip("onnxruntime")

@@ -13,19 +13,16 @@ from tests.learn.problems import DoubleIntegrator
 
 from metropilot.errors import InputError
 from metropilot.learn import (
-    Policy,
-    PolicySpec,
     PPOConfig,
     RunRequest,
     RunStore,
-    Sitting,
+    TrainingOptions,
     learn_run,
-    load_policy,
     read_history,
-    save_policy,
     write_history,
 )
 from metropilot.learn.tensorboard import EventWriter, masked_crc
+from metropilot.policy import Policy, PolicySpec, load_policy, save_policy
 
 SPEC = PolicySpec("clip", 3, 1, (4,), "tanh", 1, normalised=True)
 
@@ -196,7 +193,7 @@ def test_a_run_leaves_everything_needed_to_show_resume_and_drive_it(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        learn_run(store, REQUEST, Sitting(on_progress=interrupt))
+        learn_run(store, REQUEST, TrainingOptions(on_progress=interrupt))
     (stopped,) = store.recent(status="interrupted")
     record, learned = learn_run(store, REQUEST, resume=stopped.id)
     _, other = learn_run(store, REQUEST)

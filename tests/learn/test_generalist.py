@@ -9,30 +9,30 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from metropilot.drivers.policy.policy import act
+from metropilot.env import DrivingTask, episode_of, starts, task_config
+from metropilot.env.actions import RegimeAction
+from metropilot.env.features import FeatureContext
+from metropilot.env.tables import SectionRows
+from metropilot.env.worlds import domain_sample
 from metropilot.errors import InputError
-from metropilot.learn import Sitting, config_from_mapping
-from metropilot.learn.generalist.closed_loop import WORTH, Begin, ClosedLoop, within_worth
-from metropilot.learn.generalist.course import teach_in_parts
-from metropilot.learn.generalist.gather import Gathering, gather_shard, gathered
-from metropilot.learn.generalist.lessons import Classroom, teach
-from metropilot.learn.generalist.pupil import labels, learned, new_pupil, pupil_spec
-from metropilot.task import DrivingTask, episode_of, starts, task_config
-from metropilot.task.actions import RegimeAction
-from metropilot.task.observers import Sight
-from metropilot.task.tables import Rows
-from metropilot.task.worlds import nth_world
+from metropilot.learn import TrainingOptions, config_from_mapping
+from metropilot.learn.imitation.closed_loop import WORTH, Begin, ClosedLoop, within_worth
+from metropilot.learn.imitation.course import teach_in_parts
+from metropilot.learn.imitation.gather import Gathering, gather_shard, gathered
+from metropilot.learn.imitation.lessons import DemonstrationGenerator, collect_demonstrations
+from metropilot.learn.imitation.pupil import labels, learned, new_pupil, pupil_spec
+from metropilot.policy.policy import act
 
 
 def test_a_world_is_the_same_whenever_it_is_asked_for():
-    first, again, other = nth_world(3, 5), nth_world(3, 5), nth_world(3, 6)
+    first, again, other = domain_sample(3, 5), domain_sample(3, 5), domain_sample(3, 6)
     assert first.section.length_m == again.section.length_m != other.section.length_m
     assert first.trainset.mass_kg == again.trainset.mass_kg != other.trainset.mass_kg
 
 
 def test_worlds_keep_their_declared_ranges():
     for number in range(60):
-        world = nth_world(1, number)
+        world = domain_sample(1, number)
         assert 500.0 <= world.section.length_m <= 8000.0
         assert (
             30.0 / 3.6
@@ -45,7 +45,7 @@ def test_worlds_keep_their_declared_ranges():
 
 
 def test_lessons_command_what_the_plan_does():
-    room = Classroom(nth_world(1, 2), 1.3)
+    room = DemonstrationGenerator(domain_sample(1, 2), 1.3)
     plan = room.plan(room.scheduled_s)
     middle = 0.5 * (plan.position_m[1:] + plan.position_m[:-1])
     commands = room.commands(plan, middle)
@@ -65,7 +65,7 @@ def test_labels_mean_the_commands_they_stand_for():
     action = RegimeAction()
     commands = np.linspace(-1.0, 1.0, 401)
     wanted = labels(action, commands)
-    sight = Sight(SimpleNamespace(xp=np), *[None] * (len(Sight._fields) - 1))
+    sight = FeatureContext(SimpleNamespace(xp=np), *[None] * (len(FeatureContext._fields) - 1))
     meant = np.array([action.command(sight, np.array([a]), 0.4) for a in wanted])
     held = (np.abs(commands) > 0.02) & (np.abs(commands) < 0.95)
     assert np.abs(meant - commands)[held].max() < 1e-6
@@ -104,7 +104,7 @@ def few_worlds():
 def test_the_lean_loop_costs_what_the_real_task_costs(few_worlds):
     """The same simple policy through both: energy, arrival time."""
     task = DrivingTask(few_worlds)
-    rows = Rows(few_worlds.tables(), jax=True)
+    rows = SectionRows(few_worlds.tables(), jax=True)
     period_s = few_worlds.dt * few_worlds.periods
     loop = ClosedLoop(rows, few_worlds.features, few_worlds.action, few_worlds.assists, period_s)
     cruise = few_worlds.features.index("speed")  # it comes first: one number, speed / 20
@@ -145,7 +145,7 @@ def test_lessons_are_gathered_once_and_read_again(tmp_path):
     gathering = Gathering(7, 2, 2, 5, tmp_path)
     gather_shard(gathering, 0)
     lessons, numbers = gathered(gathering)
-    again = teach(nth_world(7, 0), np.random.default_rng([7, 1 << 32]), 2, 5)
+    again = collect_demonstrations(domain_sample(7, 0), np.random.default_rng([7, 1 << 32]), 2, 5)
     mine = lessons.observations[: again.observations.shape[0]]
     assert (mine == again.observations).all()
     assert set(numbers) <= {0, 1}
@@ -184,7 +184,7 @@ class Enough(Exception):
 
 @pytest.mark.slow
 def test_a_course_that_was_stopped_ends_the_same(few_worlds, tmp_path, monkeypatch):
-    from metropilot.learn.generalist import tuning
+    from metropilot.learn.imitation import tuning
 
     monkeypatch.setattr(tuning, "DECISIONS", (600,))  # one length, compiled once
     config, task = config_from_mapping("teacher", TINY), DrivingTask(few_worlds)
@@ -193,7 +193,7 @@ def test_a_course_that_was_stopped_ends_the_same(few_worlds, tmp_path, monkeypat
         del key
         return {"score": -jnp.abs(params["policy.0.bias"]).sum()}
 
-    whole = teach_in_parts(config, task, 1, Sitting(evaluate))
+    whole = teach_in_parts(config, task, 1, TrainingOptions(evaluate))
 
     def stop(progress):
         if progress.chunk == 5:
@@ -201,27 +201,27 @@ def test_a_course_that_was_stopped_ends_the_same(few_worlds, tmp_path, monkeypat
 
     path = tmp_path / "checkpoint.safetensors"
     with pytest.raises(Enough):
-        teach_in_parts(config, task, 1, Sitting(evaluate, stop, path))
+        teach_in_parts(config, task, 1, TrainingOptions(evaluate, stop, path))
     assert list(tmp_path.glob("lessons/*.npz"))
-    again = teach_in_parts(config, task, 1, Sitting(evaluate, None, path, resume=True))
+    again = teach_in_parts(config, task, 1, TrainingOptions(evaluate, None, path, resume=True))
     for name, value in whole.policy.params.items():
         assert (again.policy.params[name] == value).all(), name
     assert again.history["steps"].tolist() == [0, 0, 0, 0, 9600, 19200]
     assert not list(tmp_path.glob("lessons/*"))
     other = replace(config, batch_size=32)
     with pytest.raises(InputError, match="batch_size"):
-        teach_in_parts(other, task, 1, Sitting(evaluate, None, path, resume=True))
+        teach_in_parts(other, task, 1, TrainingOptions(evaluate, None, path, resume=True))
 
 
 def test_the_teacher_knows_only_worlds():
     config = config_from_mapping("teacher", TINY)
     with pytest.raises(InputError, match="the teacher knows only worlds"):
-        teach_in_parts(config, DrivingTask(task_config("drive")), 0, Sitting())
+        teach_in_parts(config, DrivingTask(task_config("drive")), 0, TrainingOptions())
 
 
 def test_what_is_shipped_says_where_it_comes_from():
-    from metropilot.drivers.policy.loaded import load_driving_policy
     from metropilot.drivers.shipped import shipped_policy
+    from metropilot.policy.loaded import load_driving_policy
 
     about = load_driving_policy(shipped_policy("generalist")).about
     assert about["task"]["name"] == "worlds"

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from tests.learn.problems import DoubleIntegrator, Masked, best_return
 
+from metropilot.env import ActionSpace
 from metropilot.errors import InputError
 from metropilot.learn import (
     DDPGConfig,
@@ -17,11 +18,10 @@ from metropilot.learn import (
     SACConfig,
     Schedule,
     TabularConfig,
-    act,
     learn,
     make_loop,
 )
-from metropilot.task import ActionSpace
+from metropilot.policy import act
 
 FIVE = ActionSpace(count=5)
 TINY = {"steps": 128, "environments": 4, "evaluations": 2, "evaluation_steps": 5, "evaluation_episodes": 2}

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from metropilot.drivers.policy.networks import dueling
 from metropilot.learn.distributions import (
     categorical_entropy,
     categorical_log_prob,
@@ -17,6 +16,7 @@ from metropilot.learn.distributions import (
 )
 from metropilot.learn.losses import ddpg, dqn, naf, ppo, sac, tabular
 from metropilot.learn.networks import lower_triangle
+from metropilot.policy.networks import dueling
 
 
 def f(*values):

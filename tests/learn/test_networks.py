@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from tests.learn.problems import FIVE_CHOICES, DoubleIntegrator
 
-from metropilot.learn import Policy, PolicySpec, act
 from metropilot.learn.config import DDPGConfig, DQNConfig, NAFConfig, PPOConfig, SACConfig, TabularConfig
 from metropilot.learn.networks import MLP
 from metropilot.learn.optimiser import adam_init, adam_step, global_norm, polyak
@@ -19,6 +18,7 @@ from metropilot.learn.statistics import (
     return_scale_update,
     reward_divisor,
 )
+from metropilot.policy import Policy, PolicySpec, act
 
 MEMORY = {"warmup": 8, "buffer_size": 64, "environments": 4}
 POLICIES = {

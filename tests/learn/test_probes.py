@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from tests.learn.problems import CONTINUOUS, KINDS, TWO_CHOICES, Probe
 
-from metropilot.drivers.policy.policy import act
 from metropilot.learn.config import DDPGConfig, DQNConfig, NAFConfig, PPOConfig, SACConfig, TabularConfig
 from metropilot.learn.registry import make_learner
+from metropilot.policy.policy import act
 
 GAMMA = 0.8
 OBSERVATIONS = np.float32([-1.0, 0.0, 1 / 3, 2 / 3, 1.0])[:, None]

@@ -9,13 +9,13 @@ import time
 import numpy as np
 import pytest
 
+from metropilot.env import TASKS
 from metropilot.errors import InputError
 from metropilot.learn import PPOConfig, RunStore
 from metropilot.learn.evaluation import kpis_kept
 from metropilot.learn.locks import at_work, is_at_work
 from metropilot.learn.recipes import BUDGETS, RECIPES, recipe
 from metropilot.learn.runs import read_record
-from metropilot.task import TASKS
 
 
 @pytest.mark.parametrize("driver", RECIPES)
@@ -49,8 +49,8 @@ def test_what_there_is_no_recipe_for_names_the_nearest():
 def drives(safe, gap, late, error=None):
     import jax.numpy as jnp
 
-    from metropilot.learn.driving import Drives
-    from metropilot.task import Episode
+    from metropilot.learn.policy_evaluation import EvaluationRuns
+    from metropilot.sim import Episode
 
     count = len(safe)
     zero = jnp.zeros((count,), jnp.float32)
@@ -60,11 +60,11 @@ def drives(safe, gap, late, error=None):
         stop_error_m=jnp.asarray(error or [0.0] * count, jnp.float32),
     )
     numbers = (jnp.asarray(x, jnp.float32) for x in (gap, late))
-    return Drives(episode, jnp.asarray(safe), *numbers)
+    return EvaluationRuns(episode, jnp.asarray(safe), *numbers)
 
 
 def test_arrivals_come_first_then_energy_and_time():
-    from metropilot.learn.driving import judged
+    from metropilot.learn.policy_evaluation import judged
 
     # 3 safe drives; costs 0.02 + 0.01, 0.04 + 0, (0 + 0.02, a gap below zero counts as none): mean 0.03
     found = judged(drives([True] * 3, [0.02, 0.04, -0.01], [1.0, 0.0, -2.0], [0.0, -0.1, 0.05]))

@@ -11,7 +11,7 @@ import pytest
 from tests.learn.problems import DoubleIntegrator, Masked
 
 from metropilot.errors import InputError
-from metropilot.learn import DQNConfig, PPOConfig, SACConfig, Sitting, learn_in_chunks, make_loop
+from metropilot.learn import DQNConfig, PPOConfig, SACConfig, TrainingOptions, learn_in_chunks, make_loop
 from metropilot.learn.checkpoint import load_checkpoint, save_checkpoint
 
 SHORT = {"environments": 4, "evaluations": 4, "evaluation_steps": 5, "evaluation_episodes": 2, "hidden": (8,)}
@@ -50,20 +50,20 @@ def test_a_run_stopped_twice_ends_like_one_that_was_not(name, tmp_path):
             if progress.chunk == chunk:
                 raise Stopped
 
-        return Sitting(on_progress=check, checkpoint=path, resume=True)
+        return TrainingOptions(on_progress=check, checkpoint=path, resume=True)
 
     for chunk in (1, 3):
         with pytest.raises(Stopped):
             learn_in_chunks(config, task, 5, stop_at(chunk))
-    equal(learn_in_chunks(config, task, 5, Sitting(checkpoint=path, resume=True)), whole)
+    equal(learn_in_chunks(config, task, 5, TrainingOptions(checkpoint=path, resume=True)), whole)
     # Once it is done, going on changes nothing.
-    equal(learn_in_chunks(config, task, 5, Sitting(checkpoint=path, resume=True)), whole)
+    equal(learn_in_chunks(config, task, 5, TrainingOptions(checkpoint=path, resume=True)), whole)
 
 
 def test_progress_counts_up_and_estimates(tmp_path):
     config, task = CASES["ppo"]
     seen = []
-    learned = learn_in_chunks(config, task, 0, Sitting(on_progress=seen.append))
+    learned = learn_in_chunks(config, task, 0, TrainingOptions(on_progress=seen.append))
     assert [p.chunk for p in seen] == [1, 2, 3, 4]
     assert [p.steps for p in seen] == [64, 128, 192, 256] == learned.history["steps"].tolist()
     assert seen[-1].seconds_left == 0.0
@@ -75,14 +75,14 @@ def test_progress_counts_up_and_estimates(tmp_path):
 def test_a_checkpoint_of_another_run_is_refused(tmp_path):
     config, task = CASES["sac"]
     path = tmp_path / "checkpoint.safetensors"
-    learn_in_chunks(config, task, 0, Sitting(checkpoint=path, about={"line": "a"}))
-    again = Sitting(checkpoint=path, resume=True, about={"line": "a"})
+    learn_in_chunks(config, task, 0, TrainingOptions(checkpoint=path, about={"line": "a"}))
+    again = TrainingOptions(checkpoint=path, resume=True, about={"line": "a"})
     with pytest.raises(
         InputError, match=r"seed: the checkpoint was made with another value: '1' \(allowed: 0\)"
     ):
         learn_in_chunks(config, task, 1, again)
     with pytest.raises(InputError, match=r"task.line: .*'b'"):
-        learn_in_chunks(config, task, 0, Sitting(checkpoint=path, resume=True, about={"line": "b"}))
+        learn_in_chunks(config, task, 0, TrainingOptions(checkpoint=path, resume=True, about={"line": "b"}))
     other = SACConfig(**SHORT, **MEMORY, normalise_observations=True, gamma=0.5)
     with pytest.raises(InputError, match=r"config\.gamma"):
         learn_in_chunks(other, task, 0, again)
@@ -158,7 +158,7 @@ def test_kill_9_loses_at_most_one_interval(tmp_path):
         hidden=(8,),
     )
     reached = []
-    sitting = Sitting(checkpoint=path, resume=True, on_progress=lambda p: reached.append(p.chunk))
+    sitting = TrainingOptions(checkpoint=path, resume=True, on_progress=lambda p: reached.append(p.chunk))
     resumed = learn_in_chunks(config, DoubleIntegrator(), 7, sitting)
     # What was reported was saved before; the first chunk done anew is the next,
     # or one later if that was saved too.

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from tests.protection.optimiser import Worst, hunt, scatter, share
 
-from metropilot.evaluate.convoy_campaign import EMERGENCY_S, Arena, Campaign, Case
-from metropilot.task.convoy_link import Quality
+from metropilot.convoy.attack import EMERGENCY_S, Arena, AttackCampaign, AttackCase
+from metropilot.convoy.link import Quality
 
 HOLD = 5
 LUCK_HOLD = 10
@@ -29,7 +29,7 @@ class Convoys:
         campaign: What is attacked and what is declared.
     """
 
-    def __init__(self, campaign: Campaign) -> None:
+    def __init__(self, campaign: AttackCampaign) -> None:
         self.arena = Arena(campaign)
         self.count, self.steps = campaign.count, self.arena.steps
         self.script = -(-self.steps // HOLD)
@@ -49,7 +49,7 @@ class Convoys:
         stop = jnp.sum((self.arena.heads.speed_mps[row] > 0.0).astype(jnp.int32))
         silent = jnp.where(dials[5] < 0.5, jnp.inf, 4.0 * (dials[5] - 0.5) * EMERGENCY_S)
         quality = Quality(c.delay_s * dials[2], c.jitter_s * dials[3], c.loss * dials[4], silent)
-        case = Case(
+        case = AttackCase(
             row=row,
             period=(dials[0] * 0.95 * stop.astype(jnp.float32)).astype(jnp.int32),
             emergency_s=EMERGENCY_S * dials[1],

@@ -17,7 +17,7 @@ from metropilot.protection import (
     protect,
 )
 from metropilot.protection.predict import fastest, stays_under
-from metropilot.protection.supervisor import Check
+from metropilot.protection.supervisor import CommandCheck
 from metropilot.railway import EffortCurve, Restriction, SafeBraking, Steps, load_line, load_trainset
 
 LINE = load_line("yizhuang")
@@ -201,7 +201,7 @@ def test_the_next_node_counts_too():
     protection = fall(1000.0, 100.0, replace(IDEAL, length_m=0.0))
     first = round(950.5 - float(protection.start_m) - 0.5)
     steep = np.where(np.arange(protection.pull_mps2.size) == first + 1, 0.3, -0.1)
-    check = Check(
+    check = CommandCheck(
         protection._replace(pull_mps2=steep), at_start(protection), np.float64(950.5), np.float64(5.0)
     )
     assert check.worst.pull_mps2 == 0.3

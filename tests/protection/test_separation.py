@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from metropilot.convoy.model import Convoy, members
 from metropilot.errors import InputError
 from metropilot.physics import Command
-from metropilot.protection import Ahead, PairBounds, at_start, separate, spare_gap, supervise
+from metropilot.protection import PairBounds, TrainAhead, at_start, separate, spare_gap, supervise
 from metropilot.protection.separation import braking, leading, least_gap, travelled
 from metropilot.railway import load_line, load_trainset
-from metropilot.task.convoy_members import Convoy, members
 
 H = 1e-3
 
@@ -48,7 +48,7 @@ def test_least_gap_is_never_more_than_the_smallest_on_the_way():
             random.uniform(-1, 1),
             random.choice([0, 0.2, 2]),
         )
-        ahead = Ahead(*map(np.float64, state), bounds)
+        ahead = TrainAhead(*map(np.float64, state), bounds)
         own = map(np.float64, (random.uniform(0, 22), random.uniform(-1.2, 1.2), 0.6, 1.5, bounds.held_mps2))
         motion = braking(*own)
         gaps = ahead.rear_m + travelled(leading(ahead), t + ahead.age_s) - travelled(motion, t)
@@ -63,7 +63,7 @@ def two(guard="coupled"):
 
 def told(member, gap, speed, age=0.0):
     numbers = (400.0 + gap, speed, 0.0, age)
-    return Ahead(*map(np.float64, numbers), member.bounds)
+    return TrainAhead(*map(np.float64, numbers), member.bounds)
 
 
 @pytest.mark.parametrize("speed", [5.0, 12.0, 20.0])
@@ -118,7 +118,7 @@ def test_nobody_ahead_stops_shorter_than_assumed():
     """A trainset that lowers its acceleration by the declared jerk every period, holding it in between."""
     for a, jerk, rate, period in ((0.6, 1.5, 1.0, 0.2), (-0.4, 0.7, 0.8, 0.5), (0.9, 1e4, 1.1, 0.2)):
         bounds = separate(PairBounds(rate, jerk), period, 1.0)
-        ahead = Ahead(*map(np.float64, (0.0, 15.0, a, 0.0)), bounds)
+        ahead = TrainAhead(*map(np.float64, (0.0, 15.0, a, 0.0)), bounds)
         x, v, walked_m = 0.0, 15.0, []
         for k in range(int(25.0 / H)):
             held = max(a - jerk * period * (1 + int(k * H / period + 1e-9)), -rate)
@@ -160,7 +160,7 @@ def test_between_two_moments_the_gap_may_dip():
     t = np.arange(0.0, 40.0, 0.002)
     for closing in np.linspace(0.1, 2.0, 39):
         bounds = separate(PairBounds(0.5, 0.05), 0.2, 1.2)
-        ahead = Ahead(*map(np.float64, (20.0, 12.0 - closing, 0.0, 0.0)), bounds)
+        ahead = TrainAhead(*map(np.float64, (20.0, 12.0 - closing, 0.0, 0.0)), bounds)
         motion = braking(*map(np.float64, (12.0, -0.3, 0.3, 0.2, 1.2)))
         gaps = ahead.rear_m + travelled(leading(ahead), t) - travelled(motion, t)
         assert least_gap(ahead, np.float64(0.0), motion) <= gaps.min() + 1e-9

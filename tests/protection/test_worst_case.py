@@ -10,7 +10,7 @@ from tests.protection.convoy_search import Convoys
 from tests.protection.optimiser import hunt, scatter, share
 from tests.protection.search import Field, places
 
-from metropilot.evaluate.convoy_campaign import Campaign
+from metropilot.convoy.attack import AttackCampaign
 
 PLACES, POPULATION, GENERATIONS = 9, 16, 12
 
@@ -64,7 +64,7 @@ def test_the_optimiser_finds_a_guard_that_is_missing(field):
 
 
 def test_no_attack_makes_a_convoy_touch():
-    convoys = Convoys(Campaign(seed=4))
+    convoys = Convoys(AttackCampaign(seed=4))
     found = convoys.search(np.arange(0, 24, 4), POPULATION, GENERATIONS, seed=4)
     assert found.value.max() < 0.0
     assert found.value.max() > -0.2

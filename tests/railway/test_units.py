@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from metropilot.errors import InputError
-from metropilot.railway.units import KINDS, pick, unit
+from metropilot.units import KINDS, pick, unit
 
 EVERY_UNIT = [(kind, name) for kind, table in KINDS.items() for name in table]
 

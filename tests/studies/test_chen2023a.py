@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from metropilot.env import task_config
+from metropilot.env.registry import CHEN2023A_REWARDS as REWARDS
+from metropilot.env.rewards import Change, Comfort, OnTime
 from metropilot.learn import PPOConfig
 from metropilot.studies import Order, SeedResult, learn_seeds, learning
 from metropilot.studies.chen2023a import STUDY, published
 from metropilot.studies.chen2023a import reproduce as study
 from metropilot.studies.chen2023a.learners import LEARNERS, ablations, jobs, sized
-from metropilot.studies.chen2023a.measures import Course, band, converged_at, course
+from metropilot.studies.chen2023a.measures import DriveCourse, band, converged_at, course
 from metropilot.studies.chen2023a.reproduce import SIZES
 from metropilot.studies.chen2023a.rows import REWARD, TIME, paper_rows
 from metropilot.studies.chen2023a.setting import ALLOWED_S, COMFORT, DECISION_S, make_assisted, measured
 from metropilot.studies.page import page, write_figures
-from metropilot.task import task_config
-from metropilot.task.registry import CHEN2023A_REWARDS as REWARDS
-from metropilot.task.rewards import Change, Comfort, OnTime
 
 CHUNKS = 40
 
@@ -59,7 +59,7 @@ def test_the_end_earns_or_loses_the_big_number(end, total):
     assert sum(float(term.value(change(ended=True, **end))) for term in REWARDS) == pytest.approx(total)
 
 
-def curve(at: int, *, time_s: float = 86.0, back: tuple[int, ...] = ()) -> Course:
+def curve(at: int, *, time_s: float = 86.0, back: tuple[int, ...] = ()) -> DriveCourse:
     """Late and poor until chunk ``at``, in time and good from then on but in chunks ``back``."""
     good = np.arange(CHUNKS) >= at
     good[list(back)] = False
@@ -71,7 +71,7 @@ def curve(at: int, *, time_s: float = 86.0, back: tuple[int, ...] = ()) -> Cours
         "stopping_error_m": np.zeros(CHUNKS),
         "arrived": np.ones(CHUNKS),
     }
-    return Course(100.0 * np.arange(1, CHUNKS + 1), np.linspace(5.0, 1.0, CHUNKS), part, part)
+    return DriveCourse(100.0 * np.arange(1, CHUNKS + 1), np.linspace(5.0, 1.0, CHUNKS), part, part)
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_rows_stand_beside_what_the_paper_says():
     assert published.ENERGY_ORDER == ("ddpg", "ppo_scaled", "ppo")
 
 
-def history(one: Course) -> dict[str, np.ndarray]:
+def history(one: DriveCourse) -> dict[str, np.ndarray]:
     """What the learning run of a course would have written."""
     seconds, part = one.learning["running_time_s"], one.learning
     found = {

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from metropilot.control.incremental_pid import Gains
 from metropilot.errors import InputError
 from metropilot.evaluate.tracking import track, tracking_kpis
 from metropilot.physics.effort import effort_at
@@ -11,7 +12,6 @@ from metropilot.studies import Order, load_study, reproduce
 from metropilot.studies.cheng2023 import courses
 from metropilot.studies.cheng2023.controllers import pid
 from metropilot.studies.cheng2023.remarks import needed
-from metropilot.task.incremental_pid import Gains
 
 TOTAL, PLACE = "total speed error", "total position error"
 

@@ -12,7 +12,7 @@ from metropilot import studies
 from metropilot.cli import main
 from metropilot.errors import InputError
 from metropilot.learn import PPOConfig
-from metropilot.studies import STUDIES, Figure, LearnJob, Order, Report, Row, Study, learn_seeds
+from metropilot.studies import STUDIES, Figure, LearnJob, Order, ReportRow, Study, StudyReport, learn_seeds
 
 SMALL = PPOConfig(steps=4096, environments=16, rollout=32, epochs=2, minibatches=4, evaluations=2)
 
@@ -26,10 +26,10 @@ def drawing():
 
 
 def some_report(order):
-    row = Row("Table 5", "120 s", "dqn", "energy", "kWh", published=17.05, optimum=12.4)
-    rows = [row.measured([13.0, 12.9, 13.4]), Row("Table 5", "120 s", "dqn", "switches", "", ours=4.0)]
+    row = ReportRow("Table 5", "120 s", "dqn", "energy", "kWh", published=17.05, optimum=12.4)
+    rows = [row.measured([13.0, 12.9, 13.4]), ReportRow("Table 5", "120 s", "dqn", "switches", "", ours=4.0)]
     figure = Figure("reward", "Reward over episodes (its fig. 6).", drawing)
-    return Report(
+    return StudyReport(
         "some2020", "Some paper", order.budget, 3, 0.0, rows, [figure], ["A sentence."], ["Another."]
     )
 
@@ -46,14 +46,14 @@ def registered(monkeypatch):
 
 
 def test_a_row_is_the_median_and_range_of_its_seeds():
-    row = Row("t", "c", "d", "k", "u").measured([3.0, 1.0, 10.0])
+    row = ReportRow("t", "c", "d", "k", "u").measured([3.0, 1.0, 10.0])
     assert (row.ours, row.low, row.high) == (3.0, 1.0, 10.0)
 
 
 @pytest.mark.parametrize("values", [[], [1.0, np.nan], [np.inf]])
 def test_a_row_that_was_not_measured_is_refused(values):
     with pytest.raises(InputError, match="not measured"):
-        Row("t", "c", "d", "k", "u").measured(values)
+        ReportRow("t", "c", "d", "k", "u").measured(values)
 
 
 def test_reproduce_writes_report_page_and_figures(registered, tmp_path, capsys):

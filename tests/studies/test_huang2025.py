@@ -3,10 +3,18 @@
 import numpy as np
 import pytest
 
-from metropilot.evaluate import drive, make_driver
+from metropilot.evaluate import make_driver
 from metropilot.planning import optimal_plan
+from metropilot.sim import drive
 from metropilot.studies.huang2025.deviations import DEVIATIONS
-from metropilot.studies.huang2025.drives import ABOVE, ABOVE_DEAD, Driven, Least, drivers_of, rows_of
+from metropilot.studies.huang2025.drives import (
+    ABOVE,
+    ABOVE_DEAD,
+    EvaluatedRun,
+    LeastIndex,
+    drivers_of,
+    rows_of,
+)
 from metropilot.studies.huang2025.learning import job
 from metropilot.studies.huang2025.published import BY_ID, CASES, IE, LEARNED
 from metropilot.studies.huang2025.setting import comfortable, run_of, trainset
@@ -44,10 +52,10 @@ def test_comfort_limits():
 def test_rows_of_a_drive():
     case = BY_ID["101"]
     found = drive(run_of(case), make_driver("eitoe"))
-    least = Least([found], "eitoe")
+    least = LeastIndex([found], "eitoe")
     plan = optimal_plan(found.section, comfortable("eitoe", trainset()), found.running_time_s)
     assert least.at(found.running_time_s) == pytest.approx(plan.energy_wheel_j, rel=2e-3)
-    rows = {row.kpi: row for row in rows_of(Driven(case, "eitoe", [found]), None)}
+    rows = {row.kpi: row for row in rows_of(EvaluatedRun(case, "eitoe", [found]), None)}
     assert rows[IE].published == 380.0
     assert rows["It, on time"].ours == 1.0
     # dead time taken off the running time makes the optimum dearer

@@ -6,7 +6,7 @@ import httpx
 import pytest
 
 from metropilot.errors import InputError
-from metropilot.web.guard import Guard
+from metropilot.web.security import Guard
 from metropilot.web.settings import Settings
 
 TOKEN = "0123456789abcdef"

@@ -10,8 +10,8 @@ import pytest
 from tests.web.program import Server
 
 from metropilot.web import Settings
-from metropilot.web.asked import LiveAsked
-from metropilot.web.refused import Refused
+from metropilot.web.refusals import Refused
+from metropilot.web.schemas.requests import LiveAsked
 from metropilot.web.service import Service
 
 SECTION = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ", "time_s": 101}

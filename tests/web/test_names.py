@@ -12,7 +12,7 @@ from metropilot.errors import InputError
 from metropilot.evaluate import option_defaults
 from metropilot.railway import load_line, load_trainset, write_line, write_trainset
 from metropilot.web import Settings
-from metropilot.web.asked import DriveAsked
+from metropilot.web.schemas.requests import DriveAsked
 from metropilot.web.server import make_api
 from metropilot.web.service import Service
 

@@ -10,10 +10,10 @@ from starlette.requests import Request
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
 from metropilot.evaluate.style import SERIES, series
-from metropilot.web.asked import ConvoyAsked, DriveAsked, JourneyAsked, LearnAsked, NewLink
 from metropilot.web.pages.form import allowed, validated
 from metropilot.web.pages.frame import frame
 from metropilot.web.pages.plots import compare_figure, convoy_figure, driven_convoy, front_figure
+from metropilot.web.schemas.requests import ConvoyAsked, DriveAsked, JourneyAsked, LearnAsked, NewLink
 
 
 @pytest.mark.parametrize(

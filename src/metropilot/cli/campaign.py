@@ -15,7 +15,7 @@ from metropilot.cli.console import console, number, print_json, table
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
-    from metropilot.evaluate.campaign import Campaign, Progress
+    from metropilot.campaign import Campaign, CampaignProgress
 
 EXAMPLES = {
     "campaign": (
@@ -52,10 +52,10 @@ def campaign_command(
     Killed at any moment, the same command goes on from where it was. Exit code 0: every run was safe, and
     arrived on time where that was possible; 1: not; 2: input that cannot be used.
     """
-    from metropilot.evaluate.campaign import read_campaign, run_campaign, summarise
-    from metropilot.evaluate.campaign.leaderboard import write_leaderboard
-    from metropilot.evaluate.campaign.page import write_report
-    from metropilot.evaluate.campaign.summary import collect
+    from metropilot.campaign import read_campaign, run_campaign, summarise
+    from metropilot.campaign.leaderboard import write_leaderboard
+    from metropilot.campaign.page import write_report
+    from metropilot.campaign.summary import collect
 
     campaign = read_campaign(file, drivers)
     folder = out or Path("campaigns") / Path(file).stem
@@ -87,7 +87,7 @@ class _Saying:
     def __init__(self, campaign: Campaign) -> None:
         self.campaign, self.next_s = campaign, SAY_EVERY_S
 
-    def __call__(self, progress: Progress) -> None:
+    def __call__(self, progress: CampaignProgress) -> None:
         if progress.seconds < self.next_s:
             return
         self.next_s = progress.seconds + SAY_EVERY_S
@@ -99,14 +99,14 @@ class _Saying:
         )
 
 
-def sitting(progress: Progress, workers: int, cluster: str | None) -> dict[str, Any]:
+def sitting(progress: CampaignProgress, workers: int, cluster: str | None) -> dict[str, Any]:
     """What this sitting did, for the JSON."""
     rate = progress.driven / progress.seconds if progress.driven else None
     values = {"driven": progress.driven, "seconds": progress.seconds, "runs_per_s": rate, "workers": workers}
     return {"sitting": values | {"cluster": cluster, "memory_mb": progress.memory_mb}}
 
 
-def circumstances(progress: Progress, workers: int, cluster: str | None) -> dict[str, str]:
+def circumstances(progress: CampaignProgress, workers: int, cluster: str | None) -> dict[str, str]:
     """What the head of the report says of how it was made."""
     from metropilot.evaluate import provenance
 

@@ -91,8 +91,8 @@ def drivers_command(
     as_json: opt.Json = False,
 ) -> int:
     """List the drivers, or those of followers in a convoy."""
+    from metropilot.convoy.drivers import FOLLOWERS
     from metropilot.drivers import DRIVERS
-    from metropilot.drivers.followers import FOLLOWERS
 
     registry = FOLLOWERS if followers else DRIVERS
     found = [registry.get(key) for key in registry.ids()]

@@ -13,8 +13,8 @@ from metropilot.cli.console import console, number, print_json, requirements, ta
 from metropilot.errors import InputError, renamed
 
 if TYPE_CHECKING:
-    from metropilot.evaluate.convoy_kpis import ConvoyKpis, MemberKpis
-    from metropilot.evaluate.convoy_request import ConvoyRequest
+    from metropilot.convoy.kpis import ConvoyKpis, MemberKpis
+    from metropilot.convoy.request import ConvoyRequest
 
 EXAMPLES = {
     "convoy": (
@@ -103,9 +103,9 @@ def convoy_command(
 
     Exit code 0: every trainset met every requirement shown; 1: not; 2: input that cannot be used.
     """
+    from metropilot.convoy.link import Link
+    from metropilot.convoy.request import ConvoyRequest
     from metropilot.evaluate import Request
-    from metropilot.evaluate.convoy_request import ConvoyRequest
-    from metropilot.task.convoy_link import Link
 
     with renamed(OPTIONS):
         request = ConvoyRequest(
@@ -142,9 +142,9 @@ def _factors(text: str | None) -> tuple[float, ...]:
 
 def run_and_report(request: ConvoyRequest, out: Path | None, *, as_json: bool) -> int:
     """Drive, print, write; the exit code."""
+    from metropilot.convoy.folder import write_convoy
+    from metropilot.convoy.kpis import convoy_kpis
     from metropilot.evaluate import check_writable
-    from metropilot.evaluate.convoy_folder import write_convoy
-    from metropilot.evaluate.convoy_kpis import convoy_kpis
 
     if out is not None:
         check_writable(out)

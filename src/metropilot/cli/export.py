@@ -74,8 +74,8 @@ def policy_named(what: str) -> tuple[str, PolicyFile]:
     from metropilot.cli.learn import found_run
     from metropilot.cli.show_learned import read_policy
     from metropilot.drivers import DRIVERS
-    from metropilot.drivers.policy.loaded import policy_path
     from metropilot.drivers.shipped import shipped_policy
+    from metropilot.policy.loaded import policy_path
 
     path = Path(what).expanduser()
     if not path.exists() and what.isidentifier() and shipped_policy(what).is_file():

@@ -190,9 +190,9 @@ def new_run(request: RunRequest, out: Path | None) -> tuple[RunStore, RunRecord]
     Raises:
         InputError: The folder cannot be written.
     """
-    from metropilot.home import runs_folder
+    from metropilot._dirs import runs_folder
     from metropilot.learn import RunStore
-    from metropilot.learn.recorded import begin_run
+    from metropilot.learn.train import begin_run
 
     if out is None:
         store = RunStore(runs_folder())
@@ -208,7 +208,7 @@ def found_run(text: str) -> tuple[RunStore, RunRecord]:
     Raises:
         InputError: No such run.
     """
-    from metropilot.home import runs_folder
+    from metropilot._dirs import runs_folder
     from metropilot.learn import RunStore
 
     folder = Path(text).expanduser()
@@ -237,12 +237,12 @@ def learn_and_report(
 ) -> int:
     """Learn with progress, then say what came of it; the exit code."""
     from metropilot.cli.learn_report import LearnReport
-    from metropilot.learn import Sitting, learn_run
+    from metropilot.learn import TrainingOptions, learn_run
 
     folder = store.folder(record.id)
     with LearnReport(request, folder, quiet=as_json) as report:
         try:
-            sitting = Sitting(evaluate=evaluate, on_progress=report.progress)
+            sitting = TrainingOptions(evaluate=evaluate, on_progress=report.progress)
             record, _ = learn_run(store, request, sitting, record.id)
         except KeyboardInterrupt:
             report.close()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from metropilot.cli.console import NOTHING, console, table
 
 if TYPE_CHECKING:
-    from metropilot.learn import Progress, RunRecord, RunRequest
+    from metropilot.learn import RunRecord, RunRequest, TrainingProgress
 
 COLUMNS = ("steps", "steps/s", "return", "safe %", "above optimum %", "late s", "stop m", "left")
 WIDTHS = (11, 10, 9, 7, 16, 7, 7, 8)
@@ -47,11 +47,13 @@ class LearnReport:
     def __enter__(self) -> LearnReport:
         if sys.stderr.isatty():
             from rich.console import Console
-            from rich.progress import BarColumn, Progress, TextColumn
+            from rich.progress import BarColumn, TextColumn, TrainingProgress
 
             words = TextColumn("{task.description}", markup=False)
             left = TextColumn("{task.fields[left]}", markup=False)
-            self.bar = Progress(words, BarColumn(), left, console=Console(stderr=True), transient=True)
+            self.bar = TrainingProgress(
+                words, BarColumn(), left, console=Console(stderr=True), transient=True
+            )
             self.item = self.bar.add_task("compiling", total=None, left="kept for the next time")
             self.bar.start()
         request = self.request
@@ -62,7 +64,7 @@ class LearnReport:
         self._say("".join(name.rjust(width) for name, width in zip(COLUMNS, WIDTHS, strict=True)))
         return self
 
-    def progress(self, now: Progress) -> None:
+    def progress(self, now: TrainingProgress) -> None:
         """One evaluation more."""
         self.steps = now.steps
         row = now.row

@@ -84,7 +84,7 @@ def plan_command(
             "running time out of range", field="time", value=time, unit="s", allowed="> 0, finite"
         )
     where = load_line(line)
-    asked = reports.Asked(
+    asked = reports.PlanArguments(
         load_trainset(trainset, load), PlanOptions(objective=objective, jerk_mps3=jerk), out, as_json
     )
     ends = (where.station(origin), where.station(destination)) if origin and destination else None

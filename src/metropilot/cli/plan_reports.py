@@ -32,7 +32,7 @@ J_PER_KWH = 3.6e6
 AT_STATION_M = 1.0
 
 
-class Asked(NamedTuple):
+class PlanArguments(NamedTuple):
     """What every plan needs.
 
     Attributes:
@@ -48,7 +48,7 @@ class Asked(NamedTuple):
     as_json: bool
 
 
-def run(asked: Asked, section: Section, time_s: float | None) -> int:
+def run(asked: PlanArguments, section: Section, time_s: float | None) -> int:
     """One run between two stations."""
     from metropilot.evaluate.gallery import plan_figure
 
@@ -127,7 +127,7 @@ def summary(plan: Plan, options: PlanOptions) -> dict[str, Any]:
 
 
 def deliver(
-    asked: Asked,
+    asked: PlanArguments,
     values: dict[str, Any],
     screen: Callable[[], None],
     plan: Plan | None,
@@ -162,7 +162,7 @@ def write_profile(path: Path, plan: Plan) -> None:
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
-def front(asked: Asked, section: Section) -> int:
+def front(asked: PlanArguments, section: Section) -> int:
     """Optimal energy over running time."""
     from metropilot.evaluate.gallery import front_figure
 
@@ -220,7 +220,7 @@ def front(asked: Asked, section: Section) -> int:
     )
 
 
-def timetable(asked: Asked, line: Line, path: Path) -> int:
+def timetable(asked: PlanArguments, line: Line, path: Path) -> int:
     """A journey with the timing points of a file."""
     wanted = load_journey(path)
     ends = [_station_at(line, point.position_m, path) for point in (wanted.points[0], wanted.points[-1])]
@@ -250,7 +250,9 @@ def _station_at(line: Line, position_m: float, path: Path) -> Station:
     return nearest
 
 
-def journey(asked: Asked, line: Line, ends: tuple[Station, Station] | None, total_s: float | None) -> int:
+def journey(
+    asked: PlanArguments, line: Line, ends: tuple[Station, Station] | None, total_s: float | None
+) -> int:
     """The line's timetable, or its stations within a total time."""
     origin, destination = ends or (line.stations[0], line.stations[-1])
     waypoints = timetable_waypoints(line, origin, destination, total_s=total_s)
@@ -261,7 +263,9 @@ def journey(asked: Asked, line: Line, ends: tuple[Station, Station] | None, tota
     return _journey(asked, line, found, origin, destination)
 
 
-def _journey(asked: Asked, line: Line, found: JourneyPlan, origin: Station, destination: Station) -> int:
+def _journey(
+    asked: PlanArguments, line: Line, found: JourneyPlan, origin: Station, destination: Station
+) -> int:
     from metropilot.evaluate.gallery import plan_figure
 
     calls = [asdict(call) for call in found.calls]

@@ -14,7 +14,7 @@ from metropilot.cli.console import console, heading, print_json, table
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
-    from metropilot.studies import Report
+    from metropilot.studies import StudyReport
 
 EXAMPLES = {
     "reproduce": (
@@ -109,7 +109,7 @@ def _say(line: str) -> None:
     sys.stderr.write(f"{line}\n")
 
 
-def _report(report: Report, folder: Path) -> None:
+def _report(report: StudyReport, folder: Path) -> None:
     """The tables on the screen."""
     from metropilot.studies.page import numbers
 

@@ -33,8 +33,8 @@ def runs_command(
     as_json: opt.Json = False,
 ) -> int:
     """List the learning runs, the newest first."""
+    from metropilot._dirs import runs_folder
     from metropilot.cli.learn_report import clock, figure, learned_json
-    from metropilot.home import runs_folder
     from metropilot.learn import RunStore
 
     store = RunStore(folder or runs_folder())
@@ -67,8 +67,8 @@ def runs_command(
 
 def tasks_command(as_json: opt.Json = False) -> int:
     """List the tasks that can be learned."""
+    from metropilot.env import TASKS
     from metropilot.learn.recipes import RECIPES
-    from metropilot.task import TASKS
 
     used = {name: [key for key, recipe in RECIPES.items() if recipe.task == name] for name in TASKS}
     if as_json:

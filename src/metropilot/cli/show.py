@@ -17,10 +17,10 @@ from metropilot.cli.show_learned import policy_json, read_policy, say_policy, sh
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
-    from metropilot.drivers import AbstractDriver
-    from metropilot.drivers.followers import AbstractFollower
+    from metropilot.convoy.drivers import AbstractFollower
     from metropilot.learn import RunRecord
     from metropilot.railway import Line, Section, Trainset
+    from metropilot.sim import AbstractDriver
 
 SPEEDS_KMH = (0.0, 20.0, 40.0, 60.0, 80.0)
 EXAMPLES = {
@@ -46,8 +46,8 @@ def show_command(
     as_json: opt.Json = False,
 ) -> int:
     """Show a line, a trainset, a driver, a policy or a run."""
+    from metropilot.convoy.drivers import FOLLOWERS
     from metropilot.drivers import DRIVERS
-    from metropilot.drivers.followers import FOLLOWERS
     from metropilot.railway import list_lines, list_trainsets, load_line, load_trainset
 
     if what in list_lines():
@@ -76,7 +76,7 @@ def show_command(
 
 def run_of_id(what: str) -> tuple[RunRecord, Path] | None:
     """The learning run of the user's whose id this is, or begins so, and its folder."""
-    from metropilot.home import runs_folder
+    from metropilot._dirs import runs_folder
     from metropilot.learn import RunStore
 
     store = RunStore(runs_folder())

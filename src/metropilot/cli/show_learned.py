@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from metropilot.cli.console import console, heading, print_json, table
 
 if TYPE_CHECKING:
-    from metropilot.drivers.policy import Policy
     from metropilot.learn import RunRecord
+    from metropilot.policy import Policy
 
 APART = ("perception", "kpis", "config", "provenance")
 """What a policy file says of itself that is shown under a heading of its own."""
@@ -37,7 +37,7 @@ def read_policy(path: Path) -> PolicyFile:
     Raises:
         InputError: It cannot be used.
     """
-    from metropilot.drivers.policy import load_policy
+    from metropilot.policy import load_policy
 
     return PolicyFile(path, *load_policy(path))
 

@@ -14,8 +14,8 @@ from metropilot.drivers import (  # noqa: F401 (importing a driver's file regist
     pid_lu2023,
     shipped,
 )
-from metropilot.drivers.base import AbstractDriver, DriverRegistry, register
+from metropilot.sim.driver import DriverRegistry
 
 DRIVERS = DriverRegistry()
 
-__all__ = ["DRIVERS", "AbstractDriver", "DriverRegistry", "register"]
+__all__ = ["DRIVERS"]

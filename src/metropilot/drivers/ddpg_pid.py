@@ -8,15 +8,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, final
 
-from metropilot.drivers.policy.loaded import GuardedPolicy, policy_path
-from metropilot.drivers.policy.policy_file import load_policy
+from metropilot.control.incremental_pid import CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers.shipped import register_shipped, shipped_policy
 from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
+from metropilot.env.tracking import Tracked, tracking_observation
+from metropilot.env.tracking_task import gains_of
 from metropilot.errors import InputError
-from metropilot.task import Run
-from metropilot.task.incremental_pid import CHENG2023_UPPER, Errors, Gains, incremental_pid
-from metropilot.task.tracking import Tracked, tracking_observation
-from metropilot.task.tracking_task import gains_of
+from metropilot.policy.file import load_policy
+from metropilot.policy.loaded import GuardedPolicy, policy_path
+from metropilot.sim import Run
 
 OBSERVED = ("speed", "command", "speed_error", "position_error")
 """What the policy sees, as its file must say."""

@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
-from metropilot.drivers.base import AbstractDriver, register
 from metropilot.drivers.expert.driving import ExpertMemory, Seen, decide, prepared
 from metropilot.drivers.expert.hoa import GAIN, SETTLED, UNSURE, Hoa
+from metropilot.env.expert import PLAIN, Rules, constant_change
 from metropilot.errors import InputError
-from metropilot.task import Observation, Run
-from metropilot.task.expert import PLAIN, Rules, constant_change
+from metropilot.sim import Observation, Run
+from metropilot.sim.driver import AbstractDriver, register
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from typing import NamedTuple, final
 
-from metropilot.drivers.base import AbstractDriver, register
-from metropilot.drivers.cruising import Ceiling, ceiling_acceleration, ceiling_of, model_of, traction_limit
-from metropilot.drivers.observer import Belief, Model, first_belief, issued, look_ahead, observe, share_for
-from metropilot.drivers.stopping import (
+from metropilot.control.ceiling import Ceiling, ceiling_acceleration, ceiling_of, model_of, traction_limit
+from metropilot.control.estimator import (
+    Model,
+    StateEstimate,
+    initial_estimate,
+    look_ahead,
+    record_command,
+    share_for,
+    update_estimate,
+)
+from metropilot.control.stopping import (
     comfortable_deceleration,
     curve_for,
     required_ahead,
@@ -15,7 +22,8 @@ from metropilot.drivers.stopping import (
     weakest_gradient,
 )
 from metropilot.railway import Section
-from metropilot.task import Observation, Run
+from metropilot.sim import Observation, Run
+from metropilot.sim.driver import AbstractDriver, register
 
 
 class FlatOutMemory(NamedTuple):
@@ -36,7 +44,7 @@ class FlatOutMemory(NamedTuple):
     model: Model
     ceiling: Ceiling
     gradient_mps2: float
-    belief: Belief
+    belief: StateEstimate
     braking_mps2: float
 
 
@@ -58,7 +66,7 @@ class FlatOut(AbstractDriver):
             model=model,
             ceiling=ceiling_of(run, run.section),
             gradient_mps2=weakest_gradient(model, run.section.length_m),
-            belief=first_belief(model),
+            belief=initial_estimate(model),
             braking_mps2=0.0,
         )
 
@@ -66,7 +74,7 @@ class FlatOut(AbstractDriver):
         """Full speed until the final braking has to begin, then stop."""
         memory = self._informed(memory, observation)
         model = memory.model
-        belief = observe(
+        belief = update_estimate(
             model,
             memory.belief,
             observation.position_m,
@@ -74,9 +82,9 @@ class FlatOut(AbstractDriver):
             observation.acceleration_mps2,
         )
         share, braking = self._share(memory, belief)
-        return share, memory._replace(belief=issued(belief, share), braking_mps2=braking)
+        return share, memory._replace(belief=record_command(belief, share), braking_mps2=braking)
 
-    def _share(self, memory: FlatOutMemory, belief: Belief) -> tuple[float, float]:
+    def _share(self, memory: FlatOutMemory, belief: StateEstimate) -> tuple[float, float]:
         model, target = memory.model, memory.section.length_m
         comfortable = memory.braking_mps2 or comfortable_deceleration(model, belief, memory.gradient_mps2)
         curve = curve_for(model.vehicle, model.dt, comfortable)

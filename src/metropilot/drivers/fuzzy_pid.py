@@ -15,19 +15,19 @@ from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
-from metropilot.drivers.base import register
-from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
-from metropilot.errors import InputError
-from metropilot.physics.arrays import namespace
-from metropilot.task import Run
-from metropilot.task.incremental_pid import (
+from metropilot.control.incremental_pid import (
     CHENG2023_GAINS,
     CHENG2023_UPPER,
     Errors,
     Gains,
     incremental_pid,
 )
-from metropilot.task.tracking import Tracked
+from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
+from metropilot.env.tracking import Tracked
+from metropilot.errors import InputError
+from metropilot.physics.arrays import namespace
+from metropilot.sim import Run
+from metropilot.sim.driver import register
 
 Array = Any
 NB, NM, NS, ZO, PS, PM, PB = range(7)

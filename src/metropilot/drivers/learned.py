@@ -1,7 +1,8 @@
 """A learned policy on the host: observer, action and assists of the task it learned, in NumPy, without JAX.
 
-The policy is any function from an observation to an action; :class:`metropilot.learn.Policy` is one. What it
-sees and what its action means is a :class:`metropilot.task.Perception`, and the same functions as in the task
+The policy is any function from an observation to an action; :class:`metropilot.policy.Policy` is one. What it
+sees and what its action means is a :class:`metropilot.env.PolicyInterface`, and the same functions as in the
+task
 read it. A policy decides once in its decision period; the assists act at the run's own control period. Where
 the trainset answers differently than told, :mod:`metropilot.drivers.watching` says what is done about it.
 """
@@ -14,15 +15,16 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from metropilot.control.adaptation import Adapted, adapted_trainset
 from metropilot.drivers import watching
-from metropilot.drivers.adapted import Adapted, adapted_trainset
-from metropilot.drivers.base import AbstractDriver
 from metropilot.drivers.watching import Watch
+from metropilot.env import PolicyInterface
+from metropilot.env.assists import assisted, ceiling_mps2
+from metropilot.env.features import FeatureContext, observe
+from metropilot.env.tables import SectionRows, SectionTables, build_tables
 from metropilot.railway import Section, Trainset
-from metropilot.task import Observation, Perception, Run, declared_bounds
-from metropilot.task.assist import assisted, ceiling_mps2
-from metropilot.task.observers import Sight, observe
-from metropilot.task.tables import Rows, Tables, build_tables
+from metropilot.sim import Observation, Run, declared_bounds
+from metropilot.sim.driver import AbstractDriver
 
 PolicyFunction = Callable[..., Any]
 """From an observation, float32 of shape (O,), to an action: float32 of shape (A,), or an integer choice.
@@ -51,9 +53,9 @@ class LearnedMemory(NamedTuple):
 
     run: Run
     section: Section
-    told: Tables
-    rows: Rows
-    case: Tables
+    told: SectionTables
+    rows: SectionRows
+    case: SectionTables
     command: np.float64
     action: Any
     wanted: np.float64
@@ -75,14 +77,14 @@ class LearnedDriver(AbstractDriver):
     summary = "A learned policy"
     source = "own"
 
-    def __init__(self, policy: PolicyFunction, perception: Perception) -> None:
+    def __init__(self, policy: PolicyFunction, perception: PolicyInterface) -> None:
         self.policy = policy
         self.perception = perception
 
     def init(self, run: Run) -> LearnedMemory:
         """Build the tables the policy sees."""
-        told = self._tables(run, run.section, run.scenario.believed(run.trainset))
-        rows, zero = Rows(told, jax=False), np.float64(0.0)
+        told = self._tables(run, run.section, run.scenario.nominal(run.trainset))
+        rows, zero = SectionRows(told, jax=False), np.float64(0.0)
         watch = watching.first_watch(run) if self.perception.assists.stop else None
         return LearnedMemory(
             run=run,
@@ -103,7 +105,7 @@ class LearnedDriver(AbstractDriver):
         if observation.section is not memory.section:
             memory = self._moved(memory, observation.section)
         if memory.watch is not None:
-            watch = watching.noticed(memory.watch, memory.run, observation)
+            watch = watching.update_watch(memory.watch, memory.run, observation)
             memory = memory._replace(watch=watch)
             if watching.outdated(watch, observation.time_s) and not memory.stopping:
                 memory = self._adapted(memory, watch, observation.time_s)
@@ -120,15 +122,15 @@ class LearnedDriver(AbstractDriver):
         command, stopping = self._assisted(memory, sight, command)
         command = perception.action.settled(sight, command)
         if memory.watch is not None:
-            share, watch = watching.let_pass(memory.watch, observation, float(command))
-            memory = memory._replace(watch=watching.gave(watch, share))
+            share, watch = watching.limit_by_protection(memory.watch, observation, float(command))
+            memory = memory._replace(watch=watching.record_decision(watch, share))
             command = command if watch.care is None else np.float64(share)
         memory = memory._replace(
             command=command, action=action, wanted=wanted, decided=decided, stopping=stopping
         )
         return float(command), memory
 
-    def _assisted(self, memory: LearnedMemory, sight: Sight, command: Any) -> tuple[Any, Any]:  # noqa: ANN401
+    def _assisted(self, memory: LearnedMemory, sight: FeatureContext, command: Any) -> tuple[Any, Any]:  # noqa: ANN401
         """The assists as learned; or with care, where the trainset answers differently than told."""
         assists, watch, dt = self.perception.assists, memory.watch, memory.run.dt
         if watch is None or watch.care is None:
@@ -143,7 +145,7 @@ class LearnedDriver(AbstractDriver):
             command = np.float64(watching.eased(watch, ahead, float(command), most))
         return command, np.bool_(stopping)
 
-    def _tables(self, run: Run, section: Section, trainset: Trainset) -> Tables:
+    def _tables(self, run: Run, section: Section, trainset: Trainset) -> SectionTables:
         """One section and a trainset, in float64."""
         tables = build_tables(
             [(section, trainset, declared_bounds(run))], self.perception.spacing_m, np.float64
@@ -152,10 +154,10 @@ class LearnedDriver(AbstractDriver):
 
     def _moved(self, memory: LearnedMemory, section: Section) -> LearnedMemory:
         """The section with a restriction that has just been announced."""
-        told = self._tables(memory.run, section, memory.run.scenario.believed(memory.run.trainset))
-        memory = memory._replace(section=section, told=told, rows=Rows(told, jax=False))
+        told = self._tables(memory.run, section, memory.run.scenario.nominal(memory.run.trainset))
+        memory = memory._replace(section=section, told=told, rows=SectionRows(told, jax=False))
         if memory.watch is not None:
-            watch = watching.moved(memory.watch, memory.run, section)
+            watch = watching.set_section(memory.watch, memory.run, section)
             memory = memory._replace(watch=watch)
             if watch.adapted != Adapted():
                 return self._adapted(memory, watch, watch.adapted_at_s)
@@ -164,25 +166,27 @@ class LearnedDriver(AbstractDriver):
     def _adapted(self, memory: LearnedMemory, watch: Watch, time_s: float) -> LearnedMemory:
         """Tables of the trainset as it has shown itself, under protection as it is for the one told."""
         told, shown = memory.told, watch.shown
-        trainset = adapted_trainset(memory.run.scenario.believed(memory.run.trainset), shown)
+        trainset = adapted_trainset(memory.run.scenario.nominal(memory.run.trainset), shown)
         tables = self._tables(memory.run, memory.section, trainset)
         size = told.braked.shape[1]
         braked = np.pad(tables.braked, ((0, 0), (0, size), (0, 0)), "edge")[:, :size]
         braked[..., 1] = np.minimum(braked[..., 1], told.braked[..., 1])
-        rows = Rows(tables._replace(ground=told.ground, protection=told.protection, braked=braked), jax=False)
+        rows = SectionRows(
+            tables._replace(ground=told.ground, protection=told.protection, braked=braked), jax=False
+        )
         watch = watch._replace(adapted=shown, adapted_at_s=time_s)
         return memory._replace(rows=rows, case=rows.case(0), watch=watch)
 
-    def _sight(self, memory: LearnedMemory, observation: Observation) -> Sight:
+    def _sight(self, memory: LearnedMemory, observation: Observation) -> FeatureContext:
         """What the policy sees: the state as it is, or as it will be when its command begins to act."""
         case, watch = memory.case, memory.watch
         time, x, v, a = observation[:4]
         scheduled = observation.scheduled_time_s
         if watch is not None and watch.care is not None:
-            ahead = watching.ahead_of(watch)
+            ahead = watching.predicted_state(watch)
             time, x, v, a = time + ahead.seconds, ahead.position_m, ahead.speed_mps, ahead.acceleration_mps2
             scheduled -= watching.RESERVE_S
-        return Sight(
+        return FeatureContext(
             rows=memory.rows,
             case=0,
             vehicle=case.vehicle,

@@ -18,22 +18,21 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from metropilot.drivers.base import AbstractDriver, register
-from metropilot.drivers.cruising import Ceiling, ceiling_acceleration, ceiling_of, model_of, traction_limit
-from metropilot.drivers.forecast import Forecast, coast_point_for, cruise_for, forecast_of, time_to_go
-from metropilot.drivers.observer import (
-    Ahead,
-    Belief,
+from metropilot.control.ceiling import Ceiling, ceiling_acceleration, ceiling_of, model_of, traction_limit
+from metropilot.control.coasting import Forecast, coast_point_for, cruise_for, forecast_of, time_to_go
+from metropilot.control.estimator import (
     Model,
-    first_belief,
-    issued,
+    PredictedState,
+    StateEstimate,
+    initial_estimate,
     look_ahead,
-    observe,
+    record_command,
     share_for,
+    update_estimate,
 )
-from metropilot.drivers.stopping import (
+from metropilot.control.stopping import (
     SERVICE_USE,
-    Curve,
+    StopCurve,
     curve_for,
     required_ahead,
     stop_command,
@@ -41,7 +40,8 @@ from metropilot.drivers.stopping import (
 )
 from metropilot.physics.effort import effort_at
 from metropilot.railway import Section
-from metropilot.task import Observation, Run
+from metropilot.sim import Observation, Run
+from metropilot.sim.driver import AbstractDriver, register
 
 TRACTION_NOTCH = 0.25
 BRAKE_NOTCH = 0.05
@@ -77,7 +77,7 @@ class Habits(NamedTuple):
     aim_m: float
 
 
-class Lever(NamedTuple):
+class LeverPosition(NamedTuple):
     """The lever: where it is, and where it will be moved once the hand has reacted."""
 
     share: float = 0.0
@@ -104,10 +104,10 @@ class ManualMemory(NamedTuple):
     habits: Habits
     model: Model
     ceiling: Ceiling
-    curve: Curve
+    curve: StopCurve
     forecast: Forecast
-    belief: Belief
-    lever: Lever
+    belief: StateEstimate
+    lever: LeverPosition
     intent: Intent
 
 
@@ -128,7 +128,7 @@ class Manual(AbstractDriver):
     def act(self, memory: ManualMemory, observation: Observation) -> tuple[float, ManualMemory]:
         """Look, decide, and move the lever when the hand is there."""
         memory = _informed(memory, observation)
-        belief = observe(
+        belief = update_estimate(
             memory.model,
             memory.belief,
             observation.position_m,
@@ -138,7 +138,7 @@ class Manual(AbstractDriver):
         intent = _looked_at_the_clock(memory, belief, observation)
         wanted, intent = _decided(memory._replace(belief=belief, intent=intent))
         lever = _moved(memory.lever, wanted, observation.time_s, memory.habits, intent)
-        memory = memory._replace(belief=issued(belief, lever.share), intent=intent, lever=lever)
+        memory = memory._replace(belief=record_command(belief, lever.share), intent=intent, lever=lever)
         return lever.share, memory
 
 
@@ -173,8 +173,8 @@ def _prepared(run: Run, section: Section, scheduled_s: float, habits: Habits) ->
         ceiling=ceiling,
         curve=curve_for(model.vehicle, run.dt, habits.deceleration_mps2),
         forecast=forecast,
-        belief=first_belief(model),
-        lever=Lever(),
+        belief=initial_estimate(model),
+        lever=LeverPosition(),
         intent=Intent(cruise, coast),
     )
 
@@ -206,7 +206,7 @@ def _informed(memory: ManualMemory, observation: Observation) -> ManualMemory:
     return fresh._replace(belief=memory.belief, lever=memory.lever, intent=intent)
 
 
-def _looked_at_the_clock(memory: ManualMemory, belief: Belief, observation: Observation) -> Intent:
+def _looked_at_the_clock(memory: ManualMemory, belief: StateEstimate, observation: Observation) -> Intent:
     """Every few seconds: is the cruising speed still right, and from where may I coast?"""
     intent, now = memory.intent, observation.time_s
     if intent.braking or now < intent.looks_at_s:
@@ -245,7 +245,7 @@ def _decided(memory: ManualMemory) -> tuple[float, Intent]:
     return _held(memory, ahead, limited)
 
 
-def _held(memory: ManualMemory, ahead: Ahead, limited_mps2: float) -> tuple[float, Intent]:
+def _held(memory: ManualMemory, ahead: PredictedState, limited_mps2: float) -> tuple[float, Intent]:
     """Power below the band, coast above it, brake gently well above it."""
     intent, band = memory.intent, memory.habits.band_mps
     if ahead.position_m >= intent.coast_from_m:
@@ -270,13 +270,15 @@ def _notched(share: float) -> float:
     return BRAKE_NOTCH * round(share / BRAKE_NOTCH)
 
 
-def _moved(lever: Lever, wanted: float, now_s: float, habits: Habits, intent: Intent) -> Lever:
+def _moved(
+    lever: LeverPosition, wanted: float, now_s: float, habits: Habits, intent: Intent
+) -> LeverPosition:
     """The lever a period later: a change of mind takes a reaction time, half of it while braking."""
     if now_s >= lever.moves_at_s - 1e-9:
-        lever = Lever(lever.wanted, lever.wanted)
+        lever = LeverPosition(lever.wanted, lever.wanted)
     if wanted != lever.share and math.isinf(lever.moves_at_s):
         reaction = habits.reaction_s * (0.5 if intent.braking else 1.0)
         return lever._replace(wanted=wanted, moves_at_s=now_s + reaction)
     if wanted == lever.share:
-        return Lever(lever.share, lever.share)
+        return LeverPosition(lever.share, lever.share)
     return lever._replace(wanted=wanted)

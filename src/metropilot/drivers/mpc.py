@@ -16,10 +16,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, final
 
-from metropilot.drivers.base import AbstractDriver, register
-from metropilot.drivers.optimal import Following, Optimal, OptimalOptions
+from metropilot.drivers.optimal import FollowingMemory, Optimal, OptimalOptions
 from metropilot.planning.optimal import Objective
-from metropilot.task import Observation, Run
+from metropilot.sim import Observation, Run
+from metropilot.sim.driver import AbstractDriver, register
 
 
 @dataclass(frozen=True)
@@ -64,10 +64,10 @@ class Mpc(AbstractDriver):
             )
         )
 
-    def init(self, run: Run) -> Following:
+    def init(self, run: Run) -> FollowingMemory:
         """Plan the whole section for the trainset as it is told."""
         return self.follower.init(run)
 
-    def act(self, memory: Following, observation: Observation) -> tuple[float, Following]:
+    def act(self, memory: FollowingMemory, observation: Observation) -> tuple[float, FollowingMemory]:
         """Plan anew if it is time to, then follow the plan or the stop."""
         return self.follower.act(memory, observation)

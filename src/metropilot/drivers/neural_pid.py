@@ -15,26 +15,26 @@ from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
-from metropilot.drivers.base import register
-from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
-from metropilot.errors import InputError
-from metropilot.physics.arrays import namespace
-from metropilot.task import Run
-from metropilot.task.incremental_pid import (
+from metropilot.control.incremental_pid import (
     CHENG2023_GAINS,
     CHENG2023_UPPER,
     Errors,
     Gains,
     incremental_pid,
 )
-from metropilot.task.tracking import Tracked
+from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
+from metropilot.env.tracking import Tracked
+from metropilot.errors import InputError
+from metropilot.physics.arrays import namespace
+from metropilot.sim import Run
+from metropilot.sim.driver import register
 
 Array = Any
 HIDDEN = 5
 SPEED_SCALE_MPS = 20.0
 
 
-class Rates(NamedTuple):
+class LearningRates(NamedTuple):
     """How the network learns.
 
     Attributes:
@@ -48,7 +48,7 @@ class Rates(NamedTuple):
     error_scale_mps: Array
 
 
-TEXTBOOK = Rates(0.28, 0.04, 1.0)
+TEXTBOOK = LearningRates(0.28, 0.04, 1.0)
 TUNED: Mapping[str, float] = MappingProxyType(
     {
         "kp": 4.835,
@@ -105,7 +105,7 @@ def fresh_network(seed: int, base: Gains = CHENG2023_GAINS, upper: Gains = CHENG
 
 
 def neural_pid(
-    network: Network, seen: Tracked, rates: Rates = TEXTBOOK, upper: Gains = CHENG2023_UPPER
+    network: Network, seen: Tracked, rates: LearningRates = TEXTBOOK, upper: Gains = CHENG2023_UPPER
 ) -> tuple[Array, Network]:
     """One period: learn from the error that the last command led to, set the gains, apply the law.
 
@@ -200,7 +200,7 @@ class NeuralPid(AbstractTracker):
         options = replace(options, **TUNED) if options.tuned else options
         super().__init__(options)
         self.base = Gains(options.kp, options.ki, options.kd)
-        self.rates = Rates(options.learning_rate, options.momentum, options.error_mps)
+        self.rates = LearningRates(options.learning_rate, options.momentum, options.error_mps)
 
     def fresh(self, run: Run) -> Network:
         """Random weights from the run's seed."""

@@ -8,31 +8,23 @@ from typing import ClassVar
 
 import numpy as np
 
-from metropilot.drivers.adapted import Adapted, adapted_vehicle
-from metropilot.drivers.base import AbstractDriver, register
-from metropilot.drivers.headroom import Headroom, cleared, headroom_of
-from metropilot.drivers.observer import (
-    Ahead,
-    Belief,
+from metropilot.control.adaptation import Adapted, adapted_vehicle
+from metropilot.control.estimator import (
     Model,
-    first_belief,
-    issued,
+    PredictedState,
+    StateEstimate,
+    initial_estimate,
     look_ahead,
-    observe,
+    record_command,
     share_for,
+    update_estimate,
     weighs_load,
 )
-from metropilot.drivers.plan_reading import (
-    START_STRETCH_M,
-    plan_speed,
-    plan_time,
-    pull_away,
-    ramped_acceleration,
-)
-from metropilot.drivers.stopping import (
+from metropilot.control.headroom import Headroom, headroom_of, largest_admissible_command
+from metropilot.control.stopping import (
     CREEP_MPS,
-    Curve,
     Stop,
+    StopCurve,
     curve_for,
     deceleration_to,
     stand,
@@ -42,9 +34,17 @@ from metropilot.errors import SolverError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
 from metropilot.planning import Plan, PlanOptions, check_running_time, plan_arrays
 from metropilot.planning.optimal import Objective, fastest_time
+from metropilot.planning.reading import (
+    START_STRETCH_M,
+    plan_speed,
+    plan_time,
+    pull_away,
+    ramped_acceleration,
+)
 from metropilot.protection import Memory, Protection, at_start, protect
 from metropilot.railway import Section, Trainset
-from metropilot.task import Observation, Run, declared_bounds
+from metropilot.sim import Observation, Run, declared_bounds
+from metropilot.sim.driver import AbstractDriver, register
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class OptimalOptions:
 
 
 @dataclass(frozen=True)
-class Following:
+class FollowingMemory:
     """The driver's memory.
 
     Attributes:
@@ -126,10 +126,10 @@ class Following:
     watched: Memory
     room: Headroom
     model: Model
-    belief: Belief
+    belief: StateEstimate
     plan: Plan
     clock_s: float
-    curve: Curve
+    curve: StopCurve
     braking: bool
     overruled: bool
     adapted: Adapted
@@ -160,9 +160,9 @@ class Optimal(AbstractDriver):
     def __init__(self, options: OptimalOptions | None = None) -> None:
         self.options = options or OptimalOptions()
 
-    def init(self, run: Run) -> Following:
+    def init(self, run: Run) -> FollowingMemory:
         """Plan the whole section for the trainset as it is known."""
-        trainset = run.scenario.believed(run.trainset)
+        trainset = run.scenario.nominal(run.trainset)
         vehicle, track = vehicle_arrays(trainset), track_arrays(run.section, trainset)
         model = Model(vehicle, track, run.dt)
         bounds = declared_bounds(run)
@@ -173,14 +173,14 @@ class Optimal(AbstractDriver):
         careful = adapted_vehicle(vehicle, Adapted(brake=self._brake_use(vehicle, Adapted(), room)))
         plan = _plan(careful, track, run.scheduled_time_s - self.options.reserve_s, options)
         curve = self._curve(model, plan, room)
-        return Following(
+        return FollowingMemory(
             trainset=trainset,
             run=run,
             guard=guard,
             watched=at_start(guard),
             room=room,
             model=model,
-            belief=first_belief(model, weighed_brakes=weighs_load(vehicle)),
+            belief=initial_estimate(model, weighed_brakes=weighs_load(vehicle)),
             plan=plan,
             clock_s=0.0,
             curve=curve,
@@ -192,9 +192,9 @@ class Optimal(AbstractDriver):
             planned_at_s=0.0,
         )
 
-    def act(self, memory: Following, observation: Observation) -> tuple[float, Following]:
+    def act(self, memory: FollowingMemory, observation: Observation) -> tuple[float, FollowingMemory]:
         """Re-plan if need be, then follow the plan or the stop."""
-        belief = observe(
+        belief = update_estimate(
             memory.model,
             memory.belief,
             observation.position_m,
@@ -216,23 +216,23 @@ class Optimal(AbstractDriver):
             curve = memory.curve._replace(deceleration_mps2=available)
             stop = stop_command(memory.model, belief, target, curve)
         share = self._brake(memory, stop) if braking else self._follow(memory)
-        share, watched = cleared(
+        share, watched = largest_admissible_command(
             memory.guard, memory.watched, observation.position_m, observation.speed_mps, share
         )
         return share, replace(
             memory,
-            belief=issued(belief, share),
+            belief=record_command(belief, share),
             watched=watched,
             braking=braking,
             overruled=int(watched.level) > 0,
         )
 
     @staticmethod
-    def _left(memory: Following, ahead: Ahead) -> float:
+    def _left(memory: FollowingMemory, ahead: PredictedState) -> float:
         """Distance to the stop from the state where a command begins to act."""
         return float(memory.model.track.length_m) - ahead.position_m
 
-    def _takes_over(self, memory: Following, stop: Stop, available_mps2: float) -> bool:
+    def _takes_over(self, memory: FollowingMemory, stop: Stop, available_mps2: float) -> bool:
         """Whether the stop's own law takes over: near the point, or where the plan would come too late."""
         left = self._left(memory, stop.ahead)
         rate = memory.curve.deceleration_mps2
@@ -244,18 +244,18 @@ class Optimal(AbstractDriver):
         due = stop.required_mps2 * left / max(left - 0.5 * stop.ahead.speed_mps * memory.model.dt, 0.1)
         return left <= LAST_METRES_M or stop.required_mps2 >= needed or due >= available_mps2
 
-    def _available(self, memory: Following, stop: Stop) -> float:
+    def _available(self, memory: FollowingMemory, stop: Stop) -> float:
         """The deceleration the stop may count on; infinite while it is far off."""
         if stop.required_mps2 < WATCHED_SHARE * memory.curve.deceleration_mps2:
             return math.inf
         use = self._brake_use(memory.model.vehicle, memory.adapted, memory.room)
         return use * deceleration_to(memory.model, memory.belief, stop)
 
-    def _brake(self, memory: Following, stop: Stop) -> float:
+    def _brake(self, memory: FollowingMemory, stop: Stop) -> float:
         """The stop's command; in the last period the deceleration in force, where it ends near enough."""
         return stand(memory.model, memory.belief, stop, self.options.near_enough_m, CREEP_M)
 
-    def _follow(self, memory: Following) -> float:
+    def _follow(self, memory: FollowingMemory) -> float:
         """The command that keeps to the plan's speed at the state where it begins to act."""
         plan, dt = memory.plan, memory.model.dt
         ahead = look_ahead(memory.model, memory.belief)
@@ -283,7 +283,7 @@ class Optimal(AbstractDriver):
             return 0.0
         return share_for(memory.belief, ahead, wanted)
 
-    def _departs(self, memory: Following, observation: Observation) -> bool:
+    def _departs(self, memory: FollowingMemory, observation: Observation) -> bool:
         """Whether the plan in force no longer answers the question."""
         news = observation.scheduled_time_s != memory.scheduled_s or observation.section is not memory.section
         if news:
@@ -309,7 +309,7 @@ class Optimal(AbstractDriver):
             or bool((learned > self.options.learned_band).any())
         )
 
-    def _replanned(self, memory: Following, observation: Observation) -> Following:
+    def _replanned(self, memory: FollowingMemory, observation: Observation) -> FollowingMemory:
         """A plan from the state as it is, with the trainset as it has shown itself."""
         model, belief = memory.model, memory.belief
         guard, room = memory.guard, memory.room
@@ -348,7 +348,7 @@ class Optimal(AbstractDriver):
             return told
         return replace(told, plan=plan, clock_s=clock_s, curve=self._curve(model, plan, room))
 
-    def _adaptation(self, belief: Belief) -> Adapted:
+    def _adaptation(self, belief: StateEstimate) -> Adapted:
         """What to plan with: the trainset as estimated, with a brake no stronger than nominal."""
         return Adapted(belief.traction_gain, min(belief.brake_gain, 1.0), belief.resistance_factor)
 
@@ -362,7 +362,7 @@ class Optimal(AbstractDriver):
         """Jerk of the last brake's release over the trainset's limit."""
         return self.options.late_release_share if room.late_s > 0.0 else self.options.release_share
 
-    def _curve(self, model: Model, plan: Plan, room: Headroom) -> Curve:
+    def _curve(self, model: Model, plan: Plan, room: Headroom) -> StopCurve:
         """The stop the plan ends with: the deceleration it brakes at before it lets go."""
         vehicle = model.vehicle
         braking = -np.diff(plan.speed_mps**2) / (2 * np.diff(plan.position_m))
@@ -402,14 +402,14 @@ def _plan(
         return plan_arrays(vehicle, track, time_s, replace(options, jerk_mps3=None, release_mps3=None))
 
 
-def stands_short(memory: Following) -> bool:
+def stands_short(memory: FollowingMemory) -> bool:
     """Whether the trainset stands, once departed, so far from the stop that it takes a plan to get there."""
     belief = memory.belief
     left = float(memory.model.track.length_m) - belief.position_m
     return belief.speed_mps < CREEP_MPS and left > LAST_METRES_M and belief.position_m > LAST_METRES_M
 
 
-def braking_room(memory: Following) -> float:
+def braking_room(memory: FollowingMemory) -> float:
     """Distance the stop needs from the present speed."""
     v = memory.belief.speed_mps
     return v * v / (2 * memory.curve.deceleration_mps2) + v

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import ClassVar, final
 
-from metropilot.drivers.base import register
+from metropilot.control.incremental_pid import CHENG2023_GAINS, Errors, Gains, incremental_pid
 from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
-from metropilot.task import Run
-from metropilot.task.incremental_pid import CHENG2023_GAINS, Errors, Gains, incremental_pid
-from metropilot.task.tracking import Tracked
+from metropilot.env.tracking import Tracked
+from metropilot.sim import Run
+from metropilot.sim.driver import register
 
 TUNED: Mapping[str, float] = MappingProxyType({"kp": 4.986, "ki": 1.4996, "kd": 0.1019})
 """Found on the base scenario of Cheng23 by differential evolution, 1200 runs

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar, final
 
-from metropilot.drivers.base import register
-from metropilot.drivers.rehearsal import rehearse
+from metropilot.control.incremental_pid import CHENG2023_GAINS, Errors, Gains, incremental_pid
 from metropilot.drivers.shipped import ImprovedDqn, PolicyOptions, shipped_policy
-from metropilot.drivers.tracking import PERIOD_S, AbstractTracker, AbstractTrackingOptions, Following
+from metropilot.drivers.tracking import PERIOD_S, AbstractTracker, AbstractTrackingOptions, TrackingMemory
+from metropilot.env.tracking import Tracked
 from metropilot.planning.timed_reference import TimedReference, sampled_profile
-from metropilot.task import Run
-from metropilot.task.incremental_pid import CHENG2023_GAINS, Errors, Gains, incremental_pid
-from metropilot.task.tracking import Tracked
+from metropilot.sim import Run
+from metropilot.sim.driver import register
+from metropilot.sim.nominal import simulate_nominal
 
 
 @final
@@ -57,9 +57,9 @@ class PidLu2023(AbstractTracker):
         """What drives the curve it tracks."""
         return self.learned.loaded
 
-    def init(self, run: Run) -> Following:
+    def init(self, run: Run) -> TrackingMemory:
         """Let improved DQN drive the run ahead of departure, and take its curve as the reference."""
-        learned = rehearse(run, self.learned)
+        learned = simulate_nominal(run, self.learned)
         self.curve = sampled_profile(learned.position_m, learned.speed_mps, PERIOD_S)
         return super().init(run)
 

@@ -12,13 +12,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import ClassVar, final
 
-from metropilot.drivers.base import AbstractDriver, DriverClass, register
 from metropilot.drivers.learned import LearnedDriver, LearnedMemory
-from metropilot.drivers.policy.loaded import LoadedPolicy, load_driving_policy
 from metropilot.errors import InputError
-from metropilot.task import Observation, Run
+from metropilot.policy.loaded import LoadedPolicy, load_driving_policy
+from metropilot.sim import Observation, Run
+from metropilot.sim.driver import AbstractDriver, DriverClass, register
 
-POLICIES = Path(__file__).parent / "policies"
+POLICIES = Path(__file__).parents[1] / "policy" / "shipped"
 
 
 @dataclass(frozen=True)

@@ -15,24 +15,32 @@ from typing import Any, Literal
 
 import numpy as np
 
-from metropilot.drivers.base import AbstractDriver
-from metropilot.drivers.cruising import model_of
-from metropilot.drivers.headroom import Headroom, cleared, headroom_of
-from metropilot.drivers.observer import Ahead, Belief, Model, first_belief, issued, look_ahead, observe
-from metropilot.drivers.stopping import Curve, Stop, curve_for, required_ahead, stop_command
+from metropilot.control.ceiling import model_of
+from metropilot.control.estimator import (
+    Model,
+    PredictedState,
+    StateEstimate,
+    initial_estimate,
+    look_ahead,
+    record_command,
+    update_estimate,
+)
+from metropilot.control.headroom import Headroom, headroom_of, largest_admissible_command
+from metropilot.control.stopping import Stop, StopCurve, curve_for, required_ahead, stop_command
+from metropilot.env.tracking import Tracked
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays
 from metropilot.planning import PlanOptions, ReferenceShape, plan_arrays
 from metropilot.planning.timed_reference import (
-    Ground,
+    ReferenceTrack,
     TimedReference,
     reference_under_for_time,
     sampled_profile,
 )
 from metropilot.protection import Memory, Protection, at_start, protect
 from metropilot.railway import Section
-from metropilot.task import Observation, Run, declared_bounds
-from metropilot.task.tracking import Tracked
+from metropilot.sim import Observation, Run, declared_bounds
+from metropilot.sim.driver import AbstractDriver
 
 Kind = Literal["trapezoid", "s_curve", "optimal"]
 KINDS: tuple[Kind, ...] = ("trapezoid", "s_curve", "optimal")
@@ -74,7 +82,7 @@ class AbstractTrackingOptions:
 
 
 @dataclass(frozen=True)
-class Following:
+class TrackingMemory:
     """The driver's memory.
 
     Attributes:
@@ -101,12 +109,12 @@ class Following:
     guard: Protection
     watched: Memory
     room: Headroom
-    belief: Belief
+    belief: StateEstimate
     reference: TimedReference
     clock_s: float
     controller: Any
     command: float
-    stop: Curve | None
+    stop: StopCurve | None
     overruled: bool
 
 
@@ -128,11 +136,11 @@ class AbstractTracker(AbstractDriver):
     def control(self, memory: Any, seen: Tracked) -> tuple[float, Any]:  # noqa: ANN401
         """The command in [-1, 1] for this period, and the memory to bring next time."""
 
-    def init(self, run: Run) -> Following:
+    def init(self, run: Run) -> TrackingMemory:
         """Lay the reference for the whole section."""
         model = model_of(run, run.section)
         guard, room = self._limits(run, run.section, model)
-        return Following(
+        return TrackingMemory(
             run=run,
             section=run.section,
             scheduled_s=run.scheduled_time_s,
@@ -140,7 +148,7 @@ class AbstractTracker(AbstractDriver):
             guard=guard,
             watched=at_start(guard),
             room=room,
-            belief=first_belief(model),
+            belief=initial_estimate(model),
             reference=self._laid(model, room, run.scheduled_time_s, 0.0, 0.0),
             clock_s=0.0,
             controller=self.fresh(run),
@@ -149,9 +157,9 @@ class AbstractTracker(AbstractDriver):
             overruled=False,
         )
 
-    def act(self, memory: Following, observation: Observation) -> tuple[float, Following]:
+    def act(self, memory: TrackingMemory, observation: Observation) -> tuple[float, TrackingMemory]:
         """Take the errors, let the controller or the stop's law answer, ask protection."""
-        belief = observe(
+        belief = update_estimate(
             memory.model,
             memory.belief,
             observation.position_m,
@@ -173,20 +181,20 @@ class AbstractTracker(AbstractDriver):
             share = self._stopping(memory, memory.stop).share
         else:
             share = _led(belief, ahead, memory.command)
-        share, watched = cleared(
+        share, watched = largest_admissible_command(
             memory.guard, memory.watched, observation.position_m, observation.speed_mps, share
         )
         return share, replace(
             memory,
-            belief=issued(belief, share),
+            belief=record_command(belief, share),
             watched=watched,
             overruled=int(watched.level) > 0,
         )
 
-    def _stopping(self, memory: Following, curve: Curve) -> Stop:
+    def _stopping(self, memory: TrackingMemory, curve: StopCurve) -> Stop:
         return stop_command(memory.model, memory.belief, float(memory.model.track.length_m), curve)
 
-    def _handed_over(self, memory: Following, ahead: Ahead) -> Following:
+    def _handed_over(self, memory: TrackingMemory, ahead: PredictedState) -> TrackingMemory:
         """Give the last metres to the stop's own law, from the deceleration that is in force there."""
         if memory.stop is not None or not self.options.station_stop:
             return memory
@@ -198,7 +206,7 @@ class AbstractTracker(AbstractDriver):
             return memory
         return replace(memory, stop=curve._replace(deceleration_mps2=min(max(required, 0.1), ALARM * rate)))
 
-    def _informed(self, memory: Following, observation: Observation) -> Following:
+    def _informed(self, memory: TrackingMemory, observation: Observation) -> TrackingMemory:
         """Lay the reference anew after news, or where the trainset is far from it."""
         section, model, guard, room = memory.section, memory.model, memory.guard, memory.room
         news = observation.scheduled_time_s != memory.scheduled_s or observation.section is not section
@@ -214,7 +222,7 @@ class AbstractTracker(AbstractDriver):
         if observation.section is not section:
             section = observation.section
             model = model._replace(
-                track=track_arrays(section, memory.run.scenario.believed(memory.run.trainset))
+                track=track_arrays(section, memory.run.scenario.nominal(memory.run.trainset))
             )
             guard, room = self._limits(memory.run, section, model)
         left = max(observation.scheduled_time_s - observation.time_s, 1.0)
@@ -234,7 +242,7 @@ class AbstractTracker(AbstractDriver):
     def _limits(run: Run, section: Section, model: Model) -> tuple[Protection, Headroom]:
         """Protection as the trainset carries it, and the speeds to keep under it."""
         bounds = declared_bounds(run)
-        guard = protect(section, run.scenario.believed(run.trainset), bounds)
+        guard = protect(section, run.scenario.nominal(run.trainset), bounds)
         return guard, headroom_of(model, guard, bounds, CAP_MARGIN_MPS)
 
     def _laid(
@@ -256,7 +264,7 @@ class AbstractTracker(AbstractDriver):
         jerk = options.jerk_mps3 if options.reference == "s_curve" else math.inf
         jerk = min(jerk, 0.8 * float(model.vehicle.jerk_mps3))
         shape = ReferenceShape(options.acceleration_mps2, options.deceleration_mps2, jerk)
-        ground = Ground(
+        ground = ReferenceTrack(
             model.vehicle,
             model.track,
             room.position_m,
@@ -268,7 +276,7 @@ class AbstractTracker(AbstractDriver):
         return reference_under_for_time(ground, shape, left_s, PERIOD_S)
 
 
-def _led(belief: Belief, ahead: Ahead, share: float) -> float:
+def _led(belief: StateEstimate, ahead: PredictedState, share: float) -> float:
     """The command that makes up for part of the trainset's lag."""
     kept = LEAD * float(belief.bank.keep[belief.best])
     return float(np.clip((share - kept * ahead.share) / (1.0 - kept), -1.0, 1.0))

@@ -2,12 +2,13 @@
 
 A policy and its assists see the trainset as told and the state as it is. That is right as long as both are: a
 command that acts late, a heavier trainset or a stronger resistance makes their last braking too late and
-their ceiling too high. So every run is watched by the observer of :mod:`metropilot.drivers.observer`. As long
+their ceiling too high. So every run is watched by the observer of :mod:`metropilot.control.estimator`. As
+long
 as the trainset declares neither dead time nor lag, and the observer finds nothing, nothing of it is acted
 upon, and the drive is the policy's own to the last bit. With a dead time or lag, declared or found, or
 efforts that are off by more than ``LEAST`` and by more than doubt allows, the policy sees the state in which
 its command begins to act and the trainset as it has shown itself, the last braking follows the law of
-:mod:`metropilot.drivers.stopping`, and the ceiling is that of :mod:`metropilot.drivers.headroom`.
+:mod:`metropilot.control.stopping`, and the ceiling is that of :mod:`metropilot.control.headroom`.
 """
 
 from __future__ import annotations
@@ -16,24 +17,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from metropilot.drivers.adapted import Adapted
-from metropilot.drivers.headroom import Headroom, cleared, headroom_of
-from metropilot.drivers.observer import (
-    Ahead,
-    Belief,
+from metropilot.control.adaptation import Adapted
+from metropilot.control.estimator import (
     Model,
-    first_belief,
-    issued,
+    PredictedState,
+    StateEstimate,
+    initial_estimate,
     look_ahead,
-    observe,
+    record_command,
     share_for,
+    update_estimate,
     weighs_load,
 )
-from metropilot.drivers.stopping import INCH_M, curve_for, stand, stop_command
+from metropilot.control.headroom import Headroom, headroom_of, largest_admissible_command
+from metropilot.control.stopping import INCH_M, curve_for, stand, stop_command
 from metropilot.physics import Vehicle, track_arrays, vehicle_arrays
 from metropilot.protection import Memory, Protection, at_start, protect
 from metropilot.railway import Section
-from metropilot.task import Observation, Run, declared_bounds
+from metropilot.sim import Observation, Run, declared_bounds
 
 LEAST = 0.04
 """Efforts this near to what was told are as told."""
@@ -90,7 +91,7 @@ class Watch(NamedTuple):
     """
 
     model: Model
-    belief: Belief
+    belief: StateEstimate
     care: Care | None
     adapted: Adapted
     adapted_at_s: float
@@ -104,15 +105,15 @@ class Watch(NamedTuple):
 
 def first_watch(run: Run) -> Watch:
     """What is believed before departure."""
-    trainset = run.scenario.believed(run.trainset)
+    trainset = run.scenario.nominal(run.trainset)
     vehicle = vehicle_arrays(trainset)
     model = Model(vehicle, track_arrays(run.section, trainset), run.dt)
-    belief = first_belief(model, weighed_brakes=weighs_load(vehicle))
+    belief = initial_estimate(model, weighed_brakes=weighs_load(vehicle))
     watch = Watch(model, belief, None, Adapted(), -np.inf)
     return watch._replace(care=_care(watch, run, run.section)) if answers_late(vehicle) else watch
 
 
-def noticed(watch: Watch, run: Run, observation: Observation) -> Watch:
+def update_watch(watch: Watch, run: Run, observation: Observation) -> Watch:
     """What is believed after this period's measurements.
 
     Args:
@@ -121,7 +122,7 @@ def noticed(watch: Watch, run: Run, observation: Observation) -> Watch:
         observation: What the driver is given.
     """
     seen = observation.position_m, observation.speed_mps, observation.acceleration_mps2
-    belief = observe(watch.model, watch.belief, *seen)
+    belief = update_estimate(watch.model, watch.belief, *seen)
     if watch.care is None:
         watch = watch._replace(belief=belief)
         return watch._replace(care=_care(watch, run, observation.section)) if departs(belief) else watch
@@ -130,18 +131,18 @@ def noticed(watch: Watch, run: Run, observation: Observation) -> Watch:
     return watch._replace(belief=belief)
 
 
-def moved(watch: Watch, run: Run, section: Section) -> Watch:
+def set_section(watch: Watch, run: Run, section: Section) -> Watch:
     """The same on a section with a restriction that has just been announced."""
-    trainset = run.scenario.believed(run.trainset)
+    trainset = run.scenario.nominal(run.trainset)
     watch = watch._replace(model=watch.model._replace(track=track_arrays(section, trainset)))
     if watch.care is None:
         return watch
     return watch._replace(care=_care(watch, run, section)._replace(watched=watch.care.watched))
 
 
-def gave(watch: Watch, share: float) -> Watch:
+def record_decision(watch: Watch, share: float) -> Watch:
     """What is believed once a command has been given."""
-    return watch._replace(belief=issued(watch.belief, share))
+    return watch._replace(belief=record_command(watch.belief, share))
 
 
 def answers_late(vehicle: Vehicle) -> bool:
@@ -149,7 +150,7 @@ def answers_late(vehicle: Vehicle) -> bool:
     return float(vehicle.delay_s) > 0.0 or float(vehicle.lag_s) > 0.0
 
 
-def departs(belief: Belief) -> bool:
+def departs(belief: StateEstimate) -> bool:
     """Whether the trainset surely answers differently than told."""
     if belief.best != 0:
         return True
@@ -167,17 +168,17 @@ def outdated(watch: Watch, time_s: float) -> bool:
     return bool((off > (LEAST, LEAST, LEAST_RESISTANCE)).any())
 
 
-def ahead_of(watch: Watch) -> Ahead:
+def predicted_state(watch: Watch) -> PredictedState:
     """The state in which a command given now begins to act."""
     return look_ahead(watch.model, watch.belief)
 
 
-def eased(watch: Watch, ahead: Ahead, share: float, most_mps2: float) -> float:
+def eased(watch: Watch, ahead: PredictedState, share: float, most_mps2: float) -> float:
     """The command that stays under the ceiling.
 
     Args:
         watch: What is believed.
-        ahead: From :func:`ahead_of`.
+        ahead: From :func:`predicted_state`.
         share: Command wanted.
         most_mps2: Largest acceleration for other reasons.
     """
@@ -187,7 +188,7 @@ def eased(watch: Watch, ahead: Ahead, share: float, most_mps2: float) -> float:
     return min(share, share_for(watch.belief, ahead, most))
 
 
-def last_braking(watch: Watch, planned_mps2: float, stopping: bool) -> tuple[bool, float, Ahead]:
+def last_braking(watch: Watch, planned_mps2: float, stopping: bool) -> tuple[bool, float, PredictedState]:
     """Whether the last braking is on, the command it asks for, and the state in which that begins to act.
 
     Args:
@@ -212,20 +213,20 @@ def last_braking(watch: Watch, planned_mps2: float, stopping: bool) -> tuple[boo
     return (begins or (stopping and not early)) and not short, share, stop.ahead
 
 
-def let_pass(watch: Watch, observation: Observation, share: float) -> tuple[float, Watch]:
+def limit_by_protection(watch: Watch, observation: Observation, share: float) -> tuple[float, Watch]:
     """The largest command up to this one that protection lets pass."""
     if watch.care is None:
         return share, watch
     care = watch.care
     seen = observation.position_m, observation.speed_mps
-    share, watched = cleared(care.guard, care.watched, *seen, share)
+    share, watched = largest_admissible_command(care.guard, care.watched, *seen, share)
     return float(share), watch._replace(care=care._replace(watched=watched))
 
 
 def _care(watch: Watch, run: Run, section: Section) -> Care:
     """Protection as it is on a section, with the commands that are on their way."""
     bounds, belief = declared_bounds(run), watch.belief
-    guard = protect(section, run.scenario.believed(run.trainset), bounds)
+    guard = protect(section, run.scenario.nominal(run.trainset), bounds)
     watched = at_start(guard)
     count, known = np.size(watched.recent), belief.commands.size
     watched = watched._replace(

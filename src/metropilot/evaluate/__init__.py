@@ -16,30 +16,21 @@ from metropilot.evaluate.kpis import Check, Kpis, checks, kpis_of, verdict
 from metropilot.evaluate.optimum import Objective, Optimum, optimum_of
 from metropilot.evaluate.request import Request
 from metropilot.evaluate.request_file import request_from_toml
-from metropilot.evaluate.rollout import Drive, Moment, Rollout, drive
-from metropilot.evaluate.trajectory import COLUMNS, PHASES, Trajectory
 
 __all__ = [
-    "COLUMNS",
-    "PHASES",
     "Check",
-    "Drive",
     "Entry",
     "Interval",
     "Job",
     "Kpis",
-    "Moment",
     "Objective",
     "Optimum",
     "Request",
-    "Rollout",
-    "Trajectory",
     "best",
     "check_writable",
     "checks",
     "compare",
     "comparison_json",
-    "drive",
     "filled",
     "jobs",
     "kpis_of",

@@ -9,8 +9,9 @@ from difflib import get_close_matches
 from inspect import signature
 from typing import Any, get_args, get_type_hints
 
-from metropilot.drivers import DRIVERS, AbstractDriver
+from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
+from metropilot.sim import AbstractDriver
 
 
 def option_class(driver: type[Any]) -> type[Any] | None:

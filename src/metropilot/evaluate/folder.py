@@ -15,14 +15,14 @@ from platform import python_version
 from subprocess import DEVNULL, SubprocessError, run
 from typing import Any
 
-from metropilot.drivers.policy.loaded import policy_path
 from metropilot.errors import InputError
 from metropilot.evaluate.compare import Entry
 from metropilot.evaluate.kpis import Kpis
 from metropilot.evaluate.optimum import Optimum
 from metropilot.evaluate.request import Request
 from metropilot.evaluate.request_file import FILES, POLICY, is_file, to_table
-from metropilot.evaluate.rollout import Drive
+from metropilot.policy.loaded import policy_path
+from metropilot.sim.rollout import Drive
 
 PACKAGES = ("clarabel", "numpy", "scipy", "matplotlib", "jax")
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from metropilot.evaluate import measures
 from metropilot.evaluate.optimum import Objective, Optimum
-from metropilot.evaluate.rollout import Drive
-from metropilot.task import PUNCTUALITY_S, STOP_TOLERANCE_M, Outcome
+from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M, Outcome
+from metropilot.sim.rollout import Drive
 
 J_PER_KWH = 3.6e6
 ROUNDING = 1e-6
@@ -120,13 +120,13 @@ def kpis_of(drive: Drive, optimum: Optimum | None, objective: Objective = "wheel
 
     Args:
         drive: The drive.
-        optimum: What :func:`~metropilot.evaluate.optimum_of` found for it under the same objective.
+        optimum: What :func:`~metropilot.evaluate.optimum.optimum_of` found for it under the same objective.
         objective: The energy that is compared with the optimum.
     """
     t, trainset = drive.trajectory, drive.trainset
     arrived = drive.outcome is Outcome.ARRIVED
     rms = measures.rms_acceleration(t)
-    jerk_limit = drive.run.scenario.believed(drive.run.trainset).actuation.jerk_limit_mps3
+    jerk_limit = drive.run.scenario.nominal(drive.run.trainset).actuation.jerk_limit_mps3
     late = drive.running_time_s - drive.scheduled_time_s
     return Kpis(
         outcome=drive.outcome.value,

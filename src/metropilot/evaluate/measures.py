@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metropilot.evaluate.trajectory import COAST, STAND, Trajectory
+from metropilot.sim.trajectory import COAST, STAND, Trajectory
 
 CHENG2023_WINDOW_S = 2.0
 COMFORT_BANDS = (

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 from metropilot.errors import Infeasible
-from metropilot.evaluate.rollout import Drive
 from metropilot.planning import Plan, PlanOptions, minimum_running_time, optimal_plan
-from metropilot.task import Outcome
+from metropilot.sim import Outcome
+from metropilot.sim.rollout import Drive
 
 Objective = Literal["wheel", "line"]
 BARELY = 1e-4

@@ -10,7 +10,6 @@ from numpy import ndarray
 
 from metropilot.evaluate.kpis import JERK, Kpis
 from metropilot.evaluate.optimum import Optimum
-from metropilot.evaluate.rollout import Drive
 from metropilot.evaluate.style import (
     BLACK,
     BLUE,
@@ -29,6 +28,7 @@ from metropilot.evaluate.style import (
 from metropilot.physics import restrictive_profile
 from metropilot.planning import Plan
 from metropilot.railway import Section, Trainset
+from metropilot.sim.rollout import Drive
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, get_args
 
-from metropilot.drivers import DRIVERS, AbstractDriver
+from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError, renamed
 from metropilot.evaluate.driver_options import make_driver, named_driver, option_defaults
 from metropilot.evaluate.optimum import Objective
 from metropilot.planning import LONGEST_RATIO, check_running_time, minimum_running_time
 from metropilot.railway import Restriction, Section, Trainset, load_line, load_trainset
-from metropilot.task import CONTROL_PERIOD_S, News, Run, Scenario
+from metropilot.sim import CONTROL_PERIOD_S, AbstractDriver, Disturbance, Run, TimetableUpdate
 
 KMH = 1 / 3.6
 NUMBER = r"\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
@@ -105,13 +105,13 @@ class Request:
         """The section without temporary restrictions."""
         return load_line(self.line).section(self.origin, self.destination)
 
-    def scenario(self) -> Scenario:
+    def scenario(self) -> Disturbance:
         """What the driver is not told, and what it is told on the way."""
         section = self.open_section()
         announced = [parse_restriction(text, section) for text in self.restrictions]
-        news = [News(at_s, restriction=r) for r, at_s in announced if at_s is not None]
+        news = [TimetableUpdate(at_s, restriction=r) for r, at_s in announced if at_s is not None]
         news += [parse_arrival(text) for text in self.arrivals]
-        return Scenario(
+        return Disturbance(
             ideal_actuation=self.ideal,
             mass_factor=self.mass_factor,
             resistance_factor=self.resistance_factor,
@@ -199,7 +199,7 @@ def parse_restriction(text: str, section: Section) -> tuple[Restriction, float |
     return section.checked(Restriction(start, end, kmh * KMH)), at_s
 
 
-def parse_arrival(text: str) -> News:
+def parse_arrival(text: str) -> TimetableUpdate:
     """``S@T``: from T s after departure the scheduled running time is S.
 
     Raises:
@@ -213,4 +213,4 @@ def parse_arrival(text: str) -> News:
             value=text,
             allowed="S@T with S later than T, e.g. 116@30: arrive after 116 s, told after 30 s",
         )
-    return News(float(match[2]), scheduled_time_s=float(match[1]))
+    return TimetableUpdate(float(match[2]), scheduled_time_s=float(match[1]))

@@ -10,10 +10,10 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from metropilot.drivers.policy.loaded import policy_path
+from metropilot._text_file import file_text
 from metropilot.errors import InputError, renamed
 from metropilot.evaluate.request import Request
-from metropilot.railway.text_file import file_text
+from metropilot.policy.loaded import policy_path
 
 NAMES = tuple(f.name for f in fields(Request))
 FILES = ("line", "trainset")

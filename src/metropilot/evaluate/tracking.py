@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from metropilot.task.tracking import Course, Tracked, TrackState, advance, seen, standing
+from metropilot.env.tracking import ReferenceCourse, Tracked, TrackState, advance, seen, standing
 
 Array = Any
 Memory = Any
@@ -71,7 +71,7 @@ class TrackingKpis(NamedTuple):
     end_mps: Array
 
 
-def track(course: Course, control: Control, memory: Memory) -> TrackRecord:
+def track(course: ReferenceCourse, control: Control, memory: Memory) -> TrackRecord:
     """Let a controller track a course, in NumPy float64.
 
     Args:
@@ -86,8 +86,8 @@ def track(course: Course, control: Control, memory: Memory) -> TrackRecord:
     return TrackRecord(*(np.asarray(column, np.float64) for column in zip(*rows, strict=True)))
 
 
-def track_compiled(course: Course, control: Control, memory: Memory) -> TrackRecord:
-    """The same as one compiled scan; the course is of :func:`metropilot.task.tracking.compiled`."""
+def track_compiled(course: ReferenceCourse, control: Control, memory: Memory) -> TrackRecord:
+    """The same as one compiled scan; the course is of :func:`metropilot.env.tracking.compiled`."""
     import jax
     import jax.numpy as jnp
 
@@ -104,7 +104,7 @@ def track_compiled(course: Course, control: Control, memory: Memory) -> TrackRec
 
 
 def _period(
-    course: Course, control: Control, state: TrackState, memory: Memory
+    course: ReferenceCourse, control: Control, state: TrackState, memory: Memory
 ) -> tuple[TrackState, Memory, TrackRecord]:
     given = seen(course, state)
     command, memory = control(memory, given)
@@ -124,7 +124,7 @@ def _period(
     return after, memory, row
 
 
-def tracking_kpis(course: Course, record: TrackRecord, xp: Namespace = np) -> TrackingKpis:
+def tracking_kpis(course: ReferenceCourse, record: TrackRecord, xp: Namespace = np) -> TrackingKpis:
     """The columns of a table, in NumPy or (``xp=jax.numpy``) compiled.
 
     The jerk is the largest change of acceleration between two moments at most 2 s apart, divided by 2 s:

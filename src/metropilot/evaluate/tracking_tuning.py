@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot.control.incremental_pid import CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers.fuzzy_pid import Universes, fuzzy_pid
-from metropilot.drivers.neural_pid import Rates, fresh_network, neural_pid
+from metropilot.drivers.neural_pid import LearningRates, fresh_network, neural_pid
+from metropilot.env.tracking import ReferenceCourse, compiled
 from metropilot.errors import InputError
 from metropilot.evaluate.tracking import Control, track_compiled, tracking_kpis, tracking_score
-from metropilot.task.incremental_pid import CHENG2023_UPPER, Errors, Gains, incremental_pid
-from metropilot.task.tracking import Course, compiled
 
 Array = Any
 POPULATION = 40
@@ -92,7 +92,7 @@ def _fuzzy(values: Array) -> list[tuple[Control, Any]]:
 
 
 def _neural(values: Array) -> list[tuple[Control, Any]]:
-    rates = Rates(values[3], values[4], values[5])
+    rates = LearningRates(values[3], values[4], values[5])
 
     def control(memory: Any, seen: Any) -> tuple[Any, Any]:  # noqa: ANN401 (arrays)
         return neural_pid(memory, seen, rates)
@@ -124,7 +124,7 @@ TUNABLE: Mapping[str, Tunable] = MappingProxyType(
 """What can be tuned, within the paper's upper limits of the gains."""
 
 
-def tune(driver: str, course: Course, seed: int = 0, generations: int = GENERATIONS) -> Tuned:
+def tune(driver: str, course: ReferenceCourse, seed: int = 0, generations: int = GENERATIONS) -> Tuned:
     """Search a driver's parameters on a course.
 
     Args:

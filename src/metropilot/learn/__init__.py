@@ -9,9 +9,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from metropilot.drivers.policy.policy import Policy, PolicySpec, act
-    from metropilot.drivers.policy.policy_file import load_policy, save_policy
-    from metropilot.home import runs_folder
     from metropilot.learn.compile_cache import keep_compiled
     from metropilot.learn.config import (
         CONFIGS,
@@ -24,15 +21,15 @@ if TYPE_CHECKING:
     )
     from metropilot.learn.config_base import AbstractConfig
     from metropilot.learn.config_reading import config_from_mapping, config_to_mapping
-    from metropilot.learn.driving import DrivingEvaluation
     from metropilot.learn.export import ExportReport, export_onnx
     from metropilot.learn.history import read_history, write_history
     from metropilot.learn.loop import Loop, LoopState, default_evaluation, learn, make_loop
+    from metropilot.learn.policy_evaluation import DrivingEvaluation
     from metropilot.learn.recipes import RECIPES, Recipe, evaluation_of, new_request, recipe, resumed_request
-    from metropilot.learn.recorded import RunRequest, begin_run, learn_run
     from metropilot.learn.runs import RunRecord, RunStore
     from metropilot.learn.schedules import Schedule
-    from metropilot.learn.session import Learned, Progress, Sitting, learn_in_chunks
+    from metropilot.learn.session import TrainingOptions, TrainingProgress, TrainingResult, learn_in_chunks
+    from metropilot.learn.train import RunRequest, begin_run, learn_run
 
 __all__ = [
     "CONFIGS",
@@ -42,23 +39,20 @@ __all__ = [
     "DQNConfig",
     "DrivingEvaluation",
     "ExportReport",
-    "Learned",
     "Loop",
     "LoopState",
     "NAFConfig",
     "PPOConfig",
-    "Policy",
-    "PolicySpec",
-    "Progress",
     "Recipe",
     "RunRecord",
     "RunRequest",
     "RunStore",
     "SACConfig",
     "Schedule",
-    "Sitting",
     "TabularConfig",
-    "act",
+    "TrainingOptions",
+    "TrainingProgress",
+    "TrainingResult",
     "begin_run",
     "config_from_mapping",
     "config_to_mapping",
@@ -69,36 +63,30 @@ __all__ = [
     "learn",
     "learn_in_chunks",
     "learn_run",
-    "load_policy",
     "make_loop",
     "new_request",
     "read_history",
     "recipe",
     "resumed_request",
-    "runs_folder",
-    "save_policy",
     "write_history",
 ]
 
 _HOME = {
     "AbstractConfig": "config_base",
-    "DrivingEvaluation": "driving",
+    "DrivingEvaluation": "policy_evaluation",
     "ExportReport": "export",
-    "Learned": "session",
+    "TrainingResult": "session",
     "Loop": "loop",
     "LoopState": "loop",
-    "Policy": "metropilot.drivers.policy.policy",
-    "PolicySpec": "metropilot.drivers.policy.policy",
-    "Progress": "session",
+    "TrainingProgress": "session",
     "RECIPES": "recipes",
     "Recipe": "recipes",
     "RunRecord": "runs",
-    "RunRequest": "recorded",
+    "RunRequest": "train",
     "RunStore": "runs",
     "Schedule": "schedules",
-    "Sitting": "session",
-    "act": "metropilot.drivers.policy.policy",
-    "begin_run": "recorded",
+    "TrainingOptions": "session",
+    "begin_run": "train",
     "config_from_mapping": "config_reading",
     "config_to_mapping": "config_reading",
     "default_evaluation": "loop",
@@ -107,15 +95,12 @@ _HOME = {
     "keep_compiled": "compile_cache",
     "learn": "loop",
     "learn_in_chunks": "session",
-    "learn_run": "recorded",
-    "load_policy": "metropilot.drivers.policy.policy_file",
+    "learn_run": "train",
     "make_loop": "loop",
     "new_request": "recipes",
     "read_history": "history",
     "recipe": "recipes",
     "resumed_request": "recipes",
-    "runs_folder": "metropilot.home",
-    "save_policy": "metropilot.drivers.policy.policy_file",
     "write_history": "history",
 }
 

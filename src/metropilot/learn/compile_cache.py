@@ -13,7 +13,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-from metropilot.home import cache_folder
+from metropilot._dirs import cache_folder
 
 SWITCH = "METROPILOT_COMPILE_CACHE"
 OFF = frozenset({"0", "off", "no", "false"})

@@ -9,15 +9,15 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from metropilot.drivers.policy.networks import Activation
 from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig, AbstractReplayConfig, Keep
 from metropilot.learn.networks import Initialiser
 from metropilot.learn.schedules import Schedule, Scheduled, highest
+from metropilot.policy.networks import Activation
 
-FULL_IMPORTANCE = Schedule(0.4, 1.0)
-LESS_CURIOUS = Schedule(1.0, 0.05, over=0.3)
-LESS_AND_LESS = Schedule(3e-4, 1.5e-5, shape="cosine")
+BETA_ANNEALING = Schedule(0.4, 1.0)
+EPSILON_DECAY = Schedule(1.0, 0.05, over=0.3)
+COSINE_LR = Schedule(3e-4, 1.5e-5, shape="cosine")
 MAX_PRIORITISED = 1 << 20
 """Priorities are summed in single precision."""
 
@@ -105,9 +105,9 @@ class DQNConfig(AbstractReplayConfig):
     prioritised: bool = False
     priority_exponent: float = 0.6
     priority_floor: float = 1e-3
-    importance: Scheduled = FULL_IMPORTANCE
+    importance: Scheduled = BETA_ANNEALING
     mask_targets: bool = True
-    epsilon: Scheduled = LESS_CURIOUS
+    epsilon: Scheduled = EPSILON_DECAY
     target_period: int = 200
     huber: float | None = 1.0
 
@@ -291,7 +291,7 @@ class TeacherConfig(AbstractConfig):
     batches: int = 12_000
     batch_size: int = 1_024
     imitation_rate: float = 1.5e-3
-    learning_rate: Scheduled = LESS_AND_LESS
+    learning_rate: Scheduled = COSINE_LR
     decisions: int = 38_400
     imitation_weight: float = 0.3
     late_per_s: float = 0.04

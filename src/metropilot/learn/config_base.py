@@ -7,10 +7,10 @@ from abc import ABC
 from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
-from metropilot.drivers.policy.networks import Activation
 from metropilot.errors import InputError
 from metropilot.learn.networks import Initialiser
 from metropilot.learn.schedules import Schedule, highest, lowest
+from metropilot.policy.networks import Activation
 
 Keep = Literal["best", "last"]
 

@@ -11,7 +11,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from metropilot.home import cache_folder
+from metropilot._dirs import cache_folder
 
 
 @cache

@@ -10,8 +10,7 @@ from typing import Any, final
 import jax
 import jax.numpy as jnp
 
-from metropilot.drivers.policy.networks import Params
-from metropilot.drivers.policy.policy import PolicySpec, network_output
+from metropilot.env.interface import AbstractTask, Array
 from metropilot.learn.config import DQNConfig
 from metropilot.learn.distributions import masked
 from metropilot.learn.environments import random_choices
@@ -21,7 +20,8 @@ from metropilot.learn.networks import MLP
 from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
 from metropilot.learn.schedules import value_at
-from metropilot.task.interface import AbstractTask, Array
+from metropilot.policy.networks import Params
+from metropilot.policy.policy import PolicySpec, network_output
 
 
 @final

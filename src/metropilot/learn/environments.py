@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from metropilot.task.interface import AbstractTask, Array, TaskState
+from metropilot.env.interface import AbstractTask, Array, TaskState
 
 RENEWED = 8
 """At least so many environments are reset together."""

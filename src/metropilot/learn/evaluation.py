@@ -14,7 +14,7 @@ def kpis_kept(history: Mapping[str, np.ndarray], keep: str) -> dict[str, float]:
     """KPIs of the policy kept, from the history of its learning; those that are not finite left out.
 
     Args:
-        history: One array a column, as :func:`metropilot.learn.learn_in_chunks` gives it.
+        history: One array a column, as :func:`metropilot.learn.session.learn_in_chunks` gives it.
         keep: ``best`` or ``last``.
     """
     score = history[f"{EVALUATION}score"]

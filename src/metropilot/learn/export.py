@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from metropilot.drivers.policy.policy import NORMALISED_RANGE, Policy, PolicySpec
+from metropilot._io import atomic_write
 from metropilot.errors import InputError
-from metropilot.railway.whole_file import write_whole
+from metropilot.policy.policy import NORMALISED_RANGE, Policy, PolicySpec
 
 OPSET = 17
 IR_VERSION = 8
@@ -92,7 +92,7 @@ def export_onnx(
         raise InputError(
             "the graph differs from the policy", file=path, value=f"{parity:.1e}", allowed=f"{PARITY:.0e}"
         )
-    write_whole(path, lambda partial: partial.write_bytes(text))
+    atomic_write(path, lambda partial: partial.write_bytes(text))
     median, late = _latency(session, policy.spec.observation_size)
     return ExportReport(path, parity, median, late, len(text), probes)
 
@@ -197,7 +197,7 @@ def _session(runtime: Any, model: bytes) -> Any:
 
 def _parity(policy: Policy, session: Any, probes: int, seed: int) -> float:
     """Largest difference between graph and policy, one observation at a time and all together."""
-    from metropilot.drivers.policy.policy import network_output
+    from metropilot.policy.policy import network_output
 
     spec = policy.spec
     draws = np.random.default_rng(seed).normal(0.0, 2.0, (probes, spec.observation_size)).astype(np.float32)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from metropilot._io import atomic_write
 from metropilot.errors import InputError
-from metropilot.railway.whole_file import write_whole
 
 
 def write_history(path: Path, history: Mapping[str, np.ndarray]) -> None:
@@ -38,7 +38,7 @@ def write_history(path: Path, history: Mapping[str, np.ndarray]) -> None:
                     "cannot write the file", file=path, value=str(error).splitlines()[0]
                 ) from None
 
-    write_whole(path, write)
+    atomic_write(path, write)
 
 
 def read_history(path: str | Path) -> dict[str, np.ndarray]:

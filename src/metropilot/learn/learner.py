@@ -7,19 +7,19 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax.numpy as jnp
 
-from metropilot.drivers.policy.networks import Params
-from metropilot.drivers.policy.policy import PolicySpec
+from metropilot.env.interface import AbstractTask, Array
 from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.environments import Finished
 from metropilot.learn.statistics import Moments, deviation
-from metropilot.task.interface import AbstractTask, Array
+from metropilot.policy.networks import Params
+from metropilot.policy.policy import PolicySpec
 
 LearnerState = Any
 Config = TypeVar("Config", bound=AbstractConfig)
 
 
-class Report(NamedTuple):
+class LearnerReport(NamedTuple):
     """What one iteration has to say.
 
     Attributes:
@@ -51,7 +51,7 @@ class AbstractLearner(ABC, Generic[Config]):
         """Fresh parameters, environments and memory (warmed up)."""
 
     @abstractmethod
-    def iterate(self, state: LearnerState, progress: Array) -> tuple[LearnerState, Report]:
+    def iterate(self, state: LearnerState, progress: Array) -> tuple[LearnerState, LearnerReport]:
         """Some environment steps and what is learned from them.
 
         Args:

@@ -15,13 +15,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from metropilot.drivers.policy.networks import Params
-from metropilot.drivers.policy.policy import Policy, act
+from metropilot.env.interface import AbstractTask, Array
 from metropilot.learn import environments as env
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.learner import AbstractLearner, LearnerState
 from metropilot.learn.registry import make_learner
-from metropilot.task.interface import AbstractTask, Array
+from metropilot.policy.networks import Params
+from metropilot.policy.policy import Policy, act
 
 # What evaluates a policy: its parameters and a key in; numbers of shape () out, among them "score".
 Evaluate = Callable[[Params, Array], dict[str, Array]]

@@ -1,4 +1,4 @@
-"""How networks begin, and NAF's matrix; what runs them is :mod:`metropilot.drivers.policy.networks`."""
+"""How networks begin, and NAF's matrix; what runs them is :mod:`metropilot.policy.networks`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from metropilot.drivers.policy.networks import Activation, Array, Params, forward
+from metropilot.policy.networks import Activation, Array, Params, forward
 
 Initialiser = Literal["orthogonal", "he", "uniform"]
 

@@ -14,12 +14,11 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
-from metropilot.drivers.policy.networks import Params
-from metropilot.drivers.policy.policy import normalise, only_policy
+from metropilot.env.interface import AbstractTask, Array
 from metropilot.learn import environments as env
 from metropilot.learn import replay
 from metropilot.learn.config_base import AbstractReplayConfig
-from metropilot.learn.learner import AbstractLearner, Report, observation_entries
+from metropilot.learn.learner import AbstractLearner, LearnerReport, observation_entries
 from metropilot.learn.schedules import value_at
 from metropilot.learn.statistics import (
     Moments,
@@ -30,7 +29,8 @@ from metropilot.learn.statistics import (
     return_scale_update,
     reward_divisor,
 )
-from metropilot.task.interface import AbstractTask, Array
+from metropilot.policy.networks import Params
+from metropilot.policy.policy import normalise, only_policy
 
 
 class Networks(NamedTuple):
@@ -198,7 +198,7 @@ class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]
         keys = jax.random.split(rest, max(1, times - config.n_step + 1))
         return jax.lax.scan(lambda s, k: (self._remember(s, at_random, k)[0], None), state, keys)[0]
 
-    def iterate(self, state: ReplayState, progress: Array) -> tuple[ReplayState, Report]:
+    def iterate(self, state: ReplayState, progress: Array) -> tuple[ReplayState, LearnerReport]:
         """``collect`` steps of every environment, then ``updates`` gradient steps."""
         key, collect_key, learn_key = jax.random.split(state.key, 3)
         params = state.networks.params
@@ -213,7 +213,7 @@ class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]
         )
         finished = jax.tree.map(lambda x: jnp.sum(x, axis=0), finished)
         state, losses = self._updates(state, learn_key, progress)
-        return state, Report(losses, finished)
+        return state, LearnerReport(losses, finished)
 
     def policy(self, state: ReplayState) -> Params:
         """Policy network and statistics of observations."""

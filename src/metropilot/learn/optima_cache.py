@@ -12,11 +12,11 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from metropilot._dirs import cache_folder
+from metropilot._io import atomic_write
+from metropilot.env.optima import Optima, optima_of
 from metropilot.errors import InputError
-from metropilot.home import cache_folder
 from metropilot.railway import Section, Trainset
-from metropilot.railway.whole_file import write_whole
-from metropilot.task.optima import Optima, optima_of
 
 VERSION = 1
 """Goes up when the planner's answers change."""
@@ -45,7 +45,7 @@ def kept_optima(cases: Sequence[tuple[Section, Trainset]], reach: float) -> Opti
             np.savez(file, time_s=optima.time_s, energy_j=optima.energy_j)
 
     with suppress(InputError):
-        write_whole(path, write)
+        atomic_write(path, write)
     return optima
 
 

@@ -13,8 +13,7 @@ from typing import Any, NamedTuple, final
 import jax
 import jax.numpy as jnp
 
-from metropilot.drivers.policy.networks import Params
-from metropilot.drivers.policy.policy import PolicySpec, network_output, normalise, only_policy
+from metropilot.env.interface import AbstractTask, Array
 from metropilot.learn import environments as env
 from metropilot.learn.config import PPOConfig
 from metropilot.learn.distributions import (
@@ -25,7 +24,7 @@ from metropilot.learn.distributions import (
     gaussian_log_prob,
     masked,
 )
-from metropilot.learn.learner import AbstractLearner, Report, observation_entries
+from metropilot.learn.learner import AbstractLearner, LearnerReport, observation_entries
 from metropilot.learn.losses import ppo as losses
 from metropilot.learn.networks import MLP
 from metropilot.learn.optimiser import AdamState, adam_init, adam_step
@@ -40,7 +39,8 @@ from metropilot.learn.statistics import (
     return_scale_update,
     reward_divisor,
 )
-from metropilot.task.interface import AbstractTask, Array
+from metropilot.policy.networks import Params
+from metropilot.policy.policy import PolicySpec, network_output, normalise, only_policy
 
 ADAM_EPSILON = 1e-5
 
@@ -122,7 +122,7 @@ class PPO(AbstractLearner[PPOConfig]):
         scale = return_scale_init(config.environments)
         return PPOState(params, adam_init(params), environments, observed, scale, key)
 
-    def iterate(self, state: PPOState, progress: Array) -> tuple[PPOState, Report]:
+    def iterate(self, state: PPOState, progress: Array) -> tuple[PPOState, LearnerReport]:
         """One rollout, then epochs over it."""
         config = self.config
         key, roll_key, learn_key = jax.random.split(state.key, 3)
@@ -146,7 +146,9 @@ class PPO(AbstractLearner[PPOConfig]):
             seen = jnp.reshape(experience.step.observation, (-1, self.task.observation_size))
             observed = moments_update(observed, seen)
         finished = jax.tree.map(lambda x: jnp.sum(x, axis=0), experience.step.finished)
-        return PPOState(params, optimiser, environments, observed, scale, key), Report(report, finished)
+        return PPOState(params, optimiser, environments, observed, scale, key), LearnerReport(
+            report, finished
+        )
 
     def policy(self, state: PPOState) -> Params:
         """Policy network and statistics of observations."""

@@ -8,21 +8,21 @@ from difflib import get_close_matches
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from metropilot.drivers.policy import load_policy
 from metropilot.drivers.shipped import shipped_policy
+from metropilot.env import TASKS, DrivingConfig, task_config
+from metropilot.env.actions import NotchAction
+from metropilot.env.expert_action import ExpertAction
 from metropilot.errors import InputError
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.config_reading import config_from_mapping
-from metropilot.task import TASKS, DrivingConfig, task_config
-from metropilot.task.actions import NotchAction
-from metropilot.task.expert_action import ExpertAction
+from metropilot.policy import load_policy
 
 if TYPE_CHECKING:
+    from metropilot.env import DrivingTask
     from metropilot.learn.loop import Evaluate
-    from metropilot.learn.recorded import RunRequest
     from metropilot.learn.runs import RunRecord
-    from metropilot.task import DrivingTask
+    from metropilot.learn.train import RunRequest
 
 BUDGETS = ("quick", "paper")
 
@@ -85,7 +85,7 @@ class Recipe:
         Raises:
             InputError: No such task.
         """
-        from metropilot.task import DrivingTask
+        from metropilot.env import DrivingTask
 
         return DrivingTask(self.task_configuration(name))
 
@@ -99,7 +99,7 @@ def new_request(
     command: str = "",
     **told: Any,
 ) -> RunRequest:
-    """What to ask of :func:`metropilot.learn.learn_run` for a new run of a recipe.
+    """What to ask of :func:`metropilot.learn.train.learn_run` for a new run of a recipe.
 
     Args:
         driver: Id of the driver.
@@ -117,7 +117,7 @@ def new_request(
 
 
 def resumed_request(record: RunRecord) -> RunRequest:
-    """What to ask of :func:`metropilot.learn.learn_run` to go on with a run.
+    """What to ask of :func:`metropilot.learn.train.learn_run` to go on with a run.
 
     Raises:
         InputError: The run is of no recipe, or its task is no more.
@@ -126,7 +126,7 @@ def resumed_request(record: RunRecord) -> RunRequest:
 
 
 def _request(driver: str, config: AbstractConfig, task: str, seed: int, command: str) -> RunRequest:
-    from metropilot.learn.recorded import RunRequest
+    from metropilot.learn.train import RunRequest
 
     made = recipe(driver).make_task(task)
     perception = made.config.perception
@@ -139,11 +139,11 @@ def evaluation_of(request: RunRequest) -> Evaluate:
     Raises:
         InputError: The learner does not take this kind of action, or not this task.
     """
-    from metropilot.learn.driving import DrivingEvaluation
-    from metropilot.learn.generalist.course import only_worlds
-    from metropilot.learn.generalist.pupil import pupil_spec
+    from metropilot.env import DrivingTask
+    from metropilot.learn.imitation.course import only_worlds
+    from metropilot.learn.imitation.pupil import pupil_spec
+    from metropilot.learn.policy_evaluation import DrivingEvaluation
     from metropilot.learn.registry import make_learner
-    from metropilot.task import DrivingTask
 
     task = request.task
     if not isinstance(task, DrivingTask):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from metropilot.env.interface import AbstractTask
 from metropilot.learn.config import (
     DDPGConfig,
     DQNConfig,
@@ -21,7 +22,6 @@ from metropilot.learn.naf import NAF
 from metropilot.learn.ppo import PPO
 from metropilot.learn.sac import SAC
 from metropilot.learn.tabular import TabularQ
-from metropilot.task.interface import AbstractTask
 
 LEARNERS: dict[type[AbstractConfig], Callable[[Any, AbstractTask], AbstractLearner[Any]]] = {
     DDPGConfig: DDPG,

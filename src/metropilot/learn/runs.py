@@ -20,12 +20,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from metropilot._io import atomic_write
+from metropilot._provenance import commit, machine, versions
 from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.config_reading import config_from_mapping, config_to_mapping
 from metropilot.learn.locks import is_at_work
-from metropilot.learn.provenance import commit, machine, versions
-from metropilot.railway.whole_file import write_whole
 
 Status = Literal["running", "interrupted", "done", "failed"]
 INDEX = "index.sqlite"
@@ -183,7 +183,7 @@ class RunStore:
 
         table = {name: value for name, value in asdict(record).items() if value is not None}
         text = tomli_w.dumps(table).encode()
-        write_whole(self.folder(record.id) / "run.toml", lambda partial: partial.write_bytes(text))
+        atomic_write(self.folder(record.id) / "run.toml", lambda partial: partial.write_bytes(text))
         if self.indexed:
             with self._index() as database:
                 _insert(database, record)

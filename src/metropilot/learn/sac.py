@@ -7,8 +7,7 @@ from typing import Any, final
 import jax
 import jax.numpy as jnp
 
-from metropilot.drivers.policy.networks import Params
-from metropilot.drivers.policy.policy import PolicySpec
+from metropilot.env.interface import AbstractTask, Array
 from metropilot.learn.config import SACConfig
 from metropilot.learn.ddpg import subset
 from metropilot.learn.distributions import squashed_sample
@@ -18,7 +17,8 @@ from metropilot.learn.networks import MLP
 from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
 from metropilot.learn.schedules import value_at
-from metropilot.task.interface import AbstractTask, Array
+from metropilot.policy.networks import Params
+from metropilot.policy.policy import PolicySpec
 
 TEMPERATURE = "temperature.log"
 

@@ -16,20 +16,20 @@ from typing import Any
 import jax
 import numpy as np
 
-from metropilot.drivers.policy.policy import Policy
+from metropilot.env.interface import AbstractTask
 from metropilot.errors import InputError
 from metropilot.learn.checkpoint import load_checkpoint, save_checkpoint
 from metropilot.learn.compile_cache import keep_compiled
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.config_reading import config_to_mapping
 from metropilot.learn.loop import Evaluate, Loop, LoopState, make_loop
-from metropilot.task.interface import AbstractTask
+from metropilot.policy.policy import Policy
 
 History = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Progress:
+class TrainingProgress:
     """How far a run is.
 
     Attributes:
@@ -54,7 +54,7 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class Learned:
+class TrainingResult:
     """What came of a run.
 
     Attributes:
@@ -73,7 +73,7 @@ class Learned:
 
 
 @dataclass(frozen=True)
-class Sitting:
+class TrainingOptions:
     """How a run is to be done; none of it changes what is learned.
 
     Attributes:
@@ -86,7 +86,7 @@ class Sitting:
     """
 
     evaluate: Evaluate | None = None
-    on_progress: Callable[[Progress], object] | None = None
+    on_progress: Callable[[TrainingProgress], object] | None = None
     checkpoint: Path | None = None
     every: int = 1
     resume: bool = False
@@ -94,8 +94,8 @@ class Sitting:
 
 
 def learn_in_chunks(
-    config: AbstractConfig, task: AbstractTask, seed: int, sitting: Sitting | None = None
-) -> Learned:
+    config: AbstractConfig, task: AbstractTask, seed: int, sitting: TrainingOptions | None = None
+) -> TrainingResult:
     """Learn a policy, with progress and checkpoints.
 
     Args:
@@ -107,7 +107,7 @@ def learn_in_chunks(
     Raises:
         InputError: The checkpoint is damaged, or of another run.
     """
-    sitting = sitting or Sitting()
+    sitting = sitting or TrainingOptions()
     keep_compiled()
     loop = make_loop(config, task, sitting.evaluate)
     identity = identity_of(config, seed, sitting)
@@ -132,17 +132,17 @@ def learn_in_chunks(
     history = {name: np.asarray(column) for name, column in columns.items()}
     params = {name: np.asarray(value) for name, value in state.best.items()}
     policy = Policy(loop.learner.spec, params)
-    return Learned(policy, float(state.best_score), history, seconds, compile_seconds)
+    return TrainingResult(policy, float(state.best_score), history, seconds, compile_seconds)
 
 
-def identity_of(config: AbstractConfig, seed: int, sitting: Sitting) -> dict[str, Any]:
+def identity_of(config: AbstractConfig, seed: int, sitting: TrainingOptions) -> dict[str, Any]:
     """What must be the same to go on."""
     plain = config_to_mapping(config)
     return {"algorithm": config.algorithm, "config": plain, "seed": seed, "task": dict(sitting.about or {})}
 
 
 def _begin(
-    loop: Loop, seed: int, sitting: Sitting, identity: Mapping[str, Any]
+    loop: Loop, seed: int, sitting: TrainingOptions, identity: Mapping[str, Any]
 ) -> tuple[LoopState, dict[str, list[float]], float]:
     """State, history and seconds so far: from the checkpoint, or none."""
     key = jax.random.key(seed)
@@ -170,9 +170,11 @@ def differences(old: Any, new: Any, name: str = "") -> Iterator[tuple[str, Any, 
         yield name, old, new
 
 
-def _progress(loop: Loop, number: int, seconds: float, spent: float, row: Mapping[str, float]) -> Progress:
+def _progress(
+    loop: Loop, number: int, seconds: float, spent: float, row: Mapping[str, float]
+) -> TrainingProgress:
     """How far the run is after a chunk."""
     a_chunk = loop.iterations * loop.learner.iteration_steps
     rate = a_chunk / max(spent, 1e-9)
     left = (loop.chunks - number) * spent
-    return Progress(number, loop.chunks, number * a_chunk, loop.steps, seconds, rate, left, row)
+    return TrainingProgress(number, loop.chunks, number * a_chunk, loop.steps, seconds, rate, left, row)

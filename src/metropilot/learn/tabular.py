@@ -7,16 +7,16 @@ from typing import NamedTuple, final
 import jax
 import jax.numpy as jnp
 
-from metropilot.drivers.policy.networks import Params
-from metropilot.drivers.policy.policy import PolicySpec, table_cell
+from metropilot.env.interface import AbstractTask, Array
 from metropilot.errors import InputError
 from metropilot.learn import environments as env
 from metropilot.learn.config import TabularConfig
 from metropilot.learn.distributions import masked
-from metropilot.learn.learner import AbstractLearner, Report, needs_choices
+from metropilot.learn.learner import AbstractLearner, LearnerReport, needs_choices
 from metropilot.learn.losses import tabular as losses
 from metropilot.learn.schedules import value_at
-from metropilot.task.interface import AbstractTask, Array
+from metropilot.policy.networks import Params
+from metropilot.policy.policy import PolicySpec, table_cell
 
 
 class TabularState(NamedTuple):
@@ -71,7 +71,7 @@ class TabularQ(AbstractLearner[TabularConfig]):
         }
         return TabularState(params, env.start(self.task, env_key, self.config.environments), key)
 
-    def iterate(self, state: TabularState, progress: Array) -> tuple[TabularState, Report]:
+    def iterate(self, state: TabularState, progress: Array) -> tuple[TabularState, LearnerReport]:
         """``rollout`` steps of every environment, each learned from at once."""
         key, roll_key = jax.random.split(state.key)
         rate = value_at(self.config.learning_rate, progress)
@@ -93,7 +93,9 @@ class TabularQ(AbstractLearner[TabularConfig]):
 
         keys = jax.random.split(roll_key, self.config.rollout)
         state, (loss, finished) = jax.lax.scan(one, state._replace(key=key), keys)
-        return state, Report({"loss": jnp.mean(loss)}, jax.tree.map(lambda x: jnp.sum(x, axis=0), finished))
+        return state, LearnerReport(
+            {"loss": jnp.mean(loss)}, jax.tree.map(lambda x: jnp.sum(x, axis=0), finished)
+        )
 
     def policy(self, state: TabularState) -> Params:
         """The table itself."""

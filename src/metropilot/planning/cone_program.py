@@ -29,7 +29,7 @@ from metropilot.errors import SolverError
 from metropilot.planning.effort_table import Specific
 from metropilot.planning.mesh import Mesh
 from metropilot.planning.prices import Prices
-from metropilot.planning.rows import Rows
+from metropilot.planning.rows import ConstraintRows
 
 clarabel: Any = _clarabel
 """The solver ships no type information."""
@@ -164,7 +164,7 @@ def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
     total = int(starts[-1])
     cost, constant = _objective(p, at, total)
 
-    rows = Rows()
+    rows = ConstraintRows()
     _equalities(p, rows, at)
     equal = rows.count
     _effort_rows(p, rows, at, energy)
@@ -228,7 +228,7 @@ def _objective(p: Programme, at: dict[str, ndarray], total: int) -> tuple[ndarra
     return cost, -float(np.sum(ds * prices.energy * prices.energy_at))
 
 
-def _price_rows(p: Programme, rows: Rows, at: dict[str, ndarray]) -> None:
+def _price_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray]) -> None:
     """``cost >= slope f + offset``, ``gain <= slope e + offset`` for every line of a price with several."""
     for name, force, lines, sign in (
         ("cost", "f", p.prices.traction, 1.0),
@@ -239,7 +239,7 @@ def _price_rows(p: Programme, rows: Rows, at: dict[str, ndarray]) -> None:
                 rows.add([(at[force], sign * slope), (at[name], -sign)], -sign * offset, offset.size)
 
 
-def _equalities(p: Programme, rows: Rows, at: dict[str, ndarray]) -> None:
+def _equalities(p: Programme, rows: ConstraintRows, at: dict[str, ndarray]) -> None:
     """Dynamics on each segment, and the speeds at the ends and stops."""
     ds, (a, b, c) = p.mesh.length_m, p.table.davis
     n = ds.size
@@ -270,7 +270,7 @@ def _pinned(p: Programme) -> ndarray:
     return np.unique(np.concatenate([[0], stops, [p.mesh.length_m.size]])).astype(int)
 
 
-def _effort_rows(p: Programme, rows: Rows, at: dict[str, ndarray], energy: ndarray) -> None:
+def _effort_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray], energy: ndarray) -> None:
     """``f <= F(E), b <= B(E), e <= R(E), e <= b`` by tangents; everything at least zero."""
     n = p.mesh.length_m.size
     middle = 0.5 * (energy[1:] + energy[:-1])
@@ -285,7 +285,7 @@ def _effort_rows(p: Programme, rows: Rows, at: dict[str, ndarray], energy: ndarr
         rows.add([(at[name], -1.0)], 0.0, n)
 
 
-def _motion_rows(p: Programme, rows: Rows, at: dict[str, ndarray]) -> None:
+def _motion_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray]) -> None:
     """Speed limits, acceleration and deceleration limits."""
     ds, e = p.mesh.length_m, at["E"]
     n = ds.size
@@ -301,7 +301,7 @@ def _motion_rows(p: Programme, rows: Rows, at: dict[str, ndarray]) -> None:
         rows.add([(e[1:], -1 / ds), (e[:-1], 1 / ds)], p.table.deceleration + np.where(lifted, 0.5, 0.0), n)
 
 
-def _jerk_rows(p: Programme, rows: Rows, at: dict[str, ndarray], energy: ndarray) -> None:
+def _jerk_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray], energy: ndarray) -> None:
     """Change of acceleration between neighbouring segments, and up from and down to standstill."""
     ds, e = p.mesh.length_m, at["E"]
     jerk = float(p.jerk_mps3 or 0.0)
@@ -343,7 +343,7 @@ def _releasing(p: Programme) -> ndarray:
     return p.mesh.node_m[1:-1] > p.mesh.node_m[-1] - stretch
 
 
-def _time_rows(p: Programme, rows: Rows, at: dict[str, ndarray], energy: ndarray) -> int | None:
+def _time_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray], energy: ndarray) -> int | None:
     """Partial sums of time, and the range of each free dwell; returns the row of the last upper bound."""
     clock = None
     none = np.zeros(0, int)
@@ -386,7 +386,7 @@ def _not_before(
     return [(at["E"][nodes], -slope[nodes]), (waits, -1.0)], seconds - float(bound.low_s or 0.0)
 
 
-def _cone_rows(p: Programme, rows: Rows, at: dict[str, ndarray]) -> None:
+def _cone_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray]) -> None:
     """``v^2 <= 2 E`` at the nodes and ``t (v + v') >= 2 ds`` on the segments."""
     ds, e, v, t = p.mesh.length_m, at["E"], at["v"], at["t"]
     n = ds.size

@@ -10,7 +10,7 @@ from numpy import ndarray
 
 
 @dataclass
-class Rows:
+class ConstraintRows:
     """Sparse rows ``A x <= / = b`` being collected, whole blocks at a time."""
 
     row: list[ndarray] = field(default_factory=list)

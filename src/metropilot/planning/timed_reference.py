@@ -61,7 +61,7 @@ class TimedReference:
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class ReferenceTrack:
     """What a reference is laid under.
 
     Attributes:
@@ -140,7 +140,7 @@ def sampled_profile(
 
 
 def reference_under(
-    ground: Ground, shape: ReferenceShape, cruise_mps: float, period_s: float = 0.05
+    ground: ReferenceTrack, shape: ReferenceShape, cruise_mps: float, period_s: float = 0.05
 ) -> TimedReference:
     """The fastest reference under a cruising speed, the limits and the effort at hand.
 
@@ -156,7 +156,7 @@ def reference_under(
 
 
 def reference_under_for_time(
-    ground: Ground, shape: ReferenceShape, time_s: float, period_s: float = 0.05
+    ground: ReferenceTrack, shape: ReferenceShape, time_s: float, period_s: float = 0.05
 ) -> TimedReference:
     """The reference that takes a running time; the fastest there is where that takes longer.
 
@@ -189,7 +189,7 @@ def _window_s(shape: ReferenceShape) -> float:
     return max(shape.acceleration_mps2, shape.deceleration_mps2) / shape.jerk_mps3
 
 
-def _ground(ground: Ground, shape: ReferenceShape) -> tuple[ndarray, ndarray, ndarray, Specific]:
+def _ground(ground: ReferenceTrack, shape: ReferenceShape) -> tuple[ndarray, ndarray, ndarray, Specific]:
     """Nodes, speeds to keep under, what slopes and curves take (m/s^2), and the effort table."""
     vehicle, track = ground.vehicle, ground.track
     end = float(track.length_m)
@@ -218,7 +218,7 @@ def _narrowed(cap: ndarray, at: ndarray, window_s: float) -> ndarray:
 
 
 def _profile(
-    ground: Ground, shape: ReferenceShape, cap: ndarray, slope: ndarray, table: Specific, at: ndarray
+    ground: ReferenceTrack, shape: ReferenceShape, cap: ndarray, slope: ndarray, table: Specific, at: ndarray
 ) -> ndarray:
     """The fastest speeds under a cap: forward with the traction at hand, backward with the brake."""
     grid = table.speed_mps

@@ -12,7 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from metropilot.physics import Vehicle, davis_n, delay_steps, padded_size, vehicle_arrays
 from metropilot.physics.effort import effort_at
 from metropilot.protection.bounds import Bounds
-from metropilot.protection.ground import BEFORE_M, Ground, ground, sliding_max
+from metropilot.protection.ground import BEFORE_M, TrackGrid, ground, sliding_max
 from metropilot.protection.predict import SLACK_MPS, highest_speed
 from metropilot.protection.types import Fading, Protection, Rates
 from metropilot.railway import Section, Trainset
@@ -172,7 +172,7 @@ def _over(rates: Rates, bounds: Bounds) -> float:
     return SERVICE_OVER_MPS2 * float(rates.reaction_s) + late + bounds.speed_error_mps
 
 
-def _emergency_curve(field: Ground, bounds: Bounds, before: int) -> ndarray:
+def _emergency_curve(field: TrackGrid, bounds: Bounds, before: int) -> ndarray:
     """Backward from the limits with the guaranteed rate on the worst gradient; the map's end is a stop."""
     spacing = field.node_m[1] - field.node_m[0]
     rate = bounds.emergency_mps2 - sliding_max(field.pull_mps2, before, 1)[:-1]
@@ -188,7 +188,7 @@ def _emergency_curve(field: Ground, bounds: Bounds, before: int) -> ndarray:
 
 
 def _service_curve(
-    field: Ground, vehicle: Vehicle, usual: Rates, permitted: ndarray, over_mps: float
+    field: TrackGrid, vehicle: Vehicle, usual: Rates, permitted: ndarray, over_mps: float
 ) -> ndarray:
     """Backward from a little over the permitted speed with the nominal service brake and resistance."""
     spacing = field.node_m[1] - field.node_m[0]
@@ -202,7 +202,7 @@ def _service_curve(
 
 
 def _permitted_curve(
-    field: Ground,
+    field: TrackGrid,
     vehicle: Vehicle,
     rates: Rates,
     bounds: Bounds,

@@ -18,7 +18,7 @@ BEFORE_M = 50.0
 AFTER_M = 500.0
 
 
-class Ground(NamedTuple):
+class TrackGrid(NamedTuple):
     """What a section asks of a trainset, node by node (N) and between them (N-1).
 
     Attributes:
@@ -43,7 +43,7 @@ def ground(
     spacing_m: float,
     resistance_low: float,
     before_m: float = BEFORE_M,
-) -> Ground:
+) -> TrackGrid:
     """Lay the grid over a section.
 
     Args:
@@ -60,7 +60,7 @@ def ground(
     nodes = _nodes(section, stop_at_m, spacing_m, before_m)
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
     gradient, curve, _ = felt_slopes(vehicle, track, nodes)
-    return Ground(
+    return TrackGrid(
         node_m=nodes,
         ceiling_mps=_ceilings(nodes, section, trainset, stop_at_m),
         pull_mps2=_cell_pulls(nodes, section, trainset, resistance_low),

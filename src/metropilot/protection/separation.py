@@ -45,7 +45,7 @@ class Separation(NamedTuple):
     room_m: Array
 
 
-class Ahead(NamedTuple):
+class TrainAhead(NamedTuple):
     """What a follower knows of the trainset ahead: its last message, and what is declared of it. All 0-d.
 
     Attributes:
@@ -189,7 +189,7 @@ def speed_at(motion: Braking, time_s: Scalar) -> Scalar:
 
 
 @no_type_check
-def leading(ahead: Ahead) -> Braking:
+def leading(ahead: TrainAhead) -> Braking:
     """The hardest the trainset ahead can brake from its message on.
 
     It holds an acceleration for a whole period, so the fall has a period's head start.
@@ -203,7 +203,7 @@ def leading(ahead: Ahead) -> Braking:
 
 
 @no_type_check
-def least_gap(ahead: Ahead, position_m: Scalar, following: Braking) -> Scalar:
+def least_gap(ahead: TrainAhead, position_m: Scalar, following: Braking) -> Scalar:
     """The smallest gap on the way to a stand if both brake: the leader at its hardest, the follower as told.
 
     While a brake builds up the gap is looked at on a grid, and what it can dip in between is taken off; from

@@ -10,7 +10,7 @@ from metropilot.physics import Command
 from metropilot.physics.arrays import Scalar, namespace, scalars, unless
 from metropilot.physics.plant import pushed
 from metropilot.protection.predict import Forces, acceleration, fastest, stays_under
-from metropilot.protection.separation import Ahead, braking, least_gap
+from metropilot.protection.separation import TrainAhead, braking, least_gap
 from metropilot.protection.types import Array, Memory, Protection, Rates, Verdict
 
 RELEASE_MPS = 0.1
@@ -25,7 +25,7 @@ def supervise(
     position_m: Scalar,
     speed_mps: Scalar,
     command: Command,
-    ahead: Ahead | None = None,
+    ahead: TrainAhead | None = None,
 ) -> tuple[Command, Memory, Verdict]:
     """Decide what reaches the trainset in the coming period.
 
@@ -59,7 +59,7 @@ def supervise(
     wanted = xp.where(xp.abs(command.share) < float("inf"), xp.clip(command.share, -1.0, 1.0), full)
     cut = xp.minimum(wanted, none)
     margin = xp.where(memory.level > 0, RELEASE_MPS, 0.0)
-    check = Check(protection, memory, position_m, speed_mps, ahead)
+    check = CommandCheck(protection, memory, position_m, speed_mps, ahead)
 
     passes = check.passes(wanted, margin)
     level = unless(passes, 0, _milder, protection, memory, position_m, speed_mps, cut, ahead)
@@ -91,10 +91,10 @@ def _milder(
     position_m: Scalar,
     speed_mps: Scalar,
     cut: Scalar,
-    ahead: Ahead | None,
+    ahead: TrainAhead | None,
 ) -> Scalar:
     """The mildest level that will do for a command that does not pass: 1, 2 or 3."""
-    check = Check(protection, memory, position_m, speed_mps, ahead)
+    check = CommandCheck(protection, memory, position_m, speed_mps, ahead)
     none = 0.0 * protection.rates.speed_error_mps
     if check.xp is scalars:
         return 1 if check.passes(cut, none) else 2 if check.emergency(none - 1.0, none) else 3
@@ -111,7 +111,7 @@ class Brake(NamedTuple):
     forces: Forces
 
 
-class Check:
+class CommandCheck:
     """Everything a command is tested against, at one measured position and speed."""
 
     def __init__(
@@ -120,7 +120,7 @@ class Check:
         memory: Memory,
         position_m: Scalar,
         speed_mps: Scalar,
-        ahead: Ahead | None = None,
+        ahead: TrainAhead | None = None,
     ) -> None:
         self.xp = xp = namespace(protection.start_m, position_m)
         self.protection, self.memory = protection, memory
@@ -178,7 +178,7 @@ class Check:
         bounds = self.ahead.bounds
         return self.least_gap(self.ahead, share, margin_mps) >= bounds.margin_m + rooms * bounds.room_m
 
-    def least_gap(self, ahead: Ahead, share: Scalar, margin_mps: Scalar) -> Scalar:
+    def least_gap(self, ahead: TrainAhead, share: Scalar, margin_mps: Scalar) -> Scalar:
         """Smallest gap to come if a command passes now and both brake as hard as they must thereafter."""
         rates = self.worst.rates
         acting = self.xp.maximum(acceleration(self.worst.forces, self.kept(share)), self.fading)
@@ -207,13 +207,18 @@ def permitted_speed(protection: Protection, position_m: Array) -> Array:
 
 
 def spare_gap(
-    protection: Protection, memory: Memory, position_m: Scalar, speed_mps: Scalar, share: Scalar, ahead: Ahead
+    protection: Protection,
+    memory: Memory,
+    position_m: Scalar,
+    speed_mps: Scalar,
+    share: Scalar,
+    ahead: TrainAhead,
 ) -> Scalar:
     """How much nearer the trainset ahead could be for a command still to pass, m; negative: it does not pass.
 
     For drivers that follow: whoever keeps it above zero is not overruled on account of the trainset ahead.
     """
-    check = Check(protection, memory, position_m, speed_mps, ahead)
+    check = CommandCheck(protection, memory, position_m, speed_mps, ahead)
     bounds = ahead.bounds
     return check.least_gap(ahead, share, 0.0 * speed_mps) - bounds.margin_m - bounds.room_m
 

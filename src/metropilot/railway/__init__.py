@@ -1,6 +1,8 @@
 """Lines, trainsets and journeys: schema, loaders and catalogue. NumPy only, never JAX."""
 
 from metropilot.railway.effort import Efficiency, EffortCurve, EffortPiece
+from metropilot.railway.formats.toml_write import write_journey, write_line, write_trainset
+from metropilot.railway.formats.ttobench_write import export_ttobench
 from metropilot.railway.journey import Journey, TimingPoint, planned_journey
 from metropilot.railway.library import (
     import_file,
@@ -12,9 +14,7 @@ from metropilot.railway.library import (
 )
 from metropilot.railway.line import Curve, Line, Restriction, Section, Station, Tunnel
 from metropilot.railway.profile import Steps
-from metropilot.railway.toml_write import write_journey, write_line, write_trainset
 from metropilot.railway.trainset import Actuation, Couplers, Davis, SafeBraking, Trainset
-from metropilot.railway.ttobench_write import export_ttobench
 
 __all__ = [
     "Actuation",

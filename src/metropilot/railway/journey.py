@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 from metropilot.errors import InputError
-from metropilot.railway.bounds import tidy
+from metropilot.railway.formats.ranges import tidy
 from metropilot.railway.line import Line
 
 

@@ -10,16 +10,16 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar
 
+from metropilot._text_file import file_text
 from metropilot.errors import InputError
+from metropilot.railway.formats.reader import Node, nearest
+from metropilot.railway.formats.toml_journey import read_journey
+from metropilot.railway.formats.toml_line import read_line
+from metropilot.railway.formats.toml_trainset import read_trainset
+from metropilot.railway.formats.ttobench import read_ttobench
 from metropilot.railway.journey import Journey, planned_journey
 from metropilot.railway.line import Line
-from metropilot.railway.node import Node, nearest
-from metropilot.railway.text_file import file_text
-from metropilot.railway.toml_journey import read_journey
-from metropilot.railway.toml_line import read_line
-from metropilot.railway.toml_trainset import read_trainset
 from metropilot.railway.trainset import Trainset
-from metropilot.railway.ttobench import read_ttobench
 
 T = TypeVar("T", Line, Trainset, Journey)
 

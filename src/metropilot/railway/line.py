@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from metropilot.errors import InputError
-from metropilot.railway.bounds import tidy
+from metropilot.railway.formats.ranges import tidy
 from metropilot.railway.profile import Steps
 
 RESTRICTION_KMH = (5.0, 400.0)

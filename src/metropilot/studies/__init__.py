@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from metropilot.studies.learning import LearnJob, SeedResult, learn_seeds
     from metropilot.studies.page import page, write_docs, write_report
     from metropilot.studies.registry import STUDIES, load_study, reproduce
-    from metropilot.studies.report import Figure, Report, Row
+    from metropilot.studies.report import Figure, ReportRow, StudyReport
     from metropilot.studies.study import BUDGETS, Order, Study, check_budget
 
 __all__ = [
@@ -21,10 +21,10 @@ __all__ = [
     "Figure",
     "LearnJob",
     "Order",
-    "Report",
-    "Row",
+    "ReportRow",
     "SeedResult",
     "Study",
+    "StudyReport",
     "check_budget",
     "learn_seeds",
     "load_study",
@@ -39,8 +39,8 @@ _HOME = {
     "Figure": "report",
     "LearnJob": "learning",
     "Order": "study",
-    "Report": "report",
-    "Row": "report",
+    "StudyReport": "report",
+    "ReportRow": "report",
     "SeedResult": "learning",
     "Study": "study",
     "check_budget": "study",

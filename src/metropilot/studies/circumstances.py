@@ -7,7 +7,7 @@ import platform
 from datetime import UTC, datetime
 from pathlib import Path
 
-from metropilot.learn.provenance import commit, versions
+from metropilot._provenance import commit, versions
 
 
 def circumstances() -> dict[str, str]:

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from metropilot._processes import ONE_THREAD, environment
 from metropilot.errors import InputError
-from metropilot.processes import ONE_THREAD, environment
 
 if TYPE_CHECKING:
-    from metropilot.learn import AbstractConfig, Policy
-    from metropilot.task.interface import AbstractTask
+    from metropilot.env.interface import AbstractTask
+    from metropilot.learn import AbstractConfig
+    from metropilot.policy import Policy
 
 
 @dataclass(frozen=True)
@@ -121,10 +122,11 @@ def _done(job: LearnJob, place: Path) -> bool:
 
 def _learn(job: LearnJob, place: Path) -> str:
     """One run, in a process of its own; a line about it."""
-    from metropilot.learn import Sitting, learn_in_chunks, save_policy, write_history
+    from metropilot._io import atomic_write
+    from metropilot.env import DrivingTask
+    from metropilot.learn import TrainingOptions, learn_in_chunks, write_history
     from metropilot.learn.cores import own_core
-    from metropilot.railway.whole_file import write_whole
-    from metropilot.task import DrivingTask
+    from metropilot.policy import save_policy
 
     if current_process().name != "MainProcess":
         own_core()
@@ -132,7 +134,9 @@ def _learn(job: LearnJob, place: Path) -> str:
     identity, checkpoint = _identity(job), place / f"checkpoint-{_identity(job)}.safetensors"
     task = job.task()
     evaluate = job.evaluation(task) if job.evaluation else None
-    sitting = Sitting(evaluate=evaluate, checkpoint=checkpoint, resume=True, about={"identity": identity})
+    sitting = TrainingOptions(
+        evaluate=evaluate, checkpoint=checkpoint, resume=True, about={"identity": identity}
+    )
     learned = learn_in_chunks(job.config, task, job.seed, sitting)
     write_history(place / "history.parquet", learned.history)
     about: dict[str, Any] = {"identity": identity, "seed": job.seed}
@@ -145,14 +149,15 @@ def _learn(job: LearnJob, place: Path) -> str:
         "seconds": learned.seconds,
         "compile_seconds": learned.compile_seconds,
     }
-    write_whole(place / "done.json", lambda partial: partial.write_text(json.dumps(done)))
+    atomic_write(place / "done.json", lambda partial: partial.write_text(json.dumps(done)))
     checkpoint.unlink(missing_ok=True)
     return f"{job.name} seed {job.seed}, score {learned.score:.4g}, {learned.seconds:.0f} s"
 
 
 def _read(job: LearnJob, place: Path) -> SeedResult:
     """A finished run from its folder."""
-    from metropilot.learn import load_policy, read_history
+    from metropilot.learn import read_history
+    from metropilot.policy import load_policy
 
     done = json.loads((place / "done.json").read_text())
     policy, _ = load_policy(place / "policy.safetensors")

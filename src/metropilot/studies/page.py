@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from metropilot.evaluate import filled, to_json
-from metropilot.studies.report import Report, Row
+from metropilot.studies.report import ReportRow, StudyReport
 from metropilot.studies.study import Study
 
 NOTHING = "–"
@@ -27,19 +27,19 @@ def number(value: float | None) -> str:
     return f"{value:.{digits}f}"
 
 
-def numbers(row: Row) -> tuple[str, str, str, str]:
+def numbers(row: ReportRow) -> tuple[str, str, str, str]:
     """Published, ours, range and optimum as text."""
     return number(row.published), number(row.ours), span(row), number(row.optimum)
 
 
-def span(row: Row) -> str:
+def span(row: ReportRow) -> str:
     """The range over the seeds; a dash where they agree."""
     if row.low is None or row.high is None or number(row.low) == number(row.high):
         return NOTHING
     return f"{number(row.low)} … {number(row.high)}"
 
 
-def page(study: Study, report: Report) -> str:
+def page(study: Study, report: StudyReport) -> str:
     """The page, in Markdown; its figures lie in a folder of the study's name beside it."""
     command = f"metropilot reproduce {study.id} --budget {report.budget}"
     about = "; ".join(f"{name}: {value}" for name, value in report.circumstances.items())
@@ -59,7 +59,7 @@ def page(study: Study, report: Report) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _table(rows: list[Row]) -> list[str]:
+def _table(rows: list[ReportRow]) -> list[str]:
     """One table; case and driver only where they change."""
     lines = ["| case | driver | KPI | unit | published | ours | range | optimum |"]
     lines += ["|---|---|---|---|---:|---:|---:|---:|"]
@@ -73,7 +73,7 @@ def _table(rows: list[Row]) -> list[str]:
     return lines
 
 
-def write_figures(folder: Path, report: Report) -> None:
+def write_figures(folder: Path, report: StudyReport) -> None:
     """Draw every figure into a folder, as SVG and PNG.
 
     Raises:
@@ -91,7 +91,7 @@ def write_figures(folder: Path, report: Report) -> None:
                 plt.close(drawing)
 
 
-def write_report(folder: Path, study: Study, report: Report) -> None:
+def write_report(folder: Path, study: Study, report: StudyReport) -> None:
     """Write `report.json`, `ID.md` and the figures in folder `ID`.
 
     Raises:
@@ -103,7 +103,7 @@ def write_report(folder: Path, study: Study, report: Report) -> None:
         (scratch / f"{study.id}.md").write_text(page(study, report))
 
 
-def write_docs(folder: Path, study: Study, report: Report) -> None:
+def write_docs(folder: Path, study: Study, report: StudyReport) -> None:
     """Write the page and its figures into the documentation; PNG only, to keep the site small.
 
     Raises:

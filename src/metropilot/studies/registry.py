@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 from metropilot.errors import InputError
 from metropilot.studies.circumstances import circumstances
-from metropilot.studies.report import Report
+from metropilot.studies.report import StudyReport
 from metropilot.studies.study import Order, Study
 
 STUDIES: Mapping[str, str] = MappingProxyType(
@@ -39,7 +39,7 @@ def load_study(study_id: str) -> Study:
     return import_module(f"metropilot.studies.{study_id}").STUDY
 
 
-def reproduce(study_id: str, order: Order) -> Report:
+def reproduce(study_id: str, order: Order) -> StudyReport:
     """Do a study.
 
     Args:

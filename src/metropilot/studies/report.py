@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Row:
+class ReportRow:
     """One number of a study.
 
     Attributes:
@@ -42,7 +42,7 @@ class Row:
     high: float | None = None
     optimum: float | None = None
 
-    def measured(self, values: Iterable[float]) -> Row:
+    def measured(self, values: Iterable[float]) -> ReportRow:
         """The same row with the median and range of one value per seed.
 
         Raises:
@@ -52,7 +52,7 @@ class Row:
         if found.size == 0 or not np.isfinite(found).all():
             raise InputError("not measured", field=f"{self.case} {self.driver} {self.kpi}", value=found)
         low, middle, high = (float(v) for v in (found.min(), np.median(found), found.max()))
-        return Row(**{**asdict(self), "ours": middle, "low": low, "high": high})
+        return ReportRow(**{**asdict(self), "ours": middle, "low": low, "high": high})
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Report:
+class StudyReport:
     """What came of a study.
 
     Attributes:
@@ -92,7 +92,7 @@ class Report:
     budget: str
     seeds: int
     seconds: float
-    rows: Sequence[Row]
+    rows: Sequence[ReportRow]
     figures: Sequence[Figure] = ()
     deviations: Sequence[str] = ()
     remarks: Sequence[str] = ()
@@ -112,9 +112,9 @@ class Report:
             "circumstances": dict(self.circumstances),
         }
 
-    def tables(self) -> dict[str, list[Row]]:
+    def tables(self) -> dict[str, list[ReportRow]]:
         """Rows by table, in the order they came."""
-        found: dict[str, list[Row]] = {}
+        found: dict[str, list[ReportRow]] = {}
         for row in self.rows:
             found.setdefault(row.table, []).append(row)
         return found

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from metropilot.errors import InputError
-from metropilot.studies.report import Report
+from metropilot.studies.report import StudyReport
 
 Budget = Literal["quick", "paper"]
 BUDGETS: tuple[Budget, ...] = ("quick", "paper")
@@ -66,7 +66,7 @@ class Study:
     id: str
     title: str
     citation: str
-    reproduce: Callable[[Order], Report]
+    reproduce: Callable[[Order], StudyReport]
     options: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def check_options(self, given: Mapping[str, str]) -> dict[str, str]:

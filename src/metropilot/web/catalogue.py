@@ -14,7 +14,7 @@ from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
 from metropilot.evaluate import option_defaults
 from metropilot.railway import Line, Trainset, list_lines, list_trainsets, load_line, load_trainset
-from metropilot.web.refused import Refused
+from metropilot.web.refusals import Refused
 from metropilot.web.service import Service
 from metropilot.web.work.learning import PROGRESS
 from metropilot.web.work.plain import numbers, pieces, station
@@ -191,7 +191,7 @@ def _number(value: object) -> float:
 
 def task_rows() -> list[dict[str, Any]]:
     """What can be learned."""
-    from metropilot.task import TASKS
+    from metropilot.env import TASKS
 
     return [{"id": key, "summary": row.summary} for key, row in TASKS.items()]
 

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 
 from metropilot.errors import MetropilotError
-from metropilot.web.refused import FIELDS, detail_of, plain
+from metropilot.web.refusals import FIELDS, detail_of, plain
 
 JSON = "application/json"
 METHOD_NOT_ALLOWED = 405

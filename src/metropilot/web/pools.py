@@ -15,7 +15,7 @@ from typing import Any
 from pebble import ProcessExpired, ProcessPool
 
 from metropilot.errors import MetropilotError
-from metropilot.web.refused import Refused
+from metropilot.web.refusals import Refused
 from metropilot.web.settings import Settings
 from metropilot.web.work.setup import begin
 

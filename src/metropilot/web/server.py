@@ -13,10 +13,10 @@ from starlette.types import ASGIApp
 
 import metropilot
 from metropilot.web import errors
-from metropilot.web.answers import Health
 from metropilot.web.api import catalogue, docs, jobs, live, planning
-from metropilot.web.guard import Guard
-from metropilot.web.refused import Refused
+from metropilot.web.refusals import Refused
+from metropilot.web.schemas.responses import Health
+from metropilot.web.security import Guard
 from metropilot.web.service import Service
 from metropilot.web.settings import Settings
 

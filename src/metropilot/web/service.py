@@ -9,11 +9,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from metropilot.drivers.policy.loaded import FILE
 from metropilot.errors import InputError
 from metropilot.evaluate import Request
 from metropilot.evaluate.request_file import POLICY
-from metropilot.web.asked import (
+from metropilot.policy.loaded import FILE
+from metropilot.web.live.session import Session, Spare, start_spare
+from metropilot.web.pools import Pools, explained
+from metropilot.web.refusals import Refused, detail_of
+from metropilot.web.schemas.requests import (
     CompareAsked,
     ConvoyAsked,
     DriveAsked,
@@ -23,16 +26,13 @@ from metropilot.web.asked import (
     SectionAsked,
     StudyAsked,
 )
-from metropilot.web.asked import request_of as resolve
-from metropilot.web.live.session import Session, Spare, start_spare
-from metropilot.web.pools import Pools, explained
-from metropilot.web.refused import Refused, detail_of
+from metropilot.web.schemas.requests import request_of as resolve
 from metropilot.web.settings import Settings
-from metropilot.web.store import OVER, JobRow, Store, UploadRow
+from metropilot.web.store import OVER, JobRow, JobStore, UploadRow
 from metropilot.web.work import drives, learning, plans, studying
 
 if TYPE_CHECKING:
-    from metropilot.evaluate.convoy_request import ConvoyRequest
+    from metropilot.convoy.request import ConvoyRequest
 
 SUFFIXES = (".toml", ".json", ".safetensors")
 SAVE_STEPS = 25
@@ -54,7 +54,7 @@ class Service:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.root = settings.data
-        self.store = Store(settings.data)
+        self.store = JobStore(settings.data)
         self.pools = Pools(settings)
         self.futures: dict[str, Future[Any]] = {}
         self.sessions: dict[str, Session] = {}
@@ -401,8 +401,8 @@ class Service:
         return request
 
     def _convoy(self, asked: ConvoyAsked) -> ConvoyRequest:
-        from metropilot.evaluate.convoy_request import ConvoyRequest
-        from metropilot.task.convoy_link import Link
+        from metropilot.convoy.link import Link
+        from metropilot.convoy.request import ConvoyRequest
 
         names = (
             "line",

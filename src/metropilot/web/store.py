@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from metropilot.web.refused import Refused
+from metropilot.web.refusals import Refused
 
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS jobs (
@@ -33,7 +33,7 @@ OVER = ("done", "failed", "stopped")
 
 @dataclass(frozen=True)
 class JobRow:
-    """A job as it is stored; see :class:`metropilot.web.answers.JobOut`."""
+    """A job as it is stored; see :class:`metropilot.web.schemas.responses.JobOut`."""
 
     id: str
     kind: str
@@ -56,7 +56,7 @@ class UploadRow:
     file: str
 
 
-class Store:
+class JobStore:
     """The SQLite file; any number of processes may use it at once.
 
     Args:

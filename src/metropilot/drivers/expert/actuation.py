@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from metropilot.drivers.expert.ground import Ground
-from metropilot.drivers.observer import Ahead, Model
+from metropilot.control.estimator import Model, PredictedState
+from metropilot.drivers.expert.ground import ExpertTrack
 
 LAG_LEAD = 0.7
 """How much of the lag is made up for by asking for more at once."""
 
 
-class Actuation(NamedTuple):
+class CommandActuation(NamedTuple):
     """Commands on their way (Huang25 eq. 4).
 
     Attributes:
@@ -31,24 +31,24 @@ class Actuation(NamedTuple):
     lag_s: float
     dt: float
 
-    def issued(self, command: float) -> Actuation:
+    def issued(self, command: float) -> CommandActuation:
         """The actuation once a command has been given for the coming period."""
         commands = (command, *self.commands[:-1])
         acting = commands[self.steps]
         return self._replace(commands=commands, share=acting + (self.share - acting) * self.keep)
 
 
-def actuation_of(model: Model) -> Actuation:
+def actuation_of(model: Model) -> CommandActuation:
     """Nothing on its way."""
     dt, lag = model.dt, float(model.vehicle.lag_s)
     steps = round(float(model.vehicle.delay_s) / dt)
     keep = math.exp(-dt / lag) if lag > 0 else 0.0
-    return Actuation((0.0,) * (steps + 1), 0.0, steps, keep, lag, dt)
+    return CommandActuation((0.0,) * (steps + 1), 0.0, steps, keep, lag, dt)
 
 
 def ahead_of(
-    ground: Ground, actuation: Actuation, state: tuple[float, float, float], brake_gain: float
-) -> Ahead:
+    ground: ExpertTrack, actuation: CommandActuation, state: tuple[float, float, float], brake_gain: float
+) -> PredictedState:
     """The state at the moment a command given now begins to act, with the commands on their way.
 
     Args:
@@ -71,10 +71,10 @@ def ahead_of(
         x, v = x + 0.5 * (v + after) * dt, after
     if actuation.steps:
         traction, brake, drag = ground.traction(v), brake_gain * ground.brake(v), ground.drag(x, v)
-    return Ahead(actuation.steps * dt, x, v, a, share, drag, 0.0, traction, brake)
+    return PredictedState(actuation.steps * dt, x, v, a, share, drag, 0.0, traction, brake)
 
 
-def share_of(actuation: Actuation, ahead: Ahead, effort_mps2: float) -> float:
+def share_of(actuation: CommandActuation, ahead: PredictedState, effort_mps2: float) -> float:
     """The command that gives a wheel effort when it begins to act, in [-1, 1].
 
     Args:

@@ -12,16 +12,16 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from metropilot.drivers.cruising import Ceiling, ceiling_of, model_of
-from metropilot.drivers.expert.actuation import Actuation, actuation_of, ahead_of, share_of
-from metropilot.drivers.expert.ground import STEP_M, Ground, build_up_s, ground_of, lead_s
+from metropilot.control.ceiling import Ceiling, ceiling_of, model_of
+from metropilot.control.estimator import Model, PredictedState
+from metropilot.control.stopping import StopCurve, curve_for
+from metropilot.drivers.expert.actuation import CommandActuation, actuation_of, ahead_of, share_of
+from metropilot.drivers.expert.ground import STEP_M, ExpertTrack, build_up_s, ground_of, lead_s
 from metropilot.drivers.expert.hoa import Hoa, felt, stop_share
 from metropilot.drivers.expert.legs import Leg, Legs, legs_of
-from metropilot.drivers.observer import Ahead, Model
-from metropilot.drivers.stopping import Curve, curve_for
+from metropilot.env.expert import PLAIN, RELEASE_SHARE, Rules, Window, coasting_s, next_rate, window_of
 from metropilot.railway import Section
-from metropilot.task import Observation, Run
-from metropilot.task.expert import PLAIN, RELEASE_SHARE, Rules, Window, coasting_s, next_rate, window_of
+from metropilot.sim import Observation, Run
 
 HOLD_PER_S = 0.5
 """Acceleration for each m/s below the safe speed."""
@@ -85,9 +85,9 @@ class ExpertMemory(NamedTuple):
     rules: Rules
     model: Model
     ceiling: Ceiling
-    ground: Ground
+    ground: ExpertTrack
     legs: Legs
-    actuation: Actuation
+    actuation: CommandActuation
     hoa: Hoa
     rate_mps2: float = 0.0
     before_mps2: float = 0.0
@@ -151,7 +151,7 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
     return share, memory
 
 
-def _seen(memory: ExpertMemory, observation: Observation, ahead: Ahead, curve: Curve) -> Seen:
+def _seen(memory: ExpertMemory, observation: Observation, ahead: PredictedState, curve: StopCurve) -> Seen:
     """The window where a command given now begins to act."""
     rules, ground, legs = memory.rules, memory.ground, memory.legs
     x, v, a = ahead.position_m, ahead.speed_mps, max(ahead.acceleration_mps2, 0.0)
@@ -168,7 +168,7 @@ def _seen(memory: ExpertMemory, observation: Observation, ahead: Ahead, curve: C
     return Seen(window, v, stretch.left_m, time_left * share, memory.rate_mps2, top, ahead.traction_mps2)
 
 
-def _for_lower_limits(memory: ExpertMemory, ahead: Ahead, speed_mps: float) -> float:
+def _for_lower_limits(memory: ExpertMemory, ahead: PredictedState, speed_mps: float) -> float:
     """Largest rate that still coasts to the lower limits ahead slowly enough (rule 4).
 
     What is braked away there must be given back behind it: power beyond this speed is lost.
@@ -186,7 +186,7 @@ def _for_lower_limits(memory: ExpertMemory, ahead: Ahead, speed_mps: float) -> f
     return max(most, 0.0)
 
 
-def _release_s(leg: Leg, curve: Curve) -> float:
+def _release_s(leg: Leg, curve: StopCurve) -> float:
     """Time that letting go of the last brake takes more than stopping at once."""
     if leg.end_mps > 0.0 or curve.release_jerk_mps3 > 1e3:
         return 0.0
@@ -206,7 +206,9 @@ def _rate(memory: ExpertMemory, seen: Seen, change: float) -> float:
     )
 
 
-def _kept_safe(memory: ExpertMemory, observation: Observation, ahead: Ahead, rate_mps2: float) -> float:
+def _kept_safe(
+    memory: ExpertMemory, observation: Observation, ahead: PredictedState, rate_mps2: float
+) -> float:
     """The wheel effort under the safe speed (Huang25 eqs. 17 and 18).
 
     Traction is eased off on the way to the safe speed, so that protection, which judges a command by what it
@@ -227,7 +229,7 @@ def _kept_safe(memory: ExpertMemory, observation: Observation, ahead: Ahead, rat
     return min(rate_mps2, max(allowed + drag, 0.0) if v <= there else 0.0)
 
 
-def _slowing(ground: Ground, ahead: Ahead, dt: float) -> float:
+def _slowing(ground: ExpertTrack, ahead: PredictedState, dt: float) -> float:
     """Acceleration that follows the fall of the safe speed and comes back under it, m/s^2; 0: not needed.
 
     The brake is built up on the way to where the fall begins, and eased off little by little below it: on and

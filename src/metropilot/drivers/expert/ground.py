@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from metropilot.drivers.cruising import Ceiling
-from metropilot.drivers.observer import Model
+from metropilot.control.ceiling import Ceiling
+from metropilot.control.estimator import Model
+from metropilot.env.expert import SEGMENTS, Rules, Stretch, safe_speed
 from metropilot.physics.effort import effort_at
 from metropilot.physics.resistance import felt_slopes
-from metropilot.task.expert import SEGMENTS, Rules, Stretch, safe_speed
 
 STEP_M = 4.0
 SPEED_STEP_MPS = 0.25
@@ -22,7 +22,7 @@ UNDER_MPS = 0.4
 """How far below a lower limit's ceiling the braking for it ends."""
 
 
-class Ground(NamedTuple):
+class ExpertTrack(NamedTuple):
     """Tables of a section, even in position and speed; every number over effective mass.
 
     Attributes:
@@ -90,7 +90,7 @@ class Ground(NamedTuple):
         return Stretch(left, [_between(climb, x / STEP_M) for x in at], [0.5 * v * v for v in caps], end_mps)
 
 
-def ground_of(model: Model, ceiling: Ceiling, rules: Rules) -> Ground:
+def ground_of(model: Model, ceiling: Ceiling, rules: Rules) -> ExpertTrack:
     """Tables of a section for a trainset.
 
     Args:
@@ -106,7 +106,7 @@ def ground_of(model: Model, ceiling: Ceiling, rules: Rules) -> Ground:
     climb = np.concatenate([[0.0], np.cumsum(0.5 * (pull[1:] + pull[:-1]) * STEP_M)])
     speeds = np.arange(0.0, float(vehicle.max_speed_mps) + 3.0, SPEED_STEP_MPS)
     effort = [effort_at(vehicle, np.float64(v)) for v in speeds]
-    return Ground(
+    return ExpertTrack(
         length_m=float(track.length_m),
         climb_jpkg=climb.tolist(),
         downhill_mps2=_downhill(at, climb, float(track.length_m)).tolist(),
@@ -164,6 +164,6 @@ def lead_s(model: Model) -> float:
     return float(model.vehicle.delay_s) + float(model.vehicle.lag_s)
 
 
-def build_up_s(ground: Ground, rate_mps2: float) -> float:
+def build_up_s(ground: ExpertTrack, rate_mps2: float) -> float:
     """Half the time the jerk limit takes for a change of the acceleration, s."""
     return 0.5 * abs(rate_mps2) / ground.jerk_mps3 if math.isfinite(ground.jerk_mps3) else 0.0

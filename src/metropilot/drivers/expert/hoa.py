@@ -1,7 +1,7 @@
 """Station stop by a heuristic online algorithm: the brake's gain is learned and kept for the next stop.
 
 In every control period the deceleration is computed anew that ends at the stop, ``b = v^2 / (2 S)`` with
-the trainset's jerk limit (:mod:`metropilot.drivers.stopping`), and divided by the gain learned so far. The
+the trainset's jerk limit (:mod:`metropilot.control.stopping`), and divided by the gain learned so far. The
 gain is learned twice: in every period from the deceleration that came of the command, and at the balises from
 the speeds at two exact places, ``(v1^2 - v2^2) / (2 (S1 - S2))``.
 
@@ -13,18 +13,18 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from metropilot.drivers.expert.actuation import Actuation, share_of
-from metropilot.drivers.expert.ground import Ground
-from metropilot.drivers.observer import Ahead
-from metropilot.drivers.stopping import (
+from metropilot.control.estimator import PredictedState
+from metropilot.control.stopping import (
     HOLD_MPS2,
     INCH_M,
     RETURN_GAIN,
     STRONGEST_MPS2,
-    Curve,
+    StopCurve,
     required_ahead,
     strongest,
 )
+from metropilot.drivers.expert.actuation import CommandActuation, share_of
+from metropilot.drivers.expert.ground import ExpertTrack
 
 BALISES_M = (64.0, 36.0, 16.0, 4.0, 0.0)
 """Distances of the balises before the stop."""
@@ -85,8 +85,8 @@ class Hoa(NamedTuple):
 
 def felt(
     hoa: Hoa,
-    ground: Ground,
-    actuation: Actuation,
+    ground: ExpertTrack,
+    actuation: CommandActuation,
     state: tuple[float, float, float],
     before_mps2: float,
 ) -> Hoa:
@@ -119,7 +119,7 @@ def felt(
     return found._replace(gain=min(max(gain, GAIN[0]), GAIN[1]), sigma=max(variance**0.5, SETTLED))
 
 
-def _at_balise(hoa: Hoa, ground: Ground, x: float, v: float, work: tuple[float, float]) -> Hoa:
+def _at_balise(hoa: Hoa, ground: ExpertTrack, x: float, v: float, work: tuple[float, float]) -> Hoa:
     """Add up the period's work; at a balise, what came of it since the one before."""
     hoa = hoa._replace(effort_jpkg=hoa.effort_jpkg + work[0], drag_jpkg=hoa.drag_jpkg + work[1])
     if hoa.passed >= len(BALISES_M) or ground.length_m - x > BALISES_M[hoa.passed]:
@@ -133,7 +133,7 @@ def _at_balise(hoa: Hoa, ground: Ground, x: float, v: float, work: tuple[float, 
 
 
 def stop_share(
-    hoa: Hoa, ground: Ground, actuation: Actuation, ahead: Ahead, curve: Curve
+    hoa: Hoa, ground: ExpertTrack, actuation: CommandActuation, ahead: PredictedState, curve: StopCurve
 ) -> tuple[float, bool]:
     """The command of the last braking, and whether it is on.
 

@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from metropilot.drivers.expert.ground import STEP_M, Ground, drops
-from metropilot.drivers.observer import Model
-from metropilot.task.expert import PLAIN, Rules, coasting_s
-from metropilot.task.tables import SPEED_STEP_MPS
-from metropilot.task.to_go import to_go_table
+from metropilot.control.estimator import Model
+from metropilot.drivers.expert.ground import STEP_M, ExpertTrack, drops
+from metropilot.env.expert import PLAIN, Rules, coasting_s
+from metropilot.env.tables import SPEED_STEP_MPS
+from metropilot.env.to_go import to_go_table
 
 SLACK_MPS = 0.3
 SLOW = 1.2
@@ -79,7 +79,7 @@ class Legs(NamedTuple):
         return max(1.0 - leg.after_s / max(whole, leg.after_s + 1e-3), 1e-3)
 
 
-def legs_of(model: Model, ground: Ground, rules: Rules) -> Legs:
+def legs_of(model: Model, ground: ExpertTrack, rules: Rules) -> Legs:
     """The intervals of a section for a trainset that keeps the expert's acceleration.
 
     Args:
@@ -103,7 +103,7 @@ def legs_of(model: Model, ground: Ground, rules: Rules) -> Legs:
     return whole._replace(legs=(*legs, Leg(length, 0.0, 0.0)))
 
 
-def _needs_power(ground: Ground, leg: Leg, rules: Rules) -> bool:
+def _needs_power(ground: ExpertTrack, leg: Leg, rules: Rules) -> bool:
     """Whether a trainset that coasts on from the end of an interval comes to the stop far too late."""
     stretch = ground.stretch(leg.end_m, ground.length_m, 0.0)
     return coasting_s(PLAIN, ground.davis, rules.brake_mps2, leg.end_mps, stretch) > SLOW * leg.after_s
@@ -113,7 +113,7 @@ def _nodes(length_m: float) -> np.ndarray:
     return np.arange(0.0, length_m, STEP_M)
 
 
-def _fastest(ground: Ground, gentle_mps2: float, top_mps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _fastest(ground: ExpertTrack, gentle_mps2: float, top_mps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The minimum-time curve: full traction from a stand, under the highest speeds that keep all limits."""
     at, speed = _nodes(ground.length_m), 0.0
     found = np.zeros_like(at)

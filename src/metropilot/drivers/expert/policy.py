@@ -8,15 +8,15 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from metropilot.drivers.base import AbstractDriver
 from metropilot.drivers.expert.driving import ExpertMemory, Seen, decide, prepared
 from metropilot.drivers.expert.hoa import SETTLED, Hoa
-from metropilot.drivers.policy.loaded import LoadedPolicy, load_driving_policy
 from metropilot.drivers.shipped import PolicyOptions, shipped_policy
+from metropilot.env.expert import PLAIN, features
+from metropilot.env.expert_action import ExpertAction, ExpertChoiceAction
 from metropilot.errors import InputError
-from metropilot.task import Observation, Run
-from metropilot.task.expert import PLAIN, features
-from metropilot.task.expert_action import ExpertAction, ExpertChoiceAction
+from metropilot.policy.loaded import LoadedPolicy, load_driving_policy
+from metropilot.sim import Observation, Run
+from metropilot.sim.driver import AbstractDriver
 
 EARLY_S = 1e-6
 

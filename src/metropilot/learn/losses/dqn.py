@@ -1,7 +1,7 @@
 """Deep Q-learning: double target, prioritised errors, importance weights, action filter.
 
 Sources: Lu23 eqs. 7 to 12; Mnih et al. 2015; van Hasselt et al. 2016; Schaul et al. 2016. The dueling sum
-(Lu23 eq. 10) is part of the network: :func:`metropilot.drivers.policy.networks.dueling`.
+(Lu23 eq. 10) is part of the network: :func:`metropilot.policy.networks.dueling`.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from metropilot.env.registry import CHEN2023A_STOP_MPS2 as STOP_MPS2
 from metropilot.studies.chen2023a.learners import (
     DECISIONS,
     FIRST_COMMAND,
@@ -13,7 +14,6 @@ from metropilot.studies.chen2023a.learners import (
     trials,
 )
 from metropilot.studies.chen2023a.setting import UNASSISTED_TOLERANCE_M
-from metropilot.task.registry import CHEN2023A_STOP_MPS2 as STOP_MPS2
 
 SEEDS = " and ".join(str(seed) for seed in TUNING_SEEDS)
 DONE = ", ".join(f"{NAMES[name]} {len(trials(name))}" for name in LEARNERS)

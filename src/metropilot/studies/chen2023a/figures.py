@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metropilot.studies.chen2023a.learners import NAMES
-from metropilot.studies.chen2023a.measures import Course, Values, band
+from metropilot.studies.chen2023a.measures import DriveCourse, Values, band
 from metropilot.studies.chen2023a.published import THRESHOLD_S
 from metropilot.studies.report import Figure
 
@@ -42,7 +42,7 @@ class Panel:
     span: tuple[float, float] = (0.0, 1.0)
 
 
-def figures(courses: Mapping[str, Sequence[Course]], optimum_kwh: float) -> list[Figure]:
+def figures(courses: Mapping[str, Sequence[DriveCourse]], optimum_kwh: float) -> list[Figure]:
     """The figures, from the courses of every learner's seeds.
 
     Args:
@@ -86,16 +86,16 @@ def figures(courses: Mapping[str, Sequence[Course]], optimum_kwh: float) -> list
     return [made[0], Figure("loss", loss, partial(_draw, courses, _loss)), *made[1:]]
 
 
-def _top(courses: Mapping[str, Sequence[Course]], name: str) -> float:
+def _top(courses: Mapping[str, Sequence[DriveCourse]], name: str) -> float:
     """A little more than nearly all values of a measure."""
     every = [part[name] for mine in courses.values() for one in mine for part in (one.learning, one.driving)]
     return 1.1 * float(np.nanquantile(np.concatenate(every), 0.995))
 
 
-Draw = Callable[["Axes", Sequence[Course], np.ndarray], None]
+Draw = Callable[["Axes", Sequence[DriveCourse], np.ndarray], None]
 
 
-def _draw(courses: Mapping[str, Sequence[Course]], draw: Draw) -> Drawing:
+def _draw(courses: Mapping[str, Sequence[DriveCourse]], draw: Draw) -> Drawing:
     """Three panels side by side."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as New
@@ -126,7 +126,7 @@ def _is_first(axes: Axes) -> bool:
 def _measure(panel: Panel) -> Draw:
     """Draws one measure of one learner."""
 
-    def draw(axes: Axes, mine: Sequence[Course], grid: np.ndarray) -> None:
+    def draw(axes: Axes, mine: Sequence[DriveCourse], grid: np.ndarray) -> None:
         from metropilot.evaluate.style import BLUE, GREY, ORANGE
 
         for kind, colour, width in (("learning", ORANGE, 0.9), ("driving", BLUE, 1.3)):
@@ -147,7 +147,7 @@ def _measure(panel: Panel) -> Draw:
     return draw
 
 
-def _loss(axes: Axes, mine: Sequence[Course], grid: np.ndarray) -> None:
+def _loss(axes: Axes, mine: Sequence[DriveCourse], grid: np.ndarray) -> None:
     """Draws the loss of one learner, around zero in a symmetric logarithm."""
     from metropilot.evaluate.style import BLUE
 
@@ -163,7 +163,7 @@ def _loss(axes: Axes, mine: Sequence[Course], grid: np.ndarray) -> None:
 
 def _band(
     axes: Axes,
-    mine: Sequence[Course],
+    mine: Sequence[DriveCourse],
     values: Sequence[Values],
     grid: np.ndarray,
     look: tuple[str, float, float],

@@ -24,7 +24,7 @@ LAST = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class DriveCourse:
     """How one learning run went, chunk by chunk.
 
     Attributes:
@@ -43,7 +43,7 @@ class Course:
     driving: Mapping[str, Values]
 
 
-def course(result: SeedResult) -> Course:
+def course(result: SeedResult) -> DriveCourse:
     """The course of one run from its history."""
     history = result.history
     seconds = history["length"] * DECISION_S
@@ -56,7 +56,7 @@ def course(result: SeedResult) -> Course:
     names = ("running_time_s", "energy_kwh", "impact_mps3", "stopping_error_m", "arrived")
     driving = {name: history[f"evaluation.{name}"] for name in names}
     driving["return"] = history["evaluation.score"]
-    return Course(np.cumsum(history["episodes"]), history["loss"], learning, driving)
+    return DriveCourse(np.cumsum(history["episodes"]), history["loss"], learning, driving)
 
 
 def converged_at(episodes: Values, running_time_s: Values, returned: Values) -> float | None:
@@ -90,7 +90,7 @@ def final(values: Values) -> float:
 
 
 def band(
-    courses: Sequence[Course], values: Sequence[Values], grid: ndarray
+    courses: Sequence[DriveCourse], values: Sequence[Values], grid: ndarray
 ) -> tuple[ndarray, ndarray, ndarray]:
     """Smallest, median and largest over the seeds on a common grid of episodes.
 

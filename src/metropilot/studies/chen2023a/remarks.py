@@ -13,7 +13,7 @@ from metropilot.studies.chen2023a.published import CONVERGED_AT, PPO_EPISODES, T
 from metropilot.studies.chen2023a.rows import convergences
 
 if TYPE_CHECKING:
-    from metropilot.studies.chen2023a.measures import Course
+    from metropilot.studies.chen2023a.measures import DriveCourse
 
 Courses = Mapping[str, Sequence["Course"]]
 KINDS = ("learning", "driving")
@@ -35,7 +35,7 @@ def remarks(learned: Courses, changed: Courses) -> list[str]:
     return found
 
 
-def _converged(name: str, mine: Sequence[Course]) -> str:
+def _converged(name: str, mine: Sequence[DriveCourse]) -> str:
     """When one learner converged, next to the claim."""
     at = [a for a in convergences(mine, "learning") if a is not None]
     said = f"around episode {CONVERGED_AT[name]:,.0f}" if name in CONVERGED_AT else f"not by {PPO_EPISODES:,}"

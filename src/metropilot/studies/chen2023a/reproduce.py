@@ -10,12 +10,12 @@ from metropilot.studies.chen2023a.deviations import deviations
 from metropilot.studies.chen2023a.figures import figures
 from metropilot.studies.chen2023a.published import EPISODES, PRESCRIBED_S, THRESHOLD_S
 from metropilot.studies.chen2023a.remarks import remarks
-from metropilot.studies.chen2023a.rows import Least, outcome_rows, paper_rows
-from metropilot.studies.report import Report, Row
+from metropilot.studies.chen2023a.rows import LeastEnergy, outcome_rows, paper_rows
+from metropilot.studies.report import ReportRow, StudyReport
 
 if TYPE_CHECKING:
     from metropilot.learn import AbstractConfig
-    from metropilot.studies.chen2023a.measures import Course
+    from metropilot.studies.chen2023a.measures import DriveCourse
     from metropilot.studies.study import Order
 
 ABLATION = "Beyond the paper: what reward scaling changes"
@@ -45,7 +45,7 @@ class Size:
 SIZES = {"quick": Size(1, 1_500, 30), "paper": Size(5, EPISODES, 170, 2, 5_000)}
 
 
-def reproduce(order: Order) -> Report:
+def reproduce(order: Order) -> StudyReport:
     """Do the study.
 
     Args:
@@ -59,7 +59,7 @@ def reproduce(order: Order) -> Report:
     learned = _courses(order, LEARNERS, (size.episodes, size.chunks), seeds)
     least, bounds = _optimum()
     rows = paper_rows(learned, least)
-    changed: Mapping[str, Sequence[Course]] = {}
+    changed: Mapping[str, Sequence[DriveCourse]] = {}
     if size.more_episodes:
         few, short = range(min(len(seeds), size.more_seeds)), (size.more_episodes, size.chunks // 2)
         changed = _courses(order, ablations(), short, few, prefix="ablation-")
@@ -70,7 +70,7 @@ def reproduce(order: Order) -> Report:
     drawn = figures(learned, least(THRESHOLD_S) or 0.0)
     title = "Chen et al. 2023: PPO with reward scaling"
     said = remarks(learned, changed)
-    return Report("chen2023a", title, order.budget, len(seeds), 0.0, rows, drawn, deviations(), said)
+    return StudyReport("chen2023a", title, order.budget, len(seeds), 0.0, rows, drawn, deviations(), said)
 
 
 def _courses(
@@ -81,7 +81,7 @@ def _courses(
     *,
     assisted: bool = True,
     prefix: str = "",
-) -> dict[str, list[Course]]:
+) -> dict[str, list[DriveCourse]]:
     """Learn every one of these with every seed; how each went, by name."""
     from metropilot.studies.chen2023a.learners import jobs, sized
     from metropilot.studies.chen2023a.measures import course
@@ -94,18 +94,18 @@ def _courses(
     return {name: [course(r) for r in results[k * count : (k + 1) * count]] for k, name in enumerate(wanted)}
 
 
-def _optimum() -> tuple[Least, list[Row]]:
+def _optimum() -> tuple[LeastEnergy, list[ReportRow]]:
     """The certified front, and what the last braking of the stop assist costs."""
+    from metropilot.env.optima import optima_of
+    from metropilot.env.registry import CHEN2023A_STOP_MPS2 as STOP_MPS2
     from metropilot.planning import minimum_running_time, optimal_plan
     from metropilot.studies.chen2023a.setting import J_PER_KWH, make_assisted
-    from metropilot.task.optima import optima_of
-    from metropilot.task.registry import CHEN2023A_STOP_MPS2 as STOP_MPS2
 
     (section, trainset), *_ = cases = make_assisted().config.cases
-    least = Least(optima_of(cases))
+    least = LeastEnergy(optima_of(cases))
     gentle = replace(trainset, max_deceleration_mps2=STOP_MPS2)
     rows = [
-        Row(
+        ReportRow(
             BOUNDS,
             "any",
             "flat_out",
@@ -117,9 +117,11 @@ def _optimum() -> tuple[Least, list[Row]]:
     for time_s in (PRESCRIBED_S, THRESHOLD_S):
         case = f"{time_s:g} s"
         rows.append(
-            Row(BOUNDS, case, "optimal", "least energy", "kWh", ours=least(time_s), optimum=least(time_s))
+            ReportRow(
+                BOUNDS, case, "optimal", "least energy", "kWh", ours=least(time_s), optimum=least(time_s)
+            )
         )
         soft = optimal_plan(section, gentle, time_s).energy_wheel_j / J_PER_KWH
         kpi = f"least energy, braking at most {STOP_MPS2:g} m/s²"
-        rows.append(Row(BOUNDS, case, "optimal", kpi, "kWh", ours=float(soft), optimum=least(time_s)))
+        rows.append(ReportRow(BOUNDS, case, "optimal", kpi, "kWh", ours=float(soft), optimum=least(time_s)))
     return least, rows

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metropilot.studies.chen2023a import published
-from metropilot.studies.chen2023a.measures import Course, converged_at, final
-from metropilot.studies.report import Row
+from metropilot.studies.chen2023a.measures import DriveCourse, converged_at, final
+from metropilot.studies.report import ReportRow
 
 if TYPE_CHECKING:
-    from metropilot.task.optima import Optima
+    from metropilot.env.optima import Optima
 
-Courses = Mapping[str, Sequence[Course]]
+Courses = Mapping[str, Sequence[DriveCourse]]
 Bound = Callable[[float], "float | None"]
 AFTER = 4000.0
 """The paper judges the running time from this episode on."""
@@ -28,7 +28,7 @@ ORDER, STOP = "The order of the three", "Stopping error (the paper gives none)"
 
 
 @dataclass(frozen=True, eq=False)
-class Least:
+class LeastEnergy:
     """Certified least energy at a running time, kWh; None where the front does not reach."""
 
     optima: Optima
@@ -39,7 +39,7 @@ class Least:
         return found if np.isfinite(found) else None
 
 
-def paper_rows(courses: Courses, least: Bound) -> list[Row]:
+def paper_rows(courses: Courses, least: Bound) -> list[ReportRow]:
     """Every row that answers a figure of the paper.
 
     Args:
@@ -56,13 +56,13 @@ def paper_rows(courses: Courses, least: Bound) -> list[Row]:
     ]
 
 
-def reward_rows(courses: Courses) -> Iterator[Row]:
+def reward_rows(courses: Courses) -> Iterator[ReportRow]:
     """Whether and when each learner converged, and its final return."""
     for case, kind in KINDS:
         for name, mine in courses.items():
             at = convergences(mine, kind)
             said = case == LEARNING
-            share = Row(
+            share = ReportRow(
                 REWARD,
                 case,
                 name,
@@ -72,50 +72,50 @@ def reward_rows(courses: Courses) -> Iterator[Row]:
             )
             yield share.measured([float(np.mean([a is not None for a in at]))])
             when = published.CONVERGED_AT.get(name) if said else None
-            row = Row(REWARD, case, name, "episodes to converge (of those that did)", "episodes", when)
+            row = ReportRow(REWARD, case, name, "episodes to converge (of those that did)", "episodes", when)
             yield row.measured(there) if (there := [a for a in at if a is not None]) else row
             returns = [final(getattr(one, kind)["return"]) for one in mine]
-            yield Row(REWARD, case, name, "final return", "").measured(returns)
+            yield ReportRow(REWARD, case, name, "final return", "").measured(returns)
 
 
-def convergences(mine: Sequence[Course], kind: str) -> list[float | None]:
+def convergences(mine: Sequence[DriveCourse], kind: str) -> list[float | None]:
     """Episodes after which each seed had converged."""
     parts = [(one.episodes, getattr(one, kind)) for one in mine]
     return [converged_at(episodes, part["running_time_s"], part["return"]) for episodes, part in parts]
 
 
-def loss_rows(courses: Courses) -> Iterator[Row]:
+def loss_rows(courses: Courses) -> Iterator[ReportRow]:
     """How much the loss still moves at the end, against its size at first."""
     for name, mine in courses.items():
-        row = Row(LOSS, "first tenth of the learning", name, "median size of the loss", "")
+        row = ReportRow(LOSS, "first tenth of the learning", name, "median size of the loss", "")
         yield row.measured([_loss(one, 0) for one in mine])
-        row = Row(LOSS, "last tenth of the learning", name, "median size of the loss", "")
+        row = ReportRow(LOSS, "last tenth of the learning", name, "median size of the loss", "")
         yield row.measured([_loss(one, 1) for one in mine])
 
 
-def _loss(one: Course, end: int) -> float:
+def _loss(one: DriveCourse, end: int) -> float:
     """Median size over the first (0) or last (1) tenth of the chunks."""
     count = max(1, one.loss.size // 10)
     return float(np.nanmedian(np.abs(one.loss[-count:] if end else one.loss[:count])))
 
 
-def time_rows(courses: Courses) -> Iterator[Row]:
+def time_rows(courses: Courses) -> Iterator[ReportRow]:
     """Final running time, and how often it is at most 88 s after 4000 episodes."""
     for case, kind in KINDS:
         for name, mine in courses.items():
             times = [final(getattr(one, kind)["running_time_s"]) for one in mine]
-            yield Row(TIME, case, name, "final running time", "s").measured(times)
+            yield ReportRow(TIME, case, name, "final running time", "s").measured(times)
             said = "share of chunks after 4000 episodes within 88 s"
-            yield Row(TIME, case, name, said, "").measured([_kept(one, kind) for one in mine])
+            yield ReportRow(TIME, case, name, said, "").measured([_kept(one, kind) for one in mine])
 
 
-def _kept(one: Course, kind: str) -> float:
+def _kept(one: DriveCourse, kind: str) -> float:
     """Share of the chunks after 4000 episodes (or half of a shorter run) within the threshold."""
     late = one.episodes > min(AFTER, 0.5 * float(one.episodes[-1]))
     return float(np.mean(getattr(one, kind)["running_time_s"][late] <= published.THRESHOLD_S))
 
 
-def energy_rows(courses: Courses, least: Bound) -> Iterator[Row]:
+def energy_rows(courses: Courses, least: Bound) -> Iterator[ReportRow]:
     """Final energy of the policy beside the certified optimum in the same running time."""
     for name, mine in courses.items():
         arrived = [one for one in mine if final(one.driving["arrived"]) > 0.5]
@@ -123,24 +123,24 @@ def energy_rows(courses: Courses, least: Bound) -> Iterator[Row]:
         best = [least(final(one.driving["running_time_s"])) for one in arrived]
         known = [(e, b) for e, b in zip(used, best, strict=True) if b is not None]
         optimum = float(np.median([b for _, b in known])) if known else None
-        row = Row(ENERGY, DRIVING, name, "final energy", "kWh", optimum=optimum)
+        row = ReportRow(ENERGY, DRIVING, name, "final energy", "kWh", optimum=optimum)
         yield row.measured(used) if used else row
-        row = Row(ENERGY, DRIVING, name, "above the optimum in the same running time", "%")
+        row = ReportRow(ENERGY, DRIVING, name, "above the optimum in the same running time", "%")
         yield row.measured([100.0 * (e / b - 1.0) for e, b in known]) if known else row
     for name, mine in courses.items():
-        row = Row(ENERGY, LEARNING, name, "final energy", "kWh")
+        row = ReportRow(ENERGY, LEARNING, name, "final energy", "kWh")
         yield row.measured([final(one.learning["energy_kwh"]) for one in mine])
 
 
-def impact_rows(courses: Courses) -> Iterator[Row]:
+def impact_rows(courses: Courses) -> Iterator[ReportRow]:
     """Final mean impact rate."""
     for case, kind in KINDS:
         for name, mine in courses.items():
             values = [final(getattr(one, kind)["impact_mps3"]) for one in mine]
-            yield Row(IMPACT, case, name, "final mean impact rate", "m/s³").measured(values)
+            yield ReportRow(IMPACT, case, name, "final mean impact rate", "m/s³").measured(values)
 
 
-def order_rows(courses: Courses) -> Iterator[Row]:
+def order_rows(courses: Courses) -> Iterator[ReportRow]:
     """Place of each learner's median: 1 uses most energy, or has the highest impact rate."""
     for kpi, order in (("energy_kwh", published.ENERGY_ORDER), ("impact_mps3", published.IMPACT_ORDER)):
         for case, kind in KINDS:
@@ -154,28 +154,28 @@ def order_rows(courses: Courses) -> Iterator[Row]:
             )
             for name in courses:
                 said = order.index(name) + 1.0 if case == LEARNING and name in order else None
-                yield Row(ORDER, case, name, words, "", said).measured([ours.index(name) + 1.0])
+                yield ReportRow(ORDER, case, name, words, "", said).measured([ours.index(name) + 1.0])
 
 
-def stop_rows(courses: Courses) -> Iterator[Row]:
+def stop_rows(courses: Courses) -> Iterator[ReportRow]:
     """How far from the stop the policies stand at last."""
     for name, mine in courses.items():
         errors = [final(one.driving["stopping_error_m"]) for one in mine]
-        yield Row(STOP, DRIVING, name, "final stopping error", "m").measured(errors)
+        yield ReportRow(STOP, DRIVING, name, "final stopping error", "m").measured(errors)
 
 
-def outcome_rows(table: str, courses: Courses) -> Iterator[Row]:
+def outcome_rows(table: str, courses: Courses) -> Iterator[ReportRow]:
     """For comparisons beyond the paper: whether, when and how well, one learner or variant a case."""
     for case, mine in courses.items():
         driver = "ddpg" if "ddpg" in case else "ppo_scaled" if "scaled" in case else "ppo"
         at = convergences(mine, "learning")
-        share = Row(table, case, driver, "share of seeds converged", "")
+        share = ReportRow(table, case, driver, "share of seeds converged", "")
         yield share.measured([float(np.mean([a is not None for a in at]))])
         if there := [a for a in at if a is not None]:
-            yield Row(table, case, driver, "episodes to converge (of those that did)", "episodes").measured(
-                there
-            )
+            yield ReportRow(
+                table, case, driver, "episodes to converge (of those that did)", "episodes"
+            ).measured(there)
         returns = [final(one.driving["return"]) for one in mine]
-        yield Row(table, case, driver, "final return of the policy itself", "").measured(returns)
+        yield ReportRow(table, case, driver, "final return of the policy itself", "").measured(returns)
         times = [final(one.driving["running_time_s"]) for one in mine]
-        yield Row(table, case, driver, "final running time", "s").measured(times)
+        yield ReportRow(table, case, driver, "final running time", "s").measured(times)

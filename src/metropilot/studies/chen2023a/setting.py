@@ -8,10 +8,10 @@ from metropilot.errors import InputError
 from metropilot.studies.chen2023a.published import PRESCRIBED_S, THRESHOLD_S
 
 if TYPE_CHECKING:
-    from metropilot.drivers.policy.networks import Params
+    from metropilot.env import AbstractTask, DrivingTask
     from metropilot.learn import AbstractConfig
     from metropilot.learn.loop import Evaluate
-    from metropilot.task import AbstractTask, DrivingTask
+    from metropilot.policy.networks import Params
 
     Array = Any
 
@@ -27,14 +27,15 @@ def make_assisted() -> DrivingTask:
 
     The last braking to the stop point and the speed limit are kept by the assists; see the deviations.
     """
-    from metropilot.task import make_task
+    from metropilot.env import make_task
 
     return make_task("chen2023a")
 
 
 def make_unassisted() -> DrivingTask:
     """The same where the policy must brake to a stand by itself, within 5 m of the stop."""
-    from metropilot.task import Assists, OutcomeRule, make_task
+    from metropilot.env import Assists, make_task
+    from metropilot.sim import OutcomeRule
 
     rule = OutcomeRule(tolerance_m=UNASSISTED_TOLERANCE_M)
     return make_task("chen2023a", assists=Assists(stop=False), outcomes=rule)
@@ -58,9 +59,10 @@ def measured(config: AbstractConfig, task: AbstractTask) -> Evaluate:
     import jax
     import jax.numpy as jnp
 
-    from metropilot.learn import act
+    from metropilot.env import DrivingTask, episode_of, starts
     from metropilot.learn.registry import make_learner
-    from metropilot.task import CODES, DrivingTask, Outcome, episode_of, starts
+    from metropilot.policy import act
+    from metropilot.sim import CODES, Outcome
 
     if not isinstance(task, DrivingTask):
         raise InputError("not a driving task", field="task", value=type(task).__name__)

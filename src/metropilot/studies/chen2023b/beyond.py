@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from metropilot.drivers.followers import AbstractFollower
-from metropilot.evaluate.convoy_campaign import Arena, Campaign
-from metropilot.evaluate.convoy_drive import drive_convoy
-from metropilot.evaluate.convoy_headway import Service, needed_gap_m
-from metropilot.evaluate.convoy_stability import speed_gains
+from metropilot.convoy.attack import Arena, AttackCampaign
+from metropilot.convoy.drivers import AbstractFollower
+from metropilot.convoy.headway import ConvoyService, needed_gap_m
+from metropilot.convoy.model import GAP_M
+from metropilot.convoy.rollout import drive_convoy
+from metropilot.convoy.stability import speed_gains
 from metropilot.studies.chen2023b.kept import identity, kept
 from metropilot.studies.chen2023b.setting import head_run, pair
-from metropilot.studies.report import Row
-from metropilot.task.convoy_members import GAP_M
+from metropilot.studies.report import ReportRow
 
 TABLE = "Beyond the paper: "
 SWINGS = {"quick": (3, (6.0, 16.0)), "paper": (5, (4.0, 6.0, 10.0, 16.0, 25.0, 40.0))}
@@ -31,7 +31,9 @@ CAMPAIGNS = {
 SPEED_MPS = 60.0 / 3.6
 
 
-def rough_rows(followers: Mapping[str, AbstractFollower], counts: Sequence[int], folder: Path) -> list[Row]:
+def rough_rows(
+    followers: Mapping[str, AbstractFollower], counts: Sequence[int], folder: Path
+) -> list[ReportRow]:
     """The same policy in longer convoys, with other masses and a bad link; kept, each run by itself."""
     rows = []
     for count in counts:
@@ -43,7 +45,7 @@ def rough_rows(followers: Mapping[str, AbstractFollower], counts: Sequence[int],
             case = f"{count} trainsets, masses ±20 %, delay 0.3 s, loss 10 %"
             kpis = ("contacts", ""), ("smallest gap", "m"), ("largest gap", "m"), ("interventions", "")
             rows += [
-                Row(TABLE + "the same policy, disturbed", case, name, *kpi).measured([value])
+                ReportRow(TABLE + "the same policy, disturbed", case, name, *kpi).measured([value])
                 for kpi, value in zip(kpis, values, strict=True)
             ]
     return rows
@@ -75,10 +77,10 @@ def _gains(follower: AbstractFollower, count: int, periods: Sequence[float]) -> 
     return speed_gains(pair(count, guard="none"), follower, periods).tolist()
 
 
-def stability_rows(gains: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> list[Row]:
+def stability_rows(gains: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> list[ReportRow]:
     """Largest gain between neighbours, over all swings."""
     return [
-        Row(
+        ReportRow(
             TABLE + "string stability",
             f"{values.shape[1]} trainsets, no protection, swings of {times[0]:g} to {times[-1]:g} s",
             name,
@@ -89,21 +91,21 @@ def stability_rows(gains: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> list[R
     ]
 
 
-def campaign_rows(budget: str, folder: Path) -> list[Row]:
+def campaign_rows(budget: str, folder: Path) -> list[ReportRow]:
     """Emergency brakes of the head at any moment, followers that mean harm; kept bit by bit."""
     rows = []
     for count, guard, cases in CAMPAIGNS[budget]:
-        found = _attacked(Campaign(count=count, guard=guard), cases, folder)
+        found = _attacked(AttackCampaign(count=count, guard=guard), cases, folder)
         case = f"{count} trainsets, {cases:,} emergency brakes of the head"
         table, who = TABLE + "trying to make them collide", f"protection {guard}"
         rows += [
-            Row(table, case, who, CONTACTS, "").measured([float(sum(each[0] for each in found))]),
-            Row(table, case, who, "smallest gap", "m").measured([min(each[1] for each in found)]),
+            ReportRow(table, case, who, CONTACTS, "").measured([float(sum(each[0] for each in found))]),
+            ReportRow(table, case, who, "smallest gap", "m").measured([min(each[1] for each in found)]),
         ]
     return rows
 
 
-def _attacked(campaign: Campaign, cases: int, folder: Path) -> list[list[float]]:
+def _attacked(campaign: AttackCampaign, cases: int, folder: Path) -> list[list[float]]:
     """Contacts and smallest gap of every sitting of a campaign."""
     arena: list[Arena] = []
     sitting = min(SITTING, cases)
@@ -122,7 +124,7 @@ def _attacked(campaign: Campaign, cases: int, folder: Path) -> list[list[float]]
     return found
 
 
-def capacity_rows() -> list[Row]:
+def capacity_rows() -> list[ReportRow]:
     """Trainsets an hour: moving block, and coupled convoys behind each other under it."""
     rows = []
     single = pair(2)
@@ -130,15 +132,15 @@ def capacity_rows() -> list[Row]:
     for guard in ("moving_block", "independent", "coupled"):
         gap = needed_gap_m(single, guard, SPEED_MPS)
         case, who = "steady 60 km/h, level link", f"protection {guard}"
-        rows.append(Row(TABLE + "gap that protection needs", case, who, "gap", "m").measured([gap]))
+        rows.append(ReportRow(TABLE + "gap that protection needs", case, who, "gap", "m").measured([gap]))
     for count in (1, 2, 4, 8):
         convoy = pair(max(count, 2))
         inside = max(GAP_M, needed_gap_m(convoy, "coupled", SPEED_MPS))
-        service = Service(count, convoy.trainsets[0].length_m, inside, apart, SPEED_MPS)
+        service = ConvoyService(count, convoy.trainsets[0].length_m, inside, apart, SPEED_MPS)
         who, table = "moving block" if count == 1 else f"convoys of {count}", TABLE + "trainsets an hour"
         for case, value in (
             ("plain line, 60 km/h", service.line_per_h),
             ("platform as long as a convoy, 30 s dwell", service.platform_per_h),
         ):
-            rows.append(Row(table, case, who, "trainsets", "1/h").measured([value]))
+            rows.append(ReportRow(table, case, who, "trainsets", "1/h").measured([value]))
     return rows

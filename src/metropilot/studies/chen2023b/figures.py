@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from metropilot.evaluate.convoy_drive import ConvoyDrive
+from metropilot.convoy.rollout import ConvoyDrive
 from metropilot.evaluate.style import BLACK, GREY, SERIES
 from metropilot.studies.chen2023b.setting import PUBLISHED
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from metropilot.drivers.followers import AbstractFollower
-from metropilot.drivers.followers.learned import AbstractGainFollower
+from metropilot.convoy.drivers import AbstractFollower
+from metropilot.convoy.drivers.learned import AbstractGainFollower
 
 
 def kept(folder: Path, name: str, about: Mapping[str, Any], make: Callable[[], Any]) -> Any:  # noqa: ANN401
@@ -23,7 +23,7 @@ def kept(folder: Path, name: str, about: Mapping[str, Any], make: Callable[[], A
         about: Plain values that identify it; a change makes it anew.
         make: Makes it.
     """
-    from metropilot.railway.whole_file import write_whole
+    from metropilot._io import atomic_write
 
     path, wanted = folder / "parts" / f"{name}.json", json.loads(json.dumps(dict(about)))
     try:
@@ -34,7 +34,7 @@ def kept(folder: Path, name: str, about: Mapping[str, Any], make: Callable[[], A
         pass
     value = make()
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, lambda partial: partial.write_text(json.dumps({"about": wanted, "value": value})))
+    atomic_write(path, lambda partial: partial.write_text(json.dumps({"about": wanted, "value": value})))
     return value
 
 

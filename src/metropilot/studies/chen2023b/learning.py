@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from metropilot.convoy.env import ConvoyTask, ConvoyTaskConfig
 from metropilot.studies.learning import LearnJob
-from metropilot.task.convoy import ConvoyTask, ConvoyTaskConfig
 
 if TYPE_CHECKING:
+    from metropilot.env.interface import AbstractTask
     from metropilot.learn import AbstractConfig
-    from metropilot.task.interface import AbstractTask
 
 NAMES = {"sac": "sac_pid", "ddpg": "ddpg_pid_follow"}
 ETAS = {"soft": (100.0, 200.0), "paper": (1000.0, 1000.0)}
@@ -66,9 +66,9 @@ def evaluation(algorithm: str, budget: str, made: AbstractTask) -> Callable[[Any
     import jax
     import jax.numpy as jnp
 
-    from metropilot.drivers.policy import act
+    from metropilot.convoy.env import ROWS
     from metropilot.learn.registry import make_learner
-    from metropilot.task.convoy import ROWS
+    from metropilot.policy import act
 
     if not isinstance(made, ConvoyTask):
         raise TypeError("the task of following is evaluated here")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from metropilot.convoy.model import GAP_M
 from metropilot.studies.chen2023b.beyond import CONTACTS
 from metropilot.studies.chen2023b.setting import PUBLISHED
-from metropilot.studies.report import Row
-from metropilot.task.convoy_members import GAP_M
+from metropilot.studies.report import ReportRow
 
 DEVIATIONS = (
     (
@@ -49,7 +49,7 @@ LAST_RETURN = "return of an episode, last quarter of learning"
 Found = Mapping[tuple[str, str], float]
 
 
-def remarks(rows: Sequence[Row]) -> list[str]:
+def remarks(rows: Sequence[ReportRow]) -> list[str]:
     """What the numbers say, in words that follow them."""
     value = {(row.driver, row.kpi): float(row.ours or 0.0) for row in rows if row.table == "Figs. 7 to 9"}
     value |= {(row.driver, row.kpi): float(row.ours or 0.0) for row in rows if row.table == "Figs. 3 to 6"}
@@ -106,7 +106,7 @@ def _ddpg(gap: Mapping[str, tuple[float, float]], value: Found) -> str:
     return f"{said}; its return {word} from {first:.1f} to {last:.1f} while it learns. In the paper it fails."
 
 
-def _attacked(rows: Sequence[Row]) -> list[str]:
+def _attacked(rows: Sequence[ReportRow]) -> list[str]:
     """What the campaign says of protection and of what is without it."""
     found = [row for row in rows if row.kpi == CONTACTS]
     guarded = [row for row in found if row.driver != "protection none"]
@@ -120,5 +120,5 @@ def _attacked(rows: Sequence[Row]) -> list[str]:
     return [f"{said}. Most followers of the campaign mean harm."]
 
 
-def _cases(row: Row) -> int:
+def _cases(row: ReportRow) -> int:
     return int(row.case.split()[2].replace(",", ""))

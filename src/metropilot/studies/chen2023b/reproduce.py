@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from metropilot.drivers.followers import FOLLOWERS, AbstractFollower
-from metropilot.drivers.followers.learned import FollowPolicyOptions
+from metropilot.convoy.drivers import FOLLOWERS, AbstractFollower
+from metropilot.convoy.drivers.learned import FollowPolicyOptions
+from metropilot.convoy.rollout import ConvoyDrive, drive_convoy
 from metropilot.errors import InputError
-from metropilot.evaluate.convoy_drive import ConvoyDrive, drive_convoy
 from metropilot.studies.chen2023b import figures
 from metropilot.studies.chen2023b.beyond import (
     campaign_rows,
@@ -23,7 +23,7 @@ from metropilot.studies.chen2023b.beyond import (
 from metropilot.studies.chen2023b.learning import ETAS, NAMES, jobs
 from metropilot.studies.chen2023b.remarks import DEVIATIONS, FIRST_RETURN, LAST_RETURN, remarks
 from metropilot.studies.chen2023b.setting import PUBLISHED, SIMPLE, head_run, pair
-from metropilot.studies.report import Figure, Report, Row
+from metropilot.studies.report import Figure, ReportRow, StudyReport
 from metropilot.studies.study import Order, Study
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ WORDS = {
 CASE = "2 trainsets, YZQ–WHY"
 
 
-def reproduce(order: Order) -> Report:
+def reproduce(order: Order) -> StudyReport:
     """Figures 3 to 9 and beyond; quick: figures 7 to 9 with the shipped policies, nothing learned."""
     seeds = order.choose_seeds(quick=1, paper=5)
     runs = {} if _shipped(order) else _learned(order, seeds)
@@ -55,7 +55,7 @@ def reproduce(order: Order) -> Report:
     rows += stability_rows(gains)
     order.say("attacking")
     rows += campaign_rows(order.budget, order.folder) + capacity_rows()
-    return Report(
+    return StudyReport(
         study="chen2023b",
         title=STUDY.title,
         budget=order.budget,
@@ -102,8 +102,8 @@ def _shipped(order: Order) -> bool:
 
 def _drivers(order: Order, runs: dict[str, list[SeedResult]]) -> dict[str, list[AbstractFollower]]:
     """Every follower: learned ones as shipped, or one a seed; the others once."""
-    from metropilot.drivers.followers.ddpg_pid_follow import DdpgPidFollow
-    from metropilot.drivers.followers.sac_pid import SacPid
+    from metropilot.convoy.drivers.ddpg_pid_follow import DdpgPidFollow
+    from metropilot.convoy.drivers.sac_pid import SacPid
 
     kinds: dict[str, Any] = {"sac": SacPid, "ddpg": DdpgPidFollow}
     made: dict[str, list[AbstractFollower]] = {}
@@ -121,7 +121,7 @@ def _driven(follower: AbstractFollower) -> ConvoyDrive:
     return drive_convoy(pair(), head_run(), follower)
 
 
-def _rows(name: str, drives: Sequence[ConvoyDrive]) -> list[Row]:
+def _rows(name: str, drives: Sequence[ConvoyDrive]) -> list[ReportRow]:
     """Figures 8 and 9 in numbers."""
     values = {
         "gap_min_m": [drive.gap_m.min() for drive in drives],
@@ -131,24 +131,31 @@ def _rows(name: str, drives: Sequence[ConvoyDrive]) -> list[Row]:
     rows = []
     for key, measured in values.items():
         published = PUBLISHED[key] if name == "sac_pid" else None
-        rows.append(Row("Figs. 7 to 9", CASE, name, *WORDS[key], published=published).measured(measured))
+        rows.append(
+            ReportRow("Figs. 7 to 9", CASE, name, *WORDS[key], published=published).measured(measured)
+        )
     overruled = [float(sum(drive.interventions)) for drive in drives]
-    return [*rows, Row("Figs. 7 to 9", CASE, name, "interventions of protection", "").measured(overruled)]
+    return [
+        *rows,
+        ReportRow("Figs. 7 to 9", CASE, name, "interventions of protection", "").measured(overruled),
+    ]
 
 
-def _learning_rows(runs: dict[str, list[SeedResult]], budget: str) -> list[Row]:
+def _learning_rows(runs: dict[str, list[SeedResult]], budget: str) -> list[ReportRow]:
     """What learning took and came to."""
     rows = []
     for algorithm, each in runs.items():
         name, table = NAMES[algorithm], "Figs. 3 to 6"
         rows += [
-            Row(table, budget, name, "mean largest gap error behind 24 heads", "m").measured(
+            ReportRow(table, budget, name, "mean largest gap error behind 24 heads", "m").measured(
                 float(np.nanmin(run.history["evaluation.gap_error_m"])) for run in each
             ),
-            Row(table, budget, name, FIRST_RETURN, "").measured(_returns(run)[0] for run in each),
-            Row(table, budget, name, LAST_RETURN, "").measured(_returns(run)[1] for run in each),
-            Row(table, budget, name, "learning time, one core", "s").measured(run.seconds for run in each),
-            Row(table, budget, name, "compilation", "s").measured(run.compile_seconds for run in each),
+            ReportRow(table, budget, name, FIRST_RETURN, "").measured(_returns(run)[0] for run in each),
+            ReportRow(table, budget, name, LAST_RETURN, "").measured(_returns(run)[1] for run in each),
+            ReportRow(table, budget, name, "learning time, one core", "s").measured(
+                run.seconds for run in each
+            ),
+            ReportRow(table, budget, name, "compilation", "s").measured(run.compile_seconds for run in each),
         ]
     return rows
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from metropilot.evaluate.convoy_drive import HeadRun
+from metropilot.convoy.leaders import record, reference_speeds
+from metropilot.convoy.link import Link
+from metropilot.convoy.model import Convoy, Guard
+from metropilot.convoy.rollout import HeadRun
 from metropilot.planning.references import ReferenceShape, reference_for_time
 from metropilot.railway import load_line, load_trainset
-from metropilot.task import Outcome
-from metropilot.task.convoy_leaders import record, reference_speeds
-from metropilot.task.convoy_link import Link
-from metropilot.task.convoy_members import Convoy, Guard
+from metropilot.sim import Outcome
 
 LINE, ORIGIN, DESTINATION, TRAINSET, TIME_S = "yizhuang", "YZQ", "WHY", "cheng2023", 100.0
 SHAPE = ReferenceShape(0.65, 0.65, 0.5)

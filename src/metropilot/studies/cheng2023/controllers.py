@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from metropilot.control.incremental_pid import CHENG2023_GAINS, Errors, Gains, incremental_pid
 from metropilot.drivers.ddpg_pid import ddpg_pid
 from metropilot.drivers.fuzzy_pid import ASSUMED, Universes, fuzzy_pid
-from metropilot.drivers.neural_pid import TEXTBOOK, Rates, fresh_network, neural_pid
+from metropilot.drivers.neural_pid import TEXTBOOK, LearningRates, fresh_network, neural_pid
 from metropilot.evaluate.tracking import Control
-from metropilot.task.incremental_pid import CHENG2023_GAINS, Errors, Gains, incremental_pid
 
 Start = tuple[Control, Any]
 """A controller and its memory at the start."""
@@ -50,7 +50,7 @@ def fuzzy(gains: Gains, universes: Universes) -> Start:
     return control, NO_ERRORS
 
 
-def neural(gains: Gains, rates: Rates, seed: int) -> Start:
+def neural(gains: Gains, rates: LearningRates, seed: int) -> Start:
     """Gains from a network that learns online."""
 
     def control(memory: Any, seen: Any) -> tuple[Any, Any]:  # noqa: ANN401 (arrays)
@@ -79,7 +79,7 @@ def contestants(
     """
     by_hand, p, f, n = CHENG2023_GAINS, tuned["pid"], tuned["fuzzy_pid"], tuned["neural_pid"]
     universes = Universes(f["error_mps"], f["change_mps"], f["kp_span"], f["ki_span"], f["kd_span"])
-    rates = Rates(n["learning_rate"], n["momentum"], n["error_mps"])
+    rates = LearningRates(n["learning_rate"], n["momentum"], n["error_mps"])
     return (
         Contestant("pid", "pid", lambda seed: pid(by_hand)),  # noqa: ARG005 (nothing random)
         Contestant("pid tuned", "", lambda seed: pid(_gains(p))),  # noqa: ARG005 (nothing random)

@@ -8,11 +8,12 @@ from functools import cache
 
 import numpy as np
 
+from metropilot.env.tracking import ReferenceCourse, course_of
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import PlanOptions, ReferenceShape, plan_arrays, reference
 from metropilot.planning.timed_reference import (
-    Ground,
+    ReferenceTrack,
     TimedReference,
     reference_under,
     sampled,
@@ -20,7 +21,6 @@ from metropilot.planning.timed_reference import (
 )
 from metropilot.railway import Section, Trainset, load_line, load_trainset
 from metropilot.railway.profile import Steps
-from metropilot.task.tracking import Course, course_of
 
 DT_S = 0.2
 LENGTH_M = 1280.0
@@ -99,10 +99,10 @@ def reference_of(kind: str, speed: str = "base") -> TimedReference:
         return sampled_profile(plan.position_m, plan.speed_mps, DT_S)
     shape = GENTLE if kind == "gentle" else SHAPE
     shape = replace(shape, jerk_mps3=math.inf) if kind == "trapezoid" else shape
-    return reference_under(Ground(vehicle, track, effort_share=EFFORT_SHARE), shape, cruise, DT_S)
+    return reference_under(ReferenceTrack(vehicle, track, effort_share=EFFORT_SHARE), shape, cruise, DT_S)
 
 
-def course(kind: str = "s_curve", scenario: int = 1) -> Course:
+def course(kind: str = "s_curve", scenario: int = 1) -> ReferenceCourse:
     """What is tracked in a scenario."""
     speed, factor = SCENARIOS[scenario]
     return course_of(trainset(), section(), reference_of(kind, speed), factor)

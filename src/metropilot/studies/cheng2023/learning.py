@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from metropilot.control.incremental_pid import Errors
+from metropilot.env.tracking_task import TrackingConfig, TrackingRewards, TrackingTask
 from metropilot.studies.cheng2023.courses import course
-from metropilot.task.incremental_pid import Errors
-from metropilot.task.tracking_task import TrackingConfig, TrackingRewards, TrackingTask
 
 if TYPE_CHECKING:
+    from metropilot.env.interface import AbstractTask
     from metropilot.learn import DDPGConfig
-    from metropilot.task.interface import AbstractTask
 
 REWARDS = TrackingRewards(
     weights=(0.2, 0.2, 4.0, 0.2, 0.2),
@@ -58,9 +58,9 @@ def evaluation(made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
     import jax.numpy as jnp
 
     from metropilot.drivers.ddpg_pid import ddpg_pid
-    from metropilot.drivers.policy import act
     from metropilot.evaluate.tracking import track_compiled, tracking_kpis, tracking_score
     from metropilot.learn.registry import make_learner
+    from metropilot.policy import act
 
     if not isinstance(made, TrackingTask):
         raise TypeError("the tracking task is evaluated here")

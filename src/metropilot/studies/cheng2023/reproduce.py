@@ -14,7 +14,7 @@ from metropilot.studies.cheng2023.courses import REFERENCES, SCENARIOS, course
 from metropilot.studies.cheng2023.figures import figures
 from metropilot.studies.cheng2023.remarks import DEVIATIONS, remarks
 from metropilot.studies.cheng2023.tuned import TUNED
-from metropilot.studies.report import Report, Row
+from metropilot.studies.report import ReportRow, StudyReport
 from metropilot.studies.study import Order
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ SEEDS = 5
 TITLE = "Tracking a reference: DDPG-PID against PID, fuzzy and neural PID (Cheng et al. 2023)"
 
 
-def reproduce(order: Order) -> Report:
+def reproduce(order: Order) -> StudyReport:
     """Tables 1, 3 and 4 and figures 7 to 10.
 
     The budget ``quick`` takes the policy and the parameters that are shipped; ``paper`` learns and searches
@@ -38,14 +38,14 @@ def reproduce(order: Order) -> Report:
     everybody = contestants(tuned, policies)
     measured, records = _raced(everybody, kind, tuple(policies))
     published = {c.driver: c.published if kind == "s_curve" else "" for c in everybody}
-    found: list[Row] = [
+    found: list[ReportRow] = [
         *table.table_1(measured, published),
         *table.table_3(measured),
         *table.table_4(measured),
     ]
     found += [*table.margins(measured), *_elsewhere(everybody, tuple(policies), kind)]
     order.say(f"{len(everybody)} drivers tracked {len(SCENARIOS)} scenarios")
-    return Report(
+    return StudyReport(
         study="cheng2023",
         title=TITLE,
         budget=order.budget,
@@ -103,7 +103,7 @@ def _raced(
     return measured, records
 
 
-def _elsewhere(everybody: tuple[Contestant, ...], seeds: tuple[int, ...], kind: str) -> list[Row]:
+def _elsewhere(everybody: tuple[Contestant, ...], seeds: tuple[int, ...], kind: str) -> list[ReportRow]:
     """The base scenario on every other reference: totals, parking, jerk."""
     found = []
     for other in REFERENCES:
@@ -118,6 +118,8 @@ def _elsewhere(everybody: tuple[Contestant, ...], seeds: tuple[int, ...], kind: 
                 ("parking_m", "parking error", "m"),
                 ("jerk_mps3", "jerk over 2 s", "m/s3"),
             ):
-                row = Row("Other references (beyond the paper)", REFERENCES[other], one.driver, words, unit)
+                row = ReportRow(
+                    "Other references (beyond the paper)", REFERENCES[other], one.driver, words, unit
+                )
                 found.append(row.measured(table.values(kpis, field)))
     return found

@@ -10,7 +10,7 @@ import numpy as np
 from metropilot.evaluate.tracking import TrackingKpis
 from metropilot.studies.cheng2023.courses import NAMES, optimal_kwh
 from metropilot.studies.cheng2023.published import KPIS, TABLE_1, TABLE_3, TABLE_4
-from metropilot.studies.report import Row
+from metropilot.studies.report import ReportRow
 
 Measured = Mapping[tuple[str, int], Sequence[TrackingKpis]]
 """KPIs of each driver in each scenario, one entry a seed."""
@@ -32,31 +32,31 @@ def optimum(field: str, scenario: int) -> float | None:
     return optimal_kwh(scenario) if field == "energy_kwh" else None
 
 
-def table_1(measured: Measured, published: Mapping[str, str]) -> list[Row]:
+def table_1(measured: Measured, published: Mapping[str, str]) -> list[ReportRow]:
     """Every driver in the base scenario."""
     rows = []
     for driver, whose in published.items():
         numbers = TABLE_1.get(whose, (None,) * len(KPIS))
         for (field, words, unit), number in zip(KPIS, numbers, strict=True):
-            row = Row("Table 1", NAMES[1], driver, words, unit, number, optimum=optimum(field, 1))
+            row = ReportRow("Table 1", NAMES[1], driver, words, unit, number, optimum=optimum(field, 1))
             rows.append(row.measured(values(measured[driver, 1], field)))
     return rows
 
 
-def table_3(measured: Measured) -> list[Row]:
+def table_3(measured: Measured) -> list[ReportRow]:
     """DDPG-PID under other resistances, not learned again; the tuned PID beside it."""
     rows = []
     for scenario, numbers in TABLE_3.items():
         for driver in ("ddpg_pid", "pid tuned"):
             for (field, words, unit), number in zip(KPIS, numbers, strict=True):
                 given = number if driver == "ddpg_pid" else None
-                row = Row("Table 3", NAMES[scenario], driver, words, unit, given)
+                row = ReportRow("Table 3", NAMES[scenario], driver, words, unit, given)
                 row = replace(row, optimum=optimum(field, scenario))
                 rows.append(row.measured(values(measured[driver, scenario], field)))
     return rows
 
 
-def table_4(measured: Measured) -> list[Row]:
+def table_4(measured: Measured) -> list[ReportRow]:
     """DDPG-PID on other references, not learned again; averages instead of totals."""
     rows = []
     for scenario, numbers in TABLE_4.items():
@@ -64,7 +64,9 @@ def table_4(measured: Measured) -> list[Row]:
             found = measured[driver, scenario]
             for (field, words, unit), number in zip(KPIS, numbers, strict=True):
                 given = number if driver == "ddpg_pid" else None
-                row = Row("Table 4", NAMES[scenario], driver, words.replace("total", "average"), unit, given)
+                row = ReportRow(
+                    "Table 4", NAMES[scenario], driver, words.replace("total", "average"), unit, given
+                )
                 row = replace(row, optimum=optimum(field, scenario))
                 each = values(found, field)
                 if field.endswith(("total_mps", "total_m")):
@@ -73,7 +75,7 @@ def table_4(measured: Measured) -> list[Row]:
     return rows
 
 
-def margins(measured: Measured) -> list[Row]:
+def margins(measured: Measured) -> list[ReportRow]:
     """By how much DDPG-PID has less total speed and position error than each other driver, percent."""
     rows = []
     published = {
@@ -92,7 +94,7 @@ def margins(measured: Measured) -> list[Row]:
     ):
         for other in others:
             against = median(measured[other, 1], field)
-            row = Row(
+            row = ReportRow(
                 "Margins of ddpg_pid",
                 NAMES[1],
                 other,

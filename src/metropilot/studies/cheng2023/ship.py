@@ -14,22 +14,21 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from metropilot.control.incremental_pid import Errors
 from metropilot.drivers.ddpg_pid import OBSERVED, DdpgPid, DdpgPidOptions, ddpg_pid
-from metropilot.drivers.policy import Policy, save_policy
 from metropilot.drivers.shipped import shipped_policy
-from metropilot.evaluate import drive
 from metropilot.evaluate.tracking import track, tracking_kpis
+from metropilot.policy import Policy, save_policy
 from metropilot.railway import load_line, load_trainset
+from metropilot.sim import Disturbance, Run, drive
 from metropilot.studies.cheng2023.courses import course
 from metropilot.studies.cheng2023.learning import REWARDS, config
 from metropilot.studies.cheng2023.reproduce import SEEDS, jobs
 from metropilot.studies.circumstances import circumstances
 from metropilot.studies.learning import SeedResult, learn_seeds
-from metropilot.task import Run, Scenario
-from metropilot.task.incremental_pid import Errors
 
 SECTIONS = (("JHL", "CQN"), ("XHM", "JG"), ("RJ", "WYJ"))
-UNKNOWN = Scenario(resistance_factor=1.5, extra_delay_s=0.6, extra_lag_s=0.4, speed_noise_mps=0.05)
+UNKNOWN = Disturbance(resistance_factor=1.5, extra_delay_s=0.6, extra_lag_s=0.4, speed_noise_mps=0.05)
 
 
 def overruled(policy: Policy) -> int:

@@ -7,31 +7,31 @@ from dataclasses import replace
 from pathlib import Path
 
 from metropilot.drivers.eitoe import Eitoe, EitoeOptions
-from metropilot.evaluate import Drive, drive, kpis_of
+from metropilot.evaluate import kpis_of
 from metropilot.evaluate.indices import indices_of
 from metropilot.railway import Actuation
-from metropilot.studies.huang2025.drives import ABOVE, Least, drivers_of
+from metropilot.sim import Disturbance, Drive, Run, drive
+from metropilot.studies.huang2025.drives import ABOVE, LeastIndex, drivers_of
 from metropilot.studies.huang2025.published import BEYOND, BY_ID, EXPERTS
 from metropilot.studies.huang2025.setting import DELAY_S, LAG_S, run_of
 from metropilot.studies.huang2025.vehicles import vehicle_rows
-from metropilot.studies.report import Row
-from metropilot.task import Run, Scenario
+from metropilot.studies.report import ReportRow
 
 SEEDS = 3
-SCENARIOS: Mapping[str, Scenario] = {
-    "mass +10 %": Scenario(mass_factor=1.1),
-    "mass -10 %": Scenario(mass_factor=0.9),
-    "resistance +30 %": Scenario(resistance_factor=1.3),
-    "headwind 10 m/s": Scenario(headwind_mps=10.0),
-    "speed measured with 0.05 m/s noise": Scenario(speed_noise_mps=0.05),
-    "0.2 s more delay than known": Scenario(extra_delay_s=0.2),
+SCENARIOS: Mapping[str, Disturbance] = {
+    "mass +10 %": Disturbance(mass_factor=1.1),
+    "mass -10 %": Disturbance(mass_factor=0.9),
+    "resistance +30 %": Disturbance(resistance_factor=1.3),
+    "headwind 10 m/s": Disturbance(headwind_mps=10.0),
+    "speed measured with 0.05 m/s noise": Disturbance(speed_noise_mps=0.05),
+    "0.2 s more delay than known": Disturbance(extra_delay_s=0.2),
 }
 ROBUST = f"{BEYOND}: disturbances in case 1, 101 s"
 PLANTS = f"{BEYOND}: other plants and steps, 101 s"
 LITERAL = f"{BEYOND}: Algorithm 1 as printed, a time for each speed-limit interval"
 
 
-def beyond_rows(policies: Mapping[str, Sequence[Path]]) -> Iterator[Row]:
+def beyond_rows(policies: Mapping[str, Sequence[Path]]) -> Iterator[ReportRow]:
     """Every row of this file."""
     case = BY_ID["101"]
     plain = run_of(case)
@@ -68,18 +68,20 @@ def _drives(run: Run, driver: str, policies: Mapping[str, Sequence[Path]]) -> li
     return [drive(replace(run, seed=k), one) for k, one in enumerate(drivers_of(driver, few, range(1)))]
 
 
-def _rows(table: str, case: str, driver: str, drives: Sequence[Drive], *, gap: bool = False) -> Iterator[Row]:
+def _rows(
+    table: str, case: str, driver: str, drives: Sequence[Drive], *, gap: bool = False
+) -> Iterator[ReportRow]:
     place = (table, case, driver)
-    yield Row(*place, "Is, It and Ip met", "").measured([float(indices_of(one).met) for one in drives])
-    yield Row(*place, "time error", "s").measured(
+    yield ReportRow(*place, "Is, It and Ip met", "").measured([float(indices_of(one).met) for one in drives])
+    yield ReportRow(*place, "time error", "s").measured(
         [one.running_time_s - one.scheduled_time_s for one in drives]
     )
-    yield Row(*place, "stopping error", "m").measured(
+    yield ReportRow(*place, "stopping error", "m").measured(
         [abs(kpis_of(one, None).stopping_error_m) for one in drives]
     )
     if gap:
-        least = Least(drives, driver)
-        yield Row(*place, ABOVE, "%").measured([least.above_percent(one) for one in drives])
-    yield Row(*place, "interventions of protection", "").measured(
+        least = LeastIndex(drives, driver)
+        yield ReportRow(*place, ABOVE, "%").measured([least.above_percent(one) for one in drives])
+    yield ReportRow(*place, "interventions of protection", "").measured(
         [float(one.interventions) for one in drives]
     )

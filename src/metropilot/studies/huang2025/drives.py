@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from metropilot.drivers import DRIVERS, AbstractDriver
+from metropilot.drivers import DRIVERS
 from metropilot.drivers.expert_learned import EXPERT_POLICIES
 from metropilot.drivers.shipped import PolicyOptions
-from metropilot.evaluate import Drive, Kpis, drive, kpis_of, make_driver
+from metropilot.evaluate import Kpis, kpis_of, make_driver
 from metropilot.evaluate.indices import Indices, indices_of
 from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
+from metropilot.sim import AbstractDriver, Drive, drive
 from metropilot.studies.huang2025.published import (
     COAST,
     DECISION_US,
@@ -23,10 +24,10 @@ from metropilot.studies.huang2025.published import (
     RELATIVE,
     TOOK,
     TOP,
-    Case,
+    PublishedCase,
 )
 from metropilot.studies.huang2025.setting import DELAY_S, comfortable, run_of, trainset
-from metropilot.studies.report import Row
+from metropilot.studies.report import ReportRow
 
 J_PER_KWH = 3.6e6
 SPACING_M = 5.0
@@ -34,7 +35,7 @@ ABOVE, ABOVE_DEAD = "above the optimum", "above the optimum, dead time of the ac
 
 
 @dataclass(frozen=True, eq=False)
-class Driven:
+class EvaluatedRun:
     """One case as one driver drove it, once a seed.
 
     Attributes:
@@ -43,7 +44,7 @@ class Driven:
         drives: The drives.
     """
 
-    case: Case
+    case: PublishedCase
     driver: str
     drives: Sequence[Drive]
 
@@ -75,13 +76,15 @@ def _learned(driver: str, path: Path) -> AbstractDriver:
     return EXPERT_POLICIES[driver](PolicyOptions(str(path)))
 
 
-def driven(case: Case, driver: str, policies: Mapping[str, Sequence[Path]], seeds: range) -> Driven:
+def driven(
+    case: PublishedCase, driver: str, policies: Mapping[str, Sequence[Path]], seeds: range
+) -> EvaluatedRun:
     """Drive a case."""
     who = drivers_of(driver, policies, seeds)
-    return Driven(case, driver, [drive(run_of(case, seed), one) for seed, one in enumerate(who)])
+    return EvaluatedRun(case, driver, [drive(run_of(case, seed), one) for seed, one in enumerate(who)])
 
 
-class Least:
+class LeastIndex:
     """Least wheel energy over running time under a driver's comfort limits: the parabola of three plans.
 
     Args:
@@ -114,14 +117,16 @@ class Least:
         return 100.0 * (float(one.trajectory.energy_wheel_j[-1]) / self.at(one.running_time_s - dead_s) - 1.0)
 
 
-def rows_of(found: Driven, manual: Driven | None) -> Iterator[Row]:
+def rows_of(found: EvaluatedRun, manual: EvaluatedRun | None) -> Iterator[ReportRow]:
     """Every number of a driven case."""
     case, driver = found.case, found.driver
     place = (case.table, case.name, driver)
     indices, kpis = found.indices, found.kpis
 
-    def row(kpi: str, unit: str, values: Sequence[float], optimum: float | None = None) -> Row:
-        return Row(*place, kpi, unit, published=case.said(driver, kpi), optimum=optimum).measured(values)
+    def row(kpi: str, unit: str, values: Sequence[float], optimum: float | None = None) -> ReportRow:
+        return ReportRow(*place, kpi, unit, published=case.said(driver, kpi), optimum=optimum).measured(
+            values
+        )
 
     yield row("Is, safe", "", [float(i.safe) for i in indices])
     yield row("It, on time", "", [float(i.on_time) for i in indices])
@@ -131,7 +136,7 @@ def rows_of(found: Driven, manual: Driven | None) -> Iterator[Row]:
         usual = float(np.median([i.energy_jpkg for i in manual.indices]))
         yield row(RELATIVE, "%", [100.0 * (i.energy_jpkg / usual - 1.0) for i in indices])
     yield row(IC, "m/s²", [i.comfort_mps2 for i in indices])
-    least = Least(found.drives, driver)
+    least = LeastIndex(found.drives, driver)
     best = least.at(float(np.median([k.running_time_s for k in kpis]))) / J_PER_KWH
     yield row("wheel traction energy", "kWh", [k.energy_wheel_kwh for k in kpis], best)
     yield row(ABOVE, "%", [least.above_percent(one) for one in found.drives])
@@ -144,10 +149,12 @@ def rows_of(found: Driven, manual: Driven | None) -> Iterator[Row]:
     yield row("interventions of protection", "", [float(k.interventions) for k in kpis])
 
 
-def decision_row(table: str, driver: str, found: Sequence[Driven]) -> Row:
+def decision_row(table: str, driver: str, found: Sequence[EvaluatedRun]) -> ReportRow:
     """Median time of a decision over all drives, expert system included."""
     times = np.concatenate([one.decision_us for many in found for one in many.drives])
     said = DECISION_US if driver == "eitop" else None
-    place = Row(table, "all cases", driver, "time of a decision (range: median and 95 % point)", "µs", said)
+    place = ReportRow(
+        table, "all cases", driver, "time of a decision (range: median and 95 % point)", "µs", said
+    )
     middle, high = float(np.median(times)), float(np.percentile(times, 95))
-    return Row(**{**place.__dict__, "ours": middle, "low": middle, "high": high})
+    return ReportRow(**{**place.__dict__, "ours": middle, "low": middle, "high": high})

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metropilot.studies.huang2025.drives import Driven
+from metropilot.studies.huang2025.drives import EvaluatedRun
 from metropilot.studies.huang2025.published import EITOP, EXPERTS, LEARNED_IE
 from metropilot.studies.report import Figure
 
@@ -40,7 +40,7 @@ def learning_drawing(
     return figure
 
 
-def speeds_drawing(found: Sequence[Driven]) -> Drawing:
+def speeds_drawing(found: Sequence[EvaluatedRun]) -> Drawing:
     """Speed over distance with the limit, one line a driver (of several drives the first)."""
     from matplotlib import pyplot as plt
 
@@ -55,12 +55,12 @@ def speeds_drawing(found: Sequence[Driven]) -> Drawing:
     return figure
 
 
-def _label(one: Driven, found: Sequence[Driven]) -> str:
+def _label(one: EvaluatedRun, found: Sequence[EvaluatedRun]) -> str:
     same = len({other.driver for other in found}) == 1
     return f"{one.case.name}" if same else one.driver
 
 
-def track_drawing(found: Sequence[Driven]) -> Drawing:
+def track_drawing(found: Sequence[EvaluatedRun]) -> Drawing:
     """Speed limit and gradient of sections, as the trainset feels them (its Figs. 4 and 12)."""
     from matplotlib import pyplot as plt
 
@@ -92,7 +92,7 @@ def stops_drawing(stops: Sequence) -> Drawing:
 
 
 def figures_of(
-    found: Mapping[tuple[str, str], Driven], learned: Sequence[SeedResult], stops: Sequence
+    found: Mapping[tuple[str, str], EvaluatedRun], learned: Sequence[SeedResult], stops: Sequence
 ) -> list[Figure]:
     """Every figure there is something for.
 
@@ -110,10 +110,10 @@ def figures_of(
             caption = f"{label} while EITOP learns (its Fig. {number}): median and range"
             figures.append(Figure(name, caption, partial(learning_drawing, learned, column, label, lines)))
 
-    def of(cases: Sequence[str], drivers: Sequence[str]) -> list[Driven]:
+    def of(cases: Sequence[str], drivers: Sequence[str]) -> list[EvaluatedRun]:
         return [found[c, d] for c in cases for d in drivers if (c, d) in found]
 
-    def every(case: str) -> list[Driven]:
+    def every(case: str) -> list[EvaluatedRun]:
         return [one for (c, _), one in found.items() if c == case]
 
     rows = (

@@ -14,9 +14,9 @@ from metropilot.studies.learning import LearnJob, SeedResult
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from metropilot.env import DrivingTask
     from metropilot.learn import AbstractConfig
     from metropilot.learn.loop import Evaluate
-    from metropilot.task import DrivingTask
 
 COMMAND = "metropilot reproduce huang2025 --budget paper"
 TIMES_S = (95.0, 101.0, 115.0)
@@ -48,10 +48,10 @@ def watched(config: AbstractConfig, driver: str, task: Any) -> Evaluate:  # noqa
     import jax
     import jax.numpy as jnp
 
-    from metropilot.drivers.policy.policy import act
-    from metropilot.learn.driving import DrivingEvaluation
+    from metropilot.env import starts
+    from metropilot.learn.policy_evaluation import DrivingEvaluation
     from metropilot.learn.registry import make_learner
-    from metropilot.task import starts
+    from metropilot.policy.policy import act
 
     del driver
     spec = make_learner(config, task).spec
@@ -93,8 +93,8 @@ def job(driver: str, seed: int, budget: str) -> LearnJob:
 
 def keep(folder: Path, result: SeedResult) -> Path:
     """Write the policy of a learning run with all that a driver must know of it."""
-    from metropilot.drivers.policy.policy_file import save_policy
     from metropilot.learn import config_to_mapping
+    from metropilot.policy.file import save_policy
     from metropilot.studies.circumstances import circumstances
 
     driver = str(result.job.about["driver"])

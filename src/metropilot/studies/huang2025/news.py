@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from metropilot.errors import Infeasible
-from metropilot.evaluate import Drive
 from metropilot.planning import PlanOptions, optimal_plan
-from metropilot.studies.huang2025.drives import SPACING_M, Driven
+from metropilot.sim import Drive
+from metropilot.studies.huang2025.drives import SPACING_M, EvaluatedRun
 from metropilot.studies.huang2025.setting import comfortable
-from metropilot.studies.report import Row
+from metropilot.studies.report import ReportRow
 
 HURRY_W = 1e5
 """A second costs so much that the plan is the fastest there is."""
@@ -48,13 +48,13 @@ def above_left_percent(one: Drive, driver: str, told_s: float) -> float:
     return 100.0 * (float(one.trajectory.energy_wheel_j[-1]) / (used + rest) - 1.0)
 
 
-def news_rows(found: Driven) -> Iterator[Row]:
+def news_rows(found: EvaluatedRun) -> Iterator[ReportRow]:
     """Rows of a case with news; none of one without."""
     case, driver, told = found.case, found.driver, found.case.told_s
     if told is None:
         return
     place = (case.table, case.name, driver)
-    yield Row(*place, EARLIEST, "s").measured([earliest_s(one, driver, told) for one in found.drives])
+    yield ReportRow(*place, EARLIEST, "s").measured([earliest_s(one, driver, told) for one in found.drives])
     above = [above_left_percent(one, driver, told) for one in found.drives]
     if np.isfinite(above).all():
-        yield Row(*place, LEFT, "%").measured(above)
+        yield ReportRow(*place, LEFT, "%").measured(above)

@@ -42,7 +42,7 @@ class Restricted:
 
 
 @dataclass(frozen=True)
-class Case:
+class PublishedCase:
     """One run to drive.
 
     Attributes:
@@ -86,8 +86,8 @@ IE, IC, RELATIVE, COAST, TOP, TOOK = (
 )
 ALL = (MANUAL, ITOR, STON, STOD, EITOE, EITOP, "optimal")
 
-CASES: tuple[Case, ...] = (
-    Case(
+CASES: tuple[PublishedCase, ...] = (
+    PublishedCase(
         id="101",
         name="RJ to WYJ, 101 s",
         table=TABLE2,
@@ -103,7 +103,7 @@ CASES: tuple[Case, ...] = (
             EITOP: {IE: 364.0, RELATIVE: -37.7},
         },
     ),
-    Case(
+    PublishedCase(
         id="95",
         name="RJ to WYJ, 95 s",
         table=TABLE2,
@@ -118,7 +118,7 @@ CASES: tuple[Case, ...] = (
             EITOP: {RELATIVE: -45.0, IC: 2.92},
         },
     ),
-    Case(
+    PublishedCase(
         id="115",
         name="RJ to WYJ, 115 s",
         table=TABLE2,
@@ -134,7 +134,7 @@ CASES: tuple[Case, ...] = (
             EITOP: {RELATIVE: -2.7, TOP: 16.10, TOOK: 114.0},
         },
     ),
-    Case(
+    PublishedCase(
         id="later",
         name="101 s, 15 s later told at 30 s",
         table=TABLE3,
@@ -146,7 +146,7 @@ CASES: tuple[Case, ...] = (
         news_s=116.0,
         published={EITOP: {TOOK: 114.0}},
     ),
-    Case(
+    PublishedCase(
         id="earlier",
         name="101 s, 10 s earlier told at 10 s",
         table=TABLE3,
@@ -158,7 +158,7 @@ CASES: tuple[Case, ...] = (
         news_s=91.0,
         published={EITOP: {TOOK: 88.0}},
     ),
-    Case(
+    PublishedCase(
         id="restricted",
         name="115 s, 40 km/h from 700 to 900 m told at 30 s",
         table=TABLE3,
@@ -169,7 +169,7 @@ CASES: tuple[Case, ...] = (
         told_s=30.0,
         restricted=Restricted(700.0, 900.0, 40.0 / 3.6),
     ),
-    Case(
+    PublishedCase(
         id="restricted-101",
         name="101 s, 40 km/h from 700 to 900 m told at 30 s",
         table=TABLE3,
@@ -180,7 +180,7 @@ CASES: tuple[Case, ...] = (
         told_s=30.0,
         restricted=Restricted(700.0, 900.0, 40.0 / 3.6),
     ),
-    Case(
+    PublishedCase(
         id="sjz",
         name="SJZ to XC, 190 s",
         table=TABLE4,
@@ -190,7 +190,7 @@ CASES: tuple[Case, ...] = (
         drivers=EXPERTS,
         published={EITOE: {TOOK: 188.0}, EITOP: {TOOK: 189.0}},
     ),
-    Case(
+    PublishedCase(
         id="xc",
         name="XC to XHM, 108 s",
         table=TABLE4,
@@ -201,7 +201,7 @@ CASES: tuple[Case, ...] = (
         published={EITOE: {TOOK: 112.0}, EITOP: {TOOK: 109.0}},
     ),
 )
-BY_ID: Mapping[str, Case] = MappingProxyType({case.id: case for case in CASES})
+BY_ID: Mapping[str, PublishedCase] = MappingProxyType({case.id: case for case in CASES})
 EPISODES_TO_SETTLE = 80
 """Its Figs. 5 and 6: the energy falls from 380 to 364 J/kg in about so many episodes."""
 LEARNED_IE = (380.0, 364.0)

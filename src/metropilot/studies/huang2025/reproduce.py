@@ -10,7 +10,7 @@ from metropilot.drivers.shipped import shipped_policy
 from metropilot.studies.huang2025.beyond import beyond_rows
 from metropilot.studies.huang2025.deviations import DEVIATIONS
 from metropilot.studies.huang2025.drives import (
-    Driven,
+    EvaluatedRun,
     available,
     decision_row,
     driven,
@@ -30,7 +30,7 @@ from metropilot.studies.huang2025.published import (
 )
 from metropilot.studies.huang2025.stops import GAINS, repeated_stops, stop_rows
 from metropilot.studies.huang2025.words import remarks
-from metropilot.studies.report import Report, Row
+from metropilot.studies.report import ReportRow, StudyReport
 
 if TYPE_CHECKING:
     from metropilot.studies.learning import SeedResult
@@ -39,10 +39,10 @@ if TYPE_CHECKING:
 LEARNING = "Learning: its Figs. 5 and 6"
 DECISIONS = "Decision time"
 MANUAL_SEEDS = 10
-Found = dict[tuple[str, str], Driven]
+Found = dict[tuple[str, str], EvaluatedRun]
 
 
-def reproduce(order: Order) -> Report:
+def reproduce(order: Order) -> StudyReport:
     """Do the study.
 
     Args:
@@ -69,7 +69,7 @@ def reproduce(order: Order) -> Report:
     rows += [*_learning_rows(results), *stop_rows(stops), *beyond_rows(policies)]
     figures = figures_of(found, learned, stops)
     said = remarks(rows, budget=order.budget)
-    return Report("huang2025", TITLE, order.budget, len(seeds), 0.0, rows, figures, DEVIATIONS, said)
+    return StudyReport("huang2025", TITLE, order.budget, len(seeds), 0.0, rows, figures, DEVIATIONS, said)
 
 
 def _policies(folder: Path, results: Sequence[SeedResult], *, paper: bool) -> Mapping[str, Sequence[Path]]:
@@ -84,9 +84,9 @@ def _policies(folder: Path, results: Sequence[SeedResult], *, paper: bool) -> Ma
     return found
 
 
-def _rows(found: Found) -> list[Row]:
+def _rows(found: Found) -> list[ReportRow]:
     """Every case, who drove it, and how long deciding took."""
-    rows: list[Row] = []
+    rows: list[ReportRow] = []
     for (case_id, _), one in found.items():
         rows += rows_of(one, found.get((case_id, MANUAL)))
         rows += news_rows(one)
@@ -96,7 +96,7 @@ def _rows(found: Found) -> list[Row]:
     return rows
 
 
-def _whole(found: Found) -> list[Row]:
+def _whole(found: Found) -> list[ReportRow]:
     """Case 3 from end to end, the time at the stop between apart (as in the paper)."""
     rows, said = [], {"eitoe": 300.0, EITOP: 298.0}
     for driver in EXPERTS:
@@ -104,12 +104,12 @@ def _whole(found: Found) -> list[Row]:
             continue
         first, second = found["sjz", driver].drives, found["xc", driver].drives
         times = [a.running_time_s + b.running_time_s for a, b in zip(first, second, strict=True)]
-        place = Row(TABLE4, "SJZ to XHM, 298 s", driver, "running time", "s", published=said[driver])
+        place = ReportRow(TABLE4, "SJZ to XHM, 298 s", driver, "running time", "s", published=said[driver])
         rows.append(place.measured(times))
     return rows
 
 
-def _learning_rows(results: Sequence[SeedResult]) -> list[Row]:
+def _learning_rows(results: Sequence[SeedResult]) -> list[ReportRow]:
     """What each learner reached in its own evaluation, and how EITOP's case 1 began and ended."""
     import numpy as np
 
@@ -126,7 +126,9 @@ def _learning_rows(results: Sequence[SeedResult]) -> list[Row]:
             values = [
                 factor * float(r.history[f"evaluation.{column}"][k]) for r, k in zip(mine, best, strict=True)
             ]
-            rows.append(Row(LEARNING, "policy kept", driver, kpi, unit, published=said).measured(values))
+            rows.append(
+                ReportRow(LEARNING, "policy kept", driver, kpi, unit, published=said).measured(values)
+            )
         seconds = [r.seconds for r in mine]
-        rows.append(Row(LEARNING, "policy kept", driver, "time to learn", "s").measured(seconds))
+        rows.append(ReportRow(LEARNING, "policy kept", driver, "time to learn", "s").measured(seconds))
     return rows

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metropilot.railway import Actuation, Restriction, Section, Trainset, load_line, load_trainset
-from metropilot.studies.huang2025.published import EITOP, Case
-from metropilot.task import News, Run, Scenario
+from metropilot.sim import Disturbance, Run, TimetableUpdate
+from metropilot.studies.huang2025.published import EITOP, PublishedCase
 
 LINE, TRAINSET = "yizhuang-ttobench", "dkz32"
 DELAY_S, LAG_S = 0.6, 0.4
@@ -23,19 +23,19 @@ def trainset() -> Trainset:
     return replace(load_trainset(TRAINSET), actuation=Actuation(DELAY_S, LAG_S, float("inf")))
 
 
-def section(case: Case) -> Section:
+def section(case: PublishedCase) -> Section:
     """Where a case runs."""
     return load_line(LINE).section(case.origin, case.destination)
 
 
-def run_of(case: Case, seed: int = 0) -> Run:
+def run_of(case: PublishedCase, seed: int = 0) -> Run:
     """A case as a run, its news told on the way."""
-    news: tuple[News, ...] = ()
+    news: tuple[TimetableUpdate, ...] = ()
     if case.told_s is not None:
         told = case.restricted
         restriction = Restriction(told.from_m, told.to_m, told.limit_mps) if told else None
-        news = (News(case.told_s, scheduled_time_s=case.news_s, restriction=restriction),)
-    return Run(section(case), trainset(), case.scheduled_s, Scenario(news=news), seed=seed)
+        news = (TimetableUpdate(case.told_s, scheduled_time_s=case.news_s, restriction=restriction),)
+    return Run(section(case), trainset(), case.scheduled_s, Disturbance(news=news), seed=seed)
 
 
 def comfortable(driver: str, plant: Trainset) -> Trainset:

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from metropilot.drivers.eitoe import Eitoe, EitoeOptions
-from metropilot.evaluate import Rollout
+from metropilot.sim import Rollout
 from metropilot.studies.huang2025.published import BEYOND, BY_ID
 from metropilot.studies.huang2025.setting import run_of
-from metropilot.studies.report import Row
+from metropilot.studies.report import ReportRow
 
 GAINS = (0.7, 1.0, 1.3)
 STOPS = 11
@@ -64,16 +64,20 @@ def repeated_stops(gain: float, noise_mps: float = NOISE_MPS, stops: int = STOPS
     return Stops(gain, errors, learned, times, overruled)
 
 
-def stop_rows(found: list[Stops]) -> Iterator[Row]:
+def stop_rows(found: list[Stops]) -> Iterator[ReportRow]:
     """The first stop with an unknown brake, and the one after ten."""
     for one in found:
         case = (
             f"brake {100 * (one.gain - 1):+.0f} %, 101 s" if one.gain != 1.0 else "brake as believed, 101 s"
         )
         place = (f"{BEYOND}: station stops that learn the brake", case, "eitoe")
-        yield Row(*place, "first stop: stopping error", "m").measured([abs(one.error_m[0])])
-        yield Row(*place, f"stop {len(one.error_m)}: stopping error", "m").measured([abs(one.error_m[-1])])
-        yield Row(*place, "all stops: stopping error", "m").measured(np.abs(one.error_m))
-        yield Row(*place, "gain learned at the first stop", "", optimum=one.gain).measured(one.learned[:1])
-        yield Row(*place, "running time", "s").measured(one.time_s)
-        yield Row(*place, "interventions of protection", "").measured([float(one.interventions)])
+        yield ReportRow(*place, "first stop: stopping error", "m").measured([abs(one.error_m[0])])
+        yield ReportRow(*place, f"stop {len(one.error_m)}: stopping error", "m").measured(
+            [abs(one.error_m[-1])]
+        )
+        yield ReportRow(*place, "all stops: stopping error", "m").measured(np.abs(one.error_m))
+        yield ReportRow(*place, "gain learned at the first stop", "", optimum=one.gain).measured(
+            one.learned[:1]
+        )
+        yield ReportRow(*place, "running time", "s").measured(one.time_s)
+        yield ReportRow(*place, "interventions of protection", "").measured([float(one.interventions)])

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from metropilot.evaluate import Drive
 from metropilot.physics import bodies_at, consist, multibody_step, substeps, track_arrays
+from metropilot.sim import Drive
 from metropilot.studies.huang2025.published import BEYOND
-from metropilot.studies.report import Row
+from metropilot.studies.report import ReportRow
 
 
 class Apart(NamedTuple):
@@ -44,10 +44,10 @@ def apart(found: Drive) -> Apart:
     return Apart(speed, float(bodies.position_m) - float(t.position_m[-1]), force)
 
 
-def vehicle_rows(found: Drive, case: str) -> Iterator[Row]:
+def vehicle_rows(found: Drive, case: str) -> Iterator[ReportRow]:
     """The differences as rows."""
     one = apart(found)
     place = (f"{BEYOND}: the same efforts on six vehicles with couplers (eq. 3)", case, found.driver)
-    yield Row(*place, "largest difference of speed", "m/s").measured([one.speed_mps])
-    yield Row(*place, "difference of the place at the stop", "m").measured([abs(one.place_m)])
-    yield Row(*place, "largest coupler force", "kN").measured([one.coupler_n / 1e3])
+    yield ReportRow(*place, "largest difference of speed", "m/s").measured([one.speed_mps])
+    yield ReportRow(*place, "difference of the place at the stop", "m").measured([abs(one.place_m)])
+    yield ReportRow(*place, "largest coupler force", "kN").measured([one.coupler_n / 1e3])

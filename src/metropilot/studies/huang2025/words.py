@@ -17,29 +17,29 @@ from metropilot.studies.huang2025.published import (
     TOOK,
     TOP,
 )
-from metropilot.studies.report import Row
+from metropilot.studies.report import ReportRow
 
 COMPARED = ("95", "101", "115", "sjz", "xc")
 
 
-def _value(rows: Sequence[Row], case: str, driver: str, kpi: str) -> Row | None:
+def _value(rows: Sequence[ReportRow], case: str, driver: str, kpi: str) -> ReportRow | None:
     name = BY_ID[case].name
     return next((r for r in rows if (r.case, r.driver, r.kpi) == (name, driver, kpi)), None)
 
 
-def _said(rows: Sequence[Row], case: str, driver: str, kpi: str, digits: int = 1) -> str:
+def _said(rows: Sequence[ReportRow], case: str, driver: str, kpi: str, digits: int = 1) -> str:
     row = _value(rows, case, driver, kpi)
     return "–" if row is None or row.ours is None else f"{row.ours:.{digits}f}"
 
 
-def _ranged(rows: Sequence[Row], case: str, driver: str, kpi: str) -> str:
+def _ranged(rows: Sequence[ReportRow], case: str, driver: str, kpi: str) -> str:
     row = _value(rows, case, driver, kpi)
     if row is None or row.ours is None or row.high is None:
         return "–"
     return f"{row.ours:.1f} % ({row.high:.1f} %; {BY_ID[case].name})"
 
 
-def remarks(rows: Sequence[Row], *, budget: str) -> list[str]:
+def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
     """What was reached and missed, from the rows themselves.
 
     Args:
@@ -84,7 +84,7 @@ def remarks(rows: Sequence[Row], *, budget: str) -> list[str]:
     return found
 
 
-def _met(rows: Sequence[Row]) -> str:
+def _met(rows: Sequence[ReportRow]) -> str:
     """Which of the three indices were missed, by whom."""
     kpis = ("Is, safe", "It, on time", "Ip, parked")
     missed = [
@@ -109,19 +109,19 @@ def _met(rows: Sequence[Row]) -> str:
     )
 
 
-def _share(rows: Sequence[Row], case: str) -> str:
+def _share(rows: Sequence[ReportRow], case: str) -> str:
     mine, other = _value(rows, case, EITOP, IE), _value(rows, case, EITOE, IE)
     if mine is None or other is None or not mine.ours or not other.ours:
         return "–"
     return f"{100.0 * (mine.ours / other.ours - 1.0):+.1f} %"
 
 
-def _saved(rows: Sequence[Row], driver: str) -> str:
+def _saved(rows: Sequence[ReportRow], driver: str) -> str:
     row = _value(rows, "101", driver, RELATIVE)
     return "–" if row is None or row.ours is None else f"{-row.ours:.1f} %"
 
 
-def _arrivals(rows: Sequence[Row]) -> str:
+def _arrivals(rows: Sequence[ReportRow]) -> str:
     """Running time of each late news beside the time that was asked for."""
     parts = [
         f"{row.ours:.1f} s (`{row.driver}`, {row.case})"

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy import ndarray
 
-from metropilot.studies.lu2023.optima import Front
-from metropilot.task import PUNCTUALITY_S, STOP_TOLERANCE_M
+from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M
+from metropilot.studies.lu2023.optima import NotchFront
 
 STEADY = 3
 """So many evaluations in a row that meet the demands are called steady."""
@@ -39,7 +39,7 @@ class Converged:
     converged: bool
 
 
-def meets(history: Mapping[str, ndarray], plan_id: str, scheduled_s: float, front: Front) -> ndarray:
+def meets(history: Mapping[str, ndarray], plan_id: str, scheduled_s: float, front: NotchFront) -> ndarray:
     """Which evaluations meet the rule's demands. Shape (E,), bool."""
     column = {
         name: np.asarray(history[f"evaluation.{plan_id}.{name}"], float)

@@ -8,17 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from metropilot.drivers import AbstractDriver
 from metropilot.drivers.learned import LearnedDriver
 from metropilot.drivers.pid_lu2023 import PidLu2023, PidLu2023Options
-from metropilot.drivers.policy.loaded import load_driving_policy
 from metropilot.drivers.shipped import shipped_policy
-from metropilot.evaluate import Drive, Kpis, drive, kpis_of, measures
+from metropilot.evaluate import Kpis, kpis_of, measures
+from metropilot.policy.loaded import load_driving_policy
 from metropilot.railway import load_line, load_trainset
+from metropilot.sim import AbstractDriver, Drive, Run, drive
 from metropilot.studies.lu2023.optima import TRAINSET, convex_j, effort_j, notch_front
 from metropilot.studies.lu2023.published import PID_130, PlanCase, Published
-from metropilot.studies.report import Row
-from metropilot.task import Run
+from metropilot.studies.report import ReportRow
 
 POLICIES = Path(__file__).parent / "policies"
 J_PER_KWH = 3.6e6
@@ -26,7 +25,7 @@ SPAN_M = 500.0
 
 
 @dataclass(frozen=True, eq=False)
-class Driven:
+class NotchRun:
     """One plan as driven.
 
     Attributes:
@@ -53,14 +52,14 @@ def learned_driver(path: Path) -> LearnedDriver:
     return LearnedDriver(loaded.policy, loaded.perception)
 
 
-def driven(plan: PlanCase, name: str, driver: AbstractDriver) -> Driven:
+def driven(plan: PlanCase, name: str, driver: AbstractDriver) -> NotchRun:
     """Drive a plan on the host."""
     run = Run(load_line(plan.line).section("WHY", "WYJ"), load_trainset(TRAINSET), plan.scheduled_s)
     found = drive(run, driver)
-    return Driven(plan, name, found, kpis_of(found, None))
+    return NotchRun(plan, name, found, kpis_of(found, None))
 
 
-def tracked(plan: PlanCase, path: Path) -> Driven:
+def tracked(plan: PlanCase, path: Path) -> NotchRun:
     """The paper's PID on the curve that a policy drives."""
     return driven(plan, "pid_lu2023", PidLu2023(PidLu2023Options(policy=str(path))))
 
@@ -85,7 +84,7 @@ def command_changes(found: Drive) -> float:
     return float((np.abs(np.diff(command)) > 0.05).sum())
 
 
-def arrival_rows(table: str, found: Driven, *, published: bool = True) -> Iterator[Row]:
+def arrival_rows(table: str, found: NotchRun, *, published: bool = True) -> Iterator[ReportRow]:
     """Stop, time, energy of one drive, each beside what is published and what physics allows."""
     plan, k = found.plan, found.kpis
     paper: Published | None = PID_130 if found.driver == "pid_lu2023" else plan.published
@@ -94,8 +93,10 @@ def arrival_rows(table: str, found: Driven, *, published: bool = True) -> Iterat
     convex = convex_j(plan, k.running_time_s) / J_PER_KWH
     where = (table, plan.name, found.driver)
 
-    def row(kpi: str, unit: str, value: float, said: float | None = None, best: float | None = None) -> Row:
-        return Row(*where, kpi, unit, published=said, ours=value, low=value, high=value, optimum=best)
+    def row(
+        kpi: str, unit: str, value: float, said: float | None = None, best: float | None = None
+    ) -> ReportRow:
+        return ReportRow(*where, kpi, unit, published=said, ours=value, low=value, high=value, optimum=best)
 
     said = (paper.stop_m, paper.late_s, paper.kwh) if paper else (None, None, None)
     yield row("stopping error", "m", abs(k.stopping_error_m), said[0])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metropilot.studies.lu2023.drives import Driven
+from metropilot.studies.lu2023.drives import NotchRun
 from metropilot.studies.lu2023.published import plan_case
 from metropilot.studies.report import Figure
 
@@ -44,7 +44,7 @@ def reward_drawing(runs: Mapping[str, Sequence[SeedResult]], plan_id: str) -> Dr
     return figure
 
 
-def drives_drawing(found: Sequence[Driven]) -> Drawing:
+def drives_drawing(found: Sequence[NotchRun]) -> Drawing:
     """Speed over distance with the limit, and the force below it, one column a drive."""
     from matplotlib import pyplot as plt
 
@@ -73,7 +73,7 @@ def drives_drawing(found: Sequence[Driven]) -> Drawing:
 
 
 def figures_of(
-    drives: Sequence[Driven], runs: Mapping[str, Mapping[str, Sequence[SeedResult]]]
+    drives: Sequence[NotchRun], runs: Mapping[str, Mapping[str, Sequence[SeedResult]]]
 ) -> list[Figure]:
     """Every figure there is something for.
 

@@ -20,7 +20,7 @@ TRAINSET, NOTCHES = "lu2023", "lu2023"
 
 
 @dataclass(frozen=True)
-class Front:
+class NotchFront:
     """Least traction energy over running time, near one plan.
 
     Attributes:
@@ -39,14 +39,16 @@ class Front:
 
 
 @cache
-def notch_front(plan: PlanCase) -> Front:
+def notch_front(plan: PlanCase) -> NotchFront:
     """The optimum over the twelve notches about a plan's time (a few seconds)."""
     section, trainset = load_line(plan.line).section("WHY", "WYJ"), load_trainset(TRAINSET)
     found = [
         notch_plan(section, trainset, plan.scheduled_s + shift, trainset.notches[NOTCHES], MESH)
         for shift in AROUND_S
     ]
-    return Front(np.array([p.running_time_s for p in found]), np.array([p.energy_wheel_j for p in found]))
+    return NotchFront(
+        np.array([p.running_time_s for p in found]), np.array([p.energy_wheel_j for p in found])
+    )
 
 
 def convex_j(plan: PlanCase, time_s: float) -> float:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from metropilot.studies.learning import learn_seeds
 from metropilot.studies.lu2023.drives import (
-    Driven,
+    NotchRun,
     arrival_rows,
     driven,
     learned_driver,
@@ -29,7 +29,7 @@ from metropilot.studies.lu2023.published import (
 )
 from metropilot.studies.lu2023.shipping import best_of, keep_policy
 from metropilot.studies.lu2023.words import DEVIATIONS, remarks
-from metropilot.studies.report import Report, Row
+from metropilot.studies.report import ReportRow, StudyReport
 
 if TYPE_CHECKING:
     from metropilot.studies.learning import SeedResult
@@ -46,8 +46,8 @@ LEARNERS = {"dqn": "all", "improved_dqn": ""}
 Runs = dict[str, dict[str, list["SeedResult"]]]
 
 
-def reproduce(order: Order) -> Report:
-    """Do the study; see :class:`metropilot.studies.Study`."""
+def reproduce(order: Order) -> StudyReport:
+    """Do the study; see :class:`metropilot.studies.study.Study`."""
     from metropilot.studies.lu2023.setting import (
         ALL_STEPS,
         IMPROVEMENTS,
@@ -91,7 +91,7 @@ def reproduce(order: Order) -> Report:
     rows += [row for one in all_plans for row in arrival_rows(BEYOND, one, published=False)]
     rows += _convergence(runs) if paper else _short(runs)
     rows += _ablation(named) if paper else []
-    return Report(
+    return StudyReport(
         study="lu2023",
         title="Notch driving by improved DQN (Lu and Liu 2023)",
         budget=order.budget,
@@ -106,7 +106,7 @@ def reproduce(order: Order) -> Report:
 
 def _drives(
     folder: Path, named: dict[str, list[SeedResult]], *, paper: bool
-) -> tuple[list[Driven], list[Driven]]:
+) -> tuple[list[NotchRun], list[NotchRun]]:
     """The plans by their own networks (with the PID at 130 s), and by the one network for all."""
 
     def path(plan_id: str, driver: str = "improved_dqn") -> Path:
@@ -137,24 +137,24 @@ def _converged(results: Sequence[SeedResult], plan_id: str, in_a_row: int = 1) -
     return [converged(r.history, met, in_a_row) for r, met in zip(results, good, strict=True)]
 
 
-def _episode_rows(table: str, plan_id: str, driver: str, results: Sequence[SeedResult]) -> list[Row]:
+def _episode_rows(table: str, plan_id: str, driver: str, results: Sequence[SeedResult]) -> list[ReportRow]:
     from metropilot.studies.lu2023.convergence import STEADY
 
     found, steady = _converged(results, plan_id), _converged(results, plan_id, STEADY)
     case, published = plan_case(plan_id).name, EPISODES.get((plan_id, driver))
-    row = Row(table, case, driver, "episodes to convergence", "", published=published)
+    row = ReportRow(table, case, driver, "episodes to convergence", "", published=published)
     share, kept = (100.0 * sum(run.converged for run in runs) / len(runs) for runs in (found, steady))
     return [
         row.measured([run.episodes for run in found]),
-        Row(table, case, driver, "runs that converged", "%", ours=share),
-        Row(table, case, driver, "runs that were steady", "%", ours=kept),
+        ReportRow(table, case, driver, "runs that converged", "%", ours=share),
+        ReportRow(table, case, driver, "runs that were steady", "%", ours=kept),
     ]
 
 
-def _convergence(runs: Runs) -> list[Row]:
+def _convergence(runs: Runs) -> list[ReportRow]:
     from metropilot.studies.lu2023.convergence import STEADY, faster
 
-    rows: list[Row] = []
+    rows: list[ReportRow] = []
     for plan_id, learners in runs.items():
         found = {driver: _converged(results, plan_id) for driver, results in learners.items()}
         for driver, results in learners.items():
@@ -163,15 +163,15 @@ def _convergence(runs: Runs) -> list[Row]:
         said = FASTER_PERCENT if plan_id == "120" else None
         kpi = "converges faster than DQN (range: 95 % interval)"
         place = (CONVERGENCE, plan_case(plan_id).name, "improved_dqn", kpi, "%")
-        rows.append(Row(*place, published=said, ours=gain.percent, low=gain.low, high=gain.high))
+        rows.append(ReportRow(*place, published=said, ours=gain.percent, low=gain.low, high=gain.high))
         steady = {driver: _converged(results, plan_id, STEADY) for driver, results in learners.items()}
         gain = faster(steady["dqn"], steady["improved_dqn"])
         place = (*place[:3], f"is steady faster than DQN, {STEADY} evaluations in a row (the same)", "%")
-        rows.append(Row(*place, ours=gain.percent, low=gain.low, high=gain.high))
+        rows.append(ReportRow(*place, ours=gain.percent, low=gain.low, high=gain.high))
     return rows
 
 
-def _ablation(named: dict[str, list[SeedResult]]) -> list[Row]:
+def _ablation(named: dict[str, list[SeedResult]]) -> list[ReportRow]:
     from metropilot.studies.lu2023.setting import IMPROVEMENTS
 
     rows = _episode_rows(ABLATION, ABLATED, "improved_dqn", named[f"improved_dqn-{ABLATED}"])
@@ -181,12 +181,12 @@ def _ablation(named: dict[str, list[SeedResult]]) -> list[Row]:
     return rows
 
 
-def _short(runs: Runs) -> list[Row]:
+def _short(runs: Runs) -> list[ReportRow]:
     """What a short run of each learner reaches: that learning works, not how well."""
     rows = []
     for plan_id, learners in runs.items():
         for driver, results in learners.items():
-            row = Row(
+            row = ReportRow(
                 "Short learning", plan_case(plan_id).name, driver, f"return after {QUICK_STEPS} steps", ""
             )
             rows.append(row.measured([r.score for r in results]))

@@ -7,14 +7,14 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+from metropilot.env import DrivingTask, episode_of, starts, task_config
+from metropilot.env.actions import NotchForceAction
+from metropilot.env.randomization import DisturbanceDistribution
+from metropilot.env.registry import LU2023_REWARDS
+from metropilot.env.rewards import OnTime
 from metropilot.learn import AbstractConfig, DQNConfig, Schedule
 from metropilot.studies.learning import LearnJob
 from metropilot.studies.lu2023.published import PLANS, PlanCase
-from metropilot.task import DrivingTask, episode_of, starts, task_config
-from metropilot.task.actions import NotchForceAction
-from metropilot.task.registry import LU2023_REWARDS
-from metropilot.task.rewards import OnTime
-from metropilot.task.scenarios import Scenarios
 
 PERIOD_S, CONTROL_S = 3.0, 0.2
 MARGIN = 0.06
@@ -70,7 +70,7 @@ def lu2023_task(cases: tuple[str, ...], times_s: tuple[float, float], *, filtere
         replace(
             base,
             sections=tuple(load_line(case).section("WHY", "WYJ") for case in cases),
-            scenarios=Scenarios(time_s=times_s, on_the_way=ON_THE_WAY, left_ratio=LEFT_RATIO),
+            scenarios=DisturbanceDistribution(time_s=times_s, on_the_way=ON_THE_WAY, left_ratio=LEFT_RATIO),
             observer=STATE,
             action=NotchForceAction(in_time=filtered, margin=MARGIN),
             rewards=(OnTime(bonus=1000.0, allowed_s=3.0 - IN_HAND_S), *LU2023_REWARDS[1:]),
@@ -114,9 +114,9 @@ def drive_plans(plans: tuple[PlanCase, ...], config: AbstractConfig, task: Any) 
     import jax
     import jax.numpy as jnp
 
-    from metropilot.drivers.policy.policy import act
     from metropilot.learn.registry import make_learner
-    from metropilot.task import CODES, Outcome
+    from metropilot.policy.policy import act
+    from metropilot.sim import CODES, Outcome
 
     spec = make_learner(config, task).spec
     lines = [section.line_id for section in task.config.sections]

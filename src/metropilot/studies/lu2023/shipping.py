@@ -42,7 +42,7 @@ COMMAND = "metropilot reproduce lu2023 --budget paper"
 
 def keep_policy(path: Path, result: SeedResult, plans: Sequence[PlanCase], command: str = COMMAND) -> None:
     """Write a policy with its perception, so that any driver of policies drives it."""
-    from metropilot.drivers.policy.policy_file import save_policy
+    from metropilot.policy.file import save_policy
     from metropilot.studies.circumstances import circumstances
 
     job = result.job

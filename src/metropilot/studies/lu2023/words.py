@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from metropilot.studies.lu2023.convergence import RULE
 from metropilot.studies.lu2023.drives import policy_file
 from metropilot.studies.lu2023.published import BEYOND, CONVERGENCE, PLANS, TABLE
-from metropilot.studies.report import Row
+from metropilot.studies.report import ReportRow
 
 _DEVIATIONS = """
 The stop is not learned. The last braking begins, and is held, where the stop curve of the task's assist
@@ -61,11 +61,11 @@ stop's own law.
 DEVIATIONS = tuple(" ".join(text.split()) for text in _DEVIATIONS.split("\n\n"))
 
 
-def remarks(rows: Sequence[Row], *, budget: str) -> list[str]:
+def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
     """Sentences made of the rows."""
     plans = [row for row in rows if row.table == TABLE and row.driver == "improved_dqn"]
 
-    def worst(kpi: str, among: Sequence[Row]) -> float:
+    def worst(kpi: str, among: Sequence[ReportRow]) -> float:
         return max(
             (row.ours for row in among if row.kpi == kpi and row.ours is not None), default=float("nan")
         )

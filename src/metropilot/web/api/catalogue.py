@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, UploadFile
 
 from metropilot.web import catalogue
-from metropilot.web.answers import DriverOut, LineOut, LineRow, TrainsetOut, Uploaded
+from metropilot.web.schemas.responses import DriverOut, LineOut, LineRow, TrainsetOut, Uploaded
 from metropilot.web.service import Service
 
 Key = Annotated[str, Path(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]

@@ -8,7 +8,10 @@ from fastapi import APIRouter, Path, Query
 from fastapi.responses import FileResponse, Response
 
 from metropilot.web import catalogue
-from metropilot.web.answers import (
+from metropilot.web.api.catalogue import Key
+from metropilot.web.refusals import Refused
+from metropilot.web.schemas.requests import CompareAsked, DriveAsked, LearnAsked, StudyAsked
+from metropilot.web.schemas.responses import (
     CompareOut,
     DriveOut,
     HistoryOut,
@@ -20,9 +23,6 @@ from metropilot.web.answers import (
     StudyRow,
     TaskOut,
 )
-from metropilot.web.api.catalogue import Key
-from metropilot.web.asked import CompareAsked, DriveAsked, LearnAsked, StudyAsked
-from metropilot.web.refused import Refused
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 

@@ -9,9 +9,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header
 from fastapi.responses import StreamingResponse
 
-from metropilot.web.answers import LiveOut, Told
 from metropilot.web.api.catalogue import Key
-from metropilot.web.asked import (
+from metropilot.web.live.session import Session
+from metropilot.web.schemas.requests import (
     Asked,
     ConvoyAsked,
     Lever,
@@ -21,7 +21,7 @@ from metropilot.web.asked import (
     NewRestriction,
     Pace,
 )
-from metropilot.web.live.session import Session
+from metropilot.web.schemas.responses import LiveOut, Told
 from metropilot.web.service import Service
 
 STREAM: dict[int | str, dict[str, Any]] = {

@@ -6,8 +6,8 @@ from typing import Any
 
 from fastapi import APIRouter
 
-from metropilot.web.answers import FrontOut, JourneyOut, PlanOut, SectionOut
-from metropilot.web.asked import JourneyAsked, PlanAsked, SectionAsked
+from metropilot.web.schemas.requests import JourneyAsked, PlanAsked, SectionAsked
+from metropilot.web.schemas.responses import FrontOut, JourneyOut, PlanOut, SectionOut
 from metropilot.web.service import Service
 
 

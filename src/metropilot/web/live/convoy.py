@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from metropilot.convoy.folder import write_convoy
+from metropilot.convoy.kpis import convoy_kpis
+from metropilot.convoy.link import Link
+from metropilot.convoy.request import ConvoyRequest
+from metropilot.convoy.rollout import ConvoyRollout
 from metropilot.errors import InputError
-from metropilot.evaluate.convoy_drive import ConvoyRollout
-from metropilot.evaluate.convoy_folder import write_convoy
-from metropilot.evaluate.convoy_kpis import convoy_kpis
-from metropilot.evaluate.convoy_request import ConvoyRequest
 from metropilot.protection import LEVELS
-from metropilot.task.convoy_link import Link
 from metropilot.web.work.plain import numbers, station, window
 
 Event = dict[str, Any]

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from metropilot.errors import Infeasible, InputError, SolverError
-from metropilot.evaluate import Moment, Request, Rollout, kpis_of, optimum_of, write_run
+from metropilot.evaluate import Request, kpis_of, optimum_of, write_run
 from metropilot.physics import track_arrays
 from metropilot.planning import Plan, PlanOptions, minimum_running_time, optimal_plan
 from metropilot.protection import LEVELS, permitted_speed, protect
 from metropilot.railway import Restriction
-from metropilot.task import PUNCTUALITY_S, News, declared_bounds
-from metropilot.web.refused import Refused
+from metropilot.sim import PUNCTUALITY_S, Moment, Rollout, TimetableUpdate, declared_bounds
+from metropilot.web.refusals import Refused
 from metropilot.web.work.drives import drive_out
 from metropilot.web.work.plain import numbers, station, window
 from metropilot.web.work.plans import work_j
@@ -64,7 +64,7 @@ class Engine:
         self.holder: str | None = None
         self.held_since_s = 0.0
         self.due: list[str] = []
-        self.news: list[News] = []
+        self.news: list[TimetableUpdate] = []
         self._plan_anew()
 
     @property
@@ -174,7 +174,7 @@ class Engine:
                 unit="s",
                 allowed=f"> {self.time_s:.1f} s",
             )
-        self._announce(News(self.time_s, scheduled_time_s=scheduled_s))
+        self._announce(TimetableUpdate(self.time_s, scheduled_time_s=scheduled_s))
         self.rollout.scheduled_time_s = scheduled_s
         self._plan_anew()
         return self._arrival_words(before_s)
@@ -184,7 +184,7 @@ class Engine:
         way = "earlier" if scheduled_s < before_s else "later"
         return f"told to arrive {way}: after {scheduled_s:g} s{self._instead()}"
 
-    def _announce(self, news: News) -> None:
+    def _announce(self, news: TimetableUpdate) -> None:
         self.news.append(news)
         self.rollout.tell(news)
 
@@ -217,7 +217,7 @@ class Engine:
                 unit="m",
                 allowed=f"{nearest:.0f} m or further" if nearest is not None else "a higher speed",
             )
-        self._announce(News(self.time_s, restriction=restriction))
+        self._announce(TimetableUpdate(self.time_s, restriction=restriction))
         self.rollout.hear()
         self._plan_anew()
         return restriction_words(restriction)
@@ -226,7 +226,7 @@ class Engine:
         """Whether the speed is one protection would permit with the restriction."""
         run = self.rollout.run
         section = self.rollout.section.restricted(restriction)
-        guard = protect(section, run.scenario.believed(run.trainset), declared_bounds(run))
+        guard = protect(section, run.scenario.nominal(run.trainset), declared_bounds(run))
         state = self.rollout.state
         seen = float(state.speed_mps) + max(float(state.acceleration_mps2), 0.0)
         return seen <= float(permitted_speed(guard, float(state.position_m)))
@@ -260,7 +260,7 @@ class Engine:
         )
         try:
             return optimal_plan(
-                rollout.section, rollout.run.scenario.believed(rollout.run.trainset), left, options
+                rollout.section, rollout.run.scenario.nominal(rollout.run.trainset), left, options
             )
         except (Infeasible, SolverError):
             return None

@@ -16,7 +16,7 @@ from time import monotonic
 from typing import Any, cast
 
 from metropilot.web.live.worker import main
-from metropilot.web.refused import FIELDS, Refused
+from metropilot.web.refusals import FIELDS, Refused
 
 ANSWER_S = 10.0
 KEEP_ALIVE_S = 15.0

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from metropilot.errors import MetropilotError
 from metropilot.web.pools import explained
-from metropilot.web.refused import detail_of
+from metropilot.web.refusals import detail_of
 from metropilot.web.work.setup import begin
 
 if TYPE_CHECKING:

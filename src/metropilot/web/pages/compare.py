@@ -9,7 +9,6 @@ from nicegui import ui
 
 from metropilot.errors import MetropilotError
 from metropilot.web import catalogue
-from metropilot.web.asked import CompareAsked
 from metropilot.web.pages.form import (
     DisturbanceForm,
     SectionForm,
@@ -21,7 +20,8 @@ from metropilot.web.pages.form import (
 )
 from metropilot.web.pages.frame import card, empty, frame, links, number, refresh_while, table
 from metropilot.web.pages.plots import blank, compare_figure, front_figure
-from metropilot.web.refused import Refused
+from metropilot.web.refusals import Refused
+from metropilot.web.schemas.requests import CompareAsked
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 

@@ -7,16 +7,16 @@ from typing import Any
 from fastapi import Request
 from nicegui import events, ui
 
-from metropilot.drivers.followers import FOLLOWERS
+from metropilot.convoy.drivers import FOLLOWERS
 from metropilot.errors import MetropilotError
 from metropilot.web import catalogue
-from metropilot.web.asked import ConvoyAsked, NewLink
 from metropilot.web.pages.drive import checks_table
 from metropilot.web.pages.form import SectionForm, bounded, driver_choice, driver_names, validated
 from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, table
 from metropilot.web.pages.plots import convoy_figure, driven_convoy
 from metropilot.web.pages.strip import section_strip
-from metropilot.web.refused import Refused
+from metropilot.web.refusals import Refused
+from metropilot.web.schemas.requests import ConvoyAsked, NewLink
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 

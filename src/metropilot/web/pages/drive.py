@@ -11,7 +11,6 @@ from nicegui import events, ui
 from metropilot.errors import InputError, MetropilotError
 from metropilot.railway.line import RESTRICTION_KMH
 from metropilot.web import catalogue
-from metropilot.web.asked import LiveAsked, NewArrival, NewRestriction
 from metropilot.web.live.session import Session
 from metropilot.web.pages.form import (
     DisturbanceForm,
@@ -26,7 +25,8 @@ from metropilot.web.pages.frame import Problem, card, frame, links, number, read
 from metropilot.web.pages.plots import driven_run, planned_run, run_figure
 from metropilot.web.pages.runs import RunList
 from metropilot.web.pages.strip import line_strip, section_strip
-from metropilot.web.refused import Refused
+from metropilot.web.refusals import Refused
+from metropilot.web.schemas.requests import LiveAsked, NewArrival, NewRestriction
 from metropilot.web.service import RESUMABLE, Service
 from metropilot.web.store import JobRow
 

@@ -13,9 +13,9 @@ from metropilot.errors import InputError, MetropilotError
 from metropilot.evaluate.driver_options import named_driver
 from metropilot.evaluate.request_file import POLICY
 from metropilot.web import catalogue
-from metropilot.web.asked import DriveAsked, PlanAsked
 from metropilot.web.pages.frame import Problem, number
 from metropilot.web.pages.strip import names
+from metropilot.web.schemas.requests import DriveAsked, PlanAsked
 from metropilot.web.service import Service
 
 SLOWEST = 1.6

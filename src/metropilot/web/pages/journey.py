@@ -9,11 +9,11 @@ from fastapi import Request
 from nicegui import ui
 
 from metropilot.web import catalogue
-from metropilot.web.asked import JourneyAsked
 from metropilot.web.pages.form import bounded, loads, validated
 from metropilot.web.pages.frame import Problem, card, clock, frame, number, reads, table
 from metropilot.web.pages.plots import blank, journey_figure, sections_figure
 from metropilot.web.pages.strip import line_strip, names
+from metropilot.web.schemas.requests import JourneyAsked
 from metropilot.web.service import Service
 
 WAYS = {"timetable": "Keep the timetable", "optimum": "Let the optimum spread the reserve"}

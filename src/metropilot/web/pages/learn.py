@@ -10,11 +10,11 @@ from nicegui import run, ui
 
 from metropilot.errors import MetropilotError
 from metropilot.web import catalogue
-from metropilot.web.asked import LearnAsked, StudyAsked
 from metropilot.web.pages.form import bounded, validated
 from metropilot.web.pages.frame import Problem, card, empty, frame, number, refresh_while, table
 from metropilot.web.pages.plots import blank, history_figure
-from metropilot.web.refused import Refused
+from metropilot.web.refusals import Refused
+from metropilot.web.schemas.requests import LearnAsked, StudyAsked
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 

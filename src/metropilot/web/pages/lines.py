@@ -12,7 +12,7 @@ from metropilot.web import catalogue
 from metropilot.web.pages.frame import card, empty, frame, heading, number, table
 from metropilot.web.pages.plots import BLACK, BLUE, axis, figure, line, stairs
 from metropilot.web.pages.strip import line_strip
-from metropilot.web.refused import detail_of
+from metropilot.web.refusals import detail_of
 from metropilot.web.service import Service
 
 WHERE = ("file", "field", "value", "unit", "allowed")

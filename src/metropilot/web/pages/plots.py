@@ -155,7 +155,7 @@ def driven_run(driven: dict[str, Any]) -> Figure:
     """A run that was driven to its end: limit, permitted speed, the optimum for the time it took, the drive.
 
     Args:
-        driven: As :class:`metropilot.web.answers.DriveOut`.
+        driven: As :class:`metropilot.web.schemas.responses.DriveOut`.
     """
     columns, plan = driven["columns"], driven["plan"]
     at = columns["position_m"]

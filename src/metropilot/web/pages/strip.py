@@ -16,7 +16,7 @@ def section_strip(section: dict[str, Any], trainset_length_m: float = 0.0, behin
     """A section with a trainset that the browser moves.
 
     Args:
-        section: As :class:`metropilot.web.answers.SectionOut`.
+        section: As :class:`metropilot.web.schemas.responses.SectionOut`.
         trainset_length_m: Drawn to scale, its head at the origin; 0 draws none.
         behind_m: Room for a convoy behind the origin, which the browser draws.
     """
@@ -43,7 +43,7 @@ def line_strip(line: dict[str, Any], chosen: tuple[str, str] | None = None) -> s
     """A whole line; the chosen section is marked.
 
     Args:
-        line: As :class:`metropilot.web.answers.LineOut`.
+        line: As :class:`metropilot.web.schemas.responses.LineOut`.
         chosen: Codes of origin and destination.
     """
     stops = line["stops"]

@@ -7,24 +7,22 @@ from pathlib import Path
 from typing import Any
 from zipfile import ZIP_DEFLATED, ZipFile
 
+from metropilot._io import atomic_write
 from metropilot.evaluate import (
-    COLUMNS,
-    Drive,
     Kpis,
     Optimum,
     Request,
     checks,
     compare,
     comparison_json,
-    drive,
     jobs,
     kpis_of,
     optimum_of,
     write_comparison,
     write_run,
 )
-from metropilot.railway.whole_file import write_whole
-from metropilot.web.store import Store
+from metropilot.sim import COLUMNS, Drive, drive
+from metropilot.web.store import JobStore
 from metropilot.web.work.plain import numbers
 from metropilot.web.work.plans import plan_out
 
@@ -62,7 +60,7 @@ def drive_out(driven: Drive, kpis: Kpis, optimum: Optimum | None) -> dict[str, A
 
 def drive_job(root: str, job: str, request: Request) -> dict[str, Any]:
     """Drive one run; its files go into the job's folder."""
-    store = Store(Path(root))
+    store = JobStore(Path(root))
     store.update(job, status="running", progress=0.0, words="driving")
     driven = drive(request.run(), request.make_driver())
     store.update(job, progress=0.6, words="comparing with the optimum")
@@ -83,7 +81,7 @@ def compare_job(root: str, job: str, request: Request, drivers: dict[str, str], 
         drivers: What :func:`metropilot.evaluate.compare` takes, by the names the drivers are shown by.
         seeds: Drives of each driver.
     """
-    store = Store(Path(root))
+    store = JobStore(Path(root))
     store.update(job, status="running", progress=0.0, words="driving")
     todo = jobs(list(drivers.values()), request.seed, seeds)
     shown = {taken: name for name, taken in drivers.items()}
@@ -123,7 +121,7 @@ def archive(folder: Path) -> Path:
                 for each in found:
                     made.write(each, each.name)
 
-        write_whole(path, write)
+        atomic_write(path, write)
     return path
 
 

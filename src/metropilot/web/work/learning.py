@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from metropilot.web.store import Store
+from metropilot.web.store import JobStore
 
 PROGRESS = "progress.jsonl"
 
@@ -22,14 +22,14 @@ def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> di
     Args:
         root: Folder of the server's data.
         job: Id of the job.
-        asked: Fields of :class:`metropilot.web.asked.LearnAsked`.
+        asked: Fields of :class:`metropilot.web.schemas.requests.LearnAsked`.
         run: Id of the learning run to go on with.
     """
-    store = Store(Path(root))
+    store = JobStore(Path(root))
     store.update(job, status="running", words="compiling")
-    from metropilot.learn import Progress, RunStore, Sitting, learn_run
+    from metropilot.learn import RunStore, TrainingOptions, TrainingProgress, learn_run
     from metropilot.learn.recipes import evaluation_of, new_request, resumed_request
-    from metropilot.learn.recorded import begin_run
+    from metropilot.learn.train import begin_run
 
     runs = RunStore(Path(root) / "runs")
     if run is not None:
@@ -42,7 +42,7 @@ def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> di
     store.update(job, run=record.id)
     told = runs.folder(record.id) / PROGRESS
 
-    def progress(now: Progress) -> None:
+    def progress(now: TrainingProgress) -> None:
         with told.open("a", encoding="utf-8") as file:
             file.write(json.dumps({"steps": now.steps, **now.row}) + "\n")
         words = f"{now.steps:,} of {now.total_steps:,} steps, {now.rate:,.0f} steps/s".replace(",", " ")
@@ -52,7 +52,7 @@ def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> di
         if store.stop_asked(job):
             raise KeyboardInterrupt
 
-    sitting = Sitting(evaluate=evaluation_of(request), on_progress=progress)
+    sitting = TrainingOptions(evaluate=evaluation_of(request), on_progress=progress)
     try:
         record, learned = learn_run(runs, request, sitting, resume=record.id)
     except KeyboardInterrupt:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from metropilot.drivers.policy.loaded import load_driving_policy
 from metropilot.errors import Infeasible, InputError
 from metropilot.evaluate import Request
 from metropilot.evaluate.request_file import POLICY
@@ -23,6 +22,7 @@ from metropilot.planning import (
     time_energy_front,
     timetable_waypoints,
 )
+from metropilot.policy.loaded import load_driving_policy
 from metropilot.railway import Line, Trainset, import_file, load_line, load_trainset
 from metropilot.web.work.plain import numbers, station, window
 
@@ -103,7 +103,7 @@ def journey_of(asked: dict[str, Any]) -> dict[str, Any]:
     """A journey that calls at every station.
 
     Args:
-        asked: Fields of :class:`metropilot.web.asked.JourneyAsked`, names of files resolved.
+        asked: Fields of :class:`metropilot.web.schemas.requests.JourneyAsked`, names of files resolved.
     """
     line, trainset = load_line(asked["line"]), load_trainset(asked["trainset"], asked["load"])
     origin = line.station(asked["origin"]) if asked["origin"] else line.stations[0]

@@ -8,7 +8,7 @@ from multiprocessing import parent_process
 from multiprocessing.connection import wait
 from threading import Thread
 
-from metropilot.processes import ONE_THREAD
+from metropilot._processes import ONE_THREAD
 
 
 def begin(worker_bytes: int | None, nice: int) -> None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from metropilot.web.store import Store
+from metropilot.web.store import JobStore
 
 
 def study_job(root: str, job: str, asked: dict[str, Any]) -> dict[str, Any]:
     """Reproduce a study into a folder that a later job goes on with; its report as plain values."""
-    store = Store(Path(root))
+    store = JobStore(Path(root))
     store.update(job, status="running", words="beginning")
     from metropilot import studies
 

@@ -1,0 +1,17 @@
+"""Campaigns: a declared matrix of runs, driven on one machine or a cluster, resumable, reported."""
+
+from metropilot.campaign.declared import Campaign, CampaignCase, DisturbanceCase
+from metropilot.campaign.run import CampaignProgress, run_campaign
+from metropilot.campaign.shipped import read_campaign, shipped_campaigns
+from metropilot.campaign.summary import summarise
+
+__all__ = [
+    "Campaign",
+    "CampaignCase",
+    "CampaignProgress",
+    "DisturbanceCase",
+    "read_campaign",
+    "run_campaign",
+    "shipped_campaigns",
+    "summarise",
+]

@@ -1,0 +1,162 @@
+"""What the runs of a batch look up, stacked to a few agreed sizes: one program serves many batches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from metropilot.env import PolicyInterface
+from metropilot.env.tables import CURVES, SectionTables, build_tables
+from metropilot.physics import Track, delay_steps, padded_size, stack, track_arrays, vehicle_arrays
+from metropilot.protection import Bounds, protect
+from metropilot.railway import Section, Trainset, load_trainset
+from metropilot.sim import Run, declared_bounds
+
+CASES = (8, 32, 128, 512)
+GUARD_NODES = (4096, 8192, 16384, 32768, 65536, 131072)
+SEEN_NODES = (1024, 4096, 16384, 65536)
+TRACK_NODES = (64, 256, 1024)
+SPEEDS = (64, 128, 256, 512)
+"""Few sizes, for each combination of them is a program of its own; what is not looked up costs nothing."""
+KEPT = 128
+"""Tables a worker keeps; a section's take about 0.1 MB."""
+
+
+class Place(NamedTuple):
+    """What tables are of; two runs with the same place share them.
+
+    Attributes:
+        section: Line, origin, destination, and restrictions in force.
+        trainset: Trainset, load, and whether its actuation is ideal.
+        bounds: What protection is told to expect.
+    """
+
+    section: tuple[str, str, str, tuple[str, ...]]
+    trainset: tuple[str, str | None, bool]
+    bounds: Bounds
+
+
+class Held:
+    """The tables of one kind that a worker has made so far.
+
+    Args:
+        make: Makes one, without a leading axis.
+    """
+
+    def __init__(self, make: Callable[[Section, Run], SectionTables]) -> None:
+        self.make = make
+        self.known: dict[Place, SectionTables] = {}
+
+    def get(self, place: Place, section: Section, run: Run) -> SectionTables:
+        """The tables of a place, made if they are new; the oldest go when there are too many."""
+        if place not in self.known:
+            while len(self.known) >= KEPT:
+                del self.known[next(iter(self.known))]
+            self.known[place] = self.make(section, run)
+        return self.known[place]
+
+
+def guard_tables(section: Section, run: Run) -> SectionTables:
+    """Protection of a section as the host supervises it, and its track; no leading axis."""
+    believed = run.scenario.nominal(run.trainset)
+    guard = protect(section, believed, declared_bounds(run))
+    curves = [getattr(guard, name) for name in CURVES]
+    none = np.float64(0.0)
+    return SectionTables(
+        vehicle=vehicle_arrays(believed),
+        track=_track(section, believed),
+        protection=guard._replace(**dict.fromkeys(CURVES, none)),
+        ground=np.stack([*curves, np.zeros_like(curves[0])], axis=1),
+        to_go=np.zeros((2, 2)),
+        minimum_s=none,
+        length_m=np.float64(section.length_m),
+        load=none,
+        stop_mps2=none,
+        braked=np.zeros((1, 2)),
+    )
+
+
+def seen_tables(perception: PolicyInterface) -> Callable[[Section, Run], SectionTables]:
+    """What makes the tables a policy sees; as :class:`metropilot.drivers.learned.LearnedDriver` has them."""
+
+    def make(section: Section, run: Run) -> SectionTables:
+        believed = run.scenario.nominal(run.trainset)
+        case = (section, believed, declared_bounds(run))
+        tables = mapped(lambda a: a[0], build_tables([case], perception.spacing_m, np.float64))
+        guard = tables.protection._replace(ahead=np.zeros(1, np.int32), slots=np.zeros(1))
+        load = np.float64(believed.mass_kg / perception.mean_mass_kg)
+        return tables._replace(load=load, protection=guard, track=_track(section, believed))
+
+    return make
+
+
+def _track(section: Section, trainset: Trainset) -> Track:
+    """The section as the trainset feels it, in one of the agreed sizes."""
+    track = track_arrays(section, trainset)
+    return track_arrays(section, trainset, size=padded_size(track.node_m.size, TRACK_NODES))
+
+
+@lru_cache(maxsize=8)
+def held(perception: PolicyInterface | None) -> Held:
+    """The tables a worker keeps for a perception, or (None) for protection."""
+    return Held(guard_tables if perception is None else seen_tables(perception))
+
+
+def stacked(tables: Sequence[SectionTables], nodes: Sequence[int], slots: int) -> SectionTables:
+    """Tables with a leading axis, every shape one of a few.
+
+    Args:
+        tables: Without one.
+        nodes: Sizes the ground may have.
+        slots: Commands that may be on their way, the most of all runs.
+    """
+    rows = [*tables, *[tables[0]] * (padded_size(len(tables), CASES) - len(tables))]
+    size = padded_size(max(t.ground.shape[0] for t in tables) + 4, nodes)
+    columns = padded_size(max(t.to_go.shape[1] for t in tables), SPEEDS)
+    ahead = np.arange(max(t.protection.ahead.size for t in tables), dtype=np.int32)
+    count = len(rows)
+    guards = [t.protection._replace(vehicle=(), ahead=np.int32(0), slots=0.0) for t in rows]
+    guard = mapped_together(lambda *values: np.stack([np.asarray(v) for v in values]), *guards)
+    return SectionTables(
+        vehicle=stack([t.vehicle for t in rows]),
+        track=stack([t.track for t in rows]),
+        protection=guard._replace(
+            vehicle=stack([t.protection.vehicle for t in rows]),
+            ahead=np.repeat(ahead[None], count, axis=0),
+            slots=np.zeros((count, slots)),
+        ),
+        ground=np.stack([np.pad(t.ground, ((0, size - t.ground.shape[0]), (0, 0)), "edge") for t in rows]),
+        to_go=np.stack([np.pad(t.to_go, ((0, 0), (0, columns - t.to_go.shape[1])), "edge") for t in rows]),
+        braked=np.stack([_lengthened(t.braked, size) for t in rows]),
+        **{
+            name: np.array([getattr(t, name) for t in rows])
+            for name in ("minimum_s", "length_m", "load", "stop_mps2")
+        },
+    )
+
+
+def _lengthened(braked: np.ndarray, size: int) -> np.ndarray:
+    """Braking curves in an agreed size; protection's tables have none."""
+    return np.pad(braked, ((0, size - len(braked) if len(braked) > 1 else 0), (0, 0)), "edge")
+
+
+def mapped(function: Callable[..., Any], tree: Any) -> Any:  # noqa: ANN401 (a tree of tuples)
+    """A tree of tuples with every array replaced."""
+    return mapped_together(function, tree)
+
+
+def mapped_together(function: Callable[..., Any], *trees: Any) -> Any:  # noqa: ANN401 (trees of tuples)
+    """Trees of tuples as one, every array made of theirs."""
+    if isinstance(trees[0], tuple):
+        values = [mapped_together(function, *entries) for entries in zip(*trees, strict=True)]
+        return type(trees[0])(*values) if hasattr(trees[0], "_fields") else tuple(values)
+    return function(*trees)
+
+
+def most_slots(trainsets: Sequence[tuple[str, str]], dt: float) -> int:
+    """Commands that may be on their way in any run of a campaign: the length of its pipelines."""
+    delays = [load_trainset(name, load).actuation.delay_s for name, load in trainsets]
+    return delay_steps(max(delays), dt) + 1

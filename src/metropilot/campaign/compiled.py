@@ -1,0 +1,337 @@
+"""Runs of one learned driver driven together as a compiled batch, each measured like any other run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from time import perf_counter, process_time
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy import ndarray
+
+from metropilot.campaign.batch_tables import GUARD_NODES, SEEN_NODES, Place, held, most_slots, stacked
+from metropilot.campaign.declared import BATCH, Campaign, CampaignCase, seed_of
+from metropilot.campaign.optima import Curves
+from metropilot.campaign.program import (
+    BROKEN,
+    PERIODS,
+    CompiledRow,
+    EpisodeParams,
+    EpisodeState,
+    Kind,
+    program,
+)
+from metropilot.campaign.rows import FAILED, add_kpis, capture_errors, new_result, prepare_run, worker_mb
+from metropilot.drivers.shipped import AbstractPolicyDriver
+from metropilot.errors import Infeasible
+from metropilot.evaluate.optimum import Optimum
+from metropilot.evaluate.request import Request
+from metropilot.physics import (
+    Forces,
+    Track,
+    Vehicle,
+    at_rest,
+    delay_steps,
+    double_precision,
+    stack,
+    track_arrays,
+    vehicle_arrays,
+)
+from metropilot.policy.loaded import LoadedPolicy
+from metropilot.protection.types import Memory
+from metropilot.railway import Section, Trainset
+from metropilot.sim import CODES, NOISE_CUT, RUNNING, Outcome, Run, declared_bounds
+from metropilot.sim.recorder import closed_trajectory, limits_at, track_overspeed
+from metropilot.sim.rollout import OVERSPEED_MPS, Drive
+
+CURVES = Curves()
+"""This worker's."""
+GUARD_SPACING_M = 1.0
+"""Distance between the nodes of the host's protection."""
+
+
+class Setting(NamedTuple):
+    """What the seeds of a cell share, as long as nothing but noise differs between them.
+
+    Attributes:
+        request: What one of them is made of.
+        run: It.
+        known: What its row of results says of it by now.
+        sections: The section at departure, and once the restriction has been announced.
+        places: What tables are of there.
+        tracks: The two as the trainset feels them.
+        restricted_at_s: When the restriction is announced (infinite: never).
+        news: When another running time is announced (infinite: never), and which.
+        trainset: The trainset as it really is.
+        vehicle: It as numbers.
+    """
+
+    request: Request
+    run: Run
+    known: dict[str, Any]
+    sections: tuple[Section, Section]
+    places: tuple[Place, Place]
+    tracks: tuple[Track, Track]
+    restricted_at_s: float
+    news: tuple[float, float]
+    trainset: Trainset
+    vehicle: Vehicle
+
+
+class CompiledStart(NamedTuple):
+    """One run of a batch, ready to begin.
+
+    Attributes:
+        case: Its cell.
+        run: The run.
+        setting: What other seeds may share with it.
+        result: Its row of results, to be filled in.
+        timing: Its row of timings.
+    """
+
+    case: CampaignCase
+    run: Run
+    setting: Setting
+    result: dict[str, Any]
+    timing: dict[str, Any]
+
+
+def drive_batch(
+    campaign: Campaign, cases: Sequence[CampaignCase]
+) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """Drive rows by the same learned driver, all with the plant as told: result and timing of each.
+
+    Args:
+        campaign: The campaign.
+        cases: At most ``BATCH``.
+    """
+    rows, starts, settings = [], [], {}
+    for case in cases:
+        began, spent = perf_counter(), process_time()
+        result, timing = new_result(campaign, case)
+        result["engine"] = "compiled"
+        with capture_errors(result):
+            starts.append(_start(campaign, case, settings, result, timing))
+        timing |= {"wall_s": perf_counter() - began, "processor_s": process_time() - spent}
+        rows.append((result, timing))
+    if not starts:
+        return rows
+    began, spent = perf_counter(), process_time()
+    driver = starts[0].setting.request.make_driver()
+    if not isinstance(driver, AbstractPolicyDriver):
+        raise TypeError(f"{driver.id} is no learned driver")
+    record, outcome = _driven(campaign, driver.loaded, starts)
+    shares = (perf_counter() - began) / len(starts), (process_time() - spent) / len(starts)
+    for k, start in enumerate(starts):
+        began, spent = perf_counter(), process_time()
+        with capture_errors(start.result):
+            if outcome[k] == BROKEN:
+                start.result |= {"outcome": FAILED, "error": "the policy answers what is not a number"}
+            else:
+                drive = _drive_of(driver.id, start, record, k)
+                add_kpis(campaign, drive, _optimum(campaign, start, drive), start.result)
+        start.timing["wall_s"] += shares[0] + perf_counter() - began
+        start.timing["processor_s"] += shares[1] + process_time() - spent
+        start.timing["worker_mb"] = worker_mb()
+    return rows
+
+
+def _optimum(campaign: Campaign, start: CompiledStart, drive: Drive) -> Optimum | None:
+    """The optimum of a run, off its plant's curve: seeds share the plant."""
+    place = start.setting.places[int(drive.section is start.setting.sections[1])]
+    plant = (place.section, place.trainset, campaign.objective)
+    try:
+        curve = CURVES.get(plant, drive.section, drive.trainset, campaign.objective)
+        arrived = drive.outcome is Outcome.ARRIVED
+        return curve.at(drive.running_time_s if arrived else drive.scheduled_time_s)
+    except Infeasible:
+        return None
+
+
+def _start(
+    campaign: Campaign,
+    case: CampaignCase,
+    settings: dict[str, Setting],
+    result: dict[str, Any],
+    timing: dict[str, Any],
+) -> CompiledStart:
+    """A row ready to be driven; seeds that differ in nothing but noise share the last setting made."""
+    seed = seed_of(campaign, case)
+    key = str((case[2:8], case.disturbance.name))
+    ranges = case.disturbance.ranges.values()
+    if any(low < high for low, high in ranges) or key not in settings:
+        settings.clear()
+        settings[key] = _setting(campaign, case)
+    setting = settings[key]
+    result |= setting.known | {"seed": seed}
+    return CompiledStart(case, replace(setting.run, seed=seed), setting, result, timing)
+
+
+def _setting(campaign: Campaign, case: CampaignCase) -> Setting:
+    known: dict[str, Any] = {}
+    request, run = prepare_run(campaign, case, known)
+    section, restricted_at, news = run.section, float("inf"), (float("inf"), run.scheduled_time_s)
+    for item in run.scenario.news:
+        if item.restriction is not None:
+            section, restricted_at = section.restricted(item.restriction), item.at_s
+        if item.scheduled_time_s is not None:
+            news = item.at_s, item.scheduled_time_s
+    trainset, bounds = run.scenario.true_plant(run.trainset), declared_bounds(run)
+    first = tuple(text for text in request.restrictions if text.count("@") == 1)
+    where, what = case[2:5], (request.trainset, request.load, request.ideal)
+    return Setting(
+        request=request,
+        run=run,
+        known=known,
+        sections=(run.section, section),
+        places=(Place((*where, first), what, bounds), Place((*where, request.restrictions), what, bounds)),
+        tracks=(track_arrays(run.section, trainset), track_arrays(section, trainset)),
+        restricted_at_s=restricted_at,
+        news=news,
+        trainset=trainset,
+        vehicle=vehicle_arrays(trainset),
+    )
+
+
+def _driven(
+    campaign: Campaign, loaded: LoadedPolicy, starts: Sequence[CompiledStart]
+) -> tuple[CompiledRow, ndarray]:
+    """Drive the batch to its end: everything recorded, leading axes (steps, runs), and how each ended."""
+    import jax
+
+    from metropilot.learn.compile_cache import keep_compiled
+
+    keep_compiled()
+    policy = loaded.policy.policy
+    kind = Kind(policy.spec, loaded.perception, campaign.dt_s, GUARD_SPACING_M)
+    slots = most_slots(campaign.trainsets, campaign.dt_s)
+    tables, given = _given(loaded, starts, slots)
+    going = _at_departure(given, slots, policy.spec.discrete, policy.spec.actions)
+    sigma = [start.run.scenario.speed_noise_mps for start in starts]
+    streams = [
+        np.random.default_rng(np.random.SeedSequence(start.run.seed, spawn_key=(1,))) if s > 0 else None
+        for start, s in zip(starts, sigma, strict=True)
+    ]
+    record = []
+    with double_precision(), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        params, tables, given, going = jax.tree.map(jax.numpy.asarray, (policy.params, tables, given, going))
+        some = program(kind)
+        while not record or (record[-1].outcome[-1, : len(starts)] == RUNNING).any():
+            going, rows = some(params, tables, given, going, jax.numpy.asarray(_noise(streams)))
+            record.append(jax.tree.map(np.asarray, rows))
+    whole = jax.tree.map(lambda *parts: np.concatenate(parts), *record)
+    return whole, whole.outcome[-1]
+
+
+def _noise(streams: Sequence[np.random.Generator | None]) -> ndarray:
+    """Noise of the next periods in deviations, each run's from its own stream. Shape (PERIODS, BATCH)."""
+    noise = np.zeros((PERIODS, BATCH))
+    for k, stream in enumerate(streams):
+        if stream is not None:
+            noise[:, k] = np.clip(stream.standard_normal(PERIODS), -NOISE_CUT, NOISE_CUT)
+    return noise
+
+
+def _given(loaded: LoadedPolicy, starts: Sequence[CompiledStart], slots: int) -> tuple[Any, EpisodeParams]:
+    """Tables of protection and of the policy, and the runs over them; the first run fills up a batch."""
+    kinds = held(None), held(loaded.perception)
+    numbers: dict[Place, int] = {}
+    found: tuple[list[Any], list[Any]] = ([], [])
+    rows = []
+    for run, setting in ((start.run, start.setting) for start in starts):
+        for place, section in zip(setting.places, setting.sections, strict=True):
+            if place not in numbers:
+                numbers[place] = len(numbers)
+                for kind, tables in zip(kinds, found, strict=True):
+                    tables.append(kind.get(place, section, run))
+        rows.append([numbers[place] for place in setting.places])
+    fill = [*range(len(starts)), *[0] * (BATCH - len(starts))]
+    settings = [starts[k].setting for k in fill]
+    scenarios = [starts[k].run.scenario for k in fill]
+    bounds = [setting.places[0].bounds for setting in settings]
+    places = np.array(rows, np.int32)[fill]
+    given = EpisodeParams(
+        vehicle=stack([setting.vehicle for setting in settings]),
+        guard=places,
+        seen=places,
+        restricted_at_s=np.array([setting.restricted_at_s for setting in settings]),
+        scheduled_s=np.array([setting.run.scheduled_time_s for setting in settings]),
+        news_at_s=np.array([setting.news[0] for setting in settings]),
+        news_s=np.array([setting.news[1] for setting in settings]),
+        speed_noise_mps=np.array([scenario.speed_noise_mps for scenario in scenarios]),
+        slots=np.array([delay_steps(b.delay_s, b.dt_s) + 1 for b in bounds], np.int32),
+        length_m=np.array([setting.run.section.length_m for setting in settings]),
+    )
+    sizes = GUARD_NODES, SEEN_NODES
+    return tuple(stacked(t, size, slots) for t, size in zip(found, sizes, strict=True)), given
+
+
+def _at_departure(given: EpisodeParams, slots: int, discrete: bool, actions: int) -> EpisodeState:
+    """Where the runs of a batch are at departure (NumPy)."""
+    zero, count = np.zeros(BATCH), np.zeros(BATCH, np.int32)
+    state = at_rest(given.vehicle, delay_steps=slots - 1)
+    plant = state._replace(
+        **{name: zero for name, value in state._asdict().items() if np.ndim(value) == 0 and name != "forces"},
+        pipeline=np.zeros((BATCH, slots)),
+        forces=Forces(*[zero] * len(Forces._fields)),
+    )
+    recent = np.where(np.arange(slots) >= given.slots[:, None] - 1, -1.0, 0.0)
+    return EpisodeState(
+        plant=plant,
+        watched=Memory(recent, zero, zero, count > 0, count, count, count, count),
+        stood_since_s=zero,
+        command=zero,
+        action=count if discrete else np.zeros((BATCH, actions)),
+        wanted=zero,
+        decided=count,
+        stopping=count > 0,
+        outcome=np.full(BATCH, RUNNING, np.int32),
+    )
+
+
+def _drive_of(driver_id: str, start: CompiledStart, record: CompiledRow, k: int) -> Drive:
+    """A run of the batch as the host would have handed it over."""
+    run, setting = start.run, start.setting
+    last = int(np.argmax(record.outcome[:, k] != RUNNING)) + 1
+    own = {name: getattr(record, name)[:last, k] for name in CompiledRow._fields if name != "forces"}
+    names = ("time_s", "position_m", "speed_mps", "traction_j", "line_j")
+    rows = {name: np.concatenate([[0.0], own[name]]) for name in names}
+    tracks, told = setting.tracks, own["told"]
+    final = tracks[int(told[-1])]
+    at, speed = rows["position_m"], rows["speed_mps"]
+    limits = np.where(told > 0, limits_at(tracks[1], at[:-1]), limits_at(tracks[0], at[:-1]))
+    trajectory = closed_trajectory(
+        setting.vehicle,
+        run.dt,
+        rows,
+        own["acceleration_mps2"],
+        Forces(*(force[:last, k] for force in record.forces)),
+        own["command"],
+        limit_mps=np.append(limits, limits_at(final, at[-1:])),
+        permitted_mps=np.append(own["permitted_mps"], own["permitted_mps"][-1]),
+    )
+    over = 0.0
+    for stage, track in enumerate(tracks):
+        steps = np.flatnonzero(told == stage)
+        if steps.size:
+            part = slice(steps[0], steps[-1] + 2)
+            over = max(over, track_overspeed(track, at[part], speed[part]))
+    stopped = np.flatnonzero((speed[:-1] > 0.0) & (speed[1:] <= 0.0))
+    stood_since = float(rows["time_s"][stopped[-1] + 1]) if stopped.size else 0.0
+    overruled = own["overruled"]
+    return Drive(
+        run=run,
+        driver=driver_id,
+        trajectory=trajectory,
+        outcome=Outcome.OVERSPEED if over > OVERSPEED_MPS else CODES[int(own["outcome"][-1])],
+        running_time_s=stood_since if speed[-1] <= 0 else float(rows["time_s"][-1]),
+        scheduled_time_s=setting.news[1] if rows["time_s"][-2] >= setting.news[0] else run.scheduled_time_s,
+        section=setting.sections[int(told[-1])],
+        trainset=setting.trainset,
+        interventions=int((np.diff(overruled, prepend=False) & overruled).sum()),
+        max_overspeed_mps=over,
+        recovered_j=float(own["recovered_j"][-1]),
+        decision_us=np.zeros(last),
+        overruled=overruled,
+    )

@@ -1,0 +1,290 @@
+"""What a campaign is: a matrix whose rows are numbered, and a request for each row.
+
+Nothing of a row depends on which rows were driven before it, where, or by how many: its seed and everything
+drawn at random come from its identity. The driver is no part of that identity, so that every driver meets the
+same plant and the same noise.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache
+from hashlib import sha256
+from itertools import product
+from math import prod
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from metropilot.drivers import DRIVERS
+from metropilot.drivers.shipped import AbstractPolicyDriver
+from metropilot.evaluate.driver_options import named_driver
+from metropilot.evaluate.optimum import Objective
+from metropilot.evaluate.request import Request
+from metropilot.railway import load_trainset
+from metropilot.sim import CONTROL_PERIOD_S
+
+PLANNED = "planned"
+SHARDS = 20
+LARGEST_SHARD = 50
+BATCH = 256
+"""Runs of a compiled shard: one program drives so many at once, whether they are real or fill it up."""
+Engine = Literal["host", "compiled"]
+DRAWN = (
+    "mass_factor",
+    "resistance_factor",
+    "delay_s",
+    "lag_s",
+    "speed_noise_mps",
+    "headwind_mps",
+    "adhesion",
+)
+"""Fields of a request that a disturbance may set or draw."""
+MEASURED = ("speed_noise_mps",)
+"""Those that leave the plant as drivers are told it is."""
+
+
+@dataclass(frozen=True)
+class DisturbanceCase:
+    """What goes differently than planned, in words that fit every section.
+
+    Attributes:
+        name: In the results.
+        ideal: Ideal actuation: no delay, lag or jerk limit.
+        ranges: From a field of :data:`DRAWN` to the interval it is drawn from, evenly.
+        restriction: A temporary speed restriction: from and to as shares of the section, limit in km/h, and
+            when it is announced as a share of the scheduled time (None: before departure).
+        arrival: A new running time over the scheduled one, and when it is announced as a share of that.
+    """
+
+    name: str
+    ideal: bool = False
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    restriction: tuple[float, float, float, float | None] | None = None
+    arrival: tuple[float, float] | None = None
+
+    @property
+    def as_told(self) -> bool:
+        """Whether the plant is the one that drivers are told of, whatever they measure and hear of it."""
+        return not set(self.ranges) - set(MEASURED)
+
+
+class CampaignCase(NamedTuple):
+    """One row: the cell of the matrix.
+
+    Attributes:
+        row: Number of the row.
+        driver: Driver id, options included.
+        line: Line, with ``origin`` and ``destination``.
+        origin: Station code.
+        destination: Station code.
+        trainset: Trainset.
+        load: Load aboard.
+        time: ``planned``, or the scheduled time over the minimum running time.
+        disturbance: What goes differently.
+        number: Which of the seeds.
+    """
+
+    row: int
+    driver: str
+    line: str
+    origin: str
+    destination: str
+    trainset: str
+    load: str
+    time: float | str
+    disturbance: DisturbanceCase
+    number: int
+
+
+class Piece(NamedTuple):
+    """A shard: what is driven and kept as a whole.
+
+    Attributes:
+        driver: Driver id, options included.
+        chunk: Which of its shards.
+    """
+
+    driver: str
+    chunk: int
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A matrix of runs: cells, each driven by every driver.
+
+    Attributes:
+        name: Of the campaign.
+        drivers: Driver ids, each with options if any (``ID:NAME=VALUE``).
+        sections: Line, origin and destination of each.
+        trainsets: Trainset and load of each.
+        times: ``planned``, or ratios to the minimum running time.
+        disturbances: What goes differently.
+        seeds: How many of each.
+        first_seed: Base of all that is random.
+        objective: Energy the optimum minimises.
+        dt_s: Control period.
+        engine: ``host`` drives each run by itself, exactly as ``metropilot drive``; ``compiled`` drives
+            those of learned policies in batches, where the plant is the one they are told of.
+    """
+
+    name: str
+    drivers: tuple[str, ...]
+    sections: tuple[tuple[str, str, str], ...]
+    trainsets: tuple[tuple[str, str], ...]
+    times: tuple[float | str, ...] = (PLANNED,)
+    disturbances: tuple[DisturbanceCase, ...] = (DisturbanceCase("as told"),)
+    seeds: int = 1
+    first_seed: int = 0
+    objective: Objective = "wheel"
+    dt_s: float = CONTROL_PERIOD_S
+    engine: Engine = "host"
+
+    @property
+    def axes(self) -> tuple[int, ...]:
+        """Drivers, sections, trainsets, times, disturbances, seeds: how many; the last vary fastest."""
+        lists = (self.drivers, self.sections, self.trainsets, self.times, self.disturbances)
+        return (*(len(axis) for axis in lists), self.seeds)
+
+    @property
+    def cells(self) -> int:
+        """Number of runs of one driver."""
+        return prod(self.axes[1:])
+
+    @property
+    def rows(self) -> int:
+        """Number of runs."""
+        return prod(self.axes)
+
+    def is_compiled(self, driver: str, disturbance: DisturbanceCase, trainset: tuple[str, str]) -> bool:
+        """Whether a driver's runs are driven as compiled batches; elsewhere it acts on what it observes.
+
+        Args:
+            driver: Driver id, options included.
+            disturbance: What goes differently.
+            trainset: Trainset and load; of one that declares a dead time or lag every driver looks ahead.
+        """
+        kind = DRIVERS.get(named_driver(driver)[0])
+        if self.engine != "compiled" or not issubclass(kind, AbstractPolicyDriver) or not disturbance.as_told:
+            return False
+        return disturbance.ideal or not _declares_late(*trainset)
+
+    def shard_rows(self, driver: str) -> int:
+        """Rows of a driver's shard; decided by driver and matrix alone."""
+        pairs = product(self.disturbances, self.trainsets)
+        if any(self.is_compiled(driver, disturbance, trainset) for disturbance, trainset in pairs):
+            return BATCH
+        return min(max(-(-self.cells // SHARDS), 1), LARGEST_SHARD)
+
+    def pieces(self) -> tuple[Piece, ...]:
+        """All shards. Each is of one driver, so that more drivers leave those of the others as they are."""
+        counts = [(name, -(-self.cells // self.shard_rows(name))) for name in self.drivers]
+        return tuple(Piece(name, chunk) for name, count in counts for chunk in range(count))
+
+    def shard(self, piece: Piece) -> range:
+        """The rows of a shard."""
+        size = self.shard_rows(piece.driver)
+        first, base = piece.chunk * size, self.drivers.index(piece.driver) * self.cells
+        return range(base + first, base + min(first + size, self.cells))
+
+    def case(self, row: int) -> CampaignCase:
+        """The cell of a row."""
+        driver, section, trainset, time, disturbance, number = (
+            int(k) for k in np.unravel_index(row, self.axes)
+        )
+        return CampaignCase(
+            row,
+            self.drivers[driver],
+            *self.sections[section],
+            *self.trainsets[trainset],
+            self.times[time],
+            self.disturbances[disturbance],
+            number,
+        )
+
+    @property
+    def text(self) -> str:
+        """The whole campaign as JSON, keys sorted."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    @property
+    def digest(self) -> str:
+        """What names the campaign: the same for the same cells, whoever drives them."""
+        return sha256(replace(self, drivers=()).text.encode()).hexdigest()[:16]
+
+
+def from_text(text: str) -> Campaign:
+    """The campaign of :attr:`Campaign.text`.
+
+    Raises:
+        ValueError: It is no campaign's text.
+    """
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(Campaign).validate_json(text)
+
+
+def seed_of(campaign: Campaign, case: CampaignCase) -> int:
+    """The seed of a row, from everything that identifies it but the driver."""
+    cell = case._replace(row=0, driver="", disturbance=DisturbanceCase(case.disturbance.name))
+    text = json.dumps([campaign.first_seed, cell._asdict()], sort_keys=True, default=lambda d: d.name)
+    return int.from_bytes(sha256(text.encode()).digest()[:8], "big") >> 1
+
+
+def drawn(disturbance: DisturbanceCase, seed: int) -> dict[str, float]:
+    """What the disturbance makes of a request's fields, drawn from the row's own stream."""
+    random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
+    found = {}
+    for name in DRAWN:
+        share = float(random.random())
+        if name in disturbance.ranges:
+            low, high = disturbance.ranges[name]
+            found[name] = low if low == high else low + (high - low) * share
+    return found
+
+
+def request_of(campaign: Campaign, case: CampaignCase, scheduled_s: float, length_m: float) -> Request:
+    """The request of a row.
+
+    Args:
+        campaign: The campaign.
+        case: The row's cell.
+        scheduled_s: Its scheduled time.
+        length_m: Length of its section.
+    """
+    seed, told = seed_of(campaign, case), case.disturbance
+    driver, options = named_driver(case.driver)
+    restrictions, arrivals = (), ()
+    if told.restriction is not None:
+        start, end, kmh, announced = told.restriction
+        late = "" if announced is None else f"@{announced * scheduled_s:.1f}"
+        restrictions = (f"{start * length_m:.1f}-{end * length_m:.1f}@{kmh:g}{late}",)
+    if told.arrival is not None:
+        factor, announced = told.arrival
+        arrivals = (f"{factor * scheduled_s:.2f}@{announced * scheduled_s:.1f}",)
+    return Request(
+        line=case.line,
+        origin=case.origin,
+        destination=case.destination,
+        time_s=scheduled_s,
+        trainset=case.trainset,
+        load=case.load,
+        driver=driver,
+        options=options,
+        ideal=told.ideal,
+        restrictions=restrictions,
+        arrivals=arrivals,
+        objective=campaign.objective,
+        dt_s=campaign.dt_s,
+        seed=seed,
+        **drawn(told, seed),
+    )
+
+
+@cache
+def _declares_late(trainset: str, load: str) -> bool:
+    """Whether a trainset declares a dead time or a lag."""
+    actuation = load_trainset(trainset, load).actuation
+    return actuation.delay_s > 0.0 or actuation.lag_s > 0.0

@@ -1,0 +1,163 @@
+"""The leaderboard: a campaign as a page of the documentation."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from metropilot._io import atomic_write
+from metropilot.campaign.store import stored_campaign
+from metropilot.campaign.summary import POSSIBLE, asked, opened
+from metropilot.evaluate.folder import provenance
+
+DASH = "–"
+LEGEND = """\
+*Safe*: never above a limit, never beyond the stop. *On time*: also arrived within 0.3 m and 3 s, of the runs
+in which the trainset as it really was could have kept the time, every restriction known beforehand. *Gap*:
+wheel energy above the certified optimum for the running time achieved, for the trainset as it really was.
+*Comfort*: largest jerk; how much the command moved in all (Huang25's index, median). *Overruled*: runs in
+which protection had to step in. *Failed*: the driver broke down. Ordered by runs on time, then by the gap.
+"""
+BY_SECTION = f"""
+    SELECT origin || '-' || destination AS section, driver, median(optimality_gap_percent) AS gap,
+        count(*) FILTER (success AND {POSSIBLE}) AS hits, count(*) FILTER ({POSSIBLE}) AS possible
+    FROM runs WHERE disturbance = ? GROUP BY ALL ORDER BY min(row)
+"""
+
+
+def write_leaderboard(
+    page: Path, folder: Path, summary: Mapping[str, Any], seconds: float, command: str
+) -> None:
+    """Write the page.
+
+    Args:
+        page: Where to.
+        folder: The campaign's folder.
+        summary: From :func:`summarise`.
+        seconds: What the command took.
+        command: What was typed.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    text = leaderboard(folder, summary, seconds, f"{command} --write-docs {page}")
+    atomic_write(page, lambda partial: partial.write_text(text, encoding="utf-8"))
+
+
+def leaderboard(folder: Path, summary: Mapping[str, Any], seconds: float, command: str) -> str:
+    """The page, in Markdown."""
+    campaign = stored_campaign(folder)
+    made = provenance()
+    spent, today = summary["cost"].get("processor_s", 0.0), datetime.now(UTC).date().isoformat()
+    about = (
+        f"{summary['done']} runs, {seconds:.0f} s in the last sitting, {spent:.0f} s of processor time; "
+        f"{os.cpu_count()} cores; date {today}; commit {made.get('commit', DASH)[:9]}; "
+        f"metropilot {made['metropilot']}, Python {made['python']}"
+    )
+    sections = len(campaign.sections)
+    trainsets = ", ".join(f"{name} {load}" for name, load in campaign.trainsets)
+    lines = [f"# {campaign.name[:1].upper()}{campaign.name[1:]}", ""]
+    lines += [
+        f"{len(campaign.drivers)} drivers on {sections} sections with {trainsets}, under protection.",
+        "",
+    ]
+    lines += [f"Written by `{command}`: {about}.", "", LEGEND]
+    for disturbance in campaign.disturbances:
+        rows = [row for row in summary["cells"] if row["disturbance"] == disturbance.name]
+        told = "; ".join(_words(disturbance.ranges)) if disturbance.ranges else ""
+        lines += [f"## {disturbance.name[:1].upper()}{disturbance.name[1:]}", ""]
+        lines += [f"{told}.", ""] if told else []
+        lines += [*_table(rows), ""]
+    lines += _by_section(folder, campaign.disturbances[0].name)
+    lines += _failures(summary["worst"])
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _words(ranges: Mapping[str, tuple[float, float]]) -> list[str]:
+    """What a disturbance draws from."""
+    return [f"`{k}` {low:g}" + (f" to {high:g}" if high > low else "") for k, (low, high) in ranges.items()]
+
+
+def _number(value: float | None, digits: int) -> str:
+    return DASH if value is None else f"{value:.{digits}f}"
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    heads = (
+        *(
+            "driver",
+            "runs",
+            "safe",
+            "on time",
+            "gap median %",
+            "95th %",
+            "worst %",
+            "time error: median s",
+            "worst s",
+        ),
+        *("stop: worst m", "jerk: worst m/s³", "Σ\\|Δu\\|", "overruled", "failed"),
+        *("decision: median µs", "worst ms"),
+    )
+    lines = ["| " + " | ".join(heads) + " |", "|---" * 1 + "|---:" * (len(heads) - 1) + "|"]
+    for row in sorted(rows, key=_rank):
+        worst_us = row["decision_us_worst"]
+        cells = (
+            f"`{row['driver']}`",
+            str(row["runs"]),
+            f"{row['safe']} of {row['driven']}",
+            f"{row['successes']} of {row['possible']}",
+            _number(row["gap_median"], 2),
+            _number(row["gap_95"], 1),
+            _number(row["gap_worst"], 1),
+            _number(row["late_median_s"], 2),
+            _number(row["late_worst_s"], 2),
+            _number(row["stop_worst_m"], 3),
+            _number(row["jerk_worst_mps3"], 2),
+            _number(row["comfort_median"], 1),
+            str(row["intervened"]),
+            str(row["failed"]),
+            _number(row["decision_us_median"], 0),
+            _number(None if worst_us is None else worst_us / 1e3, 1),
+        )
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
+
+
+def _rank(row: Mapping[str, Any]) -> tuple[float, float]:
+    share = row["successes"] / row["possible"] if row["possible"] else 0.0
+    return -share, float("inf") if row["gap_median"] is None else row["gap_median"]
+
+
+def _by_section(folder: Path, disturbance: str) -> list[str]:
+    """Median gap of each driver on each section; the runs that were late or lost stand behind it."""
+    with opened(folder) as database:
+        rows = asked(database, BY_SECTION.replace("?", "'" + disturbance.replace("'", "''") + "'"))
+    drivers = list(dict.fromkeys(row["driver"] for row in rows))
+    cells = {(row["section"], row["driver"]): row for row in rows}
+    lines = [f"## Section by section, {disturbance}", ""]
+    lines += ["Median gap in percent over the loads; in brackets the runs that did not arrive on time.", ""]
+    lines += ["| section | " + " | ".join(f"`{name}`" for name in drivers) + " |"]
+    lines += ["|---" + "|---:" * len(drivers) + "|"]
+    for section in dict.fromkeys(row["section"] for row in rows):
+        words = []
+        for name in drivers:
+            row = cells[section, name]
+            lost = row["possible"] - row["hits"]
+            words.append(_number(row["gap"], 1) + (f" ({lost})" if lost else ""))
+        lines.append(f"| {section} | " + " | ".join(words) + " |")
+    return [*lines, ""]
+
+
+def _failures(worst: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What broke down, if anything did."""
+    failed = [row for row in worst if row["outcome"] == "failed"]
+    if not failed:
+        return []
+    lines = ["## Broke down", ""]
+    for row in failed:
+        where = f"{row['origin']}-{row['destination']} {row['load']}, {row['disturbance']}"
+        lines.append(f"- `{row['driver']}` on {where}: {str(row['error'])[:160]}")
+    return lines

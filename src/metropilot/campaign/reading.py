@@ -1,0 +1,226 @@
+"""A campaign's TOML file, checked by pydantic: every complaint is one line that names file and field."""
+
+from __future__ import annotations
+
+import shlex
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from metropilot._text_file import file_text
+from metropilot.campaign.declared import DRAWN, Campaign, DisturbanceCase
+from metropilot.drivers import DRIVERS
+from metropilot.errors import InputError
+from metropilot.evaluate.driver_options import make_driver
+from metropilot.evaluate.request_file import is_file
+from metropilot.railway import load_line, load_trainset
+from metropilot.railway.line import RESTRICTION_KMH
+from metropilot.sim import CONTROL_PERIOD_S, Disturbance
+
+ALL = "all"
+UNSPECIFIC = ("learned",)
+"""Drivers that need a file to be one, and so are no part of ``all``."""
+Share = Annotated[float, Field(ge=0, le=1)]
+Spread = float | tuple[float, float]
+SCENARIO = {"delay_s": "extra_delay_s", "lag_s": "extra_lag_s"}
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Restriction(_Strict):
+    start: Annotated[float, Field(alias="from", ge=0, lt=1)]
+    end: Annotated[float, Field(alias="to", gt=0, le=1)]
+    kmh: Annotated[float, Field(ge=RESTRICTION_KMH[0], le=RESTRICTION_KMH[1])]
+    announced: Share | None = None
+
+
+class _Arrival(_Strict):
+    factor: Annotated[float, Field(ge=0.5, le=3)]
+    announced: Share
+
+
+class _Disturbance(_Strict):
+    name: Annotated[str, Field(min_length=1)]
+    ideal: bool = False
+    mass_factor: Spread | None = None
+    resistance_factor: Spread | None = None
+    delay_s: Spread | None = None
+    lag_s: Spread | None = None
+    speed_noise_mps: Spread | None = None
+    headwind_mps: Spread | None = None
+    adhesion: Spread | None = None
+    restriction: _Restriction | None = None
+    arrival: _Arrival | None = None
+
+
+class _Matrix(_Strict):
+    drivers: Annotated[list[str], Field(min_length=1)] | Literal["all"]
+    sections: Annotated[list[str], Field(min_length=1)]
+    trainsets: Annotated[list[str], Field(min_length=1)] = ["dkz32"]
+    loads: Annotated[list[str], Field(min_length=1)] | Literal["all"] = "all"
+    times: Annotated[list[Literal["planned"] | Annotated[float, Field(ge=1, le=10)]], Field(min_length=1)] = [
+        "planned"
+    ]
+    seeds: Annotated[int, Field(ge=1, le=10**9)] = 1
+    first_seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+
+
+class _File(_Strict):
+    name: Annotated[str, Field(min_length=1)]
+    objective: Literal["wheel", "line"] = "wheel"
+    dt_s: Annotated[float, Field(ge=0.01, le=1)] = CONTROL_PERIOD_S
+    engine: Literal["host", "compiled"] = "host"
+    matrix: _Matrix
+    disturbance: list[_Disturbance] = [_Disturbance(name="as told")]
+
+
+def campaign_from_toml(path: Path) -> Campaign:
+    """Read a campaign.
+
+    Raises:
+        InputError: Not readable, or something in it cannot be used.
+    """
+    try:
+        values = tomllib.loads(file_text(path, "campaign"))
+    except InputError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not TOML ({error})", file=path, field="campaign") from None
+    try:
+        found = _File.model_validate(values)
+    except ValidationError as error:
+        raise _complaint(path, error) from None
+    names = [item.name for item in found.disturbance]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError("named twice", file=path, field="disturbance.name", value=twice)
+    campaign = Campaign(
+        name=found.name,
+        drivers=_drivers(path, found.matrix.drivers),
+        sections=_sections(path, found.matrix.sections),
+        trainsets=_trainsets(path, found.matrix.trainsets, found.matrix.loads),
+        times=_once(found.matrix.times),
+        disturbances=tuple(_disturbance(path, item) for item in found.disturbance),
+        seeds=found.matrix.seeds,
+        first_seed=found.matrix.first_seed,
+        objective=found.objective,
+        dt_s=found.dt_s,
+        engine=found.engine,
+    )
+    if not campaign.rows:
+        empty = next(name for name, values in vars(campaign).items() if values == ())
+        raise InputError("nothing to drive: the list is empty", file=path, field=empty)
+    return campaign
+
+
+def _complaint(path: Path, error: ValidationError) -> InputError:
+    """The first of the complaints, at the deepest place it names."""
+    first = max(error.errors(), key=lambda item: (item["type"] == "extra_forbidden", len(item["loc"])))
+    words = [str(part) for part in first["loc"] if not str(part).startswith(("list[", "literal[", "tuple["))]
+    known = {"float", "constrained-float", "function-before"}
+    field = ".".join(word for word in words if word not in known)
+    message = "unknown key" if first["type"] == "extra_forbidden" else first["msg"]
+    value = None if first["type"] == "missing" else str(first["input"])
+    return InputError(message[:1].lower() + message[1:], file=path, field=field, value=value)
+
+
+def _once(values: list[Any]) -> tuple[Any, ...]:
+    """The values, each once, in their order."""
+    return tuple(dict.fromkeys(values))
+
+
+def _drivers(path: Path, wanted: list[str] | str) -> tuple[str, ...]:
+    if isinstance(wanted, str):
+        return tuple(name for name in DRIVERS.ids() if name not in UNSPECIFIC)
+    for name in wanted:
+        try:
+            make_driver(name)
+        except InputError as error:
+            raise _at(path, "matrix.drivers", error) from None
+    return _once(wanted)
+
+
+def _sections(path: Path, wanted: list[str]) -> tuple[tuple[str, str, str], ...]:
+    """``LINE``: each of its sections both ways; ``LINE ORIGIN DESTINATION``: one."""
+    found = []
+    for text in wanted:
+        line_id, *stations = _words(path, text)
+        line_id = _place(path, line_id)
+        try:
+            line = load_line(line_id)
+            if not stations:
+                cuts = [*line.sections(), *line.sections(backward=True)]
+            elif len(stations) == 2:
+                cuts = [line.section(*stations)]
+            else:
+                raise InputError("not a section", value=text, allowed="LINE, or LINE ORIGIN DESTINATION")
+        except InputError as error:
+            raise _at(path, "matrix.sections", error) from None
+        found += [(line_id, cut.origin.code, cut.destination.code) for cut in cuts]
+    return _once(found)
+
+
+def _words(path: Path, text: str) -> list[str]:
+    try:
+        words = shlex.split(text)
+    except ValueError:
+        words = []
+    if not words:
+        allowed = "LINE, or LINE ORIGIN DESTINATION"
+        raise InputError("not a section", file=path, field="matrix.sections", value=text, allowed=allowed)
+    return words
+
+
+def _trainsets(path: Path, wanted: list[str], loads: list[str] | str) -> tuple[tuple[str, str], ...]:
+    found = []
+    for name in wanted:
+        place = _place(path, name)
+        try:
+            trainset = load_trainset(place)
+            named = list(trainset.loads) if isinstance(loads, str) else loads
+            found += [(place, trainset.loaded(load).load) for load in named]
+        except InputError as error:
+            raise _at(path, "matrix.trainsets", error) from None
+    return _once(found)
+
+
+def _place(path: Path, name: str) -> str:
+    """A catalogue id as it is; a file from the campaign's own folder."""
+    return str((path.parent / name).resolve()) if is_file(name) else name
+
+
+def _disturbance(path: Path, item: _Disturbance) -> DisturbanceCase:
+    ranges = {}
+    for name in DRAWN:
+        given = getattr(item, name)
+        if given is None:
+            continue
+        low, high = given if isinstance(given, tuple) else (given, given)
+        field = f"disturbance {item.name}.{name}"
+        try:
+            for value in (low, high):
+                Disturbance(**{SCENARIO.get(name, name): value})
+        except InputError as error:
+            raise _at(path, field, error) from None
+        if low > high:
+            raise InputError("ends before it begins", file=path, field=field, value=f"{low:g} to {high:g}")
+        ranges[name] = (float(low), float(high))
+    limit, arrival = item.restriction, item.arrival
+    if limit is not None and limit.start >= limit.end:
+        raise InputError("ends before it begins", file=path, field=f"disturbance {item.name}.restriction")
+    return DisturbanceCase(
+        name=item.name,
+        ideal=item.ideal,
+        ranges=ranges,
+        restriction=None if limit is None else (limit.start, limit.end, limit.kmh, limit.announced),
+        arrival=None if arrival is None else (arrival.factor, arrival.announced),
+    )
+
+
+def _at(path: Path, field: str, error: InputError) -> InputError:
+    """The same complaint, with the campaign's file and field."""
+    return error.at(file=path, field=field)

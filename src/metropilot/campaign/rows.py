@@ -1,0 +1,232 @@
+"""One row driven, and a shard of them as Parquet: what a worker does, wherever it runs."""
+
+from __future__ import annotations
+
+import json
+import resource
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import Any, NamedTuple
+
+from metropilot.campaign.declared import DRAWN, PLANNED, Campaign, CampaignCase, Piece, from_text, request_of
+from metropilot.errors import Infeasible, MetropilotError
+from metropilot.evaluate.kpis import Kpis, kpis_of
+from metropilot.evaluate.optimum import Optimum, optimum_of
+from metropilot.evaluate.request import Request
+from metropilot.planning import minimum_running_time
+from metropilot.railway import Section, load_line, load_trainset
+from metropilot.sim import Run
+from metropilot.sim.rollout import Drive, drive
+
+WORDS = ("driver", "line", "origin", "destination", "trainset", "load", "time", "disturbance")
+NUMBERS = (
+    "minimum_running_time_s",
+    "running_time_s",
+    "time_error_s",
+    "stopping_error_m",
+    "energy_wheel_kwh",
+    "energy_line_kwh",
+    "optimal_energy_kwh",
+    "optimality_gap_percent",
+    "max_overspeed_mps",
+    "max_acceleration_mps2",
+    "max_jerk_mps3",
+    "jerk_limit_mps3",
+    "comfort_huang2025",
+    "mass_kg",
+)
+COUNTS = ("interventions", "regime_switches")
+TRUTHS = ("safe", "punctual")
+RESULTS: Mapping[str, str] = {
+    "cell": "BIGINT",
+    **dict.fromkeys(WORDS, "VARCHAR"),
+    "number": "INTEGER",
+    "seed": "BIGINT",
+    "length_m": "DOUBLE",
+    "scheduled_time_s": "DOUBLE",
+    **dict.fromkeys(DRAWN, "DOUBLE"),
+    "engine": "VARCHAR",
+    "outcome": "VARCHAR",
+    "success": "BOOLEAN",
+    **dict.fromkeys(TRUTHS, "BOOLEAN"),
+    **dict.fromkeys(NUMBERS, "DOUBLE"),
+    **dict.fromkeys(COUNTS, "INTEGER"),
+    "error": "VARCHAR",
+}
+"""Columns of the results: the same bits wherever and in whatever order the rows were driven."""
+TIMINGS: Mapping[str, str] = {
+    "cell": "BIGINT",
+    "driver": "VARCHAR",
+    "processor_s": "DOUBLE",
+    "wall_s": "DOUBLE",
+    "decision_us_median": "DOUBLE",
+    "decision_us_max": "DOUBLE",
+    "worker_mb": "DOUBLE",
+}
+"""Columns of what is measured on the clock, kept apart because it never repeats."""
+FAILED, INFEASIBLE = "failed", "infeasible"
+"""Outcomes of a row beside those of a run: the driver broke down; no driver could meet the time."""
+
+
+class Shard(NamedTuple):
+    """A shard as a worker hands it over.
+
+    Attributes:
+        piece: Which.
+        rows: How many rows it has.
+        results: Parquet file of :data:`RESULTS`.
+        timings: Parquet file of :data:`TIMINGS`.
+        version: Version of metropilot that drove it.
+    """
+
+    piece: Piece
+    rows: int
+    results: bytes
+    timings: bytes
+    version: str
+
+
+def drive_shard(text: str, piece: Piece) -> Shard:
+    """Drive a shard of the campaign that ``text`` describes.
+
+    Args:
+        text: :attr:`Campaign.text`.
+        piece: Which shard.
+    """
+    import metropilot
+
+    campaign, piece = from_text(text), Piece(*piece)
+    cases = [campaign.case(row) for row in campaign.shard(piece)]
+    batch = [
+        case
+        for case in cases
+        if campaign.is_compiled(case.driver, case.disturbance, (case.trainset, case.load))
+    ]
+    found: dict[int, tuple[dict[str, Any], dict[str, Any]]] = {}
+    if batch:
+        from metropilot.campaign.compiled import drive_batch
+
+        found = dict(zip((case.row for case in batch), drive_batch(campaign, batch), strict=True))
+    driven = [found[case.row] if case.row in found else drive_row(campaign, case) for case in cases]
+    results = parquet(RESULTS, [result for result, _ in driven])
+    timings = parquet(TIMINGS, [timing for _, timing in driven])
+    return Shard(piece, len(driven), results, timings, metropilot.__version__)
+
+
+def drive_row(campaign: Campaign, case: CampaignCase) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Drive one row: its result, and what the clock says of it. A driver that breaks down is a result."""
+    began, spent = perf_counter(), process_time()
+    result, timing = new_result(campaign, case)
+    with capture_errors(result):
+        request, run = prepare_run(campaign, case, result)
+        driven = drive(run, request.make_driver())
+        kpis = add_kpis(campaign, driven, optimum_of(driven, campaign.objective), result)
+        timing["decision_us_median"] = kpis.decision_time_us_median
+        timing["decision_us_max"] = float(driven.decision_us.max())
+    timing |= {
+        "wall_s": perf_counter() - began,
+        "processor_s": process_time() - spent,
+        "worker_mb": worker_mb(),
+    }
+    return result, timing
+
+
+def new_result(campaign: Campaign, case: CampaignCase) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Result and timing of a row before anything is known of it."""
+    cell = case.row % campaign.cells
+    result: dict[str, Any] = {name: str(getattr(case, name)) for name in WORDS[:-1]}
+    result |= {"cell": cell, "disturbance": case.disturbance.name, "number": case.number}
+    return result | {"success": False, "engine": "host"}, {"cell": cell, "driver": case.driver}
+
+
+@contextmanager
+def capture_errors(result: dict[str, Any]) -> Iterator[None]:
+    """What goes wrong inside is a result of its own; one driver's bug must not lose a campaign."""
+    try:
+        yield
+    except Infeasible as error:
+        result |= {"outcome": INFEASIBLE, "error": error.line()}
+    except MetropilotError as error:
+        result |= {"outcome": FAILED, "error": str(error)}
+    except Exception as error:  # noqa: BLE001 (whatever it is)
+        result |= {"outcome": FAILED, "error": f"{type(error).__name__}: {error}"}
+
+
+def prepare_run(campaign: Campaign, case: CampaignCase, result: dict[str, Any]) -> tuple[Request, Run]:
+    """Request and run of a row; what is known of it by then goes into its result."""
+    section = section_of(case.line, case.origin, case.destination)
+    scheduled = scheduled_time(case, section)
+    request = request_of(campaign, case, scheduled, section.length_m)
+    result |= {"seed": request.seed, "length_m": section.length_m, "scheduled_time_s": scheduled}
+    result |= {name: value for name in DRAWN if (value := getattr(request, name)) != float("inf")}
+    return request, request.run(fastest_s(*case[2:7]))
+
+
+def add_kpis(campaign: Campaign, driven: Drive, optimum: Optimum | None, result: dict[str, Any]) -> Kpis:
+    """KPIs of a driven row, written into its result."""
+    kpis = kpis_of(driven, optimum, campaign.objective)
+    found = kpis.as_dict()
+    result |= {name: found[name] for name in (*TRUTHS, *NUMBERS, *COUNTS, "outcome", "scheduled_time_s")}
+    result["success"] = kpis.on_time
+    return kpis
+
+
+def worker_mb() -> float:
+    """Largest resident memory of this process so far, MB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+@lru_cache(maxsize=64)
+def section_of(line: str, origin: str, destination: str) -> Section:
+    """A section, read once a worker."""
+    return load_line(line).section(origin, destination)
+
+
+@lru_cache(maxsize=512)
+def fastest_s(line: str, origin: str, destination: str, trainset: str, load: str) -> float:
+    """Minimum running time of a section, computed once a worker."""
+    return minimum_running_time(section_of(line, origin, destination), load_trainset(trainset, load))
+
+
+def scheduled_time(case: CampaignCase, section: Section) -> float:
+    """The scheduled time of a row.
+
+    Raises:
+        Infeasible: The line plans no running time here.
+    """
+    if case.time != PLANNED:
+        return round(float(case.time) * fastest_s(*case[2:7]), 3)
+    if section.planned_time_s is None:
+        raise Infeasible(f"the line plans no running time for {section.name}", field="time", value=PLANNED)
+    return float(section.planned_time_s)
+
+
+def parquet(columns: Mapping[str, str], rows: Sequence[Mapping[str, Any]]) -> bytes:
+    """Rows as a Parquet file of these columns, in this order; the same rows give the same bytes."""
+    import duckdb
+
+    with tempfile.TemporaryDirectory(prefix="metropilot-") as folder:
+        source, target = Path(folder) / "rows.json", Path(folder) / "rows.parquet"
+        source.write_text("".join(json.dumps({n: _plain(r.get(n)) for n in columns}) + "\n" for r in rows))
+        kinds = ", ".join(f"'{name}': '{kind}'" for name, kind in columns.items())
+        with duckdb.connect(config={"threads": 1}) as database:
+            database.execute(
+                f"COPY (SELECT * FROM read_json('{source}', format='newline_delimited', "
+                f"columns={{{kinds}}})) TO '{target}' (FORMAT parquet, COMPRESSION zstd)"
+            )
+        return target.read_bytes()
+
+
+def _plain(value: object) -> object:
+    """A value for JSON: no infinity, no NumPy."""
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    if hasattr(value, "item"):
+        value = value.item()  # pyright: ignore[reportAttributeAccessIssue]
+    if isinstance(value, float) and value in (float("inf"), float("-inf")):
+        return None
+    return None if value != value else value  # noqa: PLR0124 (NaN)

@@ -1,0 +1,155 @@
+"""The folder of a campaign: shards written whole, and a list of those done; kill -9 loses or doubles nothing.
+
+A shard arrives as two Parquet files. Each is written beside its place and renamed into it; then a line with
+its number, rows and checksum goes to the end of the list and to the disk. Killed in between, a file without
+its line is written again, over itself, with the same bits; a torn line counts for nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from hashlib import sha256
+from pathlib import Path
+
+from metropilot._io import atomic_write
+from metropilot.campaign.declared import Campaign, Piece, from_text
+from metropilot.campaign.rows import Shard
+from metropilot.errors import InputError
+
+ABOUT, DONE = "campaign.json", "done.txt"
+LINE = re.compile(r"[0-9A-Za-z_.:=-]{1,80} [0-9]{1,9} [0-9]{1,9} [0-9]{1,18} [0-9a-f]+")
+PARTS, TIMINGS = "parts", "timings"
+
+
+class CampaignStore:
+    """A campaign's folder, written by one process.
+
+    Args:
+        folder: Made if it is not there; one with the same cells in it is gone on with, also by other drivers.
+        campaign: What it is for.
+
+    Raises:
+        InputError: The folder cannot be written, or holds another campaign.
+    """
+
+    def __init__(self, folder: Path, campaign: Campaign) -> None:
+        self.folder, self.campaign = folder, campaign
+        about = folder / ABOUT
+        try:
+            for name in (PARTS, TIMINGS):
+                (folder / name).mkdir(parents=True, exist_ok=True)
+            if about.exists():
+                self._check(about)
+            values = {"digest": campaign.digest, "campaign": json.loads(campaign.text)}
+            if not about.exists() or json.loads(about.read_text()) != values:
+                atomic_write(about, lambda partial: partial.write_text(json.dumps(values, indent=1)))
+        except OSError as error:
+            raise InputError(
+                "cannot write to the folder", file=folder, field="out", value=error.strerror
+            ) from None
+
+    def _check(self, about: Path) -> None:
+        try:
+            found = json.loads(about.read_text())["digest"]
+        except (ValueError, KeyError, TypeError, RecursionError):
+            found = "unreadable"
+        if found != self.campaign.digest:
+            raise InputError(
+                "the folder holds another campaign",
+                file=self.folder,
+                field="out",
+                value=found,
+                allowed=f"an empty folder, or one of campaign {self.campaign.digest}",
+            )
+
+    def done(self) -> dict[Piece, str]:
+        """Shards that are done, each with its checksum: listed, and their file as long as it was then."""
+        path, found = self.folder / DONE, {}
+        text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+        lines = text.splitlines(keepends=True)
+        pieces = {(key_of(piece.driver), piece.chunk): piece for piece in self.campaign.pieces()}
+        for line in lines:
+            words = line.split()
+            if not line.endswith("\n") or len(words) != 5 or not words[1].isdigit():
+                continue
+            piece, rows, size, checksum = pieces.get((words[0], int(words[1]))), *words[2:]
+            if piece is None or rows != str(len(self.campaign.shard(piece))):
+                continue
+            part = self.part(piece)
+            if part.exists() and str(part.stat().st_size) == size and self.timing(piece).exists():
+                found[piece] = checksum
+        return found
+
+    def part(self, piece: Piece) -> Path:
+        """Where the results of a shard are."""
+        return self.folder / PARTS / key_of(piece.driver) / f"{piece.chunk:06d}.parquet"
+
+    def timing(self, piece: Piece) -> Path:
+        """Where its timings are."""
+        return self.folder / TIMINGS / key_of(piece.driver) / f"{piece.chunk:06d}.parquet"
+
+    def keep(self, shard: Shard) -> None:
+        """Write a shard, and then its line.
+
+        Raises:
+            InputError: The disk does not take it.
+        """
+        try:
+            piece = shard.piece
+            atomic_write(self.timing(piece), lambda partial: partial.write_bytes(shard.timings))
+            atomic_write(self.part(piece), lambda partial: partial.write_bytes(shard.results))
+            checksum = sha256(shard.results).hexdigest()[:16]
+            path = self.folder / DONE
+            torn = _torn(path)
+            words = (key_of(piece.driver), piece.chunk, shard.rows, len(shard.results), checksum)
+            with path.open("a") as file:
+                file.write("\n" * torn + " ".join(map(str, words)) + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise InputError(
+                "cannot write the shard", file=self.folder, field="out", value=error.strerror
+            ) from None
+
+    def checksum(self) -> str:
+        """One checksum of all results, in the order of the rows; the same whoever drove them."""
+        done = self.done()
+        words = (
+            f"{piece.driver} {piece.chunk} {done[piece]}" for piece in self.campaign.pieces() if piece in done
+        )
+        return sha256("\n".join(words).encode()).hexdigest()[:16]
+
+
+def _torn(path: Path) -> bool:
+    """Whether a list ends in the middle of a line; only its last byte is looked at, however long it is."""
+    if not path.exists() or path.stat().st_size == 0:
+        return False
+    with path.open("rb") as file:
+        file.seek(-1, os.SEEK_END)
+        return file.read(1) != b"\n"
+
+
+def key_of(driver: str) -> str:
+    """A driver with its options as the name of a folder."""
+    plain = "".join(letter if letter.isalnum() or letter == "_" else "-" for letter in driver)[:40]
+    return plain if plain == driver else f"{plain}-{sha256(driver.encode()).hexdigest()[:8]}"
+
+
+def stored_campaign(folder: Path) -> Campaign:
+    """The campaign a folder is of.
+
+    Raises:
+        InputError: It is of none.
+    """
+    try:
+        found = json.loads((folder / ABOUT).read_text())
+        campaign = from_text(json.dumps(found["campaign"]))
+        known = campaign.rows > 0 and found["digest"] == campaign.digest
+        whole = known and len(set(campaign.drivers)) == len(campaign.drivers)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        campaign, whole = None, False
+    if campaign is None or not whole:
+        raise InputError("not the folder of a campaign", file=folder, field="campaign")
+    return campaign

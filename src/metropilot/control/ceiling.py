@@ -1,0 +1,163 @@
+"""Run under a ceiling: reach a speed, hold it, and be slow enough wherever a lower speed is permitted.
+
+The ceiling is protection's permitted-speed curve with a margin, and a driver that still accelerates stays
+further below it, so that protection never has a reason to intervene.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from metropilot.control.estimator import Model, PredictedState, StateEstimate
+from metropilot.control.stopping import StopCurve, required_ahead
+from metropilot.physics import track_arrays, vehicle_arrays
+from metropilot.protection import approach_margin, permitted_speed, protect
+from metropilot.railway import Section
+from metropilot.sim import Run, declared_bounds
+
+MARGIN_MPS = 0.15
+"""How far below the permitted speed a driver holds."""
+APPROACH_PER_S = 0.8
+"""Acceleration for each m/s below the speed to hold."""
+EASE_SHARE = 0.4
+"""Jerk at which traction is eased off before the speed is reached, over the trainset's limit."""
+REACTION_S = 1.0
+"""Time before traction can be turned into braking, delay and lag aside."""
+SPACING_M = 2.0
+BEYOND_M = 100.0
+ACCELERATIONS_MPS2 = np.linspace(0.0, 1.5, 16)
+
+
+class Ceiling(NamedTuple):
+    """Speeds to keep under, on a uniform grid from the origin to beyond the stop.
+
+    Attributes:
+        position_m: Grid. Shape (N,).
+        speed_mps: Permitted speed less the margin. Shape (N,).
+        room_mps: How far below the permitted speed each acceleration must stay. Shape (A,).
+        reaction_s: Traction must fit to the lower speeds permitted within the way of this time.
+    """
+
+    position_m: Float[ndarray, " nodes"]
+    speed_mps: Float[ndarray, " nodes"]
+    room_mps: Float[ndarray, " accelerations"]
+    reaction_s: float
+
+    def at(self, position_m: float, way_m: float = 0.0) -> float:
+        """The lowest speed to keep from a position over a little way."""
+        first = min(max(int(position_m / SPACING_M), 0), self.position_m.size - 2)
+        last = min(int((position_m + way_m) / SPACING_M) + 2, self.position_m.size)
+        return float(self.speed_mps[first:last].min())
+
+    def acceleration_under(self, missing_mps: float) -> float:
+        """Largest acceleration this far under the ceiling, the inverse of protection's approach margin."""
+        return float(np.interp(missing_mps, self.room_mps, ACCELERATIONS_MPS2))
+
+
+def model_of(run: Run, section: Section) -> Model:
+    """What the driver of a run believes about trainset and section, as the plant's numbers."""
+    trainset = run.scenario.nominal(run.trainset)
+    return Model(vehicle_arrays(trainset), track_arrays(section, trainset), run.dt)
+
+
+def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ceiling:
+    """The ceiling of a section under the protection that supervises the run.
+
+    Protection reads each measured speed as it comes, so the largest error of one adds to the margin.
+
+    Args:
+        run: The run.
+        section: The section with every restriction announced so far.
+        margin_mps: How far to stay below the permitted speed.
+    """
+    bounds = declared_bounds(run)
+    protection = protect(section, run.scenario.nominal(run.trainset), bounds)
+    margin = margin_mps + bounds.speed_error_mps
+    at = np.arange(0.0, section.length_m + BEYOND_M, SPACING_M)
+    return Ceiling(
+        position_m=at,
+        speed_mps=np.maximum(np.asarray(permitted_speed(protection, at)) - margin, 0.5),
+        room_mps=np.asarray(approach_margin(protection, ACCELERATIONS_MPS2)),
+        reaction_s=REACTION_S + bounds.delay_s + bounds.lag_s,
+    )
+
+
+def ceiling_acceleration(
+    model: Model, ahead: PredictedState, ceiling: Ceiling, cruise_mps: float, curve: StopCurve
+) -> float:
+    """The acceleration that runs as fast as a cruising speed and the ceiling allow, comfortably.
+
+    Args:
+        model: What the driver believes about trainset and section.
+        ahead: The state when the command begins to act.
+        ceiling: Speeds to keep under.
+        cruise_mps: Speed to hold where the ceiling is higher.
+        curve: Deceleration and jerk to slow down with.
+
+    Returns:
+        Wanted acceleration, m/s^2.
+    """
+    x, v = ahead.position_m, ahead.speed_mps
+    cap = ceiling.at(x, v * model.dt)
+    wanted = approach(model, v, min(cap, cruise_mps))
+    slowing = curve._replace(end_mps2=0.0)
+    found = lowest_ahead(ahead, ceiling, slowing)
+    if found is not None:
+        distance, lower = found
+        required, falling = required_ahead(ahead, distance, slowing, lower)
+        if required >= curve.deceleration_mps2 or falling > 0.0 or ahead.acceleration_mps2 < -0.1:
+            most = float(model.vehicle.max_deceleration_mps2)
+            wanted = min(wanted, -min(required, (v - lower) / model.dt, most))
+    return wanted
+
+
+def traction_limit(belief: StateEstimate, ahead: PredictedState, ceiling: Ceiling) -> float:
+    """Largest command that protection lets pass here and now, whatever trainset carries it out and how soon.
+
+    Protection judges a command by what the trainset of the data sheet (and a lighter one) would make of it,
+    at once; holding a speed is always allowed.
+
+    Args:
+        belief: The belief.
+        ahead: The state when the command begins to act.
+        ceiling: Speeds to keep under.
+    """
+    drag = ahead.resistance_mps2 + ahead.gradient_mps2
+    here_mps = ceiling.at(belief.position_m, ceiling.reaction_s * belief.speed_mps)
+    here = ceiling.acceleration_under(here_mps - belief.speed_mps)
+    there_mps = ceiling.at(ahead.position_m, ceiling.reaction_s * ahead.speed_mps)
+    there = ceiling.acceleration_under(there_mps - ahead.speed_mps)
+    believed = ahead.traction_mps2 / belief.traction_gain
+    hold = drag / ahead.traction_mps2 if ahead.speed_mps <= there_mps else 0.0
+    return min(max((min(here, there) + drag) / believed, hold, 0.0), 1.0)
+
+
+def lowest_ahead(ahead: PredictedState, ceiling: Ceiling, curve: StopCurve) -> tuple[float, float] | None:
+    """Distance and speed of the point ahead that asks for the hardest braking, if any asks for it soon."""
+    x, v, b = ahead.position_m, ahead.speed_mps, curve.deceleration_mps2
+    jerk = curve.build_jerk_mps3
+    build_m = v * max(b + min(ahead.acceleration_mps2, b), 0.0) / (2.0 * jerk) if math.isfinite(jerk) else 0.0
+    first = int(x / SPACING_M) + 1
+    last = first + int((v * v / (2.0 * b) + 3.0 * v) / SPACING_M) + 2
+    lower, at = ceiling.speed_mps[first:last], ceiling.position_m[first:last]
+    release_m = lower * b / (2.0 * jerk) if math.isfinite(jerk) else 0.0
+    needed = (v * v - lower * lower) / (2.0 * np.maximum(at - x - build_m - release_m, 0.5))
+    if needed.size == 0 or needed.max() < 0.5 * b:
+        return None
+    k = int(np.argmax(needed))
+    return float(at[k]) - x, float(lower[k])
+
+
+def approach(model: Model, speed_mps: float, target_mps: float) -> float:
+    """Acceleration toward a speed, eased off in time for the jerk limit, never above what service allows."""
+    missing = target_mps - speed_mps
+    if missing < 0:
+        return max(APPROACH_PER_S * missing, -1.0)
+    jerk = EASE_SHARE * float(model.vehicle.jerk_mps3)
+    eased = math.sqrt(2.0 * jerk * missing) if math.isfinite(jerk) else math.inf
+    return min(float(model.vehicle.max_acceleration_mps2), APPROACH_PER_S * missing, eased)

@@ -1,0 +1,143 @@
+"""A simple look into the rest of a run: when would I arrive if I held this speed and coasted from there?
+
+One forward pass over a coarse grid of positions, as a driver with route knowledge does it in the head: no
+actuation, no jerk limit. Good to about a second; whoever uses it looks again on the way.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from metropilot.control.ceiling import Ceiling
+from metropilot.control.estimator import Model
+from metropilot.physics import resistance_and_gradient
+from metropilot.physics.effort import effort_at
+
+STEP_M = 5.0
+SPEED_STEP_MPS = 0.25
+SLOWEST_MPS = 0.3
+"""A trainset that coasts to less than this before the stop does not arrive."""
+
+
+class Forecast(NamedTuple):
+    """Tables of the section, lists because one number at a time is read.
+
+    Attributes:
+        step_m: Grid of positions.
+        length_m: Where to stop.
+        ceiling_mps: Highest speed at each position that limits and braking for them and the stop allow.
+        drag_mps2: What track and constant resistance take at each position, gradient included.
+        traction_mps2: Largest traction acceleration by speed, in steps of ``SPEED_STEP_MPS``.
+        davis_mps2: Speed-dependent resistance by speed.
+        most_mps2: Largest acceleration in service.
+    """
+
+    step_m: float
+    length_m: float
+    ceiling_mps: list[float]
+    drag_mps2: list[float]
+    traction_mps2: list[float]
+    davis_mps2: list[float]
+    most_mps2: float
+
+
+def forecast_of(model: Model, ceiling: Ceiling, deceleration_mps2: float) -> Forecast:
+    """Tables for a section.
+
+    Args:
+        model: What the driver believes about trainset and section.
+        ceiling: Speeds to keep under.
+        deceleration_mps2: How the driver brakes.
+    """
+    vehicle, length = model.vehicle, float(model.track.length_m)
+    count = max(math.ceil(length / STEP_M), 2)
+    step = length / count
+    at = np.linspace(0.0, length, count + 1)
+    mass = float(vehicle.effective_mass_kg)
+    zero = np.float64(0.0)
+    drag = [
+        float(sum(resistance_and_gradient(vehicle, model.track, x + 0.5 * step, zero))) / mass for x in at
+    ]
+    top = np.array([ceiling.at(float(x)) for x in at])
+    top[-1] = 0.0
+    for k in range(count - 1, -1, -1):
+        top[k] = min(top[k], math.sqrt(top[k + 1] ** 2 + 2.0 * deceleration_mps2 * step))
+    speeds = np.arange(0.0, float(vehicle.max_speed_mps) + 2.0, SPEED_STEP_MPS)
+    davis = [float(v * (vehicle.davis_n[1] + v * vehicle.davis_n[2])) / mass for v in speeds]
+    return Forecast(
+        step_m=step,
+        length_m=length,
+        ceiling_mps=top.tolist(),
+        drag_mps2=drag,
+        traction_mps2=[float(effort_at(vehicle, v).traction_n) / mass for v in speeds],
+        davis_mps2=davis,
+        most_mps2=float(vehicle.max_acceleration_mps2),
+    )
+
+
+def time_to_go(
+    forecast: Forecast, position_m: float, speed_mps: float, cruise_mps: float, coast_from_m: float
+) -> float:
+    """Time from here to the stop: full traction to a speed, hold it, coast from a point, brake; s.
+
+    Args:
+        forecast: Tables of the section.
+        position_m: Where the trainset is.
+        speed_mps: How fast it is.
+        cruise_mps: Speed to hold.
+        coast_from_m: Where traction is shut off for good.
+
+    Returns:
+        Seconds; infinite when it would not get there.
+    """
+    step, length = forecast.step_m, forecast.length_m
+    top, traction, davis = forecast.ceiling_mps, forecast.traction_mps2, forecast.davis_mps2
+    v, x, total = speed_mps, position_m, 0.0
+    last = len(traction) - 1
+    for k in range(int(position_m / step), len(top) - 1):
+        ds = (k + 1) * step - x
+        row = min(int(v / SPEED_STEP_MPS + 0.5), last)
+        drag = forecast.drag_mps2[k] + davis[row]
+        coasting = x >= coast_from_m
+        a = -drag if coasting else min(traction[row] - drag, forecast.most_mps2)
+        after = math.sqrt(max(v * v + 2.0 * a * ds, 0.0))
+        cap = (
+            top[k + 1]
+            if coasting
+            else max(min(cruise_mps, top[k + 1]), math.sqrt(max(v * v - 2.0 * drag * ds, 0.0)))
+        )
+        after = min(after, cap, top[k + 1])
+        if v + after < SLOWEST_MPS and k < len(top) - 3:
+            return math.inf
+        total += 2.0 * ds / max(v + after, 1e-3)
+        v, x = after, (k + 1) * step
+    return total + max(length - x, 0.0) / SLOWEST_MPS
+
+
+def cruise_for(
+    forecast: Forecast, position_m: float, speed_mps: float, time_left_s: float, coast_from_m: float
+) -> float:
+    """The slowest cruising speed that arrives in the time left, or the highest there is; m/s."""
+    low, high = 2.0, max(forecast.ceiling_mps)
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        late = time_to_go(forecast, position_m, speed_mps, middle, coast_from_m) > time_left_s
+        low, high = (middle, high) if late else (low, middle)
+    return high
+
+
+def coast_point_for(
+    forecast: Forecast, position_m: float, speed_mps: float, time_left_s: float, cruise_mps: float
+) -> float:
+    """The earliest point to coast from that still arrives in the time left, or the stop itself; m."""
+    low, high = position_m, forecast.length_m
+    if time_to_go(forecast, position_m, speed_mps, cruise_mps, low) <= time_left_s:
+        return low
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        late = time_to_go(forecast, position_m, speed_mps, cruise_mps, middle) > time_left_s
+        low, high = (middle, high) if late else (low, middle)
+    return high

@@ -1,0 +1,371 @@
+"""What a driver can know about its own trainset while it drives: where it is, how it answers, and how late.
+
+A driver sees a position (measured well), a noisy speed and the acceleration of the last period. The observer
+fuses them into a state, and learns from command and answer what the data sheet does not say: the gain of
+traction and brake (a trainset 20 % heavier than believed answers with gain 1/1.2), the factor on running
+resistance, and the dead time and lag between command and force. For the last two it keeps a small bank of
+hypotheses, each with its own recursive least squares, and believes the one that predicted best; the jerk
+limit is known to the driver and is part of every prediction.
+
+The model, per unit of believed effective mass (Huang25 eqs. 3 and 4, Chen23a eq. 1)::
+
+    a = gain_traction * f_traction(u, v) + gain_brake * f_brake(u, v) - factor * r(x, v) - g(x)
+
+Everything is a pure function over :class:`StateEstimate`. One control period is: :func:`update_estimate`,
+then
+:func:`look_ahead` and :func:`share_for` as wanted, then :func:`record_command` with the command that was
+given.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from metropilot.physics import Track, Vehicle, resistance_and_gradient
+from metropilot.physics.effort import curve_n, effort_at
+
+MAX_EXTRA_DELAY_S = 1.0
+EXTRA_LAGS_S = (0.0, 0.2, 0.4, 0.6)
+POSITION_SIGMA_M = 0.01
+SPEED_SIGMA_MPS = 0.05
+ANSWER_SIGMA_MPS2 = 0.02
+"""Scatter of the acceleration about the model's, once its parameters are right."""
+MASS_SIGMA = 0.12
+"""Prior scatter of what traction and brake have in common: the mass."""
+EFFORT_SIGMA = 0.05
+"""Prior scatter of each effort by itself."""
+RESISTANCE_SIGMA = 0.4
+DRIFT_VARIANCE = np.diag([1e-6, 1e-6, 1e-6])
+SWITCH_MARGIN = 6.0
+"""How much better (sum of squared normalised residuals) another delay must do to be believed instead."""
+FORGETTING = 0.998
+LAG_LEAD = 0.7
+
+
+class Model(NamedTuple):
+    """What the driver believes about trainset and section.
+
+    Attributes:
+        vehicle: The trainset as the driver knows it (NumPy).
+        track: The section.
+        dt: Control period, s.
+    """
+
+    vehicle: Vehicle
+    track: Track
+    dt: float
+
+
+class HypothesisBank(NamedTuple):
+    """Hypotheses about dead time and lag, each with its own parameters.
+
+    Attributes:
+        delay_steps: Dead time in control periods, not always whole. Shape (H,).
+        keep: Share of the old effort that the lag keeps over a period. Shape (H,).
+        share: Command after delay and lag. Shape (H,).
+        gains: Traction gain, brake gain, resistance factor. Shape (H, 3).
+        covariance: Their covariance. Shape (H, 3, 3).
+        cost: Discounted sum of squared normalised residuals. Shape (H,).
+    """
+
+    delay_steps: ndarray
+    keep: ndarray
+    share: ndarray
+    gains: ndarray
+    covariance: ndarray
+    cost: ndarray
+
+
+class StateEstimate(NamedTuple):
+    """What the driver knows at the start of a control period.
+
+    Attributes:
+        position_m: Position of the head.
+        speed_mps: Filtered speed.
+        acceleration_mps2: Acceleration over the last period.
+        covariance: Of position and speed. Shape (2, 2).
+        commands: Commands already given, newest first. Shape (D,).
+        bank: Hypotheses about the actuation.
+        best: The hypothesis believed.
+        started: False until the first observation.
+    """
+
+    position_m: float
+    speed_mps: float
+    acceleration_mps2: float
+    covariance: Float[ndarray, "2 2"]
+    commands: Float[ndarray, " given"]
+    bank: HypothesisBank
+    best: int
+    started: bool
+
+    @property
+    def traction_gain(self) -> float:
+        """Actual over believed traction force per mass."""
+        return float(self.bank.gains[self.best, 0])
+
+    @property
+    def brake_gain(self) -> float:
+        """Actual over believed braking force per mass."""
+        return float(self.bank.gains[self.best, 1])
+
+    @property
+    def brake_gain_sigma(self) -> float:
+        """Standard deviation of :attr:`brake_gain`."""
+        return float(np.sqrt(self.bank.covariance[self.best, 1, 1]))
+
+    @property
+    def resistance_factor(self) -> float:
+        """Actual over believed resistance per mass."""
+        return float(self.bank.gains[self.best, 2])
+
+
+class PredictedState(NamedTuple):
+    """The state at the moment a command given now begins to act.
+
+    Attributes:
+        seconds: How far ahead.
+        position_m: Position.
+        speed_mps: Speed.
+        acceleration_mps2: Acceleration in the period before.
+        share: Command after delay and lag in the period before.
+        resistance_mps2: Believed resistance there, per effective mass, factor included.
+        gradient_mps2: Gradient force there, per effective mass, positive uphill.
+        traction_mps2: Largest traction there, per effective mass, gain included.
+        brake_mps2: Largest service brake there, per effective mass, gain included.
+    """
+
+    seconds: float
+    position_m: float
+    speed_mps: float
+    acceleration_mps2: float
+    share: float
+    resistance_mps2: float
+    gradient_mps2: float
+    traction_mps2: float
+    brake_mps2: float
+
+
+def weighs_load(vehicle: Vehicle, spare: float = 1.0 + 2.0 * MASS_SIGMA) -> bool:
+    """Whether full service braking is a rate, with force to spare for a load this many times as heavy."""
+    speeds = np.linspace(0.0, float(vehicle.max_speed_mps), 9)
+    electric = min(float(curve_n(vehicle.brake_from_mps, vehicle.brake, v)) for v in speeds)
+    force = min(electric + float(vehicle.friction_n), float(vehicle.adhesion_n))
+    return spare * float(vehicle.service_n) <= force
+
+
+def initial_estimate(
+    model: Model, position_m: float = 0.0, speed_mps: float = 0.0, *, weighed_brakes: bool = False
+) -> StateEstimate:
+    """The belief before anything was observed: the data sheet, and any delay up to a second more.
+
+    Args:
+        model: What the driver believes about trainset and section.
+        position_m: Where it starts.
+        speed_mps: How fast it starts.
+        weighed_brakes: The brake is controlled to a rate at any load (see :func:`weighs_load`): a wrong mass
+            moves the gain of traction alone.
+    """
+    dt = model.dt
+    known = round(float(model.vehicle.delay_s) / dt, 6)
+    extra = np.arange(round(MAX_EXTRA_DELAY_S / dt) + 1)
+    lags = np.array(EXTRA_LAGS_S) + float(model.vehicle.lag_s)
+    steps, lag = (x.ravel() for x in np.meshgrid(known + extra, lags, indexing="ij"))
+    count = steps.size
+    covariance = np.diag([EFFORT_SIGMA**2, EFFORT_SIGMA**2, RESISTANCE_SIGMA**2])
+    weighs = 1 if weighed_brakes else 2
+    covariance[:weighs, :weighs] += MASS_SIGMA**2
+    bank = HypothesisBank(
+        delay_steps=steps,
+        keep=np.where(lag > 0, np.exp(-dt / np.maximum(lag, 1e-6)), 0.0),
+        share=np.zeros(count),
+        gains=np.ones((count, 3)),
+        covariance=np.repeat(covariance[None], count, axis=0),
+        cost=np.where(np.arange(count) == 0, -SWITCH_MARGIN, 0.0),
+    )
+    return StateEstimate(
+        position_m=float(position_m),
+        speed_mps=float(speed_mps),
+        acceleration_mps2=0.0,
+        covariance=np.diag([POSITION_SIGMA_M**2, SPEED_SIGMA_MPS**2]),
+        commands=np.zeros(math.ceil(steps.max()) + 1),
+        bank=bank,
+        best=0,
+        started=False,
+    )
+
+
+def update_estimate(
+    model: Model, belief: StateEstimate, position_m: float, speed_mps: float, acceleration_mps2: float
+) -> StateEstimate:
+    """The belief after this period's measurements.
+
+    Args:
+        model: What the driver believes about trainset and section.
+        belief: The belief of the period before, commands brought up to date by :func:`record_command`.
+        position_m: Measured position.
+        speed_mps: Measured speed, noisy.
+        acceleration_mps2: Acceleration over the last period.
+    """
+    if not belief.started:
+        return belief._replace(
+            position_m=float(position_m),
+            speed_mps=float(speed_mps),
+            acceleration_mps2=float(acceleration_mps2),
+            started=True,
+        )
+    bank, best = _learn(model, belief, float(acceleration_mps2))
+    position, speed, covariance = _fuse(model.dt, belief, position_m, speed_mps, acceleration_mps2)
+    return belief._replace(
+        position_m=position,
+        speed_mps=speed,
+        acceleration_mps2=float(acceleration_mps2),
+        covariance=covariance,
+        bank=bank,
+        best=best,
+    )
+
+
+def record_command(belief: StateEstimate, share: float) -> StateEstimate:
+    """The belief that remembers the command just given."""
+    commands = np.concatenate([[min(max(float(share), -1.0), 1.0)], belief.commands[:-1]])
+    return belief._replace(commands=commands)
+
+
+def _fuse(
+    dt: float, belief: StateEstimate, position_m: float, speed_mps: float, acceleration_mps2: float
+) -> tuple[float, float, ndarray]:
+    """Kalman filter of position and speed; the acceleration of the period is an input known well."""
+    a = float(acceleration_mps2)
+    position = belief.position_m + belief.speed_mps * dt + 0.5 * a * dt * dt
+    speed = belief.speed_mps + a * dt
+    move = np.array([[1.0, dt], [0.0, 1.0]])
+    push = np.array([0.5 * dt * dt, dt]) * 0.5 * ANSWER_SIGMA_MPS2
+    p = move @ belief.covariance @ move.T + np.outer(push, push)
+    noise = np.diag([POSITION_SIGMA_M**2, SPEED_SIGMA_MPS**2])
+    gain = p @ np.linalg.inv(p + noise)
+    miss = np.array([position_m - position, speed_mps - speed])
+    correction = gain @ miss
+    return (
+        float(position + correction[0]),
+        max(float(speed + correction[1]), 0.0),
+        (np.eye(2) - gain) @ p,
+    )
+
+
+def _learn(model: Model, belief: StateEstimate, answer: float) -> tuple[HypothesisBank, int]:
+    """Compare the answer to the last command with what each hypothesis expected, and learn from it."""
+    vehicle, bank, v = model.vehicle, belief.bank, belief.speed_mps
+    acting = _acting(belief.commands, bank.delay_steps)
+    share = acting + (bank.share - acting) * bank.keep
+    resistance, gradient, traction, brake = _efforts(model, belief.position_m, v)
+    features = np.stack(
+        [
+            np.maximum(share, 0.0) * traction,
+            np.minimum(share, 0.0) * brake,
+            np.full(share.shape, -resistance),
+        ],
+        axis=1,
+    )
+    free = np.einsum("hk,hk->h", bank.gains, features) - gradient
+    room = float(vehicle.jerk_mps3) * model.dt
+    expected = np.clip(free, belief.acceleration_mps2 - room, belief.acceleration_mps2 + room)
+    standing = v < 0.05
+    if standing:
+        expected = np.maximum(expected, 0.0)
+    miss = np.clip((answer - expected) / ANSWER_SIGMA_MPS2, -6.0, 6.0)
+    cost = FORGETTING * bank.cost + miss**2
+    learns = (np.abs(expected - free) < 1e-9) & (not standing or answer > 0)
+    wide = bank.covariance + DRIFT_VARIANCE
+    spread = np.einsum("hjk,hk->hj", wide, features)
+    scale = ANSWER_SIGMA_MPS2**2 + np.einsum("hk,hk->h", features, spread)
+    weight = np.where(learns, 1.0 / scale, 0.0)
+    bounded = np.clip(answer - free, -0.5, 0.5)
+    gains = bank.gains + spread * (weight * bounded)[:, None]
+    covariance = wide - np.einsum("hj,hk->hjk", spread, spread) * weight[:, None, None]
+    learned = bank._replace(
+        share=share,
+        gains=np.clip(gains, (0.6, 0.6, 0.0), (1.6, 1.6, 3.0)),
+        covariance=covariance,
+        cost=cost,
+    )
+    challenger = int(np.argmin(cost))
+    best = challenger if cost[challenger] < cost[belief.best] - SWITCH_MARGIN else belief.best
+    return learned, best
+
+
+def look_ahead(model: Model, belief: StateEstimate) -> PredictedState:
+    """Predict the state at the moment a command given now begins to act, with the commands on their way."""
+    vehicle, dt, bank = model.vehicle, model.dt, belief.bank
+    x, v, a, share = (
+        belief.position_m,
+        belief.speed_mps,
+        belief.acceleration_mps2,
+        float(bank.share[belief.best]),
+    )
+    age, keep = float(bank.delay_steps[belief.best]), float(bank.keep[belief.best])
+    steps = math.ceil(age)
+    up, down, drag = (float(k) for k in bank.gains[belief.best])
+    room = float(vehicle.jerk_mps3) * dt
+    here = _efforts(model, x, v)
+    for k in range(steps):
+        # The command given now is not known yet: where a part of it acts already, the newest stands for it.
+        acting = float(_acting(belief.commands, max(age - 1 - k, 0.0)))
+        share = acting + (share - acting) * keep
+        wanted = max(share, 0.0) * up * here[2] + min(share, 0.0) * down * here[3] - drag * here[0] - here[1]
+        a = min(max(wanted, a - room), a + room)
+        a = max(a, 0.0) if v <= 0 else a
+        after = max(v + a * dt, 0.0)
+        x, v = x + 0.5 * (v + after) * dt, after
+    there = _efforts(model, x, v) if steps else here
+    return PredictedState(
+        steps * dt, x, v, a, share, drag * there[0], there[1], up * there[2], down * there[3]
+    )
+
+
+def _acting(commands: ndarray, age: ndarray | float) -> ndarray | float:
+    """The command issued so many periods ago, blended between two as the plant does."""
+    whole = np.floor(age).astype(int)
+    part = age - whole
+    older = commands[np.minimum(whole + 1, commands.size - 1)]
+    return commands[whole] * (1.0 - part) + older * part
+
+
+def share_for(
+    belief: StateEstimate, ahead: PredictedState, wanted_mps2: float, lead: float = LAG_LEAD
+) -> float:
+    """The command that gives an acceleration when it begins to act.
+
+    Args:
+        belief: The belief.
+        ahead: The state at that moment, from :func:`look_ahead`.
+        wanted_mps2: Wanted acceleration.
+        lead: How much of the lag to make up for by asking for more at once, in [0, 1].
+
+    Returns:
+        A command in [-1, 1].
+    """
+    effort = wanted_mps2 + ahead.resistance_mps2 + ahead.gradient_mps2
+    share = effort / (ahead.traction_mps2 if effort >= 0 else ahead.brake_mps2)
+    share = min(max(share, -1.0), 1.0)
+    kept = lead * float(belief.bank.keep[belief.best])
+    return min(max((share - kept * ahead.share) / (1.0 - kept), -1.0), 1.0)
+
+
+def _efforts(model: Model, position_m: float, speed_mps: float) -> tuple[float, float, float, float]:
+    """Resistance, gradient, traction and brake per believed effective mass, m/s^2."""
+    vehicle = model.vehicle
+    mass = float(vehicle.effective_mass_kg)
+    resistance, gradient = resistance_and_gradient(vehicle, model.track, position_m, speed_mps)
+    effort = effort_at(vehicle, speed_mps)
+    return (
+        float(resistance) / mass,
+        float(gradient) / mass,
+        max(float(effort.traction_n), 1.0) / mass,
+        max(float(effort.brake_n), 1.0) / mass,
+    )

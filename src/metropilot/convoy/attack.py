@@ -1,0 +1,335 @@
+"""Trying to make a convoy collide: emergency brakes of the head, bad links, drivers that mean harm.
+
+Every case is a convoy under way at a gap its protection accepts. Within seconds the head makes an emergency
+brake; everybody runs on until all stand. Masses, resistance, link and the followers' commands are drawn anew
+for each case, within what is declared. JAX, in single precision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from metropilot.convoy.batch import advanced, exchanged, gaps_m, sights, stacked
+from metropilot.convoy.drivers import FOLLOWERS
+from metropilot.convoy.leaders import recordings
+from metropilot.convoy.link import Channel, Message, Quality
+from metropilot.convoy.model import FAR_M, Convoy, Guard, Member, loaded, members
+from metropilot.convoy.step import FollowerObservation, MemberState, ahead_of, at_departure
+from metropilot.physics import to_jax
+from metropilot.protection import spare_gap
+from metropilot.railway import load_line, load_trainset
+
+Array = Any
+HARMFUL = ("full traction", "random", "bang-bang", "stuck", "late brake", "follow_gap")
+"""What followers do, each a draw of its own."""
+HEADS = 24
+LONGEST_S = 34.0
+EMERGENCY_S = 6.0
+ROWS_S = 120.0
+
+
+@dataclass(frozen=True)
+class AttackCampaign:
+    """What is attacked.
+
+    Attributes:
+        line: Line.
+        origin: Station of departure.
+        destination: Station of arrival.
+        trainset: Trainset, all alike but for their masses.
+        count: Trainsets of a convoy.
+        guard: What protection relies on.
+        mass: Range of true over believed mass.
+        resistance: Range of true over believed Davis resistance.
+        delay_s: Largest delay of messages.
+        jitter_s: Largest jitter.
+        loss: Largest share of lost messages.
+        silence: Share of cases in which the link falls silent at some moment.
+        scatter_mps2: How much less than its rate an emergency brake may give.
+        dt: Control period.
+        seed: Of everything random.
+    """
+
+    line: str = "yizhuang"
+    origin: str = "YZQ"
+    destination: str = "WHY"
+    trainset: str = "cheng2023"
+    count: int = 2
+    guard: Guard = "coupled"
+    mass: tuple[float, float] = (0.8, 1.2)
+    resistance: tuple[float, float] = (0.5, 1.5)
+    delay_s: float = 0.6
+    jitter_s: float = 0.4
+    loss: float = 0.5
+    silence: float = 0.1
+    scatter_mps2: float = 0.01
+    dt: float = 0.2
+    seed: int = 0
+
+
+class AttackCase(NamedTuple):
+    """One attack, as drawn. Leading axis N where it is of each trainset."""
+
+    row: Array
+    period: Array
+    emergency_s: Array
+    mass: Array
+    resistance: Array
+    scatter: Array
+    quality: Quality
+    manner: Array
+    share: Array
+
+
+Choice = tuple[Array, Callable[[FollowerObservation], tuple[Array, Array]]]
+"""Luck of every link, shape (N, 2), and what followers ask for given what they see, with their memory."""
+Chosen = Callable[[Array, Array, Array], Choice]
+"""The choice in a period, given its number, the followers' memory and what they asked for last."""
+
+
+class Tally(NamedTuple):
+    """What came of some cases.
+
+    Attributes:
+        gap_min_m: Smallest gap of each case. Shape (cases,).
+        start_gap_m: Gap that the first follower began with. Shape (cases,).
+        speed_mps: Speed at the beginning. Shape (cases,).
+        emergencies: Emergency brakes of followers in each. Shape (cases,).
+        standing: Whether all stood at the end. Shape (cases,).
+    """
+
+    gap_min_m: np.ndarray
+    start_gap_m: np.ndarray
+    speed_mps: np.ndarray
+    emergencies: np.ndarray
+    standing: np.ndarray
+
+    @property
+    def contacts(self) -> int:
+        """Cases in which two trainsets touched."""
+        return int((self.gap_min_m < 0.0).sum())
+
+
+class Arena:
+    """A campaign ready to run: one compiled program for any number of cases.
+
+    Args:
+        campaign: What is attacked.
+    """
+
+    def __init__(self, campaign: AttackCampaign) -> None:
+        import jax
+
+        self.campaign = campaign
+        section = load_line(campaign.line).section(campaign.origin, campaign.destination)
+        trainset = load_trainset(campaign.trainset)
+        convoy = Convoy(
+            section,
+            (trainset,) * campaign.count,
+            guard=campaign.guard,
+            mass_bounds=campaign.mass,
+            dt=campaign.dt,
+        )
+        self.dt, self.rows = convoy.dt, round(ROWS_S / convoy.dt)
+        self.steps = round(LONGEST_S / convoy.dt)
+        rows = members(convoy, np.float32)
+        self.members: Member = to_jax(stacked(rows))
+        ahead = (None, *rows[:-1])
+        first = [at_departure(m, a, self.dt) for m, a in zip(rows, ahead, strict=True)]
+        self.first: MemberState = to_jax(stacked(first))
+        heads = recordings(
+            *replace(convoy, guard="coupled").leader(), self.dt, HEADS, campaign.seed, self.rows
+        )
+        self.heads = to_jax(stacked(heads))
+        self.follower = FOLLOWERS.make("follow_gap")
+        memory = [self.follower.init(m.believed, self.dt) for m in rows]
+        self.memory = to_jax(stacked(memory))
+        self._run = jax.jit(jax.vmap(self._case))
+
+    def run(self, cases: int, batch: int = 2000, first: int = 0) -> Tally:
+        """Attack so many times.
+
+        Args:
+            cases: How many cases; rounded up to whole batches.
+            batch: Cases side by side.
+            first: Number of the first batch: every batch has cases of its own.
+        """
+        import jax
+
+        found = []
+        for k in range(first, first - (-cases // batch)):
+            keys = jax.random.split(jax.random.fold_in(jax.random.key(self.campaign.seed), k), batch)
+            found.append([np.asarray(values) for values in self._run(keys)])
+        return Tally(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+    def _drawn(self, key: Array) -> AttackCase:
+        import jax
+        import jax.numpy as jnp
+
+        c, n, f32 = self.campaign, self.campaign.count, jnp.float32
+        keys = jax.random.split(key, 4)
+        u = jax.random.uniform(keys[0], (8,), f32)
+        each = jax.random.uniform(keys[1], (3, n), f32)
+        row = jax.random.randint(keys[2], (), 0, HEADS)
+        stop = jnp.sum((self.heads.speed_mps[row] > 0.0).astype(jnp.int32))
+        silent = jnp.where(u[4] < c.silence, u[5] * 2.0 * EMERGENCY_S, jnp.inf)
+        quality = Quality(c.delay_s * u[1], c.jitter_s * u[2], c.loss * u[3], silent.astype(f32))
+        corner = jnp.round(each)
+        each = jnp.where(u[6] < 0.5, corner, each)
+        return AttackCase(
+            row=row,
+            period=(u[0] * 0.95 * stop.astype(f32)).astype(jnp.int32),
+            emergency_s=EMERGENCY_S * u[7],
+            mass=c.mass[0] + (c.mass[1] - c.mass[0]) * each[0],
+            resistance=c.resistance[0] + (c.resistance[1] - c.resistance[0]) * each[1],
+            scatter=c.scatter_mps2 * each[2],
+            quality=jax.tree.map(lambda x: jnp.broadcast_to(x, (n,)), quality),
+            manner=jax.random.randint(keys[3], (n,), 0, len(HARMFUL)),
+            share=jax.random.uniform(jax.random.fold_in(key, 9), (n,), f32, -1.0, 1.0),
+        )
+
+    def _actual(self, case: AttackCase) -> Member:
+        """The convoy as it really is in this case."""
+        import jax.numpy as jnp
+
+        m = self.members
+        vehicle = loaded(m.vehicle, case.mass)
+        vehicle = vehicle._replace(davis_n=vehicle.davis_n * jnp.expand_dims(case.resistance, 1))
+        weaker = jnp.where(m.is_head, 0.0, case.scatter)
+        vehicle = vehicle._replace(
+            emergency_n=vehicle.emergency_n
+            - (0.0 if self.campaign.guard == "coupled" else weaker) * vehicle.effective_mass_kg
+        )
+        return m._replace(vehicle=vehicle, link=case.quality, most_mps2=m.most_mps2 - weaker)
+
+    def _placed(self, convoy: Member, case: AttackCase) -> MemberState:
+        """Under way behind the head, each as near as its protection accepts, and no nearer than wanted."""
+        import jax
+        import jax.numpy as jnp
+
+        x, v = self.heads.position_m[case.row, case.period], self.heads.speed_mps[case.row, case.period]
+        share = jnp.clip(self.heads.command[case.row, jnp.maximum(case.period - 1, 0)], -1.0, 1.0)
+        a = self.heads.acceleration_mps2[case.row, case.period]
+        n = self.campaign.count
+        zero, all_ = jnp.zeros((), jnp.float32), jnp.ones((n,), jnp.float32)
+        first = self.first
+        plant = first.plant._replace(
+            speed_mps=v * all_,
+            acceleration_mps2=a * all_,
+            share=share * all_,
+            pipeline=jnp.broadcast_to(share, first.plant.pipeline.shape).astype(jnp.float32),
+        )
+
+        def behind(gap: Array) -> MemberState:
+            front = x - jnp.cumsum(jnp.concatenate([zero[None], convoy.length_m[:-1] + gap[1:]]))
+            rear = jnp.concatenate([zero[None] + FAR_M, (front - convoy.length_m)[:-1]])
+            head = convoy.is_head
+            told = Message(
+                zero * all_,
+                rear,
+                jnp.where(head, 0.0, v),
+                jnp.where(head, 0.0, a),
+                jnp.where(head, 0.0, share),
+                zero * all_,
+            )
+            channel = Channel(first.channel.sent, first.channel.due_s, told)
+            watched = first.watched
+            if watched is not None:
+                watched = watched._replace(
+                    recent=jnp.broadcast_to(jnp.maximum(share, 0.0), watched.recent.shape),
+                    share=jnp.maximum(share, 0.0) * all_,
+                    acceleration_mps2=jnp.maximum(a, 0.0) * all_ + jnp.abs(a) * 0.5,
+                )
+            return first._replace(
+                plant=plant._replace(position_m=front), channel=channel, watched=watched, command=share * all_
+            )
+
+        if first.watched is None or convoy.protection is None:
+            return behind(convoy.gap_m)
+        trial = behind(convoy.gap_m)
+        watched: Any = trial.watched
+        # The link may already be as late as it can get; the last message is taken to be fresh.
+        ahead = jax.vmap(ahead_of, (0, 0, None))(convoy, trial, zero)
+        spare = jax.vmap(spare_gap)(
+            convoy.protection,
+            watched,
+            trial.plant.position_m,
+            trial.plant.speed_mps,
+            trial.command,
+            ahead,
+        )
+        return behind(convoy.gap_m + jnp.maximum(-spare, 0.0) + 0.01)
+
+    def _case(self, key: Array) -> tuple[Array, ...]:
+        """One attack drawn at random, from beginning to end."""
+        import jax
+        import jax.numpy as jnp
+
+        case = self._drawn(jax.random.fold_in(key, 0))
+
+        def chosen(k: Array, memory: Array, last: Array) -> Choice:
+            draw = jax.random.uniform(jax.random.fold_in(key, k + 1), (self.campaign.count, 4), jnp.float32)
+            return draw[:, :2], lambda seen: self._shares(case, seen, memory, last, draw)
+
+        return self.attacked(case, chosen)
+
+    def attacked(self, case: AttackCase, chosen: Chosen) -> tuple[Array, ...]:
+        """One attack from beginning to end (JAX); returns the fields of :class:`Tally`, 0-d.
+
+        Args:
+            case: The attack.
+            chosen: What luck the link has and what followers ask for, period after period.
+        """
+        import jax
+        import jax.numpy as jnp
+
+        convoy = self._actual(case)
+        states = self._placed(convoy, case)
+        dt = jnp.float32(self.dt)
+        start, speed = gaps_m(convoy, states)[0], states.plant.speed_mps[0]
+
+        def body(carry: tuple[Any, ...], k: Array) -> tuple[Any, None]:
+            states, memory, last, least = carry
+            now = k.astype(jnp.float32) * dt
+            luck, shares_of = chosen(k, memory, last)
+            states = exchanged(convoy, states, now, dt, luck)
+            shares, memory = shares_of(sights(convoy, states, now, dt))
+            head = self.heads.command[case.row, jnp.minimum(case.period + k, self.rows - 1)]
+            wanted = jnp.where(convoy.is_head, head, shares)
+            alarm = convoy.is_head & (now >= case.emergency_s)
+            states = advanced(convoy, states, wanted, alarm, now, dt)
+            return (states, memory, wanted, jnp.minimum(least, jnp.min(gaps_m(convoy, states)))), None
+
+        begin = (states, self.memory, case.share, jnp.float32(jnp.inf))
+        (states, _, _, least), _ = jax.lax.scan(body, begin, jnp.arange(self.steps, dtype=jnp.int32))
+        braked = 0 if states.watched is None else jnp.sum(states.watched.emergencies[1:])
+        return least, start, speed, jnp.asarray(braked), jnp.all(states.plant.speed_mps <= 0.0)
+
+    def _shares(
+        self,
+        case: AttackCase,
+        seen: FollowerObservation,
+        memory: Array,
+        last: Array,
+        draw: Array,
+    ) -> tuple[Array, Array]:
+        """What each driver asks for, by its manner."""
+        import jax
+        import jax.numpy as jnp
+
+        good, memory = jax.vmap(self.follower.act)(memory, seen)
+        full = jnp.ones_like(last)
+        noise = 2.0 * draw[:, 2] - 1.0
+        bang = jnp.where(draw[:, 3] < 0.05, jnp.sign(noise), last)
+        late = jnp.where(seen.gap_m < 3.0, -1.0, 1.0)
+        ways = jnp.stack([full, noise, bang, case.share, late, good])
+        return ways[case.manner, jnp.arange(full.shape[0])], memory
+
+
+def attack(campaign: AttackCampaign, cases: int, batch: int = 2000) -> Tally:
+    """Run a campaign; see :class:`Arena`."""
+    return Arena(campaign).run(cases, batch)

@@ -1,0 +1,76 @@
+"""The PID on the speed difference, with fixed gains (Chen23b eq. 12)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, final, no_type_check
+
+import numpy as np
+
+from metropilot.control.incremental_pid import Errors, Gains, incremental_pid
+from metropilot.convoy.drivers.base import AbstractFollower, register_follower
+from metropilot.convoy.drivers.motion import waits
+from metropilot.convoy.gains import GAIN_HIGH, GAIN_LOW
+from metropilot.convoy.step import FollowerObservation
+from metropilot.errors import InputError
+from metropilot.physics import Vehicle
+from metropilot.physics.arrays import namespace
+
+Scalar = Any
+
+
+@dataclass(frozen=True)
+class FollowPidOptions:
+    """Gains of the PID, 1/(m/s); the best of a grid within Chen23b's bounds on its own run.
+
+    Attributes:
+        proportional: On the change of the speed difference, 0 to 5.
+        integral: On the speed difference, 0 to 1.5.
+        derivative: On the change of the change, 0 to 1.5.
+    """
+
+    proportional: float = 5.0
+    integral: float = 1.5
+    derivative: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in Gains._fields:
+            value, high = getattr(self, name), getattr(GAIN_HIGH, name)
+            if not getattr(GAIN_LOW, name) <= value <= high:
+                raise InputError("out of range", field=name, value=value, allowed=f"0 to {high:g}")
+
+
+@final
+@register_follower
+class FollowPid(AbstractFollower):
+    """Incremental PID on the speed difference; the gap itself is not looked at."""
+
+    id = "follow_pid"
+    summary = "PID on the speed difference to the trainset ahead, fixed gains"
+    source = "Chen23b eq. 12, gains tuned within its bounds"
+
+    def __init__(self, options: FollowPidOptions | None = None) -> None:
+        self.options = options or FollowPidOptions()
+
+    def init(self, vehicle: Vehicle, period_s: float) -> Errors:
+        """No errors yet."""
+        del period_s
+        zero = np.asarray(vehicle.mass_kg).dtype.type(0.0)
+        return Errors(zero, zero)
+
+    def act(self, memory: Errors, sight: FollowerObservation) -> tuple[Scalar, Errors]:
+        """One period of the law."""
+        options = self.options
+        return pid_step(sight, Gains(options.proportional, options.integral, options.derivative), memory)
+
+
+@no_type_check
+def pid_step(sight: FollowerObservation, gains: Gains, errors: Errors) -> tuple[Scalar, Errors]:
+    """The law from the command that protection let pass last; held where all stand.
+
+    The speed difference is the trainset ahead's less the own one: with Chen23b's own sign (eq. 10) the loop
+    would be unstable.
+    """
+    xp = namespace(sight.position_m, sight.gap_m)
+    share, errors = incremental_pid(sight.command, gains, sight.ahead_mps - sight.speed_mps, errors)
+    return xp.where(waits(sight), 0.0 * share, share), errors

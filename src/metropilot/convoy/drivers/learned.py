@@ -1,0 +1,86 @@
+"""Followers whose PID gains a policy sets (Chen23b), read from one checked file each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar, no_type_check
+
+import numpy as np
+
+from metropilot.control.incremental_pid import Errors
+from metropilot.convoy.drivers.base import AbstractFollower
+from metropilot.convoy.drivers.follow_pid import pid_step
+from metropilot.convoy.gains import STATE, chen2023b_state, gains_of
+from metropilot.convoy.step import FollowerObservation
+from metropilot.errors import InputError
+from metropilot.physics import Vehicle
+from metropilot.physics.arrays import namespace, scalars
+from metropilot.policy import Policy, load_policy
+from metropilot.policy.loaded import policy_path
+from metropilot.policy.policy import act as policy_act
+
+Scalar = Any
+POLICIES = Path(__file__).parents[2] / "policy" / "shipped"
+
+
+@dataclass(frozen=True)
+class FollowPolicyOptions:
+    """Which policy sets the gains.
+
+    Attributes:
+        policy: A policy file, or the folder or id of a learning run; empty: the one shipped with the driver.
+    """
+
+    policy: str = ""
+
+
+class AbstractGainFollower(AbstractFollower):
+    """PID on the speed difference whose gains a policy sets anew in every period.
+
+    Args:
+        options: Which policy.
+    """
+
+    source: ClassVar[str] = "Chen23b"
+
+    def __init__(self, options: FollowPolicyOptions | None = None) -> None:
+        self.options = options or FollowPolicyOptions()
+
+    @cached_property
+    def policy(self) -> Policy:
+        """The policy, checked to take Chen23b's state and to give three gains.
+
+        Raises:
+            InputError: The file cannot be used.
+        """
+        shipped = POLICIES / f"{self.id}.safetensors"
+        path = policy_path(self.options.policy) if self.options.policy else shipped
+        policy, _ = load_policy(path)
+        size, gains = policy.spec.observation_size, policy.spec.actions
+        if size != len(STATE) or gains != 3 or policy.spec.discrete:
+            raise InputError(
+                "not a policy that sets a follower's gains",
+                file=path,
+                field="policy",
+                value=f"{size} observations, {gains} actions",
+                allowed=f"{len(STATE)} observations, 3 actions",
+            )
+        return policy
+
+    def init(self, vehicle: Vehicle, period_s: float) -> Errors:
+        """Read the policy; no errors yet."""
+        del period_s
+        _ = self.policy
+        zero = np.asarray(vehicle.mass_kg).dtype.type(0.0)
+        return Errors(zero, zero)
+
+    @no_type_check
+    def act(self, memory: Errors, sight: FollowerObservation) -> tuple[Scalar, Errors]:
+        """Gains from the policy, then one period of the PID."""
+        xp = namespace(sight.position_m, sight.gap_m)
+        xp = np if xp is scalars else xp
+        policy = self.policy
+        action = policy_act(policy.spec, policy.params, chen2023b_state(sight), None, xp)
+        return pid_step(sight, gains_of(action), memory)

@@ -1,0 +1,78 @@
+"""The folder a convoy's run leaves behind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from metropilot.convoy.kpis import ConvoyKpis
+from metropilot.convoy.request import ConvoyRequest
+from metropilot.convoy.rollout import ConvoyDrive
+from metropilot.evaluate.folder import carried, filled, provenance, write_json
+from metropilot.evaluate.request_file import to_table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+WIDTH_IN, HEIGHT_IN = 8.4, 7.0
+
+
+def write_convoy(folder: Path, request: ConvoyRequest, drive: ConvoyDrive, kpis: ConvoyKpis) -> None:
+    """Write `trajectory-N.csv` of each trainset, `kpis.json`, `run.json`, `convoy.svg` and `convoy.png`.
+
+    Beside `run.json` lie the line, trainset and policy files that it names.
+
+    Args:
+        folder: Where to; made if it is not there.
+        request: What was asked for.
+        drive: What came of it.
+        kpis: Its KPIs.
+
+    Raises:
+        InputError: The folder cannot be made or written.
+    """
+    from metropilot.evaluate.style import save
+
+    with filled(folder) as scratch:
+        for k, trajectory in enumerate(drive.trajectories, 1):
+            trajectory.write(scratch / f"trajectory-{k}.csv")
+        write_json(scratch / "kpis.json", kpis.as_dict())
+        head = to_table(carried(scratch, request.head.resolved()))
+        write_json(
+            scratch / "run.json", {"run": {**request.table(), "head": head}, "made_with": provenance()}
+        )
+        save(convoy_figure(drive, kpis), scratch / "convoy")
+
+
+def convoy_figure(drive: ConvoyDrive, kpis: ConvoyKpis) -> Figure:
+    """Speeds, gaps and speed differences over time, one above the other.
+
+    Args:
+        drive: The run.
+        kpis: Its KPIs, for the line under the title.
+    """
+    from metropilot.evaluate.style import BLACK, GREY, KMH, SERIES, headline, house_style, label, new_panels
+
+    with house_style():
+        figure, (speed, gap, apart) = new_panels(WIDTH_IN, HEIGHT_IN, (5.0, 4.0, 3.0))
+        for k, t in enumerate(drive.trajectories):
+            colour, dashes = (BLACK, "-") if k == 0 else SERIES[(k - 1) % len(SERIES)]
+            name = f"head ({drive.head})" if k == 0 else f"{k + 1}"
+            speed.plot(t.time_s, KMH * t.speed_mps, color=colour, linestyle=dashes, label=name)
+            if k:
+                gap.plot(drive.time_s, drive.gap_m[:, k - 1], color=colour, linestyle=dashes)
+                apart.plot(drive.time_s, drive.speed_difference_mps[:, k - 1], color=colour, linestyle=dashes)
+        gap.axhline(drive.convoy.gap_m, color=GREY, linewidth=0.8, zorder=1)
+        gap.axhline(0.0, color="#B00020", linewidth=0.8, zorder=1)
+        speed.set_ylabel("speed (km/h)")
+        label(gap, f"gap to the trainset ahead (m); grey: wanted {drive.convoy.gap_m:g} m")
+        label(apart, "speed ahead less own speed (m/s)")
+        apart.set_xlabel("time since departure (s)")
+        section = drive.convoy.section
+        title = f"{section.origin.name} – {section.destination.name}, {len(drive.trajectories)} trainsets"
+        below = (
+            f"{drive.follower}, {drive.convoy.guard}: gap {kpis.gap_min_m:.2f} to {kpis.gap_max_m:.2f} m, "
+            f"speed difference at most {kpis.speed_difference_max_mps:.2f} m/s, {kpis.contacts} contacts"
+        )
+        headline(speed, title, below)
+        return figure

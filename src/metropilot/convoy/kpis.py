@@ -1,0 +1,262 @@
+"""KPIs of a convoy and of each of its trainsets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from metropilot.convoy.rollout import ConvoyDrive
+from metropilot.evaluate import measures
+from metropilot.evaluate.kpis import (
+    JERK,
+    NO_INTERVENTION,
+    NO_OVERSPEED,
+    ON_TIME,
+    STOPS,
+    Check,
+    checks,
+    verdict_words,
+)
+from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M, Outcome
+
+J_PER_KWH = 3.6e6
+OVERSPEED_MPS = 1e-6
+CONTACT, NO_CONTACT = "contact", "no contact"
+NAMED = 3
+"""So many trainsets that failed are named in a headline."""
+
+
+@dataclass(frozen=True)
+class MemberKpis:
+    """What is known of one trainset of a convoy when the run is over.
+
+    Attributes:
+        number: 1 is the head.
+        driver: Who drove it.
+        outcome: Of its own run, judged by its own mark; ``contact`` if it touched the trainset ahead.
+        mass_kg: True mass.
+        running_time_s: Until its last stand.
+        time_error_s: Running time minus scheduled time; positive is late.
+        stopping_error_m: Position of its front less its own mark; positive is beyond it. The head's mark is
+            the stop; a follower's is where it stands at the wanted gap from a trainset ahead at its mark.
+        energy_wheel_kwh: Traction energy at the wheel.
+        energy_regenerated_kwh: Given back to the line.
+        energy_line_kwh: Net at the line.
+        gap_min_m: Smallest gap to the trainset ahead; None for the head.
+        gap_max_m: Largest.
+        gap_end_m: At the end.
+        speed_difference_max_mps: Largest speed difference to the trainset ahead; None for the head.
+        interventions: Spells in which protection overruled the driver.
+        emergency_brakes: How many of them came to the emergency brake.
+        max_overspeed_mps: Largest excess over the limit.
+        max_speed_mps: Highest speed.
+        max_acceleration_mps2: Largest acceleration.
+        max_deceleration_mps2: Largest deceleration.
+        max_jerk_mps3: Largest jerk.
+        jerk_limit_mps3: Jerk limit of the trainset in service, None if it has none.
+        comfort_huang2025: Sum of the changes of the command.
+        decision_time_us_median: Median time of a decision; None for the head.
+    """
+
+    number: int
+    driver: str
+    outcome: str
+    mass_kg: float
+    running_time_s: float
+    time_error_s: float
+    stopping_error_m: float
+    energy_wheel_kwh: float
+    energy_regenerated_kwh: float
+    energy_line_kwh: float
+    gap_min_m: float | None
+    gap_max_m: float | None
+    gap_end_m: float | None
+    speed_difference_max_mps: float | None
+    interventions: int
+    emergency_brakes: int
+    max_overspeed_mps: float
+    max_speed_mps: float
+    max_acceleration_mps2: float
+    max_deceleration_mps2: float
+    max_jerk_mps3: float
+    jerk_limit_mps3: float | None
+    comfort_huang2025: float
+    decision_time_us_median: float | None
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """The requirements of a run, and that it touched nobody."""
+        gap = "–" if self.gap_min_m is None else f"{self.gap_min_m:.2f} m"
+        return (*checks(self), Check(NO_CONTACT, gap, "> 0 m", self.outcome != CONTACT))
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Names of the requirements that it did not meet."""
+        return tuple(check.name for check in self.checks if not check.passed)
+
+    @property
+    def verdict(self) -> str:
+        """How its run ended, in words that name every requirement it failed."""
+        return verdict_words(self, self.checks)
+
+
+@dataclass(frozen=True)
+class ConvoyKpis:
+    """KPIs of a convoy.
+
+    Attributes:
+        outcome: ``contact`` or ``overspeed`` if any trainset was so; else the outcome of the first, from the
+            head on, that did not arrive; ``arrived`` if all did.
+        punctual: Whether the head arrived within 3 s of the scheduled time.
+        scheduled_time_s: Scheduled running time.
+        gap_min_m: Smallest gap of all pairs.
+        gap_max_m: Largest gap of all pairs.
+        speed_difference_max_mps: Largest speed difference of all pairs.
+        contacts: Pairs that touched.
+        trainsets: Of each, the head first.
+    """
+
+    outcome: str
+    punctual: bool
+    scheduled_time_s: float
+    gap_min_m: float
+    gap_max_m: float
+    speed_difference_max_mps: float
+    contacts: int
+    trainsets: tuple[MemberKpis, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers, words and None, ready for JSON: the fields, and the verdicts on them."""
+        found = asdict(self) | {
+            "success": self.success,
+            "failed": [c.name for c in self.checks if not c.passed],
+        }
+        rows = zip(found["trainsets"], self.trainsets, strict=True)
+        found["trainsets"] = [row | {"success": not m.failed, "failed": list(m.failed)} for row, m in rows]
+        return found
+
+    @property
+    def success(self) -> bool:
+        """Whether every trainset met every requirement: what headline and exit code say."""
+        return not any(member.failed for member in self.trainsets)
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """The requirements, each with the trainset that came off worst; passed where all passed."""
+        return tuple(self._worst(name) for name in (*WORST, NO_CONTACT))
+
+    @property
+    def verdict(self) -> str:
+        """How the run ended, in words that name the trainsets that failed, and in what."""
+        bad = [f"trainset {m.number} {m.verdict}" for m in self.trainsets if m.failed]
+        more = [f"{len(bad) - NAMED} more failed"] if len(bad) > NAMED else []
+        return "; ".join(bad[:NAMED] + more) or "arrived safely and on time"
+
+    def _worst(self, name: str) -> Check:
+        """One requirement over all trainsets."""
+        if name == NO_CONTACT:
+            return Check(name, f"{self.gap_min_m:.2f} m", "> 0 m", self.contacts == 0)
+        size = WORST[name]
+        rows = [(m, next(c for c in m.checks if c.name == name)) for m in self.trainsets]
+        member, check = max(rows, key=lambda row: (not row[1].passed, size(row[0])))
+        return check._replace(value=f"{check.value} (trainset {member.number})")
+
+
+WORST: Mapping[str, Callable[[MemberKpis], float]] = {
+    STOPS: lambda m: abs(m.stopping_error_m),
+    ON_TIME: lambda m: abs(m.time_error_s),
+    NO_OVERSPEED: lambda m: m.max_overspeed_mps,
+    NO_INTERVENTION: lambda m: m.interventions,
+    JERK: lambda m: m.max_jerk_mps3,
+}
+"""By which measure the worst trainset of a requirement is found."""
+
+
+def convoy_kpis(drive: ConvoyDrive, scheduled_time_s: float) -> ConvoyKpis:
+    """Measure a convoy's run.
+
+    Args:
+        drive: The run.
+        scheduled_time_s: The head's scheduled running time.
+    """
+    marks = _marks(drive)
+    rows = tuple(_member(drive, k, scheduled_time_s, mark) for k, mark in enumerate(marks))
+    head = rows[0]
+    ended = [member.outcome for member in rows]
+    arrived = Outcome.ARRIVED.value
+    bad = next((word for word in (CONTACT, Outcome.OVERSPEED.value) if word in ended), None)
+    return ConvoyKpis(
+        outcome=bad or next((word for word in ended if word != arrived), arrived),
+        punctual=bool(drive.outcome is Outcome.ARRIVED and abs(head.time_error_s) <= PUNCTUALITY_S),
+        scheduled_time_s=scheduled_time_s,
+        gap_min_m=float(drive.gap_m.min()),
+        gap_max_m=float(drive.gap_m.max()),
+        speed_difference_max_mps=float(np.abs(drive.speed_difference_mps).max()),
+        contacts=drive.contacts,
+        trainsets=rows,
+    )
+
+
+def _marks(drive: ConvoyDrive) -> list[float]:
+    """Where each trainset's front is to stand."""
+    convoy, marks = drive.convoy, [drive.convoy.section.length_m]
+    for k, ahead in enumerate(convoy.trainsets[:-1], 1):
+        uncoupled = float(drive.trajectories[k].position_m[-1]) >= convoy.uncouple_at_m + convoy.starts_m[k]
+        marks.append(marks[-1] - ahead.length_m - (convoy.apart_m if uncoupled else convoy.gap_m))
+    return marks
+
+
+def _ended(drive: ConvoyDrive, k: int, error_m: float) -> str:
+    """Outcome of one trainset."""
+    if k and bool((drive.gap_m[:, k - 1] < 0).any()):
+        return CONTACT
+    if drive.overspeed_mps[k] > OVERSPEED_MPS:
+        return Outcome.OVERSPEED.value
+    if k == 0 or drive.outcome is not Outcome.ARRIVED:
+        return drive.outcome.value
+    if drive.trajectories[k].speed_mps[-1] > 0:
+        return Outcome.OUT_OF_TIME.value
+    if abs(error_m) <= STOP_TOLERANCE_M:
+        return Outcome.ARRIVED.value
+    return (Outcome.OVERSHOT if error_m > 0 else Outcome.STALLED).value
+
+
+def _member(drive: ConvoyDrive, k: int, scheduled_time_s: float, mark_m: float) -> MemberKpis:
+    """One trainset."""
+    t, convoy = drive.trajectories[k], drive.convoy
+    mass = convoy.trainsets[k].mass_kg * (convoy.mass_factors[k] if convoy.mass_factors else 1.0)
+    moving = np.flatnonzero(t.speed_mps > 0)
+    stands = float(t.time_s[min(int(moving[-1]) + 1, len(t) - 1)]) if moving.size else 0.0
+    gaps = drive.gap_m[:, k - 1] if k else None
+    apart = drive.speed_difference_mps[:, k - 1] if k else None
+    error = float(t.position_m[-1]) - mark_m
+    limit = convoy.trainsets[k].actuation.jerk_limit_mps3
+    return MemberKpis(
+        number=k + 1,
+        driver=drive.follower if k else drive.head,
+        outcome=_ended(drive, k, error),
+        mass_kg=mass,
+        running_time_s=stands,
+        time_error_s=stands - scheduled_time_s,
+        stopping_error_m=error,
+        energy_wheel_kwh=float(t.energy_wheel_j[-1]) / J_PER_KWH,
+        energy_regenerated_kwh=drive.recovered_j[k] / J_PER_KWH,
+        energy_line_kwh=float(t.energy_line_j[-1]) / J_PER_KWH,
+        gap_min_m=None if gaps is None else float(gaps.min()),
+        gap_max_m=None if gaps is None else float(gaps.max()),
+        gap_end_m=None if gaps is None else float(gaps[-1]),
+        speed_difference_max_mps=None if apart is None else float(np.abs(apart).max()),
+        interventions=drive.interventions[k],
+        emergency_brakes=drive.emergencies[k],
+        max_overspeed_mps=drive.overspeed_mps[k],
+        max_speed_mps=float(t.speed_mps.max()),
+        max_acceleration_mps2=float(max(t.acceleration_mps2.max(), 0.0)),
+        max_deceleration_mps2=float(max(-t.acceleration_mps2.min(), 0.0)),
+        max_jerk_mps3=measures.max_jerk(t),
+        jerk_limit_mps3=limit if np.isfinite(limit) else None,
+        comfort_huang2025=measures.command_variation(t),
+        decision_time_us_median=drive.decision_us[k] if k else None,
+    )

@@ -1,0 +1,307 @@
+"""A convoy as declared, and each of its trainsets as numbers: one row a trainset, the head first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+
+from metropilot.convoy.link import Link, Quality
+from metropilot.errors import InputError
+from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
+from metropilot.protection import Bounds, PairBounds, Protection, Separation, protect, separate
+from metropilot.railway import Section, Trainset
+from metropilot.railway.profile import Steps
+from metropilot.sim.bounds import MASS
+
+Array = Any
+Guard = Literal["coupled", "independent", "moving_block", "none"]
+GUARDS: tuple[Guard, ...] = get_args(Guard)
+CONVOY_PERIOD_S = 0.1
+"""Control period of a convoy. What a PID on the speed difference leaves of the gap grows with it."""
+GAP_M = 5.92
+"""Chen23b table 1: initial gap."""
+HEAD_MPS2, TAIL_MPS2, STEP_MPS2 = 0.8, 1.15, 0.35
+"""Brakes of a coupled convoy, head to tail: each trainset's is controlled to a little more than that of the
+one ahead, so that everybody can brake harder than whoever is ahead. Declared, not published."""
+MOST_TRAINSETS = 16
+FAR_M = 1e6
+LEADER_SHARE = 0.85
+"""Share of its own brake and of 1 m/s2 that the head uses in service, so that the others can follow."""
+
+
+@dataclass(frozen=True)
+class Convoy:
+    """What runs together, how close, and what is declared of it.
+
+    Attributes:
+        section: Where.
+        trainsets: Head first, each with its load, as drivers know them.
+        gap_m: Wanted gap, rear of one to front of the next.
+        start_gap_m: Gap at departure; None: the wanted one.
+        apart_m: Gap wanted once uncoupled.
+        uncouple_at_m: Where the head begins to uncouple (infinite: nowhere).
+        link: From each trainset to the next.
+        guard: What protection may rely on: ``coupled`` (brakes controlled to rates that rise along the
+            convoy), ``independent`` (nobody's brake is stronger than declared, gradients included),
+            ``moving_block`` (the trainset ahead may stand at once), ``none``.
+        mass_factors: True over believed mass of each; empty: all 1.
+        resistance_factors: True over believed Davis resistance of each; empty: all 1.
+        adhesion: Largest wheel force over weight of each; empty: the trainset's own.
+        mass_bounds: Masses over the believed ones that protection is told to expect at least.
+        dt: Control period, s.
+    """
+
+    section: Section
+    trainsets: tuple[Trainset, ...]
+    gap_m: float = GAP_M
+    start_gap_m: float | None = None
+    apart_m: float = 100.0
+    uncouple_at_m: float = float("inf")
+    link: Link = field(default_factory=Link)
+    guard: str = "coupled"
+    mass_factors: tuple[float, ...] = ()
+    resistance_factors: tuple[float, ...] = ()
+    adhesion: tuple[float, ...] = ()
+    mass_bounds: tuple[float, float] = MASS
+    dt: float = CONVOY_PERIOD_S
+
+    def __post_init__(self) -> None:
+        count = len(self.trainsets)
+        if not 2 <= count <= MOST_TRAINSETS:
+            allowed = f"2 to {MOST_TRAINSETS}"
+            raise InputError(
+                "number of trainsets out of range", field="trainsets", value=count, allowed=allowed
+            )
+        if self.guard not in GUARDS:
+            raise InputError("unknown guard", field="guard", value=self.guard, allowed=", ".join(GUARDS))
+        for name, low, high in (
+            ("gap_m", 0.5, 2000.0),
+            ("first_gap_m", 0.5, 5000.0),
+            ("apart_m", 0.5, 2000.0),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                allowed = f"{low:g} to {high:g} m"
+                raise InputError(
+                    "out of range",
+                    field=name.replace("first", "start"),
+                    value=value,
+                    unit="m",
+                    allowed=allowed,
+                )
+        if not self.uncouple_at_m >= 0.0:
+            raise InputError(
+                "out of range", field="uncouple_at_m", value=self.uncouple_at_m, unit="m", allowed=">= 0 m"
+            )
+        for name, low, high in (("mass", 0.5, 2.0), ("resistance", 0.0, 5.0), ("adhesion", 0.01, 1.0)):
+            values = getattr(self, name if name == "adhesion" else f"{name}_factors")
+            if len(values) not in {0, count}:
+                raise InputError(
+                    "one a trainset is wanted", field=name, value=len(values), allowed=str(count)
+                )
+            if not all(low <= value <= high for value in values):
+                allowed = f"{low:g} to {high:g}"
+                raise InputError("out of range", field=name, value=str(values), allowed=allowed)
+
+    @property
+    def first_gap_m(self) -> float:
+        """Gap at departure."""
+        return self.gap_m if self.start_gap_m is None else self.start_gap_m
+
+    @property
+    def starts_m(self) -> tuple[float, ...]:
+        """Where each trainset's front is at departure, the head at 0."""
+        found = [0.0]
+        for trainset in self.trainsets[:-1]:
+            found.append(found[-1] - trainset.length_m - self.first_gap_m)
+        return tuple(found)
+
+    @property
+    def rates_mps2(self) -> tuple[float, ...]:
+        """Deceleration that each trainset's brakes are controlled to; infinite where they are not."""
+        count = len(self.trainsets)
+        if self.guard != "coupled":
+            return (float("inf"),) * count
+        step = min(STEP_MPS2, (TAIL_MPS2 - HEAD_MPS2) / (count - 1))
+        return tuple(HEAD_MPS2 + step * k for k in range(count))
+
+    def leader(self) -> tuple[Section, Trainset]:
+        """Section and trainset as the head's driver must take them.
+
+        A limit holds until the last trainset's tail has cleared it. Coupled, the head accelerates and brakes
+        less than it could, so that the others can follow.
+        """
+        behind = -self.starts_m[-1] + self.trainsets[-1].length_m - self.trainsets[0].length_m
+        section, head = held_back(self.section, behind if self.guard == "coupled" else 0.0), self.trainsets[0]
+        if self.guard != "coupled":
+            return section, head
+        rate = self.rates_mps2[0]
+        safe = replace(
+            head.safe_braking,
+            emergency_deceleration_mps2=min(head.safe_braking.emergency_deceleration_mps2, rate),
+            service_deceleration_mps2=min(head.safe_braking.service_deceleration_mps2, LEADER_SHARE * rate),
+        )
+        return section, replace(
+            head,
+            safe_braking=safe,
+            max_acceleration_mps2=min(head.max_acceleration_mps2, LEADER_SHARE),
+            max_deceleration_mps2=min(head.max_deceleration_mps2, LEADER_SHARE * rate),
+        )
+
+
+def held_back(section: Section, extra_m: float) -> Section:
+    """The section with every limit holding for so much longer."""
+    limit = section.limit_mps
+    edges = np.unique(np.concatenate([limit.from_m, limit.from_m + extra_m]))
+    first = np.maximum(np.searchsorted(limit.from_m, edges - extra_m, side="right") - 1, 0)
+    last = np.maximum(np.searchsorted(limit.from_m, edges, side="right") - 1, 0)
+    values = np.array([limit.value[a : b + 1].min() for a, b in zip(first, last, strict=True)])
+    return replace(section, limit_mps=Steps(edges, values))
+
+
+class Member(NamedTuple):
+    """One trainset of a convoy. Fields are 0-d unless they are tuples of arrays.
+
+    Attributes:
+        vehicle: As it really is.
+        believed: As drivers know it.
+        track: The section as it feels it.
+        protection: Its protection; None: it has none.
+        bounds: What is declared of the trainset ahead and of its own emergency brake.
+        most_mps2: What its brakes are controlled to.
+        link: The link from the trainset ahead.
+        length_m: Length.
+        start_m: Where its front is at departure.
+        gap_m: Wanted gap to the trainset ahead.
+        apart_m: The same once uncoupled.
+        uncouple_at_m: Where its front is when the head begins to uncouple.
+        is_head: Whether nobody is ahead.
+    """
+
+    vehicle: Vehicle
+    believed: Vehicle
+    track: Track
+    protection: Protection | None
+    bounds: Separation
+    most_mps2: Array
+    link: Quality
+    length_m: Array
+    start_m: Array
+    gap_m: Array
+    apart_m: Array
+    uncouple_at_m: Array
+    is_head: Array
+
+
+def members(convoy: Convoy, dtype: type = np.float64) -> tuple[Member, ...]:
+    """Every trainset of a convoy as numbers (NumPy), the head first.
+
+    Raises:
+        InputError: A trainset's emergency brake does not hold it on the section.
+    """
+    before = -convoy.starts_m[-1] + 50.0
+    return tuple(_member(convoy, k, before, dtype) for k in range(len(convoy.trainsets)))
+
+
+def _member(convoy: Convoy, k: int, before_m: float, dtype: type) -> Member:
+    trainset, rates = convoy.trainsets[k], convoy.rates_mps2
+    section = convoy.leader()[0] if k == 0 else convoy.section
+    vehicle, believed = _actual(convoy, k, dtype), vehicle_arrays(trainset, dtype)
+    bounds = declared(convoy, k)
+    guard = None
+    if convoy.guard != "none":
+        guard = protect(section, trainset, bounds, dtype=dtype, before_m=before_m)
+    fall = 0.0 if guard is None else float(guard.pull_mps2.max())
+    held = min(rates[k], trainset.safe_braking.emergency_deceleration_mps2 - max(fall, 0.0))
+    return Member(
+        vehicle=vehicle,
+        believed=believed,
+        track=track_arrays(section, trainset, dtype),
+        protection=guard,
+        bounds=separate(pair_bounds(convoy, k), convoy.dt, held, dtype),
+        most_mps2=dtype(rates[k]),
+        link=convoy.link.numbers(dtype),
+        length_m=dtype(trainset.length_m),
+        start_m=dtype(convoy.starts_m[k]),
+        gap_m=dtype(convoy.gap_m),
+        apart_m=dtype(convoy.apart_m),
+        uncouple_at_m=dtype(convoy.uncouple_at_m + convoy.starts_m[k]),
+        is_head=np.bool_(k == 0),
+    )
+
+
+def _factor(values: Sequence[float], k: int) -> float:
+    return values[k] if values else 1.0
+
+
+def _actual(convoy: Convoy, k: int, dtype: type) -> Vehicle:
+    """The trainset as it really is: mass, resistance and adhesion of this very run."""
+    vehicle = vehicle_arrays(convoy.trainsets[k], dtype)
+    mass, drag = _factor(convoy.mass_factors, k), _factor(convoy.resistance_factors, k)
+    vehicle = loaded(vehicle, dtype(mass))._replace(davis_n=vehicle.davis_n * dtype(drag))
+    if convoy.adhesion:
+        grip = dtype(convoy.adhesion[k]) * vehicle.mass_kg * vehicle.gravity_mps2
+        vehicle = vehicle._replace(adhesion_n=np.minimum(grip, vehicle.adhesion_n))
+    return vehicle
+
+
+def loaded(vehicle: Vehicle, factor: Array) -> Vehicle:
+    """The trainset with its mass multiplied; brakes that are load-compensated grow with it."""
+    return vehicle._replace(
+        mass_kg=vehicle.mass_kg * factor,
+        effective_mass_kg=vehicle.effective_mass_kg * factor,
+        service_n=vehicle.service_n * factor,
+        emergency_n=vehicle.emergency_n * factor,
+        adhesion_n=vehicle.adhesion_n * factor,
+    )
+
+
+def declared(convoy: Convoy, k: int) -> Bounds:
+    """What protection is told to expect of one trainset."""
+    trainset, rate = convoy.trainsets[k], convoy.rates_mps2[k]
+    usual = Bounds.of(trainset, convoy.dt)
+    mass, drag = _factor(convoy.mass_factors, k), _factor(convoy.resistance_factors, k)
+    return replace(
+        usual,
+        mass=(min(convoy.mass_bounds[0], mass), max(convoy.mass_bounds[1], mass)),
+        resistance=(min(usual.resistance[0], drag), max(usual.resistance[1], drag)),
+        emergency_mps2=min(usual.emergency_mps2, rate),
+        controlled=np.isfinite(rate).item(),
+    )
+
+
+def pair_bounds(convoy: Convoy, k: int) -> PairBounds:
+    """What is declared of the trainset ahead of number ``k``."""
+    if k == 0 or convoy.guard in {"moving_block", "none"}:
+        return PairBounds()
+    ahead = convoy.trainsets[k - 1]
+    jerk = max(Bounds.of(ahead, convoy.dt).emergency_jerk_mps3, ahead.actuation.jerk_limit_mps3)
+    if convoy.guard == "coupled":
+        return PairBounds(convoy.rates_mps2[k - 1], jerk)
+    return PairBounds(strongest_mps2(convoy.section, ahead), jerk)
+
+
+def strongest_mps2(section: Section, trainset: Trainset) -> float:
+    """The hardest a trainset can brake anywhere: either brake, on the steepest climb, with all resistance."""
+    vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
+    climb = 1e-3 * float(section.gradient_permil.value.max())
+    curve = float(track.slope[:, 1].max())
+    top = trainset.max_speed_mps
+    davis = float(vehicle.davis_n[0] + top * (vehicle.davis_n[1] + top * vehicle.davis_n[2]))
+    drag = 1.5 * davis / (0.8 * trainset.effective_mass_kg)
+    hardest = max(
+        trainset.safe_braking.emergency_deceleration_mps2,
+        min(trainset.service_deceleration_mps2, _all_brakes(vehicle)),
+    )
+    return hardest + max(climb, 0.0) * trainset.gravity_mps2 + curve + drag
+
+
+def _all_brakes(vehicle: Vehicle) -> float:
+    """Every brake at once on the lightest trainset within the bounds, m/s^2."""
+    from metropilot.physics.effort import effort_at
+
+    strongest = float(np.max(effort_at(vehicle, np.linspace(0.0, float(vehicle.max_speed_mps), 64)).brake_n))
+    return strongest / (0.8 * float(vehicle.effective_mass_kg))

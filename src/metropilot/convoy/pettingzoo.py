@@ -1,0 +1,209 @@
+"""PettingZoo's view of a convoy: every follower an agent of its own, behind one recorded head.
+
+The task of :mod:`metropilot.convoy.env` with any number of followers: the same state, actions and reward for
+each, the same plants and links, in NumPy float64 as ``metropilot convoy`` runs them. Needs the extra ``rl``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from pettingzoo import ParallelEnv
+
+from metropilot.control.incremental_pid import Errors, incremental_pid
+from metropilot.convoy.env import ROWS, ConvoyTaskConfig, follow_terms
+from metropilot.convoy.gains import STATE, chen2023b_state, gains_of
+from metropilot.convoy.leaders import recordings
+from metropilot.convoy.link import Quality
+from metropilot.convoy.model import Convoy, Member, loaded, members
+from metropilot.convoy.step import (
+    FollowerObservation,
+    MemberState,
+    at_departure,
+    heard,
+    moved,
+    needed,
+    sight,
+    told,
+)
+from metropilot.physics import Command
+from metropilot.railway import load_line, load_trainset
+
+OBSERVATION_LIMIT = 100.0
+UNLIMITED_MPS = 1e3
+STANDS_S = 8.0
+
+
+class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
+    """A convoy from standstill to standstill; all agents live and end together.
+
+    It ends terminated where two trainsets touch, truncated where all stand or the recording is over.
+
+    Args:
+        config: What is learned behind whom; of ``trainsets`` the first runs, and every episode begins at the
+            station (``on_the_way`` is not used).
+        count: Trainsets, the head included.
+        protected: Whether protection watches the followers; as published it does not.
+        render_mode: None: there is nothing to look at while it drives.
+
+    Raises:
+        InputError: Unknown line, station or trainset, or a number of trainsets out of range.
+    """
+
+    metadata = {"name": "metropilot_convoy_v0", "render_modes": []}  # noqa: RUF012 (PettingZoo's way)
+
+    def __init__(
+        self,
+        config: ConvoyTaskConfig | None = None,
+        count: int = 2,
+        *,
+        protected: bool = False,
+        render_mode: str | None = None,
+    ) -> None:
+        self.config = config or ConvoyTaskConfig()
+        self.render_mode = render_mode
+        section = load_line(self.config.line).section(self.config.origin, self.config.destination)
+        trainsets = (load_trainset(self.config.trainsets[0]),) * count
+        convoy = Convoy(section, trainsets, gap_m=self.config.gap_m, guard="coupled", dt=self.config.dt)
+        rows = members(convoy)
+        self.nominal = rows if protected else tuple(row._replace(protection=None) for row in rows)
+        self.heads = recordings(*convoy.leader(), self.config.dt, self.config.heads, self.config.seed, ROWS)
+        self.possible_agents = [f"trainset_{k + 1}" for k in range(1, count)]
+        self.agents: list[str] = []
+        low, high = np.full(len(STATE), -OBSERVATION_LIMIT), np.full(len(STATE), OBSERVATION_LIMIT)
+        self.observation_spaces = {
+            agent: spaces.Box(low.astype(np.float32), high.astype(np.float32))
+            for agent in self.possible_agents
+        }
+        self.action_spaces = {
+            agent: spaces.Box(-1.0, 1.0, (3,), np.float32) for agent in self.possible_agents
+        }
+        self.random = np.random.default_rng(self.config.seed)
+
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """Chen23b's six numbers, scaled."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        """Three gains in [-1, 1], from the lower to the upper bounds of Chen23b table 1."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
+        """A new episode: which head, which masses and links.
+
+        Args:
+            seed: Of this and the coming episodes; None: go on drawing.
+            options: ``head``: number of the recorded head; everything else is ignored.
+        """
+        if seed is not None:
+            self.random = np.random.default_rng(seed)
+        config, draw = self.config, self.random
+        row = int(draw.integers(len(self.heads)))
+        self.head = self.heads[int((options or {}).get("head", row)) % len(self.heads)]
+        off = float(draw.random() < config.disturbed)
+        self.members = tuple(self._drawn(k, own, off) for k, own in enumerate(self.nominal))
+        late = draw.random() < config.emergency
+        self.emergency_s = 1.0 + self.config.dt * self.head.command.size * draw.random() if late else np.inf
+        ahead = (None, *self.members[:-1])
+        self.states = [at_departure(own, a, config.dt) for own, a in zip(self.members, ahead, strict=True)]
+        self.errors = [Errors(np.float64(0.0), np.float64(0.0)) for _ in self.members]
+        self.period = 0
+        self.agents = list(self.possible_agents)
+        seen = self._listen()
+        return self._observations(seen), {agent: {} for agent in self.agents}
+
+    def step(
+        self, actions: dict[str, np.ndarray]
+    ) -> tuple[
+        dict[str, np.ndarray],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """One control period: gains, PIDs, every trainset moves, then messages."""
+        if not self.agents:
+            raise gymnasium.error.ResetNeeded("call reset before step")
+        now, agents = self._now(), self.agents
+        shares = [np.float64(self.head.command[min(self.period, ROWS - 1)])]
+        for k, agent in enumerate(agents, 1):
+            seen, gains = self.seen[k - 1], gains_of(np.asarray(actions[agent], np.float64))
+            closing = seen.ahead_mps - seen.speed_mps
+            share, self.errors[k] = incremental_pid(seen.command, gains, closing, self.errors[k])
+            shares.append(np.float64(share))
+        self.states = [
+            moved(own, state, Command(share, bool(k == 0 and now >= self.emergency_s)), now, self._dt())[0]
+            for k, (own, state, share) in enumerate(zip(self.members, self.states, shares, strict=True))
+        ]
+        changes = [share - seen.command for share, seen in zip(shares[1:], self.seen, strict=True)]
+        wanted = [float(seen.wanted_gap_m) for seen in self.seen]
+        self.period += 1
+        seen = self._listen()
+        infos = {agent: self._info(k) for k, agent in enumerate(agents, 1)}
+        for agent, gap_m, change in zip(agents, wanted, changes, strict=True):
+            found = infos[agent]
+            terms = follow_terms(self.config, found["gap_m"], found["speed_difference_mps"], change, gap_m)
+            found["terms"] = {name: float(value) for name, value in terms.items()}
+        contact = any(found["gap_m"] < 0.0 for found in infos.values())
+        still = all(float(state.plant.speed_mps) <= 0.0 for state in self.states)
+        over = not contact and (self.period >= ROWS or (still and float(self._now()) > STANDS_S))
+        rewards = {agent: float(sum(found["terms"].values())) for agent, found in infos.items()}
+        observations = self._observations(seen)
+        if contact or over:
+            self.agents = []
+        return (
+            observations,
+            rewards,
+            dict.fromkeys(agents, contact),
+            dict.fromkeys(agents, over),
+            infos,
+        )
+
+    def _drawn(self, k: int, own: Member, off: float) -> Member:
+        """A trainset as it is in this episode; the head is nominal."""
+        config, u = self.config, self.random.random(3)
+        low, high = config.mass
+        factor = 1.0 + off * (k > 0) * (low + (high - low) * u[0] - 1.0)
+        numbers = (off * config.delay_s * u[1], 0.0, off * config.loss * u[2], np.inf)
+        link = Quality(*(np.float64(value) for value in numbers))
+        return own._replace(vehicle=loaded(own.vehicle, np.float64(factor)), link=link)
+
+    def _now(self) -> np.float64:
+        return np.float64(self.period * self.config.dt)
+
+    def _dt(self) -> np.float64:
+        return np.float64(self.config.dt)
+
+    def _listen(self) -> list[FollowerObservation]:
+        """Messages go down the convoy; what every follower sees then."""
+        now, dt, before = self._now(), self._dt(), list(self.states)
+        self.seen: list[FollowerObservation] = []
+        for k in range(1, len(self.members)):
+            own, message = self.members[k], told(self.members[k - 1], before[k - 1], now)
+            state = heard(own, before[k], message, self.random.random(2))
+            self.states[k] = needed(own, state, now, dt)
+            self.seen.append(sight(own, self.states[k], now, dt, np.float64(UNLIMITED_MPS)))
+        return self.seen
+
+    def _observations(self, seen: list[FollowerObservation]) -> dict[str, np.ndarray]:
+        return {
+            agent: np.asarray(chen2023b_state(each), np.float32)
+            for agent, each in zip(self.possible_agents, seen, strict=True)
+        }
+
+    def _info(self, k: int) -> dict[str, Any]:
+        """True gap and speed difference of a follower, and what reached its trainset."""
+        ahead: MemberState = self.states[k - 1]
+        own = self.states[k]
+        rear = ahead.plant.position_m - self.members[k - 1].length_m
+        return {
+            "time_s": float(self._now()),
+            "gap_m": float(rear - own.plant.position_m),
+            "speed_difference_mps": float(ahead.plant.speed_mps - own.plant.speed_mps),
+            "command": float(own.command),
+        }

@@ -1,0 +1,239 @@
+"""The host loop of a convoy: a head driven by any driver, followers behind it, in NumPy float64."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter_ns
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from metropilot.convoy.drivers import AbstractFollower
+from metropilot.convoy.link import Link
+from metropilot.convoy.model import Convoy, Member, members
+from metropilot.convoy.step import (
+    FollowerObservation,
+    MemberState,
+    at_departure,
+    heard,
+    moved,
+    needed,
+    sight,
+    told,
+)
+from metropilot.physics import Command
+from metropilot.protection import permitted_speed
+from metropilot.sim import Outcome
+from metropilot.sim.recorder import Recorder
+from metropilot.sim.trajectory import Trajectory
+
+STAND_S = 3.0
+LONGEST_S = 240.0
+UNLIMITED_MPS = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class ConvoyDrive:
+    """A convoy as it ran.
+
+    Attributes:
+        convoy: What ran.
+        head: Id of the head's driver.
+        follower: Id of the followers' driver.
+        trajectories: Row by row, the head first.
+        gap_m: True gaps, rear of one to front of the next, after each period. Shape (T, N - 1).
+        speed_difference_mps: Speed ahead less own speed. Shape (T, N - 1).
+        time_s: Of the rows of both. Shape (T,).
+        outcome: How the head's run ended.
+        interventions: Spells in which protection overruled each trainset. Shape (N,).
+        emergencies: How many of them came to the emergency brake. Shape (N,).
+        overspeed_mps: Largest excess over the limit of each. Shape (N,).
+        decision_us: Median time of a decision of each follower, microseconds. Shape (N,), 0 for the head.
+        recovered_j: Energy given back to the line by each. Shape (N,).
+    """
+
+    convoy: Convoy
+    head: str
+    follower: str
+    trajectories: tuple[Trajectory, ...]
+    gap_m: Float[ndarray, "rows followers"]
+    speed_difference_mps: Float[ndarray, "rows followers"]
+    time_s: Float[ndarray, " rows"]
+    outcome: Outcome
+    interventions: tuple[int, ...]
+    emergencies: tuple[int, ...]
+    overspeed_mps: tuple[float, ...]
+    decision_us: tuple[float, ...]
+    recovered_j: tuple[float, ...]
+
+    @property
+    def contacts(self) -> int:
+        """Pairs of trainsets that touched."""
+        return int((self.gap_m < 0.0).any(axis=0).sum())
+
+
+@dataclass(frozen=True)
+class HeadRun:
+    """What the head does.
+
+    Attributes:
+        driver: Who drove it.
+        commands: Command of each period; afterwards it holds its brakes. Shape (T,).
+        emergency_s: When it makes an emergency brake (infinite: never).
+        outcome: How its run ended if it does not.
+    """
+
+    driver: str
+    commands: Float[ndarray, " rows"]
+    outcome: Outcome
+    emergency_s: float = float("inf")
+
+
+def drive_convoy(convoy: Convoy, head: HeadRun, follower: AbstractFollower, seed: int = 0) -> ConvoyDrive:
+    """Run a convoy until all stand.
+
+    Args:
+        convoy: What runs.
+        head: What its head does.
+        follower: Who drives the others, each with a memory of its own.
+        seed: Of the link's luck.
+    """
+    rollout = ConvoyRollout(convoy, head, follower, seed)
+    while not rollout.over:
+        rollout.advance()
+    return rollout.result()
+
+
+@final
+class ConvoyRollout:
+    """A convoy on its way, one control period at a time: what :func:`drive_convoy` loops over.
+
+    Args:
+        convoy: What runs.
+        head: What its head does.
+        follower: Who drives the others, each with a memory of its own.
+        seed: Of the link's luck.
+
+    Attributes:
+        states: Of every trainset, the head first.
+        over: Whether all have stood a while.
+    """
+
+    def __init__(self, convoy: Convoy, head: HeadRun, follower: AbstractFollower, seed: int) -> None:
+        self.convoy, self.head, self.follower, self.dt = convoy, head, follower, convoy.dt
+        self.members = members(convoy)
+        pairs = zip(self.members, (None, *self.members[:-1]), strict=True)
+        self.states = [at_departure(own, ahead, self.dt) for own, ahead in pairs]
+        self.memories: list[Any] = [follower.init(m.believed, self.dt) for m in self.members]
+        self.recorders = [
+            Recorder(m.vehicle, self.dt, s.plant) for m, s in zip(self.members, self.states, strict=True)
+        ]
+        self.random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
+        self.decision_us: list[list[float]] = [[] for _ in self.members]
+        self.rows: list[tuple[float, list[float], list[float]]] = []
+        self.period, self.stood_s, self.over = 0, 0.0, False
+
+    @property
+    def time_s(self) -> float:
+        """Time since departure."""
+        return self.period * self.dt
+
+    def advance(self) -> tuple[float, list[float], list[float]]:
+        """One control period; time, gaps and speed differences after it."""
+        now = np.float64(self.time_s)
+        self.listen(now)
+        self.move(now, self.period)
+        self.note(float(now) + self.dt)
+        still = all(s.plant.speed_mps <= 0 for s in self.states)
+        ended = now >= min(self.head.commands.size * self.dt, self.head.emergency_s + self.dt)
+        self.stood_s = self.stood_s + self.dt if still and ended else 0.0
+        self.period += 1
+        longest = self.head.commands.size * self.dt + LONGEST_S
+        self.over = self.stood_s >= STAND_S or self.time_s >= longest
+        return self.rows[-1]
+
+    def relink(self, link: Link) -> None:
+        """From now on every link is as good as this one; what is on its way stays so."""
+        self.members = tuple(m._replace(link=link.numbers()) for m in self.members)
+
+    def brake_head(self) -> None:
+        """Let the head make an emergency brake from now on."""
+        self.head = replace(self.head, emergency_s=min(self.head.emergency_s, self.time_s))
+
+    def listen(self, now: np.float64) -> None:
+        """Messages go down the convoy."""
+        before = list(self.states)
+        for k in range(1, len(self.members)):
+            message = told(self.members[k - 1], before[k - 1], now)
+            state = heard(self.members[k], before[k], message, self.random.random(2))
+            self.states[k] = needed(self.members[k], state, now, np.float64(self.dt))
+
+    def move(self, now: np.float64, period: int) -> None:
+        """Everybody decides, is supervised and moves."""
+        self.states = [
+            self.moved_one(k, own, state, now, period)
+            for k, (own, state) in enumerate(zip(self.members, self.states, strict=True))
+        ]
+
+    def moved_one(self, k: int, own: Member, state: MemberState, now: np.float64, period: int) -> MemberState:
+        """One trainset's period."""
+        permitted = UNLIMITED_MPS
+        if own.protection is not None:
+            permitted = float(permitted_speed(own.protection, float(state.plant.position_m)))
+        if k == 0:
+            running = period < self.head.commands.size
+            share = float(self.head.commands[period]) if running else -1.0
+            command = Command(np.float64(share), bool(now >= self.head.emergency_s))
+        else:
+            command = Command(self.decided(k, sight(own, state, now, self.dt, np.float64(permitted))), False)
+        after, _ = moved(own, state, command, now, np.float64(self.dt))
+        self.recorders[k].add(own.track, after.plant, float(after.command), permitted)
+        return after
+
+    def decided(self, k: int, seen: FollowerObservation) -> np.float64:
+        """What a follower asks for."""
+        began = perf_counter_ns()
+        share, self.memories[k] = self.follower.act(self.memories[k], seen)
+        self.decision_us[k].append((perf_counter_ns() - began) / 1e3)
+        return np.float64(share)
+
+    def note(self, time_s: float) -> None:
+        """Gaps and speed differences after the period."""
+        front = [float(s.plant.position_m) for s in self.states]
+        speed = [float(s.plant.speed_mps) for s in self.states]
+        rear = [x - float(m.length_m) for x, m in zip(front, self.members, strict=True)]
+        pairs = range(1, len(front))
+        self.rows.append(
+            (time_s, [rear[k - 1] - front[k] for k in pairs], [speed[k - 1] - speed[k] for k in pairs])
+        )
+
+    def result(self) -> ConvoyDrive:
+        """What came of it."""
+        time_s, gap, apart = zip(*self.rows, strict=True)
+        watched = [s.watched for s in self.states]
+        stopped = np.isfinite(self.head.emergency_s)
+        return ConvoyDrive(
+            convoy=self.convoy,
+            head=self.head.driver,
+            follower=self.follower.id,
+            trajectories=tuple(
+                recorder.trajectory(own.track, recorder.permitted[-1])
+                for recorder, own in zip(self.recorders, self.members, strict=True)
+            ),
+            gap_m=np.array(gap),
+            speed_difference_mps=np.array(apart),
+            time_s=np.array(time_s),
+            outcome=Outcome.STALLED if stopped else self.head.outcome,
+            interventions=_counts(watched, "interventions"),
+            emergencies=_counts(watched, "emergencies"),
+            overspeed_mps=tuple(recorder.overspeed_mps for recorder in self.recorders),
+            decision_us=tuple(float(np.median(times)) if times else 0.0 for times in self.decision_us),
+            recovered_j=tuple(float(s.plant.recovered_j) for s in self.states),
+        )
+
+
+def _counts(watched: Sequence[Any], name: str) -> tuple[int, ...]:
+    return tuple(0 if memory is None else int(getattr(memory, name)) for memory in watched)

@@ -1,0 +1,283 @@
+"""What an action of the policy means: a few numbers, or a choice, become a command in [-1, 1].
+
+Each kind is written over the array namespace, so that a driver on the host maps actions exactly as the task
+did. A kind is one small class and one row of
+:data:`metropilot.env.action_kinds.ACTIONS`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
+from metropilot.env.features import FeatureContext, limited_force
+from metropilot.env.interface import ActionSpace
+from metropilot.errors import InputError
+from metropilot.physics import resistance_and_gradient
+from metropilot.physics.effort import effort_at
+
+Array = Any
+
+LU2023_N = (-149e3, -132e3, -99e3, -66e3, -33e3, 0.0, 34e3, 68e3, 102e3, 136e3, 170e3, 180e3)
+"""The twelve actions of Lu23 Table 3."""
+ROUNDING_N = 200.0
+"""Forces this near to a notch are that notch (single precision)."""
+
+
+class AbstractAction(ABC):
+    """How actions become commands."""
+
+    @property
+    @abstractmethod
+    def space(self) -> ActionSpace:
+        """What an action is."""
+
+    @abstractmethod
+    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+        """The command in [-1, 1] that an action asks for.
+
+        Args:
+            sight: What the policy saw when it acted.
+            action: Shape (size,), or an integer choice of shape ().
+            period_s: Time between two decisions.
+        """
+
+    def allowed(self, sight: FeatureContext, period_s: float) -> Array | None:
+        """Which choices are allowed here (a filter), shape (count,); None: all."""
+        del sight, period_s
+        return None
+
+    def held(self, sight: FeatureContext, action: Array, command: Array) -> Array:
+        """The command later in the same decision: by default as decided; a force is held, not its share."""
+        del sight, action
+        return command
+
+    def settled(self, sight: FeatureContext, command: Array) -> Array:
+        """The command that is given where assists have made another of it; a notch may have to be met."""
+        del sight
+        return command
+
+
+def _ordered(field: str, pair: tuple[float, float], allowed: str, *, equal: bool = False) -> None:
+    """Refuse a number that is not above another."""
+    low, high = pair
+    if not (low <= high if equal else low < high):
+        raise InputError("out of range", field=field, value=pair[1], allowed=allowed)
+
+
+@final
+@dataclass(frozen=True)
+class CommandAction(AbstractAction):
+    """The command itself (Chen23a: share of the traction or braking force available)."""
+
+    @property
+    def space(self) -> ActionSpace:
+        """One number."""
+        return ActionSpace(size=1)
+
+    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+        """The number, clipped."""
+        del period_s
+        return sight.xp.clip(action[0], -1.0, 1.0)
+
+
+@final
+@dataclass(frozen=True)
+class RegimeAction(AbstractAction):
+    """The command with room for the regimes of the optimum: exact coasting in the middle, full effort early.
+
+    An optimal drive is full traction, holding a speed, coasting and braking. A Gaussian policy never hits
+    exactly 0 by itself, and needs a large mean to stay at full effort.
+
+    Attributes:
+        coast: Actions up to this size mean coasting.
+        full: Actions from this size on mean full effort.
+    """
+
+    coast: float = 0.2
+    full: float = 0.8
+
+    def __post_init__(self) -> None:
+        """Refuse a dead zone that leaves no room for effort."""
+        _ordered("coast", (0.0, self.coast), "0 or more, below full", equal=True)
+        _ordered("full", (self.coast, self.full), "above coast")
+
+    @property
+    def space(self) -> ActionSpace:
+        """One number."""
+        return ActionSpace(size=1)
+
+    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+        """0 in the dead zone, then linear up to full effort."""
+        del period_s
+        size = sight.xp.clip((sight.xp.abs(action[0]) - self.coast) / (self.full - self.coast), 0.0, 1.0)
+        return sight.xp.where(action[0] < 0.0, -size, size)
+
+
+@final
+@dataclass(frozen=True)
+class IncrementAction(AbstractAction):
+    """The change of the command (Huang25): smooth by construction.
+
+    Attributes:
+        rate_per_s: Largest change of the command in a second.
+    """
+
+    rate_per_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Refuse a command that cannot be changed."""
+        _ordered("rate_per_s", (0.0, self.rate_per_s), "above 0")
+
+    @property
+    def space(self) -> ActionSpace:
+        """One number."""
+        return ActionSpace(size=1)
+
+    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+        """The last command, moved."""
+        moved = sight.command + self.rate_per_s * period_s * sight.xp.clip(action[0], -1.0, 1.0)
+        return sight.xp.clip(moved, -1.0, 1.0)
+
+
+@final
+@dataclass(frozen=True)
+class NotchAction(AbstractAction):
+    """One of a table of notches: commands, or forces of the trainset's own levels (Lu23's twelve).
+
+    Attributes:
+        notches: Commands in [-1, 1], or forces in N, traction positive.
+        forces: Whether they are forces.
+    """
+
+    notches: tuple[float, ...] = (-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0)
+    forces: bool = False
+
+    @property
+    def space(self) -> ActionSpace:
+        """One choice a notch."""
+        return ActionSpace(count=len(self.notches))
+
+    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+        """The notch; a force is asked for as far as it is available."""
+        del period_s
+        notch = sight.xp.asarray(self.notches, np.float32)[action]
+        return limited_force(sight, notch) if self.forces else notch
+
+
+@final
+@dataclass(frozen=True)
+class NotchForceAction(AbstractAction):
+    """One of a table of forces, and nothing else: what the assists make of a choice is a notch, too.
+
+    Attributes:
+        notches_n: Forces in N, increasing, braking negative, 0 (coasting) among them.
+        in_time: Choices after which even flat out is too late are not allowed (Lu23 section 3.3.4).
+        margin: The filter counts the flat-out time this share longer: what keeping clear of protection costs,
+            and the steps of the notches.
+    """
+
+    notches_n: tuple[float, ...] = LU2023_N
+    in_time: bool = True
+    margin: float = 0.05
+
+    def __post_init__(self) -> None:
+        """Refuse a table that cannot pull, coast and brake."""
+        notches = self.notches_n
+        if 0.0 not in notches or list(notches) != sorted(set(notches)) or not notches[0] < 0 < notches[-1]:
+            allowed = "increasing forces in N, the first below 0, 0 among them, the last above 0"
+            raise InputError("no table of notches", field="notches_n", value=str(notches), allowed=allowed)
+        if not 0.0 <= self.margin <= 1.0:
+            raise InputError("out of range", field="margin", value=self.margin, allowed="0 to 1")
+
+    @property
+    def space(self) -> ActionSpace:
+        """One choice a notch."""
+        return ActionSpace(count=len(self.notches_n))
+
+    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+        """The notch, as far as it is available."""
+        del period_s
+        return limited_force(sight, sight.xp.asarray(self.notches_n, np.float32)[action])
+
+    def held(self, sight: FeatureContext, action: Array, command: Array) -> Array:
+        """The same force at another speed."""
+        del command
+        return self.command(sight, action, 0.0)
+
+    def allowed(self, sight: FeatureContext, period_s: float) -> Array | None:
+        """Choices after which there is still time to arrive; the strongest is always one of them.
+
+        Where each notch leads in one decision (at the resistance here), and what the flat-out run takes from
+        there, against the time left (Lu23 section 3.3.4, steps a to c: ``T - t_k < t_lim`` chooses again).
+        The flat-out time is that of the plant with its resistance and limits, not of a speed that changes at
+        once.
+        """
+        if not self.in_time:
+            return None
+        xp, vehicle, v = sight.xp, sight.vehicle, sight.speed_mps
+        resistance, gradient = resistance_and_gradient(vehicle, sight.track, sight.position_m, v)
+        effort = effort_at(vehicle, v)
+        notches = xp.asarray(self.notches_n, np.float32)
+        force = xp.clip(notches, -effort.brake_n, effort.traction_n)
+        rate = (force - resistance - gradient) / vehicle.effective_mass_kg
+        after = xp.maximum(v + rate * period_s, 0.0)
+        left_m = xp.maximum(sight.left_m - 0.5 * (v + after) * period_s, 0.0)
+        to_go = sight.rows.to_go_s(sight.case, left_m, sight.length_m, after)
+        in_time = sight.left_s - period_s >= (1.0 + self.margin) * to_go
+        return in_time | (notches >= notches[-1])
+
+    def settled(self, sight: FeatureContext, command: Array) -> Array:
+        """The notch for a command the assists have changed: the weakest brake that is strong enough.
+
+        Where no notch is (another trainset than the table is of), the stop needs the command as it is.
+        """
+        xp, effort = sight.xp, effort_at(sight.vehicle, sight.speed_mps)
+        notches = xp.asarray(self.notches_n, np.float32)
+        wanted = xp.where(command >= 0, command * effort.traction_n, command * effort.brake_n)
+        reached = xp.clip(notches, -effort.brake_n, effort.traction_n)
+        # the strongest notch not above what is wanted: a weaker pull, or a stronger brake
+        index = xp.sum(reached <= wanted + ROUNDING_N) - 1
+        return xp.where(index >= 0, limited_force(sight, notches[xp.maximum(index, 0)]), command)
+
+
+@final
+@dataclass(frozen=True)
+class GainsAction(AbstractAction):
+    """Gains of a controller that holds a share of the permitted speed; each spans a range logarithmically.
+
+    Attributes:
+        low: Least of each gain: proportional (1/(m/s)) and speed held over the permitted speed.
+        high: Largest of each.
+    """
+
+    low: tuple[float, ...] = (0.05, 0.3)
+    high: tuple[float, ...] = (2.0, 1.0)
+
+    def __post_init__(self) -> None:
+        """Refuse ranges that are empty or have no logarithm; a gain may be held at one value."""
+        if not len(self.low) == len(self.high) == 2:
+            raise InputError("not a range of two gains", field="high", value=len(self.high), allowed="2")
+        for low, high in zip(self.low, self.high, strict=True):
+            _ordered("low", (0.0, low), "above 0, at most high")
+            _ordered("high", (low, high), "at least low", equal=True)
+
+    @property
+    def space(self) -> ActionSpace:
+        """One number a gain."""
+        return ActionSpace(size=len(self.low))
+
+    def gains(self, sight: FeatureContext, action: Array) -> Array:
+        """The gains an action stands for. Shape (size,)."""
+        xp = sight.xp
+        low, high = (np.log(np.asarray(ends, np.float32)) for ends in (self.low, self.high))
+        return xp.exp(low + (high - low) * (0.5 + 0.5 * xp.clip(action, -1.0, 1.0)))
+
+    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+        """Proportional control of the speed to the share of the permitted speed."""
+        del period_s
+        gain, share = self.gains(sight, action)
+        return sight.xp.clip(gain * (share * sight.permitted_mps - sight.speed_mps), -1.0, 1.0)

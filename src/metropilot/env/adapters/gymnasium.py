@@ -1,0 +1,260 @@
+"""Gymnasium's view of the driving task, so that any library that learns on Gymnasium learns on it unchanged.
+
+Importing this module registers the ids
+(``gymnasium.make("metropilot.env.adapters.gymnasium:metropilot/Drive-v0")``
+imports it on the way). Every registered task has one. Needs the extra ``rl``.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from metropilot.env.driving import DriveState, DrivingTask, episode_of
+from metropilot.env.interface import Transition
+from metropilot.env.randomization import StartDistribution
+from metropilot.env.registry import TASKS, make_task
+from metropilot.errors import InputError
+from metropilot.sim.outcome import CODES, RUNNING
+
+Array = Any
+OBSERVATION_LIMIT = 100.0
+LIMITS = {
+    "case": (0.0, 0.0),
+    "position_m": (0.0, 0.0),
+    "speed_mps": (0.0, 60.0),
+    "time_s": (0.0, 3600.0),
+    "scheduled_s": (1.0, 3600.0),
+    "mass_factor": (0.5, 2.0),
+    "resistance_factor": (0.0, 5.0),
+}
+"""What ``options={"initial_state": {...}}`` may set, and its range; the rest is drawn. The task says the
+highest case, the case the last position."""
+
+shared_task = cache(make_task)
+"""A registered task, built and compiled once for all environments of it."""
+
+
+def observation_space(task: DrivingTask) -> spaces.Box:
+    """Scaled features: a few units each."""
+    return spaces.Box(-OBSERVATION_LIMIT, OBSERVATION_LIMIT, (task.observation_size,), np.float32)
+
+
+def action_space(task: DrivingTask) -> spaces.Box | spaces.Discrete:
+    """Numbers in [-1, 1], or a choice."""
+    space = task.action_space
+    if space.discrete:
+        return spaces.Discrete(space.count)
+    return spaces.Box(-1.0, 1.0, (space.size,), np.float32)
+
+
+def placed(task: DrivingTask, start: StartDistribution, options: dict[str, Any] | None) -> StartDistribution:
+    """A start with what ``options["initial_state"]`` says of it.
+
+    Raises:
+        InputError: An unknown option, or a number that is not finite or out of range.
+    """
+    options = options or {}
+    unknown = set(options) - {"initial_state"}
+    given = dict(options.get("initial_state") or {})
+    unknown |= set(given) - set(LIMITS)
+    if unknown:
+        allowed = "initial_state: " + ", ".join(LIMITS)
+        raise InputError("unknown option", field="options", value=", ".join(sorted(unknown)), allowed=allowed)
+    for name in (name for name in LIMITS if name in given):
+        low, high = LIMITS[name]
+        if name == "case":
+            high = task.rows.count - 1.0
+        elif name == "position_m":
+            high = float(task.rows.case(start.case).length_m)
+        value = number(name, given[name], low, high)
+        start = start._replace(**{name: jnp.asarray(value, getattr(start, name).dtype)})
+    return start
+
+
+def number(name: str, value: object, low: float, high: float) -> float:
+    """A value as a number.
+
+    Raises:
+        InputError: It is not one, or out of range.
+    """
+    try:
+        found = float(value)  # pyright: ignore[reportArgumentType]
+    except (TypeError, ValueError):
+        found = math.nan
+    if not low <= found <= high:
+        raise InputError("not a number in range", field=name, value=value, allowed=f"{low:g} to {high:g}")
+    return found
+
+
+class DriveEnv(gymnasium.Env[np.ndarray, Any]):
+    """One episode at a time.
+
+    Args:
+        task: A registered task's name, or a task.
+        render_mode: None: there is nothing to look at while it drives.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's way)
+
+    def __init__(self, task: str | DrivingTask = "drive", render_mode: str | None = None) -> None:
+        self.task = shared_task(task) if isinstance(task, str) else task
+        self.render_mode = render_mode
+        self.observation_space = observation_space(self.task)
+        self.action_space = action_space(self.task)
+        self._draw, self._begin, self._step = _compiled(self.task)
+        self._key, self._state = jax.random.key(0), None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """A new episode; ``options={"initial_state": {"position_m": 300.0}}`` places it (see ``LIMITS``)."""
+        super().reset(seed=seed)
+        self._key = jax.random.key(int(self.np_random.integers(2**31)))
+        start = placed(self.task, self._draw(self._key), options)
+        self._state, observation = self._begin(start)
+        return np.asarray(observation), self._info(self._state)
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:  # noqa: ANN401
+        """One decision."""
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset before step")
+        self._key, key = _next_keys(self._key)
+        self._state, transition = self._step(key, self._state, jnp.asarray(action))
+        terms = {name: float(value) for name, value in transition.terms.items()}
+        info = self._info(self._state) | {"terms": terms}
+        return (
+            np.asarray(transition.observation),
+            float(transition.reward),
+            bool(transition.terminated),
+            bool(transition.truncated),
+            info,
+        )
+
+    def _info(self, state: DriveState) -> dict[str, Any]:
+        plant, outcome = state.plant, int(state.outcome)
+        return {
+            "time_s": float(plant.time_s),
+            "position_m": float(plant.position_m),
+            "speed_mps": float(plant.speed_mps),
+            "energy_wheel_j": float(plant.traction_j),
+            "interventions": int(state.watched.interventions),
+            "outcome": "running" if outcome == RUNNING else CODES[outcome].value,
+        }
+
+
+class DriveVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, Any, np.ndarray]):
+    """Many episodes at once in one compiled program; an episode that ended is reset in the next step.
+
+    Args:
+        task: A registered task's name, or a task.
+        num_envs: How many.
+    """
+
+    metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}  # noqa: RUF012
+
+    def __init__(self, task: str | DrivingTask = "drive", num_envs: int = 1) -> None:
+        self.task = shared_task(task) if isinstance(task, str) else task
+        self.num_envs = num_envs
+        self.single_observation_space = observation_space(self.task)
+        self.single_action_space = action_space(self.task)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._reset, self._step = _compiled_batch(self.task)
+        self._state = self._key = None
+        self._over = np.zeros(num_envs, bool)
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """New episodes; one seed counts on from the first environment, a list has one for each.
+
+        Raises:
+            InputError: Options, or a list of seeds of another length.
+        """
+        if options:
+            raise InputError("the vector environment takes no options", field="options", value=str(options))
+        seeds = self._seeds(seed)
+        super().reset(seed=seeds[0])
+        drawn = self.np_random.integers(2**31, size=self.num_envs + 1)
+        told = [int(drawn[k]) if s is None else s for k, s in enumerate(seeds)]
+        self._key = jax.random.key(int(drawn[-1]))
+        self._state, observation = self._reset(jax.vmap(jax.random.key)(np.asarray(told, np.uint32)))
+        self._over[:] = False
+        return np.asarray(observation), {}
+
+    def _seeds(self, seed: int | list[int | None] | None) -> list[int | None]:
+        if not isinstance(seed, list):
+            return [None if seed is None else seed + k for k in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise InputError(
+                "as many seeds as environments", field="seed", value=len(seed), allowed=str(self.num_envs)
+            )
+        return seed
+
+    def step(
+        self,
+        actions: Any,  # noqa: ANN401 (whatever the space holds)
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """One decision each; where an episode had ended its successor's first observation."""
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset before step")
+        self._key, key = _next_keys(self._key)
+        keys = jax.random.split(key, self.num_envs)
+        self._state, found = self._step(keys, self._state, jnp.asarray(actions), jnp.asarray(self._over))
+        terminated, truncated = np.array(found.terminated), np.array(found.truncated)
+        self._over = terminated | truncated
+        info: dict[str, Any] = {}
+        if self._over.any():
+            episode = jax.vmap(lambda s: episode_of(self.task, s))(self._state)
+            info = {"episode": {name: np.asarray(v) for name, v in episode._asdict().items()}}
+            info["_episode"] = self._over.copy()
+        observation = np.asarray(found.observation)
+        return observation, np.asarray(found.reward, np.float64), terminated, truncated, info
+
+
+@cache
+def _compiled(task: DrivingTask) -> tuple[Any, Any, Any]:
+    return jax.jit(task.draw), jax.jit(task.begin), jax.jit(task.step)
+
+
+@cache
+def _compiled_batch(task: DrivingTask) -> tuple[Any, Any]:
+    def one(key: Array, state: DriveState, action: Array, over: Array) -> tuple[DriveState, Transition]:
+        after, found = task.step(key, state, action)
+        fresh, observation = task.reset(key)
+        nothing = jax.tree.map(jnp.zeros_like, found)._replace(observation=observation)
+        return jax.tree.map(lambda a, b: jnp.where(over, a, b), (fresh, nothing), (after, found))
+
+    return jax.jit(jax.vmap(task.reset)), jax.jit(jax.vmap(one))
+
+
+_next_keys = jax.jit(jax.random.split)
+
+
+def environment_id(name: str) -> str:
+    """Gymnasium's id of a registered task: ``drive_jerk`` is ``metropilot/DriveJerk-v0``."""
+    return f"metropilot/{''.join(part.capitalize() for part in name.split('_'))}-v0"
+
+
+def register_all() -> None:
+    """Register every task with Gymnasium."""
+    for name in TASKS:
+        gymnasium.register(
+            id=environment_id(name),
+            entry_point="metropilot.env.adapters.gymnasium:DriveEnv",
+            vector_entry_point="metropilot.env.adapters.gymnasium:DriveVectorEnv",
+            kwargs={"task": name},
+        )
+
+
+register_all()

@@ -1,0 +1,100 @@
+"""The expert of Huang25 in a task: its view of a state, and the command that comes of a change of the rate.
+
+The same rules drive on the host in plain numbers (:mod:`metropilot.drivers.expert.driving`), with the station
+stop that learns; in a task the assists stop and keep clear of protection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from metropilot.env.assists import AT_ONCE_MPS3
+from metropilot.env.expert import (
+    RELEASE_SHARE,
+    SEGMENTS,
+    Rules,
+    Stretch,
+    Window,
+    coasting_s,
+    features,
+    next_rate,
+    window_of,
+)
+from metropilot.env.features import FeatureContext
+from metropilot.env.tables import CLIMB, PERMITTED
+from metropilot.physics import resistance_and_gradient
+from metropilot.physics.effort import effort_at
+
+Array = Any
+
+MARGIN_MPS = 0.25
+RELEASE = 0.5
+"""Jerk at which the stop assist lets go of the brake, over the trainset's limit."""
+
+
+class View(NamedTuple):
+    """What the expert sees. All 0-d.
+
+    Attributes:
+        window: The speed window.
+        rate_mps2: The rate now.
+        drag_mps2: Resistance and gradient.
+        traction_mps2: Largest traction.
+        brake_mps2: Full service brake.
+        time_left_s: Time left, less what letting go of the last brake takes.
+    """
+
+    window: Window
+    rate_mps2: Array
+    drag_mps2: Array
+    traction_mps2: Array
+    brake_mps2: Array
+    time_left_s: Array
+
+
+def view_of(sight: FeatureContext, rules: Rules) -> View:
+    """The window of the destination, and what turns rates into commands."""
+    xp, vehicle, v = sight.xp, sight.vehicle, sight.speed_mps
+    mass = vehicle.effective_mass_kg
+    resistance, gradient = resistance_and_gradient(vehicle, sight.track, sight.position_m, v)
+    effort = effort_at(vehicle, v)
+    traction, brake = xp.maximum(effort.traction_n, 1.0) / mass, xp.maximum(effort.brake_n, 1.0) / mass
+    rate = sight.command * xp.where(sight.command >= 0.0, traction, brake)
+    jerk = xp.minimum(vehicle.jerk_mps3, AT_ONCE_MPS3)
+    pulling = xp.maximum(sight.acceleration_mps2, 0.0)
+    coasts_at = v + pulling * (vehicle.delay_s + vehicle.lag_s + 0.5 * pulling / jerk)
+    left = xp.maximum(sight.left_m, 1e-3)
+    at = sight.position_m + left / SEGMENTS * xp.arange(SEGMENTS + 1, dtype=left.dtype)
+    climb = sight.rows.ground_at(CLIMB, sight.case, at)
+    cap = xp.maximum(sight.rows.ground_at(PERMITTED, sight.case, at) - MARGIN_MPS, 0.0)
+    stretch = Stretch(left, climb, 0.5 * cap * cap, 0.0)
+    davis = [vehicle.davis_n[k] / mass for k in range(3)]
+    coasting = coasting_s(xp, davis, rules.brake_mps2, coasts_at, stretch)
+    time_left = sight.left_s - RELEASE_SHARE * rules.brake_mps2 / (RELEASE * jerk)
+    window = window_of(xp, rules, left, coasting, time_left)
+    return View(window, rate, (resistance + gradient) / mass, traction, brake, time_left)
+
+
+def expert_features(sight: FeatureContext) -> Sequence[Array]:
+    """The state of Huang25 eq. 19, the rate, and where in its window the trainset is."""
+    view = view_of(sight, Rules())
+    return features(
+        sight.xp,
+        view.window,
+        sight.speed_mps,
+        sight.left_m,
+        view.time_left_s,
+        view.rate_mps2,
+        view.traction_mps2,
+    )
+
+
+def expert_command(sight: FeatureContext, rules: Rules, change: Array, period_s: float) -> Array:
+    """The command after a change of the rate, which the rules bound."""
+    xp, view, part = sight.xp, view_of(sight, rules), period_s / rules.interval_s
+    top = xp.minimum(rules.start_mps2 + view.drag_mps2, view.traction_mps2)
+    most = rules.change_mps2 * part
+    rate = next_rate(xp, most, view.window, view.rate_mps2, change * most, top)
+    available = xp.where(rate >= 0.0, view.traction_mps2, view.brake_mps2)
+    return xp.clip(rate / available, -1.0, 1.0)

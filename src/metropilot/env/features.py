@@ -1,0 +1,459 @@
+"""What a policy sees: named features, scaled to a few units, over the array namespace.
+
+The same functions serve the compiled task and a learned driver on the host. A feature is one small function
+and one row of :data:`FEATURES`; an observer is a list of their names.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from metropilot.env.tables import CLIMB, PACES_MPS, PERMITTED, SectionRows
+from metropilot.physics import Track, Vehicle
+from metropilot.physics.effort import effort_at
+from metropilot.physics.resistance import davis_n
+from metropilot.protection.types import Rates as Guaranteed
+
+Array = Any
+
+AHEAD_M = (20.0, 50.0, 100.0, 200.0, 350.0, 600.0, 1000.0)
+FAR_M = (35.0, 75.0, 150.0, 275.0, 475.0, 800.0, 1500.0, 2200.0, 3500.0)
+COAST_NODES = np.linspace(0.0, 1.0, 49, dtype=np.float32)
+UP_TO = np.tri(COAST_NODES.size, COAST_NODES.size - 1, -1, dtype=np.float32)
+"""Sums of the stretches up to each node: compiled, a product is several times faster than a running sum."""
+COAST_PASSES = 2
+NEARBY = 0.05
+"""Share by which a speed is changed to see how resistance changes with it."""
+MOST_LOST = 12.0
+"""Exponent of the energy's decay at which it is all lost."""
+FASTER_MPS = (2.0,)
+"""How much faster ``coasting_faster`` lets the trainset go before it coasts."""
+SLOWEST_J = 0.5
+CHECK_MPS = (12.0, 20.0)
+RISES_SPM = tuple(1.0 / slower - 1.0 / faster for slower, faster in itertools.pairwise(PACES_MPS))
+"""How much longer a metre takes at each of the paces than at the next."""
+SPEED_MPS = 20.0
+DISTANCE_M = 1000.0
+TIME_S = 100.0
+RESERVE_S = 10.0
+PER_KG = 1.0
+
+
+class FeatureContext(NamedTuple):
+    """Everything a feature may use. Numbers are 0-d.
+
+    Attributes:
+        rows: The task's tables.
+        case: Row of the case.
+        vehicle: Trainset as the driver knows it.
+        track: Section.
+        length_m: Distance to the stop from the origin.
+        load: Mass over the mean mass of all cases.
+        stop_mps2: Deceleration the last braking is planned with.
+        rates: Bounds behind protection's emergency brake.
+        time_s: Time since departure.
+        position_m: Position.
+        speed_mps: Measured speed.
+        acceleration_mps2: Acceleration over the last period.
+        scheduled_s: Scheduled running time as it stands now.
+        command: Last command given.
+    """
+
+    rows: SectionRows
+    case: Array
+    vehicle: Vehicle
+    track: Track
+    length_m: Array
+    load: Array
+    stop_mps2: Array
+    rates: Guaranteed
+    time_s: Array
+    position_m: Array
+    speed_mps: Array
+    acceleration_mps2: Array
+    scheduled_s: Array
+    command: Array
+
+    @property
+    def xp(self) -> Any:  # noqa: ANN401 (a module)
+        """The array namespace: NumPy or JAX's."""
+        return self.rows.xp
+
+    @property
+    def left_m(self) -> Array:
+        """Distance left, not below 0."""
+        return self.xp.maximum(self.length_m - self.position_m, 0.0)
+
+    @property
+    def to_go_s(self) -> Array:
+        """Flat-out time to the stop from here and now."""
+        return self.rows.to_go_s(self.case, self.left_m, self.length_m, self.speed_mps)
+
+    @property
+    def left_s(self) -> Array:
+        """Time left until the scheduled arrival."""
+        return self.scheduled_s - self.time_s
+
+    @property
+    def permitted_mps(self) -> Array:
+        """Permitted speed here."""
+        return self.rows.ground_at(PERMITTED, self.case, self.position_m)
+
+
+Feature = Callable[[FeatureContext], Sequence[Array]]
+
+
+def position(sight: FeatureContext) -> Sequence[Array]:
+    """Position over the section's length."""
+    return [sight.position_m / sight.length_m]
+
+
+def speed(sight: FeatureContext) -> Sequence[Array]:
+    """Speed."""
+    return [sight.speed_mps / SPEED_MPS]
+
+
+def acceleration(sight: FeatureContext) -> Sequence[Array]:
+    """Acceleration over the last period."""
+    return [sight.acceleration_mps2]
+
+
+def command(sight: FeatureContext) -> Sequence[Array]:
+    """The last command."""
+    return [sight.command]
+
+
+def distance_left(sight: FeatureContext) -> Sequence[Array]:
+    """Distance left, plain and as the square root that braking is straight in."""
+    return [sight.left_m / DISTANCE_M, sight.xp.sqrt(sight.left_m / DISTANCE_M)]
+
+
+def time_left(sight: FeatureContext) -> Sequence[Array]:
+    """Time left until the scheduled arrival."""
+    return [sight.left_s / TIME_S]
+
+
+def elapsed(sight: FeatureContext) -> Sequence[Array]:
+    """Time since departure (with position and speed Lu23's state)."""
+    return [sight.time_s / TIME_S]
+
+
+def reserve(sight: FeatureContext) -> Sequence[Array]:
+    """Time left beyond the flat-out time to go: in tens of seconds, fine near zero, and as a share."""
+    xp = sight.xp
+    spare = sight.left_s - sight.to_go_s
+    share = spare / xp.maximum(sight.to_go_s, 2.0)
+    return [spare / RESERVE_S, xp.tanh(spare / 2.0), xp.clip(share, -1.0, 2.0)]
+
+
+def mean_speed(sight: FeatureContext) -> Sequence[Array]:
+    """Mean speed that the time left asks for, and how much faster the trainset is."""
+    xp = sight.xp
+    mean = xp.clip(sight.left_m / xp.maximum(sight.left_s, 1.0), 0.0, 40.0)
+    return [mean / SPEED_MPS, (sight.speed_mps - mean) / SPEED_MPS]
+
+
+def braking(sight: FeatureContext) -> Sequence[Array]:
+    """Constant deceleration that stops at the stop from here."""
+    v = sight.speed_mps
+    return [sight.xp.minimum(v * v / (2.0 * sight.xp.maximum(sight.left_m, 0.1)), 2.0)]
+
+
+def permitted(sight: FeatureContext) -> Sequence[Array]:
+    """How far the permitted speed is above the speed, here."""
+    return [sight.xp.clip((sight.permitted_mps - sight.speed_mps) / 5.0, -2.0, 4.0)]
+
+
+def permitted_ahead(sight: FeatureContext) -> Sequence[Array]:
+    """Permitted speed at several distances ahead."""
+    return _permitted_at(sight, AHEAD_M)
+
+
+def permitted_far(sight: FeatureContext) -> Sequence[Array]:
+    """Permitted speed further ahead, and between the distances of ``permitted_ahead``."""
+    return _permitted_at(sight, FAR_M)
+
+
+def _permitted_at(sight: FeatureContext, ahead_m: Sequence[float]) -> Sequence[Array]:
+    at = sight.position_m + _down(sight, ahead_m)
+    return list(sight.rows.ground_at(PERMITTED, sight.case, at) / SPEED_MPS)
+
+
+def _down(sight: FeatureContext, values: Sequence[float] | np.ndarray) -> Array:
+    """Constants down a first axis, beside the position. Shape (K,), or (K, 1, ...) for many positions."""
+    position = sight.position_m
+    return sight.xp.asarray(values, position.dtype).reshape((-1,) + (1,) * position.ndim)
+
+
+def climb_ahead(sight: FeatureContext) -> Sequence[Array]:
+    """Mean of gradient and curve resistance over several distances ahead, and over all that is left."""
+    return climb_within(sight, (*AHEAD_M, np.inf))
+
+
+def climb_far(sight: FeatureContext) -> Sequence[Array]:
+    """Mean of gradient and curve resistance over the distances of ``permitted_far``."""
+    return climb_within(sight, FAR_M)
+
+
+def climb_within(sight: FeatureContext, ahead_m: Sequence[float]) -> Sequence[Array]:
+    """Mean of gradient and curve resistance over distances ahead, the stop at the latest."""
+    here = sight.rows.ground_at(CLIMB, sight.case, sight.position_m)
+    way = sight.xp.minimum(sight.xp.maximum(sight.left_m, 1.0), _down(sight, ahead_m))
+    there = sight.rows.ground_at(CLIMB, sight.case, sight.position_m + way)
+    return list((there - here) / way * 5.0)
+
+
+def efforts(sight: FeatureContext) -> Sequence[Array]:
+    """Largest traction, largest braking and running resistance here, per kilogram."""
+    effort = effort_at(sight.vehicle, sight.speed_mps)
+    mass = sight.vehicle.effective_mass_kg * PER_KG
+    drag = davis_n(sight.vehicle, sight.speed_mps)
+    return [effort.traction_n / mass, effort.brake_n / mass, 10.0 * drag / mass]
+
+
+def efforts_ahead(sight: FeatureContext) -> Sequence[Array]:
+    """Largest traction and running resistance at two fixed speeds, per kilogram; the last braking's rate."""
+    vehicle, parts = sight.vehicle, []
+    for speed_mps in CHECK_MPS:
+        v = 0.0 * sight.speed_mps + speed_mps
+        parts += [effort_at(vehicle, v).traction_n, 10.0 * davis_n(vehicle, v)]
+    parts = [part / vehicle.effective_mass_kg for part in parts]
+    return [*parts, sight.stop_mps2 + 0.0 * sight.speed_mps]
+
+
+def coasting(sight: FeatureContext) -> Sequence[Array]:
+    """What is left of the time if the trainset coasts from here to the last braking; how slow it gets."""
+    xp = sight.xp
+    taken, slowest = _coasted(sight, sight.speed_mps)
+    return [*_spare(sight, taken), xp.tanh((sight.left_s - taken) / 2.0), slowest]
+
+
+def coasting_faster(sight: FeatureContext) -> Sequence[Array]:
+    """The same if it were somewhat faster: whether it is time to coast, and how soon it will be."""
+    xp, parts = sight.xp, []
+    for more in FASTER_MPS:
+        taken, slowest = _coasted(sight, sight.speed_mps + more)
+        spare = sight.left_s - taken
+        parts += [xp.tanh(spare / 20.0), xp.tanh(spare / 3.0), slowest]
+    return parts
+
+
+def _coasted(sight: FeatureContext, v: Array) -> tuple[Array, Array]:
+    """Time to the stop if the trainset coasts from here at a speed, and its least speed on the way.
+
+    Kinetic energy at a few nodes ahead, falling by resistance and climb, below the permitted speed and the
+    last braking. Resistance is made straight in the energy about the pass before (Newton's method): then the
+    energy at every node is a sum, and two passes are right.
+    """
+    xp, vehicle = sight.xp, sight.vehicle
+    length = xp.maximum(sight.left_m, 1.0)
+    way = _down(sight, COAST_NODES) * length
+    step, at = way[1:] - way[:-1], sight.position_m + way
+    climb = sight.rows.ground_at(CLIMB, sight.case, at)
+    climb = (climb - climb[:1]) * (vehicle.mass_kg / vehicle.effective_mass_kg)
+    rise = climb[1:] - climb[:-1]
+    braked = xp.sqrt(2.0 * sight.stop_mps2 * (length - way) + 1e-6)
+    top = xp.minimum(sight.rows.ground_at(PERMITTED, sight.case, at), braked)
+    sums, start = xp.asarray(UP_TO, v.dtype), 0.5 * v * v
+    energy = xp.maximum(start - climb, SLOWEST_J)
+    for _ in range(COAST_PASSES):
+        about = 0.5 * (energy[1:] + energy[:-1])
+        speed = xp.sqrt(2.0 * about)
+        drag = davis_n(vehicle, speed) / vehicle.effective_mass_kg
+        more = davis_n(vehicle, speed * (1.0 + NEARBY)) / vehicle.effective_mass_kg
+        rate = (more - drag) / (NEARBY * 2.0 * about)
+        lost = xp.minimum(xp.tensordot(sums, rate * step, 1), MOST_LOST)
+        middle = 0.5 * (lost[1:] + lost[:-1])
+        spent = xp.tensordot(sums, xp.exp(middle) * (rise + (drag - rate * about) * step), 1)
+        energy = xp.maximum(xp.exp(-lost) * (start - spent), SLOWEST_J)
+    speeds = xp.minimum(xp.sqrt(2.0 * energy), top)
+    taken = xp.sum(2.0 * step / (speeds[1:] + speeds[:-1] + 0.1), 0)
+    return taken, xp.min(speeds[:-3], 0) / SPEED_MPS
+
+
+def pace(sight: FeatureContext) -> Sequence[Array]:
+    """The speed that the time left asks for where limits and last braking let it, and what it is beside.
+
+    Solved from the tabled times at ``PACES_MPS``, straight in the inverse of the speed between them. Twice:
+    as it is, and less the time that reaching it under full traction takes.
+    """
+    xp, v = sight.xp, sight.speed_mps
+    times = sight.rows.paced_s(sight.case, sight.position_m)
+    wanted, free = _pace(sight, times, sight.left_s)
+    effort = effort_at(sight.vehicle, v).traction_n - davis_n(sight.vehicle, v)
+    pull = xp.minimum(effort / sight.vehicle.effective_mass_kg, sight.vehicle.max_acceleration_mps2)
+    missing = xp.maximum(wanted - v, 0.0)
+    lost = missing * missing / (2.0 * xp.maximum(pull, 0.1) * wanted)
+    after, _ = _pace(sight, times, sight.left_s - lost)
+    return [
+        wanted / SPEED_MPS,
+        after / SPEED_MPS,
+        xp.clip((after - v) / 5.0, -4.0, 4.0),
+        xp.tanh(after - v),
+        free / xp.maximum(sight.left_m, 1.0),
+    ]
+
+
+def _pace(sight: FeatureContext, times: Array, left_s: Array) -> tuple[Array, Array]:
+    """The speed whose time to the stop is the time left, and how many metres would be driven at it."""
+    xp = sight.xp
+    slower, faster = times[..., :-1], times[..., 1:]
+    rises = xp.asarray(RISES_SPM, times.dtype)
+    share = (left_s[..., None] - faster) / xp.maximum(slower - faster, 1e-3)
+    share = xp.minimum(xp.maximum(share, 0.0), 1.0)
+    driven = xp.where((share > 0.0) & (share < 1.0), (slower - faster) / rises, 0.0)
+    more = share * rises
+    inverse, free = 1.0 / PACES_MPS[-1] + 0.0 * left_s, 0.0 * left_s
+    for k in range(len(RISES_SPM)):
+        inverse, free = inverse + more[..., k], free + driven[..., k]
+    return 1.0 / inverse, free
+
+
+def steady(sight: FeatureContext) -> Sequence[Array]:
+    """What is left of the time if the trainset holds its speed up to the last braking."""
+    v = sight.xp.maximum(sight.speed_mps, 1.0)
+    return _spare(sight, sight.left_m / v + 0.5 * v / sight.stop_mps2)
+
+
+def _spare(sight: FeatureContext, taken_s: Array) -> list[Array]:
+    """Time left beyond a time taken: plain, fine near zero, and as a share."""
+    xp = sight.xp
+    spare = xp.clip(sight.left_s - taken_s, -200.0, 200.0)
+    share = xp.clip(spare / xp.maximum(sight.left_s, 5.0), -2.0, 2.0)
+    return [spare / 50.0, xp.tanh(spare / 10.0), share]
+
+
+def load(sight: FeatureContext) -> Sequence[Array]:
+    """Mass over the mean mass of all cases."""
+    return [3.0 * (sight.load - 1.0)]
+
+
+def delay(sight: FeatureContext) -> Sequence[Array]:
+    """Known dead time and lag of the actuation."""
+    return [sight.vehicle.delay_s, sight.vehicle.lag_s]
+
+
+def build_up(sight: FeatureContext) -> Sequence[Array]:
+    """How long the jerk limit takes to build up 1 m/s^2, s: 0 where effort acts at once."""
+    return [1.0 / sight.vehicle.jerk_mps3]
+
+
+def position_m(sight: FeatureContext) -> Sequence[Array]:
+    """Absolute position, km (Chen23a's state with ``speed``)."""
+    return [sight.position_m / DISTANCE_M]
+
+
+def expert(sight: FeatureContext) -> Sequence[Array]:
+    """What a policy inside the expert of Huang25 sees (its eq. 19, and the speed window)."""
+    from metropilot.env.expert_view import expert_features
+
+    return expert_features(sight)
+
+
+FEATURES: Mapping[str, Feature] = MappingProxyType(
+    {
+        f.__name__: f
+        for f in (
+            position,
+            position_m,
+            expert,
+            speed,
+            acceleration,
+            command,
+            distance_left,
+            time_left,
+            elapsed,
+            reserve,
+            mean_speed,
+            braking,
+            permitted,
+            permitted_ahead,
+            permitted_far,
+            climb_ahead,
+            climb_far,
+            efforts,
+            efforts_ahead,
+            coasting,
+            coasting_faster,
+            steady,
+            pace,
+            load,
+            delay,
+            build_up,
+        )
+    }
+)
+
+SECTION = (
+    "position",
+    "speed",
+    "distance_left",
+    "time_left",
+    "reserve",
+    "mean_speed",
+    "braking",
+    "permitted",
+    "load",
+    "command",
+)
+
+ANYWHERE = (
+    "speed",
+    "distance_left",
+    "time_left",
+    "reserve",
+    "mean_speed",
+    "braking",
+    "permitted",
+    "permitted_ahead",
+)
+
+OBSERVERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "position_speed": ("position_m", "speed"),
+        "position_speed_time": ("position", "speed", "elapsed"),
+        "section": SECTION,
+        "section_jerk": (*SECTION, "acceleration", "build_up"),
+        "route": (
+            *ANYWHERE,
+            "climb_ahead",
+            "efforts",
+            "load",
+            "command",
+            "acceleration",
+        ),
+        "line": (
+            *ANYWHERE,
+            "permitted_far",
+            "climb_ahead",
+            "climb_far",
+            "efforts",
+            "efforts_ahead",
+            "coasting",
+            "coasting_faster",
+            "steady",
+            "pace",
+            "build_up",
+        ),
+    }
+)
+"""Named observers: Chen23a's two numbers, Lu23's three, one for a section, two for any section."""
+
+
+def observe(features: Sequence[str], sight: FeatureContext) -> Array:
+    """The observation: every feature in order, float32. Shape (O,)."""
+    values = [value for name in features for value in FEATURES[name](sight)]
+    return sight.xp.stack(values).astype(np.float32)
+
+
+def limited_force(sight: FeatureContext, force_n: Array) -> Array:
+    """The command whose force is nearest the wanted one here."""
+    xp = sight.xp
+    effort = effort_at(sight.vehicle, sight.speed_mps)
+    available = xp.where(force_n >= 0, effort.traction_n, effort.brake_n)
+    return xp.clip(force_n / xp.maximum(available, 1.0), -1.0, 1.0)

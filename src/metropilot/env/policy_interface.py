@@ -1,0 +1,153 @@
+"""What a policy was told and what its actions meant: all a driver needs to run it where it did not learn."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from types import MappingProxyType
+from typing import Any
+
+from metropilot.env.action_kinds import ACTIONS
+from metropilot.env.actions import AbstractAction
+from metropilot.env.assists import Assists
+from metropilot.env.features import FEATURES
+from metropilot.errors import InputError
+
+RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {"period_s": (0.01, 10.0), "spacing_m": (0.5, 50.0), "mean_mass_kg": (1e3, 1e8)}
+)
+MOST_ENTRIES = 1024
+MOST_SHOWN = 80
+LARGEST = 1e9
+
+
+@dataclass(frozen=True)
+class PolicyInterface:
+    """Between a policy and a trainset; plain values, so that it goes into a policy's file.
+
+    Attributes:
+        features: Names of the features in the observation, in order.
+        action: What an action means.
+        assists: What is done for the policy.
+        period_s: Time between two decisions.
+        spacing_m: Distance between the nodes of the curves it sees.
+        mean_mass_kg: Mass that the feature ``load`` is relative to.
+    """
+
+    features: tuple[str, ...]
+    action: AbstractAction
+    assists: Assists
+    period_s: float
+    spacing_m: float
+    mean_mass_kg: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        kind = next(name for name, kind in ACTIONS.items() if type(self.action) is kind)
+        action: Any = self.action
+        return {
+            "features": list(self.features),
+            "action": {"kind": kind} | _plain(asdict(action)),
+            "assists": asdict(self.assists),
+            "period_s": self.period_s,
+            "spacing_m": self.spacing_m,
+            "mean_mass_kg": self.mean_mass_kg,
+        }
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any], *, file: object = None) -> PolicyInterface:
+        """The inverse of :meth:`as_dict`; nothing is taken on trust.
+
+        Args:
+            values: Plain values, as they stand in JSON.
+            file: Named in error messages.
+
+        Raises:
+            InputError: Something is missing, unknown, of the wrong kind or out of range.
+        """
+        try:
+            return _read(values)
+        except InputError as error:
+            story = {"value": error.value, "allowed": error.allowed}
+            raise InputError(error.message, file=file, field=error.field, **story) from None
+
+
+def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Tuples as the lists that JSON makes of them."""
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
+
+
+def _read(values: object) -> PolicyInterface:
+    """A perception, every value checked."""
+    expected = {f.name for f in fields(PolicyInterface)}
+    if not isinstance(values, Mapping) or set(values) != expected:
+        wrong = sorted(map(str, set(values) ^ expected)) if isinstance(values, Mapping) else [repr(values)]
+        shown, allowed = ", ".join(wrong)[:MOST_SHOWN], ", ".join(sorted(expected))
+        raise InputError("fields missing or unknown", field="perception", value=shown, allowed=allowed)
+    for name, (low, high) in RANGES.items():
+        value = values[name]
+        if type(value) not in {int, float} or not low <= value <= high:
+            shown, allowed = _shown(value), f"{low:g} to {high:g}"
+            raise InputError("out of range", field=f"perception.{name}", value=shown, allowed=allowed)
+    action = values["action"]
+    kind = action.get("kind") if isinstance(action, Mapping) else None
+    if not isinstance(kind, str) or kind not in ACTIONS:
+        known = ", ".join(ACTIONS)
+        raise InputError("unknown action", field="perception.action", value=_shown(kind), allowed=known)
+    rest = {name: value for name, value in action.items() if name != "kind"}
+    return PolicyInterface(
+        features=_features(values["features"]),
+        action=_made(ACTIONS[kind], rest, "perception.action"),
+        assists=_made(Assists, values["assists"], "perception.assists"),
+        **{name: float(values[name]) for name in RANGES},
+    )
+
+
+def _features(values: object) -> tuple[str, ...]:
+    """Names of features that there are, each once."""
+    if not isinstance(values, list | tuple):
+        raise InputError("not a list", field="perception.features", value=_shown(values))
+    names: list[Any] = list(values)
+    unknown = [name for name in names if not isinstance(name, str) or name not in FEATURES]
+    if unknown or not names or len(set(names)) < len(names):
+        words = "unknown feature" if unknown else "a feature given twice" if names else "no features"
+        shown = _shown(unknown[0] if unknown else names)
+        raise InputError(words, field="perception.features", value=shown, allowed=", ".join(FEATURES))
+    return tuple(names)
+
+
+def _made(kind: Any, values: object, field: str) -> Any:  # noqa: ANN401 (a dataclass of any kind)
+    """A dataclass from plain values of the kinds of its defaults."""
+    standard = kind()
+    given = dict(values) if isinstance(values, Mapping) else {_shown(values): None}
+    names = [f.name for f in fields(kind)]
+    for name in given:
+        if name not in names:
+            near = difflib.get_close_matches(str(name), names, 1)
+            words = f"unknown field{f', did you mean {near[0]}?' if near else ''}"
+            known = ", ".join(names) or "none"
+            raise InputError(words, field=field, value=_shown(name), allowed=known)
+    return kind(
+        **{name: _like(getattr(standard, name), value, f"{field}.{name}") for name, value in given.items()}
+    )
+
+
+def _like(default: object, value: object, field: str) -> Any:  # noqa: ANN401 (whatever a field holds)
+    """A value of the kind of the default; whole numbers will do for numbers, lists for tuples."""
+    if isinstance(default, tuple) and isinstance(value, list | tuple) and len(value) <= MOST_ENTRIES:
+        if value and default:
+            return tuple(_like(default[0], entry, field) for entry in value)
+    elif isinstance(default, float) and isinstance(value, int | float) and not isinstance(value, bool):
+        if abs(value) <= LARGEST:
+            return float(value)
+    elif type(value) is type(default) and not isinstance(default, tuple):
+        return value
+    kinds = {float: "a finite number", int: "a whole number", bool: "true or false", str: "text"}
+    allowed = kinds.get(type(default), f"a list of 1 to {MOST_ENTRIES}")
+    raise InputError("of the wrong kind", field=field, value=_shown(value), allowed=allowed)
+
+
+def _shown(value: object) -> str:
+    """A value in a few characters."""
+    return (value if isinstance(value, str) else repr(value))[:MOST_SHOWN]

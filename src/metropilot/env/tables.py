@@ -1,0 +1,365 @@
+"""A task's cases (sections with trainsets) as stacked arrays, and the few numbers of them one step needs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from metropilot.physics import Track, Vehicle, stack, track_arrays, vehicle_arrays
+from metropilot.physics.arrays import locate, namespace
+from metropilot.physics.effort import effort_at
+from metropilot.physics.resistance import davis_n, felt_slopes
+from metropilot.protection import Bounds, Protection, protect
+from metropilot.railway import Section, Trainset
+
+Array = Any
+
+
+class SectionTables(NamedTuple):
+    """Every case of a task, one row each. A row that is the same in all cases is stored once.
+
+    Attributes:
+        vehicle: Trainset as the driver knows it.
+        track: Section.
+        protection: Its protection; the curves are in ``ground``.
+        ground: At protection's nodes: its ``CURVES``, and the climb from the origin (gradient and curves,
+            J/kg). Shape (C, N, 6).
+        to_go: Flat-out time to the stop, see :class:`metropilot.env.to_go.ToGo`. Shape (C, R, V).
+        minimum_s: Minimum running time. Shape (C,).
+        length_m: Distance to the stop. Shape (C,).
+        load: Mass over the mean of all cases. Shape (C,).
+        stop_mps2: Deceleration the last braking is planned with, surely at hand. Shape (C,).
+        braked: At the same nodes: what the brakes surely take out from here to the stop, J/kg; the speed
+            from which they surely keep under the permitted speed of all that follows; and for each of
+            ``PACES_MPS`` the time to the stop when that speed is kept wherever these two curves let it.
+            Shape (C, N, 2 + paces).
+    """
+
+    vehicle: Vehicle
+    track: Track
+    protection: Protection
+    ground: Array
+    to_go: Array
+    minimum_s: Array
+    length_m: Array
+    load: Array
+    stop_mps2: Array
+    braked: Array
+
+
+SPEED_STEP_MPS = 0.5
+"""Between the columns of ``to_go``."""
+STOP_STRETCH_M = 300.0
+STOP_USE = 0.95
+STOP_PASSES = 4
+LEAST_STOP_MPS2 = 0.2
+SURE_RESISTANCE = 0.8
+"""Share of the running resistance that a late stop counts on."""
+PACES_MPS = (3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, 17.0, 19.5, 22.5, 26.5, 32.0)
+"""Speeds that the time to go is tabled for."""
+SLOWEST_MPS = 0.3
+"""Least sum of the speeds at two nodes that a tabled time counts with."""
+CURVES = ("emergency", "service", "permitted_mps", "pull_mps2", "usual_pull_mps2")
+"""Protection's curves in ``Tables.ground``, in this order; the climb comes last."""
+PERMITTED, CLIMB = 2, 5
+
+
+def build_tables(
+    cases: Sequence[tuple[Section, Trainset, Bounds]],
+    spacing_m: float,
+    dtype: type = np.float32,
+    jobs: int = 1,
+) -> SectionTables:
+    """Tables of the cases (NumPy).
+
+    Args:
+        cases: Sections, each with a trainset and its load, and what protection is told to expect of it.
+        spacing_m: Distance between protection's nodes.
+        dtype: Number type.
+        jobs: Processes; 0: one a core.
+    """
+    masses = [trainset.mass_kg for _, trainset, _ in cases]
+    rows = _rows(cases, spacing_m, jobs)
+    vehicles, tracks, protections, grounds, tables, lengths, stops, brakings = zip(*rows, strict=True)
+    nodes = max(ground.shape[0] for ground in grounds)
+    ahead = np.arange(max(_look_ahead(protection) for protection in protections), dtype=np.int32)
+    small = [p._replace(**dict.fromkeys(CURVES, 0.0)) for p in protections]
+    stacked = _stack_protection(small, ahead)
+    whole = SectionTables(
+        vehicle=stack(vehicles),
+        track=stack(tracks),
+        protection=stacked,
+        ground=np.stack([_padded(ground, nodes + ahead.size + 2) for ground in grounds]),
+        to_go=np.stack([np.pad(t, ((0, 0), (0, _widest(tables) - t.shape[1])), mode="edge") for t in tables]),
+        minimum_s=np.array([t[-1, 0] for t in tables]),
+        length_m=np.array(lengths),
+        load=np.array(masses) / np.mean(masses),
+        stop_mps2=np.array(stops),
+        braked=np.stack([np.pad(b, ((0, nodes + ahead.size + 2 - len(b)), (0, 0))) for b in brakings]),
+    )
+    return _mapped(lambda a: a if a.dtype.kind in "iub" else a.astype(dtype), whole)
+
+
+def _rows(cases: Sequence[tuple[Section, Trainset, Bounds]], spacing_m: float, jobs: int) -> list[Any]:
+    """What each case comes to; by several processes, for thousands of them."""
+    if jobs == 1:
+        return [_case(*case, spacing_m) for case in cases]
+    from joblib import Parallel, cpu_count, delayed
+
+    pool = Parallel(n_jobs=jobs or cpu_count())
+    return list(pool(delayed(_case)(*case, spacing_m) for case in cases))
+
+
+def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float) -> tuple[Any, ...]:
+    from metropilot.env.to_go import to_go_table
+
+    vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
+    protection = protect(section, trainset, bounds, spacing_m=spacing_m)
+    used = int(np.flatnonzero(protection.permitted_mps)[-1]) + 2
+    at = protection.start_m + spacing_m * np.arange(used)
+    gradient, curve, _ = felt_slopes(vehicle, track, at)
+    weight = (vehicle.gravity_mps2 * gradient + curve) * spacing_m
+    climb = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]))])
+    ground = np.stack([*(getattr(protection, name)[:used] for name in CURVES), climb], axis=1)
+    table = to_go_table(vehicle, track).time_s
+    pull = weight / spacing_m * float(vehicle.mass_kg) / float(vehicle.effective_mass_kg)
+    work = _stop_work(vehicle, at, pull, section.length_m)
+    follow = _follow_mps(vehicle, at, pull, protection.permitted_mps[:used])
+    braked = np.stack(
+        [work, follow, *_paced_s(at, np.minimum(follow, _stops_mps(work)), section.length_m)], axis=1
+    )
+    stop_mps2 = _stop_mps2(vehicle, track)
+    return vehicle, track, protection, ground, table, section.length_m, stop_mps2, braked
+
+
+def _follow_mps(vehicle: Vehicle, at: np.ndarray, pull: np.ndarray, permitted: np.ndarray) -> np.ndarray:
+    """Highest speed at each node from which the service brake keeps under the permitted speed. Shape (N,)."""
+    able = STOP_USE * np.clip(
+        _sure_brake(vehicle) + pull, LEAST_STOP_MPS2, float(vehicle.max_deceleration_mps2)
+    )
+    energy = 0.5 * permitted.astype(np.float64) ** 2
+    gained = able[:-1] * np.diff(at)
+    for k in range(at.size - 2, -1, -1):
+        energy[k] = min(energy[k], energy[k + 1] + gained[k])
+    return np.sqrt(2.0 * energy)
+
+
+def _stop_work(vehicle: Vehicle, at: np.ndarray, uphill: np.ndarray, length_m: float) -> np.ndarray:
+    """What brakes and resistance surely take out between each node and the stop, J/kg. Shape (N,).
+
+    What they can do depends on the speed of the braking, and that on what they can do: found by passes.
+    """
+    mass, ends = float(vehicle.effective_mass_kg), float(vehicle.max_deceleration_mps2)
+
+    def taken_out(able: np.ndarray) -> np.ndarray:
+        work = np.concatenate([[0.0], np.cumsum(0.5 * (able[1:] + able[:-1]) * np.diff(at))])
+        return np.interp(length_m, at, work) - work
+
+    work = taken_out(np.clip(_sure_brake(vehicle) + uphill, LEAST_STOP_MPS2, ends))
+    for _ in range(STOP_PASSES):
+        speed = np.minimum(np.sqrt(2.0 * np.maximum(work, 0.0)), float(vehicle.max_speed_mps))
+        sure = effort_at(vehicle, speed).brake_n + SURE_RESISTANCE * davis_n(vehicle, speed)
+        work = taken_out(np.clip(sure / mass + uphill, LEAST_STOP_MPS2, ends))
+    return work
+
+
+def _stops_mps(work: np.ndarray) -> np.ndarray:
+    """Speed from which the last braking stops, m/s; beyond the stop none."""
+    return np.sqrt(2.0 * np.maximum(work, 0.0))
+
+
+def _paced_s(at: np.ndarray, most_mps: np.ndarray, length_m: float) -> list[np.ndarray]:
+    """Time to the stop from each node at each of ``PACES_MPS`` or, where less is possible, at that."""
+    found = []
+    for pace in PACES_MPS:
+        speed = np.minimum(pace, most_mps)
+        taken = 2.0 * np.diff(at) / np.maximum(speed[1:] + speed[:-1], SLOWEST_MPS)
+        passed = np.concatenate([[0.0], np.cumsum(taken)])
+        found.append(np.interp(length_m, at, passed) - passed)
+    return found
+
+
+def _sure_brake(vehicle: Vehicle) -> float:
+    """Deceleration of the service brake at the speed where it is weakest, on the level."""
+    speeds = np.linspace(0.0, float(vehicle.max_speed_mps), 32)
+    return float(np.min(effort_at(vehicle, speeds).brake_n)) / float(vehicle.effective_mass_kg)
+
+
+def _stop_mps2(vehicle: Vehicle, track: Track) -> float:
+    """What is surely at hand over the last stretch at any speed, and no more than the limit in service."""
+    at = float(track.length_m) - np.linspace(0.0, STOP_STRETCH_M, 41)
+    gradient, curve, _ = felt_slopes(vehicle, track, at)
+    pull = (vehicle.gravity_mps2 * gradient + curve) * vehicle.mass_kg / vehicle.effective_mass_kg
+    means = np.cumsum(pull) / np.arange(1, at.size + 1)
+    sure = min(_sure_brake(vehicle) + float(means[5:].min()), float(vehicle.max_deceleration_mps2))
+    return max(STOP_USE * sure, 0.2)
+
+
+def _look_ahead(protection: Protection) -> int:
+    """Nodes ahead that a decision can need at the highest speed; a look too short only makes it stricter."""
+    vehicle, most = protection.vehicle, 0.0
+    top = float(protection.permitted_mps.max()) + 1.0
+    push = float(np.max(effort_at(vehicle, np.linspace(0.0, top, 64)).traction_n)) / vehicle.effective_mass_kg
+    for rates in (protection.rates, protection.service_rates):
+        gain = push / rates.mass_low + float(protection.pull_mps2.max())
+        peak = top + gain * rates.reaction_s + 0.5 * gain**2 / rates.jerk_mps3
+        most = max(most, peak * (rates.reaction_s + (gain + rates.brake_mps2) / rates.jerk_mps3))
+    return min(int(np.ceil(most / float(protection.spacing_m))) + 2, protection.ahead.size)
+
+
+def _widest(tables: Sequence[np.ndarray]) -> int:
+    return max(table.shape[1] for table in tables)
+
+
+def _padded(ground: np.ndarray, size: int) -> np.ndarray:
+    """Beyond the map nothing may move: zero curves, the rest as at its end."""
+    extra = np.repeat(ground[-1:], size - ground.shape[0], axis=0)
+    extra[:, : PERMITTED + 1] = 0.0
+    return np.concatenate([ground, extra])
+
+
+def _stack_protection(protections: Sequence[Protection], ahead: np.ndarray) -> Protection:
+    """Stacked scalars of protection; look-ahead and slots are shapes, common to all."""
+    slots = max((p.slots for p in protections), key=len)
+    plain = [p._replace(ahead=np.int32(0), slots=0.0) for p in protections]
+
+    def column(*values: Any) -> Any:  # noqa: ANN401 (numbers or tuples of them)
+        if isinstance(values[0], tuple):
+            return type(values[0])(*(column(*entries) for entries in zip(*values, strict=True)))
+        return np.stack([np.asarray(value) for value in values])
+
+    vehicle = stack([p.vehicle for p in protections])
+    stacked = column(*(p._replace(vehicle=()) for p in plain))
+    repeat = len(protections)
+    return stacked._replace(
+        vehicle=vehicle,
+        ahead=np.repeat(ahead[None].astype(np.int32), repeat, axis=0),
+        slots=np.repeat(np.asarray(slots)[None], repeat, axis=0),
+    )
+
+
+def _mapped(function: Any, tree: Any, *, traced: bool = False) -> Any:  # noqa: ANN401 (a tree of tuples)
+    if isinstance(tree, tuple):
+        values = [_mapped(function, entry, traced=traced) for entry in tree]
+        return type(tree)(*values) if hasattr(tree, "_fields") else tuple(values)
+    return function(tree if traced else np.asarray(tree))
+
+
+class SectionRows:
+    """Tables ready for use: what all cases share is a constant, the rest is looked up by case.
+
+    Args:
+        tables: From :func:`build_tables`.
+        jax: Hold them as JAX arrays.
+        spacing_m: Distance between protection's nodes, where the tables are an argument of a compiled
+            function: then nothing of them is a constant, and others of the same shapes need no other program.
+    """
+
+    def __init__(self, tables: SectionTables, *, jax: bool, spacing_m: float | None = None) -> None:
+        if jax:
+            import jax.numpy as xp
+        else:
+            xp = np
+        traced = spacing_m is not None
+        self.count = int(tables.minimum_s.shape[0])
+        self.xp = xp
+        self.spacing_m = float(tables.protection.spacing_m[0]) if spacing_m is None else spacing_m
+        self.start_m = xp.asarray(tables.protection.start_m)
+        self.ahead = tables.protection.ahead[0]
+        self.slots = int(tables.protection.slots.shape[1])
+        self.ground = xp.asarray(tables.ground)
+        self.to_go = xp.asarray(tables.to_go)
+        self.braked = xp.asarray(tables.braked)
+        self.length_m = xp.asarray(tables.length_m)
+        self.tables = tables
+        none = np.zeros(self.count)
+        small = tables._replace(ground=none, to_go=none, braked=none)
+        self._shared = _mapped(lambda a: not traced and bool((a == a[:1]).all()), small, traced=traced)
+        if traced:
+            self._small = _mapped(xp.asarray, small, traced=True)
+        else:
+            self._small = _mapped(lambda a: xp.asarray(a[0] if (a == a[:1]).all() else a), small)
+
+    def case(self, case: Array) -> SectionTables:
+        """The row of a case, without the large tables and with the whole track."""
+        return _picked(self._small, self._shared, case)
+
+    def node(self, case: Array, position_m: Array) -> tuple[Array, Array]:
+        """The last node not beyond a position, and the share of the way to the next."""
+        xp = self.xp
+        last = self.ground.shape[1] - self.ahead.size - 2.0
+        steps = (position_m - self.start_m[case]) / self.spacing_m
+        whole = xp.minimum(xp.maximum(xp.floor(steps), 0.0), last)
+        return whole.astype(np.int32), xp.minimum(xp.maximum(steps - whole, 0.0), 1.0)
+
+    def ground_at(self, column: int, case: Array, position_m: Array) -> Array:
+        """One of the curves over the ground at one or many positions."""
+        node, way = self.node(case, position_m)
+        here = self.ground[case, node, column]
+        return here + (self.ground[case, node + 1, column] - here) * way
+
+    def stop_at(self, case: Array, position_m: Array) -> tuple[Array, Array]:
+        """What the brakes surely take out from a position to the stop, J/kg; its rate here, m/s^2."""
+        node, way = self.node(case, position_m)
+        here, after = self.braked[case, node, 0], self.braked[case, node + 1, 0]
+        return here + (after - here) * way, (here - after) / self.spacing_m
+
+    def follow_at(self, case: Array, position_m: Array) -> Array:
+        """Speed from which the brakes surely keep under the permitted speed of all that follows, m/s."""
+        node, way = self.node(case, position_m)
+        here, after = self.braked[case, node, 1], self.braked[case, node + 1, 1]
+        return here + (after - here) * way
+
+    def paced_s(self, case: Array, position_m: Array) -> Array:
+        """Time to the stop at each of ``PACES_MPS``, or as fast as limits and last braking let it, s.
+
+        Shape (..., paces).
+        """
+        node, way = self.node(case, position_m)
+        here, after = self.braked[case, node, 2:], self.braked[case, node + 1, 2:]
+        return here + (after - here) * way[..., None]
+
+    def to_go_s(self, case: Array, distance_m: Array, length_m: Array, speed_mps: Array) -> Array:
+        """Flat-out time to the stop, bilinear in speed and the square root of the distance left, s."""
+        xp = self.xp
+        rows, columns = self.to_go.shape[1:]
+        u = (rows - 1.0) * xp.sqrt(xp.clip(distance_m / length_m, 0.0, 1.0))
+        w = xp.clip(speed_mps / SPEED_STEP_MPS, 0.0, columns - 1.0)
+        i, j = xp.minimum(xp.floor(u), rows - 2.0), xp.minimum(xp.floor(w), columns - 2.0)
+        u, w, i, j = u - i, w - j, i.astype(np.int32), j.astype(np.int32)
+        low = self.to_go[case, i, j] * (1.0 - w) + self.to_go[case, i, j + 1] * w
+        high = self.to_go[case, i + 1, j] * (1.0 - w) + self.to_go[case, i + 1, j + 1] * w
+        return low * (1.0 - u) + high * u
+
+
+def _picked(tree: Any, shared: Any, case: Array) -> Any:  # noqa: ANN401 (a tree of tuples)
+    if isinstance(tree, tuple):
+        return type(tree)(*(_picked(a, b, case) for a, b in zip(tree, shared, strict=True)))
+    return tree if shared else tree[case]
+
+
+def near_track(track: Track, vehicle: Vehicle, position_m: Array) -> Track:
+    """The two pieces of a track that head and tail are on: all the plant asks for at this position.
+
+    Its look-ups give the same numbers as on the whole track, without carrying it along.
+    """
+    xp = namespace(track.node_m, position_m)
+    tail, head = locate(track.node_m, position_m - vehicle.length_m), locate(track.node_m, position_m)
+    both = xp.stack([tail, head])
+    return track._replace(node_m=track.node_m[both], potential=track.potential[both], slope=track.slope[both])
+
+
+def near_protection(rows: SectionRows, protection: Protection, case: Array, position_m: Array) -> Protection:
+    """The window of protection's curves that one decision at a position can see, its first node first."""
+    xp = rows.xp
+    node, _ = rows.node(case, position_m)
+    count = rows.ahead.size + 2
+    window = rows.ground[case, node + xp.arange(count)]
+    return protection._replace(
+        start_m=protection.start_m + node.astype(window.dtype) * rows.spacing_m,
+        **{name: window[:, column] for column, name in enumerate(CURVES)},
+        ahead=xp.asarray(rows.ahead),
+        slots=xp.zeros(rows.slots, window.dtype),
+    )

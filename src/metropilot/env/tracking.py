@@ -1,0 +1,174 @@
+"""Tracking a reference on the plant alone: the loop that Cheng23's controllers are compared in.
+
+No protection, no assists: at each control period a controller sees the speed error, answers with a command,
+and the plant moves. Written over the array namespace, so that a controller runs the same way compiled in a
+batch, in NumPy, and (through :mod:`metropilot.drivers.tracking`) on a real section.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from metropilot.control.incremental_pid import Errors
+from metropilot.physics import Command, Forces, State, Track, Vehicle, step, track_arrays, vehicle_arrays
+from metropilot.physics.arrays import namespace, to_jax
+from metropilot.planning.timed_reference import TimedReference
+from metropilot.railway import Section, Trainset
+
+Array = Any
+GRACE_S = 3.0
+"""A trainset may come to a stand this much later than its reference."""
+
+
+class ReferenceCourse(NamedTuple):
+    """What is tracked, and with what.
+
+    Attributes:
+        vehicle: The trainset as it is.
+        track: The section.
+        position_m: Position of the reference at the start of each period, held after its end. Shape (N + 1,).
+        speed_mps: Its speed. Shape (N + 1,).
+        end: Period in which the reference comes to a stand.
+        dt: Control period, s.
+    """
+
+    vehicle: Vehicle
+    track: Track
+    position_m: Array
+    speed_mps: Array
+    end: Array
+    dt: Array
+
+    @property
+    def periods(self) -> int:
+        """Control periods to drive: the reference and the grace."""
+        return int(self.position_m.shape[0]) - 1
+
+
+class Tracked(NamedTuple):
+    """What a controller is given each period.
+
+    Attributes:
+        error_mps: Speed of the reference less speed.
+        distance_m: Position of the reference less position.
+        speed_mps: Speed.
+        reference_mps: Speed of the reference.
+        command: Command of the period before.
+    """
+
+    error_mps: Array
+    distance_m: Array
+    speed_mps: Array
+    reference_mps: Array
+    command: Array
+
+
+class TrackState(NamedTuple):
+    """Where the trainset and its controller's law are.
+
+    Attributes:
+        plant: State of the plant.
+        command: Command of the period before.
+        errors: Speed errors of the two periods before.
+        period: Control periods gone.
+    """
+
+    plant: State
+    command: Array
+    errors: Errors
+    period: Array
+
+
+def course_of(
+    trainset: Trainset,
+    section: Section,
+    reference: TimedReference,
+    resistance_factor: float = 1.0,
+) -> ReferenceCourse:
+    """A course in NumPy float64; its control period is the reference's, its actuation is without dead time.
+
+    Args:
+        trainset: With what.
+        section: Where.
+        reference: What is tracked, sampled at the control period.
+        resistance_factor: True over believed running resistance.
+    """
+    vehicle = vehicle_arrays(trainset)
+    vehicle = vehicle._replace(davis_n=vehicle.davis_n * resistance_factor)
+    dt = reference.period_s
+    end = int(np.ceil(reference.duration_s / dt - 1e-9))
+    count = end + round(GRACE_S / dt) + 1
+    held = np.minimum(np.arange(count), reference.position_m.size - 1)
+    return ReferenceCourse(
+        vehicle,
+        track_arrays(section, trainset),
+        reference.position_m[held],
+        reference.speed_mps[held],
+        np.int64(end),
+        np.float64(dt),
+    )
+
+
+def compiled(course: ReferenceCourse) -> ReferenceCourse:
+    """The course in JAX, single precision."""
+    import jax
+
+    single = jax.tree.map(
+        lambda x: np.asarray(x, np.float32 if np.asarray(x).dtype.kind == "f" else np.int32), course
+    )
+    return to_jax(single)
+
+
+def standing() -> TrackState:
+    """At rest at the origin (NumPy)."""
+    zero = np.float64(0.0)
+    forces = Forces(zero, zero, zero, zero, zero)
+    plant = State(
+        time_s=zero,
+        position_m=zero,
+        speed_mps=zero,
+        acceleration_mps2=zero,
+        share=zero,
+        pipeline=np.zeros(1),
+        emergency_s=zero,
+        forces=forces,
+        traction_j=zero,
+        electric_brake_j=zero,
+        line_j=zero,
+        recovered_j=zero,
+    )
+    return TrackState(plant, zero, Errors(zero, zero), np.int64(0))
+
+
+def seen(course: ReferenceCourse, state: TrackState) -> Tracked:
+    """What the controller sees at the start of a period."""
+    plant, k = state.plant, state.period
+    reference = course.speed_mps[k]
+    return Tracked(
+        reference - plant.speed_mps,
+        course.position_m[k] - plant.position_m,
+        plant.speed_mps,
+        reference,
+        state.command,
+    )
+
+
+def advance(course: ReferenceCourse, state: TrackState, command: Array, errors: Errors) -> TrackState:
+    """One period of the plant under a command (Cheng23 eqs. 1 to 3)."""
+    plant = step(course.vehicle, course.track, state.plant, Command(command, False), course.dt)
+    return TrackState(plant, command, errors, state.period + 1)
+
+
+def tracking_observation(given: Tracked) -> Array:
+    """What DDPG-PID sees: speed, command, speed error, position error, scaled. Shape (4,). Cheng23 eq. 7."""
+    xp = namespace(given.error_mps)
+    xp = np if xp.__name__ == "scalars" else xp
+    parts = (
+        given.speed_mps / 20.0,
+        given.command,
+        given.error_mps / 0.05,
+        given.distance_m / 0.15,
+    )
+    return xp.clip(xp.stack([xp.asarray(part, np.float32) for part in parts]), -5.0, 5.0)

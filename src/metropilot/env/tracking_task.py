@@ -1,0 +1,243 @@
+"""Learning the gains of the PID that tracks: Cheng23's task (eqs. 7, 8, 10 and 15 to 22)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from metropilot.control.incremental_pid import CHENG2023_UPPER, Errors, Gains, incremental_pid
+from metropilot.env.interface import AbstractTask, ActionSpace, Transition
+from metropilot.env.tracking import (
+    ReferenceCourse,
+    TrackState,
+    advance,
+    compiled,
+    seen,
+    standing,
+    tracking_observation,
+)
+from metropilot.errors import InputError
+from metropilot.physics.effort import effort_at
+from metropilot.physics.resistance import davis_n
+
+Array = Any
+
+
+@dataclass(frozen=True)
+class TrackingRewards:
+    """The five terms of Cheng23 and what each weighs.
+
+    Attributes:
+        weights: Of safety, tracking, parking, comfort and efficiency (eq. 17).
+        unsafe: C of eq. 18.
+        speed_scale_mps: Error that halves the speed's reward; 1 in eq. 19.
+        distance_scale_m: Error that halves the position's reward; 1 in eq. 19.
+        jerk_scale_mps3: Jerk that halves the comfort reward; 1 in eq. 21.
+        parking_m: Tolerance of eq. 20.
+        parking_scale_m: Error that halves the parking reward; 1 in eq. 20.
+        energy_j: Energy that costs 1 (eq. 22 names no unit; 1 kWh).
+        centred: Rewards of tracking and comfort count from their best value, so that a perfect run earns
+            nothing but its parking reward. In episodes of one length it changes nothing but the scale.
+    """
+
+    weights: tuple[float, float, float, float, float] = (0.2, 0.2, 0.2, 0.2, 0.2)
+    unsafe: float = 100.0
+    speed_scale_mps: float = 1.0
+    distance_scale_m: float = 1.0
+    jerk_scale_mps3: float = 1.0
+    parking_m: float = 0.3
+    parking_scale_m: float = 1.0
+    energy_j: float = 3.6e6
+    centred: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("speed_scale_mps", "distance_scale_m", "jerk_scale_mps3", "parking_scale_m", "energy_j"):
+            if not getattr(self, name) > 0:
+                raise InputError("out of range", field=name, value=getattr(self, name), allowed="> 0")
+
+
+@dataclass(frozen=True, eq=False)
+class TrackingConfig:
+    """What a tracking task is made of.
+
+    Attributes:
+        courses: What is tracked; an episode draws one. All of one length after padding.
+        upper: Upper limits of the gains (eq. 10).
+        rewards: Terms of the reward.
+        limit_mps: Speed limit (eq. 18 ends the episode above it).
+        on_the_way: Share of episodes that begin on the way, near the reference.
+        apart_mps: Largest speed error they begin with.
+        apart_m: Largest position error they begin with.
+    """
+
+    courses: tuple[ReferenceCourse, ...]
+    upper: Gains = CHENG2023_UPPER
+    rewards: TrackingRewards = TrackingRewards()
+    limit_mps: float = 80 / 3.6
+    on_the_way: float = 0.5
+    apart_mps: float = 0.1
+    apart_m: float = 0.2
+
+
+class TrackingFacts(NamedTuple):
+    """What the reward of a step is worked out from.
+
+    Attributes:
+        error_mps: Speed error after the step.
+        distance_m: Position error after the step.
+        to_target_m: Distance to the stop.
+        jerk_mps3: Change of acceleration over the period.
+        work_j: Traction work of the period.
+        unsafe: Whether the limit was exceeded.
+        over: Whether the run is over.
+    """
+
+    error_mps: Array
+    distance_m: Array
+    to_target_m: Array
+    jerk_mps3: Array
+    work_j: Array
+    unsafe: Array
+    over: Array
+
+
+def reward_terms(rewards: TrackingRewards, facts: TrackingFacts) -> dict[str, Array]:
+    """The five weighted terms of one step (Cheng23 eqs. 17 to 22)."""
+    import jax.numpy as jnp
+
+    w1, w2, w3, w4, w5 = rewards.weights
+    best = 1.0 if rewards.centred else 0.0
+    missed = jnp.abs(facts.to_target_m)
+    speed = 1.0 / (1.0 + jnp.abs(facts.error_mps) / rewards.speed_scale_mps)
+    place = 1.0 / (1.0 + jnp.abs(facts.distance_m) / rewards.distance_scale_m)
+    parked = jnp.where(missed < rewards.parking_m, 1.0 / (1.0 + missed / rewards.parking_scale_m), -missed)
+    comfort = 1.0 / (1.0 + jnp.abs(facts.jerk_mps3) / rewards.jerk_scale_mps3)
+    return {
+        "safety": w1 * jnp.where(facts.unsafe, -rewards.unsafe, 0.0),
+        "tracking": w2 * (speed + place - 2.0 * best),
+        "parking": w3 * jnp.where(facts.over, parked, 0.0),
+        "comfort": w4 * (comfort - best),
+        "efficiency": w5 * (-facts.work_j / rewards.energy_j),
+    }
+
+
+class TrackingState(NamedTuple):
+    """Where an episode is: the loop's state and which course it is on."""
+
+    loop: TrackState
+    course: Array
+
+
+class TrackingTask(AbstractTask):
+    """Choose the gains of an incremental PID at each control period so that a reference is tracked.
+
+    Args:
+        config: What it is made of.
+    """
+
+    action_space = ActionSpace(size=3)
+    observation_size = 4
+
+    def __init__(self, config: TrackingConfig) -> None:
+        self.config = config
+        self.longest = max(course.periods for course in config.courses)
+        import jax
+
+        padded = [compiled(_padded(course, self.longest)) for course in config.courses]
+        self.courses: ReferenceCourse = jax.tree.map(lambda *leaves: jax.numpy.stack(leaves), *padded)
+
+    def course(self, index: Array) -> ReferenceCourse:
+        """One of the courses."""
+        import jax
+
+        return jax.tree.map(lambda leaf: leaf[index], self.courses)
+
+    def begin(self, index: Array) -> tuple[TrackingState, Array]:
+        """An episode on a course from standstill."""
+        import jax
+        import jax.numpy as jnp
+
+        course = self.course(index)
+        rest = standing()
+        loop: TrackState = jax.tree.map(
+            lambda x: jnp.asarray(x, jnp.int32 if np.asarray(x).dtype.kind == "i" else jnp.float32), rest
+        )
+        return TrackingState(loop, jnp.asarray(index, jnp.int32)), tracking_observation(seen(course, loop))
+
+    def reset(self, key: Array) -> tuple[TrackingState, Array]:
+        """An episode on a course drawn at random, from standstill or from near the reference on the way."""
+        import jax
+        import jax.numpy as jnp
+
+        config = self.config
+        pick, place, share, apart = jax.random.split(key, 4)
+        state, _ = self.begin(jax.random.randint(pick, (), 0, len(config.courses)))
+        course = self.course(state.course)
+        k = jax.random.randint(place, (), 1, course.end - 5)
+        off = jax.random.uniform(apart, (2,), jnp.float32, -1.0, 1.0)
+        rate = (course.speed_mps[k + 1] - course.speed_mps[k - 1]) / (2 * course.dt)
+        speed = jnp.maximum(course.speed_mps[k] + config.apart_mps * off[0], 0.1)
+        effort = effort_at(course.vehicle, speed)
+        force = rate * course.vehicle.effective_mass_kg + davis_n(course.vehicle, speed)
+        command = jnp.clip(force / jnp.where(force > 0, effort.traction_n, effort.brake_n), -1.0, 1.0)
+        plant = state.loop.plant._replace(
+            position_m=course.position_m[k] + config.apart_m * off[1],
+            speed_mps=speed,
+            acceleration_mps2=rate,
+            time_s=k.astype(jnp.float32) * course.dt,
+        )
+        error = course.speed_mps[k] - speed
+        moving = TrackState(plant, command, Errors(error, error), k)
+        on_the_way = jax.random.uniform(share) < config.on_the_way
+        loop = jax.tree.map(lambda a, b: jnp.where(on_the_way, a, b), moving, state.loop)
+        return TrackingState(loop, state.course), tracking_observation(seen(course, loop))
+
+    def step(self, key: Array, state: TrackingState, action: Array) -> tuple[TrackingState, Transition]:
+        """One control period with the gains that an action stands for."""
+        import jax.numpy as jnp
+
+        del key
+        config, course = self.config, self.course(state.course)
+        given = seen(course, state.loop)
+        command, errors = incremental_pid(
+            given.command, gains_of(action, config.upper), given.error_mps, state.loop.errors
+        )
+        loop = advance(course, state.loop, command, errors)
+        after, plant, before = seen(course, loop), loop.plant, state.loop.plant
+        unsafe = plant.speed_mps > config.limit_mps
+        late = loop.period >= course.end
+        over = late & ((plant.speed_mps <= 0) | (loop.period >= self.longest))
+        facts = TrackingFacts(
+            error_mps=after.error_mps,
+            distance_m=after.distance_m,
+            to_target_m=course.track.length_m - plant.position_m,
+            jerk_mps3=(plant.acceleration_mps2 - before.acceleration_mps2) / course.dt,
+            work_j=plant.traction_j - before.traction_j,
+            unsafe=unsafe,
+            over=over,
+        )
+        terms = reward_terms(config.rewards, facts)
+        transition = Transition(
+            observation=tracking_observation(after),
+            reward=sum(terms.values(), jnp.float32(0.0)),
+            terminated=unsafe | over,
+            truncated=jnp.zeros((), bool),
+            terms=terms,
+        )
+        return TrackingState(loop, state.course), transition
+
+
+def gains_of(action: Array, upper: Gains = CHENG2023_UPPER) -> Gains:
+    """The gains that three numbers in [-1, 1] stand for (Cheng23 eq. 10)."""
+    return Gains(*(0.5 * (action[j] + 1.0) * upper[j] for j in range(3)))
+
+
+def _padded(course: ReferenceCourse, periods: int) -> ReferenceCourse:
+    """A course held at its end up to a number of periods."""
+    extra = periods - course.periods
+    return course._replace(
+        position_m=np.pad(course.position_m, (0, extra), mode="edge"),
+        speed_mps=np.pad(course.speed_mps, (0, extra), mode="edge"),
+    )

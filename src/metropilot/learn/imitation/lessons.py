@@ -1,0 +1,202 @@
+"""Lessons: what the optimal plan does from a state, for states on its way and beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from numpy.random import Generator
+
+from metropilot.env.features import FEATURES, OBSERVERS, FeatureContext
+from metropilot.env.tables import PERMITTED, SectionRows, build_tables
+from metropilot.env.worlds import ASSISTS, OBSERVER, DomainSample
+from metropilot.errors import MetropilotError
+from metropilot.physics.effort import effort_at
+from metropilot.planning import Plan, PlanOptions, plan_arrays
+from metropilot.sim import Run, declared_bounds
+
+FEATURE_NAMES = OBSERVERS[OBSERVER]
+SPACING_M = 4.0
+WINDOW_M = 10.0
+LATE_W = 500.0
+BELOW_PERMITTED_MPS = 0.06
+ALMOST, FULL = 0.9, 0.98
+"""Between these shares of the largest effort at hand the command goes over to 1."""
+TIME_RATIO = (1.03, 1.6)
+SPREAD_MPS, SPREAD_SHARE, SPREAD_S = 1.8, 0.045, 1.5
+"""How far a state lies beside the plan: speed, time left as a share, and time left besides."""
+SLOWEST_MPS = 0.3
+SAFE_SHARE = 0.97
+"""Share of the last braking's rate from which a disturbed state may still have to stop."""
+
+
+class Demonstrations(NamedTuple):
+    """What one or more worlds teach.
+
+    Attributes:
+        observations: States as the policy sees them. Shape (N, O), float32.
+        commands: What the optimal plan commands there. Shape (N,), float32.
+        begins: From where to drive in closed loop, and what the plan makes of it: position, speed, time,
+            scheduled time, arrival, energy and price of the last second, per kilogram. Shape (K, 7).
+    """
+
+    observations: Float[ndarray, "states features"]
+    commands: Float[ndarray, " states"]
+    begins: Float[ndarray, "begins 7"]
+
+
+class DemonstrationGenerator:
+    """One world with its tables: observes states in it, and asks the plan.
+
+    Args:
+        world: Where and with what.
+        scheduled_ratio: Scheduled time over the minimum.
+    """
+
+    def __init__(self, world: DomainSample, scheduled_ratio: float) -> None:
+        run = Run(world.section, world.trainset, scheduled_time_s=1.0)
+        tables = build_tables([(world.section, world.trainset, declared_bounds(run))], SPACING_M, np.float64)
+        self.rows = SectionRows(tables, jax=False)
+        self.case = self.rows.case(0)
+        self.length_m = float(self.case.length_m)
+        self.scheduled_s = scheduled_ratio * float(self.case.minimum_s)
+        self._at = np.arange(0.0, self.length_m + SPACING_M, SPACING_M)
+        cap = self.rows.ground_at(PERMITTED, 0, self._at) - BELOW_PERMITTED_MPS
+        self._cap = np.maximum(cap, 0.5)
+
+    def most_mps(self, position_m: float) -> float:
+        """Speed that is still permitted at a position, and from which the last braking still stops."""
+        permitted = float(self.rows.ground_at(PERMITTED, 0, np.array(position_m)))
+        work, _ = self.rows.stop_at(0, np.array(position_m))
+        stops = float(np.sqrt(2.0 * SAFE_SHARE * ASSISTS.stop_use * max(float(work), 0.0)))
+        return max(min(permitted - BELOW_PERMITTED_MPS - 0.05, stops), SLOWEST_MPS)
+
+    def plan(self, left_s: float, start_m: float = 0.0, start_mps: float = 0.0) -> Plan:
+        """The optimal plan from a state, below what protection permits; late if it must.
+
+        Raises:
+            MetropilotError: No plan from there.
+        """
+        jerk = float(self.case.vehicle.jerk_mps3)
+        options = PlanOptions(
+            start_m=start_m,
+            start_mps=start_mps,
+            jerk_mps3=jerk if np.isfinite(jerk) else None,
+            late_w=LATE_W,
+            cap_m=self._at,
+            cap_mps=self._cap,
+            deceleration_mps2=ASSISTS.stop_use * float(self.case.vehicle.max_deceleration_mps2),
+        )
+        return plan_arrays(self.case.vehicle, self.case.track, left_s, options)
+
+    def observed(self, time_s: ndarray, position_m: ndarray, speed_mps: ndarray) -> ndarray:
+        """What the policy would see in these states. Shape (N, O), float32."""
+        case, nothing = self.case, np.zeros_like(position_m)
+        sight = FeatureContext(
+            rows=self.rows,
+            case=0,
+            vehicle=case.vehicle,
+            track=case.track,
+            length_m=case.length_m,
+            load=case.load,
+            stop_mps2=ASSISTS.planned_mps2(self.rows, 0, case.stop_mps2, position_m),
+            rates=case.protection.rates,
+            time_s=time_s,
+            position_m=position_m,
+            speed_mps=speed_mps,
+            acceleration_mps2=nothing,
+            scheduled_s=np.full_like(position_m, self.scheduled_s),
+            command=nothing,
+        )
+        values = [
+            np.broadcast_to(v, position_m.shape) for name in FEATURE_NAMES for v in FEATURES[name](sight)
+        ]
+        return np.stack(values, axis=1).astype(np.float32)
+
+    def commands(self, plan: Plan, position_m: ndarray) -> ndarray:
+        """The command that does what a plan does over the next metres. Shape (N,), in [-1, 1].
+
+        Work over distance: smoother than the command here and now, and it keeps time. Where the plan pulls
+        as hard as the trainset's limits let it, the command is 1: the trainset sees to its limits.
+        """
+        vehicle, ds = self.case.vehicle, np.diff(plan.position_m)
+        mass = float(vehicle.effective_mass_kg)
+        kinetic = 0.5 * plan.speed_mps**2
+        able = effort_at(vehicle, np.sqrt(kinetic[1:] + kinetic[:-1]))
+        effort = (plan.traction_n - plan.brake_n) / mass
+        drag = effort - np.diff(kinetic) / ds
+        pull, brake = able.traction_n / mass, able.brake_n / mass
+        limited = np.minimum(pull, float(vehicle.max_acceleration_mps2) + drag)
+        window = np.minimum(WINDOW_M, np.maximum(self.length_m - position_m, 1.0))
+
+        def mean(values: ndarray) -> ndarray:
+            total = np.concatenate([[0.0], np.cumsum(values * ds)])
+            far, near = (np.interp(position_m + d, plan.position_m, total) for d in (window, 0.0 * window))
+            return (far - near) / window
+
+        wanted = mean(effort)
+        share = wanted / np.maximum(np.where(wanted >= 0, mean(pull), mean(brake)), 1e-3)
+        hard = np.clip((wanted / np.maximum(mean(limited), 1e-3) - ALMOST) / (FULL - ALMOST), 0.0, 1.0)
+        return np.clip(share + (1.0 - share) * hard, -1.0, 1.0)
+
+    def along(self, plan: Plan, begun_s: float, random: Generator, states: int) -> Demonstrations:
+        """Lessons at random times of a plan that begins at a time since departure."""
+        at = random.uniform(0.0, 0.995 * plan.running_time_s, states)
+        x = np.interp(at, plan.time_s, plan.position_m)
+        v = np.sqrt(np.maximum(np.interp(x, plan.position_m, plan.speed_mps**2), 0.0))
+        mass = float(self.case.vehicle.effective_mass_kg)
+        begin = (
+            float(plan.position_m[0]),
+            float(plan.speed_mps[0]),
+            begun_s,
+            self.scheduled_s,
+            begun_s + plan.running_time_s,
+            plan.energy_wheel_j / mass,
+            plan.second_w / mass,
+        )
+        commands = self.commands(plan, x).astype(np.float32)
+        return Demonstrations(self.observed(begun_s + at, x, v), commands, np.array([begin]))
+
+
+def collect_demonstrations(world: DomainSample, random: Generator, plans: int, states: int) -> Demonstrations:
+    """Lessons along the optimal plan of a world, and along plans from disturbed states beside it.
+
+    Args:
+        world: Where and with what.
+        random: Source of the scheduled time and the disturbances.
+        plans: How many plans.
+        states: States along each.
+
+    Raises:
+        MetropilotError: The world cannot be driven.
+    """
+    low, high = TIME_RATIO
+    room = DemonstrationGenerator(world, low + (high - low) * float(random.beta(1.1, 2.0)))
+    first = room.plan(room.scheduled_s)
+    found = [room.along(first, 0.0, random, states)]
+    for _ in range(plans - 1):
+        with suppress(MetropilotError):  # no plan from there: too fast to stop, or stalled
+            found.append(_beside(room, first, random, states))
+    return joined(found)
+
+
+def _beside(room: DemonstrationGenerator, plan: Plan, random: Generator, states: int) -> Demonstrations:
+    """Lessons along the plan from a state beside another plan."""
+    moment = float(random.uniform(0.0, 0.92 * plan.running_time_s))
+    x = float(np.interp(moment, plan.time_s, plan.position_m))
+    v = float(np.sqrt(np.interp(x, plan.position_m, plan.speed_mps**2)))
+    v = float(np.clip(v + random.normal(0.0, SPREAD_MPS), SLOWEST_MPS, room.most_mps(x)))
+    left = (room.scheduled_s - moment) * (1.0 + random.normal(0.0, SPREAD_SHARE))
+    left = max(left + random.normal(0.0, SPREAD_S), 1.0)
+    return room.along(room.plan(left, x, v), room.scheduled_s - left, random, states)
+
+
+def joined(lessons: Sequence[Demonstrations]) -> Demonstrations:
+    """All of them as one; states that are not finite are left out."""
+    whole = Demonstrations(*(np.concatenate(part) for part in zip(*lessons, strict=True)))
+    fit = np.isfinite(whole.observations).all(axis=1) & np.isfinite(whole.commands)
+    return Demonstrations(whole.observations[fit], whole.commands[fit], whole.begins)

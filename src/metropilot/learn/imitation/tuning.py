@@ -1,0 +1,164 @@
+"""Learning in closed loop: many drives a step, the gradient of what they cost above the optimum."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+from numpy.random import Generator
+
+from metropilot.learn.config import TeacherConfig
+from metropilot.learn.imitation.closed_loop import Begin, ClosedLoop
+from metropilot.learn.imitation.lessons import Demonstrations
+from metropilot.learn.imitation.pupil import TrainState, imitation_loss, labels, learned
+from metropilot.policy.networks import Params
+from metropilot.policy.policy import PolicySpec, network_output
+
+Array = Any
+
+DECISIONS = (200, 400, 600)
+"""Drives are put together by length, each length compiled by itself."""
+SPARE_S, SPARE_SHARE = 15.0, 0.05
+"""Time beyond the optimal plan's that a drive may take before it is cut off."""
+LEAST_J = 60.0
+"""What a drive costs is counted against no less than this, per kilogram."""
+SECOND_W = (0.2, 25.0)
+ON_TIME_S = 0.3
+"""Below this the price of being off time is square, beyond straight."""
+DISTURBED = 0.5
+MASS, RESISTANCE = 0.1, 0.2
+"""Half the drives are of a trainset that is heavier or lighter, and runs harder or easier, than believed."""
+
+
+@dataclass(frozen=True)
+class TuningRuns:
+    """Where drives may begin, by length.
+
+    Attributes:
+        case: Row of the world in the tables. Shape (K,).
+        begins: See :class:`~metropilot.learn.imitation.lessons.Demonstrations`. Shape (K, 7).
+        lengths: Entries of each length in ``DECISIONS``.
+    """
+
+    case: Int[ndarray, " k"]
+    begins: Float[ndarray, "k 7"]
+    lengths: tuple[ndarray, ...]
+
+
+def drives_of(case: Int[ndarray, " k"], begins: Float[ndarray, "k 7"], period_s: float) -> TuningRuns:
+    """The drives short enough to be driven whole, sorted by length; those that cost nothing teach nothing."""
+    taken = (begins[:, 4] - begins[:, 2]) * (1.0 + SPARE_SHARE) + SPARE_S
+    needed = np.ceil(taken / period_s)
+    costs = begins[:, 5] > 1.0
+    edges = (0, *DECISIONS)
+    lengths = tuple(
+        np.flatnonzero(costs & (needed > low) & (needed <= high)) for low, high in pairwise(edges)
+    )
+    return TuningRuns(case, begins, lengths)
+
+
+def batch_of(drives: TuningRuns, random: Generator, decisions: int) -> tuple[int, Begin]:
+    """A length, as likely as there is to drive of it, and so many drives of it as make up the decisions."""
+    work = np.array([rows.size * n for rows, n in zip(drives.lengths, DECISIONS, strict=True)], float)
+    k = int(random.choice(len(DECISIONS), p=work / work.sum()))
+    count = max(decisions // DECISIONS[k], 16)
+    rows = random.choice(drives.lengths[k], count)
+    position, speed, time, scheduled, arrival, optimum, second = drives.begins[rows].T
+    off = random.random(count) < DISTURBED
+    begin = Begin(
+        case=drives.case[rows].astype(np.int32),
+        position_m=position,
+        speed_mps=speed,
+        time_s=time,
+        scheduled_s=scheduled,
+        arrival_s=arrival,
+        optimum_j=optimum,
+        second_w=np.clip(second, *SECOND_W),
+        mass_factor=1.0 + off * random.uniform(-MASS, MASS, count),
+        resistance_factor=1.0 + off * random.uniform(-RESISTANCE, RESISTANCE, count),
+    )
+    return DECISIONS[k], Begin(begin.case, *(np.asarray(v, np.float32) for v in begin[1:]))
+
+
+def bill(
+    loop: ClosedLoop, spec: PolicySpec, params: Params, begin: Begin, decisions: int, late: float
+) -> Array:
+    """What one drive costs above the optimum, as a share of it; being late is paid at its price and more.
+
+    Args:
+        loop: The worlds.
+        spec: What the parameters mean.
+        params: Of the policy.
+        begin: The drive.
+        decisions: Where it is cut off.
+        late: Price of a second off time besides, as a share.
+    """
+
+    def decide(params: Params, observation: Array) -> Array:
+        return network_output(spec, params, observation, jnp)
+
+    joule = 1.0 / jnp.maximum(begin.optimum_j, LEAST_J)
+    drive = loop.drive(decide, params, begin, decisions, joule)
+    spent = joule * (drive.energy_j - begin.optimum_j + begin.second_w * drive.late_s)
+    off = jnp.sqrt(drive.late_s * drive.late_s + ON_TIME_S * ON_TIME_S) - ON_TIME_S
+    return jnp.where(drive.done, spent + late * off, 0.0)
+
+
+Step = Callable[[TrainState, Array, Begin, Array, Array], tuple[TrainState, Array]]
+
+
+class Tuning:
+    """Gradient steps in closed loop.
+
+    Args:
+        config: What the learner is told.
+        spec: What the policy's parameters mean.
+        loop: The worlds.
+        drives: Where to begin.
+        lessons: What is still imitated beside.
+    """
+
+    def __init__(
+        self,
+        config: TeacherConfig,
+        spec: PolicySpec,
+        loop: ClosedLoop,
+        drives: TuningRuns,
+        lessons: Demonstrations,
+    ) -> None:
+        self.config = config
+        self.spec = spec
+        self.loop = loop
+        self.drives = drives
+        self.observations = lessons.observations
+        self.wanted = labels(loop.action, lessons.commands)
+        self._steps: dict[int, Step] = {}
+
+    def step(self, pupil: TrainState, random: Generator, rate: float) -> tuple[TrainState, float]:
+        """One step; the policy after it, and what its drives cost above the optimum, as a share."""
+        decisions, begin = batch_of(self.drives, random, self.config.decisions)
+        rows = random.integers(0, self.wanted.size, self.config.batch_size)
+        step = self._steps.setdefault(decisions, jax.jit(partial(self._step, decisions)))
+        pupil, cost = step(pupil, jnp.float32(rate), begin, self.observations[rows], self.wanted[rows])
+        return pupil, float(cost)
+
+    def _step(
+        self, decisions: int, pupil: TrainState, rate: Array, begin: Begin, seen: Array, wanted: Array
+    ) -> tuple[TrainState, Array]:
+        config, spec = self.config, self.spec
+
+        def loss(params: Params) -> tuple[Array, Array]:
+            one = partial(bill, self.loop, spec, params, decisions=decisions, late=config.late_per_s)
+            cost = jnp.mean(jax.vmap(lambda b: one(begin=b))(begin))
+            return cost + config.imitation_weight * imitation_loss(spec, params, seen, wanted), cost
+
+        (_, cost), gradient = jax.value_and_grad(loss, has_aux=True)(pupil.params)
+        return learned(pupil, gradient, rate, config.max_gradient_norm), cost

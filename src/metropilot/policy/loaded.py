@@ -1,0 +1,105 @@
+"""A policy file as a driver takes it: the policy, guarded, and what it sees and means by its actions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from metropilot._dirs import runs_folder
+from metropilot.env import PolicyInterface
+from metropilot.errors import InputError
+from metropilot.policy.file import load_policy
+from metropilot.policy.policy import Policy, chosen, network_output
+
+FILE = "policy.safetensors"
+"""Name of the policy in the folder of a learning run."""
+
+
+@final
+class GuardedPolicy:
+    """A policy from somebody's file: what it answers is a number in range, or an error.
+
+    Args:
+        policy: The policy.
+        path: Its file, for error messages.
+    """
+
+    def __init__(self, policy: Policy, path: Path) -> None:
+        self.policy = policy
+        self.path = path
+
+    def __call__(self, observation: np.ndarray, mask: np.ndarray | None = None) -> Any:  # noqa: ANN401 (or int)
+        """The action for one observation of shape (O,), among the choices a mask of shape (count,) allows.
+
+        Raises:
+            InputError: The observation is not as long as the policy's, or the answer is not finite.
+        """
+        spec = self.policy.spec
+        if observation.size != spec.observation_size:
+            raise InputError(
+                "the features do not give as many numbers as the policy takes",
+                file=self.path,
+                field="perception.features",
+                value=observation.size,
+                allowed=str(spec.observation_size),
+            )
+        with np.errstate(all="ignore"):
+            output = network_output(spec, self.policy.params, observation, np)
+        if not np.isfinite(output).all():
+            raise InputError("the policy answers what is not a number", file=self.path, field="policy")
+        return chosen(spec, output, mask, np)
+
+
+@dataclass(frozen=True)
+class LoadedPolicy:
+    """A policy file, read and checked.
+
+    Attributes:
+        policy: From an observation to an action.
+        perception: What it sees, what its actions mean, what is done for it.
+        about: What else the file says of itself: task, algorithm, seed, KPIs, provenance.
+        path: The file.
+    """
+
+    policy: GuardedPolicy
+    perception: PolicyInterface
+    about: Mapping[str, Any]
+    path: Path
+
+
+def policy_path(given: str | Path) -> Path:
+    """The policy file that is meant: the file itself, or that of a learning run by its folder or its id."""
+    path = Path(given)
+    if not path.exists() and path.name == str(given):
+        kept = runs_folder() / path / FILE
+        return kept if kept.exists() else path
+    return path / FILE if path.is_dir() else path
+
+
+def load_driving_policy(given: str | Path) -> LoadedPolicy:
+    """Read the policy of a driver.
+
+    Args:
+        given: A policy file, or the folder or id of a learning run.
+
+    Raises:
+        InputError: The file cannot be read, is damaged, does not say how to drive with it, or says what does
+            not fit its network.
+    """
+    path = policy_path(given)
+    policy, about = load_policy(path)
+    if "perception" not in about:
+        raise InputError("does not say what the policy sees", file=path, field="perception")
+    perception = PolicyInterface.from_dict(about["perception"], file=path)
+    space, spec = perception.action.space, policy.spec
+    if (space.discrete, space.count or space.size) != (spec.discrete, spec.actions):
+        wanted = f"{space.count} choices" if space.discrete else f"{space.size} numbers"
+        value = f"{spec.actions} {'choices' if spec.discrete else 'numbers'}"
+        raise InputError(
+            "the policy's output is not the action's", file=path, field="policy", value=value, allowed=wanted
+        )
+    return LoadedPolicy(GuardedPolicy(policy, path), perception, about, path)

@@ -1,0 +1,48 @@
+"""One control period after another: a run, its disturbance, the host loop, its outcome and trajectory."""
+
+from metropilot.sim.bounds import declared_bounds
+from metropilot.sim.driver import AbstractDriver, DriverRegistry, register
+from metropilot.sim.nominal import NominalDrive, simulate_nominal
+from metropilot.sim.outcome import CODES, RUNNING, Episode, OutcomeRule
+from metropilot.sim.rollout import Drive, Moment, Rollout, drive
+from metropilot.sim.run import (
+    CONTROL_PERIOD_S,
+    NOISE_CUT,
+    PUNCTUALITY_S,
+    STOP_TOLERANCE_M,
+    Disturbance,
+    Observation,
+    Outcome,
+    Run,
+    TimetableUpdate,
+)
+from metropilot.sim.trajectory import COLUMNS, PHASES, Trajectory
+
+__all__ = [
+    "CODES",
+    "COLUMNS",
+    "CONTROL_PERIOD_S",
+    "NOISE_CUT",
+    "PHASES",
+    "PUNCTUALITY_S",
+    "RUNNING",
+    "STOP_TOLERANCE_M",
+    "AbstractDriver",
+    "Disturbance",
+    "Drive",
+    "DriverRegistry",
+    "Episode",
+    "Moment",
+    "NominalDrive",
+    "Observation",
+    "Outcome",
+    "OutcomeRule",
+    "Rollout",
+    "Run",
+    "TimetableUpdate",
+    "Trajectory",
+    "declared_bounds",
+    "drive",
+    "register",
+    "simulate_nominal",
+]

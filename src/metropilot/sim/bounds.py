@@ -1,0 +1,64 @@
+"""What protection is told to expect of the plant in a run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from metropilot.physics import brake_available_n, vehicle_arrays
+from metropilot.protection import Bounds
+from metropilot.railway import Trainset
+from metropilot.sim.run import NOISE_CUT, Run
+
+MASS = (0.9, 1.1)
+"""Scatter of the mass about the load aboard, which the trainset weighs; a scenario beyond it widens it."""
+
+
+def declared_bounds(run: Run) -> Bounds:
+    """Protection's bounds in a run: its usual scatter, widened where the scenario goes further.
+
+    Drivers that keep clear of interventions and the host that supervises them read the same bounds here.
+    """
+    scenario = run.scenario
+    bounds = Bounds.of(
+        scenario.nominal(run.trainset),
+        run.dt,
+        extra_delay_s=scenario.extra_delay_s,
+        extra_lag_s=scenario.extra_lag_s,
+        speed_error_mps=NOISE_CUT * scenario.speed_noise_mps,
+    )
+    resistance = _holding(bounds.resistance, scenario.resistance_factor)
+    if scenario.headwind_mps != 0.0:
+        resistance = _holding(resistance, *_resistance_ratios(run))
+    share = bounds.service_share
+    if np.isfinite(scenario.adhesion) or scenario.brake_factor < 1.0:
+        share = min(share, _braking_share(run))
+    return replace(
+        bounds, mass=_holding(MASS, scenario.mass_factor), resistance=resistance, service_share=share
+    )
+
+
+def _resistance_ratios(run: Run) -> tuple[float, float]:
+    """Least and largest true running resistance over the believed one, at any speed."""
+    known, actual = _known(run), run.scenario.true_plant(run.trainset)
+    speed = np.linspace(0.0, known.max_speed_mps, 65)
+    powers = np.stack([np.ones_like(speed), speed, speed * speed])
+    true_n, told_n = (np.array(t.davis.newtons(t.mass_kg)) @ powers for t in (actual, known))
+    ratio = true_n / np.maximum(told_n, 1e-6)
+    return max(float(ratio.min()), 0.0), float(ratio.max())
+
+
+def _braking_share(run: Run) -> float:
+    """Service braking force that the rail still takes, over the one believed, at its least."""
+    known, actual = (vehicle_arrays(t) for t in (_known(run), run.scenario.true_plant(run.trainset)))
+    speeds = np.linspace(0.0, float(known.max_speed_mps), 65)
+    return float(np.min(brake_available_n(actual, speeds) / brake_available_n(known, speeds)))
+
+
+def _known(run: Run) -> Trainset:
+    return run.scenario.nominal(run.trainset)
+
+
+def _holding(interval: tuple[float, float], *values: float) -> tuple[float, float]:
+    return min(interval[0], *values), max(interval[1], *values)

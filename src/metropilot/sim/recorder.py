@@ -1,0 +1,171 @@
+"""From the states of a run to its trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from metropilot.physics import Forces, State, Track, Vehicle
+from metropilot.sim.trajectory import Trajectory, phases
+
+
+@dataclass
+class Recorder:
+    """Collects a run step by step.
+
+    Attributes:
+        vehicle: The trainset as it really is.
+        dt: Control period, s.
+        first: State at departure.
+        states: State after each step.
+        commands: Command of each step, after protection.
+        permitted: Permitted speed at the start of each step.
+        limits: Speed limit at the start of each step.
+        overspeed_mps: Largest excess over the limit so far.
+    """
+
+    vehicle: Vehicle
+    dt: float
+    first: State
+    states: list[State] = field(default_factory=list)
+    commands: list[float] = field(default_factory=list)
+    permitted: list[float] = field(default_factory=list)
+    limits: list[float] = field(default_factory=list)
+    overspeed_mps: float = 0.0
+
+    def add(self, track: Track, after: State, command: float, permitted_mps: float) -> None:
+        """Record the step from the last state to ``after``."""
+        before = self.states[-1] if self.states else self.first
+        self.states.append(after)
+        self.commands.append(command)
+        self.permitted.append(permitted_mps)
+        self.limits.append(limit_at(track, float(before.position_m)))
+        self.overspeed_mps = max(self.overspeed_mps, step_overspeed(track, before, after))
+
+    def trajectory(self, track: Track, permitted_mps: float) -> Trajectory:
+        """Everything recorded, closed by the exact end.
+
+        Args:
+            track: The section as it stands at the end.
+            permitted_mps: Permitted speed at the end.
+        """
+        rows = [self.first, *self.states]
+        names = ("time_s", "position_m", "speed_mps", "traction_j", "line_j")
+        return closed_trajectory(
+            self.vehicle,
+            self.dt,
+            {name: np.array([getattr(state, name) for state in rows]) for name in names},
+            np.array([state.acceleration_mps2 for state in self.states]),
+            Forces(*(np.array([getattr(s.forces, name) for s in self.states]) for name in Forces._fields)),
+            np.array(self.commands),
+            limit_mps=np.append(self.limits, limit_at(track, float(rows[-1].position_m))),
+            permitted_mps=np.append(self.permitted, permitted_mps),
+        )
+
+
+def closed_trajectory(
+    vehicle: Vehicle,
+    dt: float,
+    rows: Mapping[str, ndarray],
+    acceleration_mps2: ndarray,
+    held: Forces,
+    commands: ndarray,
+    *,
+    limit_mps: ndarray,
+    permitted_mps: ndarray,
+) -> Trajectory:
+    """A run of ``n`` steps as a trajectory of ``n + 1`` rows, closed by the exact end.
+
+    Args:
+        vehicle: The trainset as it really is.
+        dt: Control period, s.
+        rows: ``time_s, position_m, speed_mps, traction_j, line_j`` at departure and after each step.
+        acceleration_mps2: Of each step.
+        held: Forces of each step.
+        commands: Of each step, after protection.
+        limit_mps: At the start of each step, and at the end.
+        permitted_mps: The same.
+    """
+    forces = held._asdict()
+    speed = rows["speed_mps"]
+    last = {name: values[-1] for name, values in forces.items()}
+    end = float(acceleration_mps2[-1])
+    if speed[-1] <= 0:
+        end = 0.0
+        last |= {"traction_n": 0.0, "electric_brake_n": 0.0, "resistance_n": 0.0}
+        last["friction_brake_n"] = -last["gradient_n"]
+    forces = {name: np.append(values, last[name]) for name, values in forces.items()}
+    accel = np.append(acceleration_mps2, end)
+    wheel = forces["traction_n"] - forces["electric_brake_n"] - forces["friction_brake_n"]
+    weight_n = float(vehicle.mass_kg * vehicle.gravity_mps2)
+    return Trajectory(
+        time_s=rows["time_s"],
+        position_m=rows["position_m"],
+        speed_mps=speed,
+        acceleration_mps2=accel,
+        jerk_mps3=np.diff(accel, prepend=0.0) / dt,
+        command=np.append(commands, commands[-1]),
+        **forces,
+        gradient_permil=1000.0 * forces["gradient_n"] / weight_n,
+        limit_mps=limit_mps,
+        permitted_mps=permitted_mps,
+        energy_wheel_j=rows["traction_j"],
+        energy_line_j=rows["line_j"],
+        phase=phases(speed, accel, wheel, float(vehicle.effective_mass_kg)),
+    )
+
+
+def limit_at(track: Track, position_m: float) -> float:
+    """Most restrictive speed limit for the trainset's head at one position, m/s."""
+    index = np.searchsorted(track.limit_from_m, position_m, side="right") - 1
+    return float(track.limit_mps[max(int(index), 0)])
+
+
+def step_overspeed(track: Track, before: State, after: State) -> float:
+    """Largest excess over the limit within one step, m/s, never negative.
+
+    The speed is linear in time over a step, so the excess is largest at one of its ends or where a lower
+    limit begins; there the speed is ``sqrt(v^2 + 2 a (s - s_0))``.
+    """
+    x0, x1 = float(before.position_m), float(after.position_m)
+    v0, v1 = float(before.speed_mps), float(after.speed_mps)
+    worst = max(v0 - limit_at(track, x0), v1 - limit_at(track, x1), 0.0)
+    breaks: Float[ndarray, " breaks"] = track.limit_from_m
+    low, high = np.searchsorted(breaks, (x0, x1), side="right")
+    for k in range(int(low), int(high)):
+        share = (float(breaks[k]) - x0) / (x1 - x0)
+        speed = np.sqrt(max(v0 * v0 + (v1 * v1 - v0 * v0) * share, 0.0))
+        worst = max(
+            worst, float(speed) - float(track.limit_mps[k]), float(speed) - float(track.limit_mps[k - 1])
+        )
+    return worst
+
+
+def limits_at(track: Track, position_m: ndarray) -> ndarray:
+    """:func:`limit_at` for many positions."""
+    index = np.searchsorted(track.limit_from_m, position_m, side="right") - 1
+    return track.limit_mps[np.maximum(index, 0)]
+
+
+def track_overspeed(track: Track, position_m: ndarray, speed_mps: ndarray) -> float:
+    """Largest excess over the limit along a run, m/s; :func:`step_overspeed` for all of its steps.
+
+    Args:
+        track: In force all the way.
+        position_m: At the ends of the steps. Shape (n,).
+        speed_mps: The same.
+    """
+    worst = max(float((speed_mps - limits_at(track, position_m)).max()), 0.0)
+    breaks = np.flatnonzero((track.limit_from_m > position_m[0]) & (track.limit_from_m <= position_m[-1]))
+    at = track.limit_from_m[breaks]
+    k = np.searchsorted(position_m, at, side="left") - 1
+    share = (at - position_m[k]) / (position_m[k + 1] - position_m[k])
+    squared = speed_mps[k] ** 2 + (speed_mps[k + 1] ** 2 - speed_mps[k] ** 2) * share
+    there = np.sqrt(np.maximum(squared, 0.0)) - np.minimum(
+        track.limit_mps[breaks], track.limit_mps[breaks - 1]
+    )
+    return max(worst, float(there.max(initial=0.0)))

@@ -1,0 +1,357 @@
+"""Campaigns: the matrix, its file, shards that are neither lost nor doubled, summary, report, command."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import duckdb
+import pytest
+
+from metropilot.campaign import (
+    Campaign,
+    DisturbanceCase,
+    read_campaign,
+    run_campaign,
+    shipped_campaigns,
+    summarise,
+)
+from metropilot.campaign.declared import drawn, from_text, request_of, seed_of
+from metropilot.campaign.leaderboard import write_leaderboard
+from metropilot.campaign.rows import RESULTS, TIMINGS, Shard, parquet
+from metropilot.campaign.store import CampaignStore
+from metropilot.campaign.summary import collect, median_ranks, share_interval
+from metropilot.cli import main
+from metropilot.errors import InputError
+from metropilot.evaluate import request_from_toml
+from metropilot.sim import drive
+
+SECTIONS = (("yizhuang", "WHY", "YZQ"), ("yizhuang", "XC", "XHM"))
+SMALL = Campaign("small", ("flat_out",), SECTIONS[:1], (("dkz32", "AW2"), ("dkz32", "AW0")), (1.2,))
+WIDE = Campaign(
+    "wide",
+    ("flat_out", "optimal", "mpc"),
+    SECTIONS,
+    (("dkz32", "AW0"), ("dkz32", "AW3")),
+    ("planned", 1.2),
+    (
+        DisturbanceCase("as told"),
+        DisturbanceCase("heavy", ranges={"mass_factor": (1.0, 1.2), "lag_s": (0.1, 0.1)}),
+    ),
+    seeds=40,
+)
+FILE = """
+name = "mine"
+[matrix]
+drivers = ["flat_out", "optimal:reserve_s=1"]
+sections = ["yizhuang RJ WYJ"]
+loads = ["AW2"]
+times = ["planned", 1.2]
+[[disturbance]]
+name = "heavy"
+mass_factor = [1.0, 1.2]
+restriction = { from = 0.4, to = 0.6, kmh = 40, announced = 0.3 }
+arrival = { factor = 1.1, announced = 0.2 }
+"""
+
+
+def written(tmp_path, text):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    return str(path)
+
+
+def command(*arguments):
+    with pytest.raises(SystemExit) as stop:
+        main([str(a) for a in arguments])
+    return stop.value.code or 0
+
+
+def test_every_cell_is_one_row_and_every_row_in_one_shard():
+    cells = {
+        WIDE.case(row)._replace(row=0, disturbance=WIDE.case(row).disturbance.name)
+        for row in range(WIDE.rows)
+    }
+    assert len(cells) == WIDE.rows == 3 * 2 * 2 * 2 * 2 * 40
+    assert [row for piece in WIDE.pieces() for row in WIDE.shard(piece)] == list(range(WIDE.rows))
+
+
+def test_more_drivers_leave_the_shards_of_the_others_as_they_are():
+    more = replace(WIDE, drivers=("eitoe", *WIDE.drivers))
+    assert more.digest == WIDE.digest
+    assert set(WIDE.pieces()) < set(more.pieces())
+    for piece in WIDE.pieces():
+        cells = [[c.case(row)._replace(row=0) for row in c.shard(piece)] for c in (WIDE, more)]
+        assert cells[0] == cells[1]
+
+
+def test_seeds_and_draws_belong_to_the_cell_and_not_to_the_driver_or_the_matrix():
+    cases = [WIDE.case(row) for row in range(WIDE.rows)]
+    seeds = [seed_of(WIDE, case) for case in cases]
+    assert len(set(seeds)) == WIDE.rows // 3
+    assert seeds[0] == seeds[WIDE.cells] == seeds[2 * WIDE.cells]
+    wider = replace(WIDE, drivers=("manual", *WIDE.drivers), seeds=50)
+    assert set(seeds) < {seed_of(wider, wider.case(row)) for row in range(wider.rows)}
+    heavy = next(case for case in cases if case.disturbance.name == "heavy")
+    request = request_of(WIDE, heavy, 100.0, 1000.0)
+    assert 1.0 <= request.mass_factor <= 1.2
+    assert request.lag_s == 0.1
+    assert request.resistance_factor == 1.0
+    more = replace(heavy.disturbance, ranges={**heavy.disturbance.ranges, "delay_s": (0.0, 1.0)})
+    assert drawn(more, request.seed)["mass_factor"] == request.mass_factor
+
+
+def test_a_campaign_travels_as_text():
+    assert from_text(WIDE.text) == WIDE
+    assert from_text(WIDE.text).digest == WIDE.digest != replace(WIDE, seeds=41).digest
+
+
+def test_a_file_is_read(tmp_path):
+    campaign = read_campaign(written(tmp_path, FILE))
+    assert campaign.rows == 4
+    request = request_of(campaign, campaign.case(3), 120.0, 1000.0)
+    assert (request.driver, dict(request.options)) == ("optimal", {"reserve_s": 1})
+    assert request.restrictions == ("400.0-600.0@40@36.0",)
+    assert request.arrivals == ("132.00@24.0",)
+    assert read_campaign(written(tmp_path, FILE), "manual,mpc").drivers == ("manual", "mpc")
+
+
+@pytest.mark.parametrize("name", shipped_campaigns())
+def test_campaigns_that_ship_can_be_read(name):
+    campaign = read_campaign(name)
+    assert campaign.rows >= 16
+    assert all(campaign.case(row).row == row for row in (0, campaign.rows - 1))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"optimal:reserve_s=1"', '"optimul"', "matrix.drivers: unknown driver, did you mean optimal"),
+        ('"optimal:reserve_s=1"', '"optimal:reserv_s=1"', "matrix.drivers: unknown option"),
+        ("RJ WYJ", "RJ ABC", "matrix.sections: "),
+        ("RJ WYJ", "RJ", "matrix.sections: not a section"),
+        ('"AW2"', '"AW7"', "matrix.trainsets: "),
+        ("1.2]\n[[", "0.5]\n[[", "matrix.times.1"),
+        ("[1.0, 1.2]", "[1.0, 3.0]", "disturbance heavy.mass_factor: out of range: 3.0"),
+        ("[1.0, 1.2]", "[1.2, 1.0]", "ends before it begins"),
+        ("mass_factor", "mas_factor", "disturbance.0.mas_factor: unknown key"),
+        ("kmh = 40", "kmh = -1", "disturbance.0.restriction.kmh"),
+        ("from = 0.4", "from = 0.7", "ends before it begins"),
+        ("[matrix]", "[matrices]", "matrices: unknown key"),
+        ('name = "mine"', "name = ", "not TOML"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line_with_file_and_field(tmp_path, capsys, old, new, words):
+    assert old in FILE
+    assert command("campaign", written(tmp_path, FILE.replace(old, new)), "--out", tmp_path / "out") == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "mine.toml: " in said
+    assert words in said
+
+
+def shard_of(campaign, piece, outcome="arrived"):
+    rows = [
+        {"cell": row % campaign.cells, "driver": piece.driver, "outcome": outcome}
+        for row in campaign.shard(piece)
+    ]
+    return Shard(piece, len(rows), parquet(RESULTS, rows), parquet(TIMINGS, rows), "0")
+
+
+def test_a_shard_counts_once_its_line_is_whole(tmp_path):
+    store, pieces = CampaignStore(tmp_path, WIDE), WIDE.pieces()
+    for number in (3, 1):
+        store.keep(shard_of(WIDE, pieces[number]))
+    assert set(store.done()) == {pieces[1], pieces[3]}
+    with (tmp_path / "done.txt").open("a") as file:
+        file.write("flat_out 2 20 60")  # torn by a kill
+    assert set(store.done()) == {pieces[1], pieces[3]}
+    store.keep(shard_of(WIDE, pieces[0]))
+    assert set(CampaignStore(tmp_path, WIDE).done()) == {pieces[0], pieces[1], pieces[3]}
+    store.part(pieces[3]).write_bytes(b"cut short")
+    assert set(store.done()) == {pieces[0], pieces[1]}
+
+
+def test_a_folder_is_gone_on_with_by_more_drivers(tmp_path):
+    few = replace(WIDE, drivers=("optimal",))
+    store = CampaignStore(tmp_path, few)
+    store.keep(shard_of(few, few.pieces()[1]))
+    more = replace(WIDE, drivers=("mpc", "optimal", "optimal:reserve_s=1"))
+    store = CampaignStore(tmp_path, more)
+    assert [piece.driver for piece in store.done()] == ["optimal"]
+    store.keep(shard_of(more, more.pieces()[-1]))
+    collect(tmp_path)
+    rows = duckdb.sql(f"SELECT row, driver, cell FROM '{tmp_path}/results.parquet'").fetchall()
+    held = [row for piece in (more.pieces()[k] for k in (21, -1)) for row in more.shard(piece)]
+    assert [row for row, _, _ in rows] == held
+    assert all(row % more.cells == cell for row, _, cell in rows)
+
+
+def test_the_folder_of_another_campaign_is_refused(tmp_path):
+    CampaignStore(tmp_path, WIDE)
+    with pytest.raises(InputError, match="holds another campaign"):
+        CampaignStore(tmp_path, SMALL)
+
+
+KILLED = """
+import sys, time
+from pathlib import Path
+import metropilot.campaign.rows as rows
+from metropilot.campaign.declared import from_text, seed_of
+from metropilot.campaign.run import run_campaign
+
+def drive_row(campaign, case):
+    time.sleep(0.0005)
+    cell = {"cell": case.row % campaign.cells, "driver": case.driver}
+    return {**cell, "seed": seed_of(campaign, case), "outcome": "arrived"}, cell
+
+rows.drive_row = drive_row
+run_campaign(from_text(Path(sys.argv[1]).read_text()), Path(sys.argv[2]), workers=1)
+"""
+
+
+def test_kill_9_at_random_moments_loses_and_doubles_no_row(tmp_path):
+    (tmp_path / "campaign.json").write_text(WIDE.text)
+    (tmp_path / "program.py").write_text(KILLED)
+    chance, folder, kills = random.Random(7), tmp_path / "killed", 0
+    program = [sys.executable, str(tmp_path / "program.py"), str(tmp_path / "campaign.json")]
+    for _ in range(12):
+        process = subprocess.Popen([*program, str(folder)])
+        parts = folder / "parts"
+        before = len(list(parts.glob("*/*.parquet")))
+        while process.poll() is None and len(list(parts.glob("*/*.parquet"))) < before + chance.randint(
+            8, 30
+        ):
+            time.sleep(0.001)
+        time.sleep(chance.random() * 0.01)
+        if process.poll() is not None:
+            break
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        kills += 1
+    subprocess.run([*program, str(folder)], check=True)
+    subprocess.run([*program, str(tmp_path / "whole")], check=True)
+    assert kills >= 3
+    for path in (folder, tmp_path / "whole"):
+        collect(path)
+        rows = duckdb.sql(f"SELECT row, seed FROM '{path}/results.parquet'").fetchall()
+        assert [row for row, _ in rows] == list(range(WIDE.rows))
+    same = [(path / "results.parquet").read_bytes() for path in (folder, tmp_path / "whole")]
+    assert same[0] == same[1]
+    assert CampaignStore(folder, WIDE).checksum() == CampaignStore(tmp_path / "whole", WIDE).checksum()
+
+
+def test_any_number_of_workers_gives_the_same_bits(tmp_path):
+    for workers in (1, 2):
+        progress = run_campaign(SMALL, tmp_path / str(workers), workers)
+        assert (progress.rows, progress.driven) == (2, 2)
+        collect(tmp_path / str(workers))
+    one, two = ((tmp_path / name / "results.parquet").read_bytes() for name in "12")
+    assert one == two
+    assert run_campaign(SMALL, tmp_path / "2").driven == 0
+
+
+def test_the_command_drives_reports_and_says_how_to_drive_the_worst_again(tmp_path, capsys):
+    text = FILE.replace(', "optimal:reserve_s=1"', "").replace("RJ WYJ", "WHY YZQ").replace('"planned", ', "")
+    out, board = tmp_path / "out", tmp_path / "board.md"
+    more = ("--workers", 1, "--write-docs", board, "--json")
+    assert command("campaign", written(tmp_path, text), "--out", out, *more) == 0
+    assert "| `flat_out` | 1 | 1 of 1 | 1 of 1 |" in board.read_text()
+    assert "| WHY-YZQ |" in board.read_text()
+    summary = json.loads(capsys.readouterr().out)
+    assert (summary["rows"], summary["done"], summary["sitting"]["driven"]) == (1, 1, 1)
+    assert summary["drivers"][0]["arrived"] == 1
+    (worst,) = summary["worst"]
+    request = request_from_toml(out / "worst" / "01" / "run.toml")
+    done = drive(request.run(), request.make_driver())
+    assert float(done.trajectory.energy_wheel_j[-1]) / 3.6e6 == worst["energy_wheel_kwh"]
+    assert done.running_time_s == worst["running_time_s"]
+    page = (out / "report.html").read_text()
+    assert "<svg" in page
+    assert "worst/01/run.toml" in page
+    assert not any(word in page for word in ("src=", "<link", "@import", "<script"))
+
+
+def test_a_driver_that_breaks_down_is_a_failure_and_no_end(tmp_path, monkeypatch):
+    from metropilot.drivers.flat_out import FlatOut
+
+    def broken(self, memory, observation):
+        raise ZeroDivisionError("nobody home")
+
+    monkeypatch.setattr(FlatOut, "act", broken)
+    run_campaign(SMALL, tmp_path, workers=1)
+    (row,) = summarise(tmp_path)["drivers"]
+    assert (row["runs"], row["failed"], row["successes"], row["gap_median"]) == (2, 2, 0, None)
+    assert "ZeroDivisionError: nobody home" in summarise(tmp_path)["worst"][0]["error"]
+    write_leaderboard(tmp_path / "board.md", tmp_path, summarise(tmp_path), 1.0, "metropilot campaign small")
+    assert "`flat_out` on WHY-YZQ AW2, as told: ZeroDivisionError" in (tmp_path / "board.md").read_text()
+
+
+def test_a_time_nobody_can_keep_is_counted_apart(tmp_path):
+    campaign = replace(
+        SMALL, times=(1.0,), trainsets=SMALL.trainsets[:1], sections=(("yizhuang", "RJ", "CQ"),)
+    )
+    run_campaign(replace(campaign, times=("planned",)), tmp_path, workers=1)
+    (row,) = summarise(tmp_path)["drivers"]
+    assert (row["impossible"], row["possible"], row["success_low"]) == (1, 0, None)
+
+
+def test_intervals():
+    assert share_interval(10, 10) == pytest.approx((0.7225, 1.0), abs=1e-3)
+    low, high = median_ranks(100)
+    assert (round(100 * low), round(100 * high)) == (39, 61)
+
+
+def test_a_cluster_without_ray_is_bad_input(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(InputError, match=r"metropilot\[ray\]"):
+        run_campaign(SMALL, tmp_path, cluster="local")
+
+
+def descendants(pid):
+    """Processes below this one, with their command lines."""
+    parents = {}
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (path / "stat").read_text().rpartition(")")[2].split()
+            parents[int(path.name)] = int(fields[1])
+        except OSError:
+            continue
+    found, last = set(), {pid}
+    while last:
+        last = {child for child, parent in parents.items() if parent in last} - found
+        found |= last
+    return found
+
+
+@pytest.mark.slow
+def test_a_ray_worker_killed_midway_changes_nothing(tmp_path):
+    """Opt-in: needs the extra ``ray`` and Linux's /proc."""
+    pytest.importorskip("ray", reason="the extra ray is not installed")
+    campaign = replace(
+        SMALL, sections=SECTIONS, trainsets=(("dkz32", "AW0"), ("dkz32", "AW2"), ("dkz32", "AW3"))
+    )
+    killed = []
+
+    def say(progress):
+        for pid in descendants(os.getpid()):
+            command_line = Path(f"/proc/{pid}/cmdline")
+            if (
+                not killed
+                and command_line.exists()
+                and command_line.read_bytes().startswith(b"ray::drive_shard")
+            ):
+                os.kill(pid, signal.SIGKILL)
+                killed.append(pid)
+
+    run_campaign(campaign, tmp_path / "ray", workers=2, cluster="local", say=say)
+    run_campaign(campaign, tmp_path / "here", workers=1)
+    assert killed
+    for name in ("ray", "here"):
+        collect(tmp_path / name)
+    assert (tmp_path / "ray/results.parquet").read_bytes() == (tmp_path / "here/results.parquet").read_bytes()

@@ -1,0 +1,172 @@
+"""Campaigns that drive compiled batches: the numbers of the host loop, and always the same bits."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from metropilot.campaign import Campaign, DisturbanceCase
+from metropilot.campaign.compiled import drive_batch
+from metropilot.campaign.declared import BATCH
+from metropilot.campaign.optima import EnergyCurve
+from metropilot.campaign.rows import RESULTS, drive_row, drive_shard, parquet
+from metropilot.physics import at_rest, track_arrays, vehicle_arrays
+from metropilot.planning import optimal_plan
+from metropilot.railway import Restriction, load_line, load_trainset, write_trainset
+from metropilot.sim.recorder import step_overspeed, track_overspeed
+
+MATRIX = Campaign(
+    "both ways",
+    ("ppo",),
+    (("yizhuang", "RJ", "WYJ"), ("yizhuang", "XC", "XHM")),
+    (("dkz32", "AW0"), ("dkz32", "AW3")),
+    (1.1, 1.3),
+    (
+        DisturbanceCase("as told"),
+        DisturbanceCase("ideal, told late", ideal=True, arrival=(1.1, 0.2)),
+        DisturbanceCase(
+            "everything", ranges={"speed_noise_mps": (0.0, 0.05)}, restriction=(0.45, 0.55, 40.0, 0.3)
+        ),
+    ),
+    engine="compiled",
+)
+TIGHT = {
+    "running_time_s": 1e-3,
+    "stopping_error_m": 1e-3,
+    "max_overspeed_mps": 1e-3,
+    "minimum_running_time_s": 1e-6,
+    "max_jerk_mps3": 0.02,
+    "comfort_huang2025": 0.02,
+}
+
+
+@pytest.fixture(scope="module")
+def driven():
+    cases = [MATRIX.case(row) for row in range(MATRIX.rows)]
+    return cases, [result for result, _ in drive_batch(MATRIX, cases)]
+
+
+def test_a_compiled_row_is_the_row_of_the_host(driven):
+    """Whatever leaves the plant as told; both engines take the same draws and the same noise."""
+    cases, results = driven
+    for case, found in list(zip(cases, results, strict=True))[:: MATRIX.rows // 5]:
+        host, _ = drive_row(MATRIX, case)
+        for name in (
+            "outcome",
+            "success",
+            "seed",
+            "mass_factor",
+            "interventions",
+            "regime_switches",
+            "error",
+        ):
+            assert found.get(name) == host.get(name), (case, name)
+        for name, room in TIGHT.items():
+            assert found[name] == pytest.approx(host[name], abs=room), (case, name)
+        for name in ("energy_wheel_kwh", "energy_line_kwh"):
+            assert found[name] == pytest.approx(host[name], rel=1e-5), (case, name)
+        assert found["optimal_energy_kwh"] == pytest.approx(host["optimal_energy_kwh"], rel=3e-4)
+        assert (found["engine"], host["engine"]) == ("compiled", "host")
+
+
+def test_the_disturbances_reach_the_compiled_runs(driven):
+    cases, results = driven
+    times = {(c.origin, c.load, c.time, c.disturbance.name): r for c, r in zip(cases, results, strict=True)}
+    told = times["RJ", "AW0", 1.3, "ideal, told late"]
+    assert told["scheduled_time_s"] == pytest.approx(
+        1.1 * times["RJ", "AW0", 1.3, "as told"]["scheduled_time_s"], abs=0.02
+    )
+    slow = times["RJ", "AW0", 1.1, "everything"]
+    assert slow["minimum_running_time_s"] > times["RJ", "AW0", 1.1, "as told"]["minimum_running_time_s"] + 3.0
+    assert slow["speed_noise_mps"] > 0.0
+
+
+def test_a_compiled_shard_gives_the_same_bytes_again(driven):
+    _, results = driven
+    (piece,) = MATRIX.pieces()
+    assert len(MATRIX.shard(piece)) == MATRIX.rows < BATCH
+    assert drive_shard(MATRIX.text, piece).results == parquet(RESULTS, results)
+
+
+PLANTS = {
+    "mass_factor": (0.8, 1.2),
+    "resistance_factor": (0.5, 1.5),
+    "delay_s": (0.0, 0.6),
+    "lag_s": (0.4, 0.4),
+    "headwind_mps": (-8.0, 8.0),
+    "adhesion": (0.06, 0.12),
+}
+
+
+def test_only_learned_policies_are_compiled_and_only_where_asked():
+    both = replace(MATRIX, drivers=("ppo_scaled", "optimal"))
+    told = both.disturbances[0]
+    assert [both.is_compiled(name, told, both.trainsets[0]) for name in both.drivers] == [True, False]
+    assert not replace(both, engine="host").is_compiled("ppo_scaled", told, both.trainsets[0])
+    assert both.shard_rows("ppo_scaled") == BATCH > both.shard_rows("optimal")
+
+
+def test_a_trainset_that_declares_a_dead_time_is_driven_by_the_host(tmp_path):
+    known = load_trainset("dkz32")
+    write_trainset(
+        replace(known, id="late", actuation=replace(known.actuation, delay_s=0.3)), tmp_path / "late.toml"
+    )
+    late = (str(tmp_path / "late.toml"), "AW0")
+    assert not MATRIX.is_compiled("ppo", DisturbanceCase("as told"), late)
+    assert MATRIX.is_compiled("ppo", DisturbanceCase("ideal", ideal=True), late)
+
+
+@pytest.mark.parametrize("name", [*PLANTS, "speed_noise_mps"])
+def test_a_plant_that_is_not_as_told_is_driven_by_the_host(name):
+    """There the driver acts on what it observes, which no batch does."""
+    told = DisturbanceCase(
+        name, ranges=PLANTS | {name: (0.0, 0.1)} if name not in PLANTS else {name: PLANTS[name]}
+    )
+    assert not MATRIX.is_compiled("ppo", told, MATRIX.trainsets[0])
+    alone = replace(MATRIX, disturbances=(told,))
+    assert alone.shard_rows("ppo") == replace(alone, engine="host").shard_rows("ppo")
+    both = replace(MATRIX, disturbances=(*MATRIX.disturbances, told))
+    assert both.shard_rows("ppo") == BATCH
+
+
+def test_a_shard_of_both_engines_has_the_rows_of_each_in_their_order():
+    late = DisturbanceCase("late", ranges={"delay_s": (0.4, 0.4)})
+    few = replace(
+        MATRIX,
+        sections=MATRIX.sections[1:],
+        trainsets=MATRIX.trainsets[:1],
+        times=(1.2,),
+        seeds=2,
+        disturbances=(late, DisturbanceCase("noise", ranges={"speed_noise_mps": (0.05, 0.05)})),
+    )
+    (piece,) = few.pieces()
+    cases = [few.case(row) for row in few.shard(piece)]
+    found = [drive_row(few, case)[0] for case in cases[:2]]
+    found += [result for result, _ in drive_batch(few, cases[2:])]
+    assert [row["engine"] for row in found] == ["host", "host", "compiled", "compiled"]
+    assert drive_shard(few.text, piece).results == parquet(RESULTS, found)
+
+
+@pytest.mark.parametrize("objective", ["wheel", "line"])
+def test_the_optimum_read_between_two_solved_ones_is_the_solved_one(objective):
+    section, trainset = load_line("yizhuang").section("RJ", "WYJ"), load_trainset("dkz32", "AW2")
+    curve = EnergyCurve(section, trainset, objective)
+    for ratio in (1.005, 1.03, 1.111, 1.35):
+        time_s = ratio * curve.fastest_s
+        solved = optimal_plan(section, trainset, time_s, curve.options)
+        assert curve.at(time_s).plan.energy_j == pytest.approx(solved.energy_j, rel=2e-4)
+    assert sorted(curve.knots) == [1, 2, 5, 6, 17, 18]
+
+
+def test_the_overspeed_of_a_run_is_the_worst_of_its_steps():
+    trainset = load_trainset("dkz32", "AW2")
+    section = load_line("yizhuang").section("RJ", "WYJ").restricted(Restriction(400.0, 600.0, 12.0))
+    track, state = track_arrays(section, trainset), at_rest(vehicle_arrays(trainset))
+    random = np.random.default_rng(3)
+    for _ in range(50):
+        position = np.concatenate([[0.0], np.cumsum(random.uniform(0.0, 40.0, 40))])
+        speed = random.uniform(0.0, 22.0, position.size)
+        states = [state._replace(position_m=x, speed_mps=v) for x, v in zip(position, speed, strict=True)]
+        steps = [step_overspeed(track, *pair) for pair in pairwise(states)]
+        assert track_overspeed(track, position, speed) == pytest.approx(max(steps), abs=1e-12)

@@ -1,0 +1,90 @@
+"""Gymnasium's own checker, seeds, options, and the vector environment."""
+
+import numpy as np
+import pytest
+
+gymnasium = pytest.importorskip("gymnasium")
+
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+
+from metropilot.env.adapters.gymnasium import DriveVectorEnv  # noqa: E402
+from metropilot.errors import InputError  # noqa: E402
+
+PREFIX = "metropilot.env.adapters.gymnasium:metropilot/"
+
+
+@pytest.mark.parametrize("name", ["Drive", "DriveNotches"])
+def test_gymnasium_accepts_it(name):
+    env = gymnasium.make(f"{PREFIX}{name}-v0")
+    check_env(env.unwrapped, skip_render_check=True)
+
+
+def test_seed_and_initial_state():
+    env = gymnasium.make(f"{PREFIX}Drive-v0").unwrapped
+    one, _ = env.reset(seed=3)
+    two, _ = env.reset(seed=3)
+    other, _ = env.reset(seed=4)
+    np.testing.assert_array_equal(one, two)
+    assert (one != other).any()
+    place = {"position_m": 300.0, "speed_mps": 12.0, "time_s": 40.0, "scheduled_s": 100.0}
+    _, info = env.reset(seed=0, options={"initial_state": place})
+    assert info["position_m"] == 300.0
+    assert info["speed_mps"] == 12.0
+    assert info["time_s"] == 40.0
+    with pytest.raises(InputError, match="colour"):
+        env.reset(options={"initial_state": {"colour": 1}})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("case", 99),
+        ("position_m", 1e4),
+        ("speed_mps", "fast"),
+        ("mass_factor", 0.0),
+        ("time_s", float("nan")),
+    ],
+)
+def test_an_initial_state_out_of_range_is_named(name, value):
+    env = gymnasium.make(f"{PREFIX}Drive-v0").unwrapped
+    with pytest.raises(InputError, match=name):
+        env.reset(options={"initial_state": {name: value}})
+
+
+def test_an_episode_ends_with_its_outcome():
+    env = gymnasium.make(f"{PREFIX}Drive-v0").unwrapped
+    env.reset(seed=0)
+    over, total, wheel = False, 0.0, 0.0
+    while not over:
+        _, reward, terminated, truncated, info = env.step(np.ones(1, np.float32))
+        assert reward == pytest.approx(sum(info["terms"].values()), abs=1e-5)
+        total, wheel, over = total + reward, wheel + info["terms"]["energy"], terminated or truncated
+    assert terminated
+    assert info["outcome"] == "arrived"
+    assert wheel == pytest.approx(-info["energy_wheel_j"] / 3.6e6, rel=1e-4)
+
+
+def test_vector_environment():
+    envs = DriveVectorEnv("drive", num_envs=3)
+    first, _ = envs.reset(seed=1)
+    again, _ = envs.reset(seed=1)
+    np.testing.assert_array_equal(first, again)
+    assert first.shape == envs.observation_space.shape
+    some, _ = envs.reset(seed=[3, 1, None])
+    np.testing.assert_array_equal(some[1], first[0])
+    with pytest.raises(InputError, match="seed"):
+        envs.reset(seed=[1])
+    ends = 0
+    for _ in range(300):
+        seen, reward, terminated, truncated, info = envs.step(np.ones((3, 1), np.float32))
+        assert seen.shape == first.shape
+        assert reward.shape == terminated.shape == truncated.shape == (3,)
+        if terminated.any():
+            ends += int(terminated.sum())
+            assert (info["episode"]["outcome"][info["_episode"]] == 0).all()
+    assert ends >= 3, "environments go on with new episodes"
+
+
+def test_gymnasium_makes_the_vector_environment():
+    envs = gymnasium.make_vec(f"{PREFIX}Drive-v0", num_envs=2, vectorization_mode="vector_entry_point")
+    assert envs.reset(seed=0)[0].shape[0] == 2

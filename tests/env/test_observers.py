@@ -1,0 +1,103 @@
+"""What a policy on any line sees of time: paces against integration, coasting from a higher speed."""
+
+import numpy as np
+import pytest
+
+from metropilot.env.features import FASTER_MPS, FEATURES, OBSERVERS, SPEED_MPS, FeatureContext
+from metropilot.env.tables import CLIMB, PACES_MPS, PERMITTED
+from metropilot.env.worlds import ASSISTS, domain_sample
+from metropilot.learn.imitation.lessons import DemonstrationGenerator
+from metropilot.physics.resistance import davis_n
+
+
+@pytest.fixture(scope="module", params=[2, 9])
+def room(request):
+    return DemonstrationGenerator(domain_sample(5, request.param), 1.25)
+
+
+def sight(room, position_m, speed_mps, left_s):
+    at, v = np.float64(position_m), np.float64(speed_mps)
+    planned = ASSISTS.planned_mps2(room.rows, 0, room.case.stop_mps2, at)
+    case = room.case
+    rest = {
+        "acceleration_mps2": np.float64(0.0),
+        "scheduled_s": np.float64(left_s),
+        "command": np.float64(0.0),
+    }
+    return FeatureContext(
+        rows=room.rows,
+        case=0,
+        vehicle=case.vehicle,
+        track=case.track,
+        length_m=case.length_m,
+        load=case.load,
+        stop_mps2=planned,
+        rates=case.protection.rates,
+        time_s=np.float64(0.0),
+        position_m=at,
+        speed_mps=v,
+        **rest,
+    )
+
+
+def kept_s(room, pace_mps, position_m):
+    """Time to the stop at a pace, or as fast as the limits and the last braking let it, by small steps."""
+    x = np.linspace(position_m, room.length_m, 40001)
+    work, _ = room.rows.stop_at(0, x)
+    stops = np.sqrt(2.0 * np.maximum(work, 0.0))
+    v = np.minimum(np.minimum(pace_mps, room.rows.follow_at(0, x)), stops)
+    return float(np.sum(2.0 * np.diff(x) / (v[1:] + v[:-1])))
+
+
+def test_tabled_paces_are_what_integration_gives(room):
+    for share in (0.0, 0.37, 0.8):
+        x = share * room.length_m
+        for pace, found in zip(PACES_MPS, room.rows.paced_s(0, np.float64(x)), strict=True):
+            assert float(found) == pytest.approx(kept_s(room, pace, x), rel=0.01, abs=0.2)
+
+
+def test_the_pace_takes_the_time_that_is_left(room):
+    at = 0.3 * room.length_m
+    fastest, slowest = kept_s(room, PACES_MPS[-1], at), kept_s(room, PACES_MPS[0], at)
+    for share in (0.05, 0.2, 0.5):
+        left_s = fastest + share * (slowest - fastest)
+        wanted = float(FEATURES["pace"](sight(room, at, 12.0, left_s))[0]) * SPEED_MPS
+        assert kept_s(room, wanted, at) == pytest.approx(left_s, rel=0.01)
+
+
+def test_a_pace_that_must_be_reached_first_is_higher(room):
+    seen = sight(room, 0.0, 0.0, 1.3 * kept_s(room, PACES_MPS[-1], 0.0))
+    wanted, after, above, *_ = FEATURES["pace"](seen)
+    assert after > wanted
+    assert above > 0.0
+
+
+def test_coasting_from_a_higher_speed_takes_less_time(room):
+    seen = sight(room, 0.8 * room.length_m, 9.0, 0.2 * room.length_m / 9.0)
+    plain, faster = FEATURES["coasting"](seen), FEATURES["coasting_faster"](seen)
+    assert len(faster) == 3 * len(FASTER_MPS)
+    assert np.tanh(float(plain[0]) * 50.0 / 20.0) < faster[0]
+    assert plain[-1] <= faster[2]
+
+
+def test_coasting_takes_what_integration_gives(room):
+    seen = sight(room, 0.75 * room.length_m, 14.0, 200.0)
+    vehicle, length = seen.vehicle, float(seen.left_m)
+    way = np.linspace(0.0, length, 8001)
+    climb = room.rows.ground_at(CLIMB, 0, seen.position_m + way)
+    climb = (climb - climb[0]) * float(vehicle.mass_kg / vehicle.effective_mass_kg)
+    energy = np.full(way.size, 0.5 * 14.0**2)
+    for k in range(way.size - 1):
+        drag = float(davis_n(vehicle, np.sqrt(2.0 * energy[k])) / vehicle.effective_mass_kg)
+        energy[k + 1] = max(energy[k] - (climb[k + 1] - climb[k]) - drag * way[1], 0.5)
+    braked = np.sqrt(2.0 * float(seen.stop_mps2) * (length - way) + 1e-6)
+    top = np.minimum(room.rows.ground_at(PERMITTED, 0, seen.position_m + way), braked)
+    speed = np.minimum(np.sqrt(2.0 * energy), top)
+    taken = float(np.sum(2.0 * way[1] / (speed[1:] + speed[:-1] + 0.1)))
+    spare = float(FEATURES["coasting"](seen)[0]) * 50.0
+    assert energy.min() > 5.0, "it coasts to the end"
+    assert 200.0 - spare == pytest.approx(taken, rel=0.03)
+
+
+def test_the_observer_for_any_line_has_them():
+    assert {"pace", "coasting", "coasting_faster", "steady"} <= set(OBSERVERS["line"])
