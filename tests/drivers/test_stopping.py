@@ -26,7 +26,7 @@ from metropilot.control.stopping import (
 )
 from metropilot.physics import Command, at_rest, delay_steps, step, track_arrays, vehicle_arrays
 from metropilot.railway import Actuation, Section, Station, Steps, load_trainset
-from metropilot.railway import StopCurve as Bend
+from metropilot.railway import Curve as Bend
 from metropilot.sim import Disturbance
 
 DT = 0.2

@@ -114,7 +114,7 @@ def test_a_damaged_checkpoint_is_one_line(tmp_path):
 
 SCRIPT = """
 import sys, time, pathlib
-from metropilot.learn import PPOConfig, Sitting, learn_in_chunks
+from metropilot.learn import PPOConfig, TrainingOptions, learn_in_chunks
 from tests.learn.problems import DoubleIntegrator
 
 config = PPOConfig(steps=6_400, environments=4, rollout=16, minibatches=1, epochs=1, evaluations=50,
@@ -124,7 +124,7 @@ def slowly(progress):
     print(progress.chunk, flush=True)
     time.sleep(0.05)
 
-learn_in_chunks(config, DoubleIntegrator(), 7, Sitting(checkpoint=pathlib.Path(sys.argv[1]),
+learn_in_chunks(config, DoubleIntegrator(), 7, TrainingOptions(checkpoint=pathlib.Path(sys.argv[1]),
 on_progress=slowly))
 """
 

@@ -113,7 +113,7 @@ def test_the_lever_has_one_holder(server):
 def test_a_run_that_cannot_start_has_failed_and_says_why(server):
     slow = {"driver": "mpc", "restrictions": [{"from_m": 0, "to_m": 1200, "limit_mps": 1.4}]}
     error = server.post("/api/live", {**SECTION, **slow}, code=422)["error"]
-    assert error["field"] == "time"
+    assert error["field"] == "time_s"
     job = server.get("/api/jobs", params={"kind": "live", "limit": 1})[0]
     assert job["status"] == "failed"
     assert job["words"] == job["error"]["message"] == error["message"]

@@ -281,7 +281,7 @@ class DrivingTask(AbstractTask):
         return jnp.where(speed_mps > 0.0, jnp.maximum(speed_mps + sigma_mps * noise, 0.0), 0.0)
 
     def _actual(self, vehicle: Vehicle, start: StartDistribution) -> Vehicle:
-        """The trainset as it really is in this episode; see :meth:`metropilot.sim.Scenario.actual`."""
+        """The trainset as it really is in this episode; see :meth:`metropilot.sim.Disturbance.true_plant`."""
         scenarios = self.config.scenarios
         if scenarios.mass_factor != (1.0, 1.0):
             m = start.mass_factor
