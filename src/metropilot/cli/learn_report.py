@@ -47,13 +47,11 @@ class LearnReport:
     def __enter__(self) -> LearnReport:
         if sys.stderr.isatty():
             from rich.console import Console
-            from rich.progress import BarColumn, TextColumn, TrainingProgress
+            from rich.progress import BarColumn, Progress, TextColumn
 
             words = TextColumn("{task.description}", markup=False)
             left = TextColumn("{task.fields[left]}", markup=False)
-            self.bar = TrainingProgress(
-                words, BarColumn(), left, console=Console(stderr=True), transient=True
-            )
+            self.bar = Progress(words, BarColumn(), left, console=Console(stderr=True), transient=True)
             self.item = self.bar.add_task("compiling", total=None, left="kept for the next time")
             self.bar.start()
         request = self.request

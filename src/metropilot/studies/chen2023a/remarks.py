@@ -15,7 +15,7 @@ from metropilot.studies.chen2023a.rows import convergences
 if TYPE_CHECKING:
     from metropilot.studies.chen2023a.measures import DriveCourse
 
-Courses = Mapping[str, Sequence["Course"]]
+Courses = Mapping[str, Sequence["DriveCourse"]]
 KINDS = ("learning", "driving")
 """Episodes with exploration, and drives without."""
 
