@@ -1,5 +1,6 @@
 """The public doors: what importing costs, and that `__all__` is what the documentation lists."""
 
+import ast
 import importlib
 import pkgutil
 import re
@@ -66,6 +67,15 @@ def test_public_door_is_what_is_documented(package):
     missing = [name for name in door if not hasattr(importlib.import_module(f"metropilot.{package}"), name)]
     assert missing == [], "`__all__` names what is not there"
     assert sorted(door) == sorted(documented_names(package)), "docs/api.md is stale: run `make api`"
+
+
+def test_a_class_name_means_one_thing():
+    homes = {}
+    for path in (ROOT / "src" / "metropilot").rglob("*.py"):
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                homes.setdefault(node.name, []).append(path.relative_to(ROOT).as_posix())
+    assert {name: paths for name, paths in homes.items() if len(paths) > 1} == {}
 
 
 def test_constraints_are_exact_versions_without_addresses():
