@@ -202,6 +202,10 @@ def test_a_convoy_keeps_apart_when_its_head_brakes(server):
     result = next(data for _, kind, data in rest if kind == "result")
     assert result["kpis"]["contacts"] == 0
     assert 0 < result["kpis"]["gap_min_m"] < 5.93
+    rows = {row["name"]: row["passed"] for row in result["checks"]}
+    assert {name for name, passed in rows.items() if not passed} == set(result["kpis"]["failed"])
+    assert {"stops at the mark", "on time", "jerk", "no contact"} <= set(rows)
+    assert result["success"] == all(rows.values())
     server.wait(live)
     archive = server.client.get(f"/api/jobs/{live}/files/trajectories.zip").content
     with ZipFile(BytesIO(archive)) as files:

@@ -10,6 +10,8 @@ from starlette.requests import Request
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
 from metropilot.evaluate.style import SERIES, series
+from metropilot.web.pages.compare import outcome
+from metropilot.web.pages.convoy import member_outcome
 from metropilot.web.pages.form import allowed, validated
 from metropilot.web.pages.frame import frame
 from metropilot.web.pages.plots import compare_figure, convoy_figure, driven_convoy, front_figure
@@ -124,3 +126,15 @@ def test_what_is_under_way_for_a_page_ends_with_it():
         return [task.cancelled() for task in tasks]
 
     assert asyncio.run(leave()) == [True, False]
+
+
+def test_a_drive_on_time_that_failed_something_else_is_not_called_late():
+    kpis = {"time_error_s": {"mean": 0.1}}
+    entry = {"successes": 0, "seeds": 1, "outcomes": ["arrived"], "ended": ["arrived, jerk"], "kpis": kpis}
+    assert outcome(entry) == ("✗ arrived, jerk", "mp-fail")
+    assert outcome(entry | {"successes": 1}) == ("✓ on time", "mp-pass")
+
+
+def test_a_trainset_of_a_convoy_says_what_it_failed():
+    assert member_outcome({"outcome": "arrived", "failed": ["jerk"]}) == ("✗ arrived: jerk", "mp-fail")
+    assert member_outcome({"outcome": "arrived", "failed": []}) == ("✓ arrived", "mp-pass")

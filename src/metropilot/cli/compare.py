@@ -16,7 +16,7 @@ from metropilot.errors import InputError
 if TYPE_CHECKING:
     from rich.text import Text
 
-    from metropilot.evaluate import Entry, Kpis, Request
+    from metropilot.evaluate import Entry, Request
 
 SHOWN: tuple[tuple[str, str, float, int], ...] = (
     ("time_error_s", "time s", 1.0, 2),
@@ -32,8 +32,6 @@ SHOWN: tuple[tuple[str, str, float, int], ...] = (
 SPARE = ("µs", "switches", "Σ|Δu|", "line kWh", "stop cm")
 """Columns that are left out where there is no room, the first one first."""
 MAX_SEEDS = 10_000
-BESIDE = {"no intervention": "overruled", "jerk": "jerk"}
-"""What the outcome adds of requirements that are failed on arrival."""
 EXAMPLES = {
     "compare": (
         "metropilot compare yizhuang RJ WYJ --time 101 --drivers optimal,manual,flat_out --out compare",
@@ -176,16 +174,9 @@ def _cell(entry: Entry, name: str, factor: float, digits: int, winner: str | Non
 
 def _outcomes(entry: Entry) -> str:
     """How the drives ended: one word, or a count of each."""
-    said = [ended(k) for k in entry.kpis]
+    from metropilot.evaluate import outcome_words
+
+    said = [outcome_words(k) for k in entry.kpis]
     if len(said) == 1:
         return said[0]
     return "\n".join(f"{said.count(word)} {word}" for word in dict.fromkeys(said))
-
-
-def ended(kpis: Kpis) -> str:
-    """The outcome in a word or two: early and late told apart, and what else was failed."""
-    said = kpis.outcome.replace("_", " ")
-    if said == "arrived" and not kpis.punctual:
-        said = "early" if kpis.time_error_s < 0 else "late"
-    beside = [word for name, word in BESIDE.items() if name in kpis.failed]
-    return ", ".join([said, *beside])

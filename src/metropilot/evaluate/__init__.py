@@ -12,7 +12,7 @@ from metropilot.evaluate.folder import (
     write_json,
     write_run,
 )
-from metropilot.evaluate.kpis import Check, Kpis, checks, kpis_of, verdict
+from metropilot.evaluate.kpis import Check, Kpis, checks, kpis_of, outcome_words, verdict
 from metropilot.evaluate.optimum import Objective, Optimum, optimum_of
 from metropilot.evaluate.request import Request
 from metropilot.evaluate.request_file import request_from_toml
@@ -37,6 +37,7 @@ __all__ = [
     "make_driver",
     "optimum_of",
     "option_defaults",
+    "outcome_words",
     "provenance",
     "request_from_toml",
     "to_json",

@@ -281,6 +281,15 @@ def verdict(kpis: Judged) -> str:
     return verdict_words(kpis, checks(kpis))
 
 
+def outcome_words(kpis: Kpis) -> str:
+    """The outcome in a word or two, for a table: early and late told apart, and what else was failed."""
+    said = kpis.outcome.replace("_", " ")
+    if said == "arrived" and not kpis.punctual:
+        said = "early" if kpis.time_error_s < 0 else "late"
+    beside = {NO_INTERVENTION: "overruled", JERK: "jerk"}
+    return ", ".join([said, *(word for name, word in beside.items() if name in kpis.failed)])
+
+
 def verdict_words(kpis: Judged, required: Sequence[Check]) -> str:
     """The same of requirements that were checked before."""
     failed = {check.name: check.value for check in required if not check.passed}

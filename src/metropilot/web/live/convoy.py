@@ -139,7 +139,8 @@ class ConvoyEngine:
         driven = self.rollout.result()
         kpis = convoy_kpis(driven, self.scheduled_s)
         write_convoy(folder, self.request, driven, kpis)
-        short = {"success": kpis.success, "kpis": kpis.as_dict(), "checks": convoy_checks(kpis.as_dict())}
+        checks = [check._asdict() | {"passed": bool(check.passed)} for check in kpis.checks]
+        short = {"success": kpis.success, "kpis": kpis.as_dict(), "checks": checks}
         full = {
             **short,
             "time_s": numbers(driven.time_s, 3),
@@ -151,21 +152,3 @@ class ConvoyEngine:
             ],
         }
         return short, full, kpis.outcome
-
-
-def convoy_checks(k: dict[str, Any]) -> list[dict[str, Any]]:
-    """The requirements of a convoy, passed or failed."""
-    fast = max(t["max_overspeed_mps"] for t in k["trainsets"])
-    emergencies = sum(t["emergency_brakes"] for t in k["trainsets"])
-    rows = (
-        ("no contact", f"smallest gap {k['gap_min_m']:.2f} m", "> 0 m", k["contacts"] == 0),
-        ("no overspeed", f"{3.6 * fast:.2f} km/h", "0 km/h", fast <= 1e-6),
-        (
-            "head on time",
-            f"{k['trainsets'][0]['running_time_s'] - k['scheduled_time_s']:+.2f} s",
-            "within 3 s",
-            k["punctual"],
-        ),
-        ("no emergency brake", str(emergencies), "0", emergencies == 0),
-    )
-    return [{"name": n, "value": v, "wanted": w, "passed": bool(p)} for n, v, w, p in rows]

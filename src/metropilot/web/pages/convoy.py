@@ -269,13 +269,20 @@ class ConvoyPage:
         self.show_tables(row.id, found)
 
 
+def member_outcome(member: dict[str, Any]) -> tuple[str, str]:
+    """How the run of one trainset ended, and the requirements that it failed."""
+    failed = member.get("failed", ())
+    words = ": ".join([member["outcome"].replace("_", " "), *([", ".join(failed)] if failed else [])])
+    return (f"✗ {words}", "mp-fail") if failed else (f"✓ {words}", "mp-pass")
+
+
 def members_table(trainsets: list[dict[str, Any]]) -> None:
     """One row a trainset."""
     rows = [
         (
             "head" if t["number"] == 1 else str(t["number"]),
             t["driver"],
-            t["outcome"].replace("_", " "),
+            member_outcome(t),
             number(t["running_time_s"], 1),
             number(100 * t["stopping_error_m"], 1),
             number(t["energy_wheel_kwh"], 2),

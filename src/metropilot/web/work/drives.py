@@ -18,6 +18,7 @@ from metropilot.evaluate import (
     jobs,
     kpis_of,
     optimum_of,
+    outcome_words,
     write_comparison,
     write_run,
 )
@@ -103,6 +104,7 @@ def compare_job(root: str, job: str, request: Request, drivers: dict[str, str], 
             "successes": e.successes,
             "seeds": len(e.drives),
             "outcomes": [k.outcome for k in e.kpis],
+            "ended": [outcome_words(k) for k in e.kpis],
             "kpis": spread[e.driver],
             "drive": drive_out(e.drives[0], e.kpis[0], e.optimum),
         }
