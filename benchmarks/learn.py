@@ -220,7 +220,7 @@ def stable_baselines(case: str, steps: int) -> float:
         environments = make_vec_env(mass, 64)
         model = sb3.PPO("MlpPolicy", environments, n_steps=128, batch_size=512, n_epochs=10, **common)
     elif case == "ppo_drive":
-        environment = gymnasium.make("metropilot.env.adapters.gymnasium:metropilot/Drive-v0")
+        environment = gymnasium.make("metropilot.env.adapters:metropilot/Drive-v0")
         environment.reset(seed=0)
         environment.step(environment.action_space.sample())
         model = sb3.PPO("MlpPolicy", environment, n_steps=2_048, batch_size=128, n_epochs=4, **common)

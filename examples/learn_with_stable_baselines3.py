@@ -1,8 +1,8 @@
 """Learn the task ``drive`` with Stable-Baselines3's PPO.
 
-Needs ``pip install 'metropilot[rl]' stable-baselines3``. A learner of ours compiles the task together with
-its networks and learns two hundred times as much in a second (docs/benchmarks.md); this is for those who have
-a learner already.
+Needs ``pip install 'metropilot[rl]' stable-baselines3``. metropilot's own learners compile the task together
+with their networks and take about two hundred times as many steps a second (docs/benchmarks.md); this example
+is for those who have a learner already.
 """
 
 import sys
@@ -10,10 +10,12 @@ import sys
 import gymnasium
 from stable_baselines3 import PPO
 
+import metropilot.env.adapters  # noqa: F401 (registers the ids)
+
 STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 4_096
 EPISODES = 3
 
-env = gymnasium.make("metropilot.env.adapters.gymnasium:metropilot/Drive-v0")
+env = gymnasium.make("metropilot/Drive-v0")
 # Undiscounted: the price of a second is paid at the end.
 model = PPO("MlpPolicy", env, n_steps=1024, gamma=1.0, gae_lambda=0.995, seed=0, device="cpu")
 model.learn(STEPS)

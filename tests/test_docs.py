@@ -102,6 +102,20 @@ def test_every_driver_is_on_its_page():
     assert driver_page.page(text) == text, "python tools/driver_page.py"
 
 
+def test_the_results_of_the_readme_are_those_of_the_leaderboard():
+    def rows(page):
+        cells = [line.strip("|").split("|") for line in page.splitlines() if line.startswith("| `")]
+        return [[cell.strip() for cell in row] for row in cells]
+
+    header, nominal = "| driver | runs |", (ROOT / "docs/leaderboard.md").read_text()
+    board = {row[0]: row for row in rows(nominal[nominal.index(header) :].partition("\n\n")[0])}
+    shown = rows((ROOT / "README.md").read_text())
+    assert len(shown) == 6
+    for driver, _, on_time, median, worst, jerk, interventions in shown:
+        row = board[driver]
+        assert [on_time, median, worst, jerk, interventions] == [row[3], row[4], row[6], row[10], row[12]]
+
+
 def test_every_key_figure_is_on_its_page():
     text = (ROOT / "docs/kpis.md").read_text()
     run, _, convoy = text.partition("## A convoy")

@@ -7,10 +7,10 @@ gymnasium = pytest.importorskip("gymnasium")
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
-from metropilot.env.adapters.gymnasium import DriveVectorEnv  # noqa: E402
+from metropilot.env.adapters import DriveVectorEnv  # noqa: E402
 from metropilot.errors import InputError  # noqa: E402
 
-PREFIX = "metropilot.env.adapters.gymnasium:metropilot/"
+PREFIX = "metropilot/"
 
 
 @pytest.mark.parametrize("name", ["Drive", "DriveNotches"])

@@ -1,4 +1,4 @@
-"""PettingZoo's view of a convoy: every follower an agent of its own, behind one recorded head.
+"""PettingZoo environment of a convoy: every follower is an agent, behind one recorded head.
 
 The task of :mod:`metropilot.convoy.env` with any number of followers: the same state, actions and reward for
 each, the same plants and links, in NumPy float64 as ``metropilot convoy`` runs them. Needs the extra ``rl``.

@@ -1,8 +1,7 @@
-"""Gymnasium's view of the driving task, so that any library that learns on Gymnasium learns on it unchanged.
+"""Gymnasium environments of the driving tasks, for any library that learns on Gymnasium.
 
-Importing this module registers the ids
-(``gymnasium.make("metropilot.env.adapters.gymnasium:metropilot/Drive-v0")``
-imports it on the way). Every registered task has one. Needs the extra ``rl``.
+``import metropilot.env.adapters`` registers an id for every task; ``gymnasium.make("metropilot/Drive-v0")``
+is the task ``drive``. Needs the extra ``rl``.
 """
 
 from __future__ import annotations
@@ -251,8 +250,8 @@ def register_all() -> None:
     for name in TASKS:
         gymnasium.register(
             id=environment_id(name),
-            entry_point="metropilot.env.adapters.gymnasium:DriveEnv",
-            vector_entry_point="metropilot.env.adapters.gymnasium:DriveVectorEnv",
+            entry_point="metropilot.env.adapters:DriveEnv",
+            vector_entry_point="metropilot.env.adapters:DriveVectorEnv",
             kwargs={"task": name},
         )
 
