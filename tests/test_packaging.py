@@ -12,6 +12,10 @@ from pathlib import Path
 import pytest
 
 import metropilot
+from metropilot.convoy import FOLLOWERS
+from metropilot.drivers import DRIVERS
+from metropilot.env import TASKS
+from metropilot.studies import STUDIES
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = sorted(module.name for module in pkgutil.iter_modules(metropilot.__path__) if module.ispkg)
@@ -35,6 +39,29 @@ def test_light_doors_import_nothing_heavy(code):
 def test_help_does_not_import_jax():
     code = "import sys; sys.argv = ['metropilot', '--help']; from metropilot.cli import main; main()"
     assert not heavy_modules_after(code) & {"jax", "jaxlib"}
+
+
+@pytest.mark.parametrize("arguments", [(), ("--followers",), ("--json",)])
+def test_listing_drivers_imports_none_of_them(arguments):
+    code = (
+        f"import sys; sys.argv = ['metropilot', 'drivers', *{arguments!r}]\n"
+        "from metropilot.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "import metropilot.drivers, metropilot.convoy.drivers\n"
+        "files = [m for m in sys.modules if 'drivers.' in m]\n"
+        "assert files in ([], ['metropilot.convoy.drivers.base']), files\n"
+        "assert 'jax' not in sys.modules"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("registry", [DRIVERS, FOLLOWERS, TASKS, STUDIES], ids=lambda r: r.kind)
+def test_every_row_of_a_registry_can_be_imported(registry):
+    for name, row in registry.rows().items():
+        assert row.summary
+        assert getattr(registry.get(name), "id", name) == name
 
 
 def test_the_probe_sees_heavy_imports():

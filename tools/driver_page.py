@@ -36,9 +36,8 @@ def table(name: str) -> str:
     """The table of one registry."""
     registry = TABLES[name]
     rows = ["| id | what it does | source | departs from it |", "|---|---|---|---|"]
-    for driver_id in registry.ids():
-        driver = registry.get(driver_id)
-        rows.append(f"| `{driver_id}` | {driver.summary} | {driver.source} | {deviations(driver.source)} |")
+    for driver_id, row in registry.rows().items():
+        rows.append(f"| `{driver_id}` | {row.summary} | {row.source} | {deviations(row.source)} |")
     return "\n".join(rows)
 
 

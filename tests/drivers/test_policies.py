@@ -17,8 +17,7 @@ from metropilot.evaluate.folder import write_run_toml
 from metropilot.policy import Policy, PolicySpec, load_policy, save_policy
 from metropilot.policy.loaded import load_driving_policy
 from metropilot.railway import load_line, load_trainset
-from metropilot.sim import Disturbance, Run, drive
-from metropilot.sim import driver as base
+from metropilot.sim import Disturbance, Run, drive, register
 
 PERCEPTION = task_config("drive").perception
 SIZE = 14
@@ -155,21 +154,22 @@ def test_learned_needs_a_policy():
         drive(run_of(), make_driver("learned"))
 
 
-def test_a_driver_is_registered_if_its_file_is_there(tmp_path, monkeypatch):
-    monkeypatch.setattr(shipped, "POLICIES", tmp_path)
+def test_a_shipped_driver_takes_another_file(tmp_path):
+    other = file_of(tmp_path).rename(tmp_path / "other.safetensors")
+    assert make_driver("ppo", {"policy": str(other)}).loaded.path == other
 
+
+def test_a_registered_driver_is_listed_and_made(monkeypatch):
+    monkeypatch.setattr(DRIVERS, "_rows", DRIVERS.rows())
+
+    @register
     class Mine(shipped.AbstractShippedDriver):
         id, summary, source = "mine", "Learned somewhere", "test"
 
-    monkeypatch.setattr(base, "_REGISTRY", dict(base._REGISTRY))
-    shipped.register_shipped(Mine)
-    assert "mine" not in DRIVERS.ids()
-    file_of(tmp_path)
-    shipped.register_shipped(Mine)
-    assert "mine" in DRIVERS.ids()
-    assert DRIVERS.make("mine").loaded.perception == PERCEPTION
-    other = file_of(tmp_path).rename(tmp_path / "other.safetensors")
-    assert make_driver("mine", {"policy": str(other)}).loaded.path == other
+    assert (DRIVERS.row("mine").summary, DRIVERS.row("mine").source) == ("Learned somewhere", "test")
+    assert isinstance(make_driver("mine"), Mine)
+    with pytest.raises(InputError, match="unknown driver, did you mean mine"):
+        DRIVERS.get("min")
 
 
 SHIPPED = [key for key in DRIVERS.ids() if issubclass(DRIVERS.get(key), shipped.AbstractShippedDriver)]

@@ -8,7 +8,7 @@ from metropilot.errors import InputError
 from metropilot.evaluate.tracking import track, tracking_kpis
 from metropilot.physics.effort import effort_at
 from metropilot.physics.resistance import davis_n
-from metropilot.studies import Order, load_study, reproduce
+from metropilot.studies import STUDIES, Order, reproduce
 from metropilot.studies.cheng2023 import courses
 from metropilot.studies.cheng2023.controllers import pid
 from metropilot.studies.cheng2023.remarks import needed
@@ -85,6 +85,6 @@ def test_references_arrive_and_only_the_drawn_one_asks_too_much(kind, speed):
 
 def test_options_are_checked():
     with pytest.raises(InputError, match="s_curve"):
-        load_study("cheng2023").check_options({"reference": "none"})
+        STUDIES.get("cheng2023").check_options({"reference": "none"})
     with pytest.raises(InputError, match="unknown reference"):
         courses.reference_of("none")

@@ -9,6 +9,7 @@ import pytest
 from tests.learn.problems import DoubleIntegrator
 
 from metropilot import studies
+from metropilot._registry import Registry, RegistryRow
 from metropilot.cli import main
 from metropilot.errors import InputError
 from metropilot.learn import PPOConfig
@@ -41,8 +42,8 @@ SOME = Study("some2020", "Some paper", "Some, A., 2020.", some_report, {"referen
 def registered(monkeypatch):
     from metropilot.studies import registry
 
-    monkeypatch.setattr(registry, "STUDIES", {"some2020": "A study of the tests"})
-    monkeypatch.setattr(registry, "import_module", lambda name: type("module", (), {"STUDY": SOME}))
+    rows = {"some2020": RegistryRow(SOME, "A study of the tests")}
+    monkeypatch.setattr(registry, "STUDIES", Registry("study", rows))
 
 
 def test_a_row_is_the_median_and_range_of_its_seeds():
@@ -104,7 +105,7 @@ def test_what_cannot_be_done_is_one_line(registered, tmp_path, capsys, arguments
 
 @pytest.mark.parametrize("study_id", list(STUDIES))
 def test_every_study_loads_and_names_itself(study_id):
-    assert studies.load_study(study_id).id == study_id
+    assert studies.STUDIES.get(study_id).id == study_id
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from metropilot.studies.huang2025.learning import job
 from metropilot.studies.huang2025.published import BY_ID, CASES, IE, LEARNED
 from metropilot.studies.huang2025.setting import comfortable, run_of, trainset
 from metropilot.studies.huang2025.words import remarks
-from metropilot.studies.registry import load_study
+from metropilot.studies.registry import STUDIES
 
 
 def test_cases_are_runs():
@@ -78,6 +78,6 @@ def test_every_learner_has_a_job_of_both_budgets():
 
 
 def test_the_study_is_registered():
-    study = load_study("huang2025")
+    study = STUDIES.get("huang2025")
     assert "0323478" in study.citation
     assert len(DEVIATIONS) == 11

@@ -95,11 +95,10 @@ def drivers_command(
     from metropilot.drivers import DRIVERS
 
     registry = FOLLOWERS if followers else DRIVERS
-    found = [registry.get(key) for key in registry.ids()]
+    rows = [(key, row.summary, row.source) for key, row in registry.rows().items()]
     if as_json:
-        print_json([{"id": d.id, "summary": d.summary, "source": d.source} for d in found])
+        print_json([dict(zip(("id", "summary", "source"), row, strict=True)) for row in rows])
         return 0
-    rows = [(d.id, d.summary, d.source) for d in found]
     console().print(table("", ("id", "what it does", "source"), rows))
     if not followers:
         console().print("Drivers that follow in a convoy: metropilot drivers --followers")

@@ -70,7 +70,7 @@ def studies(incomplete: str) -> list[str]:
     """Ids of studies."""
     from metropilot.studies import STUDIES
 
-    return _matching(STUDIES, incomplete)
+    return _matching(STUDIES.ids(), incomplete)
 
 
 def _matching(keys: Iterable[str], incomplete: str) -> list[str]:

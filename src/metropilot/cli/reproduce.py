@@ -60,7 +60,7 @@ def reproduce_command(
     from metropilot.evaluate import check_writable
 
     given = _pairs(options) | ({"reference": reference} if reference is not None else {})
-    found = studies.load_study(study)
+    found = studies.STUDIES.get(study)
     folder = out or Path("studies") / f"{study}-{budget}"
     order = studies.Order(
         folder=folder / "runs",
@@ -87,9 +87,11 @@ def studies_command(as_json: opt.Json = False) -> int:
     from metropilot.studies import STUDIES
 
     if as_json:
-        print_json([{"id": key, "summary": summary} for key, summary in STUDIES.items()])
+        print_json([{"id": key, "summary": row.summary} for key, row in STUDIES.rows().items()])
         return 0
-    console().print(table("", ("id", "what it reproduces"), STUDIES.items()))
+    console().print(
+        table("", ("id", "what it reproduces"), [(key, row.summary) for key, row in STUDIES.rows().items()])
+    )
     return 0
 
 

@@ -73,9 +73,12 @@ def tasks_command(as_json: opt.Json = False) -> int:
     used = {name: [key for key, recipe in RECIPES.items() if recipe.task == name] for name in TASKS}
     if as_json:
         print_json(
-            [{"id": name, "summary": row.summary, "drivers": used[name]} for name, row in TASKS.items()]
+            [
+                {"id": name, "summary": row.summary, "drivers": used[name]}
+                for name, row in TASKS.rows().items()
+            ]
         )
         return 0
-    rows = [(name, row.summary, ", ".join(used[name])) for name, row in TASKS.items()]
+    rows = [(name, row.summary, ", ".join(used[name])) for name, row in TASKS.rows().items()]
     console().print(table("", ("id", "what is learned", "drivers learned on it"), rows))
     return 0

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import tomllib
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from metropilot._registry import did_you_mean
 from metropilot.cli import complete
 from metropilot.cli import options as opt
 from metropilot.cli.console import citations, console, heading, number, print_json, table
@@ -17,10 +17,9 @@ from metropilot.cli.show_learned import policy_json, read_policy, say_policy, sh
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
-    from metropilot.convoy.drivers import AbstractFollower
+    from metropilot._registry import Registry
     from metropilot.learn import RunRecord
     from metropilot.railway import Line, Section, Trainset
-    from metropilot.sim import AbstractDriver
 
 SPEEDS_KMH = (0.0, 20.0, 40.0, 60.0, 80.0)
 EXAMPLES = {
@@ -54,9 +53,9 @@ def show_command(
         return show_line(load_line(what), as_json=as_json)
     if what.partition(":")[0] in list_trainsets():
         return show_trainset(load_trainset(what), as_json=as_json)
-    for kind, registry in (("driver", DRIVERS), ("follower", FOLLOWERS)):
+    for registry in (DRIVERS, FOLLOWERS):
         if what in registry.ids():
-            return show_driver(registry.get(what), kind, as_json=as_json)
+            return show_driver(registry, what, as_json=as_json)
     if (Path(what) / "run.toml").is_file():
         return show_run_folder(Path(what), as_json=as_json)
     if Path(what).exists():
@@ -64,10 +63,8 @@ def show_command(
     if (found := run_of_id(what)) is not None:
         return show_learning_run(*found, as_json=as_json)
     known = (*list_lines(), *list_trainsets(), *DRIVERS.ids(), *FOLLOWERS.ids())
-    near = get_close_matches(what, known, 1)
-    hint = f", did you mean {near[0]}?" if near else ""
     raise InputError(
-        f"nothing of that name{hint}",
+        f"nothing of that name{did_you_mean(what, known)}",
         field="show",
         value=what,
         allowed=", ".join(known) + ", a file or a run's folder",
@@ -264,26 +261,25 @@ def _service(t: Trainset) -> list[str]:
     ]
 
 
-def show_driver(
-    driver: type[AbstractDriver | AbstractFollower], kind: str = "driver", *, as_json: bool
-) -> int:
+def show_driver(registry: Registry[Any], driver_id: str, *, as_json: bool) -> int:
     """What a driver, or a follower in a convoy, does, and the options it takes."""
     import inspect
 
     from metropilot.drivers.shipped import shipped_policy
     from metropilot.evaluate import option_defaults
 
+    driver, row = registry.get(driver_id), registry.row(driver_id)
     text = inspect.getdoc(driver) or ""
     taken = option_defaults(driver)
-    path = shipped_policy(driver.id)
+    path = shipped_policy(driver_id)
     file = read_policy(path) if path.is_file() else None
     if as_json:
         print_json(
             {
-                "kind": kind,
-                "id": driver.id,
-                "summary": driver.summary,
-                "source": driver.source,
+                "kind": registry.kind,
+                "id": driver_id,
+                "summary": row.summary,
+                "source": row.source,
                 "options": taken,
                 "text": text,
             }
@@ -291,8 +287,8 @@ def show_driver(
         )
         return 0
     out = console()
-    out.print(f"{driver.id}: {driver.summary}", style="bold")
-    out.print(f"source: {driver.source}")
+    out.print(f"{driver_id}: {row.summary}", style="bold")
+    out.print(f"source: {row.source}")
     heading(out, "options (--set NAME=VALUE)", [f"{name} = {value}" for name, value in taken.items()])
     heading(out, "in full", text.splitlines())
     if file:

@@ -1,21 +1,107 @@
-"""Drivers: anything that gives the command, one file each."""
+"""Drivers: anything that gives the command, one file each; listing them imports none of those files."""
 
-from metropilot.drivers import (  # noqa: F401 (importing a driver's file registers it)
-    ddpg_pid,
-    eitoe,
-    expert_learned,
-    flat_out,
-    fuzzy_pid,
-    manual,
-    mpc,
-    neural_pid,
-    optimal,
-    pid,
-    pid_lu2023,
-    shipped,
+from metropilot._registry import RegistryRow
+from metropilot.sim.driver import DRIVER_REGISTRY as DRIVERS
+
+DRIVERS.add(
+    {
+        "ddpg_pid": RegistryRow(
+            "metropilot.drivers.ddpg_pid:DdpgPid",
+            "Incremental PID on a speed reference, gains set by a policy that DDPG learned",
+            "Cheng23",
+        ),
+        "dqn": RegistryRow(
+            "metropilot.drivers.shipped:Dqn",
+            "Learned by DQN over twelve notches for lu2023 WHY to WYJ, 118 to 142 s",
+            "Lu23",
+        ),
+        "eitoe": RegistryRow(
+            "metropilot.drivers.eitoe:Eitoe",
+            "Expert system: time window by minimal-time distribution, long coasting, a stop that learns",
+            "Huang25",
+        ),
+        "eitop": RegistryRow(
+            "metropilot.drivers.expert_learned:Eitop",
+            "EITOE with the change of the rate learned by PPO",
+            "Huang25",
+        ),
+        "flat_out": RegistryRow(
+            "metropilot.drivers.flat_out:FlatOut", "As fast as limits, comfort and the trainset allow", "own"
+        ),
+        "fuzzy_pid": RegistryRow(
+            "metropilot.drivers.fuzzy_pid:FuzzyPid",
+            "Incremental PID on a speed reference, gains moved by 7 x 7 fuzzy rules",
+            "Cheng23 (F-PID); textbook rules",
+        ),
+        "generalist": RegistryRow(
+            "metropilot.drivers.shipped:Generalist",
+            "Learned on random sections and trainsets: one policy for every line",
+            "own",
+        ),
+        "improved_dqn": RegistryRow(
+            "metropilot.drivers.shipped:ImprovedDqn",
+            "Learned by improved DQN over twelve notches for lu2023 WHY to WYJ, 118 to 142 s",
+            "Lu23",
+        ),
+        "itor": RegistryRow(
+            "metropilot.drivers.expert_learned:Itor",
+            "Expert rules, discrete changes learned by Q-learning in a table",
+            "Yin et al. 2014, compared in Huang25",
+        ),
+        "learned": RegistryRow(
+            "metropilot.drivers.shipped:FromFile",
+            "A learned policy from a file or a learning run (--set policy=PATH or policy=RUN)",
+            "own",
+        ),
+        "manual": RegistryRow(
+            "metropilot.drivers.manual:Manual",
+            "Surrogate of a human driver: notches, reaction time, hysteresis, scatter",
+            "own (Huang25's recorded drives are not public)",
+        ),
+        "mpc": RegistryRow(
+            "metropilot.drivers.mpc:Mpc",
+            "model-predictive: plans the rest anew every 3 s, with what it learned on the way",
+            "own; convex plan of the design in receding horizon",
+        ),
+        "neural_pid": RegistryRow(
+            "metropilot.drivers.neural_pid:NeuralPid",
+            "Incremental PID on a speed reference, gains from a network that learns online",
+            "Cheng23 (NN-PID); textbook network",
+        ),
+        "optimal": RegistryRow(
+            "metropilot.drivers.optimal:Optimal",
+            "convex optimal plan in closed loop: follows, re-plans, stops at the point",
+            "own; convex plan of the design",
+        ),
+        "pid": RegistryRow(
+            "metropilot.drivers.pid:Pid", "Incremental PID on a speed reference, fixed gains", "Cheng23"
+        ),
+        "pid_lu2023": RegistryRow(
+            "metropilot.drivers.pid_lu2023:PidLu2023",
+            "PID that tracks the curve improved_dqn would drive",
+            "Lu23",
+        ),
+        "ppo": RegistryRow(
+            "metropilot.drivers.shipped:Ppo",
+            "Learned by PPO for RJ to WYJ, every load, up to 130 s",
+            "own, after Chen23a",
+        ),
+        "ppo_scaled": RegistryRow(
+            "metropilot.drivers.shipped:PpoScaled",
+            "Learned by PPO with reward scaling for RJ to WYJ, every load, up to 130 s",
+            "own, after Chen23a",
+        ),
+        "stod": RegistryRow(
+            "metropilot.drivers.expert_learned:Stod",
+            "Expert rules, continuous changes learned by DDPG",
+            "Zhou et al. 2020",
+        ),
+        "ston": RegistryRow(
+            "metropilot.drivers.expert_learned:Ston",
+            "Expert rules, continuous changes learned by NAF",
+            "Zhou et al. 2020, compared in Huang25",
+        ),
+    }
 )
-from metropilot.sim.driver import DriverRegistry
-
-DRIVERS = DriverRegistry()
 
 __all__ = ["DRIVERS"]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar, final
 
 from metropilot.control.incremental_pid import CHENG2023_UPPER, Errors, Gains, incremental_pid
-from metropilot.drivers.shipped import register_shipped, shipped_policy
+from metropilot.drivers.shipped import shipped_policy
 from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
 from metropilot.env.tracking import Tracked, tracking_observation
 from metropilot.env.tracking_task import gains_of
@@ -66,7 +66,6 @@ class DdpgPidOptions(AbstractTrackingOptions):
 
 
 @final
-@register_shipped
 class DdpgPid(AbstractTracker):
     """Tracks a reference with gains that a policy learned to set.
 
@@ -75,8 +74,6 @@ class DdpgPid(AbstractTracker):
     """
 
     id: ClassVar[str] = "ddpg_pid"
-    summary: ClassVar[str] = "Incremental PID on a speed reference, gains set by a policy that DDPG learned"
-    source: ClassVar[str] = "Cheng23"
 
     def __init__(self, options: DdpgPidOptions | None = None) -> None:
         options = options or DdpgPidOptions()

@@ -14,7 +14,7 @@ from metropilot.drivers.expert.hoa import GAIN, SETTLED, UNSURE, Hoa
 from metropilot.env.expert import PLAIN, Rules, constant_change
 from metropilot.errors import InputError
 from metropilot.sim import Observation, Run
-from metropilot.sim.driver import AbstractDriver, register
+from metropilot.sim.driver import AbstractDriver
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,6 @@ class EitoeOptions:
 
 
 @final
-@register
 class Eitoe(AbstractDriver):
     """Drives by an expert's rules: accelerate, coast as long as the time left allows, brake to the stop.
 
@@ -54,8 +53,6 @@ class Eitoe(AbstractDriver):
     """
 
     id = "eitoe"
-    summary = "Expert system: time window by minimal-time distribution, long coasting, a stop that learns"
-    source = "Huang25"
 
     def __init__(self, options: EitoeOptions | None = None) -> None:
         self.options = options or EitoeOptions()

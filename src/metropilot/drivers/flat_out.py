@@ -23,7 +23,7 @@ from metropilot.control.stopping import (
 )
 from metropilot.railway import Section
 from metropilot.sim import Observation, Run
-from metropilot.sim.driver import AbstractDriver, register
+from metropilot.sim.driver import AbstractDriver
 
 
 class FlatOutMemory(NamedTuple):
@@ -49,13 +49,10 @@ class FlatOutMemory(NamedTuple):
 
 
 @final
-@register
 class FlatOut(AbstractDriver):
     """Drives as fast as protection, comfort and the trainset allow; the scheduled time is ignored."""
 
     id = "flat_out"
-    summary = "As fast as limits, comfort and the trainset allow"
-    source = "own"
 
     def init(self, run: Run) -> FlatOutMemory:
         """Look at the section once."""

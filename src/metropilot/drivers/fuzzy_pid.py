@@ -27,7 +27,6 @@ from metropilot.env.tracking import Tracked
 from metropilot.errors import InputError
 from metropilot.physics.arrays import namespace
 from metropilot.sim import Run
-from metropilot.sim.driver import register
 
 Array = Any
 NB, NM, NS, ZO, PS, PM, PB = range(7)
@@ -223,7 +222,6 @@ class FuzzyPidOptions(AbstractTrackingOptions):
 
 
 @final
-@register
 class FuzzyPid(AbstractTracker):
     """Tracks a reference with gains moved by rules.
 
@@ -232,8 +230,6 @@ class FuzzyPid(AbstractTracker):
     """
 
     id: ClassVar[str] = "fuzzy_pid"
-    summary: ClassVar[str] = "Incremental PID on a speed reference, gains moved by 7 x 7 fuzzy rules"
-    source: ClassVar[str] = "Cheng23 (F-PID); textbook rules"
 
     def __init__(self, options: FuzzyPidOptions | None = None) -> None:
         options = options or FuzzyPidOptions()

@@ -74,8 +74,6 @@ class LearnedDriver(AbstractDriver):
     """
 
     id = "learned"
-    summary = "A learned policy"
-    source = "own"
 
     def __init__(self, policy: PolicyFunction, perception: PolicyInterface) -> None:
         self.policy = policy

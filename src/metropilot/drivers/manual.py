@@ -41,7 +41,7 @@ from metropilot.control.stopping import (
 from metropilot.physics.effort import effort_at
 from metropilot.railway import Section
 from metropilot.sim import Observation, Run
-from metropilot.sim.driver import AbstractDriver, register
+from metropilot.sim.driver import AbstractDriver
 
 TRACTION_NOTCH = 0.25
 BRAKE_NOTCH = 0.05
@@ -112,13 +112,10 @@ class ManualMemory(NamedTuple):
 
 
 @final
-@register
 class Manual(AbstractDriver):
     """A made-up human driver, seeded by the run."""
 
     id = "manual"
-    summary = "Surrogate of a human driver: notches, reaction time, hysteresis, scatter"
-    source = "own (Huang25's recorded drives are not public)"
 
     def init(self, run: Run) -> ManualMemory:
         """Draw the habits and think the run through."""

@@ -19,7 +19,7 @@ from typing import ClassVar, final
 from metropilot.drivers.optimal import FollowingMemory, Optimal, OptimalOptions
 from metropilot.planning.optimal import Objective
 from metropilot.sim import Observation, Run
-from metropilot.sim.driver import AbstractDriver, register
+from metropilot.sim.driver import AbstractDriver
 
 
 @dataclass(frozen=True)
@@ -42,15 +42,10 @@ class MpcOptions:
 
 
 @final
-@register
 class Mpc(AbstractDriver):
     """Plans the rest of the run anew every few seconds."""
 
     id: ClassVar[str] = "mpc"
-    summary: ClassVar[str] = (
-        "model-predictive: plans the rest anew every 3 s, with what it learned on the way"
-    )
-    source: ClassVar[str] = "own; convex plan of the design in receding horizon"
 
     def __init__(self, options: MpcOptions | None = None) -> None:
         chosen = options or MpcOptions()

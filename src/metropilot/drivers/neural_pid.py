@@ -27,7 +27,6 @@ from metropilot.env.tracking import Tracked
 from metropilot.errors import InputError
 from metropilot.physics.arrays import namespace
 from metropilot.sim import Run
-from metropilot.sim.driver import register
 
 Array = Any
 HIDDEN = 5
@@ -183,7 +182,6 @@ class NeuralPidOptions(AbstractTrackingOptions):
 
 
 @final
-@register
 class NeuralPid(AbstractTracker):
     """Tracks a reference with gains that a network sets and goes on learning.
 
@@ -192,8 +190,6 @@ class NeuralPid(AbstractTracker):
     """
 
     id: ClassVar[str] = "neural_pid"
-    summary: ClassVar[str] = "Incremental PID on a speed reference, gains from a network that learns online"
-    source: ClassVar[str] = "Cheng23 (NN-PID); textbook network"
 
     def __init__(self, options: NeuralPidOptions | None = None) -> None:
         options = options or NeuralPidOptions()

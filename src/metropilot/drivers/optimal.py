@@ -44,7 +44,7 @@ from metropilot.planning.reading import (
 from metropilot.protection import Memory, Protection, at_start, protect
 from metropilot.railway import Section, Trainset
 from metropilot.sim import Observation, Run, declared_bounds
-from metropilot.sim.driver import AbstractDriver, register
+from metropilot.sim.driver import AbstractDriver
 
 
 @dataclass(frozen=True)
@@ -149,13 +149,10 @@ SURPRISE = 0.05
 """A traction gain this far from 1 says that the mass is not what the driver was told."""
 
 
-@register
 class Optimal(AbstractDriver):
     """Follows the energy-optimal plan and re-plans when time, track or state depart from it."""
 
     id: ClassVar[str] = "optimal"
-    summary: ClassVar[str] = "convex optimal plan in closed loop: follows, re-plans, stops at the point"
-    source: ClassVar[str] = "own; convex plan of the design"
 
     def __init__(self, options: OptimalOptions | None = None) -> None:
         self.options = options or OptimalOptions()

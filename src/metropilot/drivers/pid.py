@@ -11,7 +11,6 @@ from metropilot.control.incremental_pid import CHENG2023_GAINS, Errors, Gains, i
 from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
 from metropilot.env.tracking import Tracked
 from metropilot.sim import Run
-from metropilot.sim.driver import register
 
 TUNED: Mapping[str, float] = MappingProxyType({"kp": 4.986, "ki": 1.4996, "kd": 0.1019})
 """Found on the base scenario of Cheng23 by differential evolution, 1200 runs
@@ -37,7 +36,6 @@ class PidOptions(AbstractTrackingOptions):
 
 
 @final
-@register
 class Pid(AbstractTracker):
     """Tracks a reference with fixed gains.
 
@@ -46,8 +44,6 @@ class Pid(AbstractTracker):
     """
 
     id: ClassVar[str] = "pid"
-    summary: ClassVar[str] = "Incremental PID on a speed reference, fixed gains"
-    source: ClassVar[str] = "Cheng23"
 
     def __init__(self, options: PidOptions | None = None) -> None:
         options = options or PidOptions()

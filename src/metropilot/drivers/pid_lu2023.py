@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, final
 
 from metropilot.control.incremental_pid import CHENG2023_GAINS, Errors, Gains, incremental_pid
-from metropilot.drivers.shipped import ImprovedDqn, PolicyOptions, shipped_policy
+from metropilot.drivers.shipped import ImprovedDqn, PolicyOptions
 from metropilot.drivers.tracking import PERIOD_S, AbstractTracker, AbstractTrackingOptions, TrackingMemory
 from metropilot.env.tracking import Tracked
 from metropilot.planning.timed_reference import TimedReference, sampled_profile
 from metropilot.sim import Run
-from metropilot.sim.driver import register
 from metropilot.sim.nominal import simulate_nominal
 
 
@@ -42,8 +41,6 @@ class PidLu2023(AbstractTracker):
     """
 
     id: ClassVar[str] = "pid_lu2023"
-    summary: ClassVar[str] = "PID that tracks the curve improved_dqn would drive"
-    source: ClassVar[str] = "Lu23"
 
     def __init__(self, options: PidLu2023Options | None = None) -> None:
         self.given = options or PidLu2023Options()
@@ -77,7 +74,3 @@ class PidLu2023(AbstractTracker):
         if self.curve is not None and start_m <= 0.0:
             return self.curve
         return super()._laid(model, room, left_s, start_m, start_mps)
-
-
-if shipped_policy("improved_dqn").is_file():
-    register(PidLu2023)

@@ -1,7 +1,7 @@
 """Drivers that were learned: one small class and one policy file each, and one that drives any policy file.
 
-``policies/<id>.safetensors`` in this package is the policy of the driver ``<id>``; a driver whose file is not
-there is not registered. Each takes an option ``policy``: another file, or the folder or id of a learning run.
+``policy/shipped/<id>.safetensors`` is the policy of the driver ``<id>``. Each takes an option
+``policy``: another file, or the folder or id of a learning run.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from metropilot.drivers.learned import LearnedDriver, LearnedMemory
 from metropilot.errors import InputError
 from metropilot.policy.loaded import LoadedPolicy, load_driving_policy
 from metropilot.sim import Observation, Run
-from metropilot.sim.driver import AbstractDriver, DriverClass, register
+from metropilot.sim.driver import AbstractDriver
 
 POLICIES = Path(__file__).parents[1] / "policy" / "shipped"
 
@@ -94,15 +94,7 @@ def shipped_policy(driver_id: str) -> Path:
     return POLICIES / f"{driver_id}.safetensors"
 
 
-def register_shipped(driver: DriverClass) -> DriverClass:
-    """Add a driver to the registry if its policy is there (class decorator)."""
-    if shipped_policy(driver.id).is_file():
-        register(driver)
-    return driver
-
-
 @final
-@register
 class FromFile(AbstractPolicyDriver):
     """Any learned policy: ``--set policy=PATH``, a policy file, or the folder or id of a learning run.
 
@@ -111,10 +103,6 @@ class FromFile(AbstractPolicyDriver):
     """
 
     id: ClassVar[str] = "learned"
-    summary: ClassVar[str] = (
-        "A learned policy from a file or a learning run (--set policy=PATH or policy=RUN)"
-    )
-    source: ClassVar[str] = "own"
 
     @property
     def path(self) -> Path:
@@ -126,7 +114,6 @@ class FromFile(AbstractPolicyDriver):
 
 
 @final
-@register_shipped
 class Ppo(AbstractShippedDriver):
     """Learned by PPO on Rongjing to Wanyuanjie, every load, times from 1.08 of the minimum to 130 s.
 
@@ -135,12 +122,9 @@ class Ppo(AbstractShippedDriver):
     """
 
     id: ClassVar[str] = "ppo"
-    summary: ClassVar[str] = "Learned by PPO for RJ to WYJ, every load, up to 130 s"
-    source: ClassVar[str] = "own, after Chen23a"
 
 
 @final
-@register_shipped
 class PpoScaled(AbstractShippedDriver):
     """Learned by PPO with reward scaling (Chen23a eq. 23), for the same runs as ``ppo``.
 
@@ -149,12 +133,9 @@ class PpoScaled(AbstractShippedDriver):
     """
 
     id: ClassVar[str] = "ppo_scaled"
-    summary: ClassVar[str] = "Learned by PPO with reward scaling for RJ to WYJ, every load, up to 130 s"
-    source: ClassVar[str] = "own, after Chen23a"
 
 
 @final
-@register_shipped
 class Generalist(AbstractShippedDriver):
     """Taught by the optimal plan on random sections and trainsets: drives any section it never saw.
 
@@ -163,26 +144,9 @@ class Generalist(AbstractShippedDriver):
     """
 
     id: ClassVar[str] = "generalist"
-    summary: ClassVar[str] = "Learned on random sections and trainsets: one policy for every line"
-    source: ClassVar[str] = "own"
 
 
 @final
-@register_shipped
-class Ddpg(AbstractShippedDriver):
-    """Learned by DDPG on Rongjing to Wanyuanjie, for the same runs as ``ppo``.
-
-    Args:
-        options: Another policy.
-    """
-
-    id: ClassVar[str] = "ddpg"
-    summary: ClassVar[str] = "Learned by DDPG for RJ to WYJ, every load, up to 130 s"
-    source: ClassVar[str] = "Lillicrap16, compared in Chen23a"
-
-
-@final
-@register_shipped
 class Dqn(AbstractShippedDriver):
     """Learned by plain DQN over Lu23's twelve notches, without the filter, for 118 to 142 s.
 
@@ -191,12 +155,9 @@ class Dqn(AbstractShippedDriver):
     """
 
     id: ClassVar[str] = "dqn"
-    summary: ClassVar[str] = "Learned by DQN over twelve notches for lu2023 WHY to WYJ, 118 to 142 s"
-    source: ClassVar[str] = "Lu23"
 
 
 @final
-@register_shipped
 class ImprovedDqn(AbstractShippedDriver):
     """Learned by double dueling DQN with prioritised replay, its choices filtered by minimum arrival time.
 
@@ -205,5 +166,3 @@ class ImprovedDqn(AbstractShippedDriver):
     """
 
     id: ClassVar[str] = "improved_dqn"
-    summary: ClassVar[str] = "Learned by improved DQN over twelve notches for lu2023 WHY to WYJ, 118 to 142 s"
-    source: ClassVar[str] = "Lu23"

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from types import MappingProxyType
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
+from metropilot._registry import Registry, RegistryRow
 from metropilot.env.actions import (
     AbstractAction,
     CommandAction,
@@ -33,21 +33,7 @@ from metropilot.env.rewards import (
     StopWindow,
 )
 from metropilot.env.worlds import ASSISTS, OBSERVER, DomainRandomization, domain_sample
-from metropilot.errors import InputError
 from metropilot.railway import Section, Trainset, load_line, load_trainset
-
-
-@dataclass(frozen=True)
-class TaskRow:
-    """One registered task.
-
-    Attributes:
-        summary: One line for ``metropilot tasks``.
-        config: Makes its configuration; reads the catalogue, so it is called only when asked for.
-    """
-
-    summary: str
-    config: Callable[[], DrivingConfig]
 
 
 def _loads(trainset: str = "dkz32") -> tuple[Trainset, ...]:
@@ -223,45 +209,51 @@ def _lu2023() -> DrivingConfig:
     )
 
 
-TASKS: Mapping[str, TaskRow] = MappingProxyType(
+TASKS: Registry[Callable[[], DrivingConfig]] = Registry(
+    "task",
     {
-        "drive": TaskRow("RJ to WYJ, every load and time up to 130 s, ideal actuation", _drive),
-        "drive_jerk": TaskRow("The same with the trainset's jerk limit", _drive_jerk),
-        "drive_both": TaskRow("Both: RJ to WYJ, every load, with and without jerk limit", _drive_both),
-        "drive_line": TaskRow("All sections of the Yizhuang line, both ways, every load", _drive_line),
-        "worlds": TaskRow("Random sections with random trainsets, none of a real line", _worlds),
-        "drive_disturbed": TaskRow("RJ to WYJ with scatter, delay, noise and new times", _drive_disturbed),
-        "drive_increment": TaskRow("RJ to WYJ by changes of the command (Huang25)", _drive_increment),
-        "drive_notches": TaskRow("RJ to WYJ by a table of notches", _drive_notches),
-        "drive_unassisted": TaskRow("RJ to WYJ without assists: the policy brakes itself", _drive_unassisted),
-        "chen2023a": TaskRow("YZQ to WHY in 80 s from position and speed (Chen23a)", _chen2023a),
-        "huang2025": TaskRow(
-            "RJ to WYJ and three more inside Huang25's expert: the change of the rate, a number",
+        "drive": RegistryRow(_drive, "RJ to WYJ, every load and time up to 130 s, ideal actuation"),
+        "drive_jerk": RegistryRow(_drive_jerk, "The same with the trainset's jerk limit"),
+        "drive_both": RegistryRow(_drive_both, "Both: RJ to WYJ, every load, with and without jerk limit"),
+        "drive_line": RegistryRow(_drive_line, "All sections of the Yizhuang line, both ways, every load"),
+        "worlds": RegistryRow(_worlds, "Random sections with random trainsets, none of a real line"),
+        "drive_disturbed": RegistryRow(
+            _drive_disturbed, "RJ to WYJ with scatter, delay, noise and new times"
+        ),
+        "drive_increment": RegistryRow(_drive_increment, "RJ to WYJ by changes of the command (Huang25)"),
+        "drive_notches": RegistryRow(_drive_notches, "RJ to WYJ by a table of notches"),
+        "drive_unassisted": RegistryRow(
+            _drive_unassisted, "RJ to WYJ without assists: the policy brakes itself"
+        ),
+        "chen2023a": RegistryRow(_chen2023a, "YZQ to WHY in 80 s from position and speed (Chen23a)"),
+        "huang2025": RegistryRow(
             lambda: _huang2025(ExpertAction()),
+            "RJ to WYJ and three more inside Huang25's expert: the change of the rate, a number",
         ),
-        "huang2025_choices": TaskRow(
-            "The same by choice of one of three changes (its ITOR)", lambda: _huang2025(ExpertChoiceAction())
+        "huang2025_choices": RegistryRow(
+            lambda: _huang2025(ExpertChoiceAction()), "The same by choice of one of three changes (its ITOR)"
         ),
-        "lu2023": TaskRow("WHY to WYJ by twelve notches, rewards and filter of Lu23, 120 to 140 s", _lu2023),
-    }
+        "lu2023": RegistryRow(
+            _lu2023, "WHY to WYJ by twelve notches, rewards and filter of Lu23, 120 to 140 s"
+        ),
+    },
 )
+"""Every task: a function that makes its configuration; it reads the catalogue, so only when asked for."""
 
 
 def task_config(name: str) -> DrivingConfig:
     """The configuration of a registered task.
 
     Raises:
-        InputError: No such task.
+        InputError: No such task (the nearest is named).
     """
-    if name not in TASKS:
-        raise InputError("unknown task", field="task", value=name, allowed=", ".join(TASKS))
-    return TASKS[name].config()
+    return TASKS.make(name)
 
 
 def make_task(name: str, **changes: Any) -> DrivingTask:  # noqa: ANN401 (fields of the configuration)
     """A registered task, with some fields of its configuration changed.
 
     Raises:
-        InputError: No such task.
+        InputError: No such task (the nearest is named).
     """
     return DrivingTask(replace(task_config(name), **changes))

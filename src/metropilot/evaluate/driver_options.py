@@ -73,7 +73,6 @@ def make_driver(driver_id: str, options: Mapping[str, Any] | None = None) -> Abs
     """
     driver_id, named = named_driver(driver_id)
     options = named | dict(options or {})
-    _known(driver_id, DRIVERS.ids(), "driver", "driver")
     return with_options(DRIVERS.get(driver_id), options or {})
 
 

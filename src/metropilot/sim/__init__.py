@@ -1,7 +1,7 @@
 """One control period after another: a run, its disturbance, the host loop, its outcome and trajectory."""
 
 from metropilot.sim.bounds import declared_bounds
-from metropilot.sim.driver import AbstractDriver, DriverRegistry, register
+from metropilot.sim.driver import DRIVER_REGISTRY, AbstractDriver, register
 from metropilot.sim.nominal import NominalDrive, simulate_nominal
 from metropilot.sim.outcome import CODES, RUNNING, Episode, OutcomeRule
 from metropilot.sim.rollout import Drive, Moment, Rollout, drive
@@ -22,6 +22,7 @@ __all__ = [
     "CODES",
     "COLUMNS",
     "CONTROL_PERIOD_S",
+    "DRIVER_REGISTRY",
     "NOISE_CUT",
     "PHASES",
     "PUNCTUALITY_S",
@@ -30,7 +31,6 @@ __all__ = [
     "AbstractDriver",
     "Disturbance",
     "Drive",
-    "DriverRegistry",
     "Episode",
     "Moment",
     "NominalDrive",

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar, TypeVar, final
+from typing import Any, ClassVar, TypeVar
 
-from metropilot.errors import InputError
+from metropilot._registry import Registry
 from metropilot.sim.run import Observation, Run
 
 Memory = Any
@@ -16,13 +16,14 @@ class AbstractDriver(ABC):
 
     Attributes:
         id: Name in the registry and on the command line.
-        summary: One line for ``metropilot drivers``.
-        source: Paper or "own".
+        summary: One line for ``metropilot drivers``; a driver of this package has it in its row of the
+            registry.
+        source: Paper or "own"; likewise.
     """
 
     id: ClassVar[str]
-    summary: ClassVar[str]
-    source: ClassVar[str]
+    summary: ClassVar[str] = ""
+    source: ClassVar[str] = ""
 
     @abstractmethod
     def init(self, run: Run) -> Memory:
@@ -46,37 +47,11 @@ class AbstractDriver(ABC):
 
 
 DriverClass = TypeVar("DriverClass", bound=type[AbstractDriver])
-_REGISTRY: dict[str, type[AbstractDriver]] = {}
+DRIVER_REGISTRY: Registry[type[AbstractDriver]] = Registry("driver")
+"""Every driver; those of this package are added by :mod:`metropilot.drivers`, which no loop needs."""
 
 
 def register(driver: DriverClass) -> DriverClass:
-    """Add a driver to the registry (class decorator)."""
-    _REGISTRY[driver.id] = driver
+    """Add a driver of one's own to the registry (class decorator)."""
+    DRIVER_REGISTRY.register(driver)
     return driver
-
-
-@final
-class DriverRegistry:
-    """Every driver by id."""
-
-    def ids(self) -> tuple[str, ...]:
-        """All driver ids, sorted."""
-        return tuple(sorted(_REGISTRY))
-
-    def make(self, driver_id: str, **options: object) -> AbstractDriver:
-        """A driver by id.
-
-        Raises:
-            InputError: No such driver.
-        """
-        return self.get(driver_id)(**options)
-
-    def get(self, driver_id: str) -> type[AbstractDriver]:
-        """The class behind an id.
-
-        Raises:
-            InputError: No such driver.
-        """
-        if driver_id not in _REGISTRY:
-            raise InputError("unknown driver", field="driver", value=driver_id, allowed=", ".join(self.ids()))
-        return _REGISTRY[driver_id]

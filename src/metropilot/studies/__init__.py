@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from metropilot.studies.learning import LearnJob, SeedResult, learn_seeds
     from metropilot.studies.page import page, write_docs, write_report
-    from metropilot.studies.registry import STUDIES, load_study, reproduce
+    from metropilot.studies.registry import STUDIES, reproduce
     from metropilot.studies.report import Figure, ReportRow, StudyReport
     from metropilot.studies.study import BUDGETS, Order, Study, check_budget
 
@@ -27,7 +27,6 @@ __all__ = [
     "StudyReport",
     "check_budget",
     "learn_seeds",
-    "load_study",
     "page",
     "reproduce",
     "write_docs",

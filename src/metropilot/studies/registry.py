@@ -3,40 +3,40 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import replace
-from difflib import get_close_matches
-from importlib import import_module
-from types import MappingProxyType
 
+from metropilot._registry import Registry, RegistryRow
 from metropilot.errors import InputError
 from metropilot.studies.circumstances import circumstances
 from metropilot.studies.report import StudyReport
 from metropilot.studies.study import Order, Study
 
-STUDIES: Mapping[str, str] = MappingProxyType(
+STUDIES: Registry[Study] = Registry(
+    "study",
     {
-        "chen2023a": "Driving by position and speed: PPO with reward scaling against PPO and DDPG",
-        "chen2023b": "Following in virtual coupling: SAC-PID against DDPG-PID, and what keeps convoys apart",
-        "cheng2023": "Tracking a reference: DDPG-PID against PID, fuzzy and neural PID",
-        "huang2025": "Driving by an expert system, and PPO inside it, against manual driving and STON",
-        "lu2023": "Driving by twelve notches: improved DQN against DQN, ablation, optimum over the notches",
-    }
+        "chen2023a": RegistryRow(
+            "metropilot.studies.chen2023a:STUDY",
+            "Driving by position and speed: PPO with reward scaling against PPO and DDPG",
+        ),
+        "chen2023b": RegistryRow(
+            "metropilot.studies.chen2023b:STUDY",
+            "Following in virtual coupling: SAC-PID against DDPG-PID, and what keeps convoys apart",
+        ),
+        "cheng2023": RegistryRow(
+            "metropilot.studies.cheng2023:STUDY",
+            "Tracking a reference: DDPG-PID against PID, fuzzy and neural PID",
+        ),
+        "huang2025": RegistryRow(
+            "metropilot.studies.huang2025:STUDY",
+            "Driving by an expert system, and PPO inside it, against manual driving and STON",
+        ),
+        "lu2023": RegistryRow(
+            "metropilot.studies.lu2023:STUDY",
+            "Driving by twelve notches: improved DQN against DQN, ablation, optimum over the notches",
+        ),
+    },
 )
-"""Id of each study, and what it is in one line. Its module ``metropilot.studies.ID`` offers ``STUDY``."""
-
-
-def load_study(study_id: str) -> Study:
-    """A study by id.
-
-    Raises:
-        InputError: No such study.
-    """
-    if study_id not in STUDIES:
-        near = get_close_matches(study_id, STUDIES, 1)
-        words = f"unknown study (did you mean {near[0]}?)" if near else "unknown study"
-        raise InputError(words, field="study", value=study_id, allowed=", ".join(STUDIES))
-    return import_module(f"metropilot.studies.{study_id}").STUDY
+"""Every study."""
 
 
 def reproduce(study_id: str, order: Order) -> StudyReport:
@@ -52,7 +52,7 @@ def reproduce(study_id: str, order: Order) -> StudyReport:
     Raises:
         InputError: No such study or option, or a number of seeds below one.
     """
-    study = load_study(study_id)
+    study = STUDIES.get(study_id)
     if order.seeds is not None and order.seeds < 1:
         raise InputError("out of range", field="seeds", value=order.seeds, allowed=">= 1")
     order = replace(order, options=study.check_options(order.options))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 import math
 from io import BytesIO
@@ -118,15 +117,14 @@ def _trainset_out(found: Trainset, key: str, *, uploaded: bool) -> dict[str, Any
 
 def driver_rows() -> list[dict[str, Any]]:
     """Every driver."""
-    found = [DRIVERS.get(key) for key in DRIVERS.ids()]
     return [
         {
-            "id": d.id,
-            "summary": d.summary or inspect.getdoc(d) or "",
-            "source": d.source,
-            "options": _plain_options(option_defaults(d)),
+            "id": key,
+            "summary": row.summary,
+            "source": row.source,
+            "options": _plain_options(option_defaults(DRIVERS.get(key))),
         }
-        for d in found
+        for key, row in DRIVERS.rows().items()
     ]
 
 
@@ -193,7 +191,7 @@ def task_rows() -> list[dict[str, Any]]:
     """What can be learned."""
     from metropilot.env import TASKS
 
-    return [{"id": key, "summary": row.summary} for key, row in TASKS.items()]
+    return [{"id": key, "summary": row.summary} for key, row in TASKS.rows().items()]
 
 
 def recipe_rows() -> list[dict[str, Any]]:
@@ -218,8 +216,8 @@ def study_rows(service: Service) -> list[dict[str, Any]]:
     from metropilot.studies import STUDIES
 
     return [
-        {"id": key, "title": title, "page": _report(service, key) is not None}
-        for key, title in STUDIES.items()
+        {"id": key, "title": row.summary, "page": _report(service, key) is not None}
+        for key, row in STUDIES.rows().items()
     ]
 
 

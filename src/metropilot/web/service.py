@@ -190,9 +190,9 @@ class Service:
             self._check_learning(asked)
             kind = "learn"
         elif isinstance(asked, StudyAsked):
-            from metropilot.studies import load_study
+            from metropilot.studies import STUDIES
 
-            load_study(asked.study)
+            STUDIES.get(asked.study)
             kind = "study"
         else:
             request = self.request(asked)

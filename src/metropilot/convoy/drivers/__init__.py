@@ -1,14 +1,37 @@
-"""Drivers of trainsets that follow another, one file each."""
+"""Drivers of trainsets that follow another, one file each; listing them imports none of those files."""
 
-from metropilot.convoy.drivers import (  # noqa: F401 (importing a follower's file registers it)
-    ddpg_pid_follow,
-    follow_gap,
-    follow_mpc,
-    follow_pid,
-    sac_pid,
+from metropilot._registry import RegistryRow
+from metropilot.convoy.drivers.base import FOLLOWER_REGISTRY as FOLLOWERS
+from metropilot.convoy.drivers.base import AbstractFollower, register_follower
+
+FOLLOWERS.add(
+    {
+        "ddpg_pid_follow": RegistryRow(
+            "metropilot.convoy.drivers.learned:DdpgPidFollow",
+            "PID on the speed difference, gains by a policy of DDPG",
+            "Chen23b",
+        ),
+        "follow_gap": RegistryRow(
+            "metropilot.convoy.drivers.follow_gap:FollowGap",
+            "Linear controller of gap and speed difference, constant gap or time gap",
+            "own",
+        ),
+        "follow_mpc": RegistryRow(
+            "metropilot.convoy.drivers.follow_mpc:FollowMpc",
+            "Model-predictive follower within efforts and jerk",
+            "own",
+        ),
+        "follow_pid": RegistryRow(
+            "metropilot.convoy.drivers.follow_pid:FollowPid",
+            "PID on the speed difference to the trainset ahead, fixed gains",
+            "Chen23b eq. 12, gains tuned within its bounds",
+        ),
+        "sac_pid": RegistryRow(
+            "metropilot.convoy.drivers.learned:SacPid",
+            "PID on the speed difference, gains by a policy of soft actor-critic",
+            "Chen23b",
+        ),
+    }
 )
-from metropilot.convoy.drivers.base import AbstractFollower, FollowerRegistry, register_follower
 
-FOLLOWERS = FollowerRegistry()
-
-__all__ = ["FOLLOWERS", "AbstractFollower", "FollowerRegistry", "register_follower"]
+__all__ = ["FOLLOWERS", "AbstractFollower", "register_follower"]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar
 
+from metropilot._registry import Registry
 from metropilot.convoy.step import FollowerObservation
-from metropilot.errors import InputError
 from metropilot.physics import Vehicle
 
 Memory = Any
@@ -18,13 +18,14 @@ class AbstractFollower(ABC):
 
     Attributes:
         id: Name in the registry and on the command line.
-        summary: One line for ``metropilot drivers --followers``.
-        source: Paper or "own".
+        summary: One line for ``metropilot drivers --followers``; a follower of this package has it in its
+            row of the registry.
+        source: Paper or "own"; likewise.
     """
 
     id: ClassVar[str]
-    summary: ClassVar[str]
-    source: ClassVar[str]
+    summary: ClassVar[str] = ""
+    source: ClassVar[str] = ""
 
     @abstractmethod
     def init(self, vehicle: Vehicle, period_s: float) -> Memory:
@@ -40,39 +41,11 @@ class AbstractFollower(ABC):
         """The command in [-1, 1] for the coming period, and the memory to bring next time."""
 
 
-_REGISTRY: dict[str, type[AbstractFollower]] = {}
+FOLLOWER_REGISTRY: Registry[type[AbstractFollower]] = Registry("follower", field="driver")
+"""Every follower; those of this package are added by :mod:`metropilot.convoy.drivers`."""
 
 
 def register_follower(follower: type[AbstractFollower]) -> type[AbstractFollower]:
-    """Add a follower to the registry (class decorator)."""
-    _REGISTRY[follower.id] = follower
+    """Add a follower of one's own to the registry (class decorator)."""
+    FOLLOWER_REGISTRY.register(follower)
     return follower
-
-
-@final
-class FollowerRegistry:
-    """Every follower by id."""
-
-    def ids(self) -> tuple[str, ...]:
-        """All follower ids, sorted."""
-        return tuple(sorted(_REGISTRY))
-
-    def get(self, follower_id: str) -> type[AbstractFollower]:
-        """The class behind an id.
-
-        Raises:
-            InputError: No such follower.
-        """
-        if follower_id not in _REGISTRY:
-            raise InputError(
-                "unknown follower", field="driver", value=follower_id, allowed=", ".join(self.ids())
-            )
-        return _REGISTRY[follower_id]
-
-    def make(self, follower_id: str, **options: object) -> AbstractFollower:
-        """A follower by id.
-
-        Raises:
-            InputError: No such follower.
-        """
-        return self.get(follower_id)(**options)

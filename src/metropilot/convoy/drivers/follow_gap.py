@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, final, no_type_check
 
 import numpy as np
 
-from metropilot.convoy.drivers.base import AbstractFollower, register_follower
+from metropilot.convoy.drivers.base import AbstractFollower
 from metropilot.convoy.drivers.motion import command_for
 from metropilot.convoy.step import FollowerObservation
 from metropilot.errors import InputError
@@ -63,13 +63,10 @@ class GapMemory(NamedTuple):
 
 
 @final
-@register_follower
 class FollowGap(AbstractFollower):
     """Acceleration ahead, speed difference, gap error; a long gap is closed at a speed that can be lost."""
 
     id = "follow_gap"
-    summary = "Linear controller of gap and speed difference, constant gap or time gap"
-    source = "own"
 
     def __init__(self, options: FollowGapOptions | None = None) -> None:
         self.options = options or FollowGapOptions()

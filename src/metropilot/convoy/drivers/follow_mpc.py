@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, final, no_type_check
 import numpy as np
 from numpy import ndarray
 
-from metropilot.convoy.drivers.base import AbstractFollower, register_follower
+from metropilot.convoy.drivers.base import AbstractFollower
 from metropilot.convoy.drivers.motion import command_for, reachable
 from metropilot.convoy.step import FollowerObservation
 from metropilot.errors import InputError
@@ -68,13 +68,10 @@ class Matrices(NamedTuple):
 
 
 @final
-@register_follower
 class FollowMpc(AbstractFollower):
     """Looks three seconds ahead and obeys what brakes, traction and jerk allow."""
 
     id = "follow_mpc"
-    summary = "Model-predictive follower within efforts and jerk"
-    source = "own"
 
     def __init__(self, options: FollowMpcOptions | None = None) -> None:
         self.options = options or FollowMpcOptions()

@@ -8,7 +8,7 @@ from typing import Any, final, no_type_check
 import numpy as np
 
 from metropilot.control.incremental_pid import Errors, Gains, incremental_pid
-from metropilot.convoy.drivers.base import AbstractFollower, register_follower
+from metropilot.convoy.drivers.base import AbstractFollower
 from metropilot.convoy.drivers.motion import waits
 from metropilot.convoy.gains import GAIN_HIGH, GAIN_LOW
 from metropilot.convoy.step import FollowerObservation
@@ -41,13 +41,10 @@ class FollowPidOptions:
 
 
 @final
-@register_follower
 class FollowPid(AbstractFollower):
     """Incremental PID on the speed difference; the gap itself is not looked at."""
 
     id = "follow_pid"
-    summary = "PID on the speed difference to the trainset ahead, fixed gains"
-    source = "Chen23b eq. 12, gains tuned within its bounds"
 
     def __init__(self, options: FollowPidOptions | None = None) -> None:
         self.options = options or FollowPidOptions()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, no_type_check
+from typing import Any, final, no_type_check
 
 import numpy as np
 
@@ -42,8 +42,6 @@ class AbstractGainFollower(AbstractFollower):
     Args:
         options: Which policy.
     """
-
-    source: ClassVar[str] = "Chen23b"
 
     def __init__(self, options: FollowPolicyOptions | None = None) -> None:
         self.options = options or FollowPolicyOptions()
@@ -84,3 +82,17 @@ class AbstractGainFollower(AbstractFollower):
         policy = self.policy
         action = policy_act(policy.spec, policy.params, chen2023b_state(sight), None, xp)
         return pid_step(sight, gains_of(action), memory)
+
+
+@final
+class DdpgPidFollow(AbstractGainFollower):
+    """The follower that Chen23b compares with: gains by a policy that DDPG learned."""
+
+    id = "ddpg_pid_follow"
+
+
+@final
+class SacPid(AbstractGainFollower):
+    """Chen23b's follower: gains by a policy that soft actor-critic learned."""
+
+    id = "sac_pid"

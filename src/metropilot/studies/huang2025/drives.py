@@ -8,9 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from metropilot.drivers import DRIVERS
-from metropilot.drivers.expert_learned import EXPERT_POLICIES
-from metropilot.drivers.shipped import PolicyOptions
 from metropilot.evaluate import Kpis, kpis_of, make_driver
 from metropilot.evaluate.indices import Indices, indices_of
 from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
@@ -62,18 +59,8 @@ class EvaluatedRun:
 def drivers_of(driver: str, policies: Mapping[str, Sequence[Path]], seeds: range) -> list[AbstractDriver]:
     """One driver a seed: manual drives differ by the seed, learned ones by policy, an expert's not at all."""
     if driver in policies:
-        return [_learned(driver, path) for path in policies[driver]]
+        return [make_driver(driver, {"policy": str(path)}) for path in policies[driver]]
     return [make_driver(driver) for _ in (seeds if driver == MANUAL else range(1))]
-
-
-def available(driver: str, policies: Mapping[str, Sequence[Path]]) -> bool:
-    """Whether there is somebody to drive: a learned driver needs a policy."""
-    return driver in policies or driver in DRIVERS.ids()
-
-
-def _learned(driver: str, path: Path) -> AbstractDriver:
-    """The driver of a policy inside the expert."""
-    return EXPERT_POLICIES[driver](PolicyOptions(str(path)))
 
 
 def driven(

@@ -14,7 +14,7 @@ def study_job(root: str, job: str, asked: dict[str, Any]) -> dict[str, Any]:
     store.update(job, status="running", words="beginning")
     from metropilot import studies
 
-    study = studies.load_study(asked["study"])
+    study = studies.STUDIES.get(asked["study"])
     folder = Path(root) / "studies" / f"{asked['study']}-{asked['budget']}"
     said = 0
 
