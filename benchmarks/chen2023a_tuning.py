@@ -18,7 +18,7 @@ from dataclasses import replace
 from typing import Any
 
 from metropilot.learn import AbstractConfig
-from metropilot.studies.chen2023a.learners import (
+from metropilot.studies.chen2023a.learning import (
     BASE_DDPG,
     BASE_PPO,
     FOLDER,

@@ -18,14 +18,14 @@ from metropilot.env.tracking_task import (
 )
 from metropilot.evaluate.tracking import track, track_compiled, tracking_kpis
 from metropilot.sim import Run, drive
-from metropilot.studies.cheng2023 import courses
+from metropilot.studies.cheng2023 import setting
 
 GAINS = Gains(3.4, 0.3, 0.2)
 
 
 @pytest.fixture(scope="module")
 def course():
-    return courses.course()
+    return setting.course()
 
 
 def fixed(gains):
@@ -85,8 +85,8 @@ def test_the_task_the_scan_and_the_host_drive_the_same_run(course):
     assert again.speed_total_mps == pytest.approx(kpis.speed_total_mps, rel=1e-3)
     assert again.parking_m == pytest.approx(kpis.parking_m, abs=0.02)
 
-    time_s = courses.reference_of("s_curve").duration_s
-    done = drive(Run(courses.section(), courses.trainset(), time_s), Pid(PidOptions(station_stop=False)))
+    time_s = setting.reference_of("s_curve").duration_s
+    done = drive(Run(setting.section(), setting.trainset(), time_s), Pid(PidOptions(station_stop=False)))
     speeds = done.trajectory.speed_mps[: int(course.end) - 5]
     np.testing.assert_allclose(speeds, record.speed_mps[: speeds.size], atol=1e-4)
 

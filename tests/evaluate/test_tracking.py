@@ -6,12 +6,12 @@ import pytest
 from metropilot.errors import InputError
 from metropilot.evaluate.tracking import TrackRecord, tracking_kpis, tracking_score
 from metropilot.evaluate.tracking_tuning import TUNABLE, tune
-from metropilot.studies.cheng2023 import courses
+from metropilot.studies.cheng2023 import setting
 
 
 @pytest.fixture(scope="module")
 def course():
-    return courses.course()
+    return setting.course()
 
 
 def test_columns_by_hand(course):

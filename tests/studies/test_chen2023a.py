@@ -10,13 +10,19 @@ from metropilot.env.registry import CHEN2023A_REWARDS as REWARDS
 from metropilot.env.rewards import Change, Comfort, OnTime
 from metropilot.learn import PPOConfig
 from metropilot.studies import Order, SeedResult, learn_seeds, learning
-from metropilot.studies.chen2023a import STUDY, published
-from metropilot.studies.chen2023a import reproduce as study
-from metropilot.studies.chen2023a.learners import LEARNERS, ablations, jobs, sized
-from metropilot.studies.chen2023a.measures import DriveCourse, band, converged_at, course
-from metropilot.studies.chen2023a.reproduce import SIZES
-from metropilot.studies.chen2023a.rows import REWARD, TIME, paper_rows
+from metropilot.studies.chen2023a import published
+from metropilot.studies.chen2023a.drives import (
+    REWARD,
+    TIME,
+    DriveCourse,
+    band,
+    converged_at,
+    course,
+    paper_rows,
+)
+from metropilot.studies.chen2023a.learning import LEARNERS, ablations, jobs, sized
 from metropilot.studies.chen2023a.setting import ALLOWED_S, COMFORT, DECISION_S, make_assisted, measured
+from metropilot.studies.chen2023a.study import SIZES, STUDY, reproduce
 from metropilot.studies.page import page, write_figures
 
 CHUNKS = 40
@@ -128,7 +134,7 @@ def test_the_whole_study_from_learning_runs_that_are_there(monkeypatch, tmp_path
         return [SeedResult(job, None, 0.0, history(curve(3 + job.seed)), 1.0, 1.0) for job in wanted]
 
     monkeypatch.setattr(learning, "learn_seeds", there)
-    found = study(Order(tmp_path, "paper"))
+    found = reproduce(Order(tmp_path, "paper"))
     text = page(STUDY, found)
     assert found.seeds == 5
     assert len(found.figures) == 5

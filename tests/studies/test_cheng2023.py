@@ -9,9 +9,9 @@ from metropilot.evaluate.tracking import track, tracking_kpis
 from metropilot.physics.effort import effort_at
 from metropilot.physics.resistance import davis_n
 from metropilot.studies import STUDIES, Order, reproduce
-from metropilot.studies.cheng2023 import courses
-from metropilot.studies.cheng2023.controllers import pid
-from metropilot.studies.cheng2023.remarks import needed
+from metropilot.studies.cheng2023 import setting
+from metropilot.studies.cheng2023.drives import pid
+from metropilot.studies.cheng2023.words import needed
 
 TOTAL, PLACE = "total speed error", "total position error"
 
@@ -25,7 +25,7 @@ def ours(report, table, driver, kpi, case=1):
     found = [
         row.ours
         for row in report.rows
-        if (row.table, row.driver, row.kpi) == (table, driver, kpi) and row.case == courses.NAMES[case]
+        if (row.table, row.driver, row.kpi) == (table, driver, kpi) and row.case == setting.NAMES[case]
     ]
     assert len(found) == 1
     return found[0]
@@ -60,21 +60,21 @@ def test_the_page_says_who_wins(report):
 def test_the_bound_of_constant_gains_holds():
     # Sum of the errors: how much the command rises and falls over ki, less what overlaps.
     variation, _ = needed()
-    what = courses.course()
+    what = setting.course()
     for integral in (0.3, 1.5):
         record = track(what, *pid(Gains(4.0, integral, 0.0)))
         found = float(tracking_kpis(what, record).speed_total_mps)
         assert found == pytest.approx(variation / integral, rel=0.3)
 
 
-@pytest.mark.parametrize("kind", courses.REFERENCES)
-@pytest.mark.parametrize("speed", courses.CRUISE_MPS)
+@pytest.mark.parametrize("kind", setting.REFERENCES)
+@pytest.mark.parametrize("speed", setting.CRUISE_MPS)
 def test_references_arrive_and_only_the_drawn_one_asks_too_much(kind, speed):
-    found = courses.reference_of(kind, speed)
+    found = setting.reference_of(kind, speed)
     assert found.position_m[-1] == pytest.approx(1280.0, abs=1e-6)
     assert found.speed_mps[-1] == 0.0
-    vehicle = courses.course().vehicle
-    rate = np.diff(found.speed_mps) / courses.DT_S
+    vehicle = setting.course().vehicle
+    rate = np.diff(found.speed_mps) / setting.DT_S
     use = []
     for v, a in zip(found.speed_mps[:-1], rate, strict=True):
         effort = effort_at(vehicle, float(v))
@@ -87,4 +87,4 @@ def test_options_are_checked():
     with pytest.raises(InputError, match="s_curve"):
         STUDIES.get("cheng2023").check_options({"reference": "none"})
     with pytest.raises(InputError, match="unknown reference"):
-        courses.reference_of("none")
+        setting.reference_of("none")

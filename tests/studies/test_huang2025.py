@@ -6,7 +6,6 @@ import pytest
 from metropilot.evaluate import make_driver
 from metropilot.planning import optimal_plan
 from metropilot.sim import drive
-from metropilot.studies.huang2025.deviations import DEVIATIONS
 from metropilot.studies.huang2025.drives import (
     ABOVE,
     ABOVE_DEAD,
@@ -18,7 +17,7 @@ from metropilot.studies.huang2025.drives import (
 from metropilot.studies.huang2025.learning import job
 from metropilot.studies.huang2025.published import BY_ID, CASES, IE, LEARNED
 from metropilot.studies.huang2025.setting import comfortable, run_of, trainset
-from metropilot.studies.huang2025.words import remarks
+from metropilot.studies.huang2025.words import DEVIATIONS, remarks
 from metropilot.studies.registry import STUDIES
 
 

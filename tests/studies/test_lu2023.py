@@ -7,8 +7,8 @@ import pytest
 
 from metropilot.evaluate import measures
 from metropilot.sim import Trajectory
-from metropilot.studies.lu2023.convergence import Converged, converged, faster, meets
-from metropilot.studies.lu2023.optima import NotchFront
+from metropilot.studies.lu2023.drives import NotchFront
+from metropilot.studies.lu2023.learning import Converged, converged, faster, meets
 from metropilot.studies.lu2023.published import EPISODES, FASTER_PERCENT, PLANS, plan_case
 
 FRONT = NotchFront(np.array([116.0, 120.0, 124.0]), 3.6e6 * np.array([13.4, 12.5, 11.8]))

@@ -15,23 +15,23 @@ STUDIES: Registry[Study] = Registry(
     "study",
     {
         "chen2023a": RegistryRow(
-            "metropilot.studies.chen2023a:STUDY",
+            "metropilot.studies.chen2023a.study:STUDY",
             "Driving by position and speed: PPO with reward scaling against PPO and DDPG",
         ),
         "chen2023b": RegistryRow(
-            "metropilot.studies.chen2023b:STUDY",
+            "metropilot.studies.chen2023b.study:STUDY",
             "Following in virtual coupling: SAC-PID against DDPG-PID, and what keeps convoys apart",
         ),
         "cheng2023": RegistryRow(
-            "metropilot.studies.cheng2023:STUDY",
+            "metropilot.studies.cheng2023.study:STUDY",
             "Tracking a reference: DDPG-PID against PID, fuzzy and neural PID",
         ),
         "huang2025": RegistryRow(
-            "metropilot.studies.huang2025:STUDY",
+            "metropilot.studies.huang2025.study:STUDY",
             "Driving by an expert system, and PPO inside it, against manual driving and STON",
         ),
         "lu2023": RegistryRow(
-            "metropilot.studies.lu2023:STUDY",
+            "metropilot.studies.lu2023.study:STUDY",
             "Driving by twelve notches: improved DQN against DQN, ablation, optimum over the notches",
         ),
     },

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metropilot.studies.chen2023a.learners import NAMES
-from metropilot.studies.chen2023a.measures import DriveCourse, Values, band
+from metropilot.studies.chen2023a.drives import DriveCourse, Values, band
+from metropilot.studies.chen2023a.learning import NAMES
 from metropilot.studies.chen2023a.published import THRESHOLD_S
 from metropilot.studies.report import Figure
 

@@ -5,6 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
+CITATION = (
+    "Chen, B.; Gao, C.; Zhang, L.; Chen, J.; Chen, J.; Li, Y. Optimal Control Algorithm for Subway Train "
+    "Operation by Proximal Policy Optimization. *Applied Sciences* 13 (2023), 7456."
+)
 PRESCRIBED_S = 80.0
 THRESHOLD_S = 88.0
 EPISODES = 20_000

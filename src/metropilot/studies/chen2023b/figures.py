@@ -9,7 +9,7 @@ import numpy as np
 
 from metropilot.convoy.rollout import ConvoyDrive
 from metropilot.evaluate.style import BLACK, GREY, SERIES
-from metropilot.studies.chen2023b.setting import PUBLISHED
+from metropilot.studies.chen2023b.published import PUBLISHED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing

@@ -15,8 +15,6 @@ from metropilot.sim import Outcome
 LINE, ORIGIN, DESTINATION, TRAINSET, TIME_S = "yizhuang", "YZQ", "WHY", "cheng2023", 100.0
 SHAPE = ReferenceShape(0.65, 0.65, 0.5)
 """Head's S-curve: acceleration, deceleration, jerk. The paper's profile is not printed."""
-PUBLISHED = {"gap_min_m": 5.88, "gap_max_m": 5.98, "speed_difference_max_mps": 0.15}
-"""Chen23b section 4: figs. 8 and 9."""
 SIMPLE = ("follow_pid", "follow_gap", "follow_mpc")
 ROUGH = Link(delay_s=0.3, loss=0.1)
 MASSES = (1.0, 1.2, 0.8, 1.2, 0.8, 1.2, 0.8, 1.2)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from metropilot.control.incremental_pid import Errors
 from metropilot.env.tracking_task import TrackingConfig, TrackingRewards, TrackingTask
-from metropilot.studies.cheng2023.courses import course
+from metropilot.studies.cheng2023.setting import course
+from metropilot.studies.learning import LearnJob
 
 if TYPE_CHECKING:
     from metropilot.env.interface import AbstractTask
@@ -23,6 +24,7 @@ REWARDS = TrackingRewards(
 """Cheng23's five terms; the scales say what counts as a small error, where the paper has 1, and parking, paid
 once in a run, weighs twenty times the paper's."""
 JOB = "ddpg_pid"
+SEEDS = 5
 
 
 def config() -> DDPGConfig:
@@ -78,3 +80,9 @@ def evaluation(made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
         return {"score": tracking_score(kpis), **numbers}
 
     return evaluate
+
+
+def jobs(seeds: Iterable[int]) -> list[LearnJob]:
+    """The learning runs of the study, one a seed."""
+    about = {"rewards": repr(REWARDS)}
+    return [LearnJob(JOB, config(), task, seed, evaluation, about) for seed in seeds]

@@ -21,9 +21,8 @@ from metropilot.evaluate.tracking import track, tracking_kpis
 from metropilot.policy import Policy, save_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, Run, drive
-from metropilot.studies.cheng2023.courses import course
-from metropilot.studies.cheng2023.learning import REWARDS, config
-from metropilot.studies.cheng2023.reproduce import SEEDS, jobs
+from metropilot.studies.cheng2023.learning import REWARDS, SEEDS, config, jobs
+from metropilot.studies.cheng2023.setting import course
 from metropilot.studies.circumstances import circumstances
 from metropilot.studies.learning import SeedResult, learn_seeds
 

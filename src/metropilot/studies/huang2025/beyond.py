@@ -1,20 +1,23 @@
-"""What the paper promises or leaves open: disturbances, other plants, Algorithm 1 as it is printed."""
+"""Beyond the paper: disturbances, other plants, Algorithm 1 as printed, learning the brake, vehicles."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 
 from metropilot.drivers.eitoe import Eitoe, EitoeOptions
 from metropilot.evaluate import kpis_of
 from metropilot.evaluate.indices import indices_of
+from metropilot.physics import bodies_at, consist, multibody_step, substeps, track_arrays
 from metropilot.railway import Actuation
-from metropilot.sim import Disturbance, Drive, Run, drive
+from metropilot.sim import Disturbance, Drive, Rollout, Run, drive
 from metropilot.studies.huang2025.drives import ABOVE, LeastIndex, drivers_of
 from metropilot.studies.huang2025.published import BEYOND, BY_ID, EXPERTS
 from metropilot.studies.huang2025.setting import DELAY_S, LAG_S, run_of
-from metropilot.studies.huang2025.vehicles import vehicle_rows
 from metropilot.studies.report import ReportRow
 
 SEEDS = 3
@@ -85,3 +88,112 @@ def _rows(
     yield ReportRow(*place, "interventions of protection", "").measured(
         [float(one.interventions) for one in drives]
     )
+
+
+GAINS = (0.7, 1.0, 1.3)
+STOPS = 11
+NOISE_MPS = 0.02
+
+
+class Stops(NamedTuple):
+    """Stops one after another with the same brake.
+
+    Attributes:
+        gain: True over believed braking force.
+        error_m: Where the head stood minus the stop, one a stop.
+        learned: The gain known after each.
+        time_s: Running time of each.
+        interventions: Spells of protection in all of them.
+    """
+
+    gain: float
+    error_m: list[float]
+    learned: list[float]
+    time_s: list[float]
+    interventions: int
+
+
+def repeated_stops(gain: float, noise_mps: float = NOISE_MPS, stops: int = STOPS) -> Stops:
+    """Drive case 1 again and again; what was learned of the brake is kept from stop to stop.
+
+    Args:
+        gain: True over believed braking force.
+        noise_mps: Standard deviation of the measured speed.
+        stops: How often.
+    """
+    driver, hoa = Eitoe(EitoeOptions(brake_known=False)), None
+    errors, learned, times, overruled = [], [], [], 0
+    for seed in range(stops):
+        run = run_of(BY_ID["101"], seed)
+        scenario = replace(run.scenario, brake_factor=gain, speed_noise_mps=noise_mps)
+        rollout = Rollout(replace(run, scenario=scenario), driver)
+        if hoa is not None:
+            rollout.memory = rollout.memory._replace(hoa=hoa)
+        while rollout.outcome is None:
+            rollout.advance()
+        found = rollout.drive()
+        hoa = rollout.memory.hoa.next_stop()
+        errors.append(float(found.trajectory.position_m[-1]) - found.section.length_m)
+        learned.append(hoa.gain)
+        times.append(found.running_time_s)
+        overruled += found.interventions
+    return Stops(gain, errors, learned, times, overruled)
+
+
+def stop_rows(found: list[Stops]) -> Iterator[ReportRow]:
+    """The first stop with an unknown brake, and the one after ten."""
+    for one in found:
+        case = (
+            f"brake {100 * (one.gain - 1):+.0f} %, 101 s" if one.gain != 1.0 else "brake as believed, 101 s"
+        )
+        place = (f"{BEYOND}: station stops that learn the brake", case, "eitoe")
+        yield ReportRow(*place, "first stop: stopping error", "m").measured([abs(one.error_m[0])])
+        yield ReportRow(*place, f"stop {len(one.error_m)}: stopping error", "m").measured(
+            [abs(one.error_m[-1])]
+        )
+        yield ReportRow(*place, "all stops: stopping error", "m").measured(np.abs(one.error_m))
+        yield ReportRow(*place, "gain learned at the first stop", "", optimum=one.gain).measured(
+            one.learned[:1]
+        )
+        yield ReportRow(*place, "running time", "s").measured(one.time_s)
+        yield ReportRow(*place, "interventions of protection", "").measured([float(one.interventions)])
+
+
+class Apart(NamedTuple):
+    """How far six vehicles are from one body under the same efforts.
+
+    Attributes:
+        speed_mps: Largest difference of the head's speed while it moves.
+        place_m: Difference of the head's place when the one body stands.
+        coupler_n: Largest force in a coupler while it moves.
+    """
+
+    speed_mps: float
+    place_m: float
+    coupler_n: float
+
+
+def apart(found: Drive) -> Apart:
+    """Give a drive's efforts to the vehicles, open loop."""
+    t, trainset = found.trajectory, found.trainset
+    cars, track = consist(trainset), track_arrays(found.section, trainset)
+    effort = t.traction_n - t.electric_brake_n - t.friction_brake_n
+    count, bodies = substeps(cars, found.run.dt), bodies_at(cars)
+    speed, force = 0.0, 0.0
+    for k, seconds in enumerate(t.duration_s[:-1]):
+        if seconds <= 0.0 or (t.speed_mps[k] <= 0.0 and effort[k] <= 0.0):
+            continue
+        bodies = multibody_step(cars, track, bodies, effort[k], float(seconds), count)
+        speed = max(speed, abs(float(bodies.speed_mps[0]) - float(t.speed_mps[k + 1])))
+        if t.speed_mps[k + 1] > 0.0:
+            force = max(force, float(np.abs(bodies.coupler_n).max()))
+    return Apart(speed, float(bodies.position_m) - float(t.position_m[-1]), force)
+
+
+def vehicle_rows(found: Drive, case: str) -> Iterator[ReportRow]:
+    """The differences as rows."""
+    one = apart(found)
+    place = (f"{BEYOND}: the same efforts on six vehicles with couplers (eq. 3)", case, found.driver)
+    yield ReportRow(*place, "largest difference of speed", "m/s").measured([one.speed_mps])
+    yield ReportRow(*place, "difference of the place at the stop", "m").measured([abs(one.place_m)])
+    yield ReportRow(*place, "largest coupler force", "kN").measured([one.coupler_n / 1e3])

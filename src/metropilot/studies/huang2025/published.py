@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-TITLE = "Expert driving, and PPO inside it (Huang et al. 2025)"
 CITATION = (
     "Y. Huang, W. Lai, D. Chen, G. Lin, J. Yin: Enhanced intelligent train operation algorithms for metro "
     "train based on expert system and deep reinforcement learning. PLoS ONE 20(5), 2025, e0323478, "

@@ -1,4 +1,4 @@
-"""Ships what the paper budget has learned: ``python -m metropilot.studies.lu2023.ship FOLDER``.
+"""Shipping of the best seeds' policies: ``python -m metropilot.studies.lu2023.ship FOLDER``.
 
 ``FOLDER`` is what ``metropilot reproduce lu2023 --budget paper --out FOLDER`` wrote. The networks for all
 plans become the drivers ``improved_dqn`` and ``dqn``; those of one plan go with the study.
@@ -8,12 +8,71 @@ from __future__ import annotations
 
 import shutil
 import sys
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from metropilot.drivers.shipped import shipped_policy
 from metropilot.errors import InputError
-from metropilot.studies.lu2023.drives import policy_file
-from metropilot.studies.lu2023.published import PLANS
+from metropilot.studies.lu2023.drives import notch_front, policy_file
+from metropilot.studies.lu2023.published import PLANS, PlanCase
+
+if TYPE_CHECKING:
+    from metropilot.studies.learning import SeedResult
+
+MISSED = 10.0
+
+
+def best_of(results: Sequence[SeedResult], plans: Sequence[PlanCase]) -> SeedResult:
+    """The seed whose policy comes nearest the optimum over the plans, demands met first."""
+    return min(results, key=lambda result: _shortfall(result, plans))
+
+
+def _shortfall(result: SeedResult, plans: Sequence[PlanCase]) -> float:
+    """Mean share above the optimum at the evaluation the policy is from; much where a demand is missed."""
+    kept = int(np.argmax(result.history["evaluation.score"]))
+    total = 0.0
+    for plan in plans:
+        late, kwh, stop = (
+            float(result.history[f"evaluation.{plan.id}.{name}"][kept])
+            for name in ("late_s", "kwh", "stop_m")
+        )
+        total += kwh * 3.6e6 / float(notch_front(plan).at(plan.scheduled_s + late)) - 1.0
+        total += MISSED * (abs(late) > 2.9 or abs(stop) > 0.29)
+    return total / len(plans)
+
+
+COMMAND = "metropilot reproduce lu2023 --budget paper"
+
+
+def keep_policy(path: Path, result: SeedResult, plans: Sequence[PlanCase], command: str = COMMAND) -> None:
+    """Write a policy with its perception, so that any driver of policies drives it."""
+    from metropilot.policy.file import save_policy
+    from metropilot.studies.circumstances import circumstances
+
+    job = result.job
+    kept = int(np.argmax(result.history["evaluation.score"]))
+    kpis = {
+        name.removeprefix("evaluation."): round(float(column[kept]), 4)
+        for name, column in result.history.items()
+        if name.startswith("evaluation.")
+    }
+    config: Any = job.config
+    about = {
+        "perception": job.task().config.perception.as_dict(),  # pyright: ignore[reportAttributeAccessIssue]
+        "task": "lu2023",
+        "plans": [plan.id for plan in plans],
+        "algorithm": config.algorithm,
+        "config": asdict(config),
+        "seed": job.seed,
+        "kpis": kpis,
+        "provenance": {"command": command} | circumstances(),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_policy(path, result.policy, about)
 
 
 def ship(folder: Path) -> list[Path]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from metropilot.studies.lu2023.convergence import RULE
 from metropilot.studies.lu2023.drives import policy_file
+from metropilot.studies.lu2023.learning import RULE
 from metropilot.studies.lu2023.published import BEYOND, CONVERGENCE, PLANS, TABLE
 from metropilot.studies.report import ReportRow
 

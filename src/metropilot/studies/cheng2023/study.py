@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
 from metropilot.evaluate.tracking import TrackingKpis, TrackRecord, track, tracking_kpis
-from metropilot.studies.cheng2023 import rows as table
-from metropilot.studies.cheng2023.controllers import Contestant, contestants
-from metropilot.studies.cheng2023.courses import REFERENCES, SCENARIOS, course
+from metropilot.studies.cheng2023 import drives as table
+from metropilot.studies.cheng2023.drives import Contestant, contestants
 from metropilot.studies.cheng2023.figures import figures
-from metropilot.studies.cheng2023.remarks import DEVIATIONS, remarks
-from metropilot.studies.cheng2023.tuned import TUNED
+from metropilot.studies.cheng2023.published import CITATION
+from metropilot.studies.cheng2023.setting import REFERENCES, SCENARIOS, course
+from metropilot.studies.cheng2023.words import DEVIATIONS, remarks
 from metropilot.studies.report import ReportRow, StudyReport
-from metropilot.studies.study import Order
-
-if TYPE_CHECKING:
-    from metropilot.studies.learning import LearnJob
-
-SEEDS = 5
-TITLE = "Tracking a reference: DDPG-PID against PID, fuzzy and neural PID (Cheng et al. 2023)"
+from metropilot.studies.study import Order, Study
 
 
 def reproduce(order: Order) -> StudyReport:
@@ -47,7 +41,7 @@ def reproduce(order: Order) -> StudyReport:
     order.say(f"{len(everybody)} drivers tracked {len(SCENARIOS)} scenarios")
     return StudyReport(
         study="cheng2023",
-        title=TITLE,
+        title=STUDY.title,
         budget=order.budget,
         seeds=len(policies),
         seconds=0.0,
@@ -61,11 +55,14 @@ def reproduce(order: Order) -> StudyReport:
 def _made(order: Order) -> tuple[dict[int, Callable[[Any], Any]], Mapping[str, Mapping[str, float]]]:
     """A policy a seed, and the tuned parameters."""
     if order.budget == "quick":
+        from metropilot.drivers import fuzzy_pid, neural_pid, pid
         from metropilot.drivers.ddpg_pid import load_gains_policy
         from metropilot.drivers.shipped import shipped_policy
 
-        return {0: load_gains_policy(shipped_policy("ddpg_pid"))}, TUNED
+        tuned = {"pid": pid.TUNED, "fuzzy_pid": fuzzy_pid.TUNED, "neural_pid": neural_pid.TUNED}
+        return {0: load_gains_policy(shipped_policy("ddpg_pid"))}, tuned
     from metropilot.evaluate.tracking_tuning import TUNABLE, tune
+    from metropilot.studies.cheng2023.learning import SEEDS, jobs
     from metropilot.studies.learning import learn_seeds
 
     seeds = order.choose_seeds(quick=1, paper=SEEDS)
@@ -75,15 +72,6 @@ def _made(order: Order) -> tuple[dict[int, Callable[[Any], Any]], Mapping[str, M
         tuned[driver] = tune(driver, course()).values
         order.say(f"{driver} tuned")
     return {result.job.seed: result.policy for result in results}, tuned
-
-
-def jobs(seeds: Iterable[int]) -> list[LearnJob]:
-    """The learning runs of the study, one a seed."""
-    from metropilot.studies.cheng2023.learning import JOB, REWARDS, config, evaluation, task
-    from metropilot.studies.learning import LearnJob
-
-    about = {"rewards": repr(REWARDS)}
-    return [LearnJob(JOB, config(), task, seed, evaluation, about) for seed in seeds]
 
 
 def _raced(
@@ -123,3 +111,12 @@ def _elsewhere(everybody: tuple[Contestant, ...], seeds: tuple[int, ...], kind: 
                 )
                 found.append(row.measured(table.values(kpis, field)))
     return found
+
+
+STUDY = Study(
+    id="cheng2023",
+    title="Tracking a reference: DDPG-PID against PID, fuzzy and neural PID (Cheng et al. 2023)",
+    citation=CITATION,
+    reproduce=reproduce,
+    options={"reference": tuple(REFERENCES)},
+)

@@ -6,16 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from metropilot.studies.chen2023a.deviations import deviations
+from metropilot.studies.chen2023a.drives import LeastEnergy, outcome_rows, paper_rows
 from metropilot.studies.chen2023a.figures import figures
-from metropilot.studies.chen2023a.published import EPISODES, PRESCRIBED_S, THRESHOLD_S
-from metropilot.studies.chen2023a.remarks import remarks
-from metropilot.studies.chen2023a.rows import LeastEnergy, outcome_rows, paper_rows
+from metropilot.studies.chen2023a.published import CITATION, EPISODES, PRESCRIBED_S, THRESHOLD_S
+from metropilot.studies.chen2023a.words import deviations, remarks
 from metropilot.studies.report import ReportRow, StudyReport
+from metropilot.studies.study import Study
 
 if TYPE_CHECKING:
     from metropilot.learn import AbstractConfig
-    from metropilot.studies.chen2023a.measures import DriveCourse
+    from metropilot.studies.chen2023a.drives import DriveCourse
     from metropilot.studies.study import Order
 
 ABLATION = "Beyond the paper: what reward scaling changes"
@@ -52,7 +52,7 @@ def reproduce(order: Order) -> StudyReport:
         order: ``quick``: one seed, 1,500 episodes of the three learners. ``paper``: five seeds, 20,000
             episodes, the ablations and the runs without the stop assist.
     """
-    from metropilot.studies.chen2023a.learners import LEARNERS, ablations
+    from metropilot.studies.chen2023a.learning import LEARNERS, ablations
 
     size = SIZES[order.budget]
     seeds = order.choose_seeds(quick=size.seeds, paper=size.seeds)
@@ -68,9 +68,10 @@ def reproduce(order: Order) -> StudyReport:
         rows += outcome_rows(UNASSISTED, alone)
     rows += bounds
     drawn = figures(learned, least(THRESHOLD_S) or 0.0)
-    title = "Chen et al. 2023: PPO with reward scaling"
     said = remarks(learned, changed)
-    return StudyReport("chen2023a", title, order.budget, len(seeds), 0.0, rows, drawn, deviations(), said)
+    return StudyReport(
+        "chen2023a", STUDY.title, order.budget, len(seeds), 0.0, rows, drawn, deviations(), said
+    )
 
 
 def _courses(
@@ -83,8 +84,8 @@ def _courses(
     prefix: str = "",
 ) -> dict[str, list[DriveCourse]]:
     """Learn every one of these with every seed; how each went, by name."""
-    from metropilot.studies.chen2023a.learners import jobs, sized
-    from metropilot.studies.chen2023a.measures import course
+    from metropilot.studies.chen2023a.drives import course
+    from metropilot.studies.chen2023a.learning import jobs, sized
     from metropilot.studies.learning import learn_seeds
 
     wanted = {name: sized(config, *length) for name, config in configs.items()}
@@ -125,3 +126,11 @@ def _optimum() -> tuple[LeastEnergy, list[ReportRow]]:
         kpi = f"least energy, braking at most {STOP_MPS2:g} m/s²"
         rows.append(ReportRow(BOUNDS, case, "optimal", kpi, "kWh", ours=float(soft), optimum=least(time_s)))
     return least, rows
+
+
+STUDY = Study(
+    id="chen2023a",
+    title="Chen et al. 2023: PPO with reward scaling",
+    citation=CITATION,
+    reproduce=reproduce,
+)

@@ -12,14 +12,15 @@ from metropilot.studies.lu2023.drives import (
     arrival_rows,
     driven,
     learned_driver,
+    notch_front,
     shipped_for,
     tracked,
 )
 from metropilot.studies.lu2023.figures import figures_of
-from metropilot.studies.lu2023.optima import notch_front
 from metropilot.studies.lu2023.published import (
     ABLATION,
     BEYOND,
+    CITATION,
     CONVERGENCE,
     EPISODES,
     FASTER_PERCENT,
@@ -27,13 +28,14 @@ from metropilot.studies.lu2023.published import (
     TABLE,
     plan_case,
 )
-from metropilot.studies.lu2023.shipping import best_of, keep_policy
+from metropilot.studies.lu2023.ship import best_of, keep_policy
 from metropilot.studies.lu2023.words import DEVIATIONS, remarks
 from metropilot.studies.report import ReportRow, StudyReport
+from metropilot.studies.study import Study
 
 if TYPE_CHECKING:
     from metropilot.studies.learning import SeedResult
-    from metropilot.studies.lu2023.convergence import Converged
+    from metropilot.studies.lu2023.learning import Converged
     from metropilot.studies.study import Order
 
 QUICK_STEPS = 8_000
@@ -48,7 +50,7 @@ Runs = dict[str, dict[str, list["SeedResult"]]]
 
 def reproduce(order: Order) -> StudyReport:
     """Do the study; see :class:`metropilot.studies.study.Study`."""
-    from metropilot.studies.lu2023.setting import (
+    from metropilot.studies.lu2023.learning import (
         ALL_STEPS,
         IMPROVEMENTS,
         LEARNING,
@@ -93,7 +95,7 @@ def reproduce(order: Order) -> StudyReport:
     rows += _ablation(named) if paper else []
     return StudyReport(
         study="lu2023",
-        title="Notch driving by improved DQN (Lu and Liu 2023)",
+        title=STUDY.title,
         budget=order.budget,
         seeds=len(seeds),
         seconds=0.0,
@@ -129,7 +131,7 @@ def _drives(
 
 
 def _converged(results: Sequence[SeedResult], plan_id: str, in_a_row: int = 1) -> list[Converged]:
-    from metropilot.studies.lu2023.convergence import converged, meets
+    from metropilot.studies.lu2023.learning import converged, meets
 
     plan = plan_case(plan_id)
     front = notch_front(plan)
@@ -138,7 +140,7 @@ def _converged(results: Sequence[SeedResult], plan_id: str, in_a_row: int = 1) -
 
 
 def _episode_rows(table: str, plan_id: str, driver: str, results: Sequence[SeedResult]) -> list[ReportRow]:
-    from metropilot.studies.lu2023.convergence import STEADY
+    from metropilot.studies.lu2023.learning import STEADY
 
     found, steady = _converged(results, plan_id), _converged(results, plan_id, STEADY)
     case, published = plan_case(plan_id).name, EPISODES.get((plan_id, driver))
@@ -152,7 +154,7 @@ def _episode_rows(table: str, plan_id: str, driver: str, results: Sequence[SeedR
 
 
 def _convergence(runs: Runs) -> list[ReportRow]:
-    from metropilot.studies.lu2023.convergence import STEADY, faster
+    from metropilot.studies.lu2023.learning import STEADY, faster
 
     rows: list[ReportRow] = []
     for plan_id, learners in runs.items():
@@ -172,7 +174,7 @@ def _convergence(runs: Runs) -> list[ReportRow]:
 
 
 def _ablation(named: dict[str, list[SeedResult]]) -> list[ReportRow]:
-    from metropilot.studies.lu2023.setting import IMPROVEMENTS
+    from metropilot.studies.lu2023.learning import IMPROVEMENTS
 
     rows = _episode_rows(ABLATION, ABLATED, "improved_dqn", named[f"improved_dqn-{ABLATED}"])
     for off in IMPROVEMENTS:
@@ -191,3 +193,11 @@ def _short(runs: Runs) -> list[ReportRow]:
             )
             rows.append(row.measured([r.score for r in results]))
     return rows
+
+
+STUDY = Study(
+    id="lu2023",
+    title="Notch driving by improved DQN (Lu and Liu 2023)",
+    citation=CITATION,
+    reproduce=reproduce,
+)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,8 +21,9 @@ from metropilot.studies.chen2023b.beyond import (
     stability_rows,
 )
 from metropilot.studies.chen2023b.learning import ETAS, NAMES, jobs
-from metropilot.studies.chen2023b.remarks import DEVIATIONS, FIRST_RETURN, LAST_RETURN, remarks
-from metropilot.studies.chen2023b.setting import PUBLISHED, SIMPLE, head_run, pair
+from metropilot.studies.chen2023b.published import CITATION, PUBLISHED
+from metropilot.studies.chen2023b.setting import SIMPLE, head_run, pair
+from metropilot.studies.chen2023b.words import DEVIATIONS, FIRST_RETURN, LAST_RETURN, remarks
 from metropilot.studies.report import Figure, ReportRow, StudyReport
 from metropilot.studies.study import Order, Study
 
@@ -96,20 +97,15 @@ def _missing(runs: dict[str, list[SeedResult]], seeds: range) -> list[str]:
 
 def _shipped(order: Order) -> bool:
     """Whether the shipped policies drive: in the quick study with its own eta."""
-    there = all(name in FOLLOWERS.ids() for name in NAMES.values())
-    return order.budget == "quick" and order.options["eta"] == "soft" and there
+    return order.budget == "quick" and order.options["eta"] == "soft"
 
 
 def _drivers(order: Order, runs: dict[str, list[SeedResult]]) -> dict[str, list[AbstractFollower]]:
     """Every follower: learned ones as shipped, or one a seed; the others once."""
-    from metropilot.convoy.drivers.ddpg_pid_follow import DdpgPidFollow
-    from metropilot.convoy.drivers.sac_pid import SacPid
-
-    kinds: dict[str, Any] = {"sac": SacPid, "ddpg": DdpgPidFollow}
     made: dict[str, list[AbstractFollower]] = {}
     for algorithm, name in NAMES.items():
         paths = [""] if _shipped(order) else [str(_folder(order.folder, run)) for run in runs[algorithm]]
-        made[name] = [kinds[algorithm](FollowPolicyOptions(path)) for path in paths]
+        made[name] = [FOLLOWERS.make(name, options=FollowPolicyOptions(path)) for path in paths]
     return made | {name: [FOLLOWERS.make(name)] for name in SIMPLE}
 
 
@@ -215,10 +211,7 @@ def _figures(
 STUDY = Study(
     id="chen2023b",
     title="Chen et al. 2023: train tracking in virtual coupling",
-    citation=(
-        "Chen, B.; Zhang, L.; Cheng, G.; Liu, Y.; Chen, J. *A Novel Approach for Train Tracking in Virtual "
-        "Coupling Based on Soft Actor-Critic*. Actuators 2023, 12(12), 447, doi 10.3390/act12120447."
-    ),
+    citation=CITATION,
     reproduce=reproduce,
     options={"eta": tuple(ETAS), "learn": ("missing", "nothing")},
 )

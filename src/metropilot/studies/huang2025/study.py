@@ -7,29 +7,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from metropilot.drivers.shipped import shipped_policy
-from metropilot.studies.huang2025.beyond import beyond_rows
-from metropilot.studies.huang2025.deviations import DEVIATIONS
+from metropilot.studies.huang2025.beyond import GAINS, beyond_rows, repeated_stops, stop_rows
 from metropilot.studies.huang2025.drives import (
     EvaluatedRun,
     decision_row,
     driven,
+    news_rows,
     rows_of,
 )
 from metropilot.studies.huang2025.figures import figures_of
-from metropilot.studies.huang2025.news import news_rows
 from metropilot.studies.huang2025.published import (
     CASES,
+    CITATION,
     EITOP,
     EXPERTS,
     LEARNED,
     LEARNED_IE,
     MANUAL,
     TABLE4,
-    TITLE,
 )
-from metropilot.studies.huang2025.stops import GAINS, repeated_stops, stop_rows
-from metropilot.studies.huang2025.words import remarks
+from metropilot.studies.huang2025.words import DEVIATIONS, remarks
 from metropilot.studies.report import ReportRow, StudyReport
+from metropilot.studies.study import Study
 
 if TYPE_CHECKING:
     from metropilot.studies.learning import SeedResult
@@ -67,7 +66,9 @@ def reproduce(order: Order) -> StudyReport:
     rows += [*_learning_rows(results), *stop_rows(stops), *beyond_rows(policies)]
     figures = figures_of(found, learned, stops)
     said = remarks(rows, budget=order.budget)
-    return StudyReport("huang2025", TITLE, order.budget, len(seeds), 0.0, rows, figures, DEVIATIONS, said)
+    return StudyReport(
+        "huang2025", STUDY.title, order.budget, len(seeds), 0.0, rows, figures, DEVIATIONS, said
+    )
 
 
 def _policies(folder: Path, results: Sequence[SeedResult], *, paper: bool) -> Mapping[str, Sequence[Path]]:
@@ -130,3 +131,11 @@ def _learning_rows(results: Sequence[SeedResult]) -> list[ReportRow]:
         seconds = [r.seconds for r in mine]
         rows.append(ReportRow(LEARNING, "policy kept", driver, "time to learn", "s").measured(seconds))
     return rows
+
+
+STUDY = Study(
+    id="huang2025",
+    title="Expert driving, and PPO inside it (Huang et al. 2025)",
+    citation=CITATION,
+    reproduce=reproduce,
+)
