@@ -5,19 +5,19 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import re
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+
+from metropilot._provenance import commit, machine, versions
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -96,27 +96,13 @@ def hand_out(options: argparse.Namespace, page: str, runs: Sequence[Any]) -> Non
 
 def circumstances(packages: tuple[str, ...]) -> dict[str, str]:
     """Machine, load, date, commit and versions."""
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    cpu = next(
-        (line.partition(":")[2].strip() for line in _cpuinfo() if line.startswith("model name")),
-        platform.processor() or platform.machine(),
-    )
-    versions = {name: version(name) for name in packages}
+    told = versions(packages)
     return {
-        "machine": f"{cpu}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}",
+        "machine": f"{machine()}, load {os.getloadavg()[0]:.1f}",
         "date": datetime.now(UTC).date().isoformat(),
-        "commit": commit.stdout.strip() or "unknown",
-        "versions": ", ".join(
-            [f"Python {platform.python_version()}", *(f"{k} {v}" for k, v in versions.items())]
-        ),
+        "commit": commit() or "unknown",
+        "versions": ", ".join(f"{name} {number}" for name, number in told.items()),
     }
-
-
-def _cpuinfo() -> list[str]:
-    path = Path("/proc/cpuinfo")
-    return path.read_text().splitlines() if path.exists() else []
 
 
 def number(value: float) -> str:

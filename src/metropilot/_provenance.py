@@ -1,8 +1,10 @@
-"""Where a learned driver comes from: versions and commit."""
+"""Provenance of a result: versions, commit, machine and date."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -10,18 +12,38 @@ from platform import machine as architecture
 from platform import processor, python_version
 from subprocess import DEVNULL, SubprocessError, run
 
-PACKAGES = ("metropilot", "jax", "jaxlib", "numpy", "safetensors")
+DRIVING = ("clarabel", "numpy", "scipy", "matplotlib", "jax")
+"""What the numbers and pictures of a drive depend on."""
+LEARNING = ("jax", "jaxlib", "numpy", "safetensors")
+"""What the numbers of a learned policy depend on."""
 
 
-def versions() -> dict[str, str]:
-    """Python and the packages that decide what is learned, by name."""
+def versions(packages: Sequence[str]) -> dict[str, str]:
+    """Versions of Python, metropilot and those of the packages that are installed, by name."""
     found = {"python": python_version()}
-    for package in PACKAGES:
+    for package in ("metropilot", *packages):
         try:
             found[package] = version(package)
         except PackageNotFoundError:
             continue
     return found
+
+
+def provenance() -> dict[str, str]:
+    """Versions behind a drive, and the commit where there is one."""
+    found = versions(DRIVING)
+    return found | ({"commit": told} if (told := commit()) else {})
+
+
+def circumstances() -> dict[str, str]:
+    """Machine, date, commit and versions of a learning run, as a page states them."""
+    found = commit()
+    return {
+        "machine": machine(),
+        "date": datetime.now(UTC).date().isoformat(),
+        "commit": found[:9] + "+" * found.endswith("+") if found else "not a checkout",
+        "versions": ", ".join(f"{name} {number}" for name, number in versions(LEARNING).items()),
+    }
 
 
 @cache
@@ -35,12 +57,21 @@ def machine() -> str:
 
 @cache
 def commit() -> str:
-    """The commit this code is at, ``+`` where files have changed since; empty outside a checkout."""
-    folder = Path(__file__).parent
+    """The commit of the source checkout, ``+`` where files differ from it; empty outside a checkout."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return ""  # installed: a repository further up is somebody else's
+    describe = ["describe", "--always", "--abbrev=40", "--dirty=+", "--exclude=*"]
     try:
-        head = run(["git", "rev-parse", "HEAD"], cwd=folder, stdout=-1, stderr=DEVNULL, text=True, check=True)
-        status = ["git", "status", "--porcelain", "--untracked-files=no", "--", "."]
-        changed = run(status, cwd=folder, stdout=-1, stderr=DEVNULL, text=True, check=True)
+        done = run(
+            ["git", "-C", str(root), *describe],
+            stdout=-1,
+            stderr=DEVNULL,
+            stdin=DEVNULL,
+            text=True,
+            check=True,
+            timeout=5,
+        )
     except (OSError, SubprocessError):
         return ""
-    return head.stdout.strip() + ("+" if changed.stdout.strip() else "")
+    return done.stdout.strip()

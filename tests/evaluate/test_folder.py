@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
+from metropilot._io import fill_folder
 from metropilot.errors import InputError
-from metropilot.evaluate import filled, kpis_of, optimum_of, request_from_toml, write_run
+from metropilot.evaluate import kpis_of, optimum_of, request_from_toml, write_run
 from metropilot.railway import load_line, write_line
 from metropilot.sim import drive
 
@@ -61,7 +62,7 @@ def test_run_toml_says_what_made_it(tmp_path, request_rj):
 
 def test_an_earlier_result_survives_a_failure(tmp_path):
     (tmp_path / "kpis.json").write_text("earlier")
-    with pytest.raises(InputError, match="Is a directory"), filled(tmp_path) as scratch:  # noqa: PT012 (half-way)
+    with pytest.raises(InputError, match="Is a directory"), fill_folder(tmp_path) as scratch:  # noqa: PT012 (half-way)
         (scratch / "kpis.json").write_text("half")
         scratch.write_text("a folder is no file")
     assert (tmp_path / "kpis.json").read_text() == "earlier"
@@ -70,7 +71,7 @@ def test_an_earlier_result_survives_a_failure(tmp_path):
 
 def test_files_of_others_stay(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    with filled(tmp_path) as scratch:
+    with fill_folder(tmp_path) as scratch:
         (scratch / "kpis.json").write_text("new")
     assert (tmp_path / "notes.txt").read_text() == "mine"
     assert (tmp_path / "kpis.json").read_text() == "new"
@@ -78,5 +79,5 @@ def test_files_of_others_stay(tmp_path):
 
 def test_a_file_where_the_folder_should_be(tmp_path):
     (tmp_path / "out").write_text("a file")
-    with pytest.raises(InputError, match="cannot write"), filled(tmp_path / "out"):
+    with pytest.raises(InputError, match="cannot write"), fill_folder(tmp_path / "out"):
         pass

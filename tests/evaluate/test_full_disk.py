@@ -9,9 +9,9 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from metropilot._io import fill_folder, write_json
 from metropilot.errors import InputError
-from metropilot.evaluate import Request, filled, kpis_of, write_run
-from metropilot.evaluate.folder import write_json
+from metropilot.evaluate import Request, kpis_of, write_run
 from metropilot.learn.history import read_history, write_history
 from metropilot.policy import Policy, PolicySpec, load_policy, save_policy
 from metropilot.railway import load_line, write_line
@@ -51,7 +51,7 @@ def put_line(path, k):
 
 
 def put_folder(path, k):
-    with filled(path.parent) as scratch:
+    with fill_folder(path.parent) as scratch:
         write_json(scratch / path.name, {"k": k, "much": [k] * 4000})
 
 

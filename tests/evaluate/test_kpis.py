@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from metropilot.evaluate import checks, kpis_of, optimum_of, to_json, verdict
+from metropilot._io import to_json
+from metropilot.evaluate import checks, kpis_of, optimum_of, verdict
 from metropilot.sim import Outcome, drive
 
 DESIGN = (

@@ -8,7 +8,7 @@ import pytest
 
 CODE = """
 import os, sys
-from metropilot.learn.cores import own_core
+from metropilot._processes import own_core
 print(own_core(), sorted(os.sched_getaffinity(0)), flush=True)
 sys.stdin.read()
 """

@@ -202,7 +202,7 @@ def test_a_course_that_was_stopped_ends_the_same(few_worlds, tmp_path, monkeypat
     path = tmp_path / "checkpoint.safetensors"
     with pytest.raises(Enough):
         teach_in_parts(config, task, 1, TrainingOptions(evaluate, stop, path))
-    assert list(tmp_path.glob("lessons/*.npz"))
+    assert list(tmp_path.glob("lessons/*.safetensors"))
     again = teach_in_parts(config, task, 1, TrainingOptions(evaluate, None, path, resume=True))
     for name, value in whole.policy.params.items():
         assert (again.policy.params[name] == value).all(), name

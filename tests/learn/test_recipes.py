@@ -9,11 +9,11 @@ import time
 import numpy as np
 import pytest
 
+from metropilot._io import hold_lock, is_locked
 from metropilot.env import TASKS
 from metropilot.errors import InputError
 from metropilot.learn import PPOConfig, RunStore
 from metropilot.learn.evaluation import kpis_kept
-from metropilot.learn.locks import at_work, is_at_work
 from metropilot.learn.recipes import BUDGETS, RECIPES, recipe
 from metropilot.learn.runs import read_record
 
@@ -96,7 +96,7 @@ def test_the_kpis_kept_are_those_of_the_policy_kept():
 
 
 def hold(folder, ready):
-    with at_work(folder):
+    with hold_lock(folder):
         ready.set()
         time.sleep(60)
 
@@ -112,8 +112,8 @@ def test_a_run_whose_process_was_killed_is_interrupted(tmp_path):
     try:
         assert ready.wait(60)
         assert [r.status for r in store.recent()] == ["running"]
-        assert is_at_work(folder)
-        with pytest.raises(InputError, match="another process is learning"), at_work(folder):
+        assert is_locked(folder)
+        with pytest.raises(InputError, match="another process is learning"), hold_lock(folder):
             pass
     finally:
         process.kill()

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from metropilot._io import atomic_write
+from metropilot._provenance import provenance
 from metropilot.campaign.store import stored_campaign
 from metropilot.campaign.summary import POSSIBLE, asked, opened
-from metropilot.evaluate.folder import provenance
 
 DASH = "–"
 LEGEND = """\

@@ -8,10 +8,11 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from metropilot._io import check_writable
 from metropilot.campaign.declared import Campaign, request_of
 from metropilot.campaign.rows import section_of
 from metropilot.errors import MetropilotError
-from metropilot.evaluate.folder import check_writable, write_run, write_run_toml
+from metropilot.evaluate.folder import write_run, write_run_toml
 from metropilot.evaluate.kpis import kpis_of
 from metropilot.evaluate.optimum import Optimum, optimum_of
 from metropilot.sim.rollout import Drive, drive

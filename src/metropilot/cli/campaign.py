@@ -108,7 +108,7 @@ def sitting(progress: CampaignProgress, workers: int, cluster: str | None) -> di
 
 def circumstances(progress: CampaignProgress, workers: int, cluster: str | None) -> dict[str, str]:
     """What the head of the report says of how it was made."""
-    from metropilot.evaluate import provenance
+    from metropilot._provenance import provenance
 
     where = f"{workers} processes" if cluster is None else f"Ray cluster {cluster}"
     made = ", ".join(f"{name} {text}" for name, text in provenance().items())

@@ -115,7 +115,8 @@ def compare_and_report(
     request: Request, names: Sequence[str], seeds: int, out: Path | None, *, as_json: bool
 ) -> int:
     """Drive, print, write; the exit code."""
-    from metropilot.evaluate import check_writable, compare, jobs, make_driver, write_comparison
+    from metropilot._io import check_writable
+    from metropilot.evaluate import compare, jobs, make_driver, write_comparison
 
     for name in names:
         make_driver(name)

@@ -36,7 +36,7 @@ def screen_width() -> int | None:
 
 def print_json(values: object) -> None:
     """One JSON document on the output."""
-    from metropilot.evaluate import to_json
+    from metropilot._io import to_json
 
     sys.stdout.write(to_json(values) + "\n")
 

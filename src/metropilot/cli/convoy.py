@@ -142,9 +142,9 @@ def _factors(text: str | None) -> tuple[float, ...]:
 
 def run_and_report(request: ConvoyRequest, out: Path | None, *, as_json: bool) -> int:
     """Drive, print, write; the exit code."""
+    from metropilot._io import check_writable
     from metropilot.convoy.folder import write_convoy
     from metropilot.convoy.kpis import convoy_kpis
-    from metropilot.evaluate import check_writable
 
     if out is not None:
         check_writable(out)

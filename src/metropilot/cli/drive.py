@@ -94,7 +94,8 @@ def drive_command(
 
 def run_and_report(request: Request, out: Path | None, *, as_json: bool) -> int:
     """Drive, print, write; the exit code."""
-    from metropilot.evaluate import check_writable, kpis_of, optimum_of, write_run
+    from metropilot._io import check_writable
+    from metropilot.evaluate import kpis_of, optimum_of, write_run
     from metropilot.sim import drive
 
     if out is not None:

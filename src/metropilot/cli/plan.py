@@ -89,7 +89,7 @@ def plan_command(
     )
     ends = (where.station(origin), where.station(destination)) if origin and destination else None
     if out is not None:
-        from metropilot.evaluate import check_writable
+        from metropilot._io import check_writable
 
         check_writable(out)
     if journey is None and ends is not None and not stopping:

@@ -7,9 +7,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from metropilot._io import fill_folder, write_json
 from metropilot.cli.console import console, number, print_json, table, working
 from metropilot.errors import InputError
-from metropilot.evaluate import filled, write_json
 from metropilot.planning import (
     JourneyPlan,
     Plan,
@@ -138,7 +138,7 @@ def deliver(
     if asked.out is not None:
         from metropilot.evaluate.style import save
 
-        with filled(asked.out) as scratch:
+        with fill_folder(asked.out) as scratch:
             write_json(scratch / "plan.json", values)
             if plan is not None:
                 write_profile(scratch / "plan.csv", plan)

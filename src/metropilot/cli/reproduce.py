@@ -57,7 +57,7 @@ def reproduce_command(
     Interrupted at any moment, the same command with the same folder goes on from where it was.
     """
     from metropilot import studies
-    from metropilot.evaluate import check_writable
+    from metropilot._io import check_writable
 
     given = _pairs(options) | ({"reference": reference} if reference is not None else {})
     found = studies.STUDIES.get(study)

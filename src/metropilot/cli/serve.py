@@ -68,7 +68,7 @@ def serve_command(
         job_s=job_s,
     )
     check_free(settings.host, settings.port)
-    from metropilot.evaluate import check_writable
+    from metropilot._io import check_writable
 
     check_writable(settings.data)
     query = "/?token=…" if settings.token else "/"

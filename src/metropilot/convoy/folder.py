@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from metropilot._io import fill_folder, write_json
+from metropilot._provenance import provenance
 from metropilot.convoy.kpis import ConvoyKpis
 from metropilot.convoy.request import ConvoyRequest
 from metropilot.convoy.rollout import ConvoyDrive
-from metropilot.evaluate.folder import carried, filled, provenance, write_json
+from metropilot.evaluate.folder import carried
 from metropilot.evaluate.request_file import to_table
 
 if TYPE_CHECKING:
@@ -33,7 +35,7 @@ def write_convoy(folder: Path, request: ConvoyRequest, drive: ConvoyDrive, kpis:
     """
     from metropilot.evaluate.style import save
 
-    with filled(folder) as scratch:
+    with fill_folder(folder) as scratch:
         for k, trajectory in enumerate(drive.trajectories, 1):
             trajectory.write(scratch / f"trajectory-{k}.csv")
         write_json(scratch / "kpis.json", kpis.as_dict())

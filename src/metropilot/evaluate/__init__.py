@@ -3,13 +3,8 @@
 from metropilot.evaluate.compare import Entry, Interval, Job, best, compare, jobs
 from metropilot.evaluate.driver_options import make_driver, option_defaults
 from metropilot.evaluate.folder import (
-    check_writable,
     comparison_json,
-    filled,
-    provenance,
-    to_json,
     write_comparison,
-    write_json,
     write_run,
 )
 from metropilot.evaluate.kpis import Check, Kpis, checks, kpis_of, outcome_words, verdict
@@ -27,22 +22,17 @@ __all__ = [
     "Optimum",
     "Request",
     "best",
-    "check_writable",
     "checks",
     "compare",
     "comparison_json",
-    "filled",
     "jobs",
     "kpis_of",
     "make_driver",
     "optimum_of",
     "option_defaults",
     "outcome_words",
-    "provenance",
     "request_from_toml",
-    "to_json",
     "verdict",
     "write_comparison",
-    "write_json",
     "write_run",
 ]

@@ -1,21 +1,15 @@
-"""The folder a run leaves behind, and how it gets there without losing an earlier one."""
+"""Folders of results: a run, a comparison."""
 
 from __future__ import annotations
 
-import json
-import math
 import shutil
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from platform import python_version
-from subprocess import DEVNULL, SubprocessError, run
 from typing import Any
 
-from metropilot.errors import InputError
+from metropilot._io import fill_folder, write_json
+from metropilot._provenance import provenance
 from metropilot.evaluate.compare import Entry
 from metropilot.evaluate.kpis import Kpis
 from metropilot.evaluate.optimum import Optimum
@@ -23,49 +17,6 @@ from metropilot.evaluate.request import Request
 from metropilot.evaluate.request_file import FILES, POLICY, is_file, to_table
 from metropilot.policy.loaded import policy_path
 from metropilot.sim.rollout import Drive
-
-PACKAGES = ("clarabel", "numpy", "scipy", "matplotlib", "jax")
-
-
-@contextmanager
-def filled(folder: Path) -> Iterator[Path]:
-    """A scratch folder whose files move into ``folder`` together, once all of them are written.
-
-    The files are written beside their destination and renamed over it one by one, so that an earlier result
-    is whole until a new one is, whatever goes wrong while drawing or writing.
-
-    Raises:
-        InputError: The folder cannot be made or written.
-    """
-    scratch = None
-    try:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            scratch = Path(tempfile.mkdtemp(prefix=".metropilot-", dir=folder))
-        except OSError as error:
-            raise InputError(
-                "cannot write to the folder", file=folder, field="out", value=error.strerror
-            ) from None
-        try:
-            yield scratch
-            for path in sorted(scratch.iterdir(), key=lambda p: p.name == "run.toml"):
-                path.replace(folder / path.name)
-        except OSError as error:
-            place = error.filename2 or error.filename or folder
-            raise InputError("cannot write the file", file=place, value=error.strerror) from None
-    finally:
-        if scratch is not None:
-            shutil.rmtree(scratch, ignore_errors=True)
-
-
-def check_writable(folder: Path) -> None:
-    """Find out before a long computation whether its results can be written.
-
-    Raises:
-        InputError: The folder cannot be made or written.
-    """
-    with filled(folder):
-        pass
 
 
 def write_run(folder: Path, request: Request, drive: Drive, kpis: Kpis, optimum: Optimum | None) -> None:
@@ -84,7 +35,7 @@ def write_run(folder: Path, request: Request, drive: Drive, kpis: Kpis, optimum:
     from metropilot.evaluate.picture import profile_figure
     from metropilot.evaluate.style import save
 
-    with filled(folder) as scratch:
+    with fill_folder(folder) as scratch:
         drive.trajectory.write(scratch / "trajectory.csv")
         write_json(scratch / "kpis.json", kpis.as_dict())
         save(profile_figure(drive, kpis, optimum), scratch / "profile")
@@ -105,7 +56,7 @@ def write_comparison(folder: Path, request: Request, entries: Sequence[Entry]) -
     from metropilot.evaluate.gallery import comparison_figure
     from metropilot.evaluate.style import save
 
-    with filled(folder) as scratch:
+    with fill_folder(folder) as scratch:
         write_json(scratch / "comparison.json", comparison_json(request, entries))
         save(comparison_figure(entries), scratch / "comparison")
         write_run_toml(scratch, request)
@@ -125,25 +76,6 @@ def comparison_json(request: Request, entries: Sequence[Entry]) -> dict[str, Any
         runs = [{"seed": d.run.seed, **k.as_dict()} for d, k in zip(entry.drives, entry.kpis, strict=True)]
         drivers.append({"driver": entry.driver, "successes": entry.successes, "kpis": spread, "runs": runs})
     return {"run": to_table(request.resolved()), "drivers": drivers}
-
-
-def write_json(path: Path, values: Mapping[str, Any]) -> None:
-    """Write a JSON object; a number that is not finite becomes null."""
-    path.write_text(to_json(values) + "\n", encoding="utf-8")
-
-
-def to_json(values: object) -> str:
-    """JSON text that can be written as UTF-8; a number that is not finite becomes null."""
-
-    def plain(value: object) -> object:
-        if isinstance(value, Mapping):
-            return {str(key): plain(item) for key, item in value.items()}
-        if isinstance(value, list | tuple):
-            return [plain(item) for item in value]
-        return None if isinstance(value, float) and not math.isfinite(value) else value
-
-    text = json.dumps(plain(values), indent=2, ensure_ascii=False, allow_nan=False)
-    return text.encode(errors="backslashreplace").decode()
 
 
 def write_run_toml(folder: Path, request: Request) -> None:
@@ -168,39 +100,3 @@ def carried(folder: Path, request: Request) -> Request:
         shutil.copyfile(source, folder / source.name)
         request = replace(request, options={**request.options, POLICY: source.name})
     return request
-
-
-def provenance() -> dict[str, str]:
-    """Versions of metropilot, Python and what numbers depend on, and the commit where there is one."""
-    found = {"metropilot": _version("metropilot"), "python": python_version()}
-    found |= {name: _version(name) for name in PACKAGES}
-    if commit := _commit():
-        found["commit"] = commit
-    return {name: text for name, text in found.items() if text}
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return ""
-
-
-def _commit() -> str:
-    """The commit of the source checkout, with ``+`` when files differ from it; empty outside a checkout."""
-    root = Path(__file__).resolve().parents[3]
-    if not (root / ".git").exists():
-        return ""
-    try:
-        git = ["git", "-C", str(root)]
-        said = run(
-            [*git, "describe", "--always", "--abbrev=40", "--dirty=+", "--exclude=*"],
-            capture_output=True,
-            text=True,
-            stdin=DEVNULL,
-            check=True,
-            timeout=5,
-        )
-    except (OSError, SubprocessError):
-        return ""
-    return said.stdout.strip()

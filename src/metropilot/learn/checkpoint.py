@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from metropilot._tensors import read_tensors, write_tensors
 from metropilot.errors import InputError
-from metropilot.policy.tensors import read_tensors, write_tensors
 
 Tree = Any
 

@@ -15,8 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from metropilot.env import DrivingTask, episode_of, starts
-from metropilot.env.optima import Optima
-from metropilot.learn.optima_cache import kept_optima
+from metropilot.env.optima import Optima, cached_optima
 from metropilot.policy.networks import Params
 from metropilot.policy.policy import PolicySpec, act
 from metropilot.sim import CODES, PUNCTUALITY_S, Episode, Outcome
@@ -87,7 +86,7 @@ class DrivingEvaluation:
         cases = np.unique(self.grid.case)
         self.row = np.searchsorted(cases, self.grid.case)
         reach = np.max(task.times_s[1, cases] / task.minimum_s[cases])
-        optima = kept_optima([task.config.cases[k] for k in cases], float(reach))
+        optima = cached_optima([task.config.cases[k] for k in cases], float(reach))
         self.curves = _curves(optima)
 
     def __call__(self, params: Params, key: Array) -> dict[str, Array]:

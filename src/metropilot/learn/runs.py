@@ -14,18 +14,17 @@ import secrets
 import sqlite3
 import tomllib
 from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from metropilot._io import atomic_write
-from metropilot._provenance import commit, machine, versions
+from metropilot._io import atomic_write, is_locked, open_database
+from metropilot._provenance import LEARNING, commit, machine, versions
 from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.config_reading import config_from_mapping, config_to_mapping
-from metropilot.learn.locks import is_at_work
 
 Status = Literal["running", "interrupted", "done", "failed"]
 INDEX = "index.sqlite"
@@ -155,7 +154,7 @@ class RunStore:
             commit_id=commit(),
             config=config_to_mapping(config),
             about=dict(about),
-            versions=versions(),
+            versions=versions(LEARNING),
             driver=more.get("driver", ""),
             command=more.get("command", ""),
             machine=machine(),
@@ -241,7 +240,7 @@ class RunStore:
         for name in (INDEX, f"{INDEX}-wal", f"{INDEX}-shm"):
             (self.root / name).unlink(missing_ok=True)
         records = [record for path in sorted(self.root.glob("*/run.toml")) if (record := read_record(path))]
-        with closing(self._connect()) as database, database:
+        with self._connect() as database:
             for record in records:
                 _insert(database, record)
         return len(records)
@@ -263,34 +262,29 @@ class RunStore:
         """The index in a transaction; rebuilt if it is missing or damaged."""
         if not (self.root / INDEX).exists():
             self.rebuild()
-        try:
-            database = self._connect()
-        except sqlite3.DatabaseError:
-            self.rebuild()
-            database = self._connect()
-        with closing(database), database:
+        with ExitStack() as stack:
+            try:
+                database = stack.enter_context(self._connect())
+            except sqlite3.DatabaseError:
+                self.rebuild()
+                database = stack.enter_context(self._connect())
             yield database
 
-    def _connect(self) -> sqlite3.Connection:
-        self.root.mkdir(parents=True, exist_ok=True)
-        database = sqlite3.connect(self.root / INDEX, timeout=30.0)
-        try:
-            database.execute("PRAGMA journal_mode = WAL")
+    @contextmanager
+    def _connect(self) -> Iterator[sqlite3.Connection]:
+        with open_database(self.root / INDEX) as database:
             (version,) = database.execute("PRAGMA user_version").fetchone()
             tables = database.execute("SELECT name FROM sqlite_master WHERE name = 'runs'").fetchall()
             if tables and version != SCHEMA_VERSION:
                 raise sqlite3.DatabaseError("an index of another version")
             database.execute(SCHEMA)
             database.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
-        except sqlite3.DatabaseError:
-            database.close()
-            raise
-        return database
+            yield database
 
 
 def settled(store: RunStore, record: RunRecord) -> RunRecord:
     """The record, its status put right if it is running no more."""
-    if record.status != "running" or is_at_work(store.folder(record.id)):
+    if record.status != "running" or is_locked(store.folder(record.id)):
         return record
     return store.update(record, status="interrupted")
 

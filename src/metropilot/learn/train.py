@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from metropilot._io import hold_lock
 from metropilot.env import DrivingTask, PolicyInterface
 from metropilot.env.interface import AbstractTask
 from metropilot.errors import InputError
@@ -14,7 +15,6 @@ from metropilot.learn.config import TeacherConfig
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.evaluation import kpis_kept, kpis_of_row
 from metropilot.learn.history import write_history
-from metropilot.learn.locks import at_work
 from metropilot.learn.runs import RunRecord, RunStore
 from metropilot.learn.session import TrainingOptions, TrainingProgress, TrainingResult, learn_in_chunks
 from metropilot.learn.tensorboard import EventWriter
@@ -68,7 +68,7 @@ def learn_run(
         raise InputError(
             "the run learned another task", field="task", value=request.name, allowed=record.task
         )
-    with at_work(store.folder(record.id)):
+    with hold_lock(store.folder(record.id)):
         return _learn(store, request, sitting or TrainingOptions(), record, resume=bool(resume))
 
 

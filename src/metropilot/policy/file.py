@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from metropilot._tensors import read_tensors, write_tensors
 from metropilot.errors import InputError
 from metropilot.policy.networks import ACTIVATIONS
 from metropilot.policy.policy import OUTPUTS, Policy, PolicySpec
-from metropilot.policy.tensors import read_tensors, write_tensors
 
 FORMAT = 1
 MAX_BYTES = 64 << 20

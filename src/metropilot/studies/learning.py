@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from metropilot._processes import ONE_THREAD, environment
+from metropilot._processes import ONE_THREAD, environment, own_core
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
@@ -125,7 +125,6 @@ def _learn(job: LearnJob, place: Path) -> str:
     from metropilot._io import atomic_write
     from metropilot.env import DrivingTask
     from metropilot.learn import TrainingOptions, learn_in_chunks, write_history
-    from metropilot.learn.cores import own_core
     from metropilot.policy import save_policy
 
     if current_process().name != "MainProcess":

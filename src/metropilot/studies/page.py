@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from metropilot.evaluate import filled, to_json
+from metropilot._io import fill_folder, to_json
 from metropilot.studies.report import ReportRow, StudyReport
 from metropilot.studies.study import Study
 
@@ -83,7 +83,7 @@ def write_figures(folder: Path, report: StudyReport) -> None:
 
     from metropilot.evaluate.style import house_style, save
 
-    with filled(folder) as scratch:
+    with fill_folder(folder) as scratch:
         for figure in report.figures:
             with house_style():
                 drawing = figure.draw()
@@ -98,7 +98,7 @@ def write_report(folder: Path, study: Study, report: StudyReport) -> None:
         InputError: The folder cannot be written.
     """
     write_figures(folder / study.id, report)
-    with filled(folder) as scratch:
+    with fill_folder(folder) as scratch:
         (scratch / "report.json").write_text(to_json(report.as_dict()) + "\n")
         (scratch / f"{study.id}.md").write_text(page(study, report))
 
@@ -112,5 +112,5 @@ def write_docs(folder: Path, study: Study, report: StudyReport) -> None:
     write_figures(folder / study.id, report)
     for drawing in (folder / study.id).glob("*.svg"):
         drawing.unlink()
-    with filled(folder) as scratch:
+    with fill_folder(folder) as scratch:
         (scratch / f"{study.id}.md").write_text(page(study, report))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
+from metropilot._provenance import circumstances
 from metropilot._registry import Registry, RegistryRow
 from metropilot.errors import InputError
-from metropilot.studies.circumstances import circumstances
 from metropilot.studies.report import StudyReport
 from metropilot.studies.study import Order, Study
 

@@ -1,4 +1,4 @@
-"""What outlives the server: jobs, the journals of live runs, and the names of uploads, in one SQLite file."""
+"""Store of the console: jobs, the journals of live runs, and the names of uploads, in one SQLite file."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import json
 import secrets
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from metropilot._io import open_database
 from metropilot.web.refusals import Refused
 
 SCHEMA = """
@@ -65,14 +66,12 @@ class JobStore:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        root.mkdir(parents=True, exist_ok=True)
         with self._open() as database:
             database.executescript(SCHEMA)
 
     @contextmanager
     def _open(self) -> Iterator[sqlite3.Connection]:
-        with closing(sqlite3.connect(self.root / "console.sqlite", timeout=30.0)) as database, database:
-            database.execute("PRAGMA journal_mode = WAL")
+        with open_database(self.root / "console.sqlite") as database:
             database.execute("PRAGMA synchronous = NORMAL")
             yield database
 

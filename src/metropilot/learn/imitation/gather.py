@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
-from metropilot._io import atomic_write
+from metropilot._tensors import read_tensors, write_tensors
 from metropilot.env.worlds import domain_sample
 from metropilot.errors import InputError, MetropilotError
 from metropilot.learn.imitation.lessons import Demonstrations, collect_demonstrations, joined
 
 SHARD = 50
 """Worlds to a file."""
+MAX_BYTES = 1 << 30
 ATTEMPT = 1 << 32
 """Added to a world's number: what its lessons are drawn from."""
 
@@ -46,7 +46,7 @@ class Gathering:
     def path(self, shard: int) -> Path:
         """A file of lessons; what it holds is in its name, so that no other is taken for it."""
         told = f"{self.seed}-{self.worlds}-{self.plans}-{self.states}"
-        return self.folder / f"lessons-{told}-{shard:03}.npz"
+        return self.folder / f"lessons-{told}-{shard:03}.safetensors"
 
 
 def gather(gathering: Gathering, on_shard: Callable[[int], object]) -> None:
@@ -85,17 +85,7 @@ def gather_shard(gathering: Gathering, shard: int) -> None:
         numbers.append(np.full(lessons.begins.shape[0], number))
     whole, path = joined(found), gathering.path(shard)
 
-    def write(partial: Path) -> None:
-        with partial.open("wb") as file:
-            np.savez(
-                file,
-                observations=whole.observations,
-                commands=whole.commands,
-                begins=whole.begins,
-                numbers=np.concatenate(numbers),
-            )
-
-    atomic_write(path, write)
+    write_tensors(path, whole._asdict() | {"numbers": np.concatenate(numbers)}, {})
 
 
 def gathered(gathering: Gathering) -> tuple[Demonstrations, np.ndarray]:
@@ -115,7 +105,7 @@ def _read(gathering: Gathering) -> Iterator[tuple[Demonstrations, np.ndarray]]:
     for shard in range(gathering.shards):
         path = gathering.path(shard)
         try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as found:
-                yield Demonstrations(*(found[name] for name in Demonstrations._fields)), found["numbers"]
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+            found, _ = read_tensors(path, MAX_BYTES)
+            yield Demonstrations(*(found[name] for name in Demonstrations._fields)), found["numbers"]
+        except (InputError, KeyError):
             raise InputError("lessons are missing or damaged; remove the file", file=path) from None

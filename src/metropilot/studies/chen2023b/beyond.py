@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 
+from metropilot._io import load_or_compute
 from metropilot.convoy.attack import Arena, AttackCampaign
 from metropilot.convoy.drivers import AbstractFollower
+from metropilot.convoy.drivers.learned import AbstractGainFollower
 from metropilot.convoy.headway import ConvoyService, needed_gap_m
 from metropilot.convoy.model import GAP_M
 from metropilot.convoy.rollout import drive_convoy
 from metropilot.convoy.stability import speed_gains
-from metropilot.studies.chen2023b.kept import identity, kept
 from metropilot.studies.chen2023b.setting import head_run, pair
 from metropilot.studies.report import ReportRow
 
@@ -29,6 +31,18 @@ CAMPAIGNS = {
     "paper": ((2, "coupled", 60_000), (4, "coupled", 30_000), (8, "coupled", 10_000), (2, "none", 4_000)),
 }
 SPEED_MPS = 60.0 / 3.6
+PARTS = "parts"
+"""Folder of what takes minutes, in the study's: an interrupted study goes on from there."""
+
+
+def _identity(follower: AbstractFollower) -> str:
+    """Id of a follower, with a digest of its policy's weights if it has one."""
+    if not isinstance(follower, AbstractGainFollower):
+        return follower.id
+    digest = sha256()
+    for key, values in sorted(follower.policy.params.items()):
+        digest.update(key.encode() + np.asarray(values).tobytes())
+    return f"{follower.id} {digest.hexdigest()[:16]}"
 
 
 def rough_rows(
@@ -40,8 +54,9 @@ def rough_rows(
         for name, follower in followers.items():
             if name == "follow_mpc" and count > 2:
                 continue
-            about = {"follower": identity(follower), "count": count}
-            values = kept(folder, f"disturbed-{name}-{count}", about, partial(_rough, follower, count))
+            about = {"follower": _identity(follower), "count": count}
+            path = folder / PARTS / f"disturbed-{name}-{count}.json"
+            values = load_or_compute(path, about, partial(_rough, follower, count))
             case = f"{count} trainsets, masses ±20 %, delay 0.3 s, loss 10 %"
             kpis = ("contacts", ""), ("smallest gap", "m"), ("largest gap", "m"), ("interventions", "")
             rows += [
@@ -67,8 +82,9 @@ def stability(
     for name, follower in followers.items():
         if name == "follow_mpc":
             continue
-        about = {"follower": identity(follower), "count": count, "periods": periods}
-        values = kept(folder, f"stability-{name}", about, partial(_gains, follower, count, periods))
+        about = {"follower": _identity(follower), "count": count, "periods": periods}
+        path = folder / PARTS / f"stability-{name}.json"
+        values = load_or_compute(path, about, partial(_gains, follower, count, periods))
         found[name] = (np.array(periods), np.array(values))
     return found
 
@@ -119,8 +135,8 @@ def _attacked(campaign: AttackCampaign, cases: int, folder: Path) -> list[list[f
     found = []
     for k in range(cases // sitting):
         about = {"campaign": asdict(campaign), "sitting": k, "cases": sitting, "batch": BATCH}
-        name = f"campaign-{campaign.guard}-{campaign.count}-{k}"
-        found.append(kept(folder, name, about, partial(attacked, k)))
+        path = folder / PARTS / f"campaign-{campaign.guard}-{campaign.count}-{k}.json"
+        found.append(load_or_compute(path, about, partial(attacked, k)))
     return found
 
 

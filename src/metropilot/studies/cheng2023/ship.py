@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from metropilot._provenance import circumstances
 from metropilot.control.incremental_pid import Errors
 from metropilot.drivers.ddpg_pid import OBSERVED, DdpgPid, DdpgPidOptions, ddpg_pid
 from metropilot.drivers.shipped import shipped_policy
@@ -23,7 +24,6 @@ from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, Run, drive
 from metropilot.studies.cheng2023.learning import REWARDS, SEEDS, config, jobs
 from metropilot.studies.cheng2023.setting import course
-from metropilot.studies.circumstances import circumstances
 from metropilot.studies.learning import SeedResult, learn_seeds
 
 SECTIONS = (("JHL", "CQN"), ("XHM", "JG"), ("RJ", "WYJ"))

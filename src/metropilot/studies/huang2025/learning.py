@@ -93,9 +93,9 @@ def job(driver: str, seed: int, budget: str) -> LearnJob:
 
 def keep(folder: Path, result: SeedResult) -> Path:
     """Write the policy of a learning run with all that a driver must know of it."""
+    from metropilot._provenance import circumstances
     from metropilot.learn import config_to_mapping
     from metropilot.policy.file import save_policy
-    from metropilot.studies.circumstances import circumstances
 
     driver = str(result.job.about["driver"])
     best = int(np.nanargmax(result.history["evaluation.score"]))
