@@ -21,9 +21,9 @@ from metropilot.sim import Disturbance, Run, drive
 LINE, TRAINSET, LOADS = "yizhuang", "dkz32", ("AW0", "AW2", "AW3")
 RATIOS = (1.05, 1.1, 1.2, 1.6)
 PLAN_RATIOS = (1.02, 1.05, 1.1, 1.2, 1.4, 1.6)
-LATE = {"extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
+LATE = {"delay_s": 0.6, "lag_s": 0.4, "speed_noise_mps": 0.05}
 SCENARIOS = {
-    "ideal actuation": Disturbance(ideal_actuation=True),
+    "ideal actuation": Disturbance(ideal=True),
     "jerk limit": Disturbance(),
     "mass +20 %, Davis +50 %": Disturbance(mass_factor=1.2, resistance_factor=1.5, **LATE),
     "mass +20 %, Davis -50 %": Disturbance(mass_factor=1.2, resistance_factor=0.5, **LATE),

@@ -30,7 +30,7 @@ LINE, TRAINSET, LOADS = "yizhuang", "dkz32", ("AW0", "AW2", "AW3")
 RATIOS = (0.0, 1.05, 1.1, 1.2, 1.4)
 """Scheduled time over the minimum of section and load; 0: the time planned by the line."""
 IDEAL, LIMITED = "ideal actuation", "jerk limit"
-SCENARIOS = {IDEAL: Disturbance(ideal_actuation=True), LIMITED: Disturbance()}
+SCENARIOS = {IDEAL: Disturbance(ideal=True), LIMITED: Disturbance()}
 TARGETS = {IDEAL: (0.7, 2.5, 5.0), LIMITED: (2.5, 5.0, 8.0)}
 """Gap to the optimum, per cent: median, 95th percentile, worst."""
 ON_TIME_S, IN_PLACE_M = 1.0, 0.3

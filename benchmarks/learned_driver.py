@@ -27,7 +27,7 @@ LEARNED = ("ppo_scaled", "ppo")
 SHORTEST, LONGEST_S = 1.08, 130.0
 SHARES = (0.0, 0.06, 0.12, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0)
 """Scheduled times between the shortest, 1.08 of the load's minimum, and 130 s."""
-SCENARIOS = {"ideal actuation": Disturbance(ideal_actuation=True), "jerk limit": Disturbance()}
+SCENARIOS = {"ideal actuation": Disturbance(ideal=True), "jerk limit": Disturbance()}
 TARGETS = {"ideal actuation": (3.0, 6.0), "jerk limit": (5.0, None)}
 """Gap to the optimum, per cent: median and worst."""
 

@@ -101,7 +101,7 @@ def test_a_number_that_is_none_is_refused_by_its_option(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--delay", "100"), "--delay: out of range: 100.0 (allowed: 0 to 5)"),
+        (("--delay", "100"), "--delay: out of range: 100.0 s (allowed: 0 to 5 s)"),
         (("--lag", "9"), "--lag: "),
         (("--headwind", "99"), "--headwind: "),
         (("--speed-noise", "2"), "--speed-noise: "),

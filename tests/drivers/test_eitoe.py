@@ -110,12 +110,12 @@ def test_stops_at_the_mark_whatever_the_period_and_the_brakes(permil, service_mp
     ],
 )
 def test_late_news(news):
-    assert good(drive(run_of(news=(news,)), Eitoe()))
+    assert good(drive(run_of(updates=(news,)), Eitoe()))
 
 
 def test_a_restriction_announced_on_the_way():
     news = TimetableUpdate(30.0, restriction=Restriction(700.0, 900.0, 40.0 / 3.6))
-    found = drive(run_of(time_s=118.0, news=(news,)), Eitoe())
+    found = drive(run_of(time_s=118.0, updates=(news,)), Eitoe())
     assert good(found)
 
 

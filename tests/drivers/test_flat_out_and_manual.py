@@ -10,7 +10,7 @@ from metropilot.planning import minimum_running_time
 from metropilot.railway import Curve, Restriction, Section, Station, Steps, load_line, load_trainset
 from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate, drive
 
-UNKNOWN = {"resistance_factor": 1.5, "extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
+UNKNOWN = {"resistance_factor": 1.5, "delay_s": 0.6, "lag_s": 0.4, "speed_noise_mps": 0.05}
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def driven(driver, run):
 @pytest.mark.parametrize("name", ["WYJ-RJ", "XC-SJZ", "CQN-JHL"])
 @pytest.mark.parametrize("ideal", [True, False])
 def test_flat_out_is_nearly_the_fastest_run_and_undisturbed(dkz32, name, ideal):
-    run = Run(section(name), dkz32, 200.0, Disturbance(ideal_actuation=ideal))
+    run = Run(section(name), dkz32, 200.0, Disturbance(ideal=ideal))
     done, error = driven("flat_out", run)
     assert done.outcome is Outcome.ARRIVED
     assert (done.interventions, done.max_overspeed_mps) == (0, 0.0)
@@ -52,7 +52,7 @@ def test_flat_out_stops_a_trainset_it_does_not_know(dkz32, mass):
 
 def test_flat_out_slows_for_a_restriction_announced_on_the_way(dkz32):
     news = TimetableUpdate(at_s=10.0, restriction=Restriction(700.0, 900.0, 10.0))
-    run = Run(section("RC-RJ"), dkz32, 200.0, Disturbance(news=(news,)))
+    run = Run(section("RC-RJ"), dkz32, 200.0, Disturbance(updates=(news,)))
     done, _ = driven("flat_out", run)
     assert done.outcome is Outcome.ARRIVED
     assert done.interventions == 0

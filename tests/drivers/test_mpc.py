@@ -11,7 +11,7 @@ from metropilot.planning.optimal import plan_arrays
 from metropilot.railway import Restriction, load_line, load_trainset
 from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate, drive
 
-LATE = {"extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
+LATE = {"delay_s": 0.6, "lag_s": 0.4, "speed_noise_mps": 0.05}
 CORNERS = [(0.8, 0.5), (0.8, 1.5), (1.2, 0.5), (1.2, 1.5)]
 
 
@@ -42,7 +42,7 @@ def test_arrives_in_the_corners_of_the_disturbances(origin, destination, mass, r
 
 
 def test_as_told_it_is_as_good_as_the_plan():
-    run = run_of("RJ", "WYJ", load="AW0", ratio=1.2, ideal_actuation=True)
+    run = run_of("RJ", "WYJ", load="AW0", ratio=1.2, ideal=True)
     done = drive(run, DRIVERS.make("mpc"))
     check_arrival(done, seconds=0.5)
     assert done.interventions == 0
@@ -57,7 +57,7 @@ def test_neither_planner_wastes_much_on_a_heavy_trainset():
 
 def test_a_restriction_announced_on_the_way_is_kept():
     news = (TimetableUpdate(30.0, restriction=Restriction(500.0, 700.0, 40 / 3.6)),)
-    done = drive(run_of("RJ", "WYJ", ratio=1.25, news=news, mass_factor=1.2), DRIVERS.make("mpc"))
+    done = drive(run_of("RJ", "WYJ", ratio=1.25, updates=news, mass_factor=1.2), DRIVERS.make("mpc"))
     check_arrival(done, seconds=3.0)
     held = (done.trajectory.position_m > 500.0) & (done.trajectory.position_m < 700.0)
     assert done.trajectory.speed_mps[held].max() <= 40 / 3.6

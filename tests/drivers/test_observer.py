@@ -44,7 +44,7 @@ COMMANDS = np.repeat([1.0, 0.0, 0.6, 0.0, -0.5, -0.7], 25)
 @pytest.mark.parametrize("mass", [0.8, 1.0, 1.2])
 def test_gains_delay_and_resistance_are_learned(mass):
     scenario = Disturbance(
-        mass_factor=mass, resistance_factor=1.5, extra_delay_s=0.6, extra_lag_s=0.4, speed_noise_mps=0.05
+        mass_factor=mass, resistance_factor=1.5, delay_s=0.6, lag_s=0.4, speed_noise_mps=0.05
     )
     _, rows = driven(scenario, COMMANDS)
     belief = rows[-1][0]
@@ -64,7 +64,7 @@ def test_speed_is_filtered_tenfold():
 
 
 def test_look_ahead_predicts_the_state_the_command_will_meet():
-    scenario = Disturbance(mass_factor=1.2, extra_delay_s=0.6, extra_lag_s=0.4)
+    scenario = Disturbance(mass_factor=1.2, delay_s=0.6, lag_s=0.4)
     model, rows = driven(scenario, COMMANDS)
     # The belief kept in a row has the command just given; look at the moment before.
     (belief, _), (_, later) = rows[100], rows[103]
@@ -75,7 +75,7 @@ def test_look_ahead_predicts_the_state_the_command_will_meet():
 
 
 def test_share_for_gives_the_acceleration_asked_for():
-    model, rows = driven(Disturbance(ideal_actuation=False), COMMANDS)
+    model, rows = driven(Disturbance(ideal=False), COMMANDS)
     belief, state = rows[60]
     ahead = look_ahead(model, belief)
     share = share_for(belief, ahead, 0.3)

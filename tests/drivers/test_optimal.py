@@ -11,7 +11,7 @@ from metropilot.planning import minimum_running_time, optimal_plan
 from metropilot.railway import Actuation, Restriction, Steps, load_line, load_trainset
 from metropilot.sim import Disturbance, Outcome, Rollout, Run, TimetableUpdate, drive
 
-LATE = {"extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
+LATE = {"delay_s": 0.6, "lag_s": 0.4, "speed_noise_mps": 0.05}
 
 
 def run_of(origin="RJ", destination="WYJ", load="AW0", ratio=None, time_s=None, **scenario):
@@ -44,7 +44,7 @@ def gap(done):
     ],
 )
 def test_ideal_actuation_is_within_two_percent_of_the_bound(origin, destination, load, ratio):
-    run = run_of(origin, destination, load, ratio, ideal_actuation=True)
+    run = run_of(origin, destination, load, ratio, ideal=True)
     done = drive(run, DRIVERS.make("optimal"))
     check_safe_stop(done)
     assert abs(done.running_time_s - run.scheduled_time_s) <= 0.5
@@ -78,7 +78,7 @@ def test_told_on_the_way_to_arrive_later_or_earlier():
         (TimetableUpdate(30.0, scheduled_time_s=116.0), 116.0),
         (TimetableUpdate(10.0, scheduled_time_s=91.0), 91.0),
     ):
-        done = drive(run_of(time_s=101.0, news=(news,)), DRIVERS.make("optimal"))
+        done = drive(run_of(time_s=101.0, updates=(news,)), DRIVERS.make("optimal"))
         check_safe_stop(done)
         assert abs(done.running_time_s - due) <= 0.5
         assert done.interventions == 0
@@ -86,7 +86,7 @@ def test_told_on_the_way_to_arrive_later_or_earlier():
 
 def test_a_restriction_announced_on_the_way_is_kept_and_the_time_too():
     news = TimetableUpdate(20.0, restriction=Restriction(600.0, 930.0, 40 / 3.6))
-    done = drive(run_of(time_s=115.0, news=(news,)), DRIVERS.make("optimal"))
+    done = drive(run_of(time_s=115.0, updates=(news,)), DRIVERS.make("optimal"))
     check_safe_stop(done)
     assert abs(done.running_time_s - 115.0) <= 0.5
     inside = (done.trajectory.position_m > 600.0) & (done.trajectory.position_m < 930.0)
@@ -95,7 +95,7 @@ def test_a_restriction_announced_on_the_way_is_kept_and_the_time_too():
 
 def test_an_impossible_wish_on_the_way_is_answered_by_the_fastest_run():
     done = drive(
-        run_of(time_s=101.0, news=(TimetableUpdate(60.0, scheduled_time_s=85.0),)), DRIVERS.make("optimal")
+        run_of(time_s=101.0, updates=(TimetableUpdate(60.0, scheduled_time_s=85.0),)), DRIVERS.make("optimal")
     )
     check_safe_stop(done)
     assert 85.0 < done.running_time_s < 100.0

@@ -13,7 +13,7 @@ from metropilot.planning.timed_reference import ReferenceTrack, reference_under_
 from metropilot.railway import Restriction, load_line, load_trainset
 from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate, drive
 
-UNKNOWN = {"resistance_factor": 1.5, "extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
+UNKNOWN = {"resistance_factor": 1.5, "delay_s": 0.6, "lag_s": 0.4, "speed_noise_mps": 0.05}
 TRACKERS = ["pid", "fuzzy_pid", "neural_pid", "ddpg_pid"]
 
 
@@ -66,7 +66,7 @@ def test_a_tracker_hears_news():
         TimetableUpdate(20.0, scheduled_time_s=128.0),
         TimetableUpdate(30.0, restriction=Restriction(700.0, 900.0, 10.0)),
     )
-    run = Run(section("RJ-WYJ"), load_trainset("dkz32"), 101.0, Disturbance(news=news))
+    run = Run(section("RJ-WYJ"), load_trainset("dkz32"), 101.0, Disturbance(updates=news))
     done = drive(run, Pid())
     assert done.outcome is Outcome.ARRIVED
     assert done.interventions == 0

@@ -48,7 +48,7 @@ def run_of(section=("yizhuang", "RJ", "WYJ"), trainset="dkz32", time_s=110.0, **
 def test_a_file_drives_as_the_policy_in_it(tmp_path):
     policy = policy_of()
     path = file_of(tmp_path, policy)
-    run = run_of(ideal_actuation=True)
+    run = run_of(ideal=True)
     direct = drive(run, LearnedDriver(policy, PERCEPTION)).trajectory
     driven = drive(run, make_driver("learned", {"policy": str(path)})).trajectory
     np.testing.assert_array_equal(driven.command, direct.command)

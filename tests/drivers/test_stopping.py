@@ -148,8 +148,8 @@ def test_unknown_plant_stops_within_tolerance(dkz32, actuation):
         truth = Disturbance(
             mass_factor=1 + 0.2 * mass,
             resistance_factor=1 + 0.5 * resistance,
-            extra_delay_s=0.6 if seed % 3 else rng.uniform(0.0, 0.6),
-            extra_lag_s=0.4 if seed % 3 else rng.uniform(0.0, 0.4),
+            delay_s=0.6 if seed % 3 else rng.uniform(0.0, 0.6),
+            lag_s=0.4 if seed % 3 else rng.uniform(0.0, 0.4),
             speed_noise_mps=0.05,
         )
         errors.append(stopped(replace(dkz32, actuation=actuation), truth, seed)[0])

@@ -14,7 +14,7 @@ from metropilot.railway import Actuation, Restriction, load_line, load_trainset
 from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate
 from metropilot.sim.rollout import Rollout
 
-LATE = {"extra_delay_s": 0.6, "extra_lag_s": 0.4, "speed_noise_mps": 0.05}
+LATE = {"delay_s": 0.6, "lag_s": 0.4, "speed_noise_mps": 0.05}
 
 
 def run_of(origin, destination, ratio=1.1, **fields):
@@ -56,12 +56,12 @@ def test_in_the_corners_of_the_plant_it_stops_at_the_point_and_in_time(name, sec
 
 @pytest.mark.parametrize(("name", "ideal"), [("generalist", True), ("ppo", False), ("dqn", True)])
 def test_where_all_is_as_told_nothing_observed_is_acted_upon(name, ideal):
-    run = run_of("RJ", "WYJ", 1.2, ideal_actuation=ideal)
+    run = run_of("RJ", "WYJ", 1.2, ideal=ideal)
     news = (
         TimetableUpdate(30.0, scheduled_time_s=1.05 * run.scheduled_time_s),
         TimetableUpdate(30.0, restriction=Restriction(600.0, 800.0, 16.0)),
     )
-    noisy = run_of("RJ", "WYJ", 1.2, ideal_actuation=ideal, speed_noise_mps=0.05, news=news)
+    noisy = run_of("RJ", "WYJ", 1.2, ideal=ideal, speed_noise_mps=0.05, updates=news)
     for one in (run, noisy):
         _, began = driven(one, name)
         assert began is None

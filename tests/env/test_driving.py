@@ -109,7 +109,7 @@ def test_out_of_time():
 
 def test_disturbances_and_news_reach_the_plant(tasks):
     task = tasks("drive_disturbed")
-    fields = {"mass_factor": [1.0, 1.1, 1.0], "extra_delay_s": [0.0, 0.0, 0.6]}
+    fields = {"mass_factor": [1.0, 1.1, 1.0], "delay_s": [0.0, 0.0, 0.6]}
     news = {"news_at_s": [jnp.inf, jnp.inf, 20.0], "news_s": [110.0, 110.0, 118.0]}
     kpis, over, _ = drive_all(task, starts([0] * 3, [110.0] * 3, **fields, **news), 1.0, 300)
     assert over.all()

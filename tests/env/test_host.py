@@ -84,7 +84,7 @@ def test_same_commands(ideal):
     task = DrivingTask(config_of(ideal, dt=dt, action=CommandAction(), assists=Assists(False, False)))
     rows, kpis = episode(task, lambda _, k: jnp.asarray(commands)[k][None], 110.0)
     config = task.config
-    run = Run(config.sections[0], config.trainsets[0], 110.0, Disturbance(ideal_actuation=ideal), dt)
+    run = Run(config.sections[0], config.trainsets[0], 110.0, Disturbance(ideal=ideal), dt)
     done = drive(run, Scripted(commands))
     assert done.interventions > 0
     compare(rows, kpis, done)
@@ -101,7 +101,7 @@ def test_same_policy(observer):
 
     rows, kpis = episode(task, lambda o, _: jnp.tanh(o @ weights + 0.8)[None], 110.0)
     config = task.config
-    run = Run(config.sections[0], config.trainsets[0], 110.0, Disturbance(ideal_actuation=True), config.dt)
+    run = Run(config.sections[0], config.trainsets[0], 110.0, Disturbance(ideal=True), config.dt)
     done = drive(run, LearnedDriver(policy, config.perception))
     assert done.outcome is CODES[int(kpis.outcome)]
     compare(rows, kpis, done)
@@ -115,7 +115,7 @@ def test_decisions_are_held_over_shorter_periods():
         seen.append(observation)
         return np.ones(1, np.float32)
 
-    run = Run(config.sections[0], config.trainsets[0], 110.0, Disturbance(ideal_actuation=True), 0.2)
+    run = Run(config.sections[0], config.trainsets[0], 110.0, Disturbance(ideal=True), 0.2)
     done = drive(run, LearnedDriver(policy, config.perception))
     assert done.outcome.value == "arrived"
     assert done.interventions == 0

@@ -86,7 +86,7 @@ def near(found, **bounds):
 def test_single_precision_drives_as_double_precision_does():
     rows, config = driven([*range(len(CASES))]), program(EVERY)[0].config
     for (section, trainset), time_s, single in zip(CASES, TIMES, rows, strict=True):
-        run = Run(section, trainset, time_s, Disturbance(ideal_actuation=True), config.dt)
+        run = Run(section, trainset, time_s, Disturbance(ideal=True), config.dt)
         double = drive(run, LearnedDriver(LOADED.policy, config.perception)).trajectory
         wanted = np.stack([getattr(double, name)[1:] for name in COLUMNS], axis=1)
         assert wanted.dtype == np.float64

@@ -69,7 +69,7 @@ def test_speed_noise_is_cut_and_repeats_itself(request_rj, scripted):
 def test_news_reach_driver_and_plant(request_rj, scripted):
     restriction = Restriction(600.0, 800.0, 10.0)
     news = (TimetableUpdate(30.0, scheduled_time_s=116.0), TimetableUpdate(10.0, restriction=restriction))
-    run = replace(request_rj.run(), scenario=Disturbance(news=news))
+    run = replace(request_rj.run(), scenario=Disturbance(updates=news))
     driver = scripted(lambda o: 1.0)
     driven = drive(run, driver)
     t = driven.trajectory
@@ -131,7 +131,7 @@ def test_told_on_the_way_is_as_told_beforehand(request_rj):
     news = TimetableUpdate(30.2, scheduled_time_s=125.0)
     before = replace(request_rj, driver="optimal")
     planned = drive(
-        replace(before.run(), scenario=replace(before.run().scenario, news=(news,))), before.make_driver()
+        replace(before.run(), scenario=replace(before.run().scenario, updates=(news,))), before.make_driver()
     )
     rollout = Rollout(before.run(), before.make_driver())
     while rollout.outcome is None:

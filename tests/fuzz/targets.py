@@ -151,7 +151,7 @@ def _read_run(path: Path) -> None:
     section, scenario = resolved.section(), resolved.scenario()
     assert 0 < section.length_m < 1e6
     assert (section.limit_mps.value > 0).all()
-    assert all(item.at_s >= 0 for item in scenario.news)
+    assert all(item.at_s >= 0 for item in scenario.updates)
     text = tomli_w.dumps({"run": to_table(resolved)})
     path.write_text(text)
     again = tomli_w.dumps({"run": to_table(request_from_toml(path).resolved())})

@@ -84,7 +84,7 @@ TRAINSET = [
         "mass.rotating_fraction",
         "106",
         "%",
-        ">= 0 % and <= 100 %",
+        "0 to 100 %",
     ),
     ("max_speed = 80\n", "", "body.max_speed", None, None, "> 0 km/h"),
     ("max_speed = 80", "max_speed = inf", "body.max_speed", "inf", "km/h", "> 0 km/h and <= 540 km/h"),

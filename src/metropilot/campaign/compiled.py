@@ -172,7 +172,7 @@ def _setting(campaign: Campaign, case: CampaignCase) -> Setting:
     known: dict[str, Any] = {}
     request, run = prepare_run(campaign, case, known)
     section, restricted_at, news = run.section, float("inf"), (float("inf"), run.scheduled_time_s)
-    for item in run.scenario.news:
+    for item in run.scenario.updates:
         if item.restriction is not None:
             section, restricted_at = section.restricted(item.restriction), item.at_s
         if item.scheduled_time_s is not None:

@@ -24,7 +24,6 @@ UNSPECIFIC = ("learned",)
 """Drivers that need a file to be one, and so are no part of ``all``."""
 Share = Annotated[float, Field(ge=0, le=1)]
 Spread = float | tuple[float, float]
-SCENARIO = {"delay_s": "extra_delay_s", "lag_s": "extra_lag_s"}
 
 
 class _Strict(BaseModel):
@@ -203,7 +202,7 @@ def _disturbance(path: Path, item: _Disturbance) -> DisturbanceCase:
         field = f"disturbance {item.name}.{name}"
         try:
             for value in (low, high):
-                Disturbance(**{SCENARIO.get(name, name): value})
+                Disturbance(**{name: value})
         except InputError as error:
             raise _at(path, field, error) from None
         if low > high:

@@ -18,8 +18,9 @@ from metropilot.env.tables import PERMITTED, SectionRows, SectionTables, near_pr
 from metropilot.physics import Command, Forces, State, Vehicle, delay_steps, step
 from metropilot.physics.arrays import locate
 from metropilot.protection import Memory, supervise
+from metropilot.sim.disturbance import NOISE_CUT
 from metropilot.sim.outcome import CODES, RUNNING, Episode, OutcomeFacts, outcome_of
-from metropilot.sim.run import NOISE_CUT, Outcome
+from metropilot.sim.run import Outcome
 
 Array = Any
 
@@ -75,7 +76,7 @@ class DrivingTask(AbstractTask):
         low, high = config.scenarios.times_s(minimum)
         self.minimum_s = minimum
         self.times_s = np.stack([low, high]).astype(np.float32)
-        longest = max(config.scenarios.extra_delay_s[1] + t.actuation.delay_s for _, t in config.cases)
+        longest = max(config.scenarios.delay_s[1] + t.actuation.delay_s for _, t in config.cases)
         self.pipeline = delay_steps(longest, config.dt) + 1
 
     @property
@@ -294,10 +295,10 @@ class DrivingTask(AbstractTask):
             )
         if scenarios.resistance_factor != (1.0, 1.0):
             vehicle = vehicle._replace(davis_n=vehicle.davis_n * start.resistance_factor)
-        if scenarios.extra_delay_s[1] > 0:
-            vehicle = vehicle._replace(delay_s=vehicle.delay_s + start.extra_delay_s)
-        if scenarios.extra_lag_s[1] > 0:
-            vehicle = vehicle._replace(lag_s=vehicle.lag_s + start.extra_lag_s)
+        if scenarios.delay_s[1] > 0:
+            vehicle = vehicle._replace(delay_s=vehicle.delay_s + start.delay_s)
+        if scenarios.lag_s[1] > 0:
+            vehicle = vehicle._replace(lag_s=vehicle.lag_s + start.lag_s)
         return vehicle
 
     def _on_the_way(self, key: Array, start: StartDistribution) -> StartDistribution:

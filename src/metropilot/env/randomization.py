@@ -11,10 +11,11 @@ from metropilot.errors import InputError
 from metropilot.protection import Bounds
 from metropilot.railway import Section, Trainset
 from metropilot.sim.bounds import declared_bounds
-from metropilot.sim.run import Disturbance, Run
+from metropilot.sim.disturbance import Disturbance
+from metropilot.sim.run import Run
 
 Array = Any
-DRAWN = ("mass_factor", "resistance_factor", "extra_delay_s", "extra_lag_s", "speed_noise_mps")
+DRAWN = ("mass_factor", "resistance_factor", "delay_s", "lag_s", "speed_noise_mps")
 Interval = tuple[float, float]
 
 
@@ -29,8 +30,8 @@ class StartDistribution(NamedTuple):
         time_s: Time already used.
         mass_factor: True over believed mass.
         resistance_factor: True over believed Davis resistance.
-        extra_delay_s: Dead time on top of the trainset's.
-        extra_lag_s: Lag on top of the trainset's.
+        delay_s: Dead time on top of the trainset's.
+        lag_s: Lag on top of the trainset's.
         speed_noise_mps: Standard deviation of the measured speed.
         news_at_s: When a new scheduled time is announced (infinite: never).
         news_s: The new scheduled time.
@@ -43,8 +44,8 @@ class StartDistribution(NamedTuple):
     time_s: Array
     mass_factor: Array
     resistance_factor: Array
-    extra_delay_s: Array
-    extra_lag_s: Array
+    delay_s: Array
+    lag_s: Array
     speed_noise_mps: Array
     news_at_s: Array
     news_s: Array
@@ -60,8 +61,8 @@ class DisturbanceDistribution:
         time_s: Scheduled time itself instead of ratios.
         mass_factor: True over believed mass.
         resistance_factor: True over believed Davis resistance.
-        extra_delay_s: Dead time on top of the trainset's.
-        extra_lag_s: Lag on top of the trainset's.
+        delay_s: Dead time on top of the trainset's.
+        lag_s: Lag on top of the trainset's.
         speed_noise_mps: Standard deviation of the measured speed (cut at three deviations).
         news: Probability that the scheduled time changes on the way.
         news_at: When that is announced, as a share of the scheduled time.
@@ -76,8 +77,8 @@ class DisturbanceDistribution:
     time_s: Interval | None = None
     mass_factor: Interval = (1.0, 1.0)
     resistance_factor: Interval = (1.0, 1.0)
-    extra_delay_s: Interval = (0.0, 0.0)
-    extra_lag_s: Interval = (0.0, 0.0)
+    delay_s: Interval = (0.0, 0.0)
+    lag_s: Interval = (0.0, 0.0)
     speed_noise_mps: Interval = (0.0, 0.0)
     news: float = 0.0
     news_at: Interval = (0.2, 0.6)

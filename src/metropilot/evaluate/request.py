@@ -21,11 +21,7 @@ RESTRICTION = re.compile(rf"({NUMBER})-({NUMBER})@({NUMBER})(?:@({NUMBER}))?")
 OUTER = {
     "scheduled_time_s": "time_s",
     "dt": "dt_s",
-    "ideal_actuation": "ideal",
-    "extra_delay_s": "delay_s",
-    "extra_lag_s": "lag_s",
     "restriction": "restrictions",
-    "news": "arrivals",
 }
 """Fields of a run and of its scenario, as a request calls them."""
 ARRIVAL = re.compile(rf"({NUMBER})@({NUMBER})")
@@ -112,15 +108,15 @@ class Request:
         news = [TimetableUpdate(at_s, restriction=r) for r, at_s in announced if at_s is not None]
         news += [parse_arrival(text) for text in self.arrivals]
         return Disturbance(
-            ideal_actuation=self.ideal,
+            ideal=self.ideal,
             mass_factor=self.mass_factor,
             resistance_factor=self.resistance_factor,
-            extra_delay_s=self.delay_s,
-            extra_lag_s=self.lag_s,
+            delay_s=self.delay_s,
+            lag_s=self.lag_s,
             speed_noise_mps=self.speed_noise_mps,
             headwind_mps=self.headwind_mps,
             adhesion=self.adhesion,
-            news=tuple(sorted(news, key=lambda item: item.at_s)),
+            updates=tuple(sorted(news, key=lambda item: item.at_s)),
         )
 
     def run(self, fastest_s: float | None = None) -> Run:
@@ -143,7 +139,7 @@ class Request:
             run = Run(section, trainset, time_s, self.scenario(), self.dt_s, self.seed)
         fastest = fastest_s or minimum_running_time(self.open_section(), trainset)
         check_running_time(time_s, fastest)
-        for news in run.scenario.news:
+        for news in run.scenario.updates:
             if news.scheduled_time_s is not None and news.scheduled_time_s > LONGEST_RATIO * fastest:
                 check_running_time(news.scheduled_time_s, fastest, field="arrivals")
         return run

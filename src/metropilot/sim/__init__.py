@@ -1,20 +1,18 @@
 """One control period after another: a run, its disturbance, the host loop, its outcome and trajectory."""
 
 from metropilot.sim.bounds import declared_bounds
+from metropilot.sim.disturbance import NOISE_CUT, Disturbance, TimetableUpdate
 from metropilot.sim.driver import DRIVER_REGISTRY, AbstractDriver, register
 from metropilot.sim.nominal import NominalDrive, simulate_nominal
 from metropilot.sim.outcome import CODES, RUNNING, Episode, OutcomeRule
 from metropilot.sim.rollout import Drive, Moment, Rollout, drive
 from metropilot.sim.run import (
     CONTROL_PERIOD_S,
-    NOISE_CUT,
     PUNCTUALITY_S,
     STOP_TOLERANCE_M,
-    Disturbance,
     Observation,
     Outcome,
     Run,
-    TimetableUpdate,
 )
 from metropilot.sim.trajectory import COLUMNS, PHASES, Trajectory
 

@@ -9,7 +9,8 @@ import numpy as np
 from metropilot.physics import brake_available_n, vehicle_arrays
 from metropilot.protection import Bounds
 from metropilot.railway import Trainset
-from metropilot.sim.run import NOISE_CUT, Run
+from metropilot.sim.disturbance import NOISE_CUT
+from metropilot.sim.run import Run
 
 MASS = (0.9, 1.1)
 """Scatter of the mass about the load aboard, which the trainset weighs; a scenario beyond it widens it."""
@@ -24,8 +25,8 @@ def declared_bounds(run: Run) -> Bounds:
     bounds = Bounds.of(
         scenario.nominal(run.trainset),
         run.dt,
-        extra_delay_s=scenario.extra_delay_s,
-        extra_lag_s=scenario.extra_lag_s,
+        extra_delay_s=scenario.delay_s,
+        extra_lag_s=scenario.lag_s,
         speed_error_mps=NOISE_CUT * scenario.speed_noise_mps,
     )
     resistance = _holding(bounds.resistance, scenario.resistance_factor)

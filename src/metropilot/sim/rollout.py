@@ -14,9 +14,10 @@ from metropilot.physics import Command, at_rest, delay_steps, step, track_arrays
 from metropilot.protection import at_start, permitted_speed, protect, supervise
 from metropilot.railway import Section, Trainset
 from metropilot.sim.bounds import declared_bounds
+from metropilot.sim.disturbance import NOISE_CUT, TimetableUpdate
 from metropilot.sim.driver import AbstractDriver
 from metropilot.sim.recorder import Recorder
-from metropilot.sim.run import NOISE_CUT, STOP_TOLERANCE_M, Observation, Outcome, Run, TimetableUpdate
+from metropilot.sim.run import STOP_TOLERANCE_M, Observation, Outcome, Run
 from metropilot.sim.trajectory import Trajectory
 
 STALLED_S = 20.0
@@ -135,7 +136,7 @@ class Rollout:
         self.vehicle = vehicle_arrays(self.trainset)
         self.state = at_rest(self.vehicle, delay_steps=delay_steps(float(self.vehicle.delay_s), run.dt))
         self.scheduled_time_s = run.scheduled_time_s
-        self.pending = sorted(run.scenario.news, key=lambda news: news.at_s)
+        self.pending = sorted(run.scenario.updates, key=lambda update: update.at_s)
         self.random = np.random.default_rng(np.random.SeedSequence(run.seed, spawn_key=(1,)))
         self.recorder = Recorder(self.vehicle, run.dt, self.state)
         self.decision_us: list[float] = []

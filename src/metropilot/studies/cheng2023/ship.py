@@ -27,7 +27,7 @@ from metropilot.studies.cheng2023.setting import course
 from metropilot.studies.learning import SeedResult, learn_seeds
 
 SECTIONS = (("JHL", "CQN"), ("XHM", "JG"), ("RJ", "WYJ"))
-UNKNOWN = Disturbance(resistance_factor=1.5, extra_delay_s=0.6, extra_lag_s=0.4, speed_noise_mps=0.05)
+UNKNOWN = Disturbance(resistance_factor=1.5, delay_s=0.6, lag_s=0.4, speed_noise_mps=0.05)
 
 
 def overruled(policy: Policy) -> int:

@@ -27,7 +27,7 @@ SCENARIOS: Mapping[str, Disturbance] = {
     "resistance +30 %": Disturbance(resistance_factor=1.3),
     "headwind 10 m/s": Disturbance(headwind_mps=10.0),
     "speed measured with 0.05 m/s noise": Disturbance(speed_noise_mps=0.05),
-    "0.2 s more delay than known": Disturbance(extra_delay_s=0.2),
+    "0.2 s more delay than known": Disturbance(delay_s=0.2),
 }
 ROBUST = f"{BEYOND}: disturbances in case 1, 101 s"
 PLANTS = f"{BEYOND}: other plants and steps, 101 s"

@@ -35,7 +35,7 @@ def run_of(case: PublishedCase, seed: int = 0) -> Run:
         told = case.restricted
         restriction = Restriction(told.from_m, told.to_m, told.limit_mps) if told else None
         news = (TimetableUpdate(case.told_s, scheduled_time_s=case.news_s, restriction=restriction),)
-    return Run(section(case), trainset(), case.scheduled_s, Disturbance(news=news), seed=seed)
+    return Run(section(case), trainset(), case.scheduled_s, Disturbance(updates=news), seed=seed)
 
 
 def comfortable(driver: str, plant: Trainset) -> Trainset:

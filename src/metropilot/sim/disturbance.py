@@ -1,0 +1,153 @@
+"""What may go differently than planned in a run: the true plant, the measured speed, the timetable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from metropilot._schema import check_fields, declared
+from metropilot.railway import Actuation, Davis, EffortCurve, Restriction, Trainset
+
+NOISE_CUT = 3.0
+"""Deviations at which the noise of the measured speed is cut, so that protection can bound it."""
+
+
+@dataclass(frozen=True)
+class TimetableUpdate:
+    """Something the driver is told during the run.
+
+    Attributes:
+        at_s: When it is announced, s after departure.
+        scheduled_time_s: New scheduled running time, if that is announced.
+        restriction: New temporary speed restriction, if that is announced.
+    """
+
+    at_s: float
+    scheduled_time_s: float | None = None
+    restriction: Restriction | None = None
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """How a run differs from the data that driver and planner have.
+
+    Each field is declared once, here: what it is called, its unit, its range, its help text. Command line,
+    `run.toml`, HTTP API, console, campaigns, convoys and learners take it from this class.
+
+    Attributes:
+        ideal: Drop the trainset's own delay, lag and jerk limit.
+        mass_factor: True mass over the mass the driver believes.
+        resistance_factor: True Davis resistance over the one the driver believes.
+        delay_s: Dead time on top of the trainset's.
+        lag_s: Lag on top of the trainset's.
+        speed_noise_mps: Standard deviation of the measured speed (cut at three deviations).
+        headwind_mps: Wind from ahead on the whole section; below 0 it blows from behind.
+        adhesion: Traction, or electric braking, over weight at which the driven wheels slip; infinite: dry
+            rail. Friction brakes fill up what the electric brake cannot give; the guaranteed emergency brake
+            does not depend on it (sand, track brake).
+        brake_factor: True service braking force over the one the driver believes; the guaranteed emergency
+            brake does not depend on it.
+        updates: New arrival times and temporary speed restrictions announced during the run.
+    """
+
+    ideal: bool = declared(False, "Ideal actuation: no delay, lag or jerk limit.", label="Ideal actuation")
+    mass_factor: float = declared(
+        1.0,
+        "True mass over the mass the driver believes.",
+        low=0.5,
+        high=2.0,
+        label="True mass / believed",
+        step=0.05,
+    )
+    resistance_factor: float = declared(
+        1.0,
+        "True Davis resistance over the one the driver believes.",
+        low=0.0,
+        high=5.0,
+        label="True resistance / believed",
+        step=0.1,
+    )
+    delay_s: float = declared(
+        0.0,
+        "Dead time on top of the trainset's.",
+        unit="s",
+        low=0.0,
+        high=5.0,
+        label="Dead time on top",
+        step=0.1,
+    )
+    lag_s: float = declared(
+        0.0, "Lag on top of the trainset's.", unit="s", low=0.0, high=5.0, label="Lag on top", step=0.1
+    )
+    speed_noise_mps: float = declared(
+        0.0,
+        "Standard deviation of the measured speed.",
+        unit="m/s",
+        low=0.0,
+        high=1.0,
+        label="Speed noise, 1σ",
+        step=0.01,
+    )
+    headwind_mps: float = declared(
+        0.0,
+        "Wind from ahead; below 0 from behind.",
+        unit="m/s",
+        low=-25.0,
+        high=25.0,
+        label="Headwind",
+        step=1.0,
+    )
+    adhesion: float = declared(
+        float("inf"),
+        "Traction or electric braking over weight at which the driven wheels slip, e.g. 0.06.",
+        low=0.05,
+        infinite=True,
+        label="Adhesion (empty: dry rail)",
+        step=0.01,
+    )
+    brake_factor: float = declared(
+        1.0,
+        "True service braking force over the one the driver believes.",
+        low=0.5,
+        high=1.5,
+        label="True service brake / believed",
+        step=0.05,
+    )
+    updates: tuple[TimetableUpdate, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def nominal(self, trainset: Trainset) -> Trainset:
+        """The trainset as the driver and the planner know it."""
+        return trainset.ideal() if self.ideal else trainset
+
+    def true_plant(self, trainset: Trainset) -> Trainset:
+        """The trainset as it really is.
+
+        The air meets the trainset at ``v + w``, so that ``c (v + w)^2`` stands for ``c v^2``; exact while the
+        trainset is faster than a wind from behind, and in tunnels taken as in the open.
+        """
+        known = self.nominal(trainset)
+        mass = known.mass_kg * self.mass_factor
+        a, b, c = (x * self.resistance_factor for x in known.davis.newtons(known.mass_kg))
+        wind = self.headwind_mps
+        most_n = self.adhesion * mass * known.gravity_mps2
+        actuation = Actuation(
+            known.actuation.delay_s + self.delay_s,
+            known.actuation.lag_s + self.lag_s,
+            known.actuation.jerk_limit_mps3,
+        )
+        return replace(
+            known,
+            loads={**known.loads, known.load: mass},
+            davis=Davis(a + c * wind * wind, b + 2.0 * c * wind, c),
+            traction=_capped(known.traction, most_n),
+            electric_brake=_capped(known.electric_brake, most_n),
+            service_deceleration_mps2=known.service_deceleration_mps2 * self.brake_factor,
+            actuation=actuation,
+        )
+
+
+def _capped(curve: EffortCurve, most_n: float) -> EffortCurve:
+    """An effort curve where no more than this can be put on the rail."""
+    return EffortCurve(tuple(replace(piece, cap_n=min(piece.cap_n, most_n)) for piece in curve.pieces))
