@@ -133,7 +133,7 @@ def test_a_type_that_is_named_before_it_is_there_is_not_checked(checked):
 
 
 def test_metropilot_itself_is_checked():
-    from metropilot.control.stopping import StopCurve, braking_distance
+    from metropilot.planning import stated_s
 
     with pytest.raises(jaxtyping.TypeCheckError):
-        braking_distance("fast", StopCurve(1.0, 1.0, 1.0, 0.1))
+        stated_s("fast")

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from metropilot.control.estimator import Model, PredictedState, StateEstimate
-from metropilot.control.stopping import StopCurve, required_ahead
+from metropilot.control.stopping import StopCurve, required_with_build_up
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.protection import approach_margin, permitted_speed, protect
 from metropilot.railway import Section
@@ -109,7 +109,7 @@ def ceiling_acceleration(
     found = lowest_ahead(ahead, ceiling, slowing)
     if found is not None:
         distance, lower = found
-        required, falling = required_ahead(ahead, distance, slowing, lower)
+        required, falling = required_with_build_up(v, ahead.acceleration_mps2, distance, slowing, lower)
         if required >= curve.deceleration_mps2 or falling > 0.0 or ahead.acceleration_mps2 < -0.1:
             most = float(model.vehicle.max_deceleration_mps2)
             wanted = min(wanted, -min(required, (v - lower) / model.dt, most))

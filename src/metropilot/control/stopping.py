@@ -1,54 +1,95 @@
-"""Stop at a point: where to begin braking, how hard, and how to let go so that nobody feels the stop.
+"""Station stop: where to begin braking, how hard, and how to release the brake without a jolt.
 
-The curve is: build up to a deceleration ``b`` at the jerk limit, hold it, let it fall at a softer jerk ``J``
-to a small deceleration ``e``, and stand. At every period the deceleration is computed anew that makes this
-curve end at the target from the state predicted for the moment the command begins to act. (Without a jerk
-limit this is ``b = v^2 / (2 S)``, the rule of the heuristic online algorithm of Chen, Chen, Li and Tang,
-2013.) So there is nothing to integrate and nothing to remember: an error made earlier is an error in
-distance, and the next period answers it. What the brake really gives is the observer's business.
+The curve is: build up to a deceleration ``b`` at the jerk limit, hold it, release it at a softer jerk ``J``
+to a small deceleration ``e``, and stand. In every period the deceleration is computed anew that makes this
+curve end at the target from the state predicted for the moment the command begins to act.
+(Without a jerk limit
+this is ``b = v^2 / (2 S)``, the rule of the heuristic online algorithm of Chen, Chen, Li and Tang, 2013.) So
+there is nothing to integrate and nothing to remember: an error made earlier is an error in distance, and the
+next period corrects it. The force that the brake really gives is the estimator's business.
 
-Closed forms, with distance ``S`` and speed ``v``:
+Closed forms, with distance ``S``, speed ``v`` and final speed ``f``:
 
-* release only: deceleration falls from ``a`` to ``e`` in ``T``: ``v = (a+e)T/2``, ``S = T^2 (a/6 + e/3)``; so
-  ``e T^2 + 2 v T - 6 S = 0`` gives ``T``, and ``a = 2v/T - e``.
-* hold ``b``, then release at ``J``: ``T = (b-e)/J``, ``v_T = (b^2-e^2)/(2J)``,
-  ``S = (v^2 - v_T^2)/(2b) + T^2 (b/6 + e/3)``, which falls as ``b`` grows while ``v >= v_T``.
+* release only: deceleration falls from ``a`` to ``e`` in ``T``: ``v - f = (a+e)T/2``,
+  ``S = f T + T^2 (a/6 + e/3)``; so ``e T^2 + 2 (v + 2 f) T - 6 S = 0`` gives ``T``, and ``a = 2(v-f)/T - e``.
+* hold ``b``, then release at ``J``: ``T = (b-e)/J``, ``v_T = f + (b^2-e^2)/(2J)``,
+  ``S = (v^2 - v_T^2)/(2b) + f T + T^2 (b/6 + e/3)``, which falls as ``b`` grows while ``v >= v_T``.
+
+The law is written over the array namespace (:func:`metropilot.physics.arrays.namespace`): host drivers, the
+assists of a learning task and the closed loop of the imitation learner use the same functions and differ in
+their :class:`StopOptions`.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, no_type_check
 
 import numpy as np
 
 from metropilot.control.estimator import Model, PredictedState, StateEstimate, look_ahead, share_for
 from metropilot.physics import Vehicle, resistance_and_gradient
+from metropilot.physics.arrays import Scalar, namespace, scalars
 from metropilot.physics.effort import effort_at
 
-RELEASE_SHARE = 0.5
-"""Jerk of the release over the trainset's jerk limit."""
-END_SHARE = 0.25
-"""Deceleration at the stop over what the jerk limit allows to drop in one period."""
-RETURN_GAIN = 0.5
-"""How strongly a departure from the wanted deceleration is corrected beyond what the stop needs."""
 SERVICE_USE = 0.95
 """Share of the deceleration at hand that a comfortable stop is planned with."""
-CREEP_MPS = 0.06
-"""Slower than this, and near enough, there is nothing left to correct."""
-DROP_SHARE = 0.6
-"""Largest deceleration at the stop over what the jerk limit allows to drop in one period."""
-INCH_M = 0.2
-"""A trainset that would stand nearer to the target than this is left to stand."""
-DRAW_UP_MPS2 = 0.3
-"""Acceleration with which a trainset that stands short of the stop draws up to it..."""
-DRAW_UP_SHARE = 0.3
-"""...until a deceleration of this share of it would be needed to stop there."""
-HOLD_MPS2 = 0.1
-"""Least deceleration asked for to stand."""
-BISECTIONS = 20
+AT_ONCE_MPS3 = 1e4
+"""A jerk limit from here on counts as none; it stands for an infinite one where arithmetic needs a number."""
 STRONGEST_MPS2 = 3.0
 """Larger than any brake: where the target is too near to stop at."""
+LEAST_MPS2 = 0.05
+"""Least deceleration that is solved for; nobody begins to brake this gently."""
+NEAREST_M = 1e-3
+"""Nearer than this the target is reached."""
+
+
+@dataclass(frozen=True)
+class StopOptions:
+    """Constants of the station stop.
+
+    Attributes:
+        build_share: Jerk at which the brake is built up, over the trainset's jerk limit.
+        release_share: Jerk at which it is released, over the same; a soft release takes longer and leaves
+            more of the limit to correct errors.
+        end_share: Deceleration the stop is planned to end with, over what the jerk limit lets drop in one
+            period.
+        drop_share: Largest deceleration in the last period, over the same; below 1, as the last period
+            seldom ends with the stand.
+        return_gain: Correction of a departure from the planned deceleration, beyond what the stop needs.
+        at_once_gain: The same for a trainset without a jerk limit.
+        inch_m: A trainset that stands nearer to the target than this is left to stand, m.
+        push_m: Nearer than this no traction is asked for, m.
+        hold_mps2: Least deceleration asked for at a stand, m/s^2.
+        creep_mps: Slower than this, and near enough, there is nothing left to correct, m/s.
+        creep_m: Nearer than this a trainset that creeps is made to stand, m.
+        draw_up_mps2: Acceleration with which a trainset that stands short of the target draws up to it...
+        draw_up_share: ...until a deceleration of this share of it would be needed to stop there.
+        passes: Passes of the fixed point for the build-up; each divides the error by about four.
+        newton_steps: Steps from the deceleration without a release; six are good to 1e-5 m/s^2, three to 0.1
+            where the release takes nearly all of the way.
+    """
+
+    build_share: float = 1.0
+    release_share: float = 0.5
+    end_share: float = 0.25
+    drop_share: float = 0.6
+    return_gain: float = 0.5
+    at_once_gain: float = 0.5
+    inch_m: float = 0.2
+    push_m: float = 0.2
+    hold_mps2: float = 0.1
+    creep_mps: float = 0.06
+    creep_m: float = 0.0
+    draw_up_mps2: float = 0.3
+    draw_up_share: float = 0.3
+    passes: int = 3
+    newton_steps: int = 6
+
+
+STOP_OPTIONS = StopOptions()
+"""For drivers that estimate their trainset: the small end leaves room for what the estimate may be off."""
 
 
 class StopCurve(NamedTuple):
@@ -57,14 +98,14 @@ class StopCurve(NamedTuple):
     Attributes:
         deceleration_mps2: Deceleration held.
         build_jerk_mps3: Jerk at which it is built up (infinite: at once).
-        release_jerk_mps3: Jerk at which it is let go (infinite: held to the stop).
+        release_jerk_mps3: Jerk at which it is released (infinite: held to the stop).
         end_mps2: Deceleration left at the stop.
     """
 
-    deceleration_mps2: float
-    build_jerk_mps3: float
-    release_jerk_mps3: float
-    end_mps2: float
+    deceleration_mps2: Scalar
+    build_jerk_mps3: Scalar
+    release_jerk_mps3: Scalar
+    end_mps2: Scalar
 
 
 def weakest_gradient(model: Model, target_m: float, stretch_m: float = 400.0) -> float:
@@ -103,105 +144,226 @@ def comfortable_deceleration(
     return max(use * min(effort * sure + gradient_mps2, float(vehicle.max_deceleration_mps2)), 0.2)
 
 
-def curve_for(vehicle: Vehicle, dt: float, deceleration_mps2: float) -> StopCurve:
+def curve_for(
+    vehicle: Vehicle, dt: float, deceleration_mps2: Scalar, options: StopOptions = STOP_OPTIONS
+) -> StopCurve:
     """The curve that a trainset's jerk limit asks for; a plain ``v^2 / (2 S)`` where there is none.
 
     Args:
         vehicle: The trainset as the driver knows it.
         dt: Control period, s.
         deceleration_mps2: Deceleration to hold.
+        options: Constants of the stop.
     """
-    jerk = float(vehicle.jerk_mps3)
-    if not math.isfinite(jerk):
-        return StopCurve(deceleration_mps2, math.inf, math.inf, deceleration_mps2)
-    end = min(END_SHARE * jerk * dt, deceleration_mps2)
-    return StopCurve(deceleration_mps2, jerk, RELEASE_SHARE * jerk, end)
+    jerk = vehicle.jerk_mps3
+    xp = namespace(jerk, deceleration_mps2)
+    end = xp.minimum(options.end_share * jerk * dt, deceleration_mps2)
+    return StopCurve(deceleration_mps2, options.build_share * jerk, options.release_share * jerk, end)
 
 
-def release(
-    speed_mps: float, distance_m: float, end_mps2: float, final_mps: float = 0.0
-) -> tuple[float, float]:
-    """Deceleration now, and time left, of a release that ends after a distance with ``end_mps2`` left."""
-    v, e, s = max(speed_mps, final_mps), max(end_mps2, 1e-3), max(distance_m, 1e-9)
-    p = 2.0 * (v - final_mps) + 6.0 * final_mps
-    time_s = 12.0 * s / (math.sqrt(p * p + 24.0 * e * s) + p)
-    return 2.0 * (v - final_mps) / time_s - e, time_s
+@no_type_check
+def braking_distance(speed_mps: Scalar, curve: StopCurve, final_mps: Scalar = 0.0) -> Scalar:
+    """Distance from one speed down to another: hold, then release (no build-up), m."""
+    xp = namespace(speed_mps, curve.deceleration_mps2, final_mps)
+    v, e = xp.maximum(speed_mps, final_mps), curve.end_mps2
+    return _distance(xp, v, _held(xp, v, curve, final_mps), e, curve.release_jerk_mps3, final_mps)
 
 
-def braking_distance(speed_mps: float, curve: StopCurve, final_mps: float = 0.0) -> float:
-    """Distance from one speed down to another: hold, then release (no build-up)."""
-    v, e, jerk = max(speed_mps, final_mps), curve.end_mps2, curve.release_jerk_mps3
-    return _distance(v, curve.deceleration_mps2, e, jerk, final_mps)
+@no_type_check
+def braking_time(speed_mps: Scalar, curve: StopCurve) -> Scalar:
+    """Time from a speed to the stand: hold, then release (no build-up), s."""
+    xp = namespace(speed_mps, curve.deceleration_mps2)
+    b, e = _held(xp, speed_mps, curve, 0.0), curve.end_mps2
+    jerk = xp.minimum(curve.release_jerk_mps3, AT_ONCE_MPS3)
+    return (speed_mps - (b * b - e * e) / (2.0 * jerk)) / b + (b - e) / jerk
 
 
-def _distance(v: float, b: float, e: float, jerk: float, final_mps: float) -> float:
-    """:func:`braking_distance` from a speed not below the final one; plain numbers, for it is asked often."""
-    if b <= e or not math.isfinite(jerk):
-        return (v * v - final_mps * final_mps) / (2.0 * b)
-    b = max(min(b, math.sqrt(e * e + 2.0 * jerk * (v - final_mps))), e)
-    time_s = (b - e) / jerk
-    released = final_mps + (b * b - e * e) / (2.0 * jerk)
-    hold_m = (v * v - released * released) / (2.0 * b)
-    return hold_m + final_mps * time_s + time_s * time_s * (b / 6.0 + e / 3.0)
+@no_type_check
+def _held(xp: Scalar, v: Scalar, curve: StopCurve, final_mps: Scalar) -> Scalar:
+    """The deceleration held, no more than the release can come down from on the way to the final speed."""
+    e = curve.end_mps2
+    jerk = xp.minimum(curve.release_jerk_mps3, AT_ONCE_MPS3)
+    return xp.minimum(curve.deceleration_mps2, xp.sqrt(e * e + 2.0 * jerk * (v - final_mps)))
 
 
+@no_type_check
+def _distance(xp: Scalar, v: Scalar, b: Scalar, e: Scalar, jerk: Scalar, f: Scalar) -> Scalar:
+    """Distance of holding ``b`` and releasing it to ``e``, from ``v`` to ``f``."""
+    jerk = xp.minimum(jerk, AT_ONCE_MPS3)
+    t = (b - e) / jerk
+    released = f + (b * b - e * e) / (2.0 * jerk)
+    return (v * v - released * released) / (2.0 * b) + f * t + t * t * (b / 6.0 + e / 3.0)
+
+
+@no_type_check
 def required_deceleration(
-    speed_mps: float, distance_m: float, curve: StopCurve, final_mps: float = 0.0
-) -> tuple[float, float]:
-    """Deceleration that must act now for the curve to end where it should, and how fast it is let go.
+    speed_mps: Scalar,
+    distance_m: Scalar,
+    curve: StopCurve,
+    final_mps: Scalar = 0.0,
+    newton_steps: int = STOP_OPTIONS.newton_steps,
+) -> tuple[Scalar, Scalar]:
+    """Deceleration that must act now for the curve to end where it should, and how fast it is released.
+
+    The held deceleration by Newton's method on :func:`braking_distance`, the release in closed form.
 
     Args:
         speed_mps: Speed.
         distance_m: Distance to go.
         curve: Shape of the stop; its ``deceleration_mps2`` is not used, it is what is solved for.
         final_mps: Speed to have there: 0 for a stop.
+        newton_steps: See :class:`StopOptions`.
 
     Returns:
-        Deceleration, m/s^2, and the jerk at which it is let go from now on, m/s^3 (0 while it is held).
+        Deceleration, m/s^2, and the jerk at which it is released from now on, m/s^3 (0 while it is held).
     """
-    v, s, e, jerk = max(speed_mps, 0.0), distance_m, curve.end_mps2, curve.release_jerk_mps3
-    if v <= final_mps:
-        return 0.0, 0.0
-    if s <= 1e-9:
-        return math.inf, 0.0
-    if not math.isfinite(jerk):
-        return (v * v - final_mps * final_mps) / (2.0 * s), 0.0
-    top = math.sqrt(e * e + 2.0 * jerk * (v - final_mps))
-    if s <= _distance(v, top, e, jerk, final_mps):
-        now, left = release(v, s, e, final_mps)
-        return now, (now - e) / left
-    low, high = 0.0, top
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        if _distance(v, middle, e, jerk, final_mps) > s:
-            low = middle
-        else:
-            high = middle
-    return high, 0.0
+    xp = namespace(speed_mps, distance_m, curve.end_mps2, final_mps)
+    v, f, e = xp.maximum(speed_mps, final_mps), final_mps, curve.end_mps2
+    s, jerk = xp.maximum(distance_m, NEAREST_M), xp.minimum(curve.release_jerk_mps3, AT_ONCE_MPS3)
+    square = (v * v - f * f) / (2.0 * s)
+    top = xp.sqrt(e * e + 2.0 * jerk * (v - f))
+    b = xp.minimum(xp.maximum(square, LEAST_MPS2), xp.minimum(top, STRONGEST_MPS2) + LEAST_MPS2)
+    for _ in range(newton_steps):
+        t, released = (b - e) / jerk, f + (b * b - e * e) / (2.0 * jerk)
+        slope = (released * released - v * v) / (2.0 * b * b) - released / jerk
+        slope = slope + (2.0 * t / jerk) * (b / 6.0 + e / 3.0) + t * t / 6.0 + f / jerk
+        change = (_distance(xp, v, b, e, jerk, f) - s) / xp.minimum(slope, -1e-2)
+        b = xp.minimum(xp.maximum(b - change, LEAST_MPS2), STRONGEST_MPS2)
+    now, left_s = release(v, s, e, f)
+    falling = xp.maximum(now - e, 0.0) / left_s
+    limited = curve.release_jerk_mps3 < AT_ONCE_MPS3
+    releasing = limited & (s <= _distance(xp, v, xp.maximum(top, LEAST_MPS2), e, jerk, f))
+    required = xp.where(releasing, now, xp.where(limited, b, square))
+    return xp.where(v > f, required, 0.0), xp.where(releasing, xp.maximum(falling, 1e-6), 0.0)
 
 
-def after_build_up(ahead: PredictedState, curve: StopCurve) -> tuple[float, float]:
-    """Speed, and distance gone, when the deceleration has been built up from the one that acts now."""
-    a, v, jerk = ahead.acceleration_mps2, ahead.speed_mps, curve.build_jerk_mps3
-    missing = curve.deceleration_mps2 + a
-    if missing <= 0 or not math.isfinite(jerk):
-        return v, 0.0
-    t = missing / jerk
-    return max(v + a * t - 0.5 * jerk * t * t, 0.0), v * t + 0.5 * a * t * t - jerk * t**3 / 6.0
+@no_type_check
+def release(
+    speed_mps: Scalar, distance_m: Scalar, end_mps2: Scalar, final_mps: Scalar = 0.0
+) -> tuple[Scalar, Scalar]:
+    """Deceleration now, m/s^2, and time left, s, of a release that ends after a distance."""
+    xp = namespace(speed_mps, distance_m, end_mps2, final_mps)
+    p = 2.0 * speed_mps + 4.0 * final_mps
+    left_s = 12.0 * distance_m / (xp.sqrt(p * p + 24.0 * end_mps2 * distance_m) + p + 1e-9)
+    left_s = xp.maximum(left_s, 1e-6)
+    return 2.0 * (speed_mps - final_mps) / left_s - end_mps2, left_s
 
 
-def required_ahead(
-    ahead: PredictedState, distance_m: float, curve: StopCurve, final_mps: float = 0.0
-) -> tuple[float, float]:
-    """:func:`required_deceleration` with the build-up from the deceleration that acts now."""
-    required, falling = required_deceleration(ahead.speed_mps, distance_m, curve, final_mps)
-    if falling > 0.0 or required >= STRONGEST_MPS2:
+@no_type_check
+def build_up(
+    speed_mps: Scalar, acceleration_mps2: Scalar, deceleration_mps2: Scalar, jerk_mps3: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Build a deceleration up at a jerk, from the acceleration that acts now.
+
+    Returns:
+        Speed at the end, m/s, distance gone, m, and time taken, s.
+    """
+    xp = namespace(speed_mps, acceleration_mps2, deceleration_mps2, jerk_mps3)
+    v, a, jerk = speed_mps, acceleration_mps2, xp.minimum(jerk_mps3, AT_ONCE_MPS3)
+    t = xp.where(jerk < AT_ONCE_MPS3, xp.maximum(deceleration_mps2 + a, 0.0) / jerk, 0.0)
+    after = xp.maximum(v + a * t - 0.5 * jerk * t * t, 0.0)
+    return after, v * t + 0.5 * a * t * t - jerk * t * t * t / 6.0, t
+
+
+@no_type_check
+def required_with_build_up(
+    speed_mps: Scalar,
+    acceleration_mps2: Scalar,
+    distance_m: Scalar,
+    curve: StopCurve,
+    final_mps: Scalar = 0.0,
+    options: StopOptions = STOP_OPTIONS,
+) -> tuple[Scalar, Scalar]:
+    """:func:`required_deceleration` with the build-up from the acceleration that acts now.
+
+    Args:
+        speed_mps: Speed.
+        acceleration_mps2: Acceleration that acts now.
+        distance_m: Distance to go.
+        curve: Shape of the stop; its ``deceleration_mps2`` is not used.
+        final_mps: Speed to have there: 0 for a stop.
+        options: Constants of the stop.
+    """
+    xp = namespace(speed_mps, acceleration_mps2, distance_m, curve.end_mps2)
+    steps = options.newton_steps
+    required, falling = required_deceleration(speed_mps, distance_m, curve, final_mps, steps)
+    if xp is scalars and (falling > 0 or required >= STRONGEST_MPS2):
         return required, falling
-    for _ in range(3):
-        speed, gone = after_build_up(ahead, curve._replace(deceleration_mps2=required))
-        needed, _ = required_deceleration(speed, distance_m - gone, curve, final_mps)
-        required = min(needed, STRONGEST_MPS2)
-    return required, 0.0
+    for _ in range(options.passes):
+        speed, gone, _ = build_up(speed_mps, acceleration_mps2, required, curve.build_jerk_mps3)
+        again, _ = required_deceleration(speed, distance_m - gone, curve, final_mps, steps)
+        required = xp.where(falling > 0, required, xp.minimum(again, STRONGEST_MPS2))
+    return required, falling
+
+
+class StopDemand(NamedTuple):
+    """The deceleration of one period on the way to a stop.
+
+    Attributes:
+        wanted_mps2: Deceleration to ask for, m/s^2; below 0 where the trainset is too slow to get there.
+        required_mps2: Deceleration that must be held for the curve to end at the target, build-up included.
+        falling_mps3: Jerk at which it is released from now on, m/s^3; 0 while it is held.
+    """
+
+    wanted_mps2: Scalar
+    required_mps2: Scalar
+    falling_mps3: Scalar
+
+
+@no_type_check
+def stop_deceleration(
+    speed_mps: Scalar,
+    acceleration_mps2: Scalar,
+    distance_m: Scalar,
+    curve: StopCurve,
+    dt: float,
+    options: StopOptions = STOP_OPTIONS,
+) -> StopDemand:
+    """Deceleration of the coming period on the way to a stop.
+
+    Held, it is corrected toward the planned one; released, it is the mean over the period; in the last
+    period it is the constant one that stands on the target; and it is never more than can be released before
+    the stand.
+
+    Args:
+        speed_mps: Speed when the command begins to act.
+        acceleration_mps2: Acceleration in the period before.
+        distance_m: Distance to the target.
+        curve: Shape of the stop.
+        dt: Control period, s.
+        options: Constants of the stop.
+    """
+    v, s = speed_mps, distance_m
+    xp = namespace(v, acceleration_mps2, s, curve.end_mps2)
+    required, falling = required_with_build_up(v, acceleration_mps2, s, curve, 0.0, options)
+    gain = xp.where(curve.release_jerk_mps3 < AT_ONCE_MPS3, options.return_gain, options.at_once_gain)
+    held = xp.maximum(required + gain * (required - curve.deceleration_mps2), 0.0)
+    released = required - 0.5 * falling * dt
+    last = v * v / (2.0 * xp.maximum(s, NEAREST_M))
+    released = xp.where(v <= released * dt, last, released)
+    released = xp.where(s < options.push_m, xp.maximum(released, 0.0), released)
+    wanted = xp.where(falling > 0, released, xp.where(required < STRONGEST_MPS2, held, STRONGEST_MPS2))
+    creeps = (v < options.creep_mps) & (s < options.creep_m)
+    wanted = xp.where(creeps, xp.maximum(wanted, options.hold_mps2), wanted)
+    wanted = xp.where(s > NEAREST_M, wanted, STRONGEST_MPS2)
+    return StopDemand(xp.minimum(wanted, strongest(v, curve, dt, options)), required, falling)
+
+
+@no_type_check
+def strongest(speed_mps: Scalar, curve: StopCurve, dt: float, options: StopOptions = STOP_OPTIONS) -> Scalar:
+    """The deceleration from which the jerk limit still allows a release before the stand, m/s^2.
+
+    In periods of ``dt``: the last one decelerates by at most ``c`` (what may drop to zero at once), the one
+    before by ``J dt`` more; ``n`` periods take ``v = n c dt + J dt^2 n (n - 1) / 2``.
+    """
+    xp = namespace(speed_mps, curve.build_jerk_mps3)
+    jerk = xp.minimum(curve.build_jerk_mps3, AT_ONCE_MPS3)
+    drop = jerk * dt
+    last, half = options.drop_share * drop, 0.5 * drop
+    more = (last - half) * (last - half) + 4.0 * half * xp.maximum(speed_mps, 0.0) / dt
+    periods = (half - last + xp.sqrt(more)) / (2.0 * half)
+    most = last + xp.maximum(periods - 1.0, 0.0) * drop
+    return xp.where(jerk < AT_ONCE_MPS3, most, STRONGEST_MPS2)
 
 
 class Stop(NamedTuple):
@@ -221,32 +383,32 @@ class Stop(NamedTuple):
     left_m: float
 
 
-def stop_command(model: Model, belief: StateEstimate, target_m: float, curve: StopCurve) -> Stop:
+def stop_command(
+    model: Model,
+    belief: StateEstimate,
+    target_m: float,
+    curve: StopCurve,
+    options: StopOptions = STOP_OPTIONS,
+) -> Stop:
     """The command of this period on the way to a stop.
 
     Args:
         model: What the driver believes about trainset and section.
-        belief: From :func:`metropilot.control.estimator.observe`.
+        belief: From :func:`metropilot.control.estimator.update_estimate`.
         target_m: Where to stop.
         curve: Shape of the stop; departures from its deceleration are corrected gently.
+        options: Constants of the stop.
     """
     ahead = look_ahead(model, belief)
     v, distance = ahead.speed_mps, target_m - ahead.position_m
-    if v <= 0 and distance < INCH_M:
-        return Stop(share_for(belief, ahead, -max(curve.end_mps2, HOLD_MPS2)), 0.0, ahead, distance)
-    if distance >= INCH_M and v * v < 2.0 * DRAW_UP_SHARE * DRAW_UP_MPS2 * distance:
-        return Stop(share_for(belief, ahead, DRAW_UP_MPS2), 0.0, ahead, distance)
-    required, falling = required_ahead(ahead, distance, curve)
-    if falling == 0.0 and required < STRONGEST_MPS2:
-        wanted = max(required + RETURN_GAIN * (required - curve.deceleration_mps2), 0.0)
-    else:
-        wanted = required - 0.5 * falling * model.dt
-        if v <= wanted * model.dt and distance > 0:
-            wanted = v * v / (2.0 * distance)
-        if distance < INCH_M:
-            wanted = max(wanted, 0.0)
-    wanted = min(wanted, strongest(v, curve, model.dt))
-    return Stop(share_for(belief, ahead, -wanted), required, ahead, distance)
+    if v <= 0 and distance < options.inch_m:
+        wanted = -max(curve.end_mps2, options.hold_mps2)
+        return Stop(share_for(belief, ahead, wanted), 0.0, ahead, distance)
+    drawing = 2.0 * options.draw_up_share * options.draw_up_mps2 * distance
+    if distance >= options.inch_m and v * v < drawing:
+        return Stop(share_for(belief, ahead, options.draw_up_mps2), 0.0, ahead, distance)
+    demand = stop_deceleration(v, ahead.acceleration_mps2, distance, curve, model.dt, options)
+    return Stop(share_for(belief, ahead, -demand.wanted_mps2), demand.required_mps2, ahead, distance)
 
 
 def deceleration_to(model: Model, belief: StateEstimate, stop: Stop) -> float:
@@ -271,7 +433,14 @@ def deceleration_to(model: Model, belief: StateEstimate, stop: Stop) -> float:
     return (min(belief.brake_gain, 1.0) * effort + float(rests.min())) / float(vehicle.effective_mass_kg)
 
 
-def stand(model: Model, belief: StateEstimate, stop: Stop, near_enough_m: float, creep_m: float) -> float:
+def stand(
+    model: Model,
+    belief: StateEstimate,
+    stop: Stop,
+    near_enough_m: float,
+    creep_m: float,
+    options: StopOptions = STOP_OPTIONS,
+) -> float:
     """The stop's command; in the last period the deceleration in force, where it ends near enough.
 
     Args:
@@ -280,27 +449,13 @@ def stand(model: Model, belief: StateEstimate, stop: Stop, near_enough_m: float,
         stop: From :func:`stop_command`.
         near_enough_m: Error at the stop that is not worth a correction in the last period.
         creep_m: Nearer than this a trainset that hardly moves is made to stand.
+        options: Constants of the stop.
     """
     ahead, left_m, dt = stop.ahead, stop.left_m, model.dt
     rate, drop = -ahead.acceleration_mps2, float(model.vehicle.jerk_mps3) * dt
     last = 0 < ahead.speed_mps <= rate * dt and rate <= drop
     if last and abs(left_m - ahead.speed_mps**2 / (2 * rate)) <= near_enough_m:
         return share_for(belief, ahead, -rate)
-    if ahead.speed_mps < CREEP_MPS and abs(left_m) < creep_m and math.isfinite(drop):
-        return share_for(belief, ahead, -DROP_SHARE * drop)
+    if ahead.speed_mps < options.creep_mps and abs(left_m) < creep_m and math.isfinite(drop):
+        return share_for(belief, ahead, -options.drop_share * drop)
     return stop.share
-
-
-def strongest(speed_mps: float, curve: StopCurve, dt: float) -> float:
-    """The deceleration from which the jerk limit still allows to let go before standing, m/s^2.
-
-    In periods of ``dt``: the last one decelerates by at most ``c`` (what may drop to zero at once), the one
-    before by ``J dt`` more; ``n`` periods take ``v = n c dt + J dt^2 n (n - 1) / 2``.
-    """
-    if not math.isfinite(curve.build_jerk_mps3):
-        return STRONGEST_MPS2
-    drop = curve.build_jerk_mps3 * dt
-    last = DROP_SHARE * drop
-    half = 0.5 * drop
-    n = (half - last + math.sqrt((last - half) ** 2 + 4.0 * half * max(speed_mps, 0.0) / dt)) / (2.0 * half)
-    return last + max(n - 1.0, 0.0) * drop

@@ -17,7 +17,7 @@ from metropilot.control.estimator import (
 from metropilot.control.stopping import (
     comfortable_deceleration,
     curve_for,
-    required_ahead,
+    required_with_build_up,
     stop_command,
     weakest_gradient,
 )
@@ -89,7 +89,9 @@ class FlatOut(AbstractDriver):
             return stop_command(model, belief, target, curve).share, comfortable
         ahead = look_ahead(model, belief)
         wanted = ceiling_acceleration(model, ahead, memory.ceiling, float("inf"), curve)
-        required, _ = required_ahead(ahead, target - ahead.position_m, curve)
+        required, _ = required_with_build_up(
+            ahead.speed_mps, ahead.acceleration_mps2, target - ahead.position_m, curve
+        )
         if required >= comfortable:
             return stop_command(model, belief, target, curve).share, comfortable
         return min(share_for(belief, ahead, wanted), traction_limit(belief, ahead, memory.ceiling)), 0.0

@@ -34,7 +34,7 @@ from metropilot.control.stopping import (
     SERVICE_USE,
     StopCurve,
     curve_for,
-    required_ahead,
+    required_with_build_up,
     stop_command,
     weakest_gradient,
 )
@@ -232,7 +232,9 @@ def _decided(memory: ManualMemory) -> tuple[float, Intent]:
     ahead = look_ahead(model, belief)
     hand_s = max(memory.habits.reaction_s, model.dt)
     early_m = ahead.speed_mps * (hand_s + memory.habits.onset_s)
-    required, _ = required_ahead(ahead, target - ahead.position_m - early_m, curve)
+    required, _ = required_with_build_up(
+        ahead.speed_mps, ahead.acceleration_mps2, target - ahead.position_m - early_m, curve
+    )
     if required >= curve.deceleration_mps2:
         return _notched(stop_command(model, belief, target, curve).share), intent._replace(braking=True)
     sooner = ahead._replace(position_m=ahead.position_m + ahead.speed_mps * hand_s)

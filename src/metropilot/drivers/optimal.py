@@ -22,9 +22,10 @@ from metropilot.control.estimator import (
 )
 from metropilot.control.headroom import Headroom, headroom_of, largest_admissible_command
 from metropilot.control.stopping import (
-    CREEP_MPS,
+    STOP_OPTIONS,
     Stop,
     StopCurve,
+    StopOptions,
     curve_for,
     deceleration_to,
     stand,
@@ -366,10 +367,8 @@ class Optimal(AbstractDriver):
         last = plan.position_m[1:] > float(plan.position_m[-1]) - LAST_STRETCH_M
         rate = float(braking[last].max())
         rate = min(max(rate, 0.3), float(vehicle.max_deceleration_mps2))
-        curve = curve_for(vehicle, model.dt, rate)
-        if np.isfinite(curve.release_jerk_mps3):
-            curve = curve._replace(release_jerk_mps3=self._release_share(room) * float(vehicle.jerk_mps3))
-        return curve
+        shape = StopOptions(release_share=self._release_share(room))
+        return curve_for(vehicle, model.dt, rate, shape)
 
     def _plan_options(self, model: Model, room: Headroom) -> PlanOptions:
         """Plans allow for the jerk limit, and stay below the room over a control period."""
@@ -403,7 +402,11 @@ def stands_short(memory: FollowingMemory) -> bool:
     """Whether the trainset stands, once departed, so far from the stop that it takes a plan to get there."""
     belief = memory.belief
     left = float(memory.model.track.length_m) - belief.position_m
-    return belief.speed_mps < CREEP_MPS and left > LAST_METRES_M and belief.position_m > LAST_METRES_M
+    return (
+        belief.speed_mps < STOP_OPTIONS.creep_mps
+        and left > LAST_METRES_M
+        and belief.position_m > LAST_METRES_M
+    )
 
 
 def braking_room(memory: FollowingMemory) -> float:

@@ -26,7 +26,7 @@ from metropilot.control.estimator import (
     update_estimate,
 )
 from metropilot.control.headroom import Headroom, headroom_of, largest_admissible_command
-from metropilot.control.stopping import Stop, StopCurve, curve_for, required_ahead, stop_command
+from metropilot.control.stopping import Stop, StopCurve, curve_for, required_with_build_up, stop_command
 from metropilot.env.tracking import Tracked
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays
@@ -201,7 +201,7 @@ class AbstractTracker(AbstractDriver):
         vehicle, left = memory.model.vehicle, float(memory.model.track.length_m) - ahead.position_m
         rate = min(self.options.deceleration_mps2, float(vehicle.max_deceleration_mps2))
         curve = curve_for(vehicle, memory.model.dt, rate)
-        required, _ = required_ahead(ahead, left, curve)
+        required, _ = required_with_build_up(ahead.speed_mps, ahead.acceleration_mps2, left, curve)
         if left > HANDOVER_M and required < ALARM * rate:
             return memory
         return replace(memory, stop=curve._replace(deceleration_mps2=min(max(required, 0.1), ALARM * rate)))

@@ -30,7 +30,7 @@ from metropilot.control.estimator import (
     weighs_load,
 )
 from metropilot.control.headroom import Headroom, headroom_of, largest_admissible_command
-from metropilot.control.stopping import INCH_M, curve_for, stand, stop_command
+from metropilot.control.stopping import StopOptions, curve_for, stand, stop_command
 from metropilot.physics import Vehicle, track_arrays, vehicle_arrays
 from metropilot.protection import Memory, Protection, at_start, protect
 from metropilot.railway import Section
@@ -52,11 +52,11 @@ LET_GO = 0.75
 """Below this share of it the braking was too early, and the policy drives on..."""
 LET_GO_M = 60.0
 """...if there is more than this left to the stop."""
-RELEASE_SHARE = 0.95
-"""Jerk at which the last braking is let go, over the trainset's limit..."""
-LATE_BUILD_SHARE, LATE_RELEASE_SHARE = 0.5, 0.35
-"""...and, where dead time or lag are declared, at which it is built up and let go: what is on its way cannot
-be taken back, and the rest of the limit is there to answer the error."""
+CAREFUL_STOP = StopOptions(release_share=0.95)
+"""The station stop of a careful driver: a quick release, as its policy's own stop takes longer."""
+LATE_STOP = StopOptions(build_share=0.5, release_share=0.35, end_share=0.125)
+"""The same where dead time or lag are declared: what is on its way cannot be taken back, and the rest of the
+jerk limit is there to correct the error."""
 NEAR_ENOUGH_M = 0.1
 """An error at the stop that is not worth the time a correction takes."""
 RESERVE_S = 0.5
@@ -198,18 +198,14 @@ def last_braking(watch: Watch, planned_mps2: float, stopping: bool) -> tuple[boo
     """
     model, rate = watch.model, CAREFUL_USE * planned_mps2
     target = float(model.track.length_m)
-    vehicle, build, release = model.vehicle, 1.0, RELEASE_SHARE
-    if answers_late(vehicle):
-        build, release = LATE_BUILD_SHARE, LATE_RELEASE_SHARE
-    curve = curve_for(vehicle._replace(jerk_mps3=build * vehicle.jerk_mps3), model.dt, rate)
-    if np.isfinite(curve.release_jerk_mps3):
-        curve = curve._replace(release_jerk_mps3=release * float(vehicle.jerk_mps3))
-    stop = stop_command(model, watch.belief, target, curve)
+    options = LATE_STOP if answers_late(model.vehicle) else CAREFUL_STOP
+    curve = curve_for(model.vehicle, model.dt, rate, options)
+    stop = stop_command(model, watch.belief, target, curve, options)
     left = stop.left_m
     early = stop.required_mps2 < LET_GO * rate and left > LET_GO_M
-    short = stop.ahead.speed_mps <= 0 and left > INCH_M
+    short = stop.ahead.speed_mps <= 0 and left > options.inch_m
     begins = stop.required_mps2 >= BEGIN * rate
-    share = stand(model, watch.belief, stop, NEAR_ENOUGH_M, NEAR_ENOUGH_M)
+    share = stand(model, watch.belief, stop, NEAR_ENOUGH_M, NEAR_ENOUGH_M, options)
     return (begins or (stopping and not early)) and not short, share, stop.ahead
 
 

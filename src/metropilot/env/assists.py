@@ -11,9 +11,19 @@ task and on the host.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from metropilot.control.stopping import (
+    AT_ONCE_MPS3,
+    STRONGEST_MPS2,
+    StopOptions,
+    braking_distance,
+    build_up,
+    curve_for,
+    stop_deceleration,
+)
 from metropilot.env.features import FeatureContext
 from metropilot.env.tables import LEAST_STOP_MPS2, PERMITTED, STOP_USE, SectionRows
 from metropilot.errors import InputError
@@ -22,28 +32,12 @@ from metropilot.physics.effort import effort_at
 
 Array = Any
 
-RELEASE_SHARE = 0.5
-"""Jerk at which the last brake is let go, over the trainset's limit, unless the assists say otherwise."""
-END_SHARE = 0.8
-"""Deceleration the stop is planned to end with, over what the jerk limit allows to drop in one period."""
-RETURN_GAIN = 0.5
-"""How strongly a departure from the planned deceleration is answered beyond what the stop needs."""
-STRONGEST_MPS2 = 3.0
-AT_ONCE_MPS3 = 1e4
-INCH_M = 0.2
-"""A trainset that stands nearer to the stop than this is left to stand."""
-HOLD_MPS2 = 0.3
 EASE_SHARE = 0.4
 """Jerk at which traction is eased off under the ceiling, over the trainset's limit."""
 LET_GO_SHARE = 0.75
-"""Below this share of the planned deceleration the last braking was too early, and the policy drives on."""
+"""Below this share of the planned deceleration the station stop began too early, and the policy drives on."""
 LAST_M = 1.0
-"""Nearer to the stop than this the last braking is not given up again."""
-CREEP_MPS, CREEP_M = 0.06, 0.05
-"""Slower and nearer than this it is stood still."""
-SOFT_SHARE = 0.9
-"""Deceleration at the stand, at most, over the same."""
-NEWTON_STEPS = 3
+"""Nearer to the stop than this the station stop is not given up again."""
 SHORTEST_M = 0.5
 SHARED_M = 10.0
 """Nearer to the stop the deceleration asked for is what it is."""
@@ -81,7 +75,7 @@ class Assists:
     margin_mps: float = 0.15
     stop_mps2: float = 0.0
     stop_use: float = STOP_USE
-    release: float = RELEASE_SHARE
+    release: float = 0.5
     late: bool = False
 
     def __post_init__(self) -> None:
@@ -106,6 +100,29 @@ class Assists:
         left_m = rows.length_m[case] - position_m
         work, _ = rows.stop_at(case, position_m)
         return self.stop_use * rows.xp.maximum(work / left_m, LEAST_STOP_MPS2)
+
+
+@lru_cache
+def stop_options(release_share: float) -> StopOptions:
+    """Constants of the station stop that the shipped policies learned with.
+
+    The deceleration at the stop is larger than a host driver plans with, as the state is known exactly here,
+    and the policy has the time that it saves.
+
+    Args:
+        release_share: Jerk at which the brake is released, over the trainset's limit.
+    """
+    return StopOptions(
+        release_share=release_share,
+        end_share=0.8,
+        drop_share=0.9,
+        at_once_gain=0.0,
+        push_m=0.0,
+        hold_mps2=0.3,
+        creep_m=0.05,
+        passes=2,
+        newton_steps=3,
+    )
 
 
 class EffortLimits(NamedTuple):
@@ -165,7 +182,7 @@ def assisted(
         ceiling = share_for(sight, needs, ceiling_mps2(assists, sight, dt))
         command = xp.minimum(command, ceiling)
     if assists.stop:
-        stopping, wanted = stop_mps2(sight, stopping, dt, assists.release)
+        stopping, wanted = stop_mps2(sight, stopping, dt, stop_options(assists.release))
         entering = xp.asarray(False)
         if assists.late:
             wanted, entering = late_mps2(assists, sight, wanted, dt)
@@ -206,43 +223,27 @@ def ceiling_mps2(assists: Assists, sight: FeatureContext, dt: float) -> Array:
     return xp.minimum(upward + downward, sight.vehicle.max_acceleration_mps2)
 
 
-def stop_mps2(
-    sight: FeatureContext, stopping: Array, dt: float, release: float = RELEASE_SHARE
-) -> tuple[Array, Array]:
+def stop_mps2(sight: FeatureContext, stopping: Array, dt: float, options: StopOptions) -> tuple[Array, Array]:
     """Whether the last braking is on, and the deceleration it needs now, m/s^2.
 
     Args:
         sight: What the driver sees.
         stopping: Whether it was on.
         dt: Control period, s.
-        release: Jerk at which the brake is let go, over the limit.
+        options: Constants of the stop.
     """
     xp, vehicle = sight.xp, sight.vehicle
     v, a, s = sight.speed_mps, sight.acceleration_mps2, sight.length_m - sight.position_m
-    jerk = xp.minimum(vehicle.jerk_mps3, AT_ONCE_MPS3)
     planned = sight.stop_mps2
-    end = xp.minimum(END_SHARE * jerk * dt, planned)
-    quick, gone = _built_up(xp, v, a, planned, jerk)
-    reach = gone + _braking_distance(quick, planned, end, release * jerk)
+    curve = curve_for(vehicle, dt, planned, options)
+    quick, gone, _ = build_up(v, a, planned, curve.build_jerk_mps3)
+    reach = gone + braking_distance(quick, curve)
     begins = s <= reach + xp.maximum(v + 0.5 * xp.maximum(a, 0.0) * dt, 0.0) * dt
-    short = (v <= 0) & (s > INCH_M)
-    required, falling = _required(xp, v, s, planned, end, release * jerk)
-    for _ in range(2):
-        quick, gone = _built_up(xp, v, a, required, jerk)
-        again, _ = _required(xp, quick, s - gone, planned, end, release * jerk)
-        required = xp.where(falling > 0, required, again)
-    early = (required < LET_GO_SHARE * planned) & (falling <= 0) & (s > LAST_M)
+    short = (v <= 0) & (s > options.inch_m)
+    demand = stop_deceleration(v, a, s, curve, dt, options)
+    early = (demand.required_mps2 < LET_GO_SHARE * planned) & (demand.falling_mps3 <= 0) & (s > LAST_M)
     stopping = (stopping & (early ^ True) | begins) & (short ^ True)
-    held = xp.maximum(required + RETURN_GAIN * (required - planned), 0.0)
-    let_go = required - 0.5 * falling * dt
-    last = v * v / (2.0 * xp.maximum(s, 1e-3))
-    let_go = xp.where(v <= let_go * dt, last, let_go)
-    wanted = xp.where(falling > 0, let_go, xp.where(required < STRONGEST_MPS2, held, required))
-    wanted = xp.where(jerk < AT_ONCE_MPS3, wanted, xp.minimum(last, STRONGEST_MPS2))
-    wanted = xp.where((v < CREEP_MPS) & (s < CREEP_M), xp.maximum(wanted, HOLD_MPS2), wanted)
-    wanted = xp.where(s > 1e-3, wanted, STRONGEST_MPS2)
-    wanted = xp.where(jerk < AT_ONCE_MPS3, xp.minimum(wanted, _softly(xp, v, jerk * dt, dt)), wanted)
-    return stopping, xp.where(v > 0, wanted, HOLD_MPS2)
+    return stopping, xp.where(v > 0, demand.wanted_mps2, options.hold_mps2)
 
 
 def late_mps2(assists: Assists, sight: FeatureContext, wanted: Array, dt: float) -> tuple[Array, Array]:
@@ -267,56 +268,3 @@ def late_mps2(assists: Assists, sight: FeatureContext, wanted: Array, dt: float)
     at_once = (sight.vehicle.jerk_mps3 >= AT_ONCE_MPS3) & (v > turn) & (room > v * dt)
     found = shape * xp.where(at_once, onto, wanted)
     return xp.where(v > 0, found, wanted), at_once & (onto < LET_GO_SHARE * planned)
-
-
-def _softly(xp: Any, v: Array, drop: Array, dt: float) -> Array:  # noqa: ANN401 (a module)
-    """The deceleration from which the jerk limit still lets go before standing; see ``drivers.stopping``."""
-    last, half = SOFT_SHARE * drop, 0.5 * drop
-    more = (last - half) * (last - half) + 4.0 * half * xp.maximum(v, 0.0) / dt
-    periods = (half - last + xp.sqrt(more)) / (2.0 * half)
-    return last + xp.maximum(periods - 1.0, 0.0) * drop
-
-
-def _built_up(xp: Any, v: Array, a: Array, wanted: Array, jerk: Array) -> tuple[Array, Array]:  # noqa: ANN401
-    """Speed, and distance gone, when a deceleration has been built up from the acceleration ``a``."""
-    t = xp.maximum(wanted + a, 0.0) / jerk
-    after = xp.maximum(v + a * t - 0.5 * jerk * t * t, 0.0)
-    return after, v * t + 0.5 * a * t * t - jerk * t * t * t / 6.0
-
-
-def _braking_distance(v: Array, b: Array, end: Array, jerk: Array) -> Array:
-    """Distance to a stand: hold ``b``, then release at ``jerk`` to ``end``."""
-    t = (b - end) / jerk
-    released = (b * b - end * end) / (2.0 * jerk)
-    return (v * v - released * released) / (2.0 * b) + t * t * (b / 6.0 + end / 3.0)
-
-
-def _required(
-    xp: Any,  # noqa: ANN401 (a module)
-    v: Array,
-    s: Array,
-    planned: Array,
-    end: Array,
-    jerk: Array,
-) -> tuple[Array, Array]:
-    """Deceleration whose curve ends at the stop, and the jerk at which it falls (0: it is held).
-
-    Newton's method on :func:`_braking_distance`, from the deceleration without a release.
-    """
-    s = xp.maximum(s, 1e-3)
-    top = xp.sqrt(end * end + 2.0 * jerk * v)
-    b = xp.minimum(xp.maximum(v * v / (2.0 * s), 0.05), xp.minimum(top, STRONGEST_MPS2) + 0.05)
-    for _ in range(NEWTON_STEPS):
-        t, released = (b - end) / jerk, (b * b - end * end) / (2.0 * jerk)
-        slope = (released * released - v * v) / (2.0 * b * b) - released / jerk
-        slope = slope + (2.0 * t / jerk) * (b / 6.0 + end / 3.0) + t * t / 6.0
-        step = (_braking_distance(v, b, end, jerk) - s) / xp.minimum(slope, -1e-2)
-        b = xp.minimum(xp.maximum(b - step, 0.05), STRONGEST_MPS2)
-    least = _braking_distance(v, xp.maximum(top, 0.05), end, jerk)
-    p = 2.0 * v
-    left_s = 12.0 * s / (xp.sqrt(p * p + 24.0 * end * s) + p + 1e-9)
-    now = p / xp.maximum(left_s, 1e-6) - end
-    releasing = s <= least
-    falling = xp.maximum(now - end, 0.0) / xp.maximum(left_s, 1e-6)
-    del planned
-    return xp.where(releasing, now, b), xp.where(releasing, xp.maximum(falling, 1e-6), 0.0)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from metropilot.env.assists import AT_ONCE_MPS3
+from metropilot.control.stopping import AT_ONCE_MPS3
 from metropilot.env.expert import (
     RELEASE_SHARE,
     SEGMENTS,

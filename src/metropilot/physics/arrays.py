@@ -8,6 +8,7 @@ run-time type check of the test suite: its arguments are anything by design.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections.abc import Callable
 from typing import Any, no_type_check
@@ -24,6 +25,7 @@ class scalars:  # noqa: N801 -- stands where a module does: numpy, jax.numpy, sc
 
     abs = abs
     exp = np.exp
+    sqrt = math.sqrt
 
     @staticmethod
     def maximum(a: Scalar, b: Scalar) -> Scalar:

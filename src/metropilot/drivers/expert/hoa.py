@@ -15,13 +15,11 @@ from typing import NamedTuple
 
 from metropilot.control.estimator import PredictedState
 from metropilot.control.stopping import (
-    HOLD_MPS2,
-    INCH_M,
-    RETURN_GAIN,
+    STOP_OPTIONS,
     STRONGEST_MPS2,
     StopCurve,
-    required_ahead,
-    strongest,
+    required_with_build_up,
+    stop_deceleration,
 )
 from metropilot.drivers.expert.actuation import CommandActuation, share_of
 from metropilot.drivers.expert.ground import ExpertTrack
@@ -145,27 +143,18 @@ def stop_share(
         curve: Shape of the stop, planned with :meth:`Hoa.plan_mps2`.
     """
     v, distance, plan = ahead.speed_mps, ground.length_m - ahead.position_m, curve.deceleration_mps2
-    if v <= 0.0 and distance < INCH_M:
-        return share_of(actuation, ahead, -max(curve.end_mps2, HOLD_MPS2)), True
+    if v <= 0.0 and distance < STOP_OPTIONS.inch_m:
+        return share_of(actuation, ahead, -max(curve.end_mps2, STOP_OPTIONS.hold_mps2)), True
     if not hoa.braking and v * v < 2.0 * NEAR * plan * max(distance - 2.0 * v, 0.5):
         return 0.0, False
-    dt = actuation.dt
-    required, falling = required_ahead(ahead, distance, curve)
+    dt, a = actuation.dt, ahead.acceleration_mps2
     if not hoa.braking:
-        sooner, _ = required_ahead(ahead, distance - v * (0.5 * actuation.lag_s + 0.25 * dt), curve)
-        way = _way(v, -max(ahead.acceleration_mps2, 0.0), dt)
-        later, _ = required_ahead(ahead, distance - way, curve)
+        early_m = v * (0.5 * actuation.lag_s + 0.25 * dt)
+        sooner, _ = required_with_build_up(v, a, distance - early_m, curve)
+        later, _ = required_with_build_up(v, a, distance - _way(v, -max(a, 0.0), dt), curve)
         if sooner < plan and later <= plan / USE:
             return 0.0, False
-    if falling == 0.0 and required < STRONGEST_MPS2:
-        wanted = max(required + RETURN_GAIN * (required - plan), 0.0)
-    else:
-        wanted = required - 0.5 * falling * dt
-        if v <= wanted * dt and distance > 0.0:
-            wanted = v * v / (2.0 * distance)
-        if distance < INCH_M:
-            wanted = max(wanted, 0.0)
-    wanted = min(wanted, strongest(v, curve, dt))
+    wanted = stop_deceleration(v, a, distance, curve, dt).wanted_mps2
     if _way(v, wanted, dt) > distance + PAST_M:
         short = v * v / (2.0 * distance) if distance > 0.0 else STRONGEST_MPS2
         wanted = max(wanted, min(short, curve.build_jerk_mps3 * dt))

@@ -15,8 +15,16 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from metropilot.control.stopping import (
+    AT_ONCE_MPS3,
+    STRONGEST_MPS2,
+    braking_distance,
+    braking_time,
+    build_up,
+    curve_for,
+)
 from metropilot.env.actions import RegimeAction
-from metropilot.env.assists import AT_ONCE_MPS3, END_SHARE, STRONGEST_MPS2, Assists, ceiling_at
+from metropilot.env.assists import Assists, ceiling_at, stop_options
 from metropilot.env.features import FeatureContext, observe
 from metropilot.env.tables import CLIMB, SectionRows, SectionTables
 from metropilot.physics.effort import effort_at
@@ -30,6 +38,8 @@ Decide = Callable[[Params, Array], Array]
 LEAK = 0.3
 """Slope that the dead zone and the saturated ends of the action have for the gradient."""
 SLOWEST_MPS = 0.3
+LEAST_STOP_MPS = 0.1
+"""Least speed that a station stop is counted from: keeps its gradient bounded."""
 
 
 class Begin(NamedTuple):
@@ -233,7 +243,11 @@ class ClosedLoop:
             energy_j=now.energy_j + jnp.maximum(mean, 0.0) * gone * begin.mass_factor,
         )
         planned = self._planned(begin, case, moved.position_m)
-        distance, duration = stopping(after, reached - drag, planned, jerk, dt, self.assists.release)
+        curve = curve_for(vehicle, dt, planned, stop_options(self.assists.release))
+        quick, gone_m, build_s = build_up(after, reached - drag, planned, jerk)
+        quick = jnp.maximum(quick, LEAST_STOP_MPS)
+        distance = gone_m + braking_distance(quick, curve)
+        duration = build_s + braking_time(quick, curve)
         left = case.length_m - moved.position_m
         arrival = moved.time_s + duration + (left - distance) / after
         return moved._replace(arrival_s=arrival, done=left <= distance)
@@ -257,28 +271,3 @@ class ClosedLoop:
         near, later = jnp.minimum(room(0.0), room(dt)), room(ahead_s)
         up = jnp.maximum(jnp.minimum(near, later), 0.0) / (dt + rates.reaction_s)
         return up + jnp.minimum(jnp.minimum(near / dt, later / ahead_s), 0.0)
-
-
-def stopping(
-    v: Array, a: Array, planned: Array, jerk: Array, dt: float, release: float
-) -> tuple[Array, Array]:
-    """Distance and time of the last braking: build up, hold, let go.
-
-    Args:
-        v: Speed.
-        a: Acceleration now.
-        planned: Deceleration that is held.
-        jerk: Jerk limit.
-        dt: Period of the control that lets go.
-        release: Jerk at which it is let go, over the limit.
-    """
-    build = jnp.maximum(planned + a, 0.0) / jerk
-    quick = jnp.maximum(v + a * build - 0.5 * jerk * build * build, 0.1)
-    gone = v * build + 0.5 * a * build * build - jerk * build * build * build / 6.0
-    soft = release * jerk
-    end = jnp.minimum(END_SHARE * jerk * dt, planned)
-    fades = (planned - end) / soft
-    released = (planned * planned - end * end) / (2.0 * soft)
-    held = (quick * quick - released * released) / (2.0 * planned)
-    distance = gone + held + fades * fades * (planned / 6.0 + end / 3.0)
-    return distance, build + (quick - released) / planned + fades
