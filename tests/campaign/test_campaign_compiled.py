@@ -1,9 +1,7 @@
 """Campaigns that drive compiled batches: the numbers of the host loop, and always the same bits."""
 
 from dataclasses import replace
-from itertools import pairwise
 
-import numpy as np
 import pytest
 
 from metropilot.campaign import Campaign, DisturbanceCase
@@ -11,10 +9,8 @@ from metropilot.campaign.compiled import drive_batch
 from metropilot.campaign.declared import BATCH
 from metropilot.campaign.optima import EnergyCurve
 from metropilot.campaign.rows import RESULTS, drive_row, drive_shard, parquet
-from metropilot.physics import at_rest, track_arrays, vehicle_arrays
 from metropilot.planning import optimal_plan
-from metropilot.railway import Restriction, load_line, load_trainset, write_trainset
-from metropilot.sim.recorder import step_overspeed, track_overspeed
+from metropilot.railway import load_line, load_trainset, write_trainset
 
 MATRIX = Campaign(
     "both ways",
@@ -157,16 +153,3 @@ def test_the_optimum_read_between_two_solved_ones_is_the_solved_one(objective):
         solved = optimal_plan(section, trainset, time_s, curve.options)
         assert curve.at(time_s).plan.energy_j == pytest.approx(solved.energy_j, rel=2e-4)
     assert sorted(curve.knots) == [1, 2, 5, 6, 17, 18]
-
-
-def test_the_overspeed_of_a_run_is_the_worst_of_its_steps():
-    trainset = load_trainset("dkz32", "AW2")
-    section = load_line("yizhuang").section("RJ", "WYJ").restricted(Restriction(400.0, 600.0, 12.0))
-    track, state = track_arrays(section, trainset), at_rest(vehicle_arrays(trainset))
-    random = np.random.default_rng(3)
-    for _ in range(50):
-        position = np.concatenate([[0.0], np.cumsum(random.uniform(0.0, 40.0, 40))])
-        speed = random.uniform(0.0, 22.0, position.size)
-        states = [state._replace(position_m=x, speed_mps=v) for x, v in zip(position, speed, strict=True)]
-        steps = [step_overspeed(track, *pair) for pair in pairwise(states)]
-        assert track_overspeed(track, position, speed) == pytest.approx(max(steps), abs=1e-12)

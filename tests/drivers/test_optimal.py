@@ -171,7 +171,8 @@ def test_nobody_is_left_standing_short_of_the_stop(driver, trainset):
             moment = rollout.advance()
             if not braked and section.length_m - moment.position_m < left_m:
                 braked = True
-                rollout.watched = rollout.watched._replace(emergency=np.bool_(True))
+                latched = rollout.state.supervision._replace(emergency=np.bool_(True))
+                rollout.state = rollout.state._replace(supervision=latched)
         assert rollout.outcome is Outcome.ARRIVED, left_m
         assert moment.time_s < 125.0, left_m
 

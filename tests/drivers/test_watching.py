@@ -29,7 +29,7 @@ def driven(run, name):
     while rollout.outcome is None:
         rollout.advance()
         if began is None and rollout.memory.watch.care is not None:
-            began = rollout.recorder.trajectory(rollout.track, 0.0).time_s[-1]
+            began = rollout.recorder.trajectory(rollout.params.track, 0.0).time_s[-1]
     return rollout.drive(), began
 
 

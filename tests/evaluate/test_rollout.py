@@ -10,7 +10,8 @@ import pytest
 from metropilot.physics import at_rest, track_arrays, vehicle_arrays
 from metropilot.railway import Restriction
 from metropilot.sim import Disturbance, Outcome, Rollout, TimetableUpdate, drive
-from metropilot.sim.recorder import limit_at, step_overspeed
+from metropilot.sim.recorder import limit_at
+from metropilot.sim.step import overspeed_in_period
 
 
 def test_flat_out_arrives(request_rj):
@@ -94,7 +95,7 @@ def test_overspeed_is_found_between_two_rows(request_rj):
     before = at_rest(vehicle, position_m=at - 1.0, speed_mps=low + 1.0)
     after = at_rest(vehicle, position_m=at + 1.0, speed_mps=low - 1.0)
     # v^2 falls from (low + 1)^2 to (low - 1)^2 over 2 m: halfway it is low^2 + 1.
-    assert step_overspeed(track, before, after) == pytest.approx(np.hypot(low, 1.0) - low)
+    assert overspeed_in_period(track, before, after) == pytest.approx(np.hypot(low, 1.0) - low)
 
 
 def test_driving_never_imports_jax():

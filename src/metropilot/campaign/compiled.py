@@ -41,9 +41,17 @@ from metropilot.physics import (
 from metropilot.policy.loaded import LoadedPolicy
 from metropilot.protection.types import Memory
 from metropilot.railway import Section, Trainset
-from metropilot.sim import CODES, NOISE_CUT, RUNNING, Outcome, Run, declared_bounds
-from metropilot.sim.recorder import closed_trajectory, limits_at, track_overspeed
-from metropilot.sim.rollout import OVERSPEED_MPS, Drive
+from metropilot.sim import (
+    RUNNING,
+    Drive,
+    Outcome,
+    Run,
+    RunState,
+    declared_bounds,
+    final_outcome,
+    noise_stream,
+)
+from metropilot.sim.recorder import closed_trajectory, limits_at
 
 CURVES = Curves()
 """This worker's."""
@@ -208,10 +216,8 @@ def _driven(
     slots = most_slots(campaign.trainsets, campaign.dt_s)
     tables, given = _given(loaded, starts, slots)
     going = _at_departure(given, slots, policy.spec.discrete, policy.spec.actions)
-    sigma = [start.run.scenario.speed_noise_mps for start in starts]
     streams = [
-        np.random.default_rng(np.random.SeedSequence(start.run.seed, spawn_key=(1,))) if s > 0 else None
-        for start, s in zip(starts, sigma, strict=True)
+        noise_stream(start.run) if start.run.scenario.speed_noise_mps > 0 else None for start in starts
     ]
     record = []
     with double_precision(), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
@@ -229,7 +235,7 @@ def _noise(streams: Sequence[np.random.Generator | None]) -> ndarray:
     noise = np.zeros((PERIODS, BATCH))
     for k, stream in enumerate(streams):
         if stream is not None:
-            noise[:, k] = np.clip(stream.standard_normal(PERIODS), -NOISE_CUT, NOISE_CUT)
+            noise[:, k] = stream.standard_normal(PERIODS)
     return noise
 
 
@@ -278,15 +284,18 @@ def _at_departure(given: EpisodeParams, slots: int, discrete: bool, actions: int
     )
     recent = np.where(np.arange(slots) >= given.slots[:, None] - 1, -1.0, 0.0)
     return EpisodeState(
-        plant=plant,
-        watched=Memory(recent, zero, zero, count > 0, count, count, count, count),
-        stood_since_s=zero,
+        run=RunState(
+            plant=plant,
+            supervision=Memory(recent, zero, zero, count > 0, count, count, count, count),
+            measured_mps=zero,
+            stood_since_s=zero,
+            outcome=np.full(BATCH, RUNNING, np.int32),
+        ),
         command=zero,
         action=count if discrete else np.zeros((BATCH, actions)),
         wanted=zero,
         decided=count,
         stopping=count > 0,
-        outcome=np.full(BATCH, RUNNING, np.int32),
     )
 
 
@@ -311,12 +320,7 @@ def _drive_of(driver_id: str, start: CompiledStart, record: CompiledRow, k: int)
         limit_mps=np.append(limits, limits_at(final, at[-1:])),
         permitted_mps=np.append(own["permitted_mps"], own["permitted_mps"][-1]),
     )
-    over = 0.0
-    for stage, track in enumerate(tracks):
-        steps = np.flatnonzero(told == stage)
-        if steps.size:
-            part = slice(steps[0], steps[-1] + 2)
-            over = max(over, track_overspeed(track, at[part], speed[part]))
+    over = float(own["overspeed_mps"].max())
     stopped = np.flatnonzero((speed[:-1] > 0.0) & (speed[1:] <= 0.0))
     stood_since = float(rows["time_s"][stopped[-1] + 1]) if stopped.size else 0.0
     overruled = own["overruled"]
@@ -324,7 +328,7 @@ def _drive_of(driver_id: str, start: CompiledStart, record: CompiledRow, k: int)
         run=run,
         driver=driver_id,
         trajectory=trajectory,
-        outcome=Outcome.OVERSPEED if over > OVERSPEED_MPS else CODES[int(own["outcome"][-1])],
+        outcome=final_outcome(int(own["outcome"][-1]), over),
         running_time_s=stood_since if speed[-1] <= 0 else float(rows["time_s"][-1]),
         scheduled_time_s=setting.news[1] if rows["time_s"][-2] >= setting.news[0] else run.scheduled_time_s,
         section=setting.sections[int(told[-1])],

@@ -1,8 +1,7 @@
-"""The compiled run of a batch: the host loop of :mod:`metropilot.sim.rollout`, in JAX, float64.
+"""The compiled run of a batch: :func:`metropilot.sim.control_period` with a policy, in JAX, float64.
 
-One control period of one run is written here over the very functions the host loop calls (plant, protection,
-what a policy sees and means); ``vmap`` makes a batch of it and ``scan`` some periods in a row. What differs
-between runs is data, so that one program serves every section, trainset and disturbance of a campaign.
+``vmap`` makes a batch of it and ``scan`` some periods in a row. What differs between runs is data, so that
+one program serves every section, trainset and disturbance of a campaign.
 """
 
 from __future__ import annotations
@@ -14,17 +13,16 @@ from typing import Any, NamedTuple
 
 from metropilot.drivers.learned import EARLY_S
 from metropilot.env import PolicyInterface
-from metropilot.env.assists import Assists, assisted
-from metropilot.env.features import FeatureContext, observe
+from metropilot.env.assists import assisted
+from metropilot.env.features import FeatureContext, feature_context, observe
 from metropilot.env.tables import PERMITTED, SectionRows, SectionTables, near_protection, near_track
-from metropilot.physics import Command, Forces, State, Vehicle, step
+from metropilot.physics import Command, Forces, Vehicle
 from metropilot.policy.networks import Params
 from metropilot.policy.policy import PolicySpec, chosen, network_output
-from metropilot.protection import Memory, supervise
-from metropilot.sim import CODES, RUNNING, STOP_TOLERANCE_M, Outcome
-from metropilot.sim.rollout import GIVE_UP_M, STALLED_S
+from metropilot.sim import OutcomeRule, RunParams, RunState, control_period, hold_ended
 
 Array = Any
+RULE = OutcomeRule()
 
 PERIODS = 50
 """Control periods between two looks at whether all runs have ended."""
@@ -61,29 +59,23 @@ class EpisodeParams(NamedTuple):
 
 
 class EpisodeState(NamedTuple):
-    """Where one run is. All 0-d but the pipelines and the action.
+    """State of one run of a batch. All 0-d but the pipelines and the action.
 
     Attributes:
-        plant: State of the plant.
-        watched: Protection's memory.
-        stood_since_s: When it last came to a stand.
+        run: State of the run; its outcome may be ``BROKEN``.
         command: The policy's last command, assists included.
         action: Action of its last decision.
         wanted: Command that asked for.
         decided: Decisions taken.
-        stopping: Whether the last braking has begun.
-        outcome: Number of the outcome, ``RUNNING`` or ``BROKEN``.
+        stopping: Whether the station-stop braking has begun.
     """
 
-    plant: State
-    watched: Memory
-    stood_since_s: Array
+    run: RunState
     command: Array
     action: Array
     wanted: Array
     decided: Array
     stopping: Array
-    outcome: Array
 
 
 class CompiledRow(NamedTuple):
@@ -101,6 +93,7 @@ class CompiledRow(NamedTuple):
     permitted_mps: Array
     overruled: Array
     told: Array
+    overspeed_mps: Array
     outcome: Array
 
 
@@ -151,43 +144,56 @@ def program(kind: Kind) -> Callable[..., tuple[EpisodeState, CompiledRow]]:
 
 def period(
     kind: Kind,
-    params: Params,
+    params_of_policy: Params,
     guard: SectionRows,
     seen: SectionRows,
     given: EpisodeParams,
     before: EpisodeState,
     noise: Array,
 ) -> tuple[EpisodeState, CompiledRow]:
-    """One control period of one run: hear the news, decide, supervise, move, look whether it is over."""
-    import jax
+    """One control period of one run, with the timetable updates that are due at its beginning."""
     import jax.numpy as jnp
 
-    plant, now = before.plant, before.plant.time_s
+    plant, now = before.run.plant, before.run.plant.time_s
     told = (now >= given.restricted_at_s).astype(jnp.int32)
-    scheduled = jnp.where(now >= given.news_at_s, given.news_s, given.scheduled_s)
     place = given.guard[told]
     case = guard.case(place)
-    noisy = jnp.maximum(plant.speed_mps + given.speed_noise_mps * noise, 0.0)
-    noisy = jnp.where(plant.speed_mps > 0.0, noisy, 0.0)
-    speed = jnp.where(given.speed_noise_mps > 0.0, noisy, plant.speed_mps)
-    sight = _sight(kind.perception.assists, seen, given.seen[told], before, speed, scheduled)
-    going, broken = _decided(kind, params, sight, before)
-
-    near = near_protection(guard, case.protection, place, plant.position_m)
-    asked = Command(going.command, jnp.zeros((), bool))
-    command, watched, verdict = supervise(near, before.watched, plant.position_m, speed, asked)
-    older = jnp.arange(watched.recent.shape[0]) >= given.slots - 1
-    watched = watched._replace(recent=jnp.where(older, -1.0, watched.recent))
-    after = step(
-        given.vehicle, near_track(case.track, given.vehicle, plant.position_m), plant, command, kind.dt
+    params = RunParams(
+        vehicle=given.vehicle,
+        track=near_track(case.track, given.vehicle, plant.position_m),
+        protection=near_protection(guard, case.protection, place, plant.position_m),
+        length_m=given.length_m,
+        scheduled_s=jnp.where(now >= given.news_at_s, given.news_s, given.scheduled_s),
+        speed_noise_mps=given.speed_noise_mps,
+        dt=kind.dt,
     )
 
-    stopped = (plant.speed_mps > 0.0) & (after.speed_mps <= 0.0)
-    since = jnp.where(stopped, after.time_s, before.stood_since_s)
-    outcome = jnp.where(broken, BROKEN, _outcome(after, since, given.length_m, scheduled))
-    going = going._replace(plant=after, watched=watched, stood_since_s=since, outcome=outcome)
-    over = before.outcome != RUNNING
-    going = jax.tree.map(lambda old, new: jnp.where(over, old, new), before, going)
+    def decide(going: EpisodeState, run: RunState) -> tuple[Command, tuple[EpisodeState, Array]]:
+        row, at = given.seen[told], run.plant.position_m
+        found = seen.case(row)
+        sight = feature_context(
+            seen,
+            row,
+            found,
+            stop_mps2=kind.perception.assists.planned_mps2(seen, row, found.stop_mps2, at),
+            time_s=run.plant.time_s,
+            position_m=run.plant.position_m,
+            speed_mps=run.measured_mps,
+            acceleration_mps2=run.plant.acceleration_mps2,
+            scheduled_s=params.scheduled_s,
+            command=going.command,
+        )
+        going, broken = _decided(kind, params_of_policy, sight, going)
+        return Command(going.command, jnp.zeros((), bool)), (going, broken)
+
+    run, (going, broken), record = control_period(params, before.run, before, decide, rule=RULE, noise=noise)
+    older = jnp.arange(run.supervision.recent.shape[0]) >= given.slots - 1
+    recent = jnp.where(older, -1.0, run.supervision.recent)
+    run = run._replace(
+        supervision=run.supervision._replace(recent=recent), outcome=jnp.where(broken, BROKEN, run.outcome)
+    )
+    going = hold_ended(before.run, going._replace(run=run), before)
+    after = run.plant
     row = CompiledRow(
         time_s=after.time_s,
         position_m=after.position_m,
@@ -197,41 +203,14 @@ def period(
         traction_j=after.traction_j,
         line_j=after.line_j,
         recovered_j=after.recovered_j,
-        command=command.share,
+        command=record.command.share,
         permitted_mps=guard.ground_at(PERMITTED, place, plant.position_m),
-        overruled=(verdict.level > 0) | (jnp.abs(asked.share) < jnp.inf) ^ True,
+        overruled=record.intervened,
         told=told,
-        outcome=going.outcome,
+        overspeed_mps=record.overspeed_mps,
+        outcome=going.run.outcome,
     )
     return going, row
-
-
-def _sight(
-    assists: Assists,
-    rows: SectionRows,
-    place: Array,
-    going: EpisodeState,
-    speed_mps: Array,
-    scheduled_s: Array,
-) -> FeatureContext:
-    """What the policy sees; as :class:`metropilot.drivers.learned.LearnedDriver` has it."""
-    case, plant = rows.case(place), going.plant
-    return FeatureContext(
-        rows=rows,
-        case=place,
-        vehicle=case.vehicle,
-        track=near_track(case.track, case.vehicle, plant.position_m),
-        length_m=case.length_m,
-        load=case.load,
-        stop_mps2=assists.planned_mps2(rows, place, case.stop_mps2, plant.position_m),
-        rates=case.protection.rates,
-        time_s=plant.time_s,
-        position_m=plant.position_m,
-        speed_mps=speed_mps,
-        acceleration_mps2=plant.acceleration_mps2,
-        scheduled_s=scheduled_s,
-        command=going.command,
-    )
 
 
 def _decided(
@@ -255,18 +234,3 @@ def _decided(
     command = perception.action.settled(sight, command).astype(sight.speed_mps.dtype)
     after = before._replace(command=command, action=action, wanted=wanted, decided=decided, stopping=stopping)
     return after, broken
-
-
-def _outcome(plant: State, stood_since_s: Array, length_m: Array, scheduled_s: Array) -> Array:
-    """How a run has ended, if it has; as :meth:`metropilot.sim.rollout.Rollout.advance` has it."""
-    import jax.numpy as jnp
-
-    error, now = plant.position_m - length_m, plant.time_s
-    codes = {outcome: CODES.index(outcome) for outcome in Outcome}
-    late = now > 2.0 * scheduled_s + 120.0
-    found = jnp.where(late, codes[Outcome.OUT_OF_TIME], RUNNING)
-    found = jnp.where(error > GIVE_UP_M, codes[Outcome.OVERSHOT], found)
-    stalled = jnp.where(now - stood_since_s > STALLED_S, codes[Outcome.STALLED], found)
-    stands = jnp.where(error > 0.0, codes[Outcome.OVERSHOT], stalled)
-    stands = jnp.where(jnp.abs(error) <= STOP_TOLERANCE_M, codes[Outcome.ARRIVED], stands)
-    return jnp.where(plant.speed_mps <= 0.0, stands, found).astype(jnp.int32)

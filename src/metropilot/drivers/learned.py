@@ -20,7 +20,7 @@ from metropilot.drivers import watching
 from metropilot.drivers.watching import Watch
 from metropilot.env import PolicyInterface
 from metropilot.env.assists import assisted, ceiling_mps2
-from metropilot.env.features import FeatureContext, observe
+from metropilot.env.features import FeatureContext, feature_context, observe
 from metropilot.env.tables import SectionRows, SectionTables, build_tables
 from metropilot.railway import Section, Trainset
 from metropilot.sim import Observation, Run, declared_bounds
@@ -184,15 +184,11 @@ class LearnedDriver(AbstractDriver):
             ahead = watching.predicted_state(watch)
             time, x, v, a = time + ahead.seconds, ahead.position_m, ahead.speed_mps, ahead.acceleration_mps2
             scheduled -= watching.RESERVE_S
-        return FeatureContext(
-            rows=memory.rows,
-            case=0,
-            vehicle=case.vehicle,
-            track=case.track,
-            length_m=case.length_m,
-            load=case.load,
+        return feature_context(
+            memory.rows,
+            0,
+            case,
             stop_mps2=self.perception.assists.planned_mps2(memory.rows, 0, case.stop_mps2, np.float64(x)),
-            rates=case.protection.rates,
             time_s=np.float64(time),
             position_m=np.float64(x),
             speed_mps=np.float64(v),

@@ -15,10 +15,12 @@ from metropilot.env.rewards import AbstractTerm, Energy, Failure, Intervention, 
 from metropilot.env.tables import SectionTables, build_tables
 from metropilot.errors import InputError
 from metropilot.railway import Section, Trainset
-from metropilot.sim.outcome import OutcomeRule
+from metropilot.sim import OutcomeRule
 
 REWARDS = (Energy(), Punctuality(per_s=2.0), Failure(price=20.0, per_m=0.05), Intervention())
 """A kWh costs 1, a second off time 2 (what the last second saves in a tight timetable is below 1)."""
+EPISODE_RULE = OutcomeRule(give_up_m=20.0, late_ratio=1.25, late_s=30.0)
+"""Episodes end sooner than drives that are reported: the rest of a lost run teaches nothing."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class DrivingConfig:
     observer: str | tuple[str, ...] = "section"
     action: AbstractAction = field(default_factory=RegimeAction)
     rewards: tuple[AbstractTerm, ...] = REWARDS
-    outcomes: OutcomeRule = field(default_factory=OutcomeRule)
+    outcomes: OutcomeRule = EPISODE_RULE
     assists: Assists = field(default_factory=Assists)
     dt: float = 0.5
     periods: int = 1
@@ -102,5 +104,6 @@ class DrivingConfig:
 
     def tables(self, dtype: type = np.float32, jobs: int = 1) -> SectionTables:
         """The cases as arrays (NumPy; takes about a tenth of a second a case); by so many processes."""
-        bounded = [(s, t, self.scenarios.bounds(s, t, self.dt)) for s, t in self.cases]
+        restricted = [(s, t) for section, t in self.cases for s in self.scenarios.restricted(section)]
+        bounded = [(s, t, self.scenarios.bounds(s, t, self.dt)) for s, t in (*self.cases, *restricted)]
         return build_tables(bounded, self.spacing_m, dtype, jobs)

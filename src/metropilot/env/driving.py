@@ -10,17 +10,26 @@ import numpy as np
 
 from metropilot.env.assists import assisted
 from metropilot.env.config import DrivingConfig
-from metropilot.env.features import FeatureContext, observe
+from metropilot.env.features import FeatureContext, feature_context, observe
 from metropilot.env.interface import AbstractTask, ActionSpace, Transition
-from metropilot.env.randomization import StartDistribution, draw
+from metropilot.env.randomization import DRAWN_PLANT, NOMINAL, StartDistribution, draw
 from metropilot.env.rewards import Change
-from metropilot.env.tables import PERMITTED, SectionRows, SectionTables, near_protection, near_track
-from metropilot.physics import Command, Forces, State, Vehicle, delay_steps, step
-from metropilot.physics.arrays import locate
-from metropilot.protection import Memory, supervise
-from metropilot.sim.disturbance import NOISE_CUT
-from metropilot.sim.outcome import CODES, RUNNING, Episode, OutcomeFacts, outcome_of
-from metropilot.sim.run import Outcome
+from metropilot.env.tables import PERMITTED, SectionRows, near_protection
+from metropilot.physics import Command, Forces, State, delay_steps
+from metropilot.protection import Memory
+from metropilot.sim import (
+    CODES,
+    RUNNING,
+    Episode,
+    Outcome,
+    RunParams,
+    RunState,
+    control_period,
+    first_state,
+    hold_ended,
+    running_time,
+    true_vehicle,
+)
 
 Array = Any
 
@@ -29,37 +38,39 @@ UNROLLED = 2
 
 
 class DriveState(NamedTuple):
-    """Where an episode is. All 0-d but the pipelines of plant and protection.
+    """State of an episode. All 0-d but the pipelines of plant and protection.
 
     Attributes:
         start: How it began.
-        plant: State of the plant.
-        watched: Protection's memory.
-        seen_mps: Speed as last measured.
+        run: State of the run.
         command: Last command of the driver, assists included.
-        stopping: Whether the stop assist has begun the last braking.
-        stood_s: How long the trainset has stood.
+        stopping: Whether the stop assist has begun the station-stop braking.
         decisions: Decisions taken.
-        overruled: Share of the last decision's periods in which protection overruled the command.
+        overruled: Share of the last decision's periods with an intervention of protection.
         jerk_mps2: Integral of the size of the jerk.
         max_jerk_mps3: Largest jerk.
         max_overspeed_mps: Largest excess over the limit.
-        outcome: Number of the outcome, or ``RUNNING``.
     """
 
     start: StartDistribution
-    plant: State
-    watched: Memory
-    seen_mps: Array
+    run: RunState
     command: Array
     stopping: Array
-    stood_s: Array
     decisions: Array
     overruled: Array
     jerk_mps2: Array
     max_jerk_mps3: Array
     max_overspeed_mps: Array
-    outcome: Array
+
+    @property
+    def plant(self) -> State:
+        """State of the plant."""
+        return self.run.plant
+
+    @property
+    def outcome(self) -> Array:
+        """Number of the outcome, or ``RUNNING``."""
+        return self.run.outcome
 
 
 class DrivingTask(AbstractTask):
@@ -72,7 +83,8 @@ class DrivingTask(AbstractTask):
     def __init__(self, config: DrivingConfig) -> None:
         self.config = config
         self.rows = SectionRows(config.tables(), jax=True)
-        minimum = np.asarray(self.rows.tables.minimum_s, np.float64)
+        # rows of the cases come first, those of the cases with a restriction after them
+        minimum = np.asarray(self.rows.tables.minimum_s, np.float64)[: len(config.cases)]
         low, high = config.scenarios.times_s(minimum)
         self.minimum_s = minimum
         self.times_s = np.stack([low, high]).astype(np.float32)
@@ -122,18 +134,14 @@ class DrivingTask(AbstractTask):
         watched = Memory(recent, zero, zero, no, count, count, count, count)
         state = DriveState(
             start=start,
-            plant=plant,
-            watched=watched,
-            seen_mps=start.speed_mps,
+            run=first_state(plant, watched)._replace(outcome=jnp.full((), RUNNING, jnp.int32)),
             command=zero,
             stopping=no,
-            stood_s=zero,
             decisions=count,
             overruled=zero,
             jerk_mps2=zero,
             max_jerk_mps3=zero,
             max_overspeed_mps=zero,
-            outcome=jnp.full((), RUNNING, jnp.int32),
         )
         return state, self.observe(state)
 
@@ -158,15 +166,14 @@ class DrivingTask(AbstractTask):
         import jax.numpy as jnp
 
         config = self.config
-        case = self.rows.case(state.start.case)
-        sight = self.sight(state, case)
-        wanted = config.action.command(sight, action, config.dt * config.periods)
+        wanted = config.action.command(self.sight(state), action, config.dt * config.periods)
 
         def period(carry: tuple[DriveState, Array, Array], k: Array) -> tuple[Any, None]:
             now, overruled, overspeed = carry
             noise = jax.random.fold_in(key, k) if config.scenarios.speed_noise_mps[1] > 0 else key
-            now, over, excess = self._period(noise, now, case, (action, wanted))
-            return (now, overruled + over, jnp.maximum(overspeed, excess)), None
+            reached, over, excess = self._period(noise, now, (action, wanted))
+            reached = reached, overruled + over, jnp.maximum(overspeed, excess)
+            return (hold_ended(now.run, reached, carry) if config.periods > 1 else reached), None
 
         carry = state, jnp.zeros((), jnp.float32), jnp.zeros((), jnp.float32)
         if config.periods > UNROLLED:
@@ -177,11 +184,7 @@ class DrivingTask(AbstractTask):
         after, overruled, overspeed = carry
         after = after._replace(decisions=state.decisions + 1, overruled=overruled / config.periods)
         plant = after.plant
-        error = plant.position_m - case.length_m
-        facts = OutcomeFacts(
-            error, plant.speed_mps, plant.time_s, after.stood_s, scheduled_s(after), overspeed
-        )
-        after = after._replace(outcome=outcome_of(config.outcomes, facts))
+        error = plant.position_m - self.rows.case(state.start.case).length_m
         terminated = after.outcome != RUNNING
         truncated = (after.decisions >= config.most_decisions) & ~terminated
         change = Change(
@@ -193,7 +196,7 @@ class DrivingTask(AbstractTask):
             overspeed_mps=overspeed,
             ended=terminated,
             arrived=after.outcome == CODES.index(Outcome.ARRIVED),
-            late_s=plant.time_s - after.stood_s - scheduled_s(after),
+            late_s=running_time(after.run) - scheduled_s(after),
             error_m=error,
             braked_j=plant.electric_brake_j - state.plant.electric_brake_j,
             acceleration_mps2=plant.acceleration_mps2,
@@ -206,100 +209,84 @@ class DrivingTask(AbstractTask):
 
     def allowed(self, state: DriveState) -> Array | None:
         """Choices the action's filter allows in this state. Shape (count,), or None: all."""
-        case = self.rows.case(state.start.case)
-        return self.config.action.allowed(self.sight(state, case), self.config.dt * self.config.periods)
+        return self.config.action.allowed(self.sight(state), self.config.dt * self.config.periods)
 
     def observe(self, state: DriveState) -> Array:
         """The observation of a state. Shape (O,)."""
         return self._traced_once["observe"](state)
 
     def _observe(self, state: DriveState) -> Array:
-        return observe(self.config.features, self.sight(state, self.rows.case(state.start.case)))
+        return observe(self.config.features, self.sight(state))
 
-    def sight(self, state: DriveState, case: SectionTables) -> FeatureContext:
+    def sight(self, state: DriveState) -> FeatureContext:
         """What observers and actions may use of a state."""
-        plant = state.plant
-        return FeatureContext(
-            rows=self.rows,
-            case=state.start.case,
-            vehicle=case.vehicle,
-            track=near_track(case.track, case.vehicle, plant.position_m),
-            length_m=case.length_m,
-            load=case.load,
-            stop_mps2=self.config.assists.planned_mps2(
-                self.rows, state.start.case, case.stop_mps2, plant.position_m
-            ),
-            rates=case.protection.rates,
+        plant, row = state.plant, self.row(state)
+        case, assists = self.rows.case(row), self.config.assists
+        return feature_context(
+            self.rows,
+            row,
+            case,
+            stop_mps2=assists.planned_mps2(self.rows, row, case.stop_mps2, plant.position_m),
             time_s=plant.time_s,
             position_m=plant.position_m,
-            speed_mps=state.seen_mps,
+            speed_mps=state.run.measured_mps,
             acceleration_mps2=plant.acceleration_mps2,
             scheduled_s=scheduled_s(state),
             command=state.command,
         )
 
-    def _period(
-        self, key: Array, state: DriveState, case: SectionTables, decided: tuple[Array, Array]
-    ) -> tuple[DriveState, Array, Array]:
-        """One control period; also whether protection overruled the command, and the largest overspeed."""
+    def row(self, state: DriveState) -> Array:
+        """Row of the tables in force: the case, or the case with the restriction announced by now."""
         import jax.numpy as jnp
 
-        config, plant, start = self.config, state.plant, state.start
-        dt = jnp.float32(config.dt)
-        sight = self.sight(state, case)
-        wanted = config.action.held(sight, *decided)
-        command, stopping = assisted(config.assists, sight, wanted, state.stopping, config.dt)
-        command = config.action.settled(sight, command)
-        near = near_protection(self.rows, case.protection, start.case, plant.position_m)
-        given = Command(command, jnp.zeros((), bool))
-        given, watched, verdict = supervise(near, state.watched, plant.position_m, state.seen_mps, given)
-        actual = self._actual(case.vehicle, start)
-        after = step(actual, sight.track, plant, given, dt)
-        jerk = jnp.abs(after.acceleration_mps2 - plant.acceleration_mps2)
-        stands = after.speed_mps <= 0.0
-        excess = jnp.maximum(after.speed_mps - limit_at(case, after.position_m), 0.0)
-        state = state._replace(
-            plant=after,
-            watched=watched,
-            seen_mps=self._measured(key, after.speed_mps, start.speed_noise_mps),
-            command=command,
-            stopping=stopping,
-            stood_s=jnp.where(stands & (plant.speed_mps <= 0.0), state.stood_s + dt, 0.0),
-            jerk_mps2=state.jerk_mps2 + jerk,
-            max_jerk_mps3=jnp.maximum(state.max_jerk_mps3, jerk / dt),
-            max_overspeed_mps=jnp.maximum(state.max_overspeed_mps, excess),
-        )
-        return state, (verdict.level > 0).astype(jnp.float32), excess
+        start = state.start
+        if self.config.scenarios.restriction <= 0:
+            return start.case
+        return jnp.where(state.plant.time_s >= start.restricted_at_s, start.restricted, start.case)
 
-    def _measured(self, key: Array, speed_mps: Array, sigma_mps: Array) -> Array:
-        """The speed as measured: normal noise cut at three deviations, none at a stand."""
+    def _period(
+        self, key: Array, state: DriveState, decided: tuple[Array, Array]
+    ) -> tuple[DriveState, Array, Array]:
+        """One control period; also whether protection intervened, and the largest overspeed."""
         import jax
         import jax.numpy as jnp
 
-        if self.config.scenarios.speed_noise_mps[1] <= 0:
-            return speed_mps
-        noise = jnp.clip(jax.random.normal(key, (), jnp.float32), -NOISE_CUT, NOISE_CUT)
-        return jnp.where(speed_mps > 0.0, jnp.maximum(speed_mps + sigma_mps * noise, 0.0), 0.0)
+        config, start, plant = self.config, state.start, state.plant
+        dt, row = jnp.float32(config.dt), self.row(state)
+        case, sight = self.rows.case(row), self.sight(state)
+        noisy = config.scenarios.speed_noise_mps[1] > 0
+        scenarios = config.scenarios
+        drawn = {n: getattr(start, n) for n in DRAWN_PLANT if getattr(scenarios, n) != NOMINAL[n]}
+        params = RunParams(
+            vehicle=true_vehicle(case.vehicle, **drawn),
+            track=sight.track,
+            protection=near_protection(self.rows, case.protection, row, plant.position_m),
+            length_m=case.length_m,
+            scheduled_s=scheduled_s(state),
+            speed_noise_mps=start.speed_noise_mps if noisy else 0.0,
+            dt=dt,
+        )
 
-    def _actual(self, vehicle: Vehicle, start: StartDistribution) -> Vehicle:
-        """The trainset as it really is in this episode; see :meth:`metropilot.sim.Disturbance.true_plant`."""
-        scenarios = self.config.scenarios
-        if scenarios.mass_factor != (1.0, 1.0):
-            m = start.mass_factor
-            vehicle = vehicle._replace(
-                mass_kg=vehicle.mass_kg * m,
-                effective_mass_kg=vehicle.effective_mass_kg * m,
-                service_n=vehicle.service_n * m,
-                emergency_n=vehicle.emergency_n * m,
-                adhesion_n=vehicle.adhesion_n * m,
-            )
-        if scenarios.resistance_factor != (1.0, 1.0):
-            vehicle = vehicle._replace(davis_n=vehicle.davis_n * start.resistance_factor)
-        if scenarios.delay_s[1] > 0:
-            vehicle = vehicle._replace(delay_s=vehicle.delay_s + start.delay_s)
-        if scenarios.lag_s[1] > 0:
-            vehicle = vehicle._replace(lag_s=vehicle.lag_s + start.lag_s)
-        return vehicle
+        def decide(_: None, __: RunState) -> tuple[Command, tuple[Array, Array]]:
+            wanted = config.action.held(sight, *decided)
+            command, stopping = assisted(config.assists, sight, wanted, state.stopping, config.dt)
+            command = config.action.settled(sight, command)
+            return Command(command, jnp.zeros((), bool)), (command, stopping)
+
+        noise = jax.random.normal(key, (), jnp.float32) if noisy else 0.0
+        run, (command, stopping), record = control_period(
+            params, state.run, None, decide, rule=config.outcomes, noise=noise
+        )
+        jerk = jnp.abs(run.plant.acceleration_mps2 - plant.acceleration_mps2)
+        state = state._replace(
+            run=run,
+            command=command,
+            stopping=stopping,
+            jerk_mps2=state.jerk_mps2 + jerk,
+            max_jerk_mps3=jnp.maximum(state.max_jerk_mps3, jerk / dt),
+            max_overspeed_mps=jnp.maximum(state.max_overspeed_mps, record.overspeed_mps),
+        )
+        return state, record.intervened.astype(jnp.float32), record.overspeed_mps
 
     def _on_the_way(self, key: Array, start: StartDistribution) -> StartDistribution:
         """Move some starts to a random place, speed and time left on the way."""
@@ -320,7 +307,10 @@ class DrivingTask(AbstractTask):
             left = to_go * start.scheduled_s / whole
         else:
             left = to_go * (ratio[0] + (ratio[1] - ratio[0]) * shares[3])
-        moved = start._replace(position_m=position, speed_mps=speed, time_s=start.scheduled_s - left)
+        never = jnp.float32(jnp.inf)  # a restriction could lie too near to brake for
+        moved = start._replace(
+            position_m=position, speed_mps=speed, time_s=start.scheduled_s - left, restricted_at_s=never
+        )
         here = chance < self.config.scenarios.on_the_way
         return jax.tree.map(lambda a, b: jnp.where(here, a, b), moved, start)
 
@@ -333,23 +323,18 @@ def scheduled_s(state: DriveState) -> Array:
     return jnp.where(told, state.start.news_s, state.start.scheduled_s)
 
 
-def limit_at(case: SectionTables, position_m: Array) -> Array:
-    """Speed limit of the head, m/s."""
-    return case.track.limit_mps[locate(case.track.limit_from_m, position_m)]
-
-
 def episode_of(task: DrivingTask, state: DriveState) -> Episode:
     """KPIs of an episode so far; batch it with ``jax.vmap`` over the state."""
     plant = state.plant
     return Episode(
         outcome=state.outcome,
         case=state.start.case,
-        running_time_s=plant.time_s - state.stood_s,
+        running_time_s=running_time(state.run),
         scheduled_s=scheduled_s(state),
         wheel_j=plant.traction_j,
         line_j=plant.line_j,
         stop_error_m=plant.position_m - task.rows.case(state.start.case).length_m,
-        interventions=state.watched.interventions,
+        interventions=state.run.supervision.interventions,
         max_jerk_mps3=state.max_jerk_mps3,
         jerk_mps2=state.jerk_mps2,
         max_overspeed_mps=state.max_overspeed_mps,
@@ -370,11 +355,14 @@ def starts(
     import jax.numpy as jnp
 
     count = len(cases)
-    default = {"mass_factor": 1.0, "resistance_factor": 1.0, "news_at_s": float("inf")}
+    never = float("inf")
+    default = {"mass_factor": 1.0, "resistance_factor": 1.0, "adhesion": never, "brake_factor": 1.0}
+    default |= {"news_at_s": never, "restricted_at_s": never}
     values = {
         name: jnp.asarray(fields.get(name, [default.get(name, 0.0)] * count), jnp.float32)
         for name in StartDistribution._fields
     }
     values["case"] = jnp.asarray(cases, jnp.int32)
+    values["restricted"] = jnp.asarray(fields.get("restricted", cases), jnp.int32)
     values["scheduled_s"] = jnp.asarray(scheduled_s, jnp.float32)
     return StartDistribution(**values)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from metropilot.env.tables import CLIMB, PACES_MPS, PERMITTED, SectionRows
+from metropilot.env.tables import CLIMB, PACES_MPS, PERMITTED, SectionRows, SectionTables, near_track
 from metropilot.physics import Track, Vehicle
 from metropilot.physics.effort import effort_at
 from metropilot.physics.resistance import davis_n
@@ -103,6 +103,53 @@ class FeatureContext(NamedTuple):
     def permitted_mps(self) -> Array:
         """Permitted speed here."""
         return self.rows.ground_at(PERMITTED, self.case, self.position_m)
+
+
+def feature_context(  # noqa: PLR0913 (the state of a run, field by field)
+    rows: SectionRows,
+    case: Array,
+    found: SectionTables,
+    *,
+    stop_mps2: Array,
+    time_s: Array,
+    position_m: Array,
+    speed_mps: Array,
+    acceleration_mps2: Array,
+    scheduled_s: Array,
+    command: Array,
+) -> FeatureContext:
+    """Context of a state, in every engine that runs a policy. All numbers 0-d.
+
+    Args:
+        rows: Tables of the sections.
+        case: Row in force.
+        found: That row: ``rows.case(case)``.
+        stop_mps2: Deceleration the station-stop braking is planned with.
+        time_s: Time since departure.
+        position_m: Position.
+        speed_mps: Measured speed.
+        acceleration_mps2: Acceleration over the last period.
+        scheduled_s: Scheduled running time as it stands now.
+        command: Last command given.
+    """
+    # a compiled step carries along only the pieces of the track it is on
+    track = found.track if rows.xp is np else near_track(found.track, found.vehicle, position_m)
+    return FeatureContext(
+        rows=rows,
+        case=case,
+        vehicle=found.vehicle,
+        track=track,
+        length_m=found.length_m,
+        load=found.load,
+        stop_mps2=stop_mps2,
+        rates=found.protection.rates,
+        time_s=time_s,
+        position_m=position_m,
+        speed_mps=speed_mps,
+        acceleration_mps2=acceleration_mps2,
+        scheduled_s=scheduled_s,
+        command=command,
+    )
 
 
 Feature = Callable[[FeatureContext], Sequence[Array]]

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from metropilot.errors import InputError
 from metropilot.protection import Bounds
-from metropilot.railway import Section, Trainset
-from metropilot.sim.bounds import declared_bounds
-from metropilot.sim.disturbance import Disturbance
-from metropilot.sim.run import Run
+from metropilot.railway import Restriction, Section, Trainset
+from metropilot.sim import Disturbance, Run, declared_bounds
 
 Array = Any
-DRAWN = ("mass_factor", "resistance_factor", "delay_s", "lag_s", "speed_noise_mps")
+NOMINAL = MappingProxyType(
+    {field.name: (field.default,) * 2 for field in fields(Disturbance) if isinstance(field.default, float)}
+)
+"""Everything that is drawn for an episode, with the interval that means no disturbance."""
+DRAWN = tuple(NOMINAL)
+DRAWN_PLANT = tuple(name for name in DRAWN if name != "speed_noise_mps")
 Interval = tuple[float, float]
+RESTRICTIONS = 4
+"""Temporary speed restrictions that are drawn for a case: its tables are made with each of them."""
 
 
 class StartDistribution(NamedTuple):
@@ -33,8 +40,13 @@ class StartDistribution(NamedTuple):
         delay_s: Dead time on top of the trainset's.
         lag_s: Lag on top of the trainset's.
         speed_noise_mps: Standard deviation of the measured speed.
+        headwind_mps: Wind from ahead.
+        adhesion: Adhesion of the driven wheels (infinite: dry rail).
+        brake_factor: True over believed service braking force.
         news_at_s: When a new scheduled time is announced (infinite: never).
         news_s: The new scheduled time.
+        restricted: Row of the tables with a temporary speed restriction.
+        restricted_at_s: When that is announced (infinite: never).
     """
 
     case: Array
@@ -47,8 +59,13 @@ class StartDistribution(NamedTuple):
     delay_s: Array
     lag_s: Array
     speed_noise_mps: Array
+    headwind_mps: Array
+    adhesion: Array
+    brake_factor: Array
     news_at_s: Array
     news_s: Array
+    restricted: Array
+    restricted_at_s: Array
 
 
 @dataclass(frozen=True)
@@ -64,9 +81,15 @@ class DisturbanceDistribution:
         delay_s: Dead time on top of the trainset's.
         lag_s: Lag on top of the trainset's.
         speed_noise_mps: Standard deviation of the measured speed (cut at three deviations).
+        headwind_mps: Wind from ahead.
+        adhesion: Adhesion of the driven wheels (infinite: dry rail).
+        brake_factor: True over believed service braking force.
         news: Probability that the scheduled time changes on the way.
         news_at: When that is announced, as a share of the scheduled time.
         news_shift_s: By how much it changes (never below what is left of it times 0.9).
+        restriction: Probability that a temporary speed restriction is announced on the way; it is one of
+            ``RESTRICTIONS`` that are drawn for each case once.
+        restriction_at: When, as a share of the scheduled time.
         on_the_way: Probability that an episode begins somewhere on the way, at a speed that can still stop,
             with a time left drawn like the scheduled time. Evaluate with 0.
         left_ratio: Such an episode's time left over the flat-out time to go, instead.
@@ -80,9 +103,14 @@ class DisturbanceDistribution:
     delay_s: Interval = (0.0, 0.0)
     lag_s: Interval = (0.0, 0.0)
     speed_noise_mps: Interval = (0.0, 0.0)
+    headwind_mps: Interval = NOMINAL["headwind_mps"]
+    adhesion: Interval = NOMINAL["adhesion"]
+    brake_factor: Interval = NOMINAL["brake_factor"]
     news: float = 0.0
     news_at: Interval = (0.2, 0.6)
     news_shift_s: Interval = (-5.0, 15.0)
+    restriction: float = 0.0
+    restriction_at: Interval = (0.0, 0.15)
     on_the_way: float = 0.0
     left_ratio: Interval | None = None
 
@@ -91,7 +119,7 @@ class DisturbanceDistribution:
             value = getattr(self, field.name)
             if isinstance(value, tuple) and not value[0] <= value[1]:
                 raise InputError("empty interval", field=field.name, value=str(value), allowed="low <= high")
-        for name in ("news", "on_the_way"):
+        for name in ("news", "restriction", "on_the_way"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise InputError("no probability", field=name, value=getattr(self, name), allowed="0 to 1")
         for end in (0, 1):
@@ -113,12 +141,30 @@ class DisturbanceDistribution:
 
     def bounds(self, section: Section, trainset: Trainset, dt: float) -> Bounds:
         """What protection is told to expect: the widest the host would declare for any scenario."""
-        low, high = (declared_bounds(Run(section, trainset, 1.0, self.extreme(k), dt)) for k in (0, 1))
+        ends = [declared_bounds(Run(section, trainset, 1.0, self.extreme(k), dt)) for k in (0, 1)]
         return replace(
-            high,
-            mass=(min(low.mass[0], high.mass[0]), max(low.mass[1], high.mass[1])),
-            resistance=(min(low.resistance[0], high.resistance[0]), high.resistance[1]),
+            ends[1],
+            mass=_hull([end.mass for end in ends]),
+            resistance=_hull([end.resistance for end in ends]),
+            service_share=min(end.service_share for end in ends),
         )
+
+    def restricted(self, section: Section) -> tuple[Section, ...]:
+        """The section with each of the restrictions that may be announced; none where none can be."""
+        if self.restriction <= 0:
+            return ()
+        random = np.random.default_rng(0)
+        found = []
+        for _ in range(RESTRICTIONS):
+            first = section.length_m * random.uniform(0.3, 0.75)
+            last = min(first + random.uniform(80.0, 300.0), 0.95 * section.length_m)
+            limit = float(section.limit_mps.value.max()) * random.uniform(0.4, 0.8)
+            found.append(section.restricted(Restriction(first, last, max(limit, 20.0 / 3.6))))
+        return tuple(found)
+
+
+def _hull(intervals: Sequence[Interval]) -> Interval:
+    return min(low for low, _ in intervals), max(high for _, high in intervals)
 
 
 def draw(scenarios: DisturbanceDistribution, key: Array, times_s: Array) -> StartDistribution:
@@ -138,7 +184,8 @@ def draw(scenarios: DisturbanceDistribution, key: Array, times_s: Array) -> Star
     given = (getattr(scenarios, name) for name in DRAWN)
     wide = [low < high for low, high in given]
     cases = times_s.shape[1]
-    shares = iter(jax.random.uniform(key, (int(cases > 1) + 1 + sum(wide) + 3 * (scenarios.news > 0),)))
+    count = int(cases > 1) + 1 + sum(wide) + 3 * (scenarios.news > 0) + 3 * (scenarios.restriction > 0)
+    shares = iter(jax.random.uniform(key, (count,)))
 
     def within(interval: Interval) -> Array:
         low, high = interval
@@ -158,6 +205,14 @@ def draw(scenarios: DisturbanceDistribution, key: Array, times_s: Array) -> Star
         low, high = scenarios.news_shift_s
         news = jnp.maximum(scheduled + low + (high - low) * shift, at + 0.9 * (scheduled - at))
         news_at = jnp.where(told < scenarios.news, at, jnp.inf)
+    restricted, restricted_at = case, jnp.full((), jnp.inf, jnp.float32)
+    if scenarios.restriction > 0:
+        drawn_at, which, at = next(shares), next(shares), next(shares)
+        number = jnp.minimum((which * RESTRICTIONS).astype(jnp.int32), RESTRICTIONS - 1)
+        restricted = cases + case * RESTRICTIONS + number
+        low, high = scenarios.restriction_at
+        announced = scheduled * (low + (high - low) * at)
+        restricted_at = jnp.where(drawn_at < scenarios.restriction, announced, jnp.inf)
     return StartDistribution(
         case=case,
         scheduled_s=scheduled,
@@ -166,5 +221,7 @@ def draw(scenarios: DisturbanceDistribution, key: Array, times_s: Array) -> Star
         time_s=zero,
         news_at_s=news_at,
         news_s=news,
+        restricted=restricted,
+        restricted_at_s=restricted_at,
         **drawn,
     )

@@ -14,8 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from metropilot.evaluate.measures import motion_energy_jpkg
-from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M, Outcome
-from metropilot.sim.rollout import OVERSPEED_MPS, Drive
+from metropilot.sim import OVERSPEED_MPS, PUNCTUALITY_S, STOP_TOLERANCE_M, Drive, Outcome
 
 STEADY_MPS2 = 1e-9
 """Changes of the rate below this are rounding."""

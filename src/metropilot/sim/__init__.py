@@ -3,8 +3,9 @@
 from metropilot.sim.bounds import declared_bounds
 from metropilot.sim.disturbance import NOISE_CUT, Disturbance, TimetableUpdate
 from metropilot.sim.driver import DRIVER_REGISTRY, AbstractDriver, register
+from metropilot.sim.mismatch import true_vehicle
 from metropilot.sim.nominal import NominalDrive, simulate_nominal
-from metropilot.sim.outcome import CODES, RUNNING, Episode, OutcomeRule
+from metropilot.sim.outcome import CODES, OVERSPEED_MPS, RUNNING, Episode, OutcomeRule, final_outcome
 from metropilot.sim.rollout import Drive, Moment, Rollout, drive
 from metropilot.sim.run import (
     CONTROL_PERIOD_S,
@@ -14,6 +15,17 @@ from metropilot.sim.run import (
     Outcome,
     Run,
 )
+from metropilot.sim.step import (
+    PeriodRecord,
+    RunParams,
+    RunState,
+    control_period,
+    first_state,
+    hold_ended,
+    measured_speed,
+    noise_stream,
+    running_time,
+)
 from metropilot.sim.trajectory import COLUMNS, PHASES, Trajectory
 
 __all__ = [
@@ -22,6 +34,7 @@ __all__ = [
     "CONTROL_PERIOD_S",
     "DRIVER_REGISTRY",
     "NOISE_CUT",
+    "OVERSPEED_MPS",
     "PHASES",
     "PUNCTUALITY_S",
     "RUNNING",
@@ -35,12 +48,23 @@ __all__ = [
     "Observation",
     "Outcome",
     "OutcomeRule",
+    "PeriodRecord",
     "Rollout",
     "Run",
+    "RunParams",
+    "RunState",
     "TimetableUpdate",
     "Trajectory",
+    "control_period",
     "declared_bounds",
     "drive",
+    "final_outcome",
+    "first_state",
+    "hold_ended",
+    "measured_speed",
+    "noise_stream",
     "register",
+    "running_time",
     "simulate_nominal",
+    "true_vehicle",
 ]

@@ -1,20 +1,24 @@
-"""What another driver would drive: one run played through ahead of departure, on the trainset as believed."""
+"""Simulation of another driver on the nominal plant, ahead of departure: a reference to be tracked."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
 from metropilot.errors import InputError
-from metropilot.physics import Command, at_rest, delay_steps, step, track_arrays, vehicle_arrays
-from metropilot.protection import at_start, permitted_speed, protect, supervise
+from metropilot.physics import Command, at_rest, delay_steps, track_arrays, vehicle_arrays
+from metropilot.protection import at_start, permitted_speed, protect
 from metropilot.sim.bounds import declared_bounds
 from metropilot.sim.driver import AbstractDriver
-from metropilot.sim.run import Observation, Run
+from metropilot.sim.outcome import OutcomeRule
+from metropilot.sim.rollout import observation_of
+from metropilot.sim.run import Run
+from metropilot.sim.step import RunParams, RunState, control_period, first_state
 
+RULE = OutcomeRule()
 LATE = 1.5
 MOST_STANDING = 3
 STANDING_S = 2.0
@@ -35,7 +39,7 @@ class NominalDrive(NamedTuple):
 
 
 def simulate_nominal(run: Run, driver: AbstractDriver) -> NominalDrive:
-    """Play a run through with another driver, under protection, without anything the run's scenario hides.
+    """Simulate a run with a driver on the nominal plant, under protection.
 
     Args:
         run: The run.
@@ -45,35 +49,38 @@ def simulate_nominal(run: Run, driver: AbstractDriver) -> NominalDrive:
         InputError: It never moves.
     """
     trainset = run.scenario.nominal(run.trainset)
-    vehicle, track = vehicle_arrays(trainset), track_arrays(run.section, trainset)
+    vehicle = vehicle_arrays(trainset)
     guard = protect(run.section, trainset, declared_bounds(run))
-    watched, memory = at_start(guard), driver.init(run)
-    state = at_rest(vehicle, delay_steps=delay_steps(float(vehicle.delay_s), run.dt))
-    nodes, stood_s, time_s = [(0.0, 0.0)], 0.0, 0.0
-    while float(state.time_s) < LATE * run.scheduled_time_s and stood_s < STANDING_S:
-        position, speed = float(state.position_m), float(state.speed_mps)
-        seen = Observation(
-            time_s=float(state.time_s),
-            position_m=position,
-            speed_mps=speed,
-            acceleration_mps2=float(state.acceleration_mps2),
-            scheduled_time_s=run.scheduled_time_s,
-            permitted_mps=float(permitted_speed(guard, position)),
-            section=run.section,
-        )
-        share, memory = driver.act(memory, seen)
-        command, watched, _ = supervise(guard, watched, position, speed, Command(float(share), False))
-        state = step(vehicle, track, state, command, run.dt)
-        moved = float(state.position_m) > nodes[-1][0]
-        stood_s = 0.0 if moved else stood_s + run.dt
+    params = RunParams(
+        vehicle=vehicle,
+        track=track_arrays(run.section, trainset),
+        protection=guard,
+        length_m=run.section.length_m,
+        scheduled_s=run.scheduled_time_s,
+        speed_noise_mps=0.0,
+        dt=run.dt,
+    )
+
+    def decide(memory: Any, state: RunState) -> tuple[Command, Any]:  # noqa: ANN401 (a driver's memory)
+        permitted = float(permitted_speed(guard, float(state.plant.position_m)))
+        share, memory = driver.act(memory, observation_of(params, state, run.section, permitted))
+        return Command(float(share), False), memory
+
+    plant = at_rest(vehicle, delay_steps=delay_steps(float(vehicle.delay_s), run.dt))
+    state, memory = first_state(plant, at_start(guard)), driver.init(run)
+    nodes, still_s, time_s = [(0.0, 0.0)], 0.0, 0.0
+    while float(state.plant.time_s) < LATE * run.scheduled_time_s and still_s < STANDING_S:
+        state, memory, _ = control_period(params, state, memory, decide, rule=RULE)
+        moved = float(state.plant.position_m) > nodes[-1][0]
+        still_s = 0.0 if moved else still_s + run.dt
         if moved:
-            nodes.append((float(state.position_m), float(state.speed_mps)))
-            time_s = float(state.time_s)
+            nodes.append((float(state.plant.position_m), float(state.plant.speed_mps)))
+            time_s = float(state.plant.time_s)
     if len(nodes) < MOST_STANDING:
         raise InputError("the driver to be tracked does not move", field="driver", value=driver.id)
     position_m, speed_mps = np.array(nodes).T
     # the plan ends at the stop itself, a few centimetres from where the trainset stood
-    position_m = position_m * float(track.length_m) / position_m[-1]
+    position_m = position_m * float(params.track.length_m) / position_m[-1]
     speed_mps[1:-1] = np.maximum(speed_mps[1:-1], 0.05)
     speed_mps[-1] = 0.0
     return NominalDrive(position_m, speed_mps, time_s)

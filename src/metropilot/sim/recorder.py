@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from metropilot.physics import Forces, State, Track, Vehicle
+from metropilot.sim.step import PeriodRecord
 from metropilot.sim.trajectory import Trajectory, phases
 
 
@@ -37,14 +37,14 @@ class Recorder:
     limits: list[float] = field(default_factory=list)
     overspeed_mps: float = 0.0
 
-    def add(self, track: Track, after: State, command: float, permitted_mps: float) -> None:
-        """Record the step from the last state to ``after``."""
+    def add(self, track: Track, after: State, record: PeriodRecord, permitted_mps: float) -> None:
+        """Record the control period from the last state to ``after``."""
         before = self.states[-1] if self.states else self.first
         self.states.append(after)
-        self.commands.append(command)
+        self.commands.append(float(record.command.share))
         self.permitted.append(permitted_mps)
         self.limits.append(limit_at(track, float(before.position_m)))
-        self.overspeed_mps = max(self.overspeed_mps, step_overspeed(track, before, after))
+        self.overspeed_mps = max(self.overspeed_mps, float(record.overspeed_mps))
 
     def trajectory(self, track: Track, permitted_mps: float) -> Trajectory:
         """Everything recorded, closed by the exact end.
@@ -125,47 +125,7 @@ def limit_at(track: Track, position_m: float) -> float:
     return float(track.limit_mps[max(int(index), 0)])
 
 
-def step_overspeed(track: Track, before: State, after: State) -> float:
-    """Largest excess over the limit within one step, m/s, never negative.
-
-    The speed is linear in time over a step, so the excess is largest at one of its ends or where a lower
-    limit begins; there the speed is ``sqrt(v^2 + 2 a (s - s_0))``.
-    """
-    x0, x1 = float(before.position_m), float(after.position_m)
-    v0, v1 = float(before.speed_mps), float(after.speed_mps)
-    worst = max(v0 - limit_at(track, x0), v1 - limit_at(track, x1), 0.0)
-    breaks: Float[ndarray, " breaks"] = track.limit_from_m
-    low, high = np.searchsorted(breaks, (x0, x1), side="right")
-    for k in range(int(low), int(high)):
-        share = (float(breaks[k]) - x0) / (x1 - x0)
-        speed = np.sqrt(max(v0 * v0 + (v1 * v1 - v0 * v0) * share, 0.0))
-        worst = max(
-            worst, float(speed) - float(track.limit_mps[k]), float(speed) - float(track.limit_mps[k - 1])
-        )
-    return worst
-
-
 def limits_at(track: Track, position_m: ndarray) -> ndarray:
     """:func:`limit_at` for many positions."""
     index = np.searchsorted(track.limit_from_m, position_m, side="right") - 1
     return track.limit_mps[np.maximum(index, 0)]
-
-
-def track_overspeed(track: Track, position_m: ndarray, speed_mps: ndarray) -> float:
-    """Largest excess over the limit along a run, m/s; :func:`step_overspeed` for all of its steps.
-
-    Args:
-        track: In force all the way.
-        position_m: At the ends of the steps. Shape (n,).
-        speed_mps: The same.
-    """
-    worst = max(float((speed_mps - limits_at(track, position_m)).max()), 0.0)
-    breaks = np.flatnonzero((track.limit_from_m > position_m[0]) & (track.limit_from_m <= position_m[-1]))
-    at = track.limit_from_m[breaks]
-    k = np.searchsorted(position_m, at, side="left") - 1
-    share = (at - position_m[k]) / (position_m[k + 1] - position_m[k])
-    squared = speed_mps[k] ** 2 + (speed_mps[k + 1] ** 2 - speed_mps[k] ** 2) * share
-    there = np.sqrt(np.maximum(squared, 0.0)) - np.minimum(
-        track.limit_mps[breaks], track.limit_mps[breaks - 1]
-    )
-    return max(worst, float(there.max(initial=0.0)))

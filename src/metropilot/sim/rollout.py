@@ -4,25 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from time import perf_counter_ns
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from metropilot.physics import Command, at_rest, delay_steps, step, track_arrays, vehicle_arrays
-from metropilot.protection import at_start, permitted_speed, protect, supervise
+from metropilot.physics import Command, at_rest, delay_steps, track_arrays, vehicle_arrays
+from metropilot.protection import at_start, permitted_speed, protect
 from metropilot.railway import Section, Trainset
 from metropilot.sim.bounds import declared_bounds
-from metropilot.sim.disturbance import NOISE_CUT, TimetableUpdate
+from metropilot.sim.disturbance import TimetableUpdate
 from metropilot.sim.driver import AbstractDriver
+from metropilot.sim.outcome import CODES, RUNNING, OutcomeRule, final_outcome
 from metropilot.sim.recorder import Recorder
-from metropilot.sim.run import STOP_TOLERANCE_M, Observation, Outcome, Run
+from metropilot.sim.run import Observation, Outcome, Run
+from metropilot.sim.step import RunParams, RunState, control_period, first_state, noise_stream, running_time
 from metropilot.sim.trajectory import Trajectory
 
-STALLED_S = 20.0
-GIVE_UP_M = 100.0
-OVERSPEED_MPS = 1e-6
+RULE = OutcomeRule()
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,29 +133,43 @@ class Rollout:
         self.run = run
         self.driver = driver
         self.trainset = run.scenario.true_plant(run.trainset)
-        self.vehicle = vehicle_arrays(self.trainset)
-        self.state = at_rest(self.vehicle, delay_steps=delay_steps(float(self.vehicle.delay_s), run.dt))
-        self.scheduled_time_s = run.scheduled_time_s
+        vehicle = vehicle_arrays(self.trainset)
+        self.section = run.section
         self.pending = sorted(run.scenario.updates, key=lambda update: update.at_s)
-        self.random = np.random.default_rng(np.random.SeedSequence(run.seed, spawn_key=(1,)))
-        self.recorder = Recorder(self.vehicle, run.dt, self.state)
+        self.errors = noise_stream(run)
+        self.bounds = declared_bounds(run)
+        self.params = RunParams(
+            vehicle=vehicle,
+            track=track_arrays(run.section, self.trainset),
+            protection=protect(run.section, run.scenario.nominal(run.trainset), self.bounds),
+            length_m=run.section.length_m,
+            scheduled_s=run.scheduled_time_s,
+            speed_noise_mps=run.scenario.speed_noise_mps,
+            dt=run.dt,
+        )
+        plant = at_rest(vehicle, delay_steps=delay_steps(float(vehicle.delay_s), run.dt))
+        self.state = first_state(plant, at_start(self.params.protection))
+        self.recorder = Recorder(vehicle, run.dt, plant)
         self.decision_us: list[float] = []
         self.overruled: list[bool] = []
-        self.stood_since_s = 0.0
-        self.bounds = declared_bounds(run)
-        self.enter(run.section)
-        self.watched = at_start(self.protection)
         self.memory = driver.init(run)
         self.by_hand: float | None = None
+        self.permitted_mps = self.permitted()
         self.wanted, self.command, self.level = 0.0, 0.0, 0
         self.outcome: Outcome | None = None
 
+    @property
+    def scheduled_time_s(self) -> float:
+        """Scheduled running time as it stands, s."""
+        return self.params.scheduled_s
+
     def enter(self, section: Section) -> None:
-        """Take a section as the truth: at departure, and after every new restriction, at once in force."""
+        """Take a section as the truth, at once: a new restriction has been announced."""
         self.section = section
-        self.track = track_arrays(section, self.trainset)
-        believed = self.run.scenario.nominal(self.run.trainset)
-        self.protection = protect(section, believed, self.bounds)
+        nominal = self.run.scenario.nominal(self.run.trainset)
+        self.params = self.params._replace(
+            track=track_arrays(section, self.trainset), protection=protect(section, nominal, self.bounds)
+        )
 
     def tell(self, news: TimetableUpdate) -> None:
         """Tell the driver something on the way; what is due already is told at once."""
@@ -171,15 +185,39 @@ class Rollout:
         self.by_hand = share
 
     def advance(self) -> Moment:
-        """One control period: hear the news, decide, supervise, move."""
+        """One control period, with the timetable updates that are due at its beginning."""
         self.hear()
-        self._move()
-        self.outcome = self._ended()
+        self.permitted_mps = self.permitted()
+        params = self.params
+        self.state, self.memory, record = control_period(
+            params, self.state, self.memory, self.decide, rule=RULE, noise=self.noise()
+        )
+        self.overruled.append(bool(record.intervened))
+        self.recorder.add(params.track, self.state.plant, record, self.permitted_mps)
+        self.wanted, self.command = record.wanted.share, float(record.command.share)
+        self.level = int(record.verdict.level)
+        if self.state.outcome != RUNNING:
+            self.outcome = CODES[self.state.outcome]
         return self.moment()
+
+    def decide(self, memory: Any, state: RunState) -> tuple[Command, Any]:  # noqa: ANN401 (a driver's)
+        """The driver's command, or that of the lever, with the time it took."""
+        observation = observation_of(self.params, state, self.section, self.permitted_mps)
+        began = perf_counter_ns()
+        if self.by_hand is None:
+            share, memory = self.driver.act(memory, observation)
+        else:
+            share = self.by_hand
+        self.decision_us.append((perf_counter_ns() - began) / 1e3)
+        return Command(float(share), False), memory
+
+    def noise(self) -> float:
+        """Error of the next measured speed in standard deviations, from the run's own stream."""
+        return float(self.errors.standard_normal()) if self.run.scenario.speed_noise_mps > 0 else 0.0
 
     def moment(self) -> Moment:
         """The run as it is."""
-        state = self.state
+        state = self.state.plant
         return Moment(
             time_s=float(state.time_s),
             position_m=float(state.position_m),
@@ -201,85 +239,53 @@ class Rollout:
         """
         if self.outcome is None:
             raise ValueError("the run is not over")
-        standing = self.state.speed_mps <= 0
-        over = self.recorder.overspeed_mps
+        plant, over = self.state.plant, self.recorder.overspeed_mps
         return Drive(
             run=self.run,
             driver=self.driver.id,
-            trajectory=self.recorder.trajectory(self.track, self.permitted()),
-            outcome=Outcome.OVERSPEED if over > OVERSPEED_MPS else self.outcome,
-            running_time_s=self.stood_since_s if standing else float(self.state.time_s),
+            trajectory=self.recorder.trajectory(self.params.track, self.permitted()),
+            outcome=final_outcome(int(self.state.outcome), over),
+            running_time_s=float(running_time(self.state)),
             scheduled_time_s=self.scheduled_time_s,
             section=self.section,
             trainset=self.trainset,
             interventions=int((np.diff(self.overruled, prepend=False) & self.overruled).sum()),
             max_overspeed_mps=over,
-            recovered_j=float(self.state.recovered_j),
+            recovered_j=float(plant.recovered_j),
             decision_us=np.array(self.decision_us),
             overruled=np.array(self.overruled),
         )
 
     def hear(self) -> None:
-        """Deliver the news that is due."""
-        while self.pending and self.pending[0].at_s <= self.state.time_s:
+        """Deliver the timetable updates that are due."""
+        while self.pending and self.pending[0].at_s <= self.state.plant.time_s:
             news = self.pending.pop(0)
             if news.scheduled_time_s is not None:
-                self.scheduled_time_s = news.scheduled_time_s
+                self.params = self.params._replace(scheduled_s=news.scheduled_time_s)
             if news.restriction is not None:
                 self.enter(self.section.restricted(news.restriction))
 
     def permitted(self) -> float:
         """Permitted speed where the trainset is."""
-        return float(permitted_speed(self.protection, float(self.state.position_m)))
+        return float(permitted_speed(self.params.protection, float(self.state.plant.position_m)))
 
-    def observe(self, permitted_mps: float) -> Observation:
-        """What the driver sees: the speed with its noise, everything else as it is."""
-        speed = float(self.state.speed_mps)
-        if (sigma := self.run.scenario.speed_noise_mps) > 0:
-            noise = float(np.clip(self.random.standard_normal(), -NOISE_CUT, NOISE_CUT))
-            speed = max(speed + sigma * noise, 0.0) if speed > 0 else 0.0
-        return Observation(
-            time_s=float(self.state.time_s),
-            position_m=float(self.state.position_m),
-            speed_mps=speed,
-            acceleration_mps2=float(self.state.acceleration_mps2),
-            scheduled_time_s=self.scheduled_time_s,
-            permitted_mps=permitted_mps,
-            section=self.section,
-        )
 
-    def _move(self) -> None:
-        """Decide, supervise, move."""
-        permitted = self.permitted()
-        observation = self.observe(permitted)
-        began = perf_counter_ns()
-        if self.by_hand is None:
-            share, self.memory = self.driver.act(self.memory, observation)
-        else:
-            share = self.by_hand
-        self.decision_us.append((perf_counter_ns() - began) / 1e3)
-        wanted = Command(float(share), False)
-        seen = observation.position_m, observation.speed_mps
-        command, self.watched, verdict = supervise(self.protection, self.watched, *seen, wanted)
-        self.overruled.append(bool(verdict.level > 0 or not np.isfinite(wanted.share)))
-        was_moving = self.state.speed_mps > 0
-        self.state = step(self.vehicle, self.track, self.state, command, self.run.dt)
-        if was_moving and self.state.speed_mps <= 0:
-            self.stood_since_s = float(self.state.time_s)
-        self.recorder.add(self.track, self.state, float(command.share), permitted)
-        self.wanted, self.command, self.level = wanted.share, float(command.share), int(verdict.level)
+def observation_of(params: RunParams, state: RunState, section: Section, permitted_mps: float) -> Observation:
+    """Inputs of a driver: the speed as measured, everything else as it is.
 
-    def _ended(self) -> Outcome | None:
-        """How the run has ended, or None while it goes on."""
-        error = float(self.state.position_m) - self.section.length_m
-        now = float(self.state.time_s)
-        if self.state.speed_mps <= 0:
-            if abs(error) <= STOP_TOLERANCE_M:
-                return Outcome.ARRIVED
-            if error > 0:
-                return Outcome.OVERSHOT
-            if now - self.stood_since_s > STALLED_S:
-                return Outcome.STALLED
-        if error > GIVE_UP_M:
-            return Outcome.OVERSHOT
-        return Outcome.OUT_OF_TIME if now > 2 * self.scheduled_time_s + 120 else None
+    Args:
+        params: Data of the period.
+        state: State of the run at its beginning.
+        section: The section with every restriction announced so far.
+        permitted_mps: Permitted speed at the position of the state.
+    """
+    plant = state.plant
+    return Observation(
+        time_s=float(plant.time_s),
+        position_m=float(plant.position_m),
+        speed_mps=float(state.measured_mps),
+        acceleration_mps2=float(plant.acceleration_mps2),
+        scheduled_time_s=params.scheduled_s,
+        permitted_mps=permitted_mps,
+        section=section,
+    )

@@ -146,7 +146,7 @@ class DriveEnv(gymnasium.Env[np.ndarray, Any]):
             "position_m": float(plant.position_m),
             "speed_mps": float(plant.speed_mps),
             "energy_wheel_j": float(plant.traction_j),
-            "interventions": int(state.watched.interventions),
+            "interventions": int(state.run.supervision.interventions),
             "outcome": "running" if outcome == RUNNING else CODES[outcome].value,
         }
 

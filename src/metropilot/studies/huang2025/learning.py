@@ -52,6 +52,7 @@ def watched(config: AbstractConfig, driver: str, task: Any) -> Evaluate:  # noqa
     from metropilot.learn.policy_evaluation import DrivingEvaluation
     from metropilot.learn.registry import make_learner
     from metropilot.policy.policy import act
+    from metropilot.sim import running_time
 
     del driver
     spec = make_learner(config, task).spec
@@ -71,7 +72,7 @@ def watched(config: AbstractConfig, driver: str, task: Any) -> Evaluate:  # noqa
         state, seen = task.begin(begin)
         first = (state, seen, jnp.ones((), bool), jnp.zeros((), jnp.float32))
         (state, _, _, ie), _ = jax.lax.scan(decide, first, None, length=320)
-        took = state.plant.time_s - state.stood_s
+        took = running_time(state.run)
         return {"case1_ie_jpkg": ie, "case1_time_s": took, "case1_kwh": state.plant.traction_j / J_PER_KWH}
 
     def evaluate(params: Any, key: Any) -> dict[str, Any]:  # noqa: ANN401 (arrays)

@@ -70,7 +70,7 @@ class Engine:
     @property
     def time_s(self) -> float:
         """Time since departure."""
-        return float(self.rollout.state.time_s)
+        return float(self.rollout.state.plant.time_s)
 
     @property
     def dt_s(self) -> float:
@@ -85,7 +85,7 @@ class Engine:
     @property
     def position_m(self) -> float:
         """Of the head."""
-        return float(self.rollout.state.position_m)
+        return float(self.rollout.state.plant.position_m)
 
     def advance(self) -> list[Any]:
         """One control period; the row it gives, in the order of ``COLUMNS``."""
@@ -175,7 +175,7 @@ class Engine:
                 allowed=f"> {self.time_s:.1f} s",
             )
         self._announce(TimetableUpdate(self.time_s, scheduled_time_s=scheduled_s))
-        self.rollout.scheduled_time_s = scheduled_s
+        self.rollout.hear()
         self._plan_anew()
         return self._arrival_words(before_s)
 
@@ -199,7 +199,7 @@ class Engine:
 
     def _restrict(self, restriction: Restriction) -> str:
         self.open.checked(restriction)
-        tail = float(self.rollout.state.position_m) - self.rollout.trainset.length_m
+        tail = float(self.rollout.state.plant.position_m) - self.rollout.trainset.length_m
         if restriction.to_m <= tail:
             raise InputError(
                 "lies behind the trainset",
@@ -227,13 +227,13 @@ class Engine:
         run = self.rollout.run
         section = self.rollout.section.restricted(restriction)
         guard = protect(section, run.scenario.nominal(run.trainset), declared_bounds(run))
-        state = self.rollout.state
+        state = self.rollout.state.plant
         seen = float(state.speed_mps) + max(float(state.acceleration_mps2), 0.0)
         return seen <= float(permitted_speed(guard, float(state.position_m)))
 
     def _nearest(self, restriction: Restriction) -> float | None:
         """Where it could begin instead; None if nowhere."""
-        first = np.ceil(float(self.rollout.state.position_m) / NEAREST_STEP_M) * NEAREST_STEP_M
+        first = np.ceil(float(self.rollout.state.plant.position_m) / NEAREST_STEP_M) * NEAREST_STEP_M
         for at in np.arange(first, self.rollout.section.length_m, 4 * NEAREST_STEP_M):
             if self._in_time(replace(restriction, from_m=float(at), to_m=float(at) + 1.0)):
                 return float(at)
@@ -241,7 +241,7 @@ class Engine:
 
     def _plan_anew(self) -> None:
         """Make both plans for what is in force now."""
-        state = self.rollout.state
+        state = self.rollout.state.plant
         self.planned_s = self.time_s
         self.plan = self._plan(max(float(state.position_m), 0.0), float(state.speed_mps), self.time_s)
         force = (self.rollout.scheduled_time_s, self.rollout.section.restrictions)
@@ -316,7 +316,7 @@ class Engine:
             ],
             "permitted": {
                 "position_m": numbers(at, 2),
-                "speed_mps": numbers(permitted_speed(rollout.protection, at), 4),
+                "speed_mps": numbers(permitted_speed(rollout.params.protection, at), 4),
             },
             "plan": drawn,
             "reference": compared,
