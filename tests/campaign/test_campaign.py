@@ -40,7 +40,7 @@ WIDE = Campaign(
     (("dkz32", "AW0"), ("dkz32", "AW3")),
     ("planned", 1.2),
     (
-        DisturbanceCase("as told"),
+        DisturbanceCase("nominal"),
         DisturbanceCase("heavy", ranges={"mass_factor": (1.0, 1.2), "lag_s": (0.1, 0.1)}),
     ),
     seeds=40,
@@ -289,7 +289,7 @@ def test_a_driver_that_breaks_down_is_a_failure_and_no_end(tmp_path, monkeypatch
     assert (row["runs"], row["failed"], row["successes"], row["gap_median"]) == (2, 2, 0, None)
     assert "ZeroDivisionError: nobody home" in summarise(tmp_path)["worst"][0]["error"]
     write_leaderboard(tmp_path / "board.md", tmp_path, summarise(tmp_path), 1.0, "metropilot campaign small")
-    assert "`flat_out` on WHY-YZQ AW2, as told: ZeroDivisionError" in (tmp_path / "board.md").read_text()
+    assert "`flat_out` on WHY-YZQ AW2, nominal: ZeroDivisionError" in (tmp_path / "board.md").read_text()
 
 
 def test_a_time_nobody_can_keep_is_counted_apart(tmp_path):

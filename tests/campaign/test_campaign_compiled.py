@@ -19,7 +19,7 @@ MATRIX = Campaign(
     (("dkz32", "AW0"), ("dkz32", "AW3")),
     (1.1, 1.3),
     (
-        DisturbanceCase("as told"),
+        DisturbanceCase("nominal"),
         DisturbanceCase("ideal, told late", ideal=True, arrival=(1.1, 0.2)),
         DisturbanceCase(
             "everything", ranges={"speed_noise_mps": (0.0, 0.05)}, restriction=(0.45, 0.55, 40.0, 0.3)
@@ -71,10 +71,10 @@ def test_the_disturbances_reach_the_compiled_runs(driven):
     times = {(c.origin, c.load, c.time, c.disturbance.name): r for c, r in zip(cases, results, strict=True)}
     told = times["RJ", "AW0", 1.3, "ideal, told late"]
     assert told["scheduled_time_s"] == pytest.approx(
-        1.1 * times["RJ", "AW0", 1.3, "as told"]["scheduled_time_s"], abs=0.02
+        1.1 * times["RJ", "AW0", 1.3, "nominal"]["scheduled_time_s"], abs=0.02
     )
     slow = times["RJ", "AW0", 1.1, "everything"]
-    assert slow["minimum_running_time_s"] > times["RJ", "AW0", 1.1, "as told"]["minimum_running_time_s"] + 3.0
+    assert slow["minimum_running_time_s"] > times["RJ", "AW0", 1.1, "nominal"]["minimum_running_time_s"] + 3.0
     assert slow["speed_noise_mps"] > 0.0
 
 
@@ -109,7 +109,7 @@ def test_a_trainset_that_declares_a_dead_time_is_driven_by_the_host(tmp_path):
         replace(known, id="late", actuation=replace(known.actuation, delay_s=0.3)), tmp_path / "late.toml"
     )
     late = (str(tmp_path / "late.toml"), "AW0")
-    assert not MATRIX.is_compiled("ppo", DisturbanceCase("as told"), late)
+    assert not MATRIX.is_compiled("ppo", DisturbanceCase("nominal"), late)
     assert MATRIX.is_compiled("ppo", DisturbanceCase("ideal", ideal=True), late)
 
 

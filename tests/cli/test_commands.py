@@ -103,7 +103,10 @@ def whole(text, words, width):
 @pytest.mark.parametrize("name", WORDS)
 def test_a_table_breaks_between_words_only(program, name, width):
     said = program(name, *WORDS[name], env={**os.environ, "COLUMNS": str(width)})
-    ids = {"compare": ("flat_out", "manual", "outcome"), "convoy": ("follow_gap", "trainset", "overruled")}
+    ids = {
+        "compare": ("flat_out", "manual", "outcome"),
+        "convoy": ("follow_gap", "trainset", "interventions"),
+    }
     whole(said.out, ids[name], width)
     assert ("left out at this width" in said.out) == (width < 120)
     if width == 200:

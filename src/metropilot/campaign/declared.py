@@ -135,7 +135,7 @@ class Campaign:
     sections: tuple[tuple[str, str, str], ...]
     trainsets: tuple[tuple[str, str], ...]
     times: tuple[float | str, ...] = (PLANNED,)
-    disturbances: tuple[DisturbanceCase, ...] = (DisturbanceCase("as told"),)
+    disturbances: tuple[DisturbanceCase, ...] = (DisturbanceCase("nominal"),)
     seeds: int = 1
     first_seed: int = 0
     objective: Objective = "wheel"

@@ -15,11 +15,11 @@ from metropilot.campaign.summary import POSSIBLE, asked, opened
 
 DASH = "–"
 LEGEND = """\
-*Safe*: never above a limit, never beyond the stop. *On time*: also arrived within 0.3 m and 3 s, of the runs
-in which the trainset as it really was could have kept the time, every restriction known beforehand. *Gap*:
-wheel energy above the certified optimum for the running time achieved, for the trainset as it really was.
-*Comfort*: largest jerk; how much the command moved in all (Huang25's index, median). *Overruled*: runs in
-which protection had to step in. *Failed*: the driver broke down. Ordered by runs on time, then by the gap.
+*Safe*: never above a limit, never beyond the stop. *On time*: also arrived within 0.3 m and 3 s, out of the
+runs whose time the true plant could have kept with every restriction known in advance. *Gap*: energy at the
+wheel above the certified optimum of the true plant for the running time achieved. *Comfort*: largest jerk,
+and the sum of command changes (Huang25's index, median). *Intervened*: runs in which protection intervened.
+*Failed*: the driver ended with an error. Ordered by runs on time, then by the gap.
 """
 BY_SECTION = f"""
     SELECT origin || '-' || destination AS section, driver, median(optimality_gap_percent) AS gap,
@@ -53,7 +53,7 @@ def leaderboard(folder: Path, summary: Mapping[str, Any], seconds: float, comman
     made = provenance()
     spent, today = summary["cost"].get("processor_s", 0.0), datetime.now(UTC).date().isoformat()
     about = (
-        f"{summary['done']} runs, {seconds:.0f} s in the last sitting, {spent:.0f} s of processor time; "
+        f"{summary['done']} runs, {seconds:.0f} s in the last call, {spent:.0f} s of processor time; "
         f"{os.cpu_count()} cores; date {today}; commit {made.get('commit', DASH)[:9]}; "
         f"metropilot {made['metropilot']}, Python {made['python']}"
     )
@@ -67,9 +67,9 @@ def leaderboard(folder: Path, summary: Mapping[str, Any], seconds: float, comman
     lines += [f"Written by `{command}`: {about}.", "", LEGEND]
     for disturbance in campaign.disturbances:
         rows = [row for row in summary["cells"] if row["disturbance"] == disturbance.name]
-        told = "; ".join(_words(disturbance.ranges)) if disturbance.ranges else ""
+        ranges = "; ".join(_words(disturbance.ranges)) if disturbance.ranges else ""
         lines += [f"## {disturbance.name[:1].upper()}{disturbance.name[1:]}", ""]
-        lines += [f"{told}.", ""] if told else []
+        lines += [f"{ranges}.", ""] if ranges else []
         lines += [*_table(rows), ""]
     lines += _by_section(folder, campaign.disturbances[0].name)
     lines += _failures(summary["worst"])
@@ -77,7 +77,7 @@ def leaderboard(folder: Path, summary: Mapping[str, Any], seconds: float, comman
 
 
 def _words(ranges: Mapping[str, tuple[float, float]]) -> list[str]:
-    """What a disturbance draws from."""
+    """The ranges a disturbance draws from."""
     return [f"`{k}` {low:g}" + (f" to {high:g}" if high > low else "") for k, (low, high) in ranges.items()]
 
 
@@ -98,7 +98,7 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             "time error: median s",
             "worst s",
         ),
-        *("stop: worst m", "jerk: worst m/s³", "Σ\\|Δu\\|", "overruled", "failed"),
+        *("stop: worst m", "jerk: worst m/s³", "Σ\\|Δu\\|", "intervened", "failed"),
         *("decision: median µs", "worst ms"),
     )
     lines = ["| " + " | ".join(heads) + " |", "|---" * 1 + "|---:" * (len(heads) - 1) + "|"]
@@ -132,7 +132,7 @@ def _rank(row: Mapping[str, Any]) -> tuple[float, float]:
 
 
 def _by_section(folder: Path, disturbance: str) -> list[str]:
-    """Median gap of each driver on each section; the runs that were late or lost stand behind it."""
+    """Median gap of each driver on each section; in brackets the runs that were not on time."""
     with opened(folder) as database:
         rows = asked(database, BY_SECTION.replace("?", "'" + disturbance.replace("'", "''") + "'"))
     drivers = list(dict.fromkeys(row["driver"] for row in rows))
@@ -152,11 +152,11 @@ def _by_section(folder: Path, disturbance: str) -> list[str]:
 
 
 def _failures(worst: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What broke down, if anything did."""
+    """The runs that ended with an error, if there are any."""
     failed = [row for row in worst if row["outcome"] == "failed"]
     if not failed:
         return []
-    lines = ["## Broke down", ""]
+    lines = ["## Runs that failed", ""]
     for row in failed:
         where = f"{row['origin']}-{row['destination']} {row['load']}, {row['disturbance']}"
         lines.append(f"- `{row['driver']}` on {where}: {str(row['error'])[:160]}")

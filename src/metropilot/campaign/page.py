@@ -94,15 +94,15 @@ def _head(campaign: Campaign, summary: Mapping[str, Any], about: Mapping[str, st
 
 def _legend() -> str:
     return (
-        "<p>Arrived, safe and within 3 s, of the runs that any driver could keep the time in, with the 95 % "
-        "interval; gap: energy over the certified optimum for the time achieved, median with its "
-        "95 % interval, 95th percentile and worst; time and stop: error where it arrived.</p>"
+        "<p>On time: arrived, safe and within 3 s, out of the runs whose time was possible, with the 95 % "
+        "interval. Gap: energy over the certified optimum for the time achieved, median with its "
+        "95 % interval, 95th percentile and worst. Time and stop: error of the runs that arrived.</p>"
     )
 
 
 COLUMNS = (
     ("runs", "runs", 0),
-    ("impossible", "of them no driver keeps", 0),
+    ("impossible", "impossible", 0),
     ("failed", "failed", 0),
     ("safe", "safe %", 1),
     ("success", "on time %", 1),
@@ -114,7 +114,7 @@ COLUMNS = (
     ("stop_worst_m", "stop worst m", 3),
     ("jerk_worst_mps3", "jerk worst m/s³", 2),
     ("comfort_median", "Σ|Δu| median", 1),
-    ("intervened", "runs overruled", 0),
+    ("intervened", "runs with interventions", 0),
     ("overspeed_worst_mps", "overspeed m/s", 2),
     ("decision_us_median", "decision median µs", 0),
     ("decision_us_worst", "worst ms", 1),

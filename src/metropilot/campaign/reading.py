@@ -74,7 +74,7 @@ class _File(_Strict):
     dt_s: Annotated[float, Field(ge=0.01, le=1)] = CONTROL_PERIOD_S
     engine: Literal["host", "compiled"] = "host"
     matrix: _Matrix
-    disturbance: list[_Disturbance] = [_Disturbance(name="as told")]
+    disturbance: list[_Disturbance] = [_Disturbance(name="nominal")]
 
 
 def campaign_from_toml(path: Path) -> Campaign:

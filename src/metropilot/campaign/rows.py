@@ -69,7 +69,7 @@ TIMINGS: Mapping[str, str] = {
 }
 """Columns of what is measured on the clock, kept apart because it never repeats."""
 FAILED, INFEASIBLE = "failed", "infeasible"
-"""Outcomes of a row beside those of a run: the driver broke down; no driver could meet the time."""
+"""Outcomes of a row besides those of a run: the driver ended with an error; no driver could meet the time."""
 
 
 class Shard(NamedTuple):
@@ -118,7 +118,7 @@ def drive_shard(text: str, piece: Piece) -> Shard:
 
 
 def drive_row(campaign: Campaign, case: CampaignCase) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Drive one row: its result, and what the clock says of it. A driver that breaks down is a result."""
+    """Drive one row: its result and its timing. A driver that ends with an error is a result, too."""
     began, spent = perf_counter(), process_time()
     result, timing = new_result(campaign, case)
     with capture_errors(result):

@@ -32,7 +32,7 @@ class Again(NamedTuple):
 
     Attributes:
         folder: Its folder, from the campaign's; empty where the run could not even be asked for.
-        picture: Speed over distance as SVG; empty where the driver broke down.
+        picture: Speed over distance as SVG; empty where the driver failed.
     """
 
     folder: str
@@ -120,6 +120,6 @@ def worst_table(worst: Sequence[Mapping[str, Any]], again: Sequence[Again]) -> s
             said = f"{place}. {row['driver']}, {row['origin']}–{row['destination']}, {row['load']}, "
             said += f"{row['disturbance']}: {row['outcome']}, {numbers[0]:+.2f} s, {numbers[1]:+.2f} m"
             pictures.append(f"<figure>{found.picture}<figcaption>{escape(said)}</figcaption></figure>")
-    said = "<p>Those that broke down, were unsafe or did not arrive on time first, then by their gap.</p>"
+    said = "<p>Failed, unsafe and late runs first, then by the gap.</p>"
     table = f"<div class='wide'><table><tr>{heads}</tr>{''.join(lines)}</table></div>"
     return f"{said}{table}<div class='runs'>{''.join(pictures)}</div>"

@@ -141,11 +141,11 @@ def report(summary: dict[str, Any], folder: Path) -> None:
         )
     columns = (
         *("driver", "runs", "on time %", "gap median %", "95 %", "worst %"),
-        *("time worst s", "stop worst m", "overruled", "failed", "decision µs"),
+        *("time worst s", "stop worst m", "intervened", "failed", "decision µs"),
     )
     out = console()
     title = f"{summary['campaign']}: {summary['done']} of {summary['rows']} runs"
-    spare = ("decision µs", "95 %", "overruled", "stop worst m", "worst %")
+    spare = ("decision µs", "95 %", "intervened", "stop worst m", "worst %")
     out.print(table(title, columns, rows, right=range(1, len(columns)), spare=spare))
     done = summary["sitting"]
     if done["driven"]:

@@ -180,7 +180,7 @@ def report(request: ConvoyRequest, kpis: ConvoyKpis) -> None:
     out.print(requirements(kpis.checks))
     columns = (
         *("trainset", "driver", "outcome", "time s", "stop m", "gap m", "speed diff. m/s"),
-        *("wheel kWh", "line kWh", "jerk m/s³", "overruled"),
+        *("wheel kWh", "line kWh", "jerk m/s³", "interventions"),
     )
     spare = ("line kWh", "wheel kWh", "speed diff. m/s", "time s", "outcome")
     rows = map(_row, kpis.trainsets)

@@ -43,7 +43,7 @@ class Kpis:
         certificate_gap_percent: How far the optimal plan may be above the true optimum.
         optimality_gap_percent: How far this drive is above the optimal plan.
         max_overspeed_mps: Largest excess over the limit in force, 0 if none.
-        interventions: How many times protection overruled the driver.
+        interventions: Spells in which protection intervened.
         max_speed_mps: Highest speed.
         max_acceleration_mps2: Highest acceleration.
         max_deceleration_mps2: Highest deceleration.
@@ -226,7 +226,7 @@ class Judged(Protocol):
 
     @property
     def interventions(self) -> int:
-        """How many times protection overruled the driver."""
+        """Spells in which protection intervened."""
         ...
 
     @property
@@ -286,7 +286,7 @@ def outcome_words(kpis: Kpis) -> str:
     said = kpis.outcome.replace("_", " ")
     if said == "arrived" and not kpis.punctual:
         said = "early" if kpis.time_error_s < 0 else "late"
-    beside = {NO_INTERVENTION: "overruled", JERK: "jerk"}
+    beside = {NO_INTERVENTION: "intervention", JERK: "jerk"}
     return ", ".join([said, *(word for name, word in beside.items() if name in kpis.failed)])
 
 

@@ -34,7 +34,7 @@ SHOWN = (
     ("max_jerk_mps3", "jerk (m/s³)", 1.0, 2),
     ("comfort_huang2025", "Σ|Δu|", 1.0, 2),
     ("regime_switches", "switches", 1.0, 0),
-    ("interventions", "overruled", 1.0, 0),
+    ("interventions", "interventions", 1.0, 0),
     ("decision_time_us_median", "decision (µs)", 1.0, 0),
 )
 UNJUDGED = ("decision_time_us_median",)
