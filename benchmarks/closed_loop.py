@@ -35,27 +35,28 @@ KNOWN = ("ideal actuation", "jerk limit")
 
 PAGE = """# The driver `optimal` on every section
 
+This page measures the driver `optimal` on every section, with the nominal plant and with plant mismatch.
 Line `{line}`, both directions, trainset `{trainset}` with {loads}, under protection. Every run is
 compared with the optimal plan for the running time it achieved, under the same limits (wheel traction
-energy). That optimum knows neither the jerk limit nor protection. Written by `python -m
-benchmarks.closed_loop --write`: {about}. Nothing is random but the speed noise (seed 0).
+energy). That optimum includes neither the jerk limit nor protection. Written by `python -m
+benchmarks.closed_loop --write`: {about}. Only the speed noise is random (seed 0).
 
-## A trainset as told
+## Nominal plant
 
 {known}
 
 Largest jerk with the jerk limit (1 m/s3): {jerk} m/s3.
 
-The last two columns are the optimum of the same convex problem with the jerk limit added, protection
-aside: what the jerk limit alone costs. At 1.05 of a minimum running time that knows no jerk limit it
-lies several percent above the bound on the short sections: the ramps take about a second of a reserve of
-four, and a second there costs 4 to 6 %. (The plant changes its effort once a period of 0.2 s, which lets
-it gain a tenth of a second on a continuous ramp.)
+The last two columns are the optimum of the same convex problem with the jerk limit and without protection:
+the cost of the jerk limit alone. At 1.05 of the minimum running time, which has no jerk limit, it
+is several percent above the bound on the short sections: the ramps take about one second of a reserve of
+four, and a second there costs 4 to 6 %. (The plant changes its effort once per period of 0.2 s and so
+gains a tenth of a second on a continuous ramp.)
 
-## A trainset that is not as told
+## Plant mismatch
 
-Mass and Davis resistance off as named, 0.6 s of dead time and 0.4 s of lag more, 0.05 m/s of speed
-noise, all of it unknown to the driver. The scheduled time is 1.1 of the minimum of the trainset as told.
+Mass and Davis resistance differ as named, with 0.6 s of additional dead time, 0.4 s of additional lag and
+0.05 m/s of speed noise, all unknown to the driver. The scheduled time is 1.1 of the nominal minimum.
 
 {unknown}
 

@@ -18,9 +18,9 @@ import numpy as np
 
 from benchmarks.beside_optimum import Result, beside_optimum, table, worst
 from benchmarks.report import circumstances, hand_out, page_options
-from metropilot.drivers.shipped import shipped_policy
 from metropilot.errors import MetropilotError
 from metropilot.planning import minimum_running_time
+from metropilot.policy import shipped_policy
 from metropilot.policy.loaded import load_driving_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, Run
@@ -39,23 +39,23 @@ SHOWN = 8
 
 PAGE = """# One driver for every line
 
-`generalist` is one small network that has never seen a real line. It was taught on random sections of 0.5 to
-8 km with random trainsets of 80 to 500 t ([`metropilot.env.worlds`](api.md)), in two steps: it imitates what
-the optimal plan does from {states:,} states on and beside the plan, and then drives in closed loop, where the
-gradient of energy and arrival time reaches the policy through the whole drive. It sees distances, limits,
-gradients, effort and resistance of this trainset, the time left, what flat-out driving, steady driving and
-coasting would take from here, and the pace that the time left asks for; nothing that names a place. The last
-braking and the easing off under the ceiling are given by assists, see [the driving task](task.md); protection
-supervises every run.
+`generalist` is one small network for every line, trained without any real line. The training data are random
+sections of 0.5 to 8 km with random trainsets of 80 to 500 t (the task `worlds`, domain randomisation).
+It learns in two steps: imitation of the optimal plan from {states:,} states on and near the plan, and then
+closed-loop driving, in which the gradient of energy and arrival time reaches the policy through the drive.
+It observes distances, limits, gradients, effort and resistance of the trainset, the time left, the time to go
+flat out, at a steady speed and coasting, and the mean speed that the time left requires; nothing identifies a
+place. Station-stop braking and the reduction of traction below the ceiling are [assists](task.md#assists);
+protection supervises every run. The tables below give its gap to the optimum on lines outside its training.
 
 ```sh
 metropilot drive yizhuang RJ WYJ --time 110 --driver generalist
 ```
 
-`metropilot learn generalist --budget paper` makes it again.
+`metropilot learn generalist --budget paper` trains it again.
 
-Every run below is of the host loop (`metropilot drive`), and compared with the optimal plan for the running
-time it achieved (wheel traction energy). That optimum knows neither the jerk limit nor protection.
+Every run below is driven by the host loop (`metropilot drive`) and compared with the optimal plan for the
+running time it achieved (wheel traction energy). That optimum includes neither the jerk limit nor protection.
 Written by `python -m benchmarks.generalist --write docs/generalist.md`: {about}.
 
 ## Zero shot: all sections of the Yizhuang line, both ways, {loads}
@@ -70,17 +70,17 @@ within 1 s and 0.3 m in every run, no intervention. {verdict}
 
 {by_time}
 
-Beside it `optimal`, which drives the plan made with the jerk limit: what that limit and protection leave
-possible.
+The last column is `optimal`, which drives the plan made with the jerk limit: the gap that this limit and
+protection require.
 
 ### The runs farthest above the optimum
 
 {farthest}
 
 {elsewhere}
-## How it was taught
+## Training
 
-{taught}
+{training}
 """
 
 
@@ -227,18 +227,21 @@ def elsewhere(results: list[Result]) -> str:
     return f"## Other lines\n\n{words}\n\n{table(('track', *HEADS), lines)}\n\n"
 
 
-def taught() -> str:
-    """What the policy's file says of its learning."""
+def training() -> str:
+    """Table of the training, from the policy file."""
     about: Any = load_driving_policy(shipped_policy(DRIVER)).about
     told, came = about["config"], about["provenance"]
     lines = [
         ["command", f"`{came['command']}`"],
-        ["lessons", f"{told['worlds']:,} worlds, {told['plans']} plans each, {told['states']} states a plan"],
+        [
+            "demonstrations",
+            f"{told['worlds']:,} random sections, {told['plans']} plans each, {told['states']} states a plan",
+        ],
         ["imitation", f"{told['batches']:,} gradient steps of {told['batch_size']:,} states"],
         ["closed loop", f"{came['steps']:,} decisions, {told['decisions']:,} in a gradient step"],
         ["network", " x ".join(map(str, told["hidden"])) + f", {told['activation']}"],
         ["seed", f"{about['seed']}"],
-        ["learning, lessons apart", f"{came['seconds']:.0f} s"],
+        ["training without demonstrations", f"{came['seconds']:.0f} s"],
         ["machine, date, commit", f"{came['machine']}; {came['date']}; {came['commit'][:9]}"],
     ]
     return table(("what", "value"), lines, words=2)
@@ -264,7 +267,7 @@ def page(results: list[Result], beside: list[Result], elsewhere_too: list[Result
         by_time=by_time(results, beside),
         farthest=farthest(results),
         elsewhere=elsewhere(elsewhere_too),
-        taught=taught(),
+        training=training(),
     )
 
 

@@ -278,8 +278,8 @@ BENCHMARK = Benchmark(
     ("jax", "numpy"),
     measure,
     "Rates are per CPU second of one single-threaded process. Ratios: of a larger memory, to the memory of "
-    "10k; beside Stable-Baselines3, ours over it. Its environment is plain NumPy, and on `drive` our own "
-    "through Gymnasium, one at a time.",
+    "10k; for Stable-Baselines3, metropilot over it. Its environment is plain NumPy, and on `drive` the "
+    "Gymnasium environment, one at a time.",
 )
 
 if __name__ == "__main__":

@@ -52,15 +52,15 @@ def deciding() -> list[Row]:
     """One decision of a shipped driver: the network in NumPy and in onnxruntime, and all on the host."""
     import numpy as np
 
-    from metropilot.drivers import DRIVERS, shipped
+    from metropilot.drivers import DRIVERS
     from metropilot.learn import export_onnx
-    from metropilot.policy import load_policy
+    from metropilot.policy import load_policy, shipped_policy
     from metropilot.railway import load_line, load_trainset
     from metropilot.sim import Run, drive
 
     rows = []
     for driver in ("ppo", "ppo_scaled"):
-        path = shipped.shipped_policy(driver)
+        path = shipped_policy(driver)
         if not path.is_file():
             continue
         policy, _ = load_policy(path)

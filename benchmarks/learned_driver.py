@@ -15,8 +15,8 @@ import numpy as np
 
 from benchmarks.beside_optimum import Result, beside_optimum, table, worst
 from benchmarks.report import circumstances, hand_out, page_options
-from metropilot.drivers.shipped import shipped_policy
 from metropilot.planning import minimum_running_time
+from metropilot.policy import shipped_policy
 from metropilot.policy.loaded import load_driving_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, Run
@@ -31,24 +31,25 @@ SCENARIOS = {"ideal actuation": Disturbance(ideal=True), "jerk limit": Disturban
 TARGETS = {"ideal actuation": (3.0, 6.0), "jerk limit": (5.0, None)}
 """Gap to the optimum, per cent: median and worst."""
 
-PAGE = """# Drivers that learned
+PAGE = """# Drivers learned by PPO
 
-Two drivers learned by PPO on Rongjing to Wanyuanjie, one policy each for every load and every scheduled time
-from {shortest} of the load's minimum to {longest:g} s, with and without the jerk limit of the trainset.
+This page compares two drivers learned by PPO with the optimum. Each is one policy for Rongjing to Wanyuan
+Street, for every load and every scheduled time from {shortest} of the load's minimum to {longest:g} s,
+with and without the jerk limit of the trainset.
 `ppo_scaled` divides its rewards by the running deviation of the return (Chen23a eq. 23), `ppo` does not.
 
-What is learned is when to power, hold and coast, and how early to slow down. The last braking to the stop
-point and the easing off under the ceiling are given by assists, see [the driving task](task.md). Protection
-supervises every run, with nodes every metre; the learner saw it with nodes every 4 m, and decided every
-0.5 s, while the plant here takes a step each 0.2 s.
+The policies learn when to power, hold and coast, and how early to slow down. Station-stop braking and the
+reduction of traction below the ceiling are [assists](task.md#assists). Protection supervises every run with
+nodes every metre; training used nodes every 4 m and a decision every 0.5 s, while the plant here has a period
+of 0.2 s.
 
 ```sh
 metropilot drive yizhuang RJ WYJ --time 110 --driver ppo_scaled
 ```
 
 Every run is compared with the optimal plan for the running time it achieved, under the same limits (wheel
-traction energy). That optimum knows neither the jerk limit nor protection; the columns at the end are the
-optimum of the same problem with the jerk limit, protection aside: what the jerk limit alone costs.
+traction energy). That optimum includes neither the jerk limit nor protection; the last columns are the
+optimum of the same problem with the jerk limit but without protection: the cost of the jerk limit alone.
 Written by `python -m benchmarks.learned_driver --write`: {about}.
 
 ## The grid: {times} scheduled times, {loads}
@@ -58,11 +59,11 @@ Written by `python -m benchmarks.learned_driver --write`: {about}.
 Targets: arrival within 1 s and 0.3 m, no intervention; with ideal actuation a median gap of at most 3 % and
 none above 6 %, with the jerk limit a median of at most 5 %. {verdict}
 
-## How they learned
+## Training
 
 {learned}
 
-Seconds are of the learning itself on one core, evaluations included, compilation apart;
+Seconds are training time on one core, with evaluations, without compilation;
 `metropilot show DRIVER` prints the whole configuration.
 
 ## Gap to the optimum, run by run

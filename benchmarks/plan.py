@@ -56,7 +56,7 @@ def median_s(work: Callable[[], object], repeats: int = REPEATS) -> float:
 
 
 @dataclass
-class Rival:
+class Transcription:
     """What one way of writing the problem for IPOPT came to over the sections."""
 
     name: str
@@ -86,17 +86,17 @@ class Rival:
         return rows
 
 
-def rivals() -> tuple[Rival, Rival]:
-    """Multiple shooting, as such problems are usually written, and the plainest transcription we know."""
+def transcriptions() -> tuple[Transcription, Transcription]:
+    """Multiple shooting, as such problems are usually written, and a transcription with the structure of the convex plan."""
     return (
-        Rival("IPOPT, multiple shooting", lambda p: solve_shooting(p, ENDS_MPS)),
-        Rival("IPOPT, our transcription", solve_nlp),
+        Transcription("IPOPT, multiple shooting", lambda p: solve_shooting(p, ENDS_MPS)),
+        Transcription("IPOPT, our transcription", solve_nlp),
     )
 
 
 def measure_sections(line: Line, trainset: Trainset) -> list[Row]:
     """All 26 sections at 1.1 of the minimum running time, the solvers one after the other."""
-    usual, plain = rivals()
+    usual, plain = transcriptions()
     ours = []
     rolling = PlanOptions(start_mps=ENDS_MPS, end_mps=ENDS_MPS)
     for section in (*line.sections(), *line.sections(backward=True)):
@@ -123,13 +123,13 @@ def measure_journey(line: Line, trainset: Trainset) -> list[Row]:
     section = line.section(line.stations[0], line.stations[-1])
     stops = np.array([p.position_m for p in points])
     given = problem(section, trainset, stops, np.array(line.planned_forward_s))
-    for rival, target in zip(rivals(), (">= 20 x", ""), strict=True):
-        found = rival.solve(given)
-        what = rival.name if found.solved else f"{rival.name}: gave up after"
+    for transcription, target in zip(transcriptions(), (">= 20 x", ""), strict=True):
+        found = transcription.solve(given)
+        what = transcription.name if found.solved else f"{transcription.name}: gave up after"
         rows.append(Row(f"{what}, journey", found.solve_s, "s", found.solve_s / ours, target))
         if found.solved:
             apart = 100 * abs(found.energy_j / energy - 1)
-            rows.append(Row(f"{rival.name}, journey: difference in energy", apart, "%"))
+            rows.append(Row(f"{transcription.name}, journey: difference in energy", apart, "%"))
     return rows
 
 
@@ -145,14 +145,14 @@ BENCHMARK = Benchmark(
     packages=("metropilot", "clarabel", "casadi", "numpy", "scipy"),
     measure=measure,
     note=f"Wall time, medians. Yizhuang line, trainset `dkz32-contest`, {RATIO} of the minimum running time; "
-    "the journey keeps the timetable. Ours is the whole call: arrays, mesh, flat-out run, all passes. Both "
-    "rivals get the same mesh, limits, resistance and effort curves (as splines) in CasADi with exact "
-    "derivatives, MUMPS and IPOPT's default options, vectorised. *Multiple shooting* is how such problems "
+    "the journey keeps the timetable. The time of the convex plan is that of the whole call: arrays, mesh, "
+    "flat-out run, all passes. Both IPOPT transcriptions get the same mesh, limits, resistance and effort "
+    "curves (as splines) in CasADi with exact derivatives, MUMPS and IPOPT's default options, vectorised. *Multiple shooting* is how such problems "
     "are usually written (ms-eetc: states time and speed squared, Runge-Kutta over a segment, guess 60 km/h, "
-    "0.5 m/s at stops, which saves 1.5 % on the journey). *Our transcription* keeps what makes the convex "
-    "plan easy (nodes on every break, speeds as the only states, times in closed form) and starts from our "
-    "own flat-out run with its top cut off: most of the gain is there, and IPOPT has it too, though without "
-    "a certificate. A ratio is to our plan of the same thing.",
+    "0.5 m/s at stops, which saves 1.5 % on the journey). *Our transcription* uses the structure of the "
+    "convex plan (nodes on every break, speeds as the only states, times in closed form) and starts from the "
+    "flat-out run limited in speed: most of the speed-up comes from there, but without a certificate. Each "
+    "ratio is to the convex plan of the same case.",
 )
 
 if __name__ == "__main__":

@@ -143,7 +143,7 @@ BENCHMARK = Benchmark(
         "One step is the whole plant: actuation, effort, resistance over the trainset's length, exact stop, "
         "energies. The batch holds 26 sections x 3 loads, 16 times each, under different commands; "
         "the ratio is to the first row, medians of one run. "
-        "Where other work shares the machine (see its load), processor time says what it can do alone."
+        "With other work on the machine (see its load), the processor time is the better measure."
     ),
 )
 

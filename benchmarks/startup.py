@@ -51,7 +51,7 @@ def measure() -> list[Row]:
 
 BENCHMARK = Benchmark(
     name="startup",
-    title="What a user waits for",
+    title="Start-up",
     packages=("metropilot", "typer", "rich", "numpy", "clarabel", "matplotlib"),
     measure=measure,
     note=f"Each command in a fresh process, median of {RUNS} after one that warms the file cache. "

@@ -89,7 +89,7 @@ BENCHMARK = Benchmark(
     note=(
         "One step is one decision of a policy, every 0.5 s: action, assists, supervisor, plant, outcome, "
         "reward terms and observation, under random actions, resets included. "
-        "Where other work shares the machine (see its load), processor time says what it can do alone."
+        "With other work on the machine (see its load), the processor time is the better measure."
     ),
 )
 

@@ -66,7 +66,7 @@ class Result:
 
 
 def on_line(build: Callable, authority: bool) -> Callable[[int], Hunter]:
-    """Searches over sections and rough ground, without the service curve, which only spares the brake."""
+    """Searches over sections and random profiles, without the service curve, on which no claim depends."""
 
     def ready(generations: int) -> Hunter:
         field = Field(build(mutate=bare))
@@ -139,7 +139,9 @@ def table(results: list[Result], seed: int, about: dict[str, str]) -> str:
     ]
     steps, seconds = sum(r.steps for r in results), sum(r.seconds for r in results)
     found = (
-        f"{violations(results)} kinds of attack got through" if violations(results) else "none got through"
+        f"{violations(results)} kinds of attack exceeded a bound"
+        if violations(results)
+        else "none exceeded a bound"
     )
     lines += [
         "",
@@ -151,7 +153,7 @@ def table(results: list[Result], seed: int, about: dict[str, str]) -> str:
 
 
 def violations(results: list[Result]) -> int:
-    """Kinds in which an attack got through; a gap of 0 is a contact, a margin of 0 none."""
+    """Kinds in which an attack exceeded a bound; a gap of 0 is a contact, a margin of 0 none."""
     return sum(not min(r.margin, r.random_margin) >= 0.0 for r in results)
 
 

@@ -49,7 +49,7 @@ GUARDS = (
         (BY_NAME,),
     ),
     Guard(
-        "the emergency brake must be in time, whatever the plant",
+        "the emergency brake must be in time for every plant",
         "H1",
         SUPERVISOR,
         "margin_mps) & self._in_time(self.worst, share, margin_mps)",
@@ -57,7 +57,7 @@ GUARDS = (
         ("test_mutations.py::test_guard_in_the_arrays[control period]",),
     ),
     Guard(
-        "a traction cut-off must do, or it is not enough",
+        "a traction cut-off must suffice, or braking follows",
         "H1",
         SUPERVISOR,
         "return check.xp.where(check.passes(cut, none), 1, brake)",
@@ -65,7 +65,7 @@ GUARDS = (
         (HOSTILE,),
     ),
     Guard(
-        "a service brake must do, or the emergency brake acts",
+        "a service brake must suffice, or the emergency brake acts",
         "H1",
         SUPERVISOR,
         "return 1 if check.passes(cut, none) else 2 if check.emergency(none - 1.0, none) else 3",
@@ -82,14 +82,14 @@ GUARDS = (
     ),
     Guard(
         "service brake before emergency brake",
-        "spares",
+        "comfort",
         SUPERVISOR,
         "self._in_time(self.usual, share, margin_mps) & self",
         "self",
         (BY_NAME,),
     ),
     Guard(
-        "a command that is no number is a full brake",
+        "a command that is not a number is a full brake",
         "H2",
         SUPERVISOR,
         'xp.where(xp.abs(command.share) < float("inf"), xp.clip(command.share, -1.0, 1.0), full)',
@@ -105,7 +105,7 @@ GUARDS = (
         (BY_NAME,),
     ),
     Guard(
-        "a position that is no number",
+        "a position that is not a number",
         "H3",
         SUPERVISOR,
         "self.measured = known & moving",
@@ -113,7 +113,7 @@ GUARDS = (
         (BY_NAME,),
     ),
     Guard(
-        "a speed that is no number",
+        "a speed that is not a number",
         "H3",
         SUPERVISOR,
         "self.measured = known & moving",
@@ -137,7 +137,7 @@ GUARDS = (
         ("test_mutations.py::test_guard_in_the_curves[error of the measured position]",),
     ),
     Guard(
-        "more room before a command passes again",
+        "a larger margin before a command passes again",
         "H4",
         SUPERVISOR,
         "margin = xp.where(memory.level > 0, RELEASE_MPS, 0.0)",
@@ -145,7 +145,7 @@ GUARDS = (
         ("test_supervisor.py::test_after_an_intervention_a_command_needs_more_room",),
     ),
     Guard(
-        "commands on their way through the dead time",
+        "commands in the dead time",
         "H4",
         SUPERVISOR,
         "newest = self.xp.maximum(share, self.older)",
@@ -153,7 +153,7 @@ GUARDS = (
         ("test_mutations.py::test_commands_on_their_way",),
     ),
     Guard(
-        "what the lag has left of older commands",
+        "remainder of older commands after the lag",
         "H4",
         SUPERVISOR,
         "return newest + self.xp.maximum(self.memory.share - newest, 0.0) * self.protection.fading.share",
@@ -161,7 +161,7 @@ GUARDS = (
         ("test_mutations.py::test_guard_in_the_arrays[lag]",),
     ),
     Guard(
-        "what the jerk limit has left of the last acceleration",
+        "remainder of the last acceleration under the jerk limit",
         "H4",
         SUPERVISOR,
         "acting = self.xp.maximum(acceleration(brake.forces, self.kept(share)), self.fading)",
@@ -169,7 +169,7 @@ GUARDS = (
         ("test_mutations.py::test_guard_in_the_arrays[jerk limit in service]",),
     ),
     Guard(
-        "the acceleration remembered is the largest there may be",
+        "the stored acceleration is the largest possible",
         "H4",
         SUPERVISOR,
         "return kept, self.xp.maximum(acceleration(self.worst.forces, kept), self.fading)",
@@ -185,7 +185,7 @@ GUARDS = (
         (BY_NAME,),
     ),
     Guard(
-        "the driver may ask for the emergency brake",
+        "the driver may apply the emergency brake",
         "H6",
         SUPERVISOR,
         "(memory.emergency & moving) | command.emergency",
@@ -217,7 +217,7 @@ GUARDS = (
         ("test_mutations.py::test_guard_in_the_arrays[build-up of the emergency brake]",),
     ),
     Guard(
-        "a trainset lighter than told gains more",
+        "a trainset lighter than nominal gains more speed",
         "H5",
         PREDICT,
         "lightest = rates.mass_low * vehicle",
@@ -225,7 +225,7 @@ GUARDS = (
         ("test_mutations.py::test_guard_in_the_arrays[lighter than nominal]",),
     ),
     Guard(
-        "a trainset heavier than told brakes less",
+        "a trainset heavier than nominal brakes less",
         "H5",
         PREDICT,
         "heaviest = rates.mass_high * vehicle",
@@ -233,7 +233,7 @@ GUARDS = (
         ("test_mutations.py::test_guard_in_the_arrays[heavier than nominal]",),
     ),
     Guard(
-        "a service brake weaker than told",
+        "a service brake weaker than nominal",
         "H5",
         PREDICT,
         "hold = rates.service_share * xp",
@@ -241,7 +241,7 @@ GUARDS = (
         ("test_mutations.py::test_guard_in_the_arrays[weak service brake]",),
     ),
     Guard(
-        "resistance that is not certain",
+        "uncertain resistance",
         "H5",
         PREDICT,
         "coast = pull_mps2 - rates.resistance_low * davis",
@@ -289,7 +289,7 @@ GUARDS = (
         ("test_curves.py::test_a_fall_counts_from_afar_and_for_a_while_after_it",),
     ),
     Guard(
-        "gradient that still counts from behind",
+        "gradient behind the trainset",
         "H7",
         CURVES,
         "    before = int(np.ceil(_memory_m(bounds, top, field.pull_mps2) / spacing_m))\n",
@@ -337,7 +337,7 @@ GUARDS = (
         ("test_curves.py::test_at_a_change_of_limit_the_lower_one_counts",),
     ),
     Guard(
-        "every point on the way, not only the last",
+        "every point of the motion, not only the last",
         "H8",
         PREDICT,
         "    return xp.all(cells & (full",
@@ -345,7 +345,7 @@ GUARDS = (
         ("test_mutations.py::test_zones_shorter_than_the_reaction",),
     ),
     Guard(
-        "what lies between two nodes of the prediction",
+        "points between two nodes of the prediction",
         "H8",
         PREDICT,
         "xp.minimum(room[..., left], room[..., right]) >= bulge",
@@ -385,7 +385,7 @@ GUARDS = (
         ("test_curves.py::test_curves_keep_clear_of_their_number_types_rounding",),
     ),
     Guard(
-        "the trainset ahead is looked at",
+        "the trainset ahead is supervised",
         "H11",
         SUPERVISOR,
         "        if self.ahead is None:\n",
@@ -393,7 +393,7 @@ GUARDS = (
         ("test_separation.py::test_a_trainset_ahead_that_is_no_number_brings_the_emergency_brake",),
     ),
     Guard(
-        "margin never to be used up",
+        "margin that must remain",
         "H11",
         SUPERVISOR,
         ">= bounds.margin_m + rooms * bounds.room_m",
@@ -417,7 +417,7 @@ GUARDS = (
         ("test_separation.py::test_nobody_ahead_stops_shorter_than_assumed",),
     ),
     Guard(
-        "its fall has a period's head start",
+        "its deceleration starts one period earlier",
         "H11",
         SEPARATION,
         "worst = ahead.acceleration_mps2 - bounds.leader_jerk_mps3 * bounds.period_s",
@@ -425,7 +425,7 @@ GUARDS = (
         ("test_separation.py::test_nobody_ahead_stops_shorter_than_assumed",),
     ),
     Guard(
-        "the follower's brake may give less",
+        "the follower's brake may be weaker",
         "H11",
         SEPARATION,
         "held = held_mps2 - pair.scatter_mps2",
@@ -433,7 +433,7 @@ GUARDS = (
         ("test_separation.py::test_what_the_brake_may_miss_is_taken_off",),
     ),
     Guard(
-        "every moment until both stand, not only the last",
+        "every moment until both stand still, not only the last",
         "H11",
         SEPARATION,
         "times = join.concatenate([NODES.astype(late.dtype) * building, late])",
@@ -441,7 +441,7 @@ GUARDS = (
         ("test_separation.py::test_least_gap_is_never_more_than_the_smallest_on_the_way",),
     ),
     Guard(
-        "what the gap dips between two moments",
+        "minimum of the gap between two moments",
         "H11",
         SEPARATION,
         "return gaps.min() - dip",

@@ -102,7 +102,7 @@ def table(rows: dict[str, str]) -> str:
 
 def known_rows(page: str) -> dict[str, str]:
     """The rows that a page already has, by guard."""
-    rows = re.findall(r"^(\| (?:H\d+|spares) \| (.+?) \| `.+)$", page, re.MULTILINE)
+    rows = re.findall(r"^(\| (?:H\d+|comfort) \| (.+?) \| `.+)$", page, re.MULTILINE)
     return {name: line for line, name in rows}
 
 

@@ -20,7 +20,7 @@ SECTIONS = {
         "generalist.md",
         "robustness.md",
         "leaderboard.md",
-        "trust.md",
+        "robustness-testing.md",
         "benchmarks.md",
     ),
     "Studies": ("studies/*.md",),

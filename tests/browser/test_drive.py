@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import expect
 from tests.web.program import Server
 
-from metropilot.drivers.shipped import shipped_policy
+from metropilot.policy import shipped_policy
 
 PATIENCE_MS = 60_000
 

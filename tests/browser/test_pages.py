@@ -7,7 +7,7 @@ import shutil
 import pytest
 from playwright.sync_api import expect
 
-from metropilot.drivers.shipped import shipped_policy
+from metropilot.policy import shipped_policy
 from metropilot.railway import load_line, write_line
 
 PATIENCE_MS = 90_000

@@ -15,9 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from metropilot.drivers.shipped import shipped_policy
 from metropilot.env import TASKS
-from metropilot.policy import load_policy
+from metropilot.policy import load_policy, shipped_policy
 
 PROGRAM = Path(sys.executable).with_name("metropilot")
 LEARN = (

@@ -10,11 +10,12 @@ from metropilot.drivers.expert.driving import prepared
 from metropilot.drivers.expert.hoa import Hoa
 from metropilot.drivers.expert_learned import Eitop
 from metropilot.drivers.learned import LearnedDriver
-from metropilot.drivers.shipped import PolicyOptions, shipped_policy
+from metropilot.drivers.shipped import PolicyOptions
 from metropilot.env.expert import Rules
 from metropilot.errors import InputError
 from metropilot.evaluate import kpis_of, make_driver
 from metropilot.evaluate.indices import indices_of
+from metropilot.policy import shipped_policy
 from metropilot.railway import (
     Actuation,
     Curve,

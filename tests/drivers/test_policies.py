@@ -14,7 +14,7 @@ from metropilot.env import ACTIONS, PolicyInterface, task_config
 from metropilot.errors import InputError
 from metropilot.evaluate import Request, make_driver, request_from_toml
 from metropilot.evaluate.folder import write_run_toml
-from metropilot.policy import Policy, PolicySpec, load_policy, save_policy
+from metropilot.policy import Policy, PolicySpec, load_policy, save_policy, shipped_policy
 from metropilot.policy.loaded import load_driving_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, Run, drive, register
@@ -175,7 +175,9 @@ def test_a_registered_driver_is_listed_and_made(monkeypatch):
 SHIPPED = [key for key in DRIVERS.ids() if issubclass(DRIVERS.get(key), shipped.AbstractShippedDriver)]
 
 
-@pytest.mark.parametrize("path", sorted(shipped.POLICIES.glob("*.safetensors")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sorted(shipped_policy("any").parent.glob("*.safetensors")), ids=lambda path: path.stem
+)
 def test_shipped_policies_belong_to_a_driver_and_say_where_they_come_from(path):
     assert path.stem in {*DRIVERS.ids(), *FOLLOWERS.ids()}
     _, about = load_policy(path)

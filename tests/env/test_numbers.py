@@ -2,7 +2,7 @@
 
 The compiled task counts in float32, the host loop in float64. A case is driven alone, among six others, and
 among 63 of which most are there to fill the batch; and with tables of its own section, not padded to those of
-a longer one. The bounds are two to ten times what docs/trust.md says was seen.
+a longer one. The bounds are two to ten times what docs/robustness-testing.md says was seen.
 """
 
 from functools import cache
@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from metropilot.drivers.learned import LearnedDriver
-from metropilot.drivers.shipped import shipped_policy
 from metropilot.env import DrivingConfig, DrivingTask, starts
+from metropilot.policy import shipped_policy
 from metropilot.policy.loaded import load_driving_policy
 from metropilot.policy.policy import chosen, network_output
 from metropilot.railway import load_line, load_trainset

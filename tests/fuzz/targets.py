@@ -252,9 +252,9 @@ def _journeys() -> list[bytes]:
 
 
 def _policies() -> list[bytes]:
-    from metropilot.drivers.shipped import POLICIES
+    from metropilot.policy import shipped_policy
 
-    return [(POLICIES / f"{name}.safetensors").read_bytes() for name in ("eitop", "stod", "ppo")]
+    return [shipped_policy(name).read_bytes() for name in ("eitop", "stod", "ppo")]
 
 
 def _checkpoints() -> list[bytes]:

@@ -220,7 +220,7 @@ def test_the_teacher_knows_only_worlds():
 
 
 def test_what_is_shipped_says_where_it_comes_from():
-    from metropilot.drivers.shipped import shipped_policy
+    from metropilot.policy import shipped_policy
     from metropilot.policy.loaded import load_driving_policy
 
     about = load_driving_policy(shipped_policy("generalist")).about

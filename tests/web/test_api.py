@@ -9,7 +9,7 @@ import zipfile
 import pytest
 from tests.web.program import PROGRAM
 
-from metropilot.drivers.shipped import shipped_policy
+from metropilot.policy import shipped_policy
 from metropilot.railway import load_line, write_line
 
 SECTION = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ"}

@@ -7,9 +7,9 @@ import httpx
 import pytest
 
 from metropilot.drivers import DRIVERS
-from metropilot.drivers.shipped import shipped_policy
 from metropilot.errors import InputError
 from metropilot.evaluate import option_defaults
+from metropilot.policy import shipped_policy
 from metropilot.railway import load_line, load_trainset, write_line, write_trainset
 from metropilot.web import Settings
 from metropilot.web.schemas.requests import DriveAsked

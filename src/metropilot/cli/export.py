@@ -74,7 +74,7 @@ def policy_named(what: str) -> tuple[str, PolicyFile]:
     from metropilot.cli.learn import found_run
     from metropilot.cli.show_learned import read_policy
     from metropilot.drivers import DRIVERS
-    from metropilot.drivers.shipped import shipped_policy
+    from metropilot.policy import shipped_policy
     from metropilot.policy.loaded import policy_path
 
     path = Path(what).expanduser()

@@ -265,8 +265,8 @@ def show_driver(registry: Registry[Any], driver_id: str, *, as_json: bool) -> in
     """What a driver, or a follower in a convoy, does, and the options it takes."""
     import inspect
 
-    from metropilot.drivers.shipped import shipped_policy
     from metropilot.evaluate import option_defaults
+    from metropilot.policy import shipped_policy
 
     driver, row = registry.get(driver_id), registry.row(driver_id)
     text = inspect.getdoc(driver) or ""

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, ClassVar, final
 
 from metropilot.control.incremental_pid import CHENG2023_UPPER, Errors, Gains, incremental_pid
-from metropilot.drivers.shipped import shipped_policy
 from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
 from metropilot.env.tracking import Tracked, tracking_observation
 from metropilot.env.tracking_task import gains_of
 from metropilot.errors import InputError
+from metropilot.policy import shipped_policy
 from metropilot.policy.file import load_policy
 from metropilot.policy.loaded import GuardedPolicy, policy_path
 from metropilot.sim import Run

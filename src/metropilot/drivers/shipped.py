@@ -14,11 +14,10 @@ from typing import ClassVar, final
 
 from metropilot.drivers.learned import LearnedDriver, LearnedMemory
 from metropilot.errors import InputError
+from metropilot.policy import shipped_policy
 from metropilot.policy.loaded import LoadedPolicy, load_driving_policy
 from metropilot.sim import Observation, Run
 from metropilot.sim.driver import AbstractDriver
-
-POLICIES = Path(__file__).parents[1] / "policy" / "shipped"
 
 
 @dataclass(frozen=True)
@@ -87,11 +86,6 @@ class AbstractShippedDriver(AbstractPolicyDriver):
     def path(self) -> Path:
         """The file given, or the one shipped."""
         return Path(self.options.policy) if self.options.policy else shipped_policy(self.id)
-
-
-def shipped_policy(driver_id: str) -> Path:
-    """Where the policy shipped for a driver is, or would be."""
-    return POLICIES / f"{driver_id}.safetensors"
 
 
 @final

@@ -8,7 +8,6 @@ from difflib import get_close_matches
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from metropilot.drivers.shipped import shipped_policy
 from metropilot.env import TASKS, DrivingConfig, task_config
 from metropilot.env.actions import NotchAction
 from metropilot.env.expert_action import ExpertAction
@@ -16,7 +15,7 @@ from metropilot.errors import InputError
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.config_reading import config_from_mapping
-from metropilot.policy import load_policy
+from metropilot.policy import load_policy, shipped_policy
 
 if TYPE_CHECKING:
     from metropilot.env import DrivingTask

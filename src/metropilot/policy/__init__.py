@@ -1,6 +1,6 @@
 """Learned policies: one file each, run without JAX."""
 
-from metropilot.policy.file import load_policy, save_policy
+from metropilot.policy.file import load_policy, save_policy, shipped_policy
 from metropilot.policy.policy import Policy, PolicySpec, act
 
 __all__ = [
@@ -9,4 +9,5 @@ __all__ = [
     "act",
     "load_policy",
     "save_policy",
+    "shipped_policy",
 ]

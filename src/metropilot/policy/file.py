@@ -14,9 +14,15 @@ from metropilot.policy.networks import ACTIVATIONS
 from metropilot.policy.policy import OUTPUTS, Policy, PolicySpec
 
 FORMAT = 1
+SHIPPED = Path(__file__).parent / "shipped"
 MAX_BYTES = 64 << 20
 MAX_WIDTH = 16_384
 MAX_LAYERS = 16
+
+
+def shipped_policy(driver_id: str) -> Path:
+    """Path of the policy file shipped for a driver or follower, whether there is one or not."""
+    return SHIPPED / f"{driver_id}.safetensors"
 
 
 def save_policy(path: Path, policy: Policy, metadata: Mapping[str, Any]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, final, no_type_check
 
 import numpy as np
@@ -17,12 +16,11 @@ from metropilot.convoy.step import FollowerObservation
 from metropilot.errors import InputError
 from metropilot.physics import Vehicle
 from metropilot.physics.arrays import namespace, scalars
-from metropilot.policy import Policy, load_policy
+from metropilot.policy import Policy, load_policy, shipped_policy
 from metropilot.policy.loaded import policy_path
 from metropilot.policy.policy import act as policy_act
 
 Scalar = Any
-POLICIES = Path(__file__).parents[2] / "policy" / "shipped"
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ class AbstractGainFollower(AbstractFollower):
         Raises:
             InputError: The file cannot be used.
         """
-        shipped = POLICIES / f"{self.id}.safetensors"
+        shipped = shipped_policy(self.id)
         path = policy_path(self.options.policy) if self.options.policy else shipped
         policy, _ = load_policy(path)
         size, gains = policy.spec.observation_size, policy.spec.actions

@@ -10,10 +10,11 @@ import numpy as np
 
 from metropilot.drivers.expert.driving import ExpertMemory, Seen, decide, prepared
 from metropilot.drivers.expert.hoa import SETTLED, Hoa
-from metropilot.drivers.shipped import PolicyOptions, shipped_policy
+from metropilot.drivers.shipped import PolicyOptions
 from metropilot.env.expert import PLAIN, features
 from metropilot.env.expert_action import ExpertAction, ExpertChoiceAction
 from metropilot.errors import InputError
+from metropilot.policy import shipped_policy
 from metropilot.policy.loaded import LoadedPolicy, load_driving_policy
 from metropilot.sim import Observation, Run
 from metropilot.sim.driver import AbstractDriver

@@ -17,9 +17,8 @@ import numpy as np
 from metropilot._provenance import circumstances
 from metropilot.control.incremental_pid import Errors
 from metropilot.drivers.ddpg_pid import OBSERVED, DdpgPid, DdpgPidOptions, ddpg_pid
-from metropilot.drivers.shipped import shipped_policy
 from metropilot.evaluate.tracking import track, tracking_kpis
-from metropilot.policy import Policy, save_policy
+from metropilot.policy import Policy, save_policy, shipped_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, Run, drive
 from metropilot.studies.cheng2023.learning import REWARDS, SEEDS, config, jobs

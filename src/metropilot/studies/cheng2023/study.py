@@ -57,7 +57,7 @@ def _made(order: Order) -> tuple[dict[int, Callable[[Any], Any]], Mapping[str, M
     if order.budget == "quick":
         from metropilot.drivers import fuzzy_pid, neural_pid, pid
         from metropilot.drivers.ddpg_pid import load_gains_policy
-        from metropilot.drivers.shipped import shipped_policy
+        from metropilot.policy import shipped_policy
 
         tuned = {"pid": pid.TUNED, "fuzzy_pid": fuzzy_pid.TUNED, "neural_pid": neural_pid.TUNED}
         return {0: load_gains_policy(shipped_policy("ddpg_pid"))}, tuned

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from metropilot.drivers.shipped import shipped_policy
+from metropilot.policy import shipped_policy
 from metropilot.studies.huang2025.beyond import GAINS, beyond_rows, repeated_stops, stop_rows
 from metropilot.studies.huang2025.drives import (
     EvaluatedRun,

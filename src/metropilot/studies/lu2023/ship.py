@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from metropilot.drivers.shipped import shipped_policy
 from metropilot.errors import InputError
+from metropilot.policy import shipped_policy
 from metropilot.studies.lu2023.drives import notch_front, policy_file
 from metropilot.studies.lu2023.published import PLANS, PlanCase
 
