@@ -87,7 +87,7 @@ class Transcription:
 
 
 def transcriptions() -> tuple[Transcription, Transcription]:
-    """Multiple shooting, as such problems are usually written, and a transcription with the structure of the convex plan."""
+    """Multiple shooting, the usual form, and a transcription with the structure of the convex plan."""
     return (
         Transcription("IPOPT, multiple shooting", lambda p: solve_shooting(p, ENDS_MPS)),
         Transcription("IPOPT, our transcription", solve_nlp),
@@ -144,15 +144,18 @@ BENCHMARK = Benchmark(
     title="Plan time",
     packages=("metropilot", "clarabel", "casadi", "numpy", "scipy"),
     measure=measure,
-    note=f"Wall time, medians. Yizhuang line, trainset `dkz32-contest`, {RATIO} of the minimum running time; "
-    "the journey keeps the timetable. The time of the convex plan is that of the whole call: arrays, mesh, "
-    "flat-out run, all passes. Both IPOPT transcriptions get the same mesh, limits, resistance and effort "
-    "curves (as splines) in CasADi with exact derivatives, MUMPS and IPOPT's default options, vectorised. *Multiple shooting* is how such problems "
-    "are usually written (ms-eetc: states time and speed squared, Runge-Kutta over a segment, guess 60 km/h, "
-    "0.5 m/s at stops, which saves 1.5 % on the journey). *Our transcription* uses the structure of the "
-    "convex plan (nodes on every break, speeds as the only states, times in closed form) and starts from the "
-    "flat-out run limited in speed: most of the speed-up comes from there, but without a certificate. Each "
-    "ratio is to the convex plan of the same case.",
+    note=(
+        f"Wall time, medians. Yizhuang line, trainset `dkz32-contest`, {RATIO} of the minimum running time; "
+        "the journey keeps the timetable. The time of the convex plan is that of the whole call: arrays, "
+        "mesh, flat-out run, all passes. Both IPOPT transcriptions get the same mesh, limits, resistance and "
+        "effort curves (as splines) in CasADi with exact derivatives, MUMPS and IPOPT's default options, "
+        "vectorised. *Multiple shooting* is how such problems are usually written (ms-eetc: states time and "
+        "speed squared, Runge-Kutta over a segment, guess 60 km/h, 0.5 m/s at stops, which saves 1.5 % on the"
+        " journey). *Our transcription* uses the structure of the convex plan (nodes on every break, speeds "
+        "as the only states, times in closed form) and starts from the flat-out run limited in speed: most of"
+        " the speed-up comes from there, but without a certificate. Each ratio is to the convex plan of the "
+        "same case."
+    ),
 )
 
 if __name__ == "__main__":
