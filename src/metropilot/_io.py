@@ -21,6 +21,8 @@ from typing import Any
 
 from metropilot.errors import InputError
 
+MAX_TEXT_BYTES = 32 << 20
+"""Most that :func:`read_text` reads: no line, trainset or campaign needs more."""
 DATABASE_TIMEOUT_S = 30.0
 """Longest wait for another process's transaction."""
 LOCK_ATTEMPTS = 20
@@ -29,12 +31,12 @@ LOCK_PAUSE_S = 0.05
 
 
 def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file beside its place, force it to the disk, and move it there.
+    """Write a file beside its destination, force it to the disk, and move it there.
 
     Whatever happens meanwhile (Ctrl-C, kill -9, a power cut), ``path`` is the old file or the new one.
 
     Args:
-        path: Where to; its folder is made.
+        path: Destination; its folder is made.
         write: Writes the file it is given.
 
     Raises:
@@ -53,6 +55,36 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
     finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
+
+
+def read_text(path: Path, field: str | None = None) -> str:
+    """Read a text file that a user names: never a pipe, and never more than a description can need.
+
+    Args:
+        path: The file.
+        field: The option or argument that names it, for the error.
+
+    Raises:
+        InputError: It cannot be read, is a device or a pipe, is larger than 32 MiB, or is not UTF-8.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            raise OSError(0, "not a file")
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            data = file.read(MAX_TEXT_BYTES + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(
+            f"cannot be read ({reason})", file=path, field=field, allowed="a readable file"
+        ) from None
+    if len(data) > MAX_TEXT_BYTES:
+        allowed = f"at most {MAX_TEXT_BYTES}"
+        raise InputError("too large", file=path, field=field, value=size, unit="bytes", allowed=allowed)
+    try:
+        return data.decode("utf-8").replace("\r\n", "\n")
+    except UnicodeDecodeError:
+        raise InputError("not UTF-8 text", file=path, field=field, allowed="UTF-8") from None
 
 
 def _sync(path: Path) -> None:

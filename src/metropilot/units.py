@@ -6,6 +6,7 @@ one quantity kept outside SI, in permil, since the whole field speaks it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import overload
@@ -16,6 +17,13 @@ from numpy import ndarray
 from metropilot.errors import InputError
 
 STANDARD_GRAVITY_MPS2 = 9.81
+
+
+def tidy(value: int | float) -> int | float:
+    """A number as people would write it: no ``.0``, six digits."""
+    if isinstance(value, int) or not math.isfinite(value):
+        return value
+    return int(value) if value == int(value) and abs(value) < 1e15 else float(f"{value:.6g}")
 
 
 @dataclass(frozen=True)

@@ -97,8 +97,8 @@ def test_level_symmetric_section_is_the_same_both_ways(ratio):
     )
     backward = dataclasses.replace(
         section,
-        limit_mps=section.limit_mps.mirrored(1600.0),
-        gradient_permil=section.gradient_permil.mirrored(1600.0, -1.0),
+        limit_mps=section.limit_mps.mirror(1600.0),
+        gradient_permil=section.gradient_permil.mirror(1600.0, -1.0),
         curves=(Curve(0.0, 0.0, 0.0), Curve(600.0, -0.002, -0.002), Curve(1000.0, 0.0, 0.0)),
     )
     trainset = cases.contest()
@@ -110,7 +110,7 @@ def test_level_symmetric_section_is_the_same_both_ways(ratio):
 def test_opposite_directions_differ_by_the_altitude_where_nothing_is_braked():
     # a long gentle slope, so slow that hardly anything is braked: m g h more one way, m g h less the other
     section = cases.simple_section(2000.0, limits=((0.0, 25.0),), gradients=((0.0, 1.0),))
-    down = dataclasses.replace(section, gradient_permil=section.gradient_permil.mirrored(2000.0, -1.0))
+    down = dataclasses.replace(section, gradient_permil=section.gradient_permil.mirror(2000.0, -1.0))
     trainset = cases.contest()
     forth, back = (optimal_plan(s, trainset, 400.0) for s in (section, down))
     height = trainset.mass_kg * 9.81 * 2.0

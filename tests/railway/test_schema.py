@@ -66,11 +66,11 @@ class TestSteps:
     def test_mirrored_is_the_profile_seen_from_the_other_side(self, profile, at, origin):
         if np.abs(profile.from_m - at).min() < 1e-6:
             return
-        assert profile.mirrored(origin, -1.0).at(origin - at) == -profile.at(at)
+        assert profile.mirror(origin, -1.0).at(origin - at) == -profile.at(at)
 
     @given(profile=profiles(), origin=st.floats(0, 4000))
     def test_mirroring_twice_gives_the_profile_back(self, profile, origin):
-        twice = profile.mirrored(origin).mirrored(origin)
+        twice = profile.mirror(origin).mirror(origin)
         middle = (profile.from_m[:-1] + profile.from_m[1:]) / 2
         np.testing.assert_array_equal(twice.at(middle), profile.at(middle))
 
@@ -82,7 +82,7 @@ class TestSteps:
         assert float(profile.integral(b) - profile.integral(a)) == pytest.approx(expected, abs=1e-6)
 
     def test_lowered_keeps_what_is_lower_already(self):
-        lowered = steps((0, 10), (100, 20)).lowered(50.0, 150.0, 15.0)
+        lowered = steps((0, 10), (100, 20)).lower(50.0, 150.0, 15.0)
         np.testing.assert_array_equal(lowered.at(np.array([0.0, 50, 100, 149, 150])), [10, 10, 15, 15, 20])
 
     @pytest.mark.parametrize(
@@ -232,7 +232,7 @@ class TestEffort:
 
     @pytest.mark.parametrize("shape", [(), (4,), (2, 3)])
     def test_keeps_the_shape_of_the_speeds(self, shape):
-        assert EffortCurve.constant(5.0).scaled(2.0).at(np.ones(shape)).shape == shape
+        assert EffortCurve.constant(5.0).scale(2.0).at(np.ones(shape)).shape == shape
 
     @pytest.mark.parametrize("starts", [[], [1.0], [0.0, 5.0, 5.0]])
     def test_pieces_begin_at_standstill_and_increase(self, starts):

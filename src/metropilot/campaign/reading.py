@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from metropilot._text_file import file_text
+from metropilot._io import read_text
 from metropilot.campaign.declared import DRAWN, Campaign, DisturbanceCase
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
@@ -84,7 +84,7 @@ def campaign_from_toml(path: Path) -> Campaign:
         InputError: Not readable, or something in it cannot be used.
     """
     try:
-        values = tomllib.loads(file_text(path, "campaign"))
+        values = tomllib.loads(read_text(path, "campaign"))
     except InputError:
         raise
     except (ValueError, RecursionError) as error:

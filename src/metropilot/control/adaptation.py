@@ -35,8 +35,8 @@ def adapted_trainset(trainset: Trainset, adapted: Adapted) -> Trainset:
     a, b, c = trainset.davis.newtons(trainset.mass_kg)
     return replace(
         trainset,
-        traction=trainset.traction.scaled(up),
-        electric_brake=trainset.electric_brake.scaled(down),
+        traction=trainset.traction.scale(up),
+        electric_brake=trainset.electric_brake.scale(down),
         friction_brake_n=trainset.friction_brake_n * down,
         service_deceleration_mps2=trainset.service_deceleration_mps2 * down,
         davis=Davis(drag * a, drag * b, drag * c),

@@ -192,7 +192,7 @@ def parse_restriction(text: str, section: Section) -> tuple[Restriction, float |
         )
     start, end, kmh = (float(x) for x in match.groups()[:3])
     at_s = None if match[4] is None else float(match[4])
-    return section.checked(Restriction(start, end, kmh * KMH)), at_s
+    return section.check_restriction(Restriction(start, end, kmh * KMH)), at_s
 
 
 def parse_arrival(text: str) -> TimetableUpdate:

@@ -10,7 +10,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from metropilot._text_file import file_text
+from metropilot._io import read_text
 from metropilot.errors import InputError, renamed
 from metropilot.evaluate.request import Request
 from metropilot.policy.loaded import policy_path
@@ -64,7 +64,7 @@ def request_from_toml(path: Path) -> Request:
             the wrong kind.
     """
     try:
-        table = tomllib.loads(file_text(path, "from"))["run"]
+        table = tomllib.loads(read_text(path, "from"))["run"]
     except InputError:
         raise
     except (ValueError, KeyError, RecursionError) as error:

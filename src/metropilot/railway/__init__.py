@@ -1,7 +1,8 @@
 """Lines, trainsets and journeys: schema, loaders and catalogue. NumPy only, never JAX."""
 
 from metropilot.railway.effort import Efficiency, EffortCurve, EffortPiece
-from metropilot.railway.formats.toml_write import write_journey, write_line, write_trainset
+from metropilot.railway.formats.toml import write_journey, write_line
+from metropilot.railway.formats.toml_trainset import write_trainset
 from metropilot.railway.formats.ttobench_write import export_ttobench
 from metropilot.railway.journey import Journey, TimingPoint, planned_journey
 from metropilot.railway.library import (

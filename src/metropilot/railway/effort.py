@@ -59,7 +59,7 @@ class EffortCurve:
         value = power / np.maximum(speed, 1e-6) + (coefficients * powers).sum(axis=-1)
         return np.clip(value, 0.0, cap).reshape(np.shape(speed_mps))
 
-    def scaled(self, factor: float) -> EffortCurve:
+    def scale(self, factor: float) -> EffortCurve:
         """The same curve with every force multiplied."""
         return EffortCurve(
             tuple(
@@ -144,5 +144,5 @@ class Efficiency:
 
     @property
     def is_constant(self) -> bool:
-        """Whether speed and effort do not matter."""
+        """True if speed and effort do not matter."""
         return self.value.size == 1

@@ -1,4 +1,4 @@
-"""Journeys: where a trainset has to be when."""
+"""Journeys: positions with the times allowed there."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from itertools import pairwise
 from typing import Any
 
 from metropilot.errors import InputError
-from metropilot.railway.formats.ranges import tidy
 from metropilot.railway.line import Line
+from metropilot.units import tidy
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class TimingPoint:
 
     @property
     def is_stop(self) -> bool:
-        """Whether the trainset stands here."""
+        """True if the trainset stands here."""
         return self.fastest_mps == 0.0
 
 
@@ -47,7 +47,7 @@ class Journey:
         id: Name of the journey.
         line_id: The line it runs on.
         points: At least a start and an end; positions grow all the way, or fall all the way.
-        source: Where it comes from.
+        source: Origin of the data.
         extra: Keys of the source file kept for writing back.
         notes: Remarks worth showing.
         unused: Blocks read but without effect.
@@ -125,7 +125,7 @@ def planned_journey(line: Line, *, backward: bool = False, tolerance_s: float = 
     Args:
         line: A line with planned running times and dwells.
         backward: From the last station to the first.
-        tolerance_s: How much later than planned each arrival and departure may be, s.
+        tolerance_s: Delay allowed to each arrival and departure, s.
 
     Raises:
         InputError: The line has no planned times.
@@ -136,13 +136,13 @@ def planned_journey(line: Line, *, backward: bool = False, tolerance_s: float = 
         raise InputError("has no planned running times", file=line.id, field="timetable.forward")
     order = slice(None, None, -1) if backward else slice(None)
     stops, runs, dwells = line.stations[order], runs[order], dwells[order]
-    clock, points = 0.0, [_stand(stops[0].position_m, 0.0, 0.0)]
+    clock, points = 0.0, [_stop_point(stops[0].position_m, 0.0, 0.0)]
     for index, (stop, run) in enumerate(zip(stops[1:], runs, strict=True)):
         clock += run
-        points.append(_stand(stop.position_m, clock, tolerance_s))
+        points.append(_stop_point(stop.position_m, clock, tolerance_s))
         if index < len(dwells):
             clock += dwells[index]
-            points.append(_stand(stop.position_m, clock, tolerance_s))
+            points.append(_stop_point(stop.position_m, clock, tolerance_s))
     return Journey(
         id=f"{line.id}-{'backward' if backward else 'forward'}",
         line_id=line.id,
@@ -151,5 +151,5 @@ def planned_journey(line: Line, *, backward: bool = False, tolerance_s: float = 
     )
 
 
-def _stand(position_m: float, time_s: float, tolerance_s: float) -> TimingPoint:
+def _stop_point(position_m: float, time_s: float, tolerance_s: float) -> TimingPoint:
     return TimingPoint(position_m, time_s, time_s + tolerance_s, 0.0, 0.0)

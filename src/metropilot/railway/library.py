@@ -10,11 +10,10 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar
 
-from metropilot._text_file import file_text
+from metropilot._io import read_text
 from metropilot.errors import InputError
 from metropilot.railway.formats.reader import Node, nearest
-from metropilot.railway.formats.toml_journey import read_journey
-from metropilot.railway.formats.toml_line import read_line
+from metropilot.railway.formats.toml import read_journey, read_line
 from metropilot.railway.formats.toml_trainset import read_trainset
 from metropilot.railway.formats.ttobench import read_ttobench
 from metropilot.railway.journey import Journey, planned_journey
@@ -58,7 +57,7 @@ def _read_toml(text: str, file: object) -> Line | Trainset | Journey:
 def _text(path: Path) -> str:
     if path.suffix.lower() not in {".toml", ".json"}:
         raise InputError("unknown kind of file", file=path, allowed="a file ending in .toml or .json")
-    return file_text(path)
+    return read_text(path)
 
 
 def _json(text: str) -> object:

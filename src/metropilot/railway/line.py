@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from metropilot.errors import InputError
-from metropilot.railway.formats.ranges import tidy
 from metropilot.railway.profile import Steps
+from metropilot.units import tidy
 
 RESTRICTION_KMH = (5.0, 400.0)
 """Speeds a temporary restriction may have, km/h."""
@@ -41,7 +41,7 @@ class Curve:
     """A stretch whose curvature changes linearly from its start to its end (a clothoid; equal ends: an arc).
 
     Attributes:
-        from_m: Where it begins, m; it ends where the next curve begins.
+        from_m: Start, m; it ends where the next curve begins.
         curvature_start_per_m: Signed curvature 1/radius at the start, 1/m (0 is straight).
         curvature_end_per_m: The same at the end.
     """
@@ -125,7 +125,7 @@ class Section:
     planned_time_s: float | None = None
     restrictions: tuple[Restriction, ...] = ()
 
-    def checked(self, restriction: Restriction) -> Restriction:
+    def check_restriction(self, restriction: Restriction) -> Restriction:
         """A temporary speed restriction as it was entered, if it makes sense on this section.
 
         Call it on the section without restrictions: its limits are then the line's own.
@@ -160,7 +160,7 @@ class Section:
 
     def restricted(self, restriction: Restriction) -> Section:
         """The section with one more temporary speed restriction in force."""
-        limit = self.limit_mps.lowered(restriction.from_m, restriction.to_m, restriction.limit_mps)
+        limit = self.limit_mps.lower(restriction.from_m, restriction.to_m, restriction.limit_mps)
         return replace(self, limit_mps=limit, restrictions=(*self.restrictions, restriction))
 
     @property
@@ -186,7 +186,7 @@ class Line:
         planned_backward_s: The same for the opposite direction, listed in *forward* section order
             (entry k is the section between stations k and k+1), or empty.
         dwell_s: Planned dwell at each intermediate station, forward order, or empty.
-        source: Where each block of data comes from: block name to citation.
+        source: Citation of each block of data, by block name.
         notes: Corrections and remarks worth showing to a user.
         extra: Keys of the source file that metropilot does not use, kept for writing back.
         unused: Names of the blocks of the file that were read but have no effect.
@@ -287,7 +287,7 @@ def check_line(line: Line) -> None:
 
 
 def find_station(line: Line, key: str) -> Station:
-    """See :meth:`Line.station`."""
+    """The station that a key names; see :meth:`Line.station`."""
     wanted = _key(key)
     keys = {s.code: {_key(t) for t in (s.code, s.name, s.pinyin, s.local_name)} - {""} for s in line.stations}
     exact = [s for s in line.stations if wanted in keys[s.code]]
@@ -308,7 +308,7 @@ def _planned(line: Line, start: int, end: int) -> float | None:
 
 
 def cut_section(line: Line, start: Station, end: Station) -> Section:
-    """See :meth:`Line.section`."""
+    """The run between two stations; see :meth:`Line.section`."""
     if start.position_m == end.position_m:
         raise InputError(
             "origin and destination are the same station", file=line.id, field="destination", value=end.code
@@ -324,12 +324,12 @@ def cut_section(line: Line, start: Station, end: Station) -> Section:
             allowed=f"at most {LONGEST_M:g} m",
         )
     if backward:
-        limit = line.limit_mps.mirrored(origin)
-        gradient = line.gradient_permil.mirrored(origin, -1.0)
+        limit = line.limit_mps.mirror(origin)
+        gradient = line.gradient_permil.mirror(origin, -1.0)
         curves = _mirrored_curves(line.curves, origin)
         tunnels = tuple(replace(t, from_m=origin - t.from_m - t.length_m) for t in line.tunnels[::-1])
     else:
-        limit, gradient = line.limit_mps.shifted(origin), line.gradient_permil.shifted(origin)
+        limit, gradient = line.limit_mps.shift(origin), line.gradient_permil.shift(origin)
         curves = tuple(replace(c, from_m=c.from_m - origin) for c in line.curves)
         tunnels = tuple(replace(t, from_m=t.from_m - origin) for t in line.tunnels)
     index = {s.code: k for k, s in enumerate(line.stations)}

@@ -24,7 +24,7 @@ class Steps:
     The first value also holds before the first break and the last one after the last.
 
     Attributes:
-        from_m: Where each piece begins, strictly increasing, m. Shape (K,).
+        from_m: Start of each piece, strictly increasing, m. Shape (K,).
         value: The value of each piece, in the unit of its owner. Shape (K,).
     """
 
@@ -77,8 +77,8 @@ class Steps:
             np.concatenate([[float(self.at(start_m))], self.value[inside]]),
         )
 
-    def mirrored(self, origin_m: float, sign: float = 1.0) -> Steps:
-        """The profile seen by somebody who travels the other way, position 0 at ``origin_m``.
+    def mirror(self, origin_m: float, sign: float = 1.0) -> Steps:
+        """The profile in the opposite direction of travel, position 0 at ``origin_m``.
 
         Args:
             origin_m: The position that becomes 0; positions grow against the profile's direction.
@@ -92,11 +92,11 @@ class Steps:
             edges[0] = edges[1] - 1.0
         return Steps(edges, sign * self.value[::-1])
 
-    def shifted(self, origin_m: float) -> Steps:
+    def shift(self, origin_m: float) -> Steps:
         """The same profile with position 0 at ``origin_m``."""
         return Steps(self.from_m - origin_m, self.value)
 
-    def lowered(self, from_m: float, to_m: float, value: float) -> Steps:
+    def lower(self, from_m: float, to_m: float, value: float) -> Steps:
         """The profile with everything between two positions at most ``value``."""
         edges = np.unique(np.concatenate([self.from_m, [from_m, to_m]]))
         values = self.at(edges)

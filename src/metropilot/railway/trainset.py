@@ -46,7 +46,7 @@ class Davis:
 
 @dataclass(frozen=True)
 class Actuation:
-    """What lies between a command and the force at the wheel.
+    """Actuation between a command and the force at the wheel.
 
     Attributes:
         delay_s: Dead time before a new command acts.
@@ -61,7 +61,7 @@ class Actuation:
 
 @dataclass(frozen=True)
 class SafeBraking:
-    """What protection may rely on; the safe-braking model of IEEE 1474.1 as a convention.
+    """Guaranteed braking that protection relies on; the safe-braking model of IEEE 1474.1 as a convention.
 
     Attributes:
         emergency_deceleration_mps2: Guaranteed emergency braking rate on level track.
@@ -121,11 +121,11 @@ class Trainset:
         auxiliary_w: Power of the auxiliaries at the line.
         actuation: Delay, lag and jerk limit.
         adhesion: Largest wheel force over weight (infinite: never limits).
-        safe_braking: What protection relies on.
+        safe_braking: Guaranteed braking that protection relies on.
         couplers: Multi-body data.
         notches: Named lists of forces in N, traction positive, braking negative (e.g. Lu23's twelve levels).
         gravity_mps2: Standard gravity used with this data.
-        source: Where each block comes from.
+        source: Citation of each block, by block name.
         notes: Remarks worth showing.
         extra: Keys of the source file kept for writing back.
         unused: Blocks read but without effect.

@@ -1,10 +1,11 @@
-"""A table of an input file that knows where it stands, so that every complaint can say so."""
+"""Tables of an input file that know where they stand, and the ranges their numbers must lie in."""
 
 from __future__ import annotations
 
 import difflib
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -12,9 +13,38 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._schema import Range
 from metropilot.errors import InputError
-from metropilot.railway.formats.ranges import ANY, Column, Range, tidy
-from metropilot.units import Unit, unit
+from metropilot.units import Unit, tidy, unit
+
+ANY = Range()
+POSITIVE = Range(0.0, above=True)
+NOT_NEGATIVE = Range(0.0)
+POSITIVE_OR_NONE = Range(0.0, above=True, infinite=True)
+SHARE = Range(0.0, 1.0)
+EFFICIENCY = Range(0.0, 1.0, above=True)
+ACTUATION_TIME = Range(0.0, 30.0)
+"""Dead times, lags and build-up times: longer ones are a wrong unit, not a railway."""
+EMERGENCY_RATE = Range(0.1, 30.0)
+EMERGENCY_JERK = Range(0.05, infinite=True)
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table.
+
+    Attributes:
+        name: Its key in the units table.
+        kind: The kind of its unit.
+        bounds: The range of its cells, in SI.
+        optional: Whether a cell may be empty (null).
+    """
+
+    name: str
+    kind: str
+    bounds: Range = ANY
+    optional: bool = False
+
 
 _SHOWN = 60
 
@@ -69,11 +99,11 @@ class Node:
         )
 
     def was_read(self, key: str) -> bool:
-        """Whether anything has asked for the key."""
+        """True if the key has been read."""
         return key in self._read
 
     def __contains__(self, key: str) -> bool:
-        """Whether the file gives the key."""
+        """True if the file gives the key."""
         return key in self.data
 
     def get(self, key: str) -> object:
@@ -238,7 +268,7 @@ class Node:
                 )
 
     def close(self) -> None:
-        """Refuse every key that nobody asked for, naming the nearest that somebody did.
+        """Refuse every key that has not been read, naming the nearest that has.
 
         Raises:
             InputError: The table has an unknown key.

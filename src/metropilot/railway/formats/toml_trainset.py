@@ -1,16 +1,17 @@
-"""Trainsets in metropilot's own TOML: read."""
+"""Trainsets and their effort curves in metropilot's own TOML, read and written."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import get_args
+from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 
 from metropilot.errors import InputError
-from metropilot.railway.effort import Efficiency
-from metropilot.railway.formats.ranges import (
+from metropilot.railway.effort import Efficiency, EffortCurve, EffortPiece
+from metropilot.railway.formats.reader import (
     ACTUATION_TIME,
     ANY,
     EFFICIENCY,
@@ -21,15 +22,17 @@ from metropilot.railway.formats.ranges import (
     POSITIVE_OR_NONE,
     SHARE,
     Column,
+    Node,
     Range,
+    nearest,
 )
-from metropilot.railway.formats.reader import Node, nearest
-from metropilot.railway.formats.toml_common import Document
-from metropilot.railway.formats.toml_effort import read_effort
+from metropilot.railway.formats.toml import Document, header, with_sources, write_document
 from metropilot.railway.trainset import Actuation, Couplers, CurveFormula, Davis, SafeBraking, Trainset
-from metropilot.units import STANDARD_GRAVITY_MPS2, Unit, unit
+from metropilot.units import STANDARD_GRAVITY_MPS2, Unit, pick, unit
 
 GRAVITY = Range(9.0, 10.5)
+_FORMS = ("pieces", "table", "force")
+_FORM_WORDS = "one of: pieces, table, force with power"
 
 
 def read_trainset(root: Node) -> Trainset:
@@ -212,3 +215,202 @@ def _notches(block: Node | None) -> dict[str, tuple[float, ...]]:
             )
         result[name] = levels
     return result
+
+
+def read_effort(block: Node) -> EffortCurve:
+    """The effort curve of a block, in whichever of its three forms.
+
+    ``pieces = [{ from, polynomial, power, cap }]``, ``table = [[speed, force], ...]`` (linear between the
+    points), or ``force`` with ``power`` (the smaller of the force and the power over the speed).
+
+    Raises:
+        InputError: No form or several, a bad number, speeds that do not begin at 0 and increase.
+    """
+    block.may_have_units("speed", "force", "power")
+    forms = [form for form in _FORMS if form in block]
+    if len(forms) != 1:
+        raise block.fail("needs exactly one form", forms[1] if forms else "pieces", allowed=_FORM_WORDS)
+    if forms == ["force"]:
+        force = block.quantity("force", "force", POSITIVE)
+        return EffortCurve.force_power(force, block.quantity("power", "power", POSITIVE))
+    if forms == ["table"]:
+        rows = block.rows(
+            "table", (Column("speed", "speed", NOT_NEGATIVE), Column("force", "force", NOT_NEGATIVE))
+        )
+        _from_zero(block, [float(v) for v in rows[:, 0]], "table[{}].speed")
+        return EffortCurve.table(rows[:, 0], rows[:, 1])
+    pieces = [_piece(block, entry, f"pieces[{i}]") for i, entry in enumerate(block.items("pieces"))]
+    _from_zero(block, [p.from_mps for p in pieces], "pieces[{}].from")
+    return EffortCurve(tuple(pieces))
+
+
+def _from_zero(block: Node, speeds: list[float], where: str) -> None:
+    if not speeds:
+        raise block.fail(
+            "needs at least one row", where.partition("[")[0], allowed="rows by increasing speed, from 0"
+        )
+    if speeds[0] != 0.0:
+        raise block.fail("must begin at standstill", where.format(0), speeds[0], "0 m/s", "m/s")
+    block.increasing(speeds, where, block.unit("speed", "speed"))
+
+
+def _piece(block: Node, entry: object, where: str) -> EffortPiece:
+    if not isinstance(entry, Mapping):
+        raise block.fail("must be a table", where, entry, "{ from, polynomial, power, cap }")
+    node = Node(entry, block.file, block.at(where))
+    speed, force = block.unit("speed", "speed"), block.unit("force", "force")
+    begin = node.number(node.need("from", f"a number of {speed.name}"), "from", speed, NOT_NEGATIVE)
+    given = node.items("polynomial", default=())
+    if len(given) > 4:
+        raise node.fail("wrong length", "polynomial", given, "up to four coefficients, the constant first")
+    per_speed = speed.denominator / speed.numerator
+    terms = [node.number(v, f"polynomial[{k}]", force, ANY) * per_speed**k for k, v in enumerate(given)]
+    c0, c1, c2, c3 = (terms + [0.0] * 4)[:4]
+    power, cap = node.get("power"), node.get("cap")
+    piece = EffortPiece(
+        from_mps=begin,
+        polynomial=(c0, c1, c2, c3),
+        power_w=0.0
+        if power is None
+        else node.number(power, "power", block.unit("power", "power"), NOT_NEGATIVE),
+        cap_n=math.inf if cap is None else node.number(cap, "cap", force, POSITIVE_OR_NONE),
+    )
+    if not given and power is None:
+        raise node.fail("needs a polynomial or a power", "polynomial", allowed="polynomial, power or both")
+    node.close()
+    return piece
+
+
+def effort_block(curve: EffortCurve) -> dict[str, Any]:
+    """The TOML block of an effort curve, as pieces in SI, which lose nothing."""
+    pieces = []
+    for piece in curve.pieces:
+        entry: dict[str, Any] = {"from": piece.from_mps, "polynomial": list(piece.polynomial)}
+        if piece.power_w:
+            entry["power"] = piece.power_w
+        if math.isfinite(piece.cap_n):
+            entry["cap"] = piece.cap_n
+        pieces.append(entry)
+    units = {"speed": "m/s", "force": "N"}
+    if any(piece.power_w for piece in curve.pieces):
+        units["power"] = "W"
+    return {"units": units, "pieces": pieces}
+
+
+def is_force_power(curve: EffortCurve) -> bool:
+    """True if the curve is one piece ``min(force, power / v)``."""
+    first = curve.pieces[0]
+    return len(curve.pieces) == 1 and not np.any(first.polynomial) and math.isfinite(first.cap_n)
+
+
+def write_trainset(trainset: Trainset, path: str | Path) -> Path:
+    """Write a trainset as metropilot TOML; reading it back gives an equal trainset.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    return write_document(trainset_document(trainset), path)
+
+
+def trainset_document(trainset: Trainset) -> dict[str, Any]:
+    """The TOML document of a trainset."""
+    t = trainset
+    mass, of_mass = pick("mass", list(t.loads.values()), "t")
+    top, of_speed = pick("speed", [t.max_speed_mps], "km/h")
+    document = header("trainset", t, name=t.name)
+    document["mass"] = {
+        "units": {"loads": of_mass, "rotating_fraction": "1"},
+        "loads": {name: mass(value) for name, value in t.loads.items()},
+        "load": t.load,
+        "rotating_fraction": t.rotating_fraction,
+    }
+    document["body"] = {
+        "units": {"length": "m", "max_speed": of_speed},
+        "length": t.length_m,
+        "max_speed": top(t.max_speed_mps),
+    }
+    document["resistance"] = {
+        "units": {"davis": "N/kg" if t.davis.per_mass else "N", "speed": "m/s", "gravity": "m/s^2"},
+        "davis": [t.davis.a, t.davis.b, t.davis.c],
+        "curve_formula": t.curve_formula,
+        "gravity": t.gravity_mps2,
+    }
+    if t.tunnel_n_per_mps2:
+        document["resistance"]["units"] |= {"cross_section": "m^2", "tunnel": "N/(m/s)^2"}
+        document["resistance"]["tunnel"] = [list(row) for row in t.tunnel_n_per_mps2]
+    document["traction"] = effort_block(t.traction)
+    document["electric_brake"] = effort_block(t.electric_brake)
+    document["friction_brake"] = {"unit": "N", "force": t.friction_brake_n}
+    document |= _blocks(t)
+    return with_sources(document, t.source)
+
+
+def _blocks(t: Trainset) -> dict[str, Any]:
+    safe = t.safe_braking
+    rate, time, jerk = "m/s^2", "s", "m/s^3"
+    blocks: dict[str, Any] = {
+        "limits": _block(
+            service_deceleration=(t.service_deceleration_mps2, rate),
+            max_acceleration=(t.max_acceleration_mps2, rate),
+            max_deceleration=(t.max_deceleration_mps2, rate),
+            adhesion=(t.adhesion, "1"),
+        ),
+        "energy": _energy_block(t),
+        "actuation": _block(
+            delay=(t.actuation.delay_s, time),
+            lag=(t.actuation.lag_s, time),
+            jerk_limit=(t.actuation.jerk_limit_mps3, jerk),
+        ),
+        "protection": _block(
+            emergency_deceleration=(safe.emergency_deceleration_mps2, rate),
+            service_deceleration=(safe.service_deceleration_mps2, rate),
+            reaction=(safe.reaction_s, time),
+            buildup=(safe.buildup_s, time),
+            emergency_jerk=(safe.emergency_jerk_mps3, jerk),
+        ),
+        "couplers": {
+            "units": {"stiffness": "N/m", "damping": "N/(m/s)"},
+            "vehicles": t.couplers.vehicles,
+            "stiffness": t.couplers.stiffness_n_per_m,
+            "damping": t.couplers.damping_n_s_per_m,
+        },
+    }
+    if t.notches:
+        blocks["notches"] = {
+            "unit": "N",
+            "levels": {name: list(forces) for name, forces in t.notches.items()},
+        }
+    return blocks
+
+
+def _block(**values: tuple[float, str]) -> dict[str, Any]:
+    """Values with their units, in one block; those without a bound are left out where that is the default."""
+    given = {name: pair for name, pair in values.items() if math.isfinite(pair[0])}
+    return {
+        "units": {name: unit for name, (_, unit) in given.items()},
+        **{n: v for n, (v, _) in given.items()},
+    }
+
+
+def _energy_block(t: Trainset) -> dict[str, Any]:
+    block: dict[str, Any] = {
+        "units": {"traction": "1", "braking": "1", "receptivity": "1", "auxiliary": "W"},
+        "traction": _efficiency_block(t.efficiency_traction),
+        "braking": _efficiency_block(t.efficiency_braking),
+        "receptivity": t.receptivity,
+        "auxiliary": t.auxiliary_w,
+    }
+    if isinstance(block["traction"], dict) or isinstance(block["braking"], dict):
+        block["units"]["speed"] = "m/s"
+    return block
+
+
+def _efficiency_block(efficiency: Efficiency) -> float | dict[str, Any]:
+    plain = efficiency.is_constant and not (efficiency.speed_mps.any() or efficiency.effort_share.any())
+    if plain:
+        return float(efficiency.value[0, 0])
+    return {
+        "speed": efficiency.speed_mps.tolist(),
+        "effort_share": efficiency.effort_share.tolist(),
+        "value": efficiency.value.tolist(),
+    }

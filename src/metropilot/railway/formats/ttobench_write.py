@@ -9,13 +9,12 @@ from typing import Any
 
 from metropilot.errors import InputError
 from metropilot.railway.effort import Efficiency, EffortCurve
-from metropilot.railway.formats.toml_effort import is_force_power
-from metropilot.railway.formats.toml_line import short_radius
-from metropilot.railway.formats.toml_write import save
-from metropilot.railway.formats.ttobench_track import TIMING_COLUMNS
-from metropilot.railway.formats.ttobench_train import (
+from metropilot.railway.formats.toml import save, short_radius
+from metropilot.railway.formats.toml_trainset import is_force_power
+from metropilot.railway.formats.ttobench import (
     EFFICIENCIES,
     ETCS,
+    TIMING_COLUMNS,
     assumed_braking,
     service_deceleration,
 )
@@ -33,8 +32,8 @@ def export_ttobench(thing: Line | Trainset | Journey, path: str | Path) -> tuple
     What came from a TTOBench file is written back whole, keys that metropilot does not use included.
 
     Args:
-        thing: What to write.
-        path: Where to: a name ending in ``.json``.
+        thing: Line, trainset or journey.
+        path: Destination, a name ending in ``.json``.
 
     Returns:
         The fields that the format has no place for and that were therefore left out.

@@ -198,7 +198,7 @@ class Engine:
         return f"; from here it can be there after {arrives_s:.1f} s"
 
     def _restrict(self, restriction: Restriction) -> str:
-        self.open.checked(restriction)
+        self.open.check_restriction(restriction)
         tail = float(self.rollout.state.plant.position_m) - self.rollout.trainset.length_m
         if restriction.to_m <= tail:
             raise InputError(
