@@ -37,7 +37,7 @@ PACKAGES = (
     *("metropilot.evaluate.request", "metropilot.evaluate.request_file", "metropilot.sim.trajectory"),
     *(
         "metropilot.campaign",
-        "metropilot.learn.runs",
+        "metropilot.learn.run_store",
         "metropilot.learn.checkpoint",
         "metropilot.cli.show",
     ),

@@ -109,8 +109,7 @@ def files(place: Path) -> None:
 
     from metropilot.evaluate import write_comparison, write_run
     from metropilot.learn import PPOConfig, export_onnx
-    from metropilot.learn.history import write_history
-    from metropilot.learn.runs import RunStore
+    from metropilot.learn.run_store import RunStore, write_history
     from metropilot.policy import Policy, PolicySpec, save_policy
     from metropilot.railway import load_line, write_line
 
@@ -137,8 +136,7 @@ def look_at_files(place: Path) -> None:
     """
     import numpy as np
 
-    from metropilot.learn.history import read_history
-    from metropilot.learn.runs import RunStore
+    from metropilot.learn.run_store import RunStore, read_history
     from metropilot.policy import load_policy
     from metropilot.railway import load_line
 

@@ -208,7 +208,7 @@ def _read_trajectory(path: Path) -> None:
 
 def _read_record(path: Path) -> None:
     from metropilot.learn.config_reading import config_to_mapping
-    from metropilot.learn.runs import INDEX, RunStore, record_of
+    from metropilot.learn.run_store import INDEX, RunStore, record_of
 
     record = record_of(path.parent)
     assert record.status in {"running", "interrupted", "done", "failed"}

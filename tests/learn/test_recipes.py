@@ -13,9 +13,9 @@ from metropilot._io import hold_lock, is_locked
 from metropilot.env import TASKS
 from metropilot.errors import InputError
 from metropilot.learn import PPOConfig, RunStore
-from metropilot.learn.evaluation import kpis_kept
 from metropilot.learn.recipes import BUDGETS, RECIPES, recipe
-from metropilot.learn.runs import read_record
+from metropilot.learn.run_store import read_record
+from metropilot.learn.train import kpis_kept
 
 
 @pytest.mark.parametrize("driver", RECIPES)

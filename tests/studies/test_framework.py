@@ -126,7 +126,7 @@ def test_learning_runs_are_kept_and_not_done_twice(tmp_path: Path):
         first[0].policy.params["policy.0.weight"], first[1].policy.params["policy.0.weight"]
     )
     changed = LearnJob("small", SMALL, DoubleIntegrator, 0, about={"task": "another"})
-    assert not studies.learning._done(changed, tmp_path / "small-0")
+    assert not studies.learning.is_done(changed, tmp_path)
 
 
 def test_two_runs_of_one_name_and_seed_are_refused(tmp_path):

@@ -87,7 +87,7 @@ def run_of_id(what: str) -> tuple[RunRecord, Path] | None:
 def show_run_folder(folder: Path, *, as_json: bool) -> int:
     """The folder of a learning run, or of a drive."""
     from metropilot.cli.learn import found_run
-    from metropilot.learn.runs import read_record
+    from metropilot.learn.run_store import read_record
 
     if read_record(folder / "run.toml") is None:
         return show_run(folder, as_json=as_json)

@@ -56,7 +56,7 @@ class PolicyInterface:
         }
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any], *, file: object = None) -> PolicyInterface:
+    def from_dict(cls, values: object, *, file: object = None) -> PolicyInterface:
         """The inverse of :meth:`as_dict`; nothing is taken on trust.
 
         Args:

@@ -22,14 +22,20 @@ if TYPE_CHECKING:
     from metropilot.learn.config_base import AbstractConfig
     from metropilot.learn.config_reading import config_from_mapping, config_to_mapping
     from metropilot.learn.export import ExportReport, export_onnx
-    from metropilot.learn.history import read_history, write_history
     from metropilot.learn.loop import Loop, LoopState, default_evaluation, learn, make_loop
     from metropilot.learn.policy_evaluation import DrivingEvaluation
     from metropilot.learn.recipes import RECIPES, Recipe, evaluation_of, new_request, recipe, resumed_request
-    from metropilot.learn.runs import RunRecord, RunStore
+    from metropilot.learn.run_store import RunRecord, RunStore, read_history, write_history
     from metropilot.learn.schedules import Schedule
-    from metropilot.learn.session import TrainingOptions, TrainingProgress, TrainingResult, learn_in_chunks
-    from metropilot.learn.train import RunRequest, begin_run, learn_run
+    from metropilot.learn.train import (
+        RunRequest,
+        TrainingOptions,
+        TrainingProgress,
+        TrainingResult,
+        begin_run,
+        learn_in_chunks,
+        learn_run,
+    )
 
 __all__ = [
     "CONFIGS",
@@ -75,17 +81,17 @@ _HOME = {
     "AbstractConfig": "config_base",
     "DrivingEvaluation": "policy_evaluation",
     "ExportReport": "export",
-    "TrainingResult": "session",
+    "TrainingResult": "train",
     "Loop": "loop",
     "LoopState": "loop",
-    "TrainingProgress": "session",
+    "TrainingProgress": "train",
     "RECIPES": "recipes",
     "Recipe": "recipes",
-    "RunRecord": "runs",
+    "RunRecord": "run_store",
     "RunRequest": "train",
-    "RunStore": "runs",
+    "RunStore": "run_store",
     "Schedule": "schedules",
-    "TrainingOptions": "session",
+    "TrainingOptions": "train",
     "begin_run": "train",
     "config_from_mapping": "config_reading",
     "config_to_mapping": "config_reading",
@@ -94,14 +100,14 @@ _HOME = {
     "export_onnx": "export",
     "keep_compiled": "compile_cache",
     "learn": "loop",
-    "learn_in_chunks": "session",
+    "learn_in_chunks": "train",
     "learn_run": "train",
     "make_loop": "loop",
     "new_request": "recipes",
-    "read_history": "history",
+    "read_history": "run_store",
     "recipe": "recipes",
     "resumed_request": "recipes",
-    "write_history": "history",
+    "write_history": "run_store",
 }
 
 

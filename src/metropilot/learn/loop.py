@@ -1,7 +1,7 @@
 """The one loop: a whole learning run is one function of a key, compiled as one program.
 
 The run is cut into equal chunks. In each the learner iterates, then its policy is evaluated on the same
-episodes as always, and the best is kept. :func:`learn` scans over the chunks; :mod:`metropilot.learn.session`
+episodes as always, and the best is kept. :func:`learn` scans over the chunks; :mod:`metropilot.learn.train`
 calls the same chunk from Python, so that progress, checkpoints and interruption are possible.
 """
 

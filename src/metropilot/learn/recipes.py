@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from types import MappingProxyType
@@ -20,7 +20,7 @@ from metropilot.policy import load_policy, shipped_policy
 if TYPE_CHECKING:
     from metropilot.env import DrivingTask
     from metropilot.learn.loop import Evaluate
-    from metropilot.learn.runs import RunRecord
+    from metropilot.learn.run_store import RunRecord
     from metropilot.learn.train import RunRequest
 
 BUDGETS = ("quick", "paper")
@@ -153,7 +153,7 @@ def evaluation_of(request: RunRequest) -> Evaluate:
     return DrivingEvaluation(task, make_learner(request.config, task).spec)
 
 
-def nearest(name: str, names: Mapping[str, Any]) -> str:
+def nearest(name: str, names: Iterable[str]) -> str:
     """``, did you mean X?`` where something is like it."""
     near = get_close_matches(name, names, 1)
     return f", did you mean {near[0]}?" if near else ""

@@ -1,30 +1,242 @@
-"""Learning into a run folder: everything that is needed to show, resume and drive what was learned."""
+"""Learning: from Python chunk by chunk, and into a run folder that can be shown, resumed and driven."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
+
+import jax
+import numpy as np
 
 from metropilot._io import hold_lock
 from metropilot.env import DrivingTask, PolicyInterface
 from metropilot.env.interface import AbstractTask
 from metropilot.errors import InputError
+from metropilot.learn.checkpoint import load_checkpoint, save_checkpoint
+from metropilot.learn.compile_cache import keep_compiled
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.config_base import AbstractConfig
-from metropilot.learn.evaluation import kpis_kept, kpis_of_row
-from metropilot.learn.history import write_history
-from metropilot.learn.runs import RunRecord, RunStore
-from metropilot.learn.session import TrainingOptions, TrainingProgress, TrainingResult, learn_in_chunks
+from metropilot.learn.config_reading import config_to_mapping
+from metropilot.learn.loop import Evaluate, make_loop
+from metropilot.learn.run_store import CHECKPOINT, HISTORY, RunRecord, RunStore, write_history
 from metropilot.learn.tensorboard import EventWriter
 from metropilot.policy.file import save_policy
 from metropilot.policy.loaded import FILE as POLICY_FILE
+from metropilot.policy.policy import Policy
+
+History = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class TrainingProgress:
+    """Progress of a run.
+
+    Attributes:
+        chunk: Chunks done.
+        chunks: Chunks in all.
+        steps: Environment steps done.
+        total_steps: Environment steps in all.
+        seconds: Spent learning, compilation apart, over all sessions.
+        rate: Environment steps a second in the last chunk.
+        seconds_left: At that rate.
+        row: The last row of the history.
+    """
+
+    chunk: int
+    chunks: int
+    steps: int
+    total_steps: int
+    seconds: float
+    rate: float
+    seconds_left: float
+    row: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """Result of a run.
+
+    Attributes:
+        policy: The one kept, as NumPy arrays.
+        score: Its evaluation score; minus infinity if it never had one.
+        history: One array a column, one entry a chunk.
+        seconds: Spent learning, compilation apart.
+        compile_seconds: Spent compiling, in this session.
+    """
+
+    policy: Policy
+    score: float
+    history: History
+    seconds: float
+    compile_seconds: float
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """Options of a session; none of them changes what is learned.
+
+    Attributes:
+        evaluate: Evaluates the policy; see :func:`metropilot.learn.loop.make_loop`.
+        on_progress: Called after every chunk.
+        checkpoint: Where the state is kept; None: nowhere.
+        every: Chunks between checkpoints.
+        resume: Go on from the checkpoint if there is one; else it is written over.
+        about: Plain values that must be the same to go on (which task, which section).
+    """
+
+    evaluate: Evaluate | None = None
+    on_progress: Callable[[TrainingProgress], object] | None = None
+    checkpoint: Path | None = None
+    every: int = 1
+    resume: bool = False
+    about: Mapping[str, Any] | None = None
+
+
+@dataclass
+class TrainingLog:
+    """History of one run, with the checkpoint that holds it and the learner's state.
+
+    Attributes:
+        options: How the run is done.
+        identity: Plain values that must be the same to go on.
+        chunks: Chunks of the run.
+        total_steps: Environment steps of the run.
+        columns: Rows so far, one list a column.
+        steps: Environment steps done.
+        seconds: Spent learning, over all sessions.
+    """
+
+    options: TrainingOptions
+    identity: Mapping[str, Any]
+    chunks: int
+    total_steps: int
+    columns: dict[str, list[float]] = field(default_factory=dict)
+    steps: int = 0
+    seconds: float = 0.0
+
+    @property
+    def done(self) -> int:
+        """Chunks done."""
+        return len(next(iter(self.columns.values()), []))
+
+    @property
+    def history(self) -> History:
+        """Rows so far, one array a column."""
+        return {name: np.asarray(column) for name, column in self.columns.items()}
+
+    def resume(self, template: Any) -> Any:
+        """State in the checkpoint; None where there is none to go on from.
+
+        Args:
+            template: What the state looks like: from ``jax.eval_shape``.
+
+        Raises:
+            InputError: The checkpoint is damaged, or of another run.
+        """
+        path = self.options.checkpoint
+        if not (self.options.resume and path and path.exists()):
+            return None
+        state, history, about = load_checkpoint(path, template)
+        for name, old, new in _differences(about, self.identity):
+            words = "the checkpoint was made with another value"
+            raise InputError(words, file=path, field=name, value=repr(new), allowed=repr(old))
+        self.columns = {name: column.tolist() for name, column in history.items()}
+        self.steps = int(self.columns["steps"][-1])
+        self.seconds = float(about.get("seconds", 0.0))
+        return state
+
+    def add(self, state: Any, row: Mapping[str, float], steps: int, spent_s: float) -> None:
+        """Append a chunk's row; save the checkpoint, then report the progress.
+
+        Args:
+            state: Of the learner, after the chunk.
+            row: Of the history.
+            steps: Environment steps done, this chunk included.
+            spent_s: What the chunk took.
+
+        Raises:
+            InputError: The checkpoint cannot be written.
+        """
+        self.seconds += spent_s
+        for name, value in row.items():
+            self.columns.setdefault(name, []).append(value)
+        number, options = self.done, self.options
+        if options.checkpoint and (number % options.every == 0 or number == self.chunks):
+            about = {**self.identity, "seconds": self.seconds}
+            save_checkpoint(options.checkpoint, state, self.history, about)
+        rate = (steps - self.steps) / max(spent_s, 1e-9)
+        self.steps = steps
+        if options.on_progress:
+            left_s = (self.chunks - number) * spent_s
+            options.on_progress(
+                TrainingProgress(
+                    number, self.chunks, steps, self.total_steps, self.seconds, rate, left_s, row
+                )
+            )
+
+
+def learn_in_chunks(
+    config: AbstractConfig, task: AbstractTask, seed: int, options: TrainingOptions | None = None
+) -> TrainingResult:
+    """Learn a policy, with progress and checkpoints.
+
+    The chunk is the one that :func:`metropilot.learn.loop.learn` scans over, compiled by itself with its
+    state donated. Stopped at any moment and continued, a run gives the same bits as one that was not; what
+    is lost is at most what was done since the last checkpoint.
+
+    Args:
+        config: Which learner and its options.
+        task: What it learns.
+        seed: Of everything random.
+        options: How.
+
+    Raises:
+        InputError: The checkpoint is damaged, or of another run.
+    """
+    options = options or TrainingOptions()
+    keep_compiled()
+    loop = make_loop(config, task, options.evaluate)
+    log = TrainingLog(options, identity_of(config, seed, options), loop.chunks, loop.steps)
+    key = jax.random.key(seed)
+    state = log.resume(jax.eval_shape(loop.init, key))
+    state = jax.jit(loop.init)(key) if state is None else state
+    start = time.perf_counter()
+    chunk = jax.jit(loop.chunk, donate_argnums=0).lower(state).compile()
+    compile_seconds = time.perf_counter() - start
+    while log.done < loop.chunks:
+        start = time.perf_counter()
+        state, row = jax.block_until_ready(chunk(state))
+        spent_s = time.perf_counter() - start
+        steps = (log.done + 1) * loop.iterations * loop.learner.iteration_steps
+        log.add(state, {name: float(value) for name, value in row.items()}, steps, spent_s)
+    params = {name: np.asarray(value) for name, value in state.best.items()}
+    policy = Policy(loop.learner.spec, params)
+    return TrainingResult(policy, float(state.best_score), log.history, log.seconds, compile_seconds)
+
+
+def identity_of(config: AbstractConfig, seed: int, options: TrainingOptions) -> dict[str, Any]:
+    """Plain values that must be the same to go on with a run."""
+    plain = config_to_mapping(config)
+    return {"algorithm": config.algorithm, "config": plain, "seed": seed, "task": dict(options.about or {})}
+
+
+def _differences(old: Any, new: Any, name: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Plain values that differ from those in a checkpoint; lists and tuples of equal entries are equal."""
+    if isinstance(new, Mapping):
+        for key in new:
+            below = old.get(key) if isinstance(old, Mapping) else None
+            yield from _differences(below, new[key], f"{name}.{key}".lstrip("."))
+    elif (list(old) if isinstance(old, tuple) else old) != (list(new) if isinstance(new, tuple) else new):
+        yield name, old, new
 
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What is to be learned.
+    """Learning run to be done.
 
     Attributes:
         config: Which learner and what it is told.
@@ -50,14 +262,14 @@ class RunRequest:
 
 
 def learn_run(
-    store: RunStore, request: RunRequest, sitting: TrainingOptions | None = None, resume: str | None = None
+    store: RunStore, request: RunRequest, options: TrainingOptions | None = None, resume: str | None = None
 ) -> tuple[RunRecord, TrainingResult]:
     """Learn into a run folder, or go on with one that was stopped.
 
     Args:
         store: Where the runs are.
         request: What is to be learned.
-        sitting: Evaluation, progress and how often to save; its paths are replaced by the folder's.
+        options: Evaluation, progress and how often to save; its paths are replaced by the folder's.
         resume: Id of the run to go on with; None begins a new one.
 
     Raises:
@@ -69,7 +281,7 @@ def learn_run(
             "the run learned another task", field="task", value=request.name, allowed=record.task
         )
     with hold_lock(store.folder(record.id)):
-        return _learn(store, request, sitting or TrainingOptions(), record, resume=bool(resume))
+        return _learn(store, request, options or TrainingOptions(), record, resume=bool(resume))
 
 
 def begin_run(store: RunStore, request: RunRequest, run_id: str | None = None) -> RunRecord:
@@ -104,7 +316,7 @@ def _learn(
         if given.on_progress:
             given.on_progress(now)
 
-    checkpoint = folder / "checkpoint.safetensors"
+    checkpoint = folder / CHECKPOINT
     whole = replace(given, on_progress=progress, checkpoint=checkpoint, resume=resume, about=about)
     try:
         learned = _learned(request, whole)
@@ -118,24 +330,31 @@ def _learn(
     finally:
         if events:
             events.close()
-    write_history(folder / "history.parquet", learned.history)
+    write_history(folder / HISTORY, learned.history)
     finite = learned.score if math.isfinite(learned.score) else None
     steps = int(learned.history["steps"][-1])
     kpis = kpis_kept(learned.history, request.config.keep)
-    done: dict[str, Any] = {"status": "done", "score": finite, "seconds": learned.seconds}
-    record = replace(record, **done, steps=steps, kpis=kpis)
+    record = replace(
+        record,
+        status="done",
+        score=finite,
+        seconds=learned.seconds,
+        compile_seconds=learned.compile_seconds,
+        steps=steps,
+        kpis=kpis,
+    )
     save_policy(folder / POLICY_FILE, learned.policy, policy_about(record, request.perception))
     store.save(record)
     return record, learned
 
 
-def _learned(request: RunRequest, sitting: TrainingOptions) -> TrainingResult:
+def _learned(request: RunRequest, options: TrainingOptions) -> TrainingResult:
     """By the learner, or by the teacher."""
     if isinstance(request.config, TeacherConfig) and isinstance(request.task, DrivingTask):
         from metropilot.learn.imitation.course import teach_in_parts
 
-        return teach_in_parts(request.config, request.task, request.seed, sitting)
-    return learn_in_chunks(request.config, request.task, request.seed, sitting)
+        return teach_in_parts(request.config, request.task, request.seed, options)
+    return learn_in_chunks(request.config, request.task, request.seed, options)
 
 
 def policy_about(record: RunRecord, perception: PolicyInterface | None) -> dict[str, Any]:
@@ -160,3 +379,25 @@ def policy_about(record: RunRecord, perception: PolicyInterface | None) -> dict[
         },
     }
     return about | ({"perception": perception.as_dict()} if perception else {})
+
+
+EVALUATION = "evaluation."
+"""How the names of an evaluation's columns begin."""
+
+
+def kpis_kept(history: Mapping[str, np.ndarray], keep: str) -> dict[str, float]:
+    """KPIs of the policy kept, from the history of its learning; those that are not finite left out.
+
+    Args:
+        history: One array a column, as :func:`learn_in_chunks` gives it.
+        keep: ``best`` or ``last``.
+    """
+    score = history[f"{EVALUATION}score"]
+    row = int(np.argmax(score)) if keep == "best" else score.size - 1
+    return kpis_of_row({name: float(column[row]) for name, column in history.items()})
+
+
+def kpis_of_row(row: Mapping[str, float]) -> dict[str, float]:
+    """The evaluation's KPIs in a row of the history."""
+    found = {name.removeprefix(EVALUATION): row[name] for name in row if name.startswith(EVALUATION)}
+    return {name: value for name, value in found.items() if np.isfinite(value) and name != "score"}

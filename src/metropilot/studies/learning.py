@@ -1,11 +1,10 @@
-"""Learning runs of a study: seed by seed, side by side, kept in folders, resumed by asking again."""
+"""Learning runs of a study: seed by seed, side by side, in a run store, resumed by asking again."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from hashlib import sha256
 from multiprocessing import current_process
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,7 @@ from metropilot.errors import InputError
 
 if TYPE_CHECKING:
     from metropilot.env.interface import AbstractTask
-    from metropilot.learn import AbstractConfig
+    from metropilot.learn import AbstractConfig, RunRecord
     from metropilot.policy import Policy
 
 
@@ -40,6 +39,11 @@ class LearnJob:
     seed: int
     evaluation: Callable[[AbstractTask], Any] | None = None
     about: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def run_id(self) -> str:
+        """Name of the run's folder."""
+        return f"{self.name}-{self.seed}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,81 +89,69 @@ def learn_seeds(
     """
     from joblib import Parallel, delayed
 
-    places = [folder / f"{job.name}-{job.seed}" for job in jobs]
-    if len(set(places)) < len(places):
+    names = [job.run_id for job in jobs]
+    if len(set(names)) < len(names):
         raise InputError("two learning runs share name and seed", field="jobs")
-    todo = [(job, place) for job, place in zip(jobs, places, strict=True) if not _done(job, place)]
+    todo = [job for job in jobs if not is_done(job, folder)]
     if todo:
         say(f"{len(jobs) - len(todo)} of {len(jobs)} learning runs are there, {len(todo)} to do")
         with environment(ONE_THREAD):
             pool = Parallel(n_jobs=min(processes, len(todo)), backend="loky", return_as="generator_unordered")
-            for number, line in enumerate(pool(delayed(_learn)(job, place) for job, place in todo), 1):
+            for number, line in enumerate(pool(delayed(_learn)(job, folder) for job in todo), 1):
                 say(f"{number} of {len(todo)}: {line}")
-    return [_read(job, place) for job, place in zip(jobs, places, strict=True)]
+    return [_read(job, folder) for job in jobs]
 
 
-def finished(jobs: Sequence[LearnJob], folder: Path) -> list[LearnJob]:
-    """Those of the jobs whose learning runs lie in the folder, done."""
-    return [job for job in jobs if _done(job, folder / f"{job.name}-{job.seed}")]
+def is_done(job: LearnJob, folder: Path) -> bool:
+    """True if the folder holds the job's learning run, finished."""
+    record = _record(job, folder)
+    return record is not None and record.status == "done"
 
 
-def _identity(job: LearnJob) -> str:
-    """What must be the same for a run to count as done: everything but the code."""
+def _record(job: LearnJob, folder: Path) -> RunRecord | None:
+    """Record of a job's run; None where there is none, or it was of another seed, configuration or task."""
     from metropilot.learn import config_to_mapping
+    from metropilot.learn.run_store import RECORD, read_record
 
-    parts = [job.name, job.seed, job.config.algorithm, config_to_mapping(job.config), dict(job.about)]
-    return sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
-
-
-def _done(job: LearnJob, place: Path) -> bool:
-    """Whether the folder holds this very run, finished."""
-    path = place / "done.json"
-    try:
-        return json.loads(path.read_text())["identity"] == _identity(job)
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
+    record = read_record(folder / job.run_id / RECORD)
+    if record is None:
+        return None
+    plain = config_to_mapping(job.config)
+    wanted = [job.config.algorithm, job.name, job.seed, plain, {**job.about, "name": job.name}]
+    found = [record.algorithm, record.task, record.seed, record.config, record.about]
+    wanted, found = (json.dumps(values, sort_keys=True) for values in (wanted, found))  # tuples are lists
+    return record if wanted == found else None
 
 
-def _learn(job: LearnJob, place: Path) -> str:
-    """One run, in a process of its own; a line about it."""
-    from metropilot._io import atomic_write
+def _learn(job: LearnJob, folder: Path) -> str:
+    """Do one run in a process of its own; returns a line about it."""
     from metropilot.env import DrivingTask
-    from metropilot.learn import TrainingOptions, learn_in_chunks, write_history
-    from metropilot.policy import save_policy
+    from metropilot.learn import RunRequest, RunStore, TrainingOptions, begin_run, learn_run
+    from metropilot.learn.run_store import CHECKPOINT
 
     if current_process().name != "MainProcess":
         own_core()
-    place.mkdir(parents=True, exist_ok=True)
-    identity, checkpoint = _identity(job), place / f"checkpoint-{_identity(job)}.safetensors"
-    task = job.task()
+    task, store = job.task(), RunStore(folder, indexed=False)
+    perception = task.config.perception if isinstance(task, DrivingTask) else None
+    request = RunRequest(job.config, task, job.name, job.seed, job.about, perception=perception)
+    checkpoint = store.folder(job.run_id) / CHECKPOINT
+    if _record(job, folder) is None:
+        checkpoint.unlink(missing_ok=True)
+        begin_run(store, request, job.run_id)
     evaluate = job.evaluation(task) if job.evaluation else None
-    sitting = TrainingOptions(
-        evaluate=evaluate, checkpoint=checkpoint, resume=True, about={"identity": identity}
-    )
-    learned = learn_in_chunks(job.config, task, job.seed, sitting)
-    write_history(place / "history.parquet", learned.history)
-    about: dict[str, Any] = {"identity": identity, "seed": job.seed}
-    if isinstance(task, DrivingTask):
-        about["perception"] = task.config.perception.as_dict()
-    save_policy(place / "policy.safetensors", learned.policy, about)
-    done = {
-        "identity": identity,
-        "score": learned.score if np.isfinite(learned.score) else None,
-        "seconds": learned.seconds,
-        "compile_seconds": learned.compile_seconds,
-    }
-    atomic_write(place / "done.json", lambda partial: partial.write_text(json.dumps(done)))
+    record, learned = learn_run(store, request, TrainingOptions(evaluate), resume=job.run_id)
     checkpoint.unlink(missing_ok=True)
-    return f"{job.name} seed {job.seed}, score {learned.score:.4g}, {learned.seconds:.0f} s"
+    return f"{job.name} seed {job.seed}, score {learned.score:.4g}, {record.seconds:.0f} s"
 
 
-def _read(job: LearnJob, place: Path) -> SeedResult:
+def _read(job: LearnJob, folder: Path) -> SeedResult:
     """A finished run from its folder."""
     from metropilot.learn import read_history
+    from metropilot.learn.run_store import HISTORY, record_of
     from metropilot.policy import load_policy
 
-    done = json.loads((place / "done.json").read_text())
-    policy, _ = load_policy(place / "policy.safetensors")
-    score = float("-inf") if done["score"] is None else float(done["score"])
-    history = read_history(place / "history.parquet")
-    return SeedResult(job, policy, score, history, float(done["seconds"]), float(done["compile_seconds"]))
+    place = folder / job.run_id
+    record, (policy, _) = record_of(place), load_policy(place / "policy.safetensors")
+    score = float("-inf") if record.score is None else record.score
+    history = read_history(place / HISTORY)
+    return SeedResult(job, policy, score, history, record.seconds, record.compile_seconds)

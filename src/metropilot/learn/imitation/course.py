@@ -1,6 +1,6 @@
 """The course of the generalist: gather lessons, imitate, drive in closed loop; stopped anywhere, it goes on.
 
-The same sitting, progress and result as of the other learners (:mod:`metropilot.learn.session`). Every part
+The same session, progress and result as of the other learners (:mod:`metropilot.learn.train`). Every part
 of the course draws from its own random numbers, and a checkpoint holds the policy with its optimiser: a run
 that was stopped ends with the same bits as one that was not.
 """
@@ -8,7 +8,7 @@ that was stopped ends with the same bits as one that was not.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,7 +23,6 @@ from metropilot.env.actions import RegimeAction
 from metropilot.env.tables import SectionRows
 from metropilot.env.worlds import DomainRandomization, domain_sample
 from metropilot.errors import InputError
-from metropilot.learn.checkpoint import load_checkpoint, save_checkpoint
 from metropilot.learn.compile_cache import keep_compiled
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.imitation.closed_loop import ClosedLoop
@@ -40,11 +39,11 @@ from metropilot.learn.imitation.pupil import (
 )
 from metropilot.learn.imitation.tuning import Tuning, drives_of
 from metropilot.learn.schedules import value_at
-from metropilot.learn.session import (
+from metropilot.learn.train import (
+    TrainingLog,
     TrainingOptions,
     TrainingProgress,
     TrainingResult,
-    differences,
     identity_of,
 )
 from metropilot.policy.networks import Params
@@ -97,7 +96,7 @@ def only_worlds(task: DrivingTask) -> None:
 
 
 def teach_in_parts(
-    config: TeacherConfig, task: DrivingTask, seed: int, sitting: TrainingOptions
+    config: TeacherConfig, task: DrivingTask, seed: int, options: TrainingOptions
 ) -> TrainingResult:
     """Take the course, with progress and checkpoints.
 
@@ -105,65 +104,57 @@ def teach_in_parts(
         config: What the learner is told.
         task: The worlds that judge.
         seed: Of everything random.
-        sitting: How; its evaluation decides which policy is kept.
+        options: How; its evaluation decides which policy is kept.
 
     Raises:
         InputError: The checkpoint or a file of lessons is damaged or of another run, or the task's policy
             is no share of effort.
     """
     only_worlds(task)
-    if sitting.evaluate is None:
+    if options.evaluate is None:
         raise InputError("the course is judged by drives", field="evaluate")
     keep_compiled()
-    if sitting.checkpoint is not None:
-        return _Course(config, task, seed, sitting, sitting.checkpoint.parent).take()
+    if options.checkpoint is not None:
+        return _Course(config, task, seed, options, options.checkpoint.parent).take()
     with TemporaryDirectory(prefix="metropilot-") as folder:
-        return _Course(config, task, seed, sitting, Path(folder)).take()
+        return _Course(config, task, seed, options, Path(folder)).take()
 
 
 @dataclass
 class _Course:
-    """One sitting of a course."""
+    """One session of a course."""
 
     config: TeacherConfig
     task: DrivingTask
     seed: int
-    sitting: TrainingOptions
+    options: TrainingOptions
     folder: Path
-    seconds: float = 0.0
 
     def take(self) -> TrainingResult:
-        """All parts that are not done yet."""
+        """Do all parts that are not done yet."""
         config = self.config
         spec = pupil_spec(config, self.task.observation_size)
+        log = TrainingLog(
+            self.options, identity_of(config, self.seed, self.options), self._count, config.steps
+        )
         blank = new_pupil(config, self.seed, np.zeros((2, spec.observation_size), np.float32))
-        standing, columns = self._begin(_untaught(blank))
+        fresh = _untaught(blank)
+        standing = log.resume(jax.eval_shape(lambda: fresh)) or fresh
         gathering = Gathering(self.seed, config.worlds, config.plans, config.states, self.folder / "lessons")
-        done = len(next(iter(columns.values()), []))
-        if done < self._count:
+        if log.done < self._count:
             self._gather(gathering)
             lessons, numbers = gathered(gathering)
-            standing = standing if done else _untaught(new_pupil(config, self.seed, lessons.observations))
+            if not log.done:
+                standing = _untaught(new_pupil(config, self.seed, lessons.observations))
             part = self._parts(lessons, numbers)
-            for number in range(done + 1, self._count + 1):
-                standing = self._one(number, part, standing, columns)
+            while log.done < self._count:
+                start = time.perf_counter()
+                pupil, row = part(log.done + 1, standing.pupil)
+                standing, row = self._judged(standing, pupil, row)
+                log.add(standing, row, int(row["steps"]), time.perf_counter() - start)
         self._put_away(gathering)
-        history = {name: np.asarray(column) for name, column in columns.items()}
         params = {name: np.asarray(value) for name, value in standing.best.items()}
-        return TrainingResult(Policy(spec, params), float(standing.best_score), history, self.seconds, 0.0)
-
-    def _one(self, number: int, part: Part, standing: Standing, columns: dict[str, list[float]]) -> Standing:
-        """One part: taken, judged, kept and told."""
-        start = time.perf_counter()
-        pupil, row = part(number, standing.pupil)
-        standing, row = self._judged(standing, pupil, row)
-        spent = time.perf_counter() - start
-        self.seconds += spent
-        for name, value in row.items():
-            columns.setdefault(name, []).append(value)
-        self._keep(standing, columns)
-        self._tell(number, row, spent)
-        return standing
+        return TrainingResult(Policy(spec, params), float(standing.best_score), log.history, log.seconds, 0.0)
 
     def _gather(self, gathering: Gathering) -> None:
         """Lessons that are not there yet; nothing is gathered once the learning has begun."""
@@ -172,12 +163,12 @@ class _Course:
         def tell(count: int) -> None:
             left = (time.perf_counter() - start) * (gathering.shards - count) / max(count, 1)
             if (
-                self.sitting.on_progress
+                self.options.on_progress
                 and TOLD * count // gathering.shards > TOLD * (count - 1) // gathering.shards
             ):
                 total = self.config.steps
                 row = {"lessons": count / gathering.shards}
-                self.sitting.on_progress(TrainingProgress(0, self._count, 0, total, 0.0, 0.0, left, row))
+                self.options.on_progress(TrainingProgress(0, self._count, 0, total, 0.0, 0.0, left, row))
 
         gather(gathering, tell)
 
@@ -284,7 +275,7 @@ class _Course:
         self, standing: Standing, pupil: TrainState, row: dict[str, float]
     ) -> tuple[Standing, dict[str, float]]:
         """The policy's drives, and whether it is the best so far."""
-        evaluate = self.sitting.evaluate
+        evaluate = self.options.evaluate
         assert evaluate is not None
         found = jax.jit(evaluate)(pupil.params, jax.random.key(self.seed))
         score = found["score"]
@@ -293,45 +284,9 @@ class _Course:
         standing = Standing(pupil, best, jnp.where(better, score, standing.best_score))
         return standing, row | {f"evaluation.{name}": float(value) for name, value in found.items()}
 
-    def _begin(self, fresh: Standing) -> tuple[Standing, dict[str, list[float]]]:
-        """From the checkpoint, or from nothing."""
-        path = self.sitting.checkpoint
-        if not (self.sitting.resume and path and path.exists()):
-            return fresh, {}
-        standing, history, about = load_checkpoint(path, jax.eval_shape(lambda: fresh))
-        for name, old, new in differences(about, self._identity):
-            words = "the checkpoint was made with another value"
-            raise InputError(words, file=path, field=name, value=repr(new), allowed=repr(old))
-        self.seconds = float(about.get("seconds", 0.0))
-        return standing, {name: column.tolist() for name, column in history.items()}
-
-    @property
-    def _identity(self) -> dict[str, Any]:
-        return identity_of(self.config, self.seed, self.sitting)
-
-    def _keep(self, standing: Standing, columns: dict[str, list[float]]) -> None:
-        if self.sitting.checkpoint:
-            history = {name: np.asarray(column) for name, column in columns.items()}
-            about = self._identity | {"seconds": self.seconds}
-            save_checkpoint(self.sitting.checkpoint, standing, history, about)
-
-    def _tell(self, number: int, row: dict[str, float], spent: float) -> None:
-        if self.sitting.on_progress:
-            steps, a_part = int(row["steps"]), self._rounds * self.config.decisions
-            rate = a_part / spent if steps else 0.0
-            left = (self._count - number) * spent
-            told = TrainingProgress(
-                number, self._count, steps, self.config.steps, self.seconds, rate, left, row
-            )
-            self.sitting.on_progress(told)
-
     def _put_away(self, gathering: Gathering) -> None:
-        """Lessons are large, and made again from the seed."""
-        for path in _files(gathering):
-            path.unlink(missing_ok=True)
+        """Remove the lessons: they are large, and made again from the seed."""
+        for shard in range(gathering.shards):
+            gathering.path(shard).unlink(missing_ok=True)
         if gathering.folder.is_dir() and not any(gathering.folder.iterdir()):
             gathering.folder.rmdir()
-
-
-def _files(gathering: Gathering) -> Iterator[Path]:
-    return (gathering.path(shard) for shard in range(gathering.shards))

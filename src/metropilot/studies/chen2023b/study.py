@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -71,11 +70,11 @@ def reproduce(order: Order) -> StudyReport:
 
 def _learned(order: Order, seeds: range) -> dict[str, list[SeedResult]]:
     """Every seed's learning run, or those that the folder holds already."""
-    from metropilot.studies.learning import finished, learn_seeds
+    from metropilot.studies.learning import is_done, learn_seeds
 
     todo = [job for name in NAMES for job in jobs(name, order.budget, order.options["eta"], seeds)]
     if order.options["learn"] == "nothing":
-        todo = finished(todo, order.folder)
+        todo = [job for job in todo if is_done(job, order.folder)]
     found = learn_seeds(todo, order.folder, order.processes, order.say)
     runs = {name: [run for run in found if run.job.config.algorithm == name] for name in NAMES}
     for name, each in runs.items():
@@ -104,13 +103,9 @@ def _drivers(order: Order, runs: dict[str, list[SeedResult]]) -> dict[str, list[
     """Every follower: learned ones as shipped, or one a seed; the others once."""
     made: dict[str, list[AbstractFollower]] = {}
     for algorithm, name in NAMES.items():
-        paths = [""] if _shipped(order) else [str(_folder(order.folder, run)) for run in runs[algorithm]]
+        paths = [""] if _shipped(order) else [str(order.folder / run.job.run_id) for run in runs[algorithm]]
         made[name] = [FOLLOWERS.make(name, options=FollowPolicyOptions(path)) for path in paths]
     return made | {name: [FOLLOWERS.make(name)] for name in SIMPLE}
-
-
-def _folder(root: Path, run: SeedResult) -> Path:
-    return root / f"{run.job.name}-{run.job.seed}"
 
 
 def _driven(follower: AbstractFollower) -> ConvoyDrive:

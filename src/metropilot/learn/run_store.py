@@ -1,4 +1,4 @@
-"""Run folders and their index: what was learned, from what, with what result.
+"""Run store of learning: run folders and their index.
 
 A run is a folder with ``run.toml`` (resolved configuration, seed, versions, commit, result),
 ``history.parquet``, ``policy.safetensors`` and ``checkpoint.safetensors``. The index is an SQLite file beside
@@ -20,6 +20,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import numpy as np
+
 from metropilot._io import atomic_write, is_locked, open_database
 from metropilot._provenance import LEARNING, commit, machine, versions
 from metropilot.errors import InputError
@@ -28,15 +30,17 @@ from metropilot.learn.config_reading import config_from_mapping, config_to_mappi
 
 Status = Literal["running", "interrupted", "done", "failed"]
 INDEX = "index.sqlite"
+RECORD, HISTORY, CHECKPOINT = "run.toml", "history.parquet", "checkpoint.safetensors"
+"""Files of a run's folder, beside its policy."""
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS runs (
     id TEXT PRIMARY KEY, algorithm TEXT NOT NULL, task TEXT NOT NULL, seed INTEGER NOT NULL, status TEXT NOT
     NULL, created TEXT NOT NULL, seconds REAL NOT NULL, steps INTEGER NOT NULL, score REAL, commit_id TEXT NOT
     NULL, config TEXT NOT NULL, about TEXT NOT NULL, versions TEXT NOT NULL, driver TEXT NOT NULL, command
-    TEXT NOT NULL, machine TEXT NOT NULL, kpis TEXT NOT NULL
+    TEXT NOT NULL, machine TEXT NOT NULL, kpis TEXT NOT NULL, compile_seconds REAL NOT NULL
 )
 """
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 COLUMNS = (
     "id",
     "algorithm",
@@ -55,6 +59,7 @@ COLUMNS = (
     "command",
     "machine",
     "kpis",
+    "compile_seconds",
 )
 LARGEST = 2**63
 """Above what SQLite holds."""
@@ -83,6 +88,7 @@ class RunRecord:
         command: The command line that began it; empty where none did.
         machine: Where it began.
         kpis: Of the policy kept, by driving the task from standstill; before the end, of the last one driven.
+        compile_seconds: Spent compiling, in the session that ended the run.
     """
 
     id: str
@@ -102,6 +108,7 @@ class RunRecord:
     command: str = ""
     machine: str = ""
     kpis: Mapping[str, float] = field(default_factory=dict)
+    compile_seconds: float = 0.0
 
     def configuration(self) -> AbstractConfig:
         """The configuration as learners take it."""
@@ -182,7 +189,7 @@ class RunStore:
 
         table = {name: value for name, value in asdict(record).items() if value is not None}
         text = tomli_w.dumps(table).encode()
-        atomic_write(self.folder(record.id) / "run.toml", lambda partial: partial.write_bytes(text))
+        atomic_write(self.folder(record.id) / RECORD, lambda partial: partial.write_bytes(text))
         if self.indexed:
             with self._index() as database:
                 _insert(database, record)
@@ -239,7 +246,7 @@ class RunStore:
         """Make the index anew from the folders; returns how many runs there are."""
         for name in (INDEX, f"{INDEX}-wal", f"{INDEX}-shm"):
             (self.root / name).unlink(missing_ok=True)
-        records = [record for path in sorted(self.root.glob("*/run.toml")) if (record := read_record(path))]
+        records = [record for path in sorted(self.root.glob(f"*/{RECORD}")) if (record := read_record(path))]
         with self._connect() as database:
             for record in records:
                 _insert(database, record)
@@ -295,7 +302,7 @@ def record_of(folder: Path) -> RunRecord:
     Raises:
         InputError: It is not one.
     """
-    record = read_record(folder / "run.toml")
+    record = read_record(folder / RECORD)
     if record is None:
         raise InputError("not the folder of a learning run", file=folder, allowed="see `metropilot runs`")
     return record
@@ -317,13 +324,20 @@ def _fits(record: RunRecord) -> bool:
     Raises:
         TypeError: A table holds what JSON does not know, as a date.
     """
-    kinds = {"seed": int, "steps": int, "seconds": float, "score": float, **dict.fromkeys(PLAIN, dict)}
+    kinds = {
+        "seed": int,
+        "steps": int,
+        "seconds": float,
+        "score": float,
+        "compile_seconds": float,
+        **dict.fromkeys(PLAIN, dict),
+    }
     values = {name: value for name, value in asdict(record).items() if value is not None}
     return (
         all(type(value) is kinds.get(name, str) for name, value in values.items())
         and record.status in get_args(Status)
         and max(abs(record.seed), abs(record.steps)) < LARGEST
-        and math.isfinite(record.seconds)
+        and math.isfinite(record.seconds + record.compile_seconds)
         and bool(json.dumps([values[name] for name in PLAIN]))
     )
 
@@ -339,3 +353,49 @@ def _record(row: tuple[Any, ...]) -> RunRecord:
     """A record from its row."""
     named: dict[str, Any] = dict(zip(COLUMNS, row, strict=True))
     return RunRecord(**{name: json.loads(value) if name in PLAIN else value for name, value in named.items()})
+
+
+def write_history(path: Path, history: Mapping[str, np.ndarray]) -> None:
+    """Write a history; what is not a number becomes empty.
+
+    Args:
+        path: NAME.parquet.
+        history: Columns of equal length.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    import duckdb
+
+    columns = {name: np.asarray(column, np.float64) for name, column in history.items()}
+
+    def write(partial: Path) -> None:
+        with duckdb.connect() as database:
+            database.register("history", columns)
+            target = str(partial).replace("'", "''")
+            try:
+                database.execute(
+                    f"COPY (SELECT * FROM history) TO '{target}' (FORMAT parquet, COMPRESSION zstd)"
+                )
+            except duckdb.IOException as error:
+                raise InputError(
+                    "cannot write the file", file=path, value=str(error).splitlines()[0]
+                ) from None
+
+    atomic_write(path, write)
+
+
+def read_history(path: str | Path) -> dict[str, np.ndarray]:
+    """Read a history; what is empty becomes NaN.
+
+    Raises:
+        InputError: The file cannot be read or is not Parquet.
+    """
+    import duckdb
+
+    with duckdb.connect() as database:
+        try:
+            columns = database.execute("SELECT * FROM read_parquet(?)", [str(path)]).fetchnumpy()
+        except duckdb.Error as error:
+            raise InputError("cannot read the history", file=path, value=str(error).splitlines()[0]) from None
+    return {name: np.ma.filled(np.ma.asarray(column, np.float64), np.nan) for name, column in columns.items()}
