@@ -17,11 +17,12 @@ from metropilot.convoy.batch import advanced, exchanged, gaps_m, sights, stacked
 from metropilot.convoy.drivers import FOLLOWERS
 from metropilot.convoy.leaders import recordings
 from metropilot.convoy.link import Channel, Message, Quality
-from metropilot.convoy.model import FAR_M, Convoy, Guard, Member, loaded, members
+from metropilot.convoy.model import FAR_M, Convoy, Guard, Member, members
 from metropilot.convoy.step import FollowerObservation, MemberState, ahead_of, at_departure
 from metropilot.physics import to_jax
 from metropilot.protection import spare_gap
 from metropilot.railway import load_line, load_trainset
+from metropilot.sim import true_vehicle
 
 Array = Any
 HARMFUL = ("full traction", "random", "bang-bang", "stuck", "late brake", "follow_gap")
@@ -197,7 +198,7 @@ class Arena:
         import jax.numpy as jnp
 
         m = self.members
-        vehicle = loaded(m.vehicle, case.mass)
+        vehicle = true_vehicle(m.vehicle, mass_factor=case.mass)
         vehicle = vehicle._replace(davis_n=vehicle.davis_n * jnp.expand_dims(case.resistance, 1))
         weaker = jnp.where(m.is_head, 0.0, case.scatter)
         vehicle = vehicle._replace(

@@ -9,7 +9,7 @@ import numpy as np
 
 from metropilot.convoy.link import Message
 from metropilot.convoy.model import FAR_M, Member
-from metropilot.convoy.step import FollowerObservation, MemberState, heard, moved, needed, sight, told
+from metropilot.convoy.step import FollowerObservation, MemberState, drive_period, heard, needed, sight, told
 from metropilot.physics import Command, stack
 from metropilot.protection import Protection, permitted_speed
 
@@ -118,7 +118,7 @@ def advanced(
     import jax
 
     def one(member: Member, state: MemberState, share: Array, alarm: Array) -> MemberState:
-        return moved(member, state, Command(share, alarm), now_s, dt)[0]
+        return drive_period(member, state, Command(share, alarm), now_s, dt)[0]
 
     return jax.vmap(one)(members, states, shares, emergency)
 

@@ -14,12 +14,13 @@ from metropilot.convoy.batch import advanced, exchanged, gaps_m, sights, stacked
 from metropilot.convoy.gains import chen2023b_state, gains_of
 from metropilot.convoy.leaders import recordings
 from metropilot.convoy.link import Message, Quality, opened
-from metropilot.convoy.model import CONVOY_PERIOD_S, FAR_M, GAP_M, Convoy, Member, loaded, members
+from metropilot.convoy.model import CONVOY_PERIOD_S, FAR_M, GAP_M, Convoy, Member, members
 from metropilot.convoy.step import MemberState, at_departure
 from metropilot.env.interface import AbstractTask, ActionSpace, Transition
 from metropilot.physics import to_jax
 from metropilot.physics.arrays import namespace
 from metropilot.railway import load_line, load_trainset
+from metropilot.sim import true_vehicle
 
 Array = Any
 ROWS = 1200
@@ -242,7 +243,7 @@ class ConvoyTask(AbstractTask):
         pair: Member = jax.tree.map(lambda x: x[state.row], self.members)
         mass = jnp.stack([jnp.ones_like(state.mass), state.mass])
         quality = jax.tree.map(lambda x: jnp.stack([x, x]), state.quality)
-        return pair._replace(vehicle=loaded(pair.vehicle, mass), link=quality)
+        return pair._replace(vehicle=true_vehicle(pair.vehicle, mass_factor=mass), link=quality)
 
     def _placed(self, row: Array, period: Array, aside: Array) -> MemberState:
         """Both trainsets as the head's recording says, the follower a little aside in gap and speed."""

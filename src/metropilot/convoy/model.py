@@ -14,6 +14,7 @@ from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
 from metropilot.protection import Bounds, PairBounds, Protection, Separation, protect, separate
 from metropilot.railway import Section, Trainset
 from metropilot.railway.profile import Steps
+from metropilot.sim import true_vehicle
 from metropilot.sim.bounds import MASS
 
 Array = Any
@@ -239,24 +240,15 @@ def _factor(values: Sequence[float], k: int) -> float:
 
 def _actual(convoy: Convoy, k: int, dtype: type) -> Vehicle:
     """The trainset as it really is: mass, resistance and adhesion of this very run."""
-    vehicle = vehicle_arrays(convoy.trainsets[k], dtype)
-    mass, drag = _factor(convoy.mass_factors, k), _factor(convoy.resistance_factors, k)
-    vehicle = loaded(vehicle, dtype(mass))._replace(davis_n=vehicle.davis_n * dtype(drag))
+    vehicle = true_vehicle(
+        vehicle_arrays(convoy.trainsets[k], dtype),
+        mass_factor=dtype(_factor(convoy.mass_factors, k)),
+        resistance_factor=dtype(_factor(convoy.resistance_factors, k)),
+    )
     if convoy.adhesion:
         grip = dtype(convoy.adhesion[k]) * vehicle.mass_kg * vehicle.gravity_mps2
         vehicle = vehicle._replace(adhesion_n=np.minimum(grip, vehicle.adhesion_n))
     return vehicle
-
-
-def loaded(vehicle: Vehicle, factor: Array) -> Vehicle:
-    """The trainset with its mass multiplied; brakes that are load-compensated grow with it."""
-    return vehicle._replace(
-        mass_kg=vehicle.mass_kg * factor,
-        effective_mass_kg=vehicle.effective_mass_kg * factor,
-        service_n=vehicle.service_n * factor,
-        emergency_n=vehicle.emergency_n * factor,
-        adhesion_n=vehicle.adhesion_n * factor,
-    )
 
 
 def declared(convoy: Convoy, k: int) -> Bounds:

@@ -18,19 +18,20 @@ from metropilot.convoy.env import ROWS, ConvoyTaskConfig, follow_terms
 from metropilot.convoy.gains import STATE, chen2023b_state, gains_of
 from metropilot.convoy.leaders import recordings
 from metropilot.convoy.link import Quality
-from metropilot.convoy.model import Convoy, Member, loaded, members
+from metropilot.convoy.model import Convoy, Member, members
 from metropilot.convoy.step import (
     FollowerObservation,
     MemberState,
     at_departure,
+    drive_period,
     heard,
-    moved,
     needed,
     sight,
     told,
 )
 from metropilot.physics import Command
 from metropilot.railway import load_line, load_trainset
+from metropilot.sim import true_vehicle
 
 OBSERVATION_LIMIT = 100.0
 UNLIMITED_MPS = 1e3
@@ -137,7 +138,9 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
             share, self.errors[k] = incremental_pid(seen.command, gains, closing, self.errors[k])
             shares.append(np.float64(share))
         self.states = [
-            moved(own, state, Command(share, bool(k == 0 and now >= self.emergency_s)), now, self._dt())[0]
+            drive_period(
+                own, state, Command(share, bool(k == 0 and now >= self.emergency_s)), now, self._dt()
+            )[0]
             for k, (own, state, share) in enumerate(zip(self.members, self.states, shares, strict=True))
         ]
         changes = [share - seen.command for share, seen in zip(shares[1:], self.seen, strict=True)]
@@ -171,7 +174,7 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         factor = 1.0 + off * (k > 0) * (low + (high - low) * u[0] - 1.0)
         numbers = (off * config.delay_s * u[1], 0.0, off * config.loss * u[2], np.inf)
         link = Quality(*(np.float64(value) for value in numbers))
-        return own._replace(vehicle=loaded(own.vehicle, np.float64(factor)), link=link)
+        return own._replace(vehicle=true_vehicle(own.vehicle, mass_factor=np.float64(factor)), link=link)
 
     def _now(self) -> np.float64:
         return np.float64(self.period * self.config.dt)

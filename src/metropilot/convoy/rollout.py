@@ -18,8 +18,8 @@ from metropilot.convoy.step import (
     FollowerObservation,
     MemberState,
     at_departure,
+    drive_period,
     heard,
-    moved,
     needed,
     sight,
     told,
@@ -189,8 +189,8 @@ class ConvoyRollout:
             command = Command(np.float64(share), bool(now >= self.head.emergency_s))
         else:
             command = Command(self.decided(k, sight(own, state, now, self.dt, np.float64(permitted))), False)
-        after, _ = moved(own, state, command, now, np.float64(self.dt))
-        self.recorders[k].add(own.track, after.plant, float(after.command), permitted)
+        after, record = drive_period(own, state, command, now, np.float64(self.dt))
+        self.recorders[k].add(own.track, after.plant, record, permitted)
         return after
 
     def decided(self, k: int, seen: FollowerObservation) -> np.float64:

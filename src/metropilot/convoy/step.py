@@ -6,12 +6,15 @@ from typing import Any, NamedTuple, no_type_check
 
 from metropilot.convoy.link import Channel, Message, opened, passed_on
 from metropilot.convoy.model import FAR_M, Member
-from metropilot.physics import Command, State, at_rest, controlled, delay_steps, step
+from metropilot.physics import Command, State, at_rest, delay_steps
 from metropilot.physics.arrays import namespace
 from metropilot.protection import Memory as Watched
-from metropilot.protection import TrainAhead, Verdict, at_start, spare_gap, supervise
+from metropilot.protection import TrainAhead, at_start, spare_gap
+from metropilot.sim import OutcomeRule, PeriodRecord, RunParams, control_period, first_state
 
 Array = Any
+NEVER_ENDS = OutcomeRule(late_s=float("inf"), give_up_m=float("inf"), stalled_s=float("inf"))
+"""A convoy ends when all of it stands; see :class:`metropilot.convoy.ConvoyRollout`."""
 SPARE_M, SPARE_SHARE, SILENT_S = 0.2, 0.1, 0.4
 """What a follower keeps beyond the gap that protection needs: distance, command, time without a message where
 the link loses some."""
@@ -190,27 +193,42 @@ def sight(
 
 
 @no_type_check
-def moved(
+def drive_period(
     member: Member, state: MemberState, command: Command, now_s: Array, period_s: Array
-) -> tuple[MemberState, Verdict | None]:
-    """Supervise a command and move for one period.
+) -> tuple[MemberState, PeriodRecord]:
+    """One control period of one trainset of the convoy (:func:`metropilot.sim.control_period`).
 
     Args:
         member: The trainset.
         state: Its state.
-        command: What its driver asks for; the driver may ask for the emergency brake.
-        now_s: Time.
+        command: Command of its driver, who may ask for the emergency brake.
+        now_s: Time since departure.
         period_s: Control period.
     """
-    plant, wanted = state.plant, command.share
-    watched, verdict = state.watched, None
-    if member.protection is not None:
-        ahead = ahead_of(member, state, now_s)
-        command, watched, verdict = supervise(
-            member.protection, watched, plant.position_m, plant.speed_mps, command, ahead
-        )
-    vehicle, given = controlled(member.vehicle, member.track, plant, command, member.most_mps2)
-    after = step(vehicle, member.track, plant, given, period_s)
-    return state._replace(
-        plant=after, watched=watched, wanted=wanted, command=command.share, emergency=command.emergency
-    ), verdict
+    params = RunParams(
+        vehicle=member.vehicle,
+        track=member.track,
+        protection=member.protection,
+        length_m=member.track.length_m,
+        scheduled_s=now_s,
+        speed_noise_mps=0.0,
+        dt=period_s,
+        most_mps2=member.most_mps2,
+    )
+    ahead = None if member.protection is None else ahead_of(member, state, now_s)
+    run, _, record = control_period(
+        params,
+        first_state(state.plant, state.watched),
+        None,
+        lambda _, __: (command, None),
+        rule=NEVER_ENDS,
+        ahead=ahead,
+    )
+    reached = state._replace(
+        plant=run.plant,
+        watched=run.supervision,
+        wanted=command.share,
+        command=record.command.share,
+        emergency=record.command.emergency,
+    )
+    return reached, record
