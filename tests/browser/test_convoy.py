@@ -45,7 +45,7 @@ def test_a_link_to_a_convoy_restores_all_of_it(visit, server):
     server.wait(run)
     page = visit(f"/convoy?run={run}")
     expect(page.locator('[data-test="convoy"]')).to_have_attribute("data-status", "done")
-    for label, value in (("Trainsets", "2"), ("Wanted gap (m)", "8"), ("Lost (%)", "20")):
+    for label, value in (("Trainsets", "2"), ("Desired gap (m)", "8"), ("Lost (%)", "20")):
         until(
             lambda label=label, value=value: (
                 float(page.get_by_role("spinbutton", name=label).input_value()) == float(value)

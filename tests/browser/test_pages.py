@@ -52,7 +52,7 @@ def test_a_link_to_a_comparison_restores_all_of_it(visit, server):
     page = visit(f"/compare?job={job}")
     front = page.locator('[data-test="front"]')
     expect(front).to_contain_text("flat_out", timeout=PATIENCE_MS)
-    for label, value in (("Seed", "3"), ("True mass / believed", "1.1"), ("Seeds of each driver", "2")):
+    for label, value in (("Seed", "3"), ("True mass / nominal", "1.1"), ("Seeds of each driver", "2")):
         expect(page.get_by_label(label, exact=True)).to_have_value(value)
     for text in ("XHM · Xiaohongmen", "JG · Jiugong", "AW2 · 284 t"):
         expect(
@@ -82,15 +82,15 @@ def test_a_link_to_no_comparison_says_so(visit):
 def test_what_is_not_allowed_is_said_beside_its_field(visit):
     page = visit("/compare")
     expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
-    page.get_by_text("What goes differently than planned").click()
-    field = page.locator("label").filter(has_text="True mass / believed")
+    page.get_by_text("Disturbances").click()
+    field = page.locator("label").filter(has_text="True mass / nominal")
     expect(field).to_contain_text("0.5 to 2")
-    page.get_by_label("True mass / believed").fill("0")
-    page.get_by_text("What goes differently than planned").click()
+    page.get_by_label("True mass / nominal").fill("0")
+    page.get_by_text("Disturbances").click()
     page.locator('[data-test="compare"]').click()
     expect(field).to_contain_text("out of range (allowed: 0.5 to 2)")
-    expect(page.get_by_label("True mass / believed")).to_be_visible()
-    expect(page.get_by_label("True mass / believed")).to_have_value("0")
+    expect(page.get_by_label("True mass / nominal")).to_be_visible()
+    expect(page.get_by_label("True mass / nominal")).to_have_value("0")
 
 
 def test_what_was_learned_is_compared(visit, server):

@@ -64,7 +64,7 @@ def test_a_run_can_be_shown_driven_and_exported(learned, metropilot, program, tm
     shown = answer(metropilot("show", policy, "--json"))
     assert shown["network"]["hidden"] == [8, 8]
     assert shown["perception"]["features"][0] == "position"
-    assert "how it was learned" in metropilot("show", policy).out
+    assert "training" in metropilot("show", policy).out
     assert "settings" in metropilot("show", folder).out
     run = ("yizhuang", "RJ", "WYJ", "--time", "110", "--ideal")
     kpis = json.loads(program("drive", *run, "--driver", f"learned:policy={folder}", "--json").out)
@@ -123,7 +123,7 @@ def test_interrupted_twice_it_learns_the_same(learned, metropilot, program, tmp_
     shown = answer(metropilot("show", tmp_path / "mine", "--json"))
     assert shown["status"] == "interrupted"
     assert 0 < shown["steps"] < STEPS
-    assert "Go on with: metropilot learn --resume" in metropilot("show", tmp_path / "mine").out
+    assert "Resume with: metropilot learn --resume" in metropilot("show", tmp_path / "mine").out
     done = answer(program(*again[1:], "--json"))
     assert (done["status"], done["steps"]) == ("done", STEPS)
     ours, theirs = (load_policy(f / "policy.safetensors")[0] for f in (tmp_path / "mine", learned[0]))

@@ -29,14 +29,14 @@ def told_at(time_s, scheduled_s):
 
 def test_a_time_that_can_be_met_is_met():
     words, arrived_s = told_at(20.0, 125.0)
-    assert words == "told to arrive later: after 125 s"
+    assert words == "new arrival time, later: after 125 s"
     assert arrived_s == pytest.approx(125.0, abs=1.0)
 
 
 @pytest.mark.parametrize(("at_s", "scheduled_s"), [(40.0, 80.0), (95.0, 125.0)], ids=["sooner", "braking"])
 def test_where_a_time_cannot_be_met_it_says_which_can(at_s, scheduled_s):
     words, arrived_s = told_at(at_s, scheduled_s)
-    said = float(re.search(r"; from here it can be there after (\d+\.\d) s$", words)[1])
+    said = float(re.search(r"; earliest possible arrival from here: after (\d+\.\d) s$", words)[1])
     assert abs(said - scheduled_s) > 3.0
     assert arrived_s == pytest.approx(said, abs=2.0)
 
@@ -47,7 +47,7 @@ def test_where_no_plan_is_found_it_says_so_and_drives_on(monkeypatch):
 
     monkeypatch.setattr("metropilot.web.live.engine.optimal_plan", none)
     words, arrived_s = told_at(20.0, 125.0)
-    assert words.endswith("after 125 s; no plan from here is found for that")
+    assert words.endswith("after 125 s; no plan from here meets it")
     assert arrived_s > 0
 
 
@@ -138,7 +138,7 @@ def test_news_that_the_request_brings_is_in_force_when_it_is_told():
     assert engine.heard() == []
     at_m, planned = compared(until(engine, 40.0))
     assert planned == pytest.approx(planned_j(125.0, at_m), rel=1e-3)
-    assert engine.heard() == ["told to arrive later: after 125 s"]
+    assert engine.heard() == ["new arrival time, later: after 125 s"]
 
 
 def test_a_plan_that_is_drawn_keeps_its_times():
@@ -173,7 +173,7 @@ def test_the_lever_has_one_holder(monkeypatch):
     assert not engine.forgotten()
     monkeypatch.setattr("metropilot.web.live.engine.monotonic", lambda: late + 0.1)
     assert engine.forgotten()
-    assert engine.apply({**GIVE, "take_over": True}) == "the driver has the lever again"
+    assert engine.apply({**GIVE, "take_over": True}) == "the lever is returned to the driver"
     assert engine.lever() is None
 
 

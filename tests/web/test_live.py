@@ -104,7 +104,7 @@ def test_the_lever_has_one_holder(server):
     assert [data["words"] for _, kind, data in seen if kind == "event"] == [
         "the lever is taken by hand by tab-1",
         "the lever is taken over from tab-1 by tab-2",
-        "the driver has the lever again",
+        "the lever is returned to the driver",
     ], "a run that waits takes the lever from whoever is gone as well"
     assert server.get(f"/api/live/{live}")["lever"] is None
     server.post(f"/api/live/{live}/stop")
@@ -136,7 +136,7 @@ def test_a_run_that_is_stopped_goes_on_where_it_was(server):
     pace(server, live, 0)
     assert server.get(f"/api/live/{live}")["time_s"] == pytest.approx(at[0], abs=1.0)
     words = [data["words"] for _, kind, data in watch_now(server, live) if kind == "event"]
-    assert words == ["the lever is taken by hand by api", "the driver has the lever again"]
+    assert words == ["the lever is taken by hand by api", "the lever is returned to the driver"]
     server.post(f"/api/live/{live}/stop")
 
 
@@ -162,7 +162,7 @@ def test_what_nobody_watches_is_stopped_and_can_be_resumed(tmp_path, monkeypatch
         await asyncio.sleep(0.4)
         second = await service.go_live(asked)
         row = service.store.job(left.id)
-        assert (row.status, row.words) == ("stopped", "nobody watched it for 0.3 s; it can be resumed")
+        assert (row.status, row.words) == ("stopped", "no viewer for 0.3 s; it can be resumed")
         assert [r.id for r in service.live_runs()] == [second.id, left.id]
         await second.stop()
         again = await service.resume_live(left.id)

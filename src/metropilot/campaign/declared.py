@@ -48,7 +48,7 @@ MEASURED = ("speed_noise_mps",)
 
 @dataclass(frozen=True)
 class DisturbanceCase:
-    """What goes differently than planned, in words that fit every section.
+    """Disturbances, in words that fit every section.
 
     Attributes:
         name: In the results.

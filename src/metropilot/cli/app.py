@@ -28,7 +28,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "campaign": ("metropilot.cli.campaign", "Drive a declared matrix of runs, resumable, and report it."),
     "plan": ("metropilot.cli.plan", "Compute the optimal plan, its certificate, the time-energy front."),
-    "learn": ("metropilot.cli.learn", "Learn a driver, or go on learning one."),
+    "learn": ("metropilot.cli.learn", "Learn a driver, or resume a run."),
     "runs": ("metropilot.cli.runs", "List the learning runs, the newest first."),
     "export": ("metropilot.cli.export", "Write a learned driver's policy in another format."),
     "lines": ("metropilot.cli.catalogue", "List the lines of the catalogue."),
@@ -41,7 +41,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "show": ("metropilot.cli.show", "Show a line, a trainset, a driver, a policy or a run."),
     "reproduce": (
         "metropilot.cli.reproduce",
-        "Reproduce a paper: published, ours and optimum in one table, with its figures.",
+        "Reproduce a paper: published, reproduced and optimal values in one table, with its figures.",
     ),
     "studies": ("metropilot.cli.reproduce", "List the studies."),
     "serve": ("metropilot.cli.serve", "Open the web console and the HTTP API."),

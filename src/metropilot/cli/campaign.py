@@ -32,12 +32,12 @@ def campaign_command(
     file: Annotated[str, typer.Argument(help="A campaign's TOML file, or the name of one that ships.")],
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder; campaigns/NAME if not given. An unfinished one is gone on with."),
+        typer.Option(help="Folder; campaigns/NAME if not given. An unfinished campaign is resumed."),
     ] = None,
     workers: Annotated[int, typer.Option(min=1, help="Processes on this machine.")] = 2,
     cluster: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="Run on a Ray cluster; `local` begins one on this machine."),
+        typer.Option(metavar="ADDRESS", help="Run on a Ray cluster; `local` starts one on this machine."),
     ] = None,
     drivers: Annotated[
         str | None, typer.Option(help="Drivers instead of the file's own, separated by commas.")

@@ -60,7 +60,7 @@ def convoy_command(
     ] = "optimal",
     trainset: opt.TrainsetOption = "dkz32",
     load: opt.Load = None,
-    gap: Annotated[float, typer.Option(help="Wanted gap, m.", rich_help_panel=CONVOY)] = 5.92,
+    gap: Annotated[float, typer.Option(help="Desired gap, m.", rich_help_panel=CONVOY)] = 5.92,
     start_gap: Annotated[
         float | None,
         typer.Option(help="Gap at departure, m: the convoy couples on the move.", rich_help_panel=CONVOY),
@@ -70,7 +70,7 @@ def convoy_command(
         typer.Option(help="Where the head begins to uncouple, m from the origin.", rich_help_panel=CONVOY),
     ] = None,
     apart: Annotated[
-        float, typer.Option(help="Gap wanted once uncoupled, m.", rich_help_panel=CONVOY)
+        float, typer.Option(help="Desired gap once uncoupled, m.", rich_help_panel=CONVOY)
     ] = 100.0,
     guard: Annotated[
         str,
@@ -83,7 +83,7 @@ def convoy_command(
         str | None,
         typer.Option(
             metavar="F,F,...",
-            help="True over believed mass of each trainset, the head first.",
+            help="True over nominal mass of each trainset, the head first.",
             rich_help_panel=opt.WORLD,
         ),
     ] = None,
@@ -92,7 +92,7 @@ def convoy_command(
         typer.Option(help="When the head makes an emergency brake, s.", rich_help_panel=opt.WORLD),
     ] = None,
     delay: Annotated[float, typer.Option(help="Time a message takes, s.", rich_help_panel=LINK)] = 0.0,
-    jitter: Annotated[float, typer.Option(help="Most time on top of it, s.", rich_help_panel=LINK)] = 0.0,
+    jitter: Annotated[float, typer.Option(help="Largest additional time, s.", rich_help_panel=LINK)] = 0.0,
     loss: Annotated[float, typer.Option(help="Share of messages lost.", rich_help_panel=LINK)] = 0.0,
     dt: opt.Period = 0.1,
     seed: opt.Seed = 0,

@@ -46,7 +46,7 @@ def drive_command(
     restriction: opt.Restrictions = None,
     arrive: opt.Arrivals = None,
     again: Annotated[
-        Path | None, typer.Option("--from", metavar="RUN.TOML", help="Drive again what this file describes.")
+        Path | None, typer.Option("--from", metavar="RUN.TOML", help="Repeat the run of this file.")
     ] = None,
     out: opt.Out = None,
     as_json: opt.Json = False,

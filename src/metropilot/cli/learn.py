@@ -65,14 +65,14 @@ def learn_command(
     ] = None,
     resume: Annotated[
         str | None,
-        typer.Option(metavar="RUN", help="Go on with a run: its folder or id.", rich_help_panel=opt.OUTPUT),
+        typer.Option(metavar="RUN", help="Resume a run: its folder or id.", rich_help_panel=opt.OUTPUT),
     ] = None,
     tensorboard: Annotated[
         bool, typer.Option("--tensorboard", help="Write event files, too.", rich_help_panel=opt.OUTPUT)
     ] = False,
     as_json: opt.Json = False,
 ) -> int:
-    """Learn a driver, or go on learning one.
+    """Learn a driver, or resume a run.
 
     Interrupted at any moment, a run goes on with --resume and ends the same. The policy kept is the one of
     whose drives from standstill most arrive safely and on time, and then the cheapest. Exit code 0: learned;
@@ -169,7 +169,7 @@ def _nothing_new(new: dict[str, Any], record: RunRecord) -> None:
     for name, value in new.items():
         same = {"driver": record.driver, "task": record.task, "seed": record.seed}
         if value is not None and value != same.get(name):
-            words = "a run goes on as it was begun"
+            words = "a resumed run keeps its settings"
             raise InputError(words, field=name, value=str(value), allowed="only --resume RUN")
 
 
@@ -248,7 +248,7 @@ def learn_and_report(
             report.close()
             done, again = f"{report.steps:,} steps".replace(",", " "), shlex.quote(str(folder))
             sys.stderr.write(
-                f"metropilot: interrupted after {done}; go on with: metropilot learn --resume {again}\n"
+                f"metropilot: interrupted after {done}; resume with: metropilot learn --resume {again}\n"
             )
             return INTERRUPTED
     return report_done(store, record, as_json=as_json)

@@ -68,7 +68,7 @@ class LearnReport:
         row = now.row
         left = clock(now.seconds_left)
         if "lessons" in row:
-            self._say(f"{row['lessons']:>10.0%} of the lessons gathered, {left} left")
+            self._say(f"{row['lessons']:>10.0%} of the demonstrations collected, {left} left")
             return
         cells = (
             f"{now.steps:,}".replace(",", " "),

@@ -12,7 +12,7 @@ from metropilot.cli import complete
 if TYPE_CHECKING:
     from metropilot.evaluate import Request
 
-ABOUT, WORLD, OUTPUT = "What to drive", "What goes differently than planned", "Output"
+ABOUT, WORLD, OUTPUT = "What to drive", "Disturbances", "Output"
 
 LINE = typer.Argument(
     help="Line: catalogue id or path to a .toml or .json file.", autocompletion=complete.lines
@@ -59,14 +59,14 @@ Seed = Annotated[int, typer.Option(help="Seed of everything random.", rich_help_
 Ideal = Annotated[
     bool, typer.Option("--ideal", help="Ideal actuation: no delay, lag or jerk limit.", rich_help_panel=WORLD)
 ]
-MassFactor = Annotated[
-    float, typer.Option(help="True mass over the mass the driver believes.", rich_help_panel=WORLD)
-]
+MassFactor = Annotated[float, typer.Option(help="True mass over nominal mass.", rich_help_panel=WORLD)]
 ResistanceFactor = Annotated[
-    float, typer.Option(help="True Davis resistance over the believed one.", rich_help_panel=WORLD)
+    float, typer.Option(help="True over nominal Davis resistance.", rich_help_panel=WORLD)
 ]
-Delay = Annotated[float, typer.Option(help="Dead time on top of the trainset's, s.", rich_help_panel=WORLD)]
-Lag = Annotated[float, typer.Option(help="Lag on top of the trainset's, s.", rich_help_panel=WORLD)]
+Delay = Annotated[
+    float, typer.Option(help="Dead time in addition to the trainset's, s.", rich_help_panel=WORLD)
+]
+Lag = Annotated[float, typer.Option(help="Additional lag, s.", rich_help_panel=WORLD)]
 SpeedNoise = Annotated[
     float, typer.Option(help="Standard deviation of the measured speed, m/s.", rich_help_panel=WORLD)
 ]

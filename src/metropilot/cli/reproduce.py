@@ -52,7 +52,7 @@ def reproduce_command(
     ] = None,
     as_json: opt.Json = False,
 ) -> int:
-    """Reproduce a paper: published, ours and optimum in one table, with its figures.
+    """Reproduce a paper: published, reproduced and optimal values in one table, with its figures.
 
     Interrupted at any moment, the same command with the same folder goes on from where it was.
     """

@@ -64,7 +64,7 @@ def show_command(
         return show_learning_run(*found, as_json=as_json)
     known = (*list_lines(), *list_trainsets(), *DRIVERS.ids(), *FOLLOWERS.ids())
     raise InputError(
-        f"nothing of that name{did_you_mean(what, known)}",
+        f"unknown name{did_you_mean(what, known)}",
         field="show",
         value=what,
         allowed=", ".join(known) + ", a file or a run's folder",
@@ -305,7 +305,7 @@ def show_run(folder: Path, *, as_json: bool) -> int:
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"not the folder of a run ({error})", file=folder) from None
     if not isinstance(kpis, dict) or not isinstance(asked.get("run", {}), dict):
-        raise InputError("not the folder of a run (no table of what was asked or found)", file=folder)
+        raise InputError("not the folder of a run (no table of a request or of results)", file=folder)
     if as_json:
         print_json({"kind": "run", "folder": str(folder), **asked, "result": kpis})
         return 0

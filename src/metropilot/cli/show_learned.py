@@ -68,7 +68,7 @@ def show_learning_run(record: RunRecord, folder: Path, *, as_json: bool) -> int:
     settings = [f"{name} = {json.dumps(value)}" for name, value in record.config.items()]
     heading(out, "settings", settings)
     if record.status == "interrupted":
-        out.print(f"\nGo on with: metropilot learn --resume {folder}")
+        out.print(f"\nResume with: metropilot learn --resume {folder}")
     return 0
 
 
@@ -101,7 +101,7 @@ def say_policy(file: PolicyFile) -> None:
     rows = [f"{words}: {value} {unit}".rstrip() for words, value, unit in known]
     heading(out, "KPIs on its task", rows or _lines(kpis))
     told = {name: value for name, value in about.items() if name not in APART}
-    heading(out, "how it was learned", _lines(told) + _lines(about.get("provenance")))
+    heading(out, "training", _lines(told) + _lines(about.get("provenance")))
     heading(out, "settings", _lines(about.get("config")))
 
 

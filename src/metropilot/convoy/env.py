@@ -36,7 +36,7 @@ class ConvoyTaskConfig:
         destination: Station of arrival.
         trainsets: Whose pairs; ``ID`` or ``ID:LOAD``.
         heads: Recorded heads of each.
-        gap_m: Wanted gap.
+        gap_m: Desired gap.
         eta_speed: Chen23b's eta_1, 1/(m/s).
         eta_gap: And eta_2, 1/m.
         contact: C: what a contact costs.
@@ -81,7 +81,7 @@ def follow_terms(
         gap_m: Gap, rear to front.
         apart_mps: Speed ahead less own speed.
         change: Of the command.
-        wanted_m: Wanted gap.
+        wanted_m: Desired gap.
     """
     xp = namespace(gap_m, apart_mps, change)
     return {

@@ -40,9 +40,9 @@ class Convoy:
     Attributes:
         section: Where.
         trainsets: Head first, each with its load, as drivers know them.
-        gap_m: Wanted gap, rear of one to front of the next.
+        gap_m: Desired gap, rear of one to front of the next.
         start_gap_m: Gap at departure; None: the wanted one.
-        apart_m: Gap wanted once uncoupled.
+        apart_m: Desired gap once uncoupled.
         uncouple_at_m: Where the head begins to uncouple (infinite: nowhere).
         link: From each trainset to the next.
         guard: What protection may rely on: ``coupled`` (brakes controlled to rates that rise along the
@@ -176,7 +176,7 @@ class Member(NamedTuple):
         link: The link from the trainset ahead.
         length_m: Length.
         start_m: Where its front is at departure.
-        gap_m: Wanted gap to the trainset ahead.
+        gap_m: Desired gap to the trainset ahead.
         apart_m: The same once uncoupled.
         uncouple_at_m: Where its front is when the head begins to uncouple.
         is_head: Whether nobody is ahead.

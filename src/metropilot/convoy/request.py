@@ -30,13 +30,13 @@ class ConvoyRequest:
         count: Trainsets.
         follower: Id of the followers' driver.
         options: Its options.
-        gap_m: Wanted gap.
+        gap_m: Desired gap.
         start_gap_m: Gap at departure; None: the wanted one.
-        apart_m: Gap wanted once uncoupled.
+        apart_m: Desired gap once uncoupled.
         uncouple_at_m: Where the head begins to uncouple; None: nowhere.
         link: From each trainset to the next.
         guard: What protection relies on.
-        masses: True over believed mass of each trainset; empty: all 1.
+        masses: True over nominal mass of each trainset; empty: all 1.
         emergency_s: When the head makes an emergency brake; None: never.
     """
 

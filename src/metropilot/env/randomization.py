@@ -37,8 +37,8 @@ class StartDistribution(NamedTuple):
         time_s: Time already used.
         mass_factor: True over believed mass.
         resistance_factor: True over believed Davis resistance.
-        delay_s: Dead time on top of the trainset's.
-        lag_s: Lag on top of the trainset's.
+        delay_s: Dead time in addition to the trainset's.
+        lag_s: Lag in addition to the trainset's.
         speed_noise_mps: Standard deviation of the measured speed.
         headwind_mps: Wind from ahead.
         adhesion: Adhesion of the driven wheels (infinite: dry rail).
@@ -78,8 +78,8 @@ class DisturbanceDistribution:
         time_s: Scheduled time itself instead of ratios.
         mass_factor: True over believed mass.
         resistance_factor: True over believed Davis resistance.
-        delay_s: Dead time on top of the trainset's.
-        lag_s: Lag on top of the trainset's.
+        delay_s: Dead time in addition to the trainset's.
+        lag_s: Lag in addition to the trainset's.
         speed_noise_mps: Standard deviation of the measured speed (cut at three deviations).
         headwind_mps: Wind from ahead.
         adhesion: Adhesion of the driven wheels (infinite: dry rail).

@@ -43,8 +43,8 @@ class Request:
         ideal: Ideal actuation: no delay, lag or jerk limit.
         mass_factor: True over believed mass.
         resistance_factor: True over believed Davis resistance.
-        delay_s: Dead time on top of the trainset's.
-        lag_s: Lag on top of the trainset's.
+        delay_s: Dead time in addition to the trainset's.
+        lag_s: Lag in addition to the trainset's.
         speed_noise_mps: Standard deviation of the measured speed.
         headwind_mps: Wind from ahead; below 0 from behind.
         adhesion: Traction or electric braking over weight at which the driven wheels slip.
@@ -207,6 +207,6 @@ def parse_arrival(text: str) -> TimetableUpdate:
             "not a new running time",
             field="arrivals",
             value=text,
-            allowed="S@T with S later than T, e.g. 116@30: arrive after 116 s, told after 30 s",
+            allowed="S@T with S later than T, e.g. 116@30: arrive after 116 s, sent after 30 s",
         )
     return TimetableUpdate(float(match[2]), scheduled_time_s=float(match[1]))

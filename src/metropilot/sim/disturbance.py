@@ -35,10 +35,10 @@ class Disturbance:
 
     Attributes:
         ideal: Drop the trainset's own delay, lag and jerk limit.
-        mass_factor: True mass over the mass the driver believes.
+        mass_factor: True mass over nominal mass.
         resistance_factor: True Davis resistance over the one the driver believes.
-        delay_s: Dead time on top of the trainset's.
-        lag_s: Lag on top of the trainset's.
+        delay_s: Dead time in addition to the trainset's.
+        lag_s: Lag in addition to the trainset's.
         speed_noise_mps: Standard deviation of the measured speed (cut at three deviations).
         headwind_mps: Wind from ahead on the whole section; below 0 it blows from behind.
         adhesion: Traction, or electric braking, over weight at which the driven wheels slip; infinite: dry
@@ -52,10 +52,10 @@ class Disturbance:
     ideal: bool = declared(False, "Ideal actuation: no delay, lag or jerk limit.", label="Ideal actuation")
     mass_factor: float = declared(
         1.0,
-        "True mass over the mass the driver believes.",
+        "True mass over nominal mass.",
         low=0.5,
         high=2.0,
-        label="True mass / believed",
+        label="True mass / nominal",
         step=0.05,
     )
     resistance_factor: float = declared(
@@ -63,20 +63,26 @@ class Disturbance:
         "True Davis resistance over the one the driver believes.",
         low=0.0,
         high=5.0,
-        label="True resistance / believed",
+        label="True resistance / nominal",
         step=0.1,
     )
     delay_s: float = declared(
         0.0,
-        "Dead time on top of the trainset's.",
+        "Additional dead time.",
         unit="s",
         low=0.0,
         high=5.0,
-        label="Dead time on top",
+        label="Additional dead time",
         step=0.1,
     )
     lag_s: float = declared(
-        0.0, "Lag on top of the trainset's.", unit="s", low=0.0, high=5.0, label="Lag on top", step=0.1
+        0.0,
+        "Additional lag.",
+        unit="s",
+        low=0.0,
+        high=5.0,
+        label="Additional lag",
+        step=0.1,
     )
     speed_noise_mps: float = declared(
         0.0,

@@ -1,4 +1,4 @@
-"""Papers reproduced: declarations, published numbers, and tables of published, ours and optimum.
+"""Papers reproduced: declarations, published numbers, and tables of published, reproduced and optimal values.
 
 The door is lazy: listing the studies imports none of them.
 """

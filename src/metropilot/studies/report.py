@@ -1,4 +1,4 @@
-"""What a study says: rows of published, ours and optimum, figures, deviations from the paper."""
+"""What a study says: rows of published, reproduced and optimal values, figures, deviations from the paper."""
 
 from __future__ import annotations
 

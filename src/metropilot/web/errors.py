@@ -90,7 +90,7 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
     for code, words in {
         400: "not readable",
         401: "no token",
-        403: "asked from elsewhere",
+        403: "request from another site",
         404: "not here",
         405: "not this way",
         409: "not now",

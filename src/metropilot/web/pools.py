@@ -56,7 +56,7 @@ class Pools:
             Refused: It took too long or too much memory, or too many wait.
         """
         if self.asking >= BUSY:
-            raise Refused("too many questions at once", 429)
+            raise Refused("too many requests at once", 429)
         self.asking += 1
         try:
             future = self.answers.schedule(function, args=list(values), timeout=self.settings.answer_s)
@@ -84,9 +84,9 @@ def explained(error: BaseException, bound_s: float) -> MetropilotError:
     if isinstance(error, MetropilotError):
         return error
     if isinstance(error, Late):
-        return Refused(f"took longer than {bound_s:g} s; ask for something smaller", 422)
+        return Refused(f"took longer than {bound_s:g} s; use a smaller request", 422)
     if isinstance(error, MemoryError):
-        return Refused("needs too much memory; ask for something smaller", 422)
+        return Refused("needs too much memory; use a smaller request", 422)
     if isinstance(error, ProcessExpired):
         return Refused("the worker died, most likely of too little memory", 422)
     if isinstance(error, CancelledError):

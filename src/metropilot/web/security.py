@@ -67,12 +67,12 @@ class Guard:
         headers = Headers(scope=scope)
         host = headers.get("host", "")
         if self.settings.is_local and _name(host) not in LOOPBACK:
-            return answer(403, {"message": "asked for another host", "field": "Host", "value": host[:80]})
+            return answer(403, {"message": "request for another host", "field": "Host", "value": host[:80]})
         origin = headers.get("origin")
         unsafe = scope["type"] == "websocket" or scope["method"] not in SAFE
         if origin is not None and unsafe and urlsplit(origin).netloc != host:
             return answer(
-                403, {"message": "asked from another site", "field": "Origin", "value": origin[:80]}
+                403, {"message": "request from another site", "field": "Origin", "value": origin[:80]}
             )
         if self.settings.token is not None and not self._presents(scope, headers):
             return self._welcome(scope)

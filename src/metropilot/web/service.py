@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 SUFFIXES = (".toml", ".json", ".safetensors")
 SAVE_STEPS = 25
 ABANDONED_S = 120.0
-"""A live run that nobody watches or asks about is stopped after this; it can be resumed."""
+"""A live run that no viewer or asks about is stopped after this; it can be resumed."""
 RESUMABLE = ("interrupted", "stopped")
 LISTED = 6
 """Live runs that can be resumed and are listed, the newest first."""
@@ -391,7 +391,7 @@ class Service:
                 continue
             with suppress(Refused):
                 await session.stop()
-                words = f"nobody watched it for {ABANDONED_S:g} s; it can be resumed"
+                words = f"no viewer for {ABANDONED_S:g} s; it can be resumed"
                 self.store.update(session.id, words=words)
 
     def _run(self, asked: LiveAsked) -> Request:

@@ -137,7 +137,7 @@ def _learning(router: APIRouter, service: Service) -> None:
 
     @router.get("/studies/{study_id}", response_model=list[StudyRow], tags=["learning"])
     def study_table(study_id: Key) -> list[dict[str, Any]]:
-        """The newest table of a study: published, ours and optimum."""
+        """The newest table of a study: published, reproduced and optimal values."""
         return catalogue.study_table(service, study_id)
 
 

@@ -1,4 +1,4 @@
-"""Live runs: started, watched, told news, taken over by hand."""
+"""Live runs: started, watched, updated, driven manually."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from metropilot.web.service import Service
 STREAM: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "Server-sent events, numbered: `scene` (track, permitted speed, plan, names of the "
-        "columns), `rows` (one a control period), `event` (news, in words), `result` (KPIs), `error`, `end`. "
+        "columns), `rows` (one a control period), `event` (timetable updates and other events, in words), `result` (KPIs), `error`, `end`. "
         "In a scene, `plan` leads from where the trainset was when it was made to the stop; `reference` "
         "leads from departure to the stop for what is in force now, and a run's energy is compared with it: "
         "`plan_energy_wheel_j` of a row is what it has used at that position. "
@@ -91,7 +91,7 @@ def routes(service: Service) -> APIRouter:
 
     @router.get("/live/{live_id}", response_model=LiveOut)
     async def one(live_id: Key) -> dict[str, Any]:
-        """A live run. Asking counts as watching: one that nobody watches for 2 min is stopped."""
+        """A live run. Asking counts as watching: one that no viewer for 2 min is stopped."""
         session = service.session(live_id)
         session.seen_at = monotonic()
         return live_out(session)

@@ -97,7 +97,7 @@ class ConvoyEngine:
             self.rollout.brake_head()
             return "the head makes an emergency brake"
         if event["kind"] != "link":
-            raise InputError("a convoy cannot be told that", field="kind", value=event["kind"])
+            raise InputError("unknown event of a convoy", field="kind", value=event["kind"])
         since = 0.0 if event["silent"] else SILENT
         self.link = Link(event["delay_s"], event["jitter_s"], event["loss"], since)
         self.rollout.relink(self.link)

@@ -1,4 +1,4 @@
-"""A run stepped against the clock, told news and taken over on the way; every event has its step.
+"""A run stepped against the clock, with timetable updates and manual driving; every event has its step.
 
 The same events before the same steps give the same bits, so that a journal is enough to resume a run.
 """
@@ -121,7 +121,7 @@ class Engine:
         if kind == "restriction":
             return self._restrict(Restriction(event["from_m"], event["to_m"], event["limit_mps"]))
         if kind != "lever":
-            raise InputError("a run cannot be told that", field="kind", value=kind)
+            raise InputError("unknown event of a run", field="kind", value=kind)
         take_over = bool(event.get("take_over"))
         return self._lever(event["share"], event.get("holder", NOBODY), take_over=take_over)
 
@@ -143,7 +143,7 @@ class Engine:
             return ""
         if share is None:
             self._plan_anew()
-            return "the driver has the lever again"
+            return "the lever is returned to the driver"
         self.held_since_s = self.time_s
         return f"the lever is taken {'by hand' if held is None else f'over from {held}'} by {holder}"
 
@@ -182,7 +182,7 @@ class Engine:
     def _arrival_words(self, before_s: float) -> str:
         scheduled_s = self.rollout.scheduled_time_s
         way = "earlier" if scheduled_s < before_s else "later"
-        return f"told to arrive {way}: after {scheduled_s:g} s{self._instead()}"
+        return f"new arrival time, {way}: after {scheduled_s:g} s{self._instead()}"
 
     def _announce(self, news: TimetableUpdate) -> None:
         self.news.append(news)
@@ -191,11 +191,11 @@ class Engine:
     def _instead(self) -> str:
         """When it can be there, where the time it was told cannot be met from here; else nothing."""
         if self.plan is None:
-            return "; no plan from here is found for that"
+            return "; no plan from here meets it"
         arrives_s = self.time_s + float(self.plan.time_s[-1])
         if abs(arrives_s - self.rollout.scheduled_time_s) <= PUNCTUALITY_S:
             return ""
-        return f"; from here it can be there after {arrives_s:.1f} s"
+        return f"; earliest possible arrival from here: after {arrives_s:.1f} s"
 
     def _restrict(self, restriction: Restriction) -> str:
         self.open.check_restriction(restriction)

@@ -58,7 +58,7 @@ class ConvoyPage:
                 followers = list(FOLLOWERS.ids())
                 with ui.element("div").classes("mp-row"):
                     self.count = bounded("Trainsets", ConvoyAsked, "trainsets", value=3, step=1)
-                    self.gap = bounded("Wanted gap (m)", ConvoyAsked, "gap_m", value=5.92, step=1)
+                    self.gap = bounded("Desired gap (m)", ConvoyAsked, "gap_m", value=5.92, step=1)
                 with ui.element("div").classes("mp-row"):
                     self.head = ui.select(driver_names(self.service), value="optimal", label="Head")
                     self.follower = ui.select(followers, value="follow_gap", label="Followers")
@@ -132,7 +132,7 @@ class ConvoyPage:
         elif (found := self.service.store.result(row.id)) is not None:
             self.show_over(row, found)
         else:
-            self.form.problem.label.text = f"{row.id}: {row.status}; {row.words or 'nothing was kept of it'}"
+            self.form.problem.label.text = f"{row.id}: {row.status}; {row.words or 'its record was not kept'}"
 
     def restore(self, row: JobRow) -> None:
         """Fill the form as a convoy was asked for.
@@ -209,7 +209,7 @@ class ConvoyPage:
         """Let the browser watch."""
         self.result.clear()
         with self.result:
-            ui.label("KPIs of every trainset when all stand.").classes("mp-soft")
+            ui.label("KPIs of every trainset when all have stopped.").classes("mp-soft")
         ui.run_javascript(f"metropilotConvoy('c{self.root.id}', {run!r}, {self.plot.id}, {count - 1})")
 
     async def ask(self, event: dict[str, Any]) -> None:
@@ -265,7 +265,7 @@ class ConvoyPage:
         """A convoy that an earlier server drove."""
         self.plot.update_figure(driven_convoy(found))
         self.root.props(f"data-status={row.status}")
-        self.status.text = "all stand"
+        self.status.text = "all stopped"
         self.show_tables(row.id, found)
 
 

@@ -1,4 +1,4 @@
-"""Drive: a live run, told news on the way, taken over by hand."""
+"""Drive: a live run, with timetable updates and manual driving."""
 
 from __future__ import annotations
 
@@ -153,8 +153,8 @@ class DrivePage:
             ui.label("power").style("text-align:right")
 
     def build_news(self) -> None:
-        """What the driver can be told on the way."""
-        with card("On the way", "What the driver is told while it drives.", late=True):
+        """New arrival time and temporary speed restriction during the run."""
+        with card("During the run", "New arrival times and speed restrictions for the driver.", late=True):
             self.news = Problem()
             with ui.element("div").classes("mp-row"):
                 self.arrival = bounded("Arrive after (s)", NewArrival, "scheduled_time_s", value=101, step=1)

@@ -267,11 +267,11 @@ def kept_words(kept: dict[str, Any], options: dict[str, Any]) -> str:
     """What a linked run was asked that has no field: the driver's options too, but for its policy."""
     said = [
         f"{3.6 * r['limit_mps']:.0f} km/h from {r['from_m']:g} to {r['to_m']:g} m"
-        + ("" if r["told_s"] is None else f", told after {r['told_s']:g} s")
+        + ("" if r["told_s"] is None else f", sent after {r['told_s']:g} s")
         for r in kept.get("restrictions", ())
     ]
     said += [
-        f"arrive after {a['scheduled_time_s']:g} s, told after {a['told_s']:g} s"
+        f"arrive after {a['scheduled_time_s']:g} s, sent after {a['told_s']:g} s"
         for a in kept.get("arrivals", ())
     ]
     said += [f"{name} {kept[name]}" for name in ("objective", "dt_s") if name in kept]
@@ -280,13 +280,13 @@ def kept_words(kept: dict[str, Any], options: dict[str, Any]) -> str:
 
 
 class DisturbanceForm:
-    """What goes differently than planned."""
+    """Disturbances."""
 
     FIELDS = (
-        ("mass_factor", "True mass / believed", 1.0, 0.05),
-        ("resistance_factor", "True resistance / believed", 1.0, 0.1),
-        ("delay_s", "Dead time on top (s)", 0.0, 0.1),
-        ("lag_s", "Lag on top (s)", 0.0, 0.1),
+        ("mass_factor", "True mass / nominal", 1.0, 0.05),
+        ("resistance_factor", "True resistance / nominal", 1.0, 0.1),
+        ("delay_s", "Additional dead time (s)", 0.0, 0.1),
+        ("lag_s", "Additional lag (s)", 0.0, 0.1),
         ("speed_noise_mps", "Speed noise, 1σ (m/s)", 0.0, 0.01),
         ("seed", "Seed", 0, 1),
     )
@@ -294,7 +294,7 @@ class DisturbanceForm:
     def build(self, problem: Problem) -> None:
         """Place the fields, folded away."""
         self.inputs: dict[str, ui.number] = {}
-        self.fold = ui.expansion("What goes differently than planned").props("dense").classes("mp-soft")
+        self.fold = ui.expansion("Disturbances").props("dense").classes("mp-soft")
         with self.fold, ui.element("div").classes("mp-stack"):
             for name, words, value, step in self.FIELDS:
                 made = bounded(words, DriveAsked, name, value=value, step=step)

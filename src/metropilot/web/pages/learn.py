@@ -56,7 +56,7 @@ class LearnPage:
                     self.problem.beside(name, element.props("outlined dense options-dense"))
                 self.steps.props('data-test="steps"')
                 ui.button("Learn", on_click=self.start).props('unelevated data-test="learn"')
-            with card("Studies", "Papers reproduced: published, ours and optimum."):
+            with card("Studies", "Papers reproduced: published, reproduced and optimal values."):
                 self.studies()
         with ui.element("div").classes("mp-col"):
             with card("Run"):
@@ -245,7 +245,7 @@ def study_table(rows: list[dict[str, Any]]) -> None:
         for r in rows
     ]
     columns = ("table", "case", "driver", "KPI", "published", "ours", "range", "optimum")
-    table(columns, cells, right=(4, 5, 6, 7), name="Published, ours, optimum")
+    table(columns, cells, right=(4, 5, 6, 7), name="Published, reproduced, optimum")
 
 
 def figures(value: float | None) -> str:

@@ -30,9 +30,7 @@ class RunList:
 
     def build(self) -> None:
         """Place the list."""
-        with card(
-            "Live runs", f"One that nobody watches for {ABANDONED_S / 60:g} min is stopped.", late=True
-        ):
+        with card("Live runs", f"One that no viewer for {ABANDONED_S / 60:g} min is stopped.", late=True):
             self.problem = Problem()
             self.rows = ui.element("div").classes("mp-stack").props('data-test="runs"')
         self.refresh()
@@ -58,7 +56,7 @@ class RunList:
         if session is None or session.over:
             return f"{row.status}: {row.words}" if row.words else f"{row.status}; it can be resumed"
         known = session.known
-        watched = f" · {session.viewers} watching" if session.viewers else " · nobody watches"
+        watched = f" · {session.viewers} watching" if session.viewers else " · no viewer"
         lever = "" if known.lever is None else f" · lever: {known.lever['holder']}"
         return f"{clock(known.time_s)} · {f'{known.pace:g} ×' if known.pace else 'waiting'}{watched}{lever}"
 

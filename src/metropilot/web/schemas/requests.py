@@ -153,7 +153,7 @@ class ConvoyAsked(SectionAsked):
     driver: DriverName = "optimal"
     trainsets: Annotated[int, Field(ge=2, le=6)] = 3
     follower: Id = "follow_gap"
-    gap_m: Annotated[float, Field(ge=0.5, le=2000, description="wanted gap, m")] = 5.92
+    gap_m: Annotated[float, Field(ge=0.5, le=2000, description="desired gap, m")] = 5.92
     start_gap_m: Annotated[float, Field(ge=0.5, le=2000)] | None = None
     guard: Literal["coupled", "independent", "moving_block", "none"] = "coupled"
     delay_s: Annotated[float, Field(ge=0, le=2)] = 0.0

@@ -107,7 +107,7 @@
     on_end(said) {
       this.source.close();
       this.root.dataset.status = said.status;
-      this.set("status", { done: "all stand", stopped: "stopped", failed: `failed: ${said.message}` }[said.status] || said.status);
+      this.set("status", { done: "all stopped", stopped: "stopped", failed: `failed: ${said.message}` }[said.status] || said.status);
     }
   }
 

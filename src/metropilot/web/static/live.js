@@ -138,7 +138,7 @@
     shown() {
       const held = this.share !== null, slider = this.part("slider"), other = held || this.over ? null : this.other;
       this.root.dataset.hand = held; this.root.dataset.holder = held ? HOLDER : other ? other.holder : "";
-      this.set("hand", held ? `by hand: ${(this.share * 100).toFixed(0)} %` : other ? `held by ${other.holder} since ${other.since_s.toFixed(1)} s` : "the driver has it");
+      this.set("hand", held ? `manual: ${(this.share * 100).toFixed(0)} %` : other ? `held by ${other.holder} since ${other.since_s.toFixed(1)} s` : "the driver has it");
       if (slider) { slider.value = held ? this.share : 0; slider.disabled = !held; }
       const button = this.part("take");
       if (button) { button.textContent = held ? "Give the lever back (Esc)" : other ? "Take the lever over" : "Take the lever (M)"; button.title = `this page is ${HOLDER}`; }

@@ -47,7 +47,7 @@ def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> di
             file.write(json.dumps({"steps": now.steps, **now.row}) + "\n")
         words = f"{now.steps:,} of {now.total_steps:,} steps, {now.rate:,.0f} steps/s".replace(",", " ")
         if "lessons" in now.row:
-            words = f"{now.row['lessons']:.0%} of the lessons gathered"
+            words = f"{now.row['lessons']:.0%} of the demonstrations collected"
         store.update(job, progress=now.steps / now.total_steps, words=words)
         if store.stop_asked(job):
             raise KeyboardInterrupt
