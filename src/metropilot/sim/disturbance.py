@@ -115,7 +115,7 @@ class Disturbance:
         "True service braking force over the one the driver believes.",
         low=0.5,
         high=1.5,
-        label="True service brake / believed",
+        label="True service brake / nominal",
         step=0.05,
     )
     updates: tuple[TimetableUpdate, ...] = ()

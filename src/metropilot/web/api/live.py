@@ -27,7 +27,7 @@ from metropilot.web.service import Service
 STREAM: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "Server-sent events, numbered: `scene` (track, permitted speed, plan, names of the "
-        "columns), `rows` (one a control period), `event` (timetable updates and other events, in words), `result` (KPIs), `error`, `end`. "
+        "columns), `rows` (one a control period), `event` (in words), `result` (KPIs), `error`, `end`. "
         "In a scene, `plan` leads from where the trainset was when it was made to the stop; `reference` "
         "leads from departure to the stop for what is in force now, and a run's energy is compared with it: "
         "`plan_energy_wheel_j` of a row is what it has used at that position. "
