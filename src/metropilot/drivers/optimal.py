@@ -240,7 +240,7 @@ class Optimal(AbstractDriver):
             needed = rate if left <= self.options.handover_m else self.options.alarm * rate
         # Where the brake has nothing to spare, half a period's wait is more than it can make up for.
         due = stop.required_mps2 * left / max(left - 0.5 * stop.ahead.speed_mps * memory.model.dt, 0.1)
-        return left <= LAST_METRES_M or stop.required_mps2 >= needed or due >= available_mps2
+        return bool(left <= LAST_METRES_M or stop.required_mps2 >= needed or due >= available_mps2)
 
     def _available(self, memory: FollowingMemory, stop: Stop) -> float:
         """The deceleration the stop may count on; infinite while it is far off."""
