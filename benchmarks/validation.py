@@ -1,4 +1,4 @@
-"""Plans beside the optima that other people's solvers computed, as the page `docs/validation.md`.
+"""Plans compared with the optima of other solvers, as the page `docs/validation.md`.
 
 python -m benchmarks.validation --write docs/validation.md
 """
@@ -17,7 +17,7 @@ from benchmarks.report import circumstances, written
 from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
 from metropilot.railway import import_file, load_line, load_trainset
 
-HEADINGS = "| case | reference | ours | difference | agreement asked | certificate gap |"
+HEADINGS = "| case | reference | ours | difference | agreement required | certificate gap |"
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def page() -> str:
 def main() -> None:
     """Print the tables, or replace them in a page."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.validation", description="Plans beside others'."
+        prog="python -m benchmarks.validation", description="Plans compared with other solvers."
     )
     parser.add_argument("--write", type=Path, metavar="PAGE", help="replace the tables of a page")
     options = parser.parse_args()
