@@ -1,4 +1,4 @@
-"""Three drivers on the same run, with a driver of one's own beside those of the registry.
+"""Two registered drivers and one of your own on the same run.
 
 python examples/compare_drivers.py
 """
@@ -18,7 +18,7 @@ class Coaster(AbstractDriver):
     summary = "power, coast, brake"
     source = "example"
 
-    def init(self, run: Run) -> str:  # noqa: ARG002 (this driver needs to know nothing beforehand)
+    def init(self, run: Run) -> str:  # noqa: ARG002 (this driver needs nothing of the run)
         """Begin with full power."""
         return "power"
 

@@ -1,4 +1,4 @@
-"""Drive one section near the energy optimum and see what it cost.
+"""Drive one section near the energy optimum and print its key figures.
 
 python examples/drive_a_section.py
 """

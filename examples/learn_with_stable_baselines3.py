@@ -16,7 +16,7 @@ STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 4_096
 EPISODES = 3
 
 env = gymnasium.make("metropilot/Drive-v0")
-# Undiscounted: the price of a second is paid at the end.
+# Undiscounted: the cost of running time is charged at the end of the episode.
 model = PPO("MlpPolicy", env, n_steps=1024, gamma=1.0, gae_lambda=0.995, seed=0, device="cpu")
 model.learn(STEPS)
 

@@ -1,4 +1,4 @@
-"""A line of one's own from arrays, without any file: what does a second of running time cost on it?
+"""A line made from arrays, without a file, and the energy that a second of running time costs on it.
 
 python examples/own_line.py
 """

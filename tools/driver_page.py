@@ -21,7 +21,7 @@ STUDIES = {
     "Chen23a": "chen2023a",
     "Chen23b": "chen2023b",
 }
-"""Words in a driver's source, and the study whose page lists how ours departs from it."""
+"""Words in a driver's source, and the study whose page lists the deviations from it."""
 TABLES = {"drivers": DRIVERS, "followers": FOLLOWERS}
 
 
@@ -29,13 +29,13 @@ def deviations(source: str) -> str:
     """Links to the pages that list the deviations from a source."""
     found = dict.fromkeys(study for words, study in STUDIES.items() if words in source)
     links = [f"[{study}](studies/{study}.md#deviations-from-the-paper)" for study in found]
-    return ", ".join(links) or "none: our own"
+    return ", ".join(links) or "–"
 
 
 def table(name: str) -> str:
     """The table of one registry."""
     registry = TABLES[name]
-    rows = ["| id | what it does | source | departs from it |", "|---|---|---|---|"]
+    rows = ["| id | what it does | source | deviations |", "|---|---|---|---|"]
     for driver_id, row in registry.rows().items():
         rows.append(f"| `{driver_id}` | {row.summary} | {row.source} | {deviations(row.source)} |")
     return "\n".join(rows)

@@ -7,7 +7,7 @@ DRIVERS.add(
     {
         "ddpg_pid": RegistryRow(
             "metropilot.drivers.ddpg_pid:DdpgPid",
-            "Incremental PID on a speed reference, gains set by a policy that DDPG learned",
+            "Incremental PID on a speed reference, gains from a policy learned by DDPG",
             "Cheng23",
         ),
         "dqn": RegistryRow(
@@ -17,7 +17,7 @@ DRIVERS.add(
         ),
         "eitoe": RegistryRow(
             "metropilot.drivers.eitoe:Eitoe",
-            "Expert system: time window by minimal-time distribution, long coasting, a stop that learns",
+            "Expert system: time window by minimal-time distribution, long coasting, online-learned stop",
             "Huang25",
         ),
         "eitop": RegistryRow(
@@ -30,12 +30,12 @@ DRIVERS.add(
         ),
         "fuzzy_pid": RegistryRow(
             "metropilot.drivers.fuzzy_pid:FuzzyPid",
-            "Incremental PID on a speed reference, gains moved by 7 x 7 fuzzy rules",
+            "Incremental PID on a speed reference, gains changed by 7 x 7 fuzzy rules",
             "Cheng23 (F-PID); textbook rules",
         ),
         "generalist": RegistryRow(
             "metropilot.drivers.shipped:Generalist",
-            "Learned on random sections and trainsets: one policy for every line",
+            "One policy for every line, learned on random sections and trainsets",
             "own",
         ),
         "improved_dqn": RegistryRow(
@@ -55,13 +55,13 @@ DRIVERS.add(
         ),
         "manual": RegistryRow(
             "metropilot.drivers.manual:Manual",
-            "Surrogate of a human driver: notches, reaction time, hysteresis, scatter",
+            "Model of a human driver: notches, reaction time, hysteresis, scatter",
             "own (Huang25's recorded drives are not public)",
         ),
         "mpc": RegistryRow(
             "metropilot.drivers.mpc:Mpc",
-            "model-predictive: plans the rest anew every 3 s, with what it learned on the way",
-            "own; convex plan of the design in receding horizon",
+            "Model-predictive control: a new plan every 3 s, with the estimated plant",
+            "own; convex plan in receding horizon",
         ),
         "neural_pid": RegistryRow(
             "metropilot.drivers.neural_pid:NeuralPid",
@@ -70,25 +70,25 @@ DRIVERS.add(
         ),
         "optimal": RegistryRow(
             "metropilot.drivers.optimal:Optimal",
-            "convex optimal plan in closed loop: follows, re-plans, stops at the point",
-            "own; convex plan of the design",
+            "Convex optimal plan in closed loop: follows, re-plans, stops at the point",
+            "own; convex plan",
         ),
         "pid": RegistryRow(
             "metropilot.drivers.pid:Pid", "Incremental PID on a speed reference, fixed gains", "Cheng23"
         ),
         "pid_lu2023": RegistryRow(
             "metropilot.drivers.pid_lu2023:PidLu2023",
-            "PID that tracks the curve improved_dqn would drive",
+            "PID that tracks the speed curve of improved_dqn",
             "Lu23",
         ),
         "ppo": RegistryRow(
             "metropilot.drivers.shipped:Ppo",
-            "Learned by PPO for RJ to WYJ, every load, up to 130 s",
+            "Learned by PPO for RJ to WYJ, every load, running times up to 130 s",
             "own, after Chen23a",
         ),
         "ppo_scaled": RegistryRow(
             "metropilot.drivers.shipped:PpoScaled",
-            "Learned by PPO with reward scaling for RJ to WYJ, every load, up to 130 s",
+            "Learned by PPO with reward scaling for RJ to WYJ, every load, running times up to 130 s",
             "own, after Chen23a",
         ),
         "stod": RegistryRow(

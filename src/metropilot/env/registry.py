@@ -214,9 +214,9 @@ TASKS: Registry[Callable[[], DrivingConfig]] = Registry(
     {
         "drive": RegistryRow(_drive, "RJ to WYJ, every load and time up to 130 s, ideal actuation"),
         "drive_jerk": RegistryRow(_drive_jerk, "The same with the trainset's jerk limit"),
-        "drive_both": RegistryRow(_drive_both, "Both: RJ to WYJ, every load, with and without jerk limit"),
+        "drive_both": RegistryRow(_drive_both, "RJ to WYJ, every load, with and without jerk limit"),
         "drive_line": RegistryRow(_drive_line, "All sections of the Yizhuang line, both ways, every load"),
-        "worlds": RegistryRow(_worlds, "Random sections with random trainsets, none of a real line"),
+        "worlds": RegistryRow(_worlds, "Random sections and trainsets (domain randomisation)"),
         "drive_disturbed": RegistryRow(
             _drive_disturbed, "RJ to WYJ with scatter, delay, noise and new times"
         ),
@@ -228,10 +228,10 @@ TASKS: Registry[Callable[[], DrivingConfig]] = Registry(
         "chen2023a": RegistryRow(_chen2023a, "YZQ to WHY in 80 s from position and speed (Chen23a)"),
         "huang2025": RegistryRow(
             lambda: _huang2025(ExpertAction()),
-            "RJ to WYJ and three more inside Huang25's expert: the change of the rate, a number",
+            "Four sections inside Huang25's expert: the change of the rate, continuous",
         ),
         "huang2025_choices": RegistryRow(
-            lambda: _huang2025(ExpertChoiceAction()), "The same by choice of one of three changes (its ITOR)"
+            lambda: _huang2025(ExpertChoiceAction()), "The same with three discrete changes (its ITOR)"
         ),
         "lu2023": RegistryRow(
             _lu2023, "WHY to WYJ by twelve notches, rewards and filter of Lu23, 120 to 140 s"
