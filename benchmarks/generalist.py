@@ -20,8 +20,7 @@ from benchmarks.beside_optimum import Result, beside_optimum, table, worst
 from benchmarks.report import circumstances, hand_out, page_options
 from metropilot.errors import MetropilotError
 from metropilot.planning import minimum_running_time
-from metropilot.policy import shipped_policy
-from metropilot.policy.loaded import load_driving_policy
+from metropilot.policy import load_driving_policy, shipped_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, Run
 

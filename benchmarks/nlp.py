@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from metropilot.planning.effort_table import Specific
-from metropilot.planning.mesh import Mesh
+from metropilot.planning import Mesh, Specific
 
 SPLINE_MPS = 0.5
 LIMIT_S = 300.0

@@ -19,14 +19,14 @@ from benchmarks.shooting import solve_shooting
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import (
     PlanOptions,
+    build_mesh,
+    fastest_profile,
     minimum_running_time,
     optimal_plan,
     plan_journey,
+    specific,
     timetable_waypoints,
 )
-from metropilot.planning.effort_table import specific
-from metropilot.planning.fastest import fastest_profile
-from metropilot.planning.mesh import build_mesh
 from metropilot.railway import Line, Section, Trainset, load_line, load_trainset
 
 RATIO = 1.1

@@ -6,8 +6,7 @@ import pytest
 from metropilot.control.estimator import weighs_load
 from metropilot.drivers import DRIVERS
 from metropilot.physics import track_arrays, vehicle_arrays
-from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
-from metropilot.planning.optimal import plan_arrays
+from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan, plan_arrays
 from metropilot.railway import Restriction, load_line, load_trainset
 from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate, drive
 

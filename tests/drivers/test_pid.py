@@ -8,8 +8,13 @@ from metropilot.drivers import DRIVERS
 from metropilot.drivers.pid import Pid, PidOptions
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays, vehicle_arrays
-from metropilot.planning import ReferenceShape, reference_for_time
-from metropilot.planning.timed_reference import ReferenceTrack, reference_under_for_time, sampled
+from metropilot.planning import (
+    ReferenceShape,
+    ReferenceTrack,
+    reference_for_time,
+    reference_under_for_time,
+    sampled,
+)
 from metropilot.railway import Restriction, load_line, load_trainset
 from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate, drive
 

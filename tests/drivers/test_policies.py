@@ -14,8 +14,14 @@ from metropilot.env import ACTIONS, PolicyInterface, task_config
 from metropilot.errors import InputError
 from metropilot.evaluate import Request, make_driver, request_from_toml
 from metropilot.evaluate.folder import write_run_toml
-from metropilot.policy import Policy, PolicySpec, load_policy, save_policy, shipped_policy
-from metropilot.policy.loaded import load_driving_policy
+from metropilot.policy import (
+    Policy,
+    PolicySpec,
+    load_driving_policy,
+    load_policy,
+    save_policy,
+    shipped_policy,
+)
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, Run, drive, register
 

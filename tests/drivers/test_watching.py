@@ -7,8 +7,7 @@ import pytest
 
 from metropilot.control.adaptation import Adapted, adapted_trainset, adapted_vehicle
 from metropilot.evaluate import kpis_of, make_driver
-from metropilot.physics import vehicle_arrays
-from metropilot.physics.effort import effort_at
+from metropilot.physics import effort_at, vehicle_arrays
 from metropilot.planning import minimum_running_time
 from metropilot.railway import Actuation, Restriction, load_line, load_trainset
 from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate

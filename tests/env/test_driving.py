@@ -19,8 +19,7 @@ from metropilot.env.optima import optima_of
 from metropilot.env.to_go import to_go_table
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays, vehicle_arrays
-from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
-from metropilot.planning.optimal import fastest_time
+from metropilot.planning import PlanOptions, fastest_time, minimum_running_time, optimal_plan
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import CODES, RUNNING, Outcome, OutcomeRule
 

@@ -14,9 +14,7 @@ import pytest
 
 from metropilot.drivers.learned import LearnedDriver
 from metropilot.env import DrivingConfig, DrivingTask, starts
-from metropilot.policy import shipped_policy
-from metropilot.policy.loaded import load_driving_policy
-from metropilot.policy.policy import chosen, network_output
+from metropilot.policy import choose_action, load_driving_policy, network_output, shipped_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, Run, drive
 
@@ -51,7 +49,9 @@ def program(sections):
         def step(carry, _):
             state, observation, over = carry
             output = network_output(policy.spec, params, observation, jnp)
-            after, transition = task.step(jax.random.key(0), state, chosen(policy.spec, output, None, jnp))
+            after, transition = task.step(
+                jax.random.key(0), state, choose_action(policy.spec, output, None, jnp)
+            )
             after = jax.tree.map(lambda new, old: jnp.where(over, old, new), after, state)
             observation = jnp.where(over, observation, transition.observation)
             plant = after.plant

@@ -7,7 +7,7 @@ from metropilot.env.features import FASTER_MPS, FEATURES, OBSERVERS, SPEED_MPS, 
 from metropilot.env.tables import CLIMB, PACES_MPS, PERMITTED
 from metropilot.env.worlds import ASSISTS, domain_sample
 from metropilot.learn.imitation.lessons import DemonstrationGenerator
-from metropilot.physics.resistance import davis_n
+from metropilot.physics import davis_n
 
 
 @pytest.fixture(scope="module", params=[2, 9])

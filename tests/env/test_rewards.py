@@ -9,7 +9,7 @@ from metropilot.env.features import FeatureContext
 from metropilot.env.rewards import TERMS, Change, Energy, Failure, OnTime, Punctuality
 from metropilot.env.tables import SectionRows
 from metropilot.errors import InputError
-from metropilot.physics.effort import effort_at
+from metropilot.physics import effort_at
 
 F = np.float64
 MOVING = Change(

@@ -120,7 +120,7 @@ def _read_railway(path: Path) -> None:
 
 
 def _read_policy(path: Path) -> None:
-    from metropilot.policy.loaded import load_driving_policy
+    from metropilot.policy import load_driving_policy
 
     loaded = load_driving_policy(path)
     size = loaded.policy.policy.spec.observation_size

@@ -21,7 +21,7 @@ from metropilot.learn.imitation.course import teach_in_parts
 from metropilot.learn.imitation.gather import Gathering, gather_shard, gathered
 from metropilot.learn.imitation.lessons import DemonstrationGenerator, collect_demonstrations
 from metropilot.learn.imitation.pupil import labels, learned, new_pupil, pupil_spec
-from metropilot.policy.policy import act
+from metropilot.policy import act
 
 
 def test_a_world_is_the_same_whenever_it_is_asked_for():
@@ -220,8 +220,7 @@ def test_the_teacher_knows_only_worlds():
 
 
 def test_what_is_shipped_says_where_it_comes_from():
-    from metropilot.policy import shipped_policy
-    from metropilot.policy.loaded import load_driving_policy
+    from metropilot.policy import load_driving_policy, shipped_policy
 
     about = load_driving_policy(shipped_policy("generalist")).about
     assert about["task"]["name"] == "worlds"

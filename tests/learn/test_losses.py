@@ -16,7 +16,7 @@ from metropilot.learn.distributions import (
 )
 from metropilot.learn.losses import ddpg, dqn, naf, ppo, sac, tabular
 from metropilot.learn.networks import lower_triangle
-from metropilot.policy.networks import dueling
+from metropilot.policy import dueling
 
 
 def f(*values):

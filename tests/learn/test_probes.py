@@ -8,7 +8,7 @@ from tests.learn.problems import CONTINUOUS, KINDS, TWO_CHOICES, Probe
 
 from metropilot.learn.config import DDPGConfig, DQNConfig, NAFConfig, PPOConfig, SACConfig, TabularConfig
 from metropilot.learn.registry import make_learner
-from metropilot.policy.policy import act
+from metropilot.policy import act
 
 GAMMA = 0.8
 OBSERVATIONS = np.float32([-1.0, 0.0, 1 / 3, 2 / 3, 1.0])[:, None]

@@ -6,7 +6,7 @@ from scipy.interpolate import RegularGridInterpolator
 from tests.physics import cases
 
 from metropilot import physics
-from metropilot.physics.energy import map_value
+from metropilot.physics import map_value
 from metropilot.railway import Efficiency, EffortCurve, EffortPiece, load_trainset
 
 SPEEDS = np.linspace(0.0, 25.0, 301)

@@ -9,10 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from metropilot import physics
-from metropilot.planning import Plan
-from metropilot.planning.effort_table import specific
-from metropilot.planning.fastest import fastest_profile
-from metropilot.planning.mesh import build_mesh
+from metropilot.planning import Plan, build_mesh, fastest_profile, specific
 from metropilot.railway import (
     Davis,
     EffortCurve,

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from tests.planning import cases
 
-from metropilot.physics import traction_available_n, vehicle_arrays
-from metropilot.physics.energy import map_value
+from metropilot.physics import map_value, traction_available_n, vehicle_arrays
 from metropilot.planning import PlanOptions, optimal_plan
 from metropilot.railway import Efficiency
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from metropilot.errors import Infeasible, InputError
-from metropilot.planning.references import ReferenceShape, peak_speed, reference, reference_for_time
+from metropilot.planning import ReferenceShape, peak_speed, reference, reference_for_time
 
 CHENG = ReferenceShape(acceleration_mps2=0.9, deceleration_mps2=0.8, jerk_mps3=0.5)
 CASES = [

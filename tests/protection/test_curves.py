@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from metropilot.errors import InputError
-from metropilot.physics import davis_n, restrictive_profile, track_arrays, vehicle_arrays
-from metropilot.physics.effort import effort_at
+from metropilot.physics import davis_n, effort_at, restrictive_profile, track_arrays, vehicle_arrays
 from metropilot.protection import (
     Bounds,
     approach_margin,

@@ -6,8 +6,7 @@ import pytest
 from metropilot.control.incremental_pid import Gains
 from metropilot.errors import InputError
 from metropilot.evaluate.tracking import track, tracking_kpis
-from metropilot.physics.effort import effort_at
-from metropilot.physics.resistance import davis_n
+from metropilot.physics import davis_n, effort_at
 from metropilot.studies import STUDIES, Order, reproduce
 from metropilot.studies.cheng2023 import setting
 from metropilot.studies.cheng2023.drives import pid

@@ -38,8 +38,8 @@ from metropilot.physics import (
     track_arrays,
     vehicle_arrays,
 )
-from metropilot.policy.loaded import LoadedPolicy
-from metropilot.protection.types import Memory
+from metropilot.policy import LoadedPolicy
+from metropilot.protection import Memory
 from metropilot.railway import Section, Trainset
 from metropilot.sim import (
     RUNNING,

@@ -17,8 +17,7 @@ from metropilot.env.assists import assisted
 from metropilot.env.features import FeatureContext, feature_context, observe
 from metropilot.env.tables import PERMITTED, SectionRows, SectionTables, near_protection, near_track
 from metropilot.physics import Command, Forces, Vehicle
-from metropilot.policy.networks import Params
-from metropilot.policy.policy import PolicySpec, chosen, network_output
+from metropilot.policy import Params, PolicySpec, choose_action, network_output
 from metropilot.sim import OutcomeRule, RunParams, RunState, control_period, hold_ended
 
 Array = Any
@@ -221,7 +220,7 @@ def _decided(
 
     perception, spec = kind.perception, kind.spec
     output = network_output(spec, params, observe(perception.features, sight), jnp)
-    action = chosen(spec, output, perception.action.allowed(sight, perception.period_s), jnp)
+    action = choose_action(spec, output, perception.action.allowed(sight, perception.period_s), jnp)
     action = action.astype(before.action.dtype)
     due = sight.time_s >= before.decided * perception.period_s - EARLY_S
     broken = due & (jnp.all(jnp.isfinite(output)) ^ True)

@@ -15,8 +15,7 @@ from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
 from metropilot.evaluate.driver_options import make_driver
 from metropilot.evaluate.request_file import is_file
-from metropilot.railway import load_line, load_trainset
-from metropilot.railway.line import RESTRICTION_KMH
+from metropilot.railway import RESTRICTION_KMH, load_line, load_trainset
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance
 
 ALL = "all"

@@ -74,8 +74,7 @@ def policy_named(what: str) -> tuple[str, PolicyFile]:
     from metropilot.cli.learn import found_run
     from metropilot.cli.show_learned import read_policy
     from metropilot.drivers import DRIVERS
-    from metropilot.policy import shipped_policy
-    from metropilot.policy.loaded import policy_path
+    from metropilot.policy import policy_path, shipped_policy
 
     path = Path(what).expanduser()
     if not path.exists() and what.isidentifier() and shipped_policy(what).is_file():

@@ -13,8 +13,7 @@ import numpy as np
 
 from metropilot.control.ceiling import Ceiling
 from metropilot.control.estimator import Model
-from metropilot.physics import resistance_and_gradient
-from metropilot.physics.effort import effort_at
+from metropilot.physics import effort_at, resistance_and_gradient
 
 STEP_M = 5.0
 SPEED_STEP_MPS = 0.25

@@ -26,8 +26,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot.physics import Track, Vehicle, resistance_and_gradient
-from metropilot.physics.effort import curve_n, effort_at
+from metropilot.physics import Track, Vehicle, curve_n, effort_at, resistance_and_gradient
 
 MAX_EXTRA_DELAY_S = 1.0
 EXTRA_LAGS_S = (0.0, 0.2, 0.4, 0.6)

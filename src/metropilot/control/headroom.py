@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from metropilot.control.estimator import Model, PredictedState
 from metropilot.physics import Command
-from metropilot.planning.mesh import limit_at
+from metropilot.planning import limit_at
 from metropilot.protection import (
     Bounds,
     Memory,

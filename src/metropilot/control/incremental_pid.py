@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from metropilot.physics.arrays import namespace
+from metropilot.physics import namespace
 
 Scalar = Any
 

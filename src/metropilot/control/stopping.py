@@ -28,10 +28,9 @@ from typing import NamedTuple, no_type_check
 
 import numpy as np
 
+from metropilot._typing import Scalar
 from metropilot.control.estimator import Model, PredictedState, StateEstimate, look_ahead, share_for
-from metropilot.physics import Vehicle, resistance_and_gradient
-from metropilot.physics.arrays import Scalar, namespace, scalars
-from metropilot.physics.effort import effort_at
+from metropilot.physics import Vehicle, effort_at, namespace, resistance_and_gradient, scalars
 
 SERVICE_USE = 0.95
 """Share of the deceleration at hand that a comfortable stop is planned with."""

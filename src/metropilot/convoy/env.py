@@ -17,8 +17,7 @@ from metropilot.convoy.link import Message, Quality, opened
 from metropilot.convoy.model import CONVOY_PERIOD_S, FAR_M, GAP_M, Convoy, Member, members
 from metropilot.convoy.step import MemberState, at_departure
 from metropilot.env.interface import AbstractTask, ActionSpace, Transition
-from metropilot.physics import to_jax
-from metropilot.physics.arrays import namespace
+from metropilot.physics import namespace, to_jax
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import true_vehicle
 

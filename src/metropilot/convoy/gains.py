@@ -8,7 +8,7 @@ import numpy as np
 
 from metropilot.control.incremental_pid import Gains
 from metropilot.convoy.step import FollowerObservation
-from metropilot.physics.arrays import namespace, scalars
+from metropilot.physics import namespace, scalars
 
 Array = Any
 GAIN_LOW, GAIN_HIGH = Gains(0.0, 0.0, 0.0), Gains(5.0, 1.5, 1.5)

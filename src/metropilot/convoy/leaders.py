@@ -19,7 +19,7 @@ from metropilot.physics import (
     track_arrays,
     vehicle_arrays,
 )
-from metropilot.planning.references import Reference, ReferenceShape, peak_speed, reference_for_time
+from metropilot.planning import Reference, ReferenceShape, peak_speed, reference_for_time
 from metropilot.railway import Section, Trainset
 
 PULL_PER_S = 0.3

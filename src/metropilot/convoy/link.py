@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from metropilot.errors import InputError
-from metropilot.physics.arrays import namespace
+from metropilot.physics import namespace
 
 Array = Any
 SLOTS = 32

@@ -12,8 +12,7 @@ from metropilot.convoy.link import Link, Quality
 from metropilot.errors import InputError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
 from metropilot.protection import Bounds, PairBounds, Protection, Separation, protect, separate
-from metropilot.railway import Section, Trainset
-from metropilot.railway.profile import Steps
+from metropilot.railway import Section, Steps, Trainset
 from metropilot.sim import true_vehicle
 from metropilot.sim.bounds import MASS
 
@@ -293,7 +292,7 @@ def strongest_mps2(section: Section, trainset: Trainset) -> float:
 
 def _all_brakes(vehicle: Vehicle) -> float:
     """Every brake at once on the lightest trainset within the bounds, m/s^2."""
-    from metropilot.physics.effort import effort_at
+    from metropilot.physics import effort_at
 
     strongest = float(np.max(effort_at(vehicle, np.linspace(0.0, float(vehicle.max_speed_mps), 64)).brake_n))
     return strongest / (0.8 * float(vehicle.effective_mass_kg))

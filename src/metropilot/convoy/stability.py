@@ -13,7 +13,7 @@ from metropilot.convoy.drivers import AbstractFollower
 from metropilot.convoy.leaders import record
 from metropilot.convoy.model import Convoy
 from metropilot.convoy.rollout import HeadRun, drive_convoy
-from metropilot.railway.profile import Steps
+from metropilot.railway import Steps
 from metropilot.sim import Outcome
 
 SETTLE_S, RISE_MPS2 = 60.0, 0.4

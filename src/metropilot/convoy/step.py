@@ -6,8 +6,7 @@ from typing import Any, NamedTuple, no_type_check
 
 from metropilot.convoy.link import Channel, Message, opened, passed_on
 from metropilot.convoy.model import FAR_M, Member
-from metropilot.physics import Command, State, at_rest, delay_steps
-from metropilot.physics.arrays import namespace
+from metropilot.physics import Command, State, at_rest, delay_steps, namespace
 from metropilot.protection import Memory as Watched
 from metropilot.protection import TrainAhead, at_start, spare_gap
 from metropilot.sim import OutcomeRule, PeriodRecord, RunParams, control_period, first_state

@@ -13,9 +13,7 @@ from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
 from metropilot.env.tracking import Tracked, tracking_observation
 from metropilot.env.tracking_task import gains_of
 from metropilot.errors import InputError
-from metropilot.policy import shipped_policy
-from metropilot.policy.file import load_policy
-from metropilot.policy.loaded import GuardedPolicy, policy_path
+from metropilot.policy import GuardedPolicy, load_policy, policy_path, shipped_policy
 from metropilot.sim import Run
 
 OBSERVED = ("speed", "command", "speed_error", "position_error")

@@ -25,7 +25,7 @@ from metropilot.control.incremental_pid import (
 from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
 from metropilot.env.tracking import Tracked
 from metropilot.errors import InputError
-from metropilot.physics.arrays import namespace
+from metropilot.physics import namespace
 from metropilot.sim import Run
 
 Array = Any

@@ -38,7 +38,7 @@ from metropilot.control.stopping import (
     stop_command,
     weakest_gradient,
 )
-from metropilot.physics.effort import effort_at
+from metropilot.physics import effort_at
 from metropilot.railway import Section
 from metropilot.sim import Observation, Run
 from metropilot.sim.driver import AbstractDriver

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import ClassVar, final
 
 from metropilot.drivers.optimal import FollowingMemory, Optimal, OptimalOptions
-from metropilot.planning.optimal import Objective
+from metropilot.planning import Objective
 from metropilot.sim import Observation, Run
 from metropilot.sim.driver import AbstractDriver
 

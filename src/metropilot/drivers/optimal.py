@@ -33,10 +33,14 @@ from metropilot.control.stopping import (
 )
 from metropilot.errors import SolverError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
-from metropilot.planning import Plan, PlanOptions, check_running_time, plan_arrays
-from metropilot.planning.optimal import Objective, fastest_time
-from metropilot.planning.reading import (
+from metropilot.planning import (
     START_STRETCH_M,
+    Objective,
+    Plan,
+    PlanOptions,
+    check_running_time,
+    fastest_time,
+    plan_arrays,
     plan_speed,
     plan_time,
     pull_away,

@@ -9,7 +9,7 @@ from metropilot.control.incremental_pid import CHENG2023_GAINS, Errors, Gains, i
 from metropilot.drivers.shipped import ImprovedDqn, PolicyOptions
 from metropilot.drivers.tracking import PERIOD_S, AbstractTracker, AbstractTrackingOptions, TrackingMemory
 from metropilot.env.tracking import Tracked
-from metropilot.planning.timed_reference import TimedReference, sampled_profile
+from metropilot.planning import TimedReference, sampled_profile
 from metropilot.sim import Run
 from metropilot.sim.nominal import simulate_nominal
 

@@ -30,10 +30,12 @@ from metropilot.control.stopping import Stop, StopCurve, curve_for, required_wit
 from metropilot.env.tracking import Tracked
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays
-from metropilot.planning import PlanOptions, ReferenceShape, plan_arrays
-from metropilot.planning.timed_reference import (
+from metropilot.planning import (
+    PlanOptions,
+    ReferenceShape,
     ReferenceTrack,
     TimedReference,
+    plan_arrays,
     reference_under_for_time,
     sampled_profile,
 )

@@ -16,8 +16,7 @@ import numpy as np
 from metropilot.env.features import FeatureContext, limited_force
 from metropilot.env.interface import ActionSpace
 from metropilot.errors import InputError
-from metropilot.physics import resistance_and_gradient
-from metropilot.physics.effort import effort_at
+from metropilot.physics import effort_at, resistance_and_gradient
 
 Array = Any
 

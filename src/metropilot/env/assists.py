@@ -27,8 +27,7 @@ from metropilot.control.stopping import (
 from metropilot.env.features import FeatureContext
 from metropilot.env.tables import LEAST_STOP_MPS2, PERMITTED, STOP_USE, SectionRows
 from metropilot.errors import InputError
-from metropilot.physics import resistance_and_gradient
-from metropilot.physics.effort import effort_at
+from metropilot.physics import effort_at, resistance_and_gradient
 
 Array = Any
 

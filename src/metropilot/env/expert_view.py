@@ -23,8 +23,7 @@ from metropilot.env.expert import (
 )
 from metropilot.env.features import FeatureContext
 from metropilot.env.tables import CLIMB, PERMITTED
-from metropilot.physics import resistance_and_gradient
-from metropilot.physics.effort import effort_at
+from metropilot.physics import effort_at, resistance_and_gradient
 
 Array = Any
 

@@ -14,10 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from metropilot.env.tables import CLIMB, PACES_MPS, PERMITTED, SectionRows, SectionTables, near_track
-from metropilot.physics import Track, Vehicle
-from metropilot.physics.effort import effort_at
-from metropilot.physics.resistance import davis_n
-from metropilot.protection.types import Rates as Guaranteed
+from metropilot.physics import Track, Vehicle, davis_n, effort_at
+from metropilot.protection import Rates as Guaranteed
 
 Array = Any
 

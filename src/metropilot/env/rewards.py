@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, final
 
-from metropilot.physics.arrays import namespace
+from metropilot.physics import namespace
 
 Array = Any
 

@@ -7,10 +7,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from metropilot.physics import Track, Vehicle, stack, track_arrays, vehicle_arrays
-from metropilot.physics.arrays import locate, namespace
-from metropilot.physics.effort import effort_at
-from metropilot.physics.resistance import davis_n, felt_slopes
+from metropilot.physics import (
+    Track,
+    Vehicle,
+    davis_n,
+    effort_at,
+    felt_slopes,
+    locate,
+    namespace,
+    stack,
+    track_arrays,
+    vehicle_arrays,
+)
 from metropilot.protection import Bounds, Protection, protect
 from metropilot.railway import Section, Trainset
 

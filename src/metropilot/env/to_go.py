@@ -11,8 +11,7 @@ from numpy import ndarray
 
 from metropilot.env.tables import SPEED_STEP_MPS
 from metropilot.physics import Track, Vehicle
-from metropilot.planning.effort_table import STEP_MPS, Specific, specific
-from metropilot.planning.mesh import Mesh, build_mesh
+from metropilot.planning import STEP_MPS, Mesh, Specific, build_mesh, specific
 
 SPACING_M = 5.0
 FINER = 4

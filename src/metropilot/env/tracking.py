@@ -12,9 +12,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from metropilot.control.incremental_pid import Errors
-from metropilot.physics import Command, Forces, State, Track, Vehicle, step, track_arrays, vehicle_arrays
-from metropilot.physics.arrays import namespace, to_jax
-from metropilot.planning.timed_reference import TimedReference
+from metropilot.physics import (
+    Command,
+    Forces,
+    State,
+    Track,
+    Vehicle,
+    namespace,
+    step,
+    to_jax,
+    track_arrays,
+    vehicle_arrays,
+)
+from metropilot.planning import TimedReference
 from metropilot.railway import Section, Trainset
 
 Array = Any

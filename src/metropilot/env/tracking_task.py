@@ -19,8 +19,7 @@ from metropilot.env.tracking import (
     tracking_observation,
 )
 from metropilot.errors import InputError
-from metropilot.physics.effort import effort_at
-from metropilot.physics.resistance import davis_n
+from metropilot.physics import davis_n, effort_at
 
 Array = Any
 

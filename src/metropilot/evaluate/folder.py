@@ -15,7 +15,7 @@ from metropilot.evaluate.kpis import Kpis
 from metropilot.evaluate.optimum import Optimum
 from metropilot.evaluate.request import Request
 from metropilot.evaluate.request_file import FILES, POLICY, is_file, to_table
-from metropilot.policy.loaded import policy_path
+from metropilot.policy import policy_path
 from metropilot.sim.rollout import Drive
 
 

@@ -13,7 +13,7 @@ from typing import Any
 from metropilot._io import read_text
 from metropilot.errors import InputError, renamed
 from metropilot.evaluate.request import Request
-from metropilot.policy.loaded import policy_path
+from metropilot.policy import policy_path
 
 NAMES = tuple(f.name for f in fields(Request))
 FILES = ("line", "trainset")

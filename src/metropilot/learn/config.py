@@ -13,7 +13,7 @@ from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig, AbstractReplayConfig, Keep
 from metropilot.learn.networks import Initialiser
 from metropilot.learn.schedules import Schedule, Scheduled, highest
-from metropilot.policy.networks import Activation
+from metropilot.policy import Activation
 
 BETA_ANNEALING = Schedule(0.4, 1.0)
 EPSILON_DECAY = Schedule(1.0, 0.05, over=0.3)

@@ -10,7 +10,7 @@ from typing import ClassVar, Literal, get_args
 from metropilot.errors import InputError
 from metropilot.learn.networks import Initialiser
 from metropilot.learn.schedules import Schedule, highest, lowest
-from metropilot.policy.networks import Activation
+from metropilot.policy import Activation
 
 Keep = Literal["best", "last"]
 

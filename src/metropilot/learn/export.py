@@ -13,7 +13,7 @@ import numpy as np
 
 from metropilot._io import atomic_write
 from metropilot.errors import InputError
-from metropilot.policy.policy import NORMALISED_RANGE, Policy, PolicySpec
+from metropilot.policy import NORMALISED_RANGE, Policy, PolicySpec
 
 OPSET = 17
 IR_VERSION = 8
@@ -197,7 +197,7 @@ def _session(runtime: Any, model: bytes) -> Any:
 
 def _parity(policy: Policy, session: Any, probes: int, seed: int) -> float:
     """Largest difference between graph and policy, one observation at a time and all together."""
-    from metropilot.policy.policy import network_output
+    from metropilot.policy import network_output
 
     spec = policy.spec
     draws = np.random.default_rng(seed).normal(0.0, 2.0, (probes, spec.observation_size)).astype(np.float32)

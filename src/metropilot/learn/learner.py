@@ -12,8 +12,7 @@ from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.environments import Finished
 from metropilot.learn.statistics import Moments, deviation
-from metropilot.policy.networks import Params
-from metropilot.policy.policy import PolicySpec
+from metropilot.policy import Params, PolicySpec
 
 LearnerState = Any
 Config = TypeVar("Config", bound=AbstractConfig)

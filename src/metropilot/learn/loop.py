@@ -20,8 +20,7 @@ from metropilot.learn import environments as env
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.learner import AbstractLearner, LearnerState
 from metropilot.learn.registry import make_learner
-from metropilot.policy.networks import Params
-from metropilot.policy.policy import Policy, act
+from metropilot.policy import Params, Policy, act
 
 # What evaluates a policy: its parameters and a key in; numbers of shape () out, among them "score".
 Evaluate = Callable[[Params, Array], dict[str, Array]]

@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from metropilot.policy.networks import Activation, Array, Params, forward
+from metropilot._typing import Array
+from metropilot.policy import Activation, Params, forward
 
 Initialiser = Literal["orthogonal", "he", "uniform"]
 

@@ -29,8 +29,7 @@ from metropilot.learn.statistics import (
     return_scale_update,
     reward_divisor,
 )
-from metropilot.policy.networks import Params
-from metropilot.policy.policy import normalise, only_policy
+from metropilot.policy import Params, normalise, only_policy
 
 
 class Networks(NamedTuple):

@@ -16,8 +16,7 @@ import numpy as np
 
 from metropilot.env import DrivingTask, episode_of, starts
 from metropilot.env.optima import Optima, cached_optima
-from metropilot.policy.networks import Params
-from metropilot.policy.policy import PolicySpec, act
+from metropilot.policy import Params, PolicySpec, act
 from metropilot.sim import CODES, PUNCTUALITY_S, Episode, Outcome
 
 Array = Any

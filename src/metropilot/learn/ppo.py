@@ -39,8 +39,7 @@ from metropilot.learn.statistics import (
     return_scale_update,
     reward_divisor,
 )
-from metropilot.policy.networks import Params
-from metropilot.policy.policy import PolicySpec, network_output, normalise, only_policy
+from metropilot.policy import Params, PolicySpec, network_output, normalise, only_policy
 
 ADAM_EPSILON = 1e-5
 

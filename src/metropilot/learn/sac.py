@@ -17,8 +17,7 @@ from metropilot.learn.networks import MLP
 from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
 from metropilot.learn.schedules import value_at
-from metropilot.policy.networks import Params
-from metropilot.policy.policy import PolicySpec
+from metropilot.policy import Params, PolicySpec
 
 TEMPERATURE = "temperature.log"
 

@@ -15,8 +15,7 @@ from metropilot.learn.distributions import masked
 from metropilot.learn.learner import AbstractLearner, LearnerReport, needs_choices
 from metropilot.learn.losses import tabular as losses
 from metropilot.learn.schedules import value_at
-from metropilot.policy.networks import Params
-from metropilot.policy.policy import PolicySpec, table_cell
+from metropilot.policy import Params, PolicySpec, table_cell
 
 
 class TabularState(NamedTuple):

@@ -24,9 +24,7 @@ from metropilot.learn.config_reading import config_to_mapping
 from metropilot.learn.loop import Evaluate, make_loop
 from metropilot.learn.run_store import CHECKPOINT, HISTORY, RunRecord, RunStore, write_history
 from metropilot.learn.tensorboard import EventWriter
-from metropilot.policy.file import save_policy
-from metropilot.policy.loaded import FILE as POLICY_FILE
-from metropilot.policy.policy import Policy
+from metropilot.policy import POLICY_FILE, Policy, save_policy
 
 History = dict[str, np.ndarray]
 

@@ -1,25 +1,26 @@
 """The plant: pure functions for one trainset over an array namespace (NumPy or JAX)."""
 
-from metropilot.physics.arrays import to_jax
-from metropilot.physics.batch import (
-    batch_size,
-    double_precision,
-    grid,
-    rollout,
-    rollout_batch,
-    spread,
-    stack,
+from metropilot.physics.arrays import locate, namespace, scalars, to_jax, unless
+from metropilot.physics.batch import batch_size, double_precision, grid, rollout, rollout_batch, spread, stack
+from metropilot.physics.build import (
+    emergency_jerk_mps3,
+    padded_size,
+    restrictive_profile,
+    track_arrays,
+    vehicle_arrays,
 )
-from metropilot.physics.build import padded_size, restrictive_profile, track_arrays, vehicle_arrays
 from metropilot.physics.deceleration import controlled
 from metropilot.physics.effort import (
+    Effort,
     brake_available_n,
     command_for_force,
     command_force_n,
+    curve_n,
+    effort_at,
     electric_available_n,
     traction_available_n,
 )
-from metropilot.physics.energy import step_energy
+from metropilot.physics.energy import map_value, step_energy
 from metropilot.physics.integrators import INTEGRATORS
 from metropilot.physics.multibody import (
     Bodies,
@@ -31,8 +32,8 @@ from metropilot.physics.multibody import (
     multibody_step,
     substeps,
 )
-from metropilot.physics.plant import Command, at_rest, delay_steps, step
-from metropilot.physics.resistance import davis_n, resistance_and_gradient
+from metropilot.physics.plant import Command, at_rest, delay_steps, pushed, step
+from metropilot.physics.resistance import davis_n, felt_slopes, resistance_and_gradient
 from metropilot.physics.types import Forces, State, Track, Vehicle
 
 __all__ = [
@@ -40,6 +41,7 @@ __all__ = [
     "Bodies",
     "Command",
     "Consist",
+    "Effort",
     "Forces",
     "State",
     "Track",
@@ -53,18 +55,27 @@ __all__ = [
     "command_force_n",
     "consist",
     "controlled",
+    "curve_n",
     "davis_n",
     "delay_steps",
     "double_precision",
+    "effort_at",
     "electric_available_n",
+    "emergency_jerk_mps3",
+    "felt_slopes",
     "grid",
     "heads_m",
+    "locate",
+    "map_value",
     "multibody_step",
+    "namespace",
     "padded_size",
+    "pushed",
     "resistance_and_gradient",
     "restrictive_profile",
     "rollout",
     "rollout_batch",
+    "scalars",
     "spread",
     "stack",
     "step",
@@ -73,5 +84,6 @@ __all__ = [
     "to_jax",
     "track_arrays",
     "traction_available_n",
+    "unless",
     "vehicle_arrays",
 ]

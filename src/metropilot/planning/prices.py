@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot.physics import Vehicle
-from metropilot.physics.energy import map_value
+from metropilot.physics import Vehicle, map_value
 from metropilot.planning.effort_table import Specific
 
 SHARES = 11

@@ -13,9 +13,9 @@ from metropilot._dirs import runs_folder
 from metropilot.env import PolicyInterface
 from metropilot.errors import InputError
 from metropilot.policy.file import load_policy
-from metropilot.policy.policy import Policy, chosen, network_output
+from metropilot.policy.policy import Policy, choose_action, network_output
 
-FILE = "policy.safetensors"
+POLICY_FILE = "policy.safetensors"
 """Name of the policy in the folder of a learning run."""
 
 
@@ -51,7 +51,7 @@ class GuardedPolicy:
             output = network_output(spec, self.policy.params, observation, np)
         if not np.isfinite(output).all():
             raise InputError("the policy answers what is not a number", file=self.path, field="policy")
-        return chosen(spec, output, mask, np)
+        return choose_action(spec, output, mask, np)
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,9 @@ def policy_path(given: str | Path) -> Path:
     """The policy file that is meant: the file itself, or that of a learning run by its folder or its id."""
     path = Path(given)
     if not path.exists() and path.name == str(given):
-        kept = runs_folder() / path / FILE
+        kept = runs_folder() / path / POLICY_FILE
         return kept if kept.exists() else path
-    return path / FILE if path.is_dir() else path
+    return path / POLICY_FILE if path.is_dir() else path
 
 
 def load_driving_policy(given: str | Path) -> LoadedPolicy:

@@ -146,10 +146,10 @@ def act(
     """
     if xp is None:
         import jax.numpy as xp
-    return chosen(spec, network_output(spec, params, observation, xp), mask, xp)
+    return choose_action(spec, network_output(spec, params, observation, xp), mask, xp)
 
 
-def chosen(spec: PolicySpec, output: Array, mask: Array | None, xp: ModuleType) -> Array:
+def choose_action(spec: PolicySpec, output: Array, mask: Array | None, xp: ModuleType) -> Array:
     """The action that an output of the network stands for; see :func:`act`."""
     if spec.discrete:
         if mask is not None:

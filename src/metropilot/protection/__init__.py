@@ -5,7 +5,7 @@ from metropilot.protection.braking import permitted_before_service, permitted_br
 from metropilot.protection.curves import protect
 from metropilot.protection.separation import PairBounds, Separation, TrainAhead, separate
 from metropilot.protection.supervisor import approach_margin, permitted_speed, spare_gap, supervise
-from metropilot.protection.types import LEVELS, Memory, Protection, Verdict, at_start
+from metropilot.protection.types import LEVELS, Memory, Protection, Rates, Verdict, at_start
 
 __all__ = [
     "LEVELS",
@@ -13,6 +13,7 @@ __all__ = [
     "Memory",
     "PairBounds",
     "Protection",
+    "Rates",
     "Separation",
     "TrainAhead",
     "Verdict",

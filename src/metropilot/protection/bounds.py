@@ -8,7 +8,7 @@ from math import ceil
 import numpy as np
 
 from metropilot.errors import InputError
-from metropilot.physics.build import emergency_jerk_mps3
+from metropilot.physics import emergency_jerk_mps3
 from metropilot.railway import Trainset
 
 

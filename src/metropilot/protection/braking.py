@@ -9,8 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from numpy.lib.stride_tricks import sliding_window_view
 
-from metropilot.physics import Track, davis_n
-from metropilot.physics.resistance import felt_slopes
+from metropilot.physics import Track, davis_n, felt_slopes
 from metropilot.protection.predict import highest_speed
 from metropilot.protection.types import Protection, Rates
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy import ndarray
 from numpy.lib.stride_tricks import sliding_window_view
 
-from metropilot.physics import Vehicle, davis_n, delay_steps, padded_size, vehicle_arrays
-from metropilot.physics.effort import effort_at
+from metropilot.physics import Vehicle, davis_n, delay_steps, effort_at, padded_size, vehicle_arrays
 from metropilot.protection.bounds import Bounds
 from metropilot.protection.ground import BEFORE_M, TrackGrid, ground, sliding_max
 from metropilot.protection.predict import SLACK_MPS, highest_speed

@@ -9,8 +9,7 @@ from numpy import ndarray
 from numpy.lib.stride_tricks import sliding_window_view
 
 from metropilot.errors import InputError
-from metropilot.physics import restrictive_profile, track_arrays, vehicle_arrays
-from metropilot.physics.resistance import felt_slopes
+from metropilot.physics import felt_slopes, restrictive_profile, track_arrays, vehicle_arrays
 from metropilot.railway import Section, Trainset
 
 MOST_NODES = 130_000

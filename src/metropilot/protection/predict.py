@@ -10,10 +10,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy import ndarray
 
-from metropilot.physics.arrays import Scalar, namespace
-from metropilot.physics.effort import effort_at
-from metropilot.physics.resistance import davis_n
-from metropilot.physics.types import Vehicle
+from metropilot._typing import Scalar
+from metropilot.physics import Vehicle, davis_n, effort_at, namespace
 from metropilot.protection.types import Array, Rates
 
 HALVINGS = 13

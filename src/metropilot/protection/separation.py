@@ -14,8 +14,9 @@ from typing import NamedTuple, no_type_check
 
 import numpy as np
 
+from metropilot._typing import Scalar
 from metropilot.errors import InputError
-from metropilot.physics.arrays import Scalar, namespace, scalars
+from metropilot.physics import namespace, scalars
 from metropilot.protection.types import Array
 
 NODES = np.arange(24) / 23.0

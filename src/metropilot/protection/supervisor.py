@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from metropilot.physics import Command
-from metropilot.physics.arrays import Scalar, namespace, scalars, unless
-from metropilot.physics.plant import pushed
+from metropilot._typing import Scalar
+from metropilot.physics import Command, namespace, pushed, scalars, unless
 from metropilot.protection.predict import Forces, acceleration, fastest, stays_under
 from metropilot.protection.separation import TrainAhead, braking, least_gap
 from metropilot.protection.types import Array, Memory, Protection, Rates, Verdict

@@ -13,11 +13,12 @@ from metropilot.railway.library import (
     load_line,
     load_trainset,
 )
-from metropilot.railway.line import Curve, Line, Restriction, Section, Station, Tunnel
+from metropilot.railway.line import RESTRICTION_KMH, Curve, Line, Restriction, Section, Station, Tunnel
 from metropilot.railway.profile import Steps
 from metropilot.railway.trainset import Actuation, Couplers, Davis, SafeBraking, Trainset
 
 __all__ = [
+    "RESTRICTION_KMH",
     "Actuation",
     "Couplers",
     "Curve",

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any, no_type_check
 
-from metropilot.physics import Vehicle
-from metropilot.physics.arrays import namespace
+from metropilot.physics import Vehicle, namespace
 
 Array = Any
 

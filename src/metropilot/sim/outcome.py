@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 
-from metropilot.physics.arrays import namespace
+from metropilot.physics import namespace
 from metropilot.sim.run import STOP_TOLERANCE_M, Outcome
 
 Array = Any

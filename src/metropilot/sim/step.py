@@ -13,8 +13,7 @@ from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 
-from metropilot.physics import Command, State, Track, Vehicle, controlled, step
-from metropilot.physics.arrays import locate, namespace, scalars
+from metropilot.physics import Command, State, Track, Vehicle, controlled, locate, namespace, scalars, step
 from metropilot.protection import Memory, Protection, TrainAhead, Verdict, supervise
 from metropilot.sim.disturbance import NOISE_CUT
 from metropilot.sim.outcome import RUNNING, OutcomeRule, outcome_of

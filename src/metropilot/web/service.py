@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from metropilot.errors import InputError
 from metropilot.evaluate import Request
 from metropilot.evaluate.request_file import POLICY
-from metropilot.policy.loaded import FILE
+from metropilot.policy import POLICY_FILE
 from metropilot.web.live.session import Session, Spare, start_spare
 from metropilot.web.pools import Pools, explained
 from metropilot.web.refusals import Refused, detail_of
@@ -92,7 +92,7 @@ class Service:
     def policies(self) -> dict[str, str]:
         """Policy files by the id of their learning run or upload, the newest runs first."""
         runs = self.root / "runs"
-        found = sorted(runs.glob(f"*/{FILE}"), key=lambda path: path.stat().st_mtime, reverse=True)
+        found = sorted(runs.glob(f"*/{POLICY_FILE}"), key=lambda path: path.stat().st_mtime, reverse=True)
         inside = [path for path in found if path.resolve().is_relative_to(runs.resolve())]
         return {path.parent.name: str(path) for path in inside} | self.paths(POLICY)
 

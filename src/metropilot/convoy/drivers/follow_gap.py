@@ -11,8 +11,7 @@ from metropilot.convoy.drivers.base import AbstractFollower
 from metropilot.convoy.drivers.motion import command_for
 from metropilot.convoy.step import FollowerObservation
 from metropilot.errors import InputError
-from metropilot.physics import Vehicle
-from metropilot.physics.arrays import namespace
+from metropilot.physics import Vehicle, namespace
 
 Scalar = Any
 LATE = 0.35

@@ -19,8 +19,7 @@ from metropilot.convoy.drivers.base import AbstractFollower
 from metropilot.convoy.drivers.motion import command_for, reachable
 from metropilot.convoy.step import FollowerObservation
 from metropilot.errors import InputError
-from metropilot.physics import Vehicle
-from metropilot.physics.arrays import namespace, scalars
+from metropilot.physics import Vehicle, namespace, scalars
 
 Scalar = Any
 HORIZON = 15

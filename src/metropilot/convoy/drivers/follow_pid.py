@@ -13,8 +13,7 @@ from metropilot.convoy.drivers.motion import waits
 from metropilot.convoy.gains import GAIN_HIGH, GAIN_LOW
 from metropilot.convoy.step import FollowerObservation
 from metropilot.errors import InputError
-from metropilot.physics import Vehicle
-from metropilot.physics.arrays import namespace
+from metropilot.physics import Vehicle, namespace
 
 Scalar = Any
 

@@ -14,11 +14,9 @@ from metropilot.convoy.drivers.follow_pid import pid_step
 from metropilot.convoy.gains import STATE, chen2023b_state, gains_of
 from metropilot.convoy.step import FollowerObservation
 from metropilot.errors import InputError
-from metropilot.physics import Vehicle
-from metropilot.physics.arrays import namespace, scalars
-from metropilot.policy import Policy, load_policy, shipped_policy
-from metropilot.policy.loaded import policy_path
-from metropilot.policy.policy import act as policy_act
+from metropilot.physics import Vehicle, namespace, scalars
+from metropilot.policy import Policy, load_policy, policy_path, shipped_policy
+from metropilot.policy import act as policy_act
 
 Scalar = Any
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import Any, no_type_check
 
 from metropilot.convoy.step import FollowerObservation
-from metropilot.physics.arrays import namespace
-from metropilot.physics.effort import effort_at
-from metropilot.physics.resistance import resistance_and_gradient
+from metropilot.physics import effort_at, namespace, resistance_and_gradient
 
 Scalar = Any
 LIMIT_S = 1.0

@@ -10,8 +10,7 @@ import numpy as np
 from metropilot.control.ceiling import Ceiling
 from metropilot.control.estimator import Model
 from metropilot.env.expert import SEGMENTS, Rules, Stretch, safe_speed
-from metropilot.physics.effort import effort_at
-from metropilot.physics.resistance import felt_slopes
+from metropilot.physics import effort_at, felt_slopes
 
 STEP_M = 4.0
 SPEED_STEP_MPS = 0.25

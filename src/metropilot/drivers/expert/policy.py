@@ -14,8 +14,7 @@ from metropilot.drivers.shipped import PolicyOptions
 from metropilot.env.expert import PLAIN, features
 from metropilot.env.expert_action import ExpertAction, ExpertChoiceAction
 from metropilot.errors import InputError
-from metropilot.policy import shipped_policy
-from metropilot.policy.loaded import LoadedPolicy, load_driving_policy
+from metropilot.policy import LoadedPolicy, load_driving_policy, shipped_policy
 from metropilot.sim import Observation, Run
 from metropilot.sim.driver import AbstractDriver
 

@@ -27,9 +27,8 @@ from metropilot.env.actions import RegimeAction
 from metropilot.env.assists import Assists, ceiling_at, stop_options
 from metropilot.env.features import FeatureContext, observe
 from metropilot.env.tables import CLIMB, SectionRows, SectionTables
-from metropilot.physics.effort import effort_at
-from metropilot.physics.resistance import davis_n
-from metropilot.policy.networks import Params
+from metropilot.physics import davis_n, effort_at
+from metropilot.policy import Params
 
 Array = Any
 Decide = Callable[[Params, Array], Array]

@@ -46,8 +46,7 @@ from metropilot.learn.train import (
     TrainingResult,
     identity_of,
 )
-from metropilot.policy.networks import Params
-from metropilot.policy.policy import Policy
+from metropilot.policy import Params, Policy
 
 Array = Any
 

@@ -15,7 +15,7 @@ from metropilot.env.features import FEATURES, OBSERVERS, FeatureContext
 from metropilot.env.tables import PERMITTED, SectionRows, build_tables
 from metropilot.env.worlds import ASSISTS, OBSERVER, DomainSample
 from metropilot.errors import MetropilotError
-from metropilot.physics.effort import effort_at
+from metropilot.physics import effort_at
 from metropilot.planning import Plan, PlanOptions, plan_arrays
 from metropilot.sim import Run, declared_bounds
 

@@ -14,8 +14,7 @@ from metropilot.env.actions import RegimeAction
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.networks import MLP
 from metropilot.learn.optimiser import AdamState, adam_init, adam_step
-from metropilot.policy.networks import Params
-from metropilot.policy.policy import PolicySpec, network_output
+from metropilot.policy import Params, PolicySpec, network_output
 
 Array = Any
 COASTS = 0.02

@@ -19,8 +19,7 @@ from metropilot.learn.config import TeacherConfig
 from metropilot.learn.imitation.closed_loop import Begin, ClosedLoop
 from metropilot.learn.imitation.lessons import Demonstrations
 from metropilot.learn.imitation.pupil import TrainState, imitation_loss, labels, learned
-from metropilot.policy.networks import Params
-from metropilot.policy.policy import PolicySpec, network_output
+from metropilot.policy import Params, PolicySpec, network_output
 
 Array = Any
 

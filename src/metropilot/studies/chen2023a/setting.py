@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from metropilot.env import AbstractTask, DrivingTask
     from metropilot.learn import AbstractConfig
     from metropilot.learn.loop import Evaluate
-    from metropilot.policy.networks import Params
+    from metropilot.policy import Params
 
     Array = Any
 

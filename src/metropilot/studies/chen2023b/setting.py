@@ -8,7 +8,7 @@ from metropilot.convoy.leaders import record, reference_speeds
 from metropilot.convoy.link import Link
 from metropilot.convoy.model import Convoy, Guard
 from metropilot.convoy.rollout import HeadRun
-from metropilot.planning.references import ReferenceShape, reference_for_time
+from metropilot.planning import ReferenceShape, reference_for_time
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Outcome
 

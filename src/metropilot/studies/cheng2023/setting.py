@@ -11,16 +11,18 @@ import numpy as np
 from metropilot.env.tracking import ReferenceCourse, course_of
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays, vehicle_arrays
-from metropilot.planning import PlanOptions, ReferenceShape, plan_arrays, reference
-from metropilot.planning.timed_reference import (
+from metropilot.planning import (
+    PlanOptions,
+    ReferenceShape,
     ReferenceTrack,
     TimedReference,
+    plan_arrays,
+    reference,
     reference_under,
     sampled,
     sampled_profile,
 )
-from metropilot.railway import Section, Trainset, load_line, load_trainset
-from metropilot.railway.profile import Steps
+from metropilot.railway import Section, Steps, Trainset, load_line, load_trainset
 
 DT_S = 0.2
 LENGTH_M = 1280.0

@@ -8,8 +8,7 @@ from functools import cache
 import numpy as np
 
 from metropilot.evaluate.tracking import JERK_WINDOW_S
-from metropilot.physics.effort import effort_at
-from metropilot.physics.resistance import davis_n
+from metropilot.physics import davis_n, effort_at
 from metropilot.studies.cheng2023.drives import Measured, median
 from metropilot.studies.cheng2023.published import KPIS, TABLE_1, TABLE_3, TABLE_4
 from metropilot.studies.cheng2023.setting import DT_S, course

@@ -51,7 +51,7 @@ def watched(config: AbstractConfig, driver: str, task: Any) -> Evaluate:  # noqa
     from metropilot.env import starts
     from metropilot.learn.policy_evaluation import DrivingEvaluation
     from metropilot.learn.registry import make_learner
-    from metropilot.policy.policy import act
+    from metropilot.policy import act
     from metropilot.sim import running_time
 
     del driver
@@ -96,7 +96,7 @@ def keep(folder: Path, result: SeedResult) -> Path:
     """Write the policy of a learning run with all that a driver must know of it."""
     from metropilot._provenance import circumstances
     from metropilot.learn import config_to_mapping
-    from metropilot.policy.file import save_policy
+    from metropilot.policy import save_policy
 
     driver = str(result.job.about["driver"])
     best = int(np.nanargmax(result.history["evaluation.score"]))

@@ -15,8 +15,7 @@ from metropilot.drivers.learned import LearnedDriver
 from metropilot.drivers.pid_lu2023 import PidLu2023, PidLu2023Options
 from metropilot.evaluate import Kpis, kpis_of, measures
 from metropilot.planning import NotchOptions, PlanOptions, notch_plan, optimal_plan
-from metropilot.policy import shipped_policy
-from metropilot.policy.loaded import load_driving_policy
+from metropilot.policy import load_driving_policy, shipped_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import AbstractDriver, Drive, Run, drive
 from metropilot.studies.lu2023.published import PID_130, PlanCase, Published

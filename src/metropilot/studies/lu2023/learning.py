@@ -120,7 +120,7 @@ def drive_plans(plans: tuple[PlanCase, ...], config: AbstractConfig, task: Any) 
     import jax.numpy as jnp
 
     from metropilot.learn.registry import make_learner
-    from metropilot.policy.policy import act
+    from metropilot.policy import act
     from metropilot.sim import CODES, Outcome
 
     spec = make_learner(config, task).spec

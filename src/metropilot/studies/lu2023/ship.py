@@ -51,7 +51,7 @@ COMMAND = "metropilot reproduce lu2023 --budget paper"
 def keep_policy(path: Path, result: SeedResult, plans: Sequence[PlanCase], command: str = COMMAND) -> None:
     """Write a policy with its perception, so that any driver of policies drives it."""
     from metropilot._provenance import circumstances
-    from metropilot.policy.file import save_policy
+    from metropilot.policy import save_policy
 
     job = result.job
     kept = int(np.argmax(result.history["evaluation.score"]))

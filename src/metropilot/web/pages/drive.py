@@ -9,7 +9,7 @@ from fastapi.responses import RedirectResponse
 from nicegui import events, ui
 
 from metropilot.errors import InputError, MetropilotError
-from metropilot.railway.line import RESTRICTION_KMH
+from metropilot.railway import RESTRICTION_KMH
 from metropilot.web import catalogue
 from metropilot.web.live.session import Session
 from metropilot.web.pages.form import (

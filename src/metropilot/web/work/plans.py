@@ -22,7 +22,7 @@ from metropilot.planning import (
     time_energy_front,
     timetable_waypoints,
 )
-from metropilot.policy.loaded import load_driving_policy
+from metropilot.policy import load_driving_policy
 from metropilot.railway import Line, Trainset, import_file, load_line, load_trainset
 from metropilot.web.work.plain import numbers, station, window
 
