@@ -41,7 +41,8 @@ CONVOYS = (
 )
 STUDIES = ("cheng2023",)
 OF_THE_MACHINE = re.compile(
-    r"decision|seconds|created|written|commit|date|started|version|machine|^path$|^folder$|^out$"
+    r"decision|seconds|created|written|commit|date|started|version|machine|^path$|^folder$|^out$|"
+    r"^deviations$|^remarks$"
 )
 
 

@@ -120,7 +120,7 @@ def _report(report: StudyReport, folder: Path) -> None:
         cells = [(r.case, r.driver, r.kpi, r.unit, *numbers(r)) for r in rows]
         columns = ("case", "driver", "KPI", "unit", "published", "ours", "range", "optimum")
         out.print(table(name, columns, cells, right=(4, 5, 6, 7), spare=("range", "unit")))
-    heading(out, "What to read from it", report.remarks)
+    heading(out, "Findings", report.remarks)
     heading(out, "Deviations from the paper", [f"{n}. {text}" for n, text in enumerate(report.deviations, 1)])
     out.print(f"\n{report.seeds} seeds in {report.seconds:.0f} s.")
     out.print(f"Written to {folder}: {report.study}.md, report.json, figures in {report.study}/")

@@ -11,8 +11,8 @@ from metropilot.studies.study import Study
 
 NOTHING = "–"
 LEGEND = (
-    "*Ours* is the median over the seeds, *range* their smallest and largest; *optimum* is what the "
-    "certified plan says physics allows in the same running time."
+    "*Ours* is the median over the seeds, *range* their smallest and largest value; *optimum* is the "
+    "certified plan for the same running time."
 )
 
 
@@ -45,10 +45,10 @@ def page(study: Study, report: StudyReport) -> str:
     about = "; ".join(f"{name}: {value}" for name, value in report.circumstances.items())
     lines = [f"# {report.title}", "", study.citation, ""]
     took = f"{report.seeds} seeds, {report.seconds / 60:.1f} minutes"
-    took += " (learning runs kept from earlier sittings apart)"
+    took += " (without learning runs of earlier calls)"
     lines += [f"Written by `{command}`: {took}. {about}.", "", LEGEND, ""]
     if report.remarks:
-        lines += ["## What to read from it", "", *(f"- {remark}" for remark in report.remarks), ""]
+        lines += ["## Findings", "", *(f"- {remark}" for remark in report.remarks), ""]
     for name, rows in report.tables().items():
         lines += [f"## {name}", "", *_table(rows), ""]
     for figure in report.figures:

@@ -28,37 +28,38 @@ if TYPE_CHECKING:
 SEEDS = " and ".join(str(seed) for seed in TUNING_SEEDS)
 DONE = ", ".join(f"{NAMES[name]} {len(trials(name))}" for name in LEARNERS)
 TEXT = f"""
-Section, trainset and speed limits are not printed. We take Yizhuang Bridge to Yizhuang Culture Park of the
-Beijing Yizhuang line (993 m) and the 300 t trainset of the same group (Cheng et al. 2023), with ideal
-actuation; 80 s prescribed and 88 s allowed as in the paper.
+Section, trainset and speed limits are not printed. This study uses Yizhuang Bridge to Yizhuang Culture
+Park of the Beijing Yizhuang line (993 m) and the 300 t trainset of the same group (Cheng et al. 2023),
+with ideal actuation; 80 s prescribed and 88 s allowed as in the paper.
 
-The paper never says who brakes to the stop point, nor how exactly it stands. Here the stop assist makes the
-last braking at {STOP_MPS2:g} m/s² for all three learners, and the speed limit is kept (its eq. 12), so
-stopping errors are the assist's. The table without it shows the learners alone: they arrive when they stand
-within {UNASSISTED_TOLERANCE_M:g} m of the stop.
+The paper does not state how the train brakes to the stop point, nor its stopping accuracy. Here the stop
+assist makes the station-stop braking at {STOP_MPS2:g} m/s² for all three learners, and the speed limit is
+kept (its eq. 12), so stopping errors are those of the assist. The table without it shows the learners
+alone: they arrive when they stop within {UNASSISTED_TOLERANCE_M:g} m of the stop.
 
 Coefficients of eqs. 16 and 17 are not printed: a kWh at the wheel costs 1, a change of acceleration of 1
-m/s² costs 0.1, arriving within 8 s of 80 s earns 100, anything else loses 100.
+m/s² costs 0.1, arrival within 8 s of 80 s gives 100, anything else -100.
 
-A run that never arrives loses 100 more and 0.1 a metre left. The paper's train always
-arrives; without this price standing still would be the best way to be late, and PPO finds it.
+A run that never arrives gets a further -100 and -0.1 for each metre left. The paper's train always
+arrives; without this penalty standing still would be the best late run, and PPO finds it.
 
-One decision a second; plant, assists and protection at 0.5 s. Protection supervises every step. Energy
-counts at the wheel, without efficiency (its eq. 3 less a constant factor).
+One decision a second; plant, assists and protection at 0.5 s. Protection supervises every step. Energy is
+counted at the wheel, without efficiency (its eq. 3 less a constant factor).
 
-All policies begin at a mean command of {FIRST_COMMAND:g}, so that some first episodes arrive in time.
+All policies begin at a mean command of {FIRST_COMMAND:g}, so that some of the first episodes arrive in
+time.
 
-None of its learning settings is printed. Ours come from random trials of {TUNING_EPISODES:,} episodes, the
-defaults first, on seeds {SEEDS}, which no table reports (`python -m benchmarks.chen2023a_tuning`, {TRIALS}
-for each learner when complete). Trials these settings rest on: {DONE}. PPO with and without scaling tried the
-same settings.
+The learning settings are not printed. Those used come from random trials of {TUNING_EPISODES:,} episodes,
+the defaults first, on seeds {SEEDS}, which appear in no table (`python -m benchmarks.chen2023a_tuning`,
+{TRIALS} for each learner when complete). Trials made for these settings: {DONE}. PPO with and without
+scaling tried the same settings.
 
-Converged means: from then on, in 95 % of the chunks (about 120 episodes each), the mean running time of the
-episodes is at most 88 s and their mean return within 10 % of the final one. Final values are medians over
-the last tenth of the learning.
+A run has converged if from then on, in 95 % of the chunks (about 120 episodes each), the mean running
+time of the episodes is at most 88 s and their mean return within 10 % of the final one. Final values are
+medians over the last tenth of the learning.
 
-Episodes are counted as they end; a run is given the steps of the stated number of episodes of {DECISIONS}
-decisions, so learners with short or long episodes end with a few more or fewer.
+Episodes are counted when they end; a run has the steps of the stated number of episodes of {DECISIONS}
+decisions, so learners with short or long episodes end with slightly more or fewer.
 """
 
 
@@ -118,11 +119,12 @@ def _lags(learned: Courses) -> str:
         for name in share
     ]
     ahead = share["ppo_scaled"] >= share["ppo"] and late["ppo"] > THRESHOLD_S >= late["ppo_scaled"]
-    word = "lags, as the paper says" if ahead else "does not clearly lag, other than the paper says"
+    word = "lags, as in the paper" if ahead else "does not clearly lag, unlike in the paper"
     return (
-        f"Plain PPO {word}: {numbers}. What the least energy asks for is to arrive just within "
-        f"{THRESHOLD_S:g} s; a policy that learns to save steps over that edge now and then, and its return "
-        f"falls by nearly 200 at once. Policies that kept it at their best evaluation: {', '.join(best)}."
+        f"Plain PPO {word}: {numbers}. The least energy is reached by arriving just within "
+        f"{THRESHOLD_S:g} s; a policy that learns to save energy sometimes exceeds this limit, and "
+        "its return falls by nearly 200 at once. Policies within the limit at their best evaluation: "
+        f"{', '.join(best)}."
     )
 
 
@@ -149,8 +151,8 @@ def _ablation(changed: Courses) -> str:
             )
             parts.append(f"{what}: {plain:.0f} plain, {scaled:.0f} scaled")
     return (
-        "What scaling can change: dividing the rewards by one number leaves normalised advantages as they "
-        "are, so it reaches the actor only through the critic, whose error it makes of size one, and through "
-        "the common bound on the gradient. Final return of the policy with one thing changed at a time: "
-        f"{'; '.join(parts)}."
+        "Effect of scaling: dividing the rewards by one number leaves normalised advantages "
+        "unchanged, so it affects the actor only through the critic, whose error becomes of order "
+        "one, and through the common bound on the gradient. Final return of the policy with one "
+        f"thing changed at a time: {'; '.join(parts)}."
     )

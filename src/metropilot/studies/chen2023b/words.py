@@ -11,24 +11,21 @@ from metropilot.studies.report import ReportRow
 
 DEVIATIONS = (
     (
-        "Sign of the speed difference: with eq. 10 (own speed less the speed ahead) the law of eq. 12 is "
-        "unstable; the speed ahead less the own one is used."
+        "Sign of the speed difference: with eq. 10 (own speed minus the speed ahead) the law of eq. "
+        "12 is unstable; the speed ahead minus the own speed is used."
     ),
+    ("The text's largest gap error of 0.6 m contradicts its gap of 5.88 to 5.98 m; 0.06 m is assumed."),
+    "Eq. 18 rewards a gap of 0, a contact; the reward uses the gap minus the desired 5.92 m.",
+    "Eq. 17 bounds the command to [0, 1], which excludes braking; it is [-1, 1] here.",
     (
-        "The text's largest gap error of 0.6 m contradicts its gap of 5.88 to 5.98 m; it is taken to be "
-        "0.06 m."
-    ),
-    "Eq. 18 rewards a gap of 0, a contact; the reward counts the gap less the wanted 5.92 m.",
-    "Eq. 17 bounds the command to [0, 1], so that nothing could brake; it is [-1, 1].",
-    (
-        "With eta = 1000 the reward is next to nothing beyond a few millimetres; eta is 100 1/(m/s) and "
-        "200 1/m unless `--set eta=paper` asks for 1000."
+        "With eta = 1000 the reward is almost zero beyond a few millimetres; eta is 100 1/(m/s) and "
+        "200 1/m unless `--set eta=paper` selects 1000."
     ),
     (
         "Train, time step, head's profile, network and learning rates are not printed: trainset "
-        "`cheng2023`, 0.1 s, an S-curve of 0.65 m/s² and 0.5 m/s³ in 100 s on YZQ–WHY, two layers of 64, "
-        "batch 128, gamma 0.95. The profile leaves the follower some traction; what a PID on the speed "
-        "difference leaves of the gap grows with the head's acceleration and with the time step."
+        "`cheng2023`, 0.1 s, an S-curve of 0.65 m/s² and 0.5 m/s³ in 100 s on YZQ–WHY, two layers of "
+        "64, batch 128, gamma 0.95. The profile leaves the follower some traction; with a PID on the "
+        "speed difference the gap error grows with the head's acceleration and with the time step."
     ),
     (
         "The head's profile was chosen by its outcome: 0.8, 0.65 and 0.6 m/s² in 90 s gave `sac_pid` a "
@@ -56,7 +53,7 @@ def remarks(rows: Sequence[ReportRow]) -> list[str]:
     gap = {name: (value[name, "smallest gap"], value[name, "largest gap"]) for name in FOLLOWED}
     apart = value["sac_pid", "largest speed difference"]
     within = _inside(gap["sac_pid"]) and apart <= PUBLISHED["speed_difference_max_mps"]
-    verdict = "within what is published" if within else "the published band is missed"
+    verdict = "within the published band" if within else "outside the published band"
     learned, fixed = _error(gap["sac_pid"]), _error(gap["follow_pid"])
     gained = f"{abs(learned - fixed):.3f} m {'less' if learned < fixed else 'more'}"
     return [
@@ -65,14 +62,14 @@ def remarks(rows: Sequence[ReportRow]) -> list[str]:
             f"{apart:.3f} m/s: {verdict}."
         ),
         (
-            f"The same PID with fixed gains stays within {_text(gap['follow_pid'])}: the largest gap error "
-            f"of what is learned is {gained}. A PID on the speed difference does not see the gap: while the "
-            "head's acceleration changes by a, the gap gives way by about a times the time step over the "
-            "integral gain, whatever the gains' schedule."
+            f"The same PID with fixed gains stays within {_text(gap['follow_pid'])}: the largest gap "
+            f"error of the learned one is {gained}. A PID on the speed difference does not use the "
+            "gap: while the head's acceleration changes by a, the gap changes by about a times the "
+            "time step over the integral gain, for any schedule of the gains."
         ),
         (
-            "`follow_gap`, a linear controller that looks at the gap and at the acceleration ahead, stays "
-            f"within {_text(gap['follow_gap'])} and learns nothing."
+            "`follow_gap`, a linear controller of the gap and the acceleration ahead, stays within "
+            f"{_text(gap['follow_gap'])} without learning."
         ),
         _ddpg(gap, value),
         *_attacked(rows),
@@ -103,7 +100,7 @@ def _ddpg(gap: Mapping[str, tuple[float, float]], value: Found) -> str:
     if first is None or last is None:
         return f"{said}."
     word = "rises" if last > first else "falls"
-    return f"{said}; its return {word} from {first:.1f} to {last:.1f} while it learns. In the paper it fails."
+    return f"{said}; its return {word} from {first:.1f} to {last:.1f} during learning. In the paper it fails."
 
 
 def _attacked(rows: Sequence[ReportRow]) -> list[str]:
@@ -117,7 +114,7 @@ def _attacked(rows: Sequence[ReportRow]) -> list[str]:
     if bare:
         share = sum(float(row.ours or 0.0) for row in bare) / sum(_cases(row) for row in bare)
         said += f", {share:.0%} without it"
-    return [f"{said}. Most followers of the campaign mean harm."]
+    return [f"{said}. Most followers of the campaign are hostile."]
 
 
 def _cases(row: ReportRow) -> int:

@@ -15,47 +15,47 @@ from metropilot.studies.cheng2023.setting import DT_S, course
 
 DEVIATIONS = (
     (
-        "The reference is not printed. Ours is the S-curve recommended for it (0.9 and 0.8 m/s2, 0.5 "
-        "m/s3, cruise 18.3 m/s) held within 90 % of the effort at hand: the printed curves give less "
-        "than 0.9 m/s2 above 13 m/s and brake at less than 0.8 m/s2 above 16 m/s. The one as drawn "
-        "stands under other references. Faster and slower are cruises of 19.7 and 17.2 m/s, which give "
-        "the published energies."
+        "The reference is not printed. This study uses the S-curve usually assumed for it (0.9 and "
+        "0.8 m/s2, 0.5 m/s3, cruise 18.3 m/s), limited to 90 % of the available effort: the printed "
+        "curves give less than 0.9 m/s2 above 13 m/s and brake at less than 0.8 m/s2 above 16 m/s. "
+        "The unlimited curve is listed under other references. The faster and slower references "
+        "cruise at 19.7 and 17.2 m/s, which gives the published energies."
     ),
     (
-        "Total errors sum the size of the error over control periods of 0.2 s: with the 450 periods of "
-        "such a run that agrees with the averages of table 4 (3.51 over 450 is 0.008, printed 0.01; "
+        "Total errors sum the absolute error over control periods of 0.2 s: with the 450 periods of "
+        "such a run this agrees with the averages of table 4 (3.51 over 450 is 0.008, printed 0.01; "
         "10.32 over 450 is 0.023, printed 0.02)."
     ),
     (
-        "Jerk is the largest change of acceleration within 2 s, divided by 2 s: what the text calls the "
-        "maximum acceleration rate over the time span of 2s, with the unit it prints."
+        "Jerk is the largest change of acceleration within 2 s, divided by 2 s: the paper's 'maximum "
+        "acceleration rate over the time span of 2s', with its unit."
     ),
     (
-        "Resistance coefficients are taken in N/kN with the speed in km/h; no rotating mass; energy is "
-        "traction work at the wheel. The paper names none of them."
+        "Resistance coefficients are taken in N/kN with the speed in km/h; no rotating mass; energy "
+        "is traction work at the wheel. The paper states none of these."
     ),
-    ("Eq. 3 adds the speed to its own change; we read the change alone."),
+    ("Eq. 3 adds the speed to its own change; this study uses the change alone."),
     (
-        "The run ends when the trainset stands after the reference has ended, at the latest 3 s later; "
-        "the paper counts a trainset that still moves at the end as failed, which no controller of an "
-        "error alone can avoid."
-    ),
-    (
-        "Rewards are eqs. 17 to 22, but what counts as a small error is scaled (0.03 m/s, 0.25 m, 5 cm "
-        "at the stop, jerk 10 m/s3) where the paper has 1 throughout, parking weighs 2 instead of 0.2, "
-        "and tracking and comfort count from their best value: with the paper's numbers the reward of a "
-        "run hardly depends on the gains. Energy counts in kWh."
+        "The run ends when the trainset has stopped after the end of the reference, at the latest 3 "
+        "s later; the paper counts a trainset that still moves at the end as failed, which no pure "
+        "error controller can avoid."
     ),
     (
-        "DDPG's sizes and rates are not printed; ours are in `studies/cheng2023/learning.py`. Beside "
-        "them: 16 environments side by side, half the episodes begin on the way, and the policy kept "
-        "is the best of all evaluations on the base scenario from standstill."
+        "Rewards are eqs. 17 to 22, but the errors are scaled (0.03 m/s, 0.25 m, 5 cm at the stop, "
+        "jerk 10 m/s3) where the paper has 1 throughout, parking has the weight 2 instead of 0.2, "
+        "and tracking and comfort are measured from their best value: with the paper's numbers the "
+        "reward of a run hardly depends on the gains. Energy is in kWh."
+    ),
+    (
+        "DDPG's sizes and rates are not printed; those used are in `studies/cheng2023/learning.py`. "
+        "In addition, 16 environments run in parallel, half of the episodes start during the run, "
+        "and the policy kept is the best of all evaluations on the base scenario from standstill."
     ),
     (
         "Fuzzy rules are the textbook's 7 x 7 tables with its universes scaled to metro errors, the "
-        "neural network is the textbook's 4-5-3; the papers that are cited for them print neither. "
-        "Each stands twice: with its textbook numbers around the paper's gains, and tuned by the "
-        "search that the PID is tuned by (differential evolution, 1200 runs on the base scenario)."
+        "neural network is the textbook's 4-5-3; the papers cited for them print neither. Each is "
+        "listed twice: with its textbook numbers around the paper's gains, and tuned by the same "
+        "search as the PID (differential evolution, 1200 runs on the base scenario)."
     ),
 )
 
@@ -114,7 +114,7 @@ def remarks(measured: Measured, kind: str, tuned: Mapping[str, Mapping[str, floa
     if kind == "s_curve":
         short = missed(measured, kind)
         found += [_why(measured), _jerk()]
-        found.append("Short of the published numbers: " + ("; ".join(short) if short else "none") + ".")
+        found.append("Worse than the published numbers: " + ("; ".join(short) if short else "none") + ".")
     return tuple(found)
 
 
@@ -125,13 +125,10 @@ def _against_tuned(measured: Measured, gains: Mapping[str, float]) -> str:
     place, behind = median(ours, "position_total_m"), median(other, "position_total_m")
     verdict = "is beaten by DDPG-PID" if speed < against else "beats DDPG-PID"
     return (
-        f"A tuned PID (constant gains {gains['kp']:.2f}, {gains['ki']:.2f}, {gains['kd']:.2f}: the "
-        "upper limits, in "
-        f"essence) {verdict} in total speed error, {against:.2f} against {speed:.2f} m/s; in total "
-        "position error "
-        f"it is {behind:.1f} against {place:.1f} m. What learning adds is the position, which "
-        "constant gains "
-        "cannot bring back."
+        f"A tuned PID (constant gains {gains['kp']:.2f}, {gains['ki']:.2f}, {gains['kd']:.2f}: "
+        f"practically the upper limits) {verdict} in total speed error, {against:.2f} against "
+        f"{speed:.2f} m/s; in total position error it is {behind:.1f} against {place:.1f} m. Learning "
+        "improves the position, which constant gains cannot correct."
     )
 
 
@@ -140,19 +137,14 @@ def _why(measured: Measured) -> str:
     fixed, against = (median(measured[driver, 1], "speed_total_mps") for driver in ("pid", "pid tuned"))
     variation, size = needed()
     return (
-        "Why: with constant gains eq. 15 makes the command ki times the sum of the errors, so the "
-        "reference "
-        f"itself fixes the totals. The command it needs rises and falls by {variation:.2f} in all, "
-        "which makes "
-        f"{variation / 0.3:.1f} m/s for ki = 0.3 and {variation / 1.5:.2f} m/s for the upper limit "
-        "1.5 (measured "
-        f"{fixed:.2f} and {against:.2f}); its size sums to {size:.0f}, which makes "
-        f"{size * DT_S / 0.3:.0f} m and "
-        f"{size * DT_S / 1.5:.0f} m of position error. Between ki = 0.3 and its upper limit lie 80 "
-        "%, so neither "
-        "the published margin over the fixed PID (85.5 %) nor its total position error (48.96 m) "
-        "can come from "
-        "eq. 15 with the printed gains on such a reference."
+        "The reason: with constant gains the command of eq. 15 is ki times the sum of the errors, so "
+        "the reference itself determines the totals. The command it needs has a total variation of "
+        f"{variation:.2f}, which gives {variation / 0.3:.1f} m/s for ki = 0.3 and "
+        f"{variation / 1.5:.2f} m/s for the upper limit 1.5 (measured {fixed:.2f} and {against:.2f}); "
+        f"its absolute sum is {size:.0f}, which gives {size * DT_S / 0.3:.0f} m and "
+        f"{size * DT_S / 1.5:.0f} m of position error. The difference between ki = 0.3 and its upper "
+        "limit is 80 %, so neither the published margin over the fixed PID (85.5 %) nor its total "
+        "position error (48.96 m) can come from eq. 15 with the printed gains on such a reference."
     )
 
 
@@ -161,7 +153,6 @@ def _jerk() -> str:
     change = np.abs(np.diff(course().speed_mps)).max() / DT_S
     return (
         f"The reference itself changes its acceleration by {change:.2f} m/s2 within 2 s, "
-        f"{change / JERK_WINDOW_S:.2f} m/s3 by the paper's measure: nobody who follows it can have "
-        "the published "
-        "0.39. The gentler reference among the others (0.75 m/s2) allows it."
+        f"{change / JERK_WINDOW_S:.2f} m/s3 by the paper's measure: no driver that follows it can "
+        "reach the published 0.39. The gentler reference among the others (0.75 m/s2) allows it."
     )

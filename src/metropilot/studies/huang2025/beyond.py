@@ -59,7 +59,7 @@ def _plants(run: Run) -> dict[str, Run]:
     known = run.trainset
     limited = replace(known, actuation=Actuation(DELAY_S, LAG_S, 1.0))
     return {
-        "jerk limit 1 m/s³ besides": replace(run, trainset=limited),
+        "with a jerk limit of 1 m/s³": replace(run, trainset=limited),
         "no delay, no lag": replace(run, trainset=known.ideal()),
         "step 0.02 s, as the paper's": replace(run, dt=0.02),
     }

@@ -150,8 +150,8 @@ def decision_row(table: str, driver: str, found: Sequence[EvaluatedRun]) -> Repo
 
 HURRY_W = 1e5
 """A second costs so much that the plan is the fastest there is."""
-EARLIEST = "earliest arrival possible from the news on"
-LEFT = "above the least energy still possible from the news on"
+EARLIEST = "earliest arrival possible from the update on"
+LEFT = "above the least energy still possible from the update on"
 
 
 def state_at(one: Drive, time_s: float) -> tuple[PlanOptions, float]:

@@ -123,10 +123,10 @@ def figures_of(
         ("case2_115", "115 s, every driver (its Fig. 10)", every("115")),
         (
             "late_news",
-            "EITOP told of another arrival (its Fig. 11)",
+            "EITOP with a new arrival time (its Fig. 11)",
             of(["101", "later", "earlier"], [EITOP]),
         ),
-        ("restriction", "A temporary restriction told at 30 s", of(["restricted"], EXPERTS)),
+        ("restriction", "A temporary restriction sent at 30 s", of(["restricted"], EXPERTS)),
         ("case3_sjz_xc", "Case 3, SJZ to XC (its Fig. 13)", of(["sjz"], EXPERTS)),
         ("case3_xc_xhm", "Case 3, XC to XHM (its Fig. 13)", of(["xc"], EXPERTS)),
     )

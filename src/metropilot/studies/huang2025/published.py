@@ -17,7 +17,7 @@ CITATION = (
 )
 DECISION_US = 2100.0
 """Its mean time of a decision, 2.1 ms."""
-TABLE2, TABLE3, TABLE4 = "Cases 1 and 2: its Table 2", "Late news: its Table 3", "Case 3: its Table 4"
+TABLE2, TABLE3, TABLE4 = "Cases 1 and 2: its Table 2", "Late updates: its Table 3", "Case 3: its Table 4"
 BEYOND = "Beyond the paper"
 
 MANUAL, ITOR, STON, STOD, EITOE, EITOP = "manual", "itor", "ston", "stod", "eitoe", "eitop"
@@ -135,7 +135,7 @@ CASES: tuple[PublishedCase, ...] = (
     ),
     PublishedCase(
         id="later",
-        name="101 s, 15 s later told at 30 s",
+        name="101 s, 15 s later, sent at 30 s",
         table=TABLE3,
         origin="RJ",
         destination="WYJ",
@@ -147,7 +147,7 @@ CASES: tuple[PublishedCase, ...] = (
     ),
     PublishedCase(
         id="earlier",
-        name="101 s, 10 s earlier told at 10 s",
+        name="101 s, 10 s earlier, sent at 10 s",
         table=TABLE3,
         origin="RJ",
         destination="WYJ",
@@ -159,7 +159,7 @@ CASES: tuple[PublishedCase, ...] = (
     ),
     PublishedCase(
         id="restricted",
-        name="115 s, 40 km/h from 700 to 900 m told at 30 s",
+        name="115 s, 40 km/h from 700 to 900 m, sent at 30 s",
         table=TABLE3,
         origin="RJ",
         destination="WYJ",
@@ -170,7 +170,7 @@ CASES: tuple[PublishedCase, ...] = (
     ),
     PublishedCase(
         id="restricted-101",
-        name="101 s, 40 km/h from 700 to 900 m told at 30 s",
+        name="101 s, 40 km/h from 700 to 900 m, sent at 30 s",
         table=TABLE3,
         origin="RJ",
         destination="WYJ",

@@ -21,62 +21,61 @@ from metropilot.studies.report import ReportRow
 
 DEVIATIONS = (
     (
-        "Manual driving is the project's surrogate, ten made-up drivers, not the best of 100 recorded "
-        "drives, which are not public. Everything printed relative to it is therefore not comparable "
-        "in size."
+        "Manual driving is the model `manual` with ten parameter sets, not the best of 100 recorded "
+        "drives, which are not public. Percentages relative to it are therefore not comparable with "
+        "the published ones."
     ),
     (
-        "Most equations and nearly all cells of Tables 1 to 4 are pictures that no text has. Ie is "
-        "sum |a| v dt per kg, which turns the published 19.49 m/s of EITOE into its published 380 "
-        "J/kg; Ic is the sum of all changes of effort over mass, without a threshold; parking "
-        "tolerance 0.3 m."
+        "Most equations and nearly all cells of Tables 1 to 4 exist only as pictures. Ie is sum |a| "
+        "v dt per kg, which gives the published 380 J/kg of EITOE for its published 19.49 m/s; Ic is "
+        "the sum of all changes of effort over mass, without a threshold; parking tolerance 0.3 m."
     ),
     (
-        "Gain 1, dead time 0.6 s and time constant 0.4 s stand for eq. 4, whose values are not "
+        "Gain 1, dead time 0.6 s and time constant 0.4 s are used for eq. 4, whose values are not "
         "printed; there is no other limit on the change of effort, as in the paper. Gradients and "
         "limits hold over the trainset's length of 118 m, and the sum of eq. 3 over the vehicles is "
-        "driven; what its six vehicles would do under the same efforts is in a table at the end."
+        "driven; a table at the end gives the motion of its six vehicles under the same efforts."
     ),
     (
         "The window of eq. 14 compares the mean speed of a trainset that coasts from here, not the "
-        "speed itself, and always that to the destination. Compared plainly, or kept for each speed- "
-        "limit interval as Algorithm 1 prints it, it cannot coast as long as the published drive; the "
-        "table at the end has what the latter costs."
+        "speed itself, always to the destination. With the speed itself, or with a window for each "
+        "speed-limit interval as Algorithm 1 prints it, it cannot coast as long as the published "
+        "drive; the table at the end gives the energy of the latter."
     ),
     (
-        "Rule 4 is read as: no power beyond the speed that coasts to the next lower limit at that "
-        "limit, while the minimum-time curve leaves time for it."
+        "Rule 4 is implemented as: no power beyond the speed that coasts to the next lower limit at "
+        "that limit, while the minimum-time curve leaves time for it."
     ),
     (
-        "A trainset that is early even if it coasts brakes gently (0.5 m/s²), as the paper's EITOP "
-        "does in Fig. 11; so does EITOE here. Inside the window, which eqs. 15 and 16 leave open, "
-        "EITOE powers until it would come on time, then coasts."
+        "A trainset that would be early even when coasting brakes gently (0.5 m/s²), as the paper's "
+        "EITOP does in Fig. 11; here EITOE does so, too. Inside the window, which eqs. 15 and 16 do "
+        "not define, EITOE powers until it would arrive on time, then coasts."
     ),
     (
-        "One interval of rule 3 is our control period of 0.2 s; the paper decides every 0.02 s, for "
-        "which there is a row. From the safe speed on (eqs. 17 and 18) the brake follows that speed's "
-        "fall at 0.85 m/s² instead of full braking at once, and stays clear of protection's curves, "
-        "which the paper's train meets."
+        "One interval of rule 3 is the control period of 0.2 s; the paper decides every 0.02 s, "
+        "which has a row of its own. From the safe speed on (eqs. 17 and 18) the brake follows that "
+        "speed's fall at 0.85 m/s² instead of full braking at once, and keeps clear of protection's "
+        "curves, which the paper's train does not."
     ),
     (
-        "EITOP may accelerate at 0.8 m/s², everybody else inside the expert at the 0.6 of rule 2: the "
-        "published 364 J/kg is what a peak of 19.08 m/s gives, and that needs 0.8. Each is compared "
-        "with the optimum under its own limit, braking at most 1 m/s²."
+        "EITOP may accelerate at 0.8 m/s², every other driver of the expert at the 0.6 of rule 2: "
+        "the published 364 J/kg corresponds to a peak of 19.08 m/s, which needs 0.8. Each is "
+        "compared with the optimum under its own limit, braking at most 1 m/s²."
     ),
     (
         "The station stop is HOA in the form its description has, with balises 64, 36, 16, 4 and 0 m "
         "before the stop; between them it also learns from the measured deceleration. Position is "
-        "measured exactly, as everywhere here."
+        "measured exactly."
     ),
     (
-        "EITOP learns on four sections of the line (case 1 among them) and any time from 1.08 to 1.45 "
-        "of the minimum, not on case 1 alone, without dead time and lag. The weights of eq. 26 are "
-        "ours: 1 a kWh, 3 a second off time at the end, 0.2 for 1 m/s² of change."
+        "EITOP learns on four sections of the line (case 1 among them) and any time from 1.08 to "
+        "1.45 of the minimum, not on case 1 alone, without dead time and lag. The weights of eq. 26 "
+        "are chosen here: 1 per kWh, 3 per second of time error at the end, 0.2 for 1 m/s² of change."
     ),
     (
         "ITOR, STON and STOD learn inside the same expert as EITOE, window included: a stronger "
         "baseline than the published ones, whose own expert rules have none. Tables and networks are "
-        "ours, for none are printed."
+        "chosen here, as none are printed."
     ),
 )
 
@@ -122,18 +121,19 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
         ),
         (
             "EITOP above the optimum under its own limits (largest of all seeds): "
-            f"{', '.join(over.values())}. Wanted: at most 5 % in cases 1 and 2, 6 % in case 3. The plan "
-            "knows no actuation; the row below it takes the dead time off."
+            f"{', '.join(over.values())}. Target: at most 5 % in cases 1 and 2, 6 % in case 3. The "
+            "plan does not include actuation; the row below it subtracts the dead time."
         ),
         (
-            "After late news the optimum in hindsight is out of reach: what was driven before the news "
-            "cannot be taken back; the row below it counts from the news on. Arrivals: "
+            "After a late update the optimum in hindsight is out of reach, because the drive before "
+            "the update is already done; the row below it counts from the update on. Arrivals: "
             f"{_arrivals(rows)}."
         ),
         (
-            f"Against our manual surrogate EITOE saves {_saved(rows, EITOE)} of Ie and EITOP "
-            f"{_saved(rows, EITOP)} at 101 s (published 34.9 and 37.7 %): the surrogate knows timetable "
-            "and route and coasts, far below the 584 J/kg that the published percentages imply."
+            f"Compared with the model `manual` EITOE saves {_saved(rows, EITOE)} of Ie and EITOP "
+            f"{_saved(rows, EITOP)} at 101 s (published 34.9 and 37.7 %): the model knows timetable "
+            "and route and coasts, with far less than the 584 J/kg that the published percentages "
+            "imply."
         ),
         (
             "The published order of comfort is not reproduced: Ic of EITOP is "
@@ -142,7 +142,7 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
         ),
     ]
     if budget == "quick":
-        found.append("Learning rows are of short runs; the drives are of the policies shipped.")
+        found.append("Learning rows are from short runs; the drives use the shipped policies.")
     return found
 
 
@@ -166,8 +166,8 @@ def _met(rows: Sequence[ReportRow]) -> str:
     )
     spells = f"an intervention in some drive of {'; '.join(overruled)}" if overruled else "no intervention"
     return (
-        f"{words} and every seed ({spells}), apart from the restriction in 101 s, where they cannot be: "
-        "even flat out it takes longer, see the earliest arrival there."
+        f"{words} and every seed ({spells}), except with the restriction in 101 s, where the time is "
+        "impossible: even flat out it takes longer, see the earliest arrival there."
     )
 
 
@@ -184,7 +184,7 @@ def _saved(rows: Sequence[ReportRow], driver: str) -> str:
 
 
 def _arrivals(rows: Sequence[ReportRow]) -> str:
-    """Running time of each late news beside the time that was asked for."""
+    """Running time of each late update."""
     parts = [
         f"{row.ours:.1f} s (`{row.driver}`, {row.case})"
         for row in rows

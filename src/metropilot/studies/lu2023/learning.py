@@ -183,12 +183,12 @@ ABOVE = 0.08
 OVERSPEED_MPS = 1e-3
 RESAMPLES = 10_000
 RULE = " ".join(
-    f"""A run has converged at its first evaluation (forty a run, each one drive from standstill without
+    f"""A run has converged at its first evaluation (forty per run, each one drive from standstill without
     exploration) that arrives within 3 s of the schedule and 0.3 m of the stop, without overspeed, at most
     {100 * ABOVE:.0f} % above the optimum over the same notches for the running time achieved: the policy kept
-    is the best one evaluated, so that from then on there is one to ship. A run that never does counts with
-    its whole length: a median that reaches it is a lower bound, and so is what a comparison with it says.
-    Steady are runs that do so in {STEADY} evaluations in a row; the tables say how many are.""".split()
+    is the best one evaluated, so from then on there is one to ship. A run that never converges counts with
+    its whole length: a median that reaches it is a lower bound, and so is a comparison with it. A run is
+    steady if it does so in {STEADY} evaluations in a row; the tables give their number.""".split()
 )
 
 

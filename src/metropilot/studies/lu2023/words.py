@@ -10,44 +10,42 @@ from metropilot.studies.lu2023.published import BEYOND, CONVERGENCE, PLANS, TABL
 from metropilot.studies.report import ReportRow
 
 _DEVIATIONS = """
-The stop is not learned. The last braking begins, and is held, where the stop curve of the task's assist
-says, by the weakest of the paper's notches that is strong enough, five times a second; the network
-decides everything before it and may brake earlier. The paper does not say how its network stops within
-0.3 m.
+The stop is not learned. Station-stop braking follows the stop curve of the task's assist, with the
+weakest sufficient notch of the paper, five times a second; the network decides everything before it and
+may brake earlier. The paper does not explain how its network stops within 0.3 m.
 
-Traction that would lead above protection's permitted speed is eased off, notch by notch (the ceiling
-assist), and protection supervises; the paper ends the episode instead.
+Traction that would exceed protection's permitted speed is reduced notch by notch (the ceiling assist),
+and protection supervises; the paper ends the episode instead.
 
 A decision is held for 3 s of 0.2 s control periods; the paper transfers its state after 0.2 s and 0.1 m
-(both are always exceeded here but at a stand), and discounts by 0.98 a transfer, which leaves nothing of
-the arrival at the departure. Here nothing is discounted (gamma 1).
+(both are always exceeded here except at standstill), and discounts by 0.98 per transfer, so that the
+arrival has no weight at departure. Here gamma is 1.
 
-The state is position, speed and the time left, and besides what follows from them and the line: the
-quantity the filter asks for (time left beyond the flat-out time to go, three scalings) and the permitted
-speed ahead. With the bare (x, v, t) the same learner needed several times the updates.
+The state is position, speed and the time left, and quantities that follow from them and the line: the
+filter's quantity (time left beyond the flat-out time to go, in three scalings) and the permitted speed
+ahead. With (x, v, t) alone the same learner needed several times the updates.
 
 Learning rate 1e-3 falling to 3e-5 with Adam instead of 1e-5; rewards divided by 200; observations
-normalised by their running mean and deviation; a memory of 40,000; 0.5 gradient steps a decision over
-eight environments side by side. The paper gives none of these but the learning rate. DQN and improved DQN
-have the same.
+normalised by their running mean and deviation; a memory of 40,000; 0.5 gradient steps per decision over
+eight parallel environments. Of these the paper gives only the learning rate. DQN and improved DQN use the
+same values.
 
-A network learns for 60,000 decisions, about 2,000 episodes; the one of the plan with the restriction and the
-one for all plans for 160,000. Of six seeds (ten where convergence is compared, three for all plans) the one
-nearest the optimum drives.
+A network learns for 60,000 decisions, about 2,000 episodes; the networks of the plan with the restriction
+and of all plans for 160,000. Of six seeds (ten where convergence is compared, three for all plans) the
+one nearest the optimum is driven.
 
 Epsilon falls from 0.5 (paper: 0.8) to 0.05 over the first 30 % of the run.
 
-Most episodes begin somewhere on the way with a time left drawn between the flat-out time and 1.7 times
-it, so that a network meets every state; the paper begins each at the origin. Evaluation drives from
-standstill.
+Most episodes start during the run, with a time left between the flat-out time and 1.7 times it, so that a
+network meets every state; the paper starts each at the origin. Evaluations start from standstill.
 
-Eq. 15 is learned with 2.5 s instead of 3 s, to have half a second in hand on the host.
+Eq. 15 is learned with 2.5 s instead of 3 s, for a margin of half a second on the host.
 
-Eq. 18 prints P + a for gentle accelerations, which pays for acceleration: P - |a| here, P = 1, L = -10
-and a_lim = 0.8 m/s2 assumed; r_v = 0.01 assumed.
+Eq. 18 prints P + a for gentle accelerations, which rewards acceleration: P - |a| here, P = 1, L = -10 and
+a_lim = 0.8 m/s2 assumed; r_v = 0.01 assumed.
 
-The flat-out time of the filter is that of the plant with resistance and limits, 6 % longer for what
-keeping clear of protection costs; the paper's changes speed at once and leaves resistance out.
+The flat-out time of the filter is that of the plant with resistance and limits, 6 % longer to keep clear
+of protection; the paper's changes speed at once and has no resistance.
 
 Prioritised replay draws by proportional priority with exponent 0.6 (paper: 1) and corrects by importance
 weights (paper eq. 13: a learning rate per sample).
@@ -55,8 +53,8 @@ weights (paper eq. 13: a learning rate per sample).
 The trainset has the strongest notches, 180 and 149 kN, as its limits; the paper also names 203 and 166
 kN.
 
-The PID's gains are Cheng23's (3.4, 0.3, 0.2), since the paper gives none; the last metres belong to the
-stop's own law.
+The PID's gains are Cheng23's (3.4, 0.3, 0.2), since the paper gives none; the last metres use the
+station-stop law.
 """
 DEVIATIONS = tuple(" ".join(text.split()) for text in _DEVIATIONS.split("\n\n"))
 
@@ -85,13 +83,15 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
         "That optimum (dynamic programming, `metropilot.planning.notch_plan`) is within 1 % of the "
         "convex one over all forces: full traction, coasting and braking are notches."
     )
-    said.append("The published kWh may or may not count braking work (eq. 16 does); both stand beside it.")
+    said.append(
+        "It is unclear whether the published kWh include braking work (eq. 16 does); both are listed."
+    )
     beyond = [row for row in rows if row.table == BEYOND]
     if beyond:
         said.append(
-            "One network that is told the time left and the limits ahead drives all four plans within "
-            f"{worst('stopping error', beyond):.2f} m and {worst('time error', beyond):.1f} s, at most "
-            f"{worst(gap, beyond):.1f} % above the optimum."
+            "One network that observes the time left and the limits ahead drives all four plans "
+            f"within {worst('stopping error', beyond):.2f} m and {worst('time error', beyond):.1f} s, "
+            f"at most {worst(gap, beyond):.1f} % above the optimum."
         )
     if budget == "paper":
         said.append(RULE)
@@ -106,6 +106,7 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
     alone = [plan.id for plan in PLANS if not policy_file(f"improved_dqn-{plan.id}").is_file()]
     if budget != "paper" and alone:
         said.append(
-            f"No network of one plan is shipped for {', '.join(alone)}: the one for all plans drives."
+            f"No network of a single plan is shipped for {', '.join(alone)}: the network for all "
+            "plans is driven."
         )
     return said
