@@ -15,6 +15,7 @@ import metropilot
 from metropilot.convoy import FOLLOWERS
 from metropilot.drivers import DRIVERS
 from metropilot.env import TASKS
+from metropilot.learn import RECIPES
 from metropilot.studies import STUDIES
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -57,7 +58,7 @@ def test_listing_drivers_imports_none_of_them(arguments):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("registry", [DRIVERS, FOLLOWERS, TASKS, STUDIES], ids=lambda r: r.kind)
+@pytest.mark.parametrize("registry", [DRIVERS, FOLLOWERS, TASKS, STUDIES, RECIPES], ids=lambda r: r.kind)
 def test_every_row_of_a_registry_can_be_imported(registry):
     for name, row in registry.rows().items():
         assert row.summary

@@ -5,7 +5,7 @@ import pytest
 
 from metropilot.drivers.learned import LearnedDriver
 from metropilot.drivers.pid_lu2023 import PidLu2023, PidLu2023Options
-from metropilot.env import task_config
+from metropilot.env import DrivingTask, task_config
 from metropilot.evaluate import kpis_of
 from metropilot.policy import Policy, PolicySpec, save_policy
 from metropilot.railway import load_line, load_trainset
@@ -51,9 +51,9 @@ def test_any_policy_is_in_time_by_notches_alone(policy):
 def random_policy(path):
     """An improved DQN that has learned nothing, as a file."""
     config = task_config("lu2023")
-    size = len(config.features)
+    size = DrivingTask(config).observation_size
     spec = PolicySpec("dueling", size, 12, (8,), "relu", 12, normalised=False)
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(5)
     params = {name: rng.normal(size=shape).astype(np.float32) for name, shape in spec.shapes().items()}
     save_policy(path, Policy(spec, params), {"perception": config.perception.as_dict()})
     return path

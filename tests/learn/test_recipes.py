@@ -23,6 +23,7 @@ def test_recipes_can_be_followed(driver):
     row = recipe(driver)
     assert row.task in TASKS
     configs = [row.configuration(budget) for budget in BUDGETS]
+    assert configs == [row.quick, row.paper]
     assert configs[0].steps < configs[1].steps
     assert row.configuration("quick", steps=77).steps == 77
     task = row.task_configuration()

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from metropilot.env import task_config
-from metropilot.env.registry import CHEN2023A_REWARDS as REWARDS
 from metropilot.env.rewards import Change, Comfort, OnTime
 from metropilot.learn import PPOConfig
 from metropilot.studies import Order, SeedResult, learn_seeds, learning
@@ -21,7 +20,14 @@ from metropilot.studies.chen2023a.drives import (
     paper_rows,
 )
 from metropilot.studies.chen2023a.learning import LEARNERS, ablations, jobs, sized
-from metropilot.studies.chen2023a.setting import ALLOWED_S, COMFORT, DECISION_S, make_assisted, measured
+from metropilot.studies.chen2023a.setting import (
+    ALLOWED_S,
+    COMFORT,
+    DECISION_S,
+    REWARDS,
+    make_assisted,
+    measured,
+)
 from metropilot.studies.chen2023a.study import SIZES, STUDY, reproduce
 from metropilot.studies.page import page, write_figures
 

@@ -70,7 +70,7 @@ def tasks_command(as_json: opt.Json = False) -> int:
     from metropilot.env import TASKS
     from metropilot.learn.recipes import RECIPES
 
-    used = {name: [key for key, recipe in RECIPES.items() if recipe.task == name] for name in TASKS}
+    used = {name: [key for key in RECIPES if RECIPES.get(key).task == name] for name in TASKS}
     if as_json:
         print_json(
             [

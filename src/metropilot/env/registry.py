@@ -1,4 +1,4 @@
-"""Tasks by name: what a learner, a benchmark or a Gymnasium id asks for."""
+"""Tasks by name: what learners, benchmarks and Gymnasium ids ask for; those of a paper are in its study."""
 
 from __future__ import annotations
 
@@ -7,31 +7,12 @@ from dataclasses import replace
 from typing import Any
 
 from metropilot._registry import Registry, RegistryRow
-from metropilot.env.actions import (
-    AbstractAction,
-    CommandAction,
-    IncrementAction,
-    NotchAction,
-    NotchForceAction,
-)
+from metropilot.env.actions import CommandAction, IncrementAction, NotchAction
 from metropilot.env.assists import Assists
 from metropilot.env.config import REWARDS, DrivingConfig
 from metropilot.env.driving import DrivingTask
-from metropilot.env.expert_action import ExpertAction, ExpertChoiceAction
 from metropilot.env.randomization import DisturbanceDistribution
-from metropilot.env.rewards import (
-    AccelerationComfort,
-    Comfort,
-    EffortEnergy,
-    Energy,
-    Failure,
-    Intervention,
-    Moving,
-    OnTime,
-    Punctuality,
-    StopError,
-    StopWindow,
-)
+from metropilot.env.rewards import StopError
 from metropilot.env.worlds import ASSISTS, OBSERVER, DomainRandomization, domain_sample
 from metropilot.railway import Section, Trainset, load_line, load_trainset
 
@@ -124,91 +105,6 @@ def _drive_unassisted() -> DrivingConfig:
     return DrivingConfig(_one(), _loads(), TIMES, action=CommandAction(), assists=none, rewards=rewards)
 
 
-CHEN2023A_REWARDS = (
-    Energy(),
-    Comfort(weight=0.1),
-    OnTime(bonus=100.0, allowed_s=8.0),
-    Failure(price=100.0, per_m=0.1),
-)
-"""Chen23a eqs. 16 and 17. The last term is ours: the paper's train always arrives, late at worst, and without
-it standing still would be the best of all ways to be late."""
-CHEN2023A_STOP_MPS2 = 0.6
-"""Its brake has 0.39 m/s2 at 80 km/h but 0.9 under the 55 km/h that are allowed before the stop; with what is
-at hand at any speed hardly anybody arrives in time."""
-
-
-def _chen2023a() -> DrivingConfig:
-    return DrivingConfig(
-        sections=(load_line("yizhuang").section("YZQ", "WHY"),),
-        trainsets=(load_trainset("cheng2023"),),
-        scenarios=DisturbanceDistribution(time_s=(80.0, 80.0)),
-        observer="position_speed",
-        action=CommandAction(),
-        rewards=CHEN2023A_REWARDS,
-        assists=Assists(stop_mps2=CHEN2023A_STOP_MPS2),
-        periods=2,
-    )
-
-
-HUANG2025_REWARDS = (
-    Energy(),
-    Punctuality(per_s=3.0, soft_s=0.5),
-    Comfort(weight=0.2),
-    Failure(price=20.0, per_m=0.05),
-    Intervention(),
-)
-"""Huang25 eq. 26: energy, time error (eq. 27 at the end) and comfort; its weights are not printed."""
-HUANG2025_STOP_MPS2 = 0.95
-"""What its station stop plans with."""
-
-
-def huang2025_sections() -> tuple[Section, ...]:
-    """Sections of Huang25's line that can be coasted to the end, one of them its case 1."""
-    line = load_line("yizhuang-ttobench")
-    return tuple(line.section(*ends) for ends in (("RJ", "WYJ"), ("WYJ", "RJ"), ("XC", "XHM"), ("JG", "YZQ")))
-
-
-def _huang2025(action: AbstractAction) -> DrivingConfig:
-    return DrivingConfig(
-        sections=huang2025_sections(),
-        trainsets=(load_trainset("dkz32"),),
-        scenarios=DisturbanceDistribution(time_ratio=(1.08, 1.45), news=0.2, on_the_way=ON_THE_WAY),
-        observer=("expert",),
-        action=action,
-        rewards=HUANG2025_REWARDS,
-        assists=Assists(stop_mps2=HUANG2025_STOP_MPS2),
-    )
-
-
-LU2023_REWARDS = (
-    OnTime(bonus=1000.0, allowed_s=3.0),
-    EffortEnergy(),
-    StopWindow(),
-    AccelerationComfort(),
-    Moving(),
-)
-"""Lu23 eqs. 15 to 20."""
-
-
-def lu2023_sections(*, restricted: bool = False) -> tuple[Section, ...]:
-    """The section of Lu23, with or without 55 km/h from 600 to 930 m."""
-    return (load_line("lu2023-restricted" if restricted else "lu2023").section("WHY", "WYJ"),)
-
-
-def _lu2023() -> DrivingConfig:
-    return DrivingConfig(
-        sections=lu2023_sections(),
-        trainsets=(load_trainset("lu2023"),),
-        scenarios=DisturbanceDistribution(time_s=(120.0, 140.0), on_the_way=ON_THE_WAY),
-        observer=("position", "speed", "elapsed", "time_left"),
-        action=NotchForceAction(),
-        rewards=LU2023_REWARDS,
-        dt=0.2,
-        periods=10,
-        most_decisions=150,
-    )
-
-
 TASKS: Registry[Callable[[], DrivingConfig]] = Registry(
     "task",
     {
@@ -225,16 +121,21 @@ TASKS: Registry[Callable[[], DrivingConfig]] = Registry(
         "drive_unassisted": RegistryRow(
             _drive_unassisted, "RJ to WYJ without assists: the policy brakes itself"
         ),
-        "chen2023a": RegistryRow(_chen2023a, "YZQ to WHY in 80 s from position and speed (Chen23a)"),
+        "chen2023a": RegistryRow(
+            "metropilot.studies.chen2023a.setting:task_config",
+            "YZQ to WHY in 80 s from position and speed (Chen23a)",
+        ),
         "huang2025": RegistryRow(
-            lambda: _huang2025(ExpertAction()),
+            "metropilot.studies.huang2025.setting:task_config",
             "Four sections inside Huang25's expert: the change of the rate, continuous",
         ),
         "huang2025_choices": RegistryRow(
-            lambda: _huang2025(ExpertChoiceAction()), "The same with three discrete changes (its ITOR)"
+            "metropilot.studies.huang2025.setting:choice_task_config",
+            "The same with three discrete changes (its ITOR)",
         ),
         "lu2023": RegistryRow(
-            _lu2023, "WHY to WYJ by twelve notches, rewards and filter of Lu23, 120 to 140 s"
+            "metropilot.studies.lu2023.setting:task_config",
+            "WHY to WYJ by twelve notches every 3 s, rewards and filter of Lu23, 118 to 142 s",
         ),
     },
 )

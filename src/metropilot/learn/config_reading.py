@@ -8,7 +8,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from metropilot.errors import InputError
@@ -33,17 +33,24 @@ def config_from_mapping(algorithm: str, values: Mapping[str, Any], *, file: obje
     if algorithm not in CONFIGS:
         known = ", ".join(sorted(CONFIGS))
         raise InputError("unknown algorithm", file=file, field="algorithm", value=algorithm, allowed=known)
-    kind = CONFIGS[algorithm]
-    every = get_type_hints(kind)
-    hints = {field.name: every[field.name] for field in fields(kind)}
     try:
-        read = {key: _read(key, value, hints) for key, value in values.items()}
-        return kind(**read)
+        return change_config(CONFIGS[algorithm](), values)
     except InputError as error:
         if file is None:
             raise
         story = {"field": error.field, "value": error.value, "allowed": error.allowed}
         raise InputError(error.message, file=file, **story) from None
+
+
+def change_config(config: AbstractConfig, values: Mapping[str, Any]) -> AbstractConfig:
+    """A configuration with some of its fields set from plain values.
+
+    Raises:
+        InputError: A key that does not exist (the nearest is named), a wrong type or range.
+    """
+    every = get_type_hints(type(config))
+    hints = {field.name: every[field.name] for field in fields(config)}
+    return replace(config, **{key: _read(key, value, hints) for key, value in values.items()})
 
 
 def config_to_mapping(config: AbstractConfig) -> dict[str, Any]:

@@ -203,11 +203,11 @@ def recipe_rows() -> list[dict[str, Any]]:
             "driver": key,
             "summary": row.summary,
             "source": row.source,
-            "task": row.task,
-            "steps_quick": row.configuration("quick").steps,
-            "steps_paper": row.configuration("paper").steps,
+            "task": RECIPES.get(key).task,
+            "steps_quick": RECIPES.get(key).quick.steps,
+            "steps_paper": RECIPES.get(key).paper.steps,
         }
-        for key, row in RECIPES.items()
+        for key, row in RECIPES.rows().items()
     ]
 
 

@@ -98,9 +98,8 @@ def _courses(
 def _optimum() -> tuple[LeastEnergy, list[ReportRow]]:
     """The certified front, and what the last braking of the stop assist costs."""
     from metropilot.env.optima import optima_of
-    from metropilot.env.registry import CHEN2023A_STOP_MPS2 as STOP_MPS2
     from metropilot.planning import minimum_running_time, optimal_plan
-    from metropilot.studies.chen2023a.setting import J_PER_KWH, make_assisted
+    from metropilot.studies.chen2023a.setting import J_PER_KWH, STOP_MPS2, make_assisted
 
     (section, trainset), *_ = cases = make_assisted().config.cases
     least = LeastEnergy(optima_of(cases))

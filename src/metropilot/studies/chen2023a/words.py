@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metropilot.env.registry import CHEN2023A_STOP_MPS2 as STOP_MPS2
 from metropilot.studies.chen2023a.drives import convergences, final
 from metropilot.studies.chen2023a.learning import (
     DECISIONS,
@@ -20,7 +19,7 @@ from metropilot.studies.chen2023a.learning import (
     trials,
 )
 from metropilot.studies.chen2023a.published import CONVERGED_AT, PPO_EPISODES, THRESHOLD_S
-from metropilot.studies.chen2023a.setting import UNASSISTED_TOLERANCE_M
+from metropilot.studies.chen2023a.setting import STOP_MPS2, UNASSISTED_TOLERANCE_M
 
 if TYPE_CHECKING:
     from metropilot.studies.chen2023a.drives import DriveCourse

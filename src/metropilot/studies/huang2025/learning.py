@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from metropilot.learn import RECIPES, DDPGConfig, NAFConfig, Recipe, Schedule
+from metropilot.learn.recipes import PPO_BASE, REPLAY, REPLAY_QUICK, TABLE_BASE
 from metropilot.studies.huang2025.published import LEARNED
+from metropilot.studies.huang2025.setting import gentle
 from metropilot.studies.learning import LearnJob, SeedResult
 
 if TYPE_CHECKING:
@@ -30,11 +34,44 @@ SIZES: dict[str, dict[str, int]] = {
 """Environment steps of half a second."""
 
 
+EITOP_BASE = replace(
+    PPO_BASE,
+    steps=3_000_000,
+    environments=128,
+    minibatches=8,
+    hidden=(32, 32),
+    normalise_observations=False,
+    evaluations=12,
+)
+EITOP_RECIPE = Recipe("huang2025", EITOP_BASE, replace(EITOP_BASE, steps=1_000_000, evaluations=6))
+ITOR_BASE = replace(
+    TABLE_BASE,
+    steps=8_000_000,
+    environments=256,
+    bins=(40, 24, 1, 4, 1, 12, 1),
+    low=(0.0, 0.0, 0.0, -0.6, 0.0, -3.0, -1.0),
+    high=(2.0, 1.2, 2.0, 0.6, 1.2, 3.0, 1.0),
+)
+"""Of what the expert's policies see, a table holds distance, speed, the rate, how late coasting would be."""
+ITOR_RECIPE = Recipe("huang2025_choices", ITOR_BASE, replace(ITOR_BASE, steps=2_000_000, evaluations=8))
+STO: dict[str, Any] = {
+    **REPLAY,
+    "steps": 160_000,
+    "updates": 8,
+    "batch_size": 128,
+    "hidden": (64, 64),
+    "gamma": 0.999,
+    "n_step": 10,
+    "noise": Schedule(0.6, 0.1),
+}
+"""Of STOD and STON."""
+STOD_RECIPE = Recipe("huang2025", DDPGConfig(**STO), DDPGConfig(**{**STO, **REPLAY_QUICK}), changes=gentle)
+STON_RECIPE = Recipe("huang2025", NAFConfig(**STO), NAFConfig(**{**STO, **REPLAY_QUICK}), changes=gentle)
+
+
 def make_task(driver: str) -> DrivingTask:
     """The task of a driver's recipe."""
-    from metropilot.learn.recipes import recipe
-
-    return recipe(driver).make_task()
+    return RECIPES.get(driver).make_task()
 
 
 def watched(config: AbstractConfig, driver: str, task: Any) -> Evaluate:  # noqa: ANN401 (a driving task)
@@ -83,10 +120,8 @@ def watched(config: AbstractConfig, driver: str, task: Any) -> Evaluate:  # noqa
 
 def job(driver: str, seed: int, budget: str) -> LearnJob:
     """One learning run of a driver."""
-    from metropilot.learn.recipes import recipe
-
     told = {"steps": SIZES[budget][driver], "evaluations": EVALUATIONS if budget == "paper" else 6}
-    config = recipe(driver).configuration("paper", **told)
+    config = RECIPES.get(driver).configuration("paper", **told)
     name = driver if budget == "paper" else f"quick-{driver}"
     evaluation = partial(watched, config, driver)
     return LearnJob(name, config, partial(make_task, driver), seed, evaluation, {"driver": driver})

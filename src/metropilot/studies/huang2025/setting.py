@@ -1,14 +1,31 @@
-"""The plant of the paper, and the runs of its cases."""
+"""The task of the learners, the plant of the paper, and the runs of its cases."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+from metropilot.env import AbstractAction, Assists, DisturbanceDistribution, DrivingConfig
+from metropilot.env.expert_action import ExpertAction, ExpertChoiceAction
+from metropilot.env.rewards import Comfort, Energy, Failure, Intervention, Punctuality
 from metropilot.railway import Actuation, Restriction, Section, Trainset, load_line, load_trainset
 from metropilot.sim import Disturbance, Run, TimetableUpdate
 from metropilot.studies.huang2025.published import EITOP, PublishedCase
 
 LINE, TRAINSET = "yizhuang-ttobench", "dkz32"
+REWARDS = (
+    Energy(),
+    Punctuality(per_s=3.0, soft_s=0.5),
+    Comfort(weight=0.2),
+    Failure(price=20.0, per_m=0.05),
+    Intervention(),
+)
+"""Huang25 eq. 26: energy, time error (eq. 27 at the end) and comfort; its weights are not printed."""
+STOP_MPS2 = 0.95
+"""What its station stop plans with."""
+LEARNED_ON = (("RJ", "WYJ"), ("WYJ", "RJ"), ("XC", "XHM"), ("JG", "YZQ"))
+"""Sections of the line that can be coasted to the end; the first is case 1."""
+ON_THE_WAY = 0.7
+"""Share of the episodes that begin on the way."""
 DELAY_S, LAG_S = 0.6, 0.4
 """Dead time and time constant of its eq. 4 (assumed: no value can be read)."""
 GENTLE_MPS2 = {EITOP: 0.8}
@@ -16,6 +33,34 @@ GENTLE_MPS2 = {EITOP: 0.8}
 RULE2_MPS2 = 0.6
 FREE = ("manual", "optimal", "flat_out")
 """Drivers that keep only the trainset's own limit of 1 m/s^2."""
+
+
+def task_config() -> DrivingConfig:
+    """The task ``huang2025``: inside the expert, the change of the rate as a number."""
+    return _task_config(ExpertAction())
+
+
+def choice_task_config() -> DrivingConfig:
+    """The task ``huang2025_choices``: one of three changes of the rate."""
+    return _task_config(ExpertChoiceAction())
+
+
+def gentle(config: DrivingConfig) -> DrivingConfig:
+    """The acceleration of the paper's second rule."""
+    return replace(config, action=ExpertAction(start_mps2=RULE2_MPS2))
+
+
+def _task_config(action: AbstractAction) -> DrivingConfig:
+    line = load_line(LINE)
+    return DrivingConfig(
+        sections=tuple(line.section(*ends) for ends in LEARNED_ON),
+        trainsets=(load_trainset(TRAINSET),),
+        scenarios=DisturbanceDistribution(time_ratio=(1.08, 1.45), news=0.2, on_the_way=ON_THE_WAY),
+        observer=("expert",),
+        action=action,
+        rewards=REWARDS,
+        assists=Assists(stop_mps2=STOP_MPS2),
+    )
 
 
 def trainset() -> Trainset:

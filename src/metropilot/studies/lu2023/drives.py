@@ -19,12 +19,12 @@ from metropilot.policy import load_driving_policy, shipped_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import AbstractDriver, Drive, Run, drive
 from metropilot.studies.lu2023.published import PID_130, PlanCase, Published
+from metropilot.studies.lu2023.setting import NOTCHES, TRAINSET
 from metropilot.studies.report import ReportRow
 
 AROUND_S = (-4.0, 0.0, 4.0)
 MESH = NotchOptions(spacing_m=5.0, speeds=400)
 FINE = NotchOptions(spacing_m=2.0, speeds=1000)
-TRAINSET, NOTCHES = "lu2023", "lu2023"
 
 
 @dataclass(frozen=True)

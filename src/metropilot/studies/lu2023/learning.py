@@ -1,36 +1,25 @@
-"""Tasks, learners and learning runs, what evaluates a policy, and when a run has converged."""
+"""Recipes and learning runs, what evaluates a policy, and when a run has converged."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy import ndarray
 
-from metropilot.env import DrivingTask, episode_of, starts, task_config
-from metropilot.env.actions import NotchForceAction
-from metropilot.env.randomization import DisturbanceDistribution
-from metropilot.env.registry import LU2023_REWARDS
-from metropilot.env.rewards import OnTime
-from metropilot.learn import AbstractConfig, DQNConfig, Schedule
+from metropilot.env import episode_of, starts
+from metropilot.learn import AbstractConfig, DQNConfig, Recipe, Schedule
 from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M
 from metropilot.studies.learning import LearnJob
-from metropilot.studies.lu2023.drives import NotchFront
 from metropilot.studies.lu2023.published import PLANS, PlanCase
+from metropilot.studies.lu2023.setting import MARGIN, PERIOD_S, plan_task, without_filter
 
-PERIOD_S, CONTROL_S = 3.0, 0.2
-MARGIN = 0.06
-"""The filter's flat-out time counts so much longer: keeping clear of protection costs 4 to 5 %."""
-IN_HAND_S = 0.5
-"""Learned with so much less than the 3 s that are allowed."""
-ALL_TIMES_S = (118.0, 142.0)
-ON_THE_WAY, LEFT_RATIO = 0.8, (1.0, 1.7)
-"""So many episodes begin on the way, with so much time left over the flat-out time to go."""
-STATE = ("position", "speed", "time_left", "reserve", "permitted_ahead")
-"""Position, speed, time; what the filter asks (time left beyond the flat-out time to go); limits ahead."""
+if TYPE_CHECKING:
+    from metropilot.studies.lu2023.drives import NotchFront
+
 EVALUATIONS = 40
 LEARNING = DQNConfig(
     steps=60_000,
@@ -54,60 +43,7 @@ LEARNING = DQNConfig(
 )
 """The same for DQN and improved DQN; what differs are the four switches."""
 IMPROVEMENTS = ("double", "dueling", "prioritised", "filter")
-
-
-ALL_STEPS = 160_000
-"""Of the network for all plans, and of the one of the plan with the restriction."""
-
-
-def lu2023_task(cases: tuple[str, ...], times_s: tuple[float, float], *, filtered: bool) -> DrivingTask:
-    """A task of the study.
-
-    Args:
-        cases: Lines of the catalogue, one or both.
-        times_s: Shortest and longest scheduled time.
-        filtered: Whether the minimum-arrival-time filter is on.
-    """
-    from metropilot.railway import load_line
-
-    base = task_config("lu2023")
-    return DrivingTask(
-        replace(
-            base,
-            sections=tuple(load_line(case).section("WHY", "WYJ") for case in cases),
-            scenarios=DisturbanceDistribution(time_s=times_s, on_the_way=ON_THE_WAY, left_ratio=LEFT_RATIO),
-            observer=STATE,
-            action=NotchForceAction(in_time=filtered, margin=MARGIN),
-            rewards=(OnTime(bonus=1000.0, allowed_s=3.0 - IN_HAND_S), *LU2023_REWARDS[1:]),
-            dt=CONTROL_S,
-            periods=round(PERIOD_S / CONTROL_S),
-            most_decisions=75,
-        )
-    )
-
-
-def plan_task(plan_id: str, *, filtered: bool) -> DrivingTask:
-    """The task of one plan, as in the paper: state (x, v, t), one scheduled time."""
-    plan = next(plan for plan in PLANS if plan.id == plan_id)
-    return lu2023_task((plan.line,), (plan.scheduled_s, plan.scheduled_s), filtered=filtered)
-
-
-def all_plans_task(*, filtered: bool) -> DrivingTask:
-    """The task of the one network that is told the time left and the limits ahead."""
-    return lu2023_task(("lu2023", "lu2023-restricted"), ALL_TIMES_S, filtered=filtered)
-
-
-def learner(off: str = "", *, steps: int = LEARNING.steps) -> tuple[DQNConfig, bool]:
-    """Improved DQN with one improvement off (or none; ``all``: plain DQN), and whether the filter is on."""
-    on = {name: off not in {name, "all"} for name in IMPROVEMENTS}
-    config = replace(
-        LEARNING,
-        steps=steps,
-        double=on["double"],
-        dueling=on["dueling"],
-        prioritised=on["prioritised"],
-    )
-    return config, on["filter"]
+IMPROVED = {"double": True, "dueling": True, "prioritised": True}
 
 
 def drive_plans(plans: tuple[PlanCase, ...], config: AbstractConfig, task: Any) -> Callable[..., Any]:  # noqa: ANN401 (a driving task)
@@ -161,20 +97,58 @@ def drive_plans(plans: tuple[PlanCase, ...], config: AbstractConfig, task: Any) 
     return evaluate
 
 
+def evaluate_plans(config: AbstractConfig, task: Any) -> Callable[..., Any]:  # noqa: ANN401 (a driving task)
+    """What evaluates a policy for all plans: by the return over them, as :func:`drive_plans` says.
+
+    The key figures of every recipe stand beside it.
+    """
+    from metropilot.learn import DrivingEvaluation
+    from metropilot.learn.registry import make_learner
+
+    rule = DrivingEvaluation(task, make_learner(config, task).spec)
+    plans = drive_plans(PLANS, config, task)
+
+    def evaluate(params: Any, key: Any) -> dict[str, Any]:  # noqa: ANN401 (arrays)
+        return {**rule(params, key), **plans(params, key)}
+
+    return evaluate
+
+
+ALL_STEPS = 160_000
+"""Of the network for all plans, and of the one of the plan with the restriction."""
+QUICK = {"steps": 40_000, "evaluations": 10}
+DQN_RECIPE = Recipe(
+    "lu2023",
+    paper=replace(LEARNING, steps=ALL_STEPS),
+    quick=replace(LEARNING, **QUICK),
+    changes=without_filter,
+    evaluation=evaluate_plans,
+)
+"""Plain DQN, without the filter."""
+IMPROVED_DQN_RECIPE = Recipe(
+    "lu2023",
+    paper=replace(LEARNING, steps=ALL_STEPS, **IMPROVED),
+    quick=replace(LEARNING, **QUICK, **IMPROVED),
+    evaluation=evaluate_plans,
+)
+
+
 def plan_job(name: str, plan: PlanCase, seed: int, off: str = "", steps: int = LEARNING.steps) -> LearnJob:
-    """One learning run of one plan."""
-    config, filtered = learner(off, steps=steps)
+    """One learning run of one plan: improved DQN with one improvement off, or none; ``all``: plain DQN."""
+    on = {improvement: off not in {improvement, "all"} for improvement in IMPROVEMENTS}
+    filtered = on.pop("filter")
+    config = replace(LEARNING, steps=steps, **on)
     about = {"plan": plan.id, "filter": filtered, "period_s": PERIOD_S, "margin": MARGIN}
-    task = partial(plan_task, plan.id, filtered=filtered)
+    task = partial(plan_task, plan, filtered=filtered)
     return LearnJob(f"{name}-{plan.id}", config, task, seed, partial(drive_plans, (plan,), config), about)
 
 
-def all_plans_job(name: str, seed: int, off: str = "", steps: int = ALL_STEPS) -> LearnJob:
-    """The run of the one network for all plans."""
-    config, filtered = learner(off, steps=steps)
-    about = {"plan": "all", "filter": filtered, "period_s": PERIOD_S, "margin": MARGIN}
-    task = partial(all_plans_task, filtered=filtered)
-    return LearnJob(f"{name}-all", config, task, seed, partial(drive_plans, PLANS, config), about)
+def all_plans_job(name: str, seed: int) -> LearnJob:
+    """The run of the one network for all plans: the recipe of the driver."""
+    recipe = {"dqn": DQN_RECIPE, "improved_dqn": IMPROVED_DQN_RECIPE}[name]
+    config = recipe.configuration("paper")
+    about = {"plan": "all", "filter": name == "improved_dqn", "period_s": PERIOD_S, "margin": MARGIN}
+    return LearnJob(f"{name}-all", config, recipe.make_task, seed, partial(evaluate_plans, config), about)
 
 
 STEADY = 3

@@ -77,7 +77,7 @@ def reproduce(order: Order) -> StudyReport:
             if plan.id not in compared
             for seed in some
         ]
-        jobs += [all_plans_job(driver, seed, off) for driver, off in LEARNERS.items() for seed in few]
+        jobs += [all_plans_job(driver, seed) for driver in LEARNERS for seed in few]
         jobs += [
             plan_job(f"without-{off}", plan_case(ABLATED), seed, off)
             for off in IMPROVEMENTS

@@ -1,0 +1,66 @@
+"""The task of the study: twelve notches, Lu23's rewards and its minimum-arrival-time filter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from metropilot.env import DisturbanceDistribution, DrivingConfig, DrivingTask
+from metropilot.env.actions import NotchForceAction
+from metropilot.env.rewards import AccelerationComfort, EffortEnergy, Moving, OnTime, StopWindow
+from metropilot.railway import load_line, load_trainset
+from metropilot.studies.lu2023.published import PlanCase
+
+TRAINSET, NOTCHES = "lu2023", "lu2023"
+LINES = ("lu2023", "lu2023-restricted")
+"""The section without and with 55 km/h from 600 to 930 m."""
+PERIOD_S, CONTROL_S = 3.0, 0.2
+MARGIN = 0.06
+"""The filter's flat-out time counts so much longer: keeping clear of protection costs 4 to 5 %."""
+IN_HAND_S = 0.5
+"""Learned with so much less than the 3 s that are allowed."""
+ALL_TIMES_S = (118.0, 142.0)
+ON_THE_WAY, LEFT_RATIO = 0.8, (1.0, 1.7)
+"""So many episodes begin on the way, with so much time left over the flat-out time to go."""
+REWARDS = (
+    OnTime(bonus=1000.0, allowed_s=3.0 - IN_HAND_S),
+    EffortEnergy(),
+    StopWindow(),
+    AccelerationComfort(),
+    Moving(),
+)
+"""Lu23 eqs. 15 to 20."""
+STATE = ("position", "speed", "time_left", "reserve", "permitted_ahead")
+"""Position, speed, time; what the filter asks (time left beyond the flat-out time to go); limits ahead."""
+
+
+def task_config() -> DrivingConfig:
+    """The task ``lu2023``: both lines, any of the plans' times, told the time left and the limits ahead."""
+    return DrivingConfig(
+        sections=tuple(load_line(line).section("WHY", "WYJ") for line in LINES),
+        trainsets=(load_trainset(TRAINSET),),
+        scenarios=_times(ALL_TIMES_S),
+        observer=STATE,
+        action=NotchForceAction(in_time=True, margin=MARGIN),
+        rewards=REWARDS,
+        dt=CONTROL_S,
+        periods=round(PERIOD_S / CONTROL_S),
+        most_decisions=75,
+    )
+
+
+def without_filter(config: DrivingConfig) -> DrivingConfig:
+    """The same without the minimum-arrival-time filter."""
+    return replace(config, action=NotchForceAction(in_time=False, margin=MARGIN))
+
+
+def plan_task(plan: PlanCase, *, filtered: bool) -> DrivingTask:
+    """The task of one plan, as in the paper: one line, one scheduled time."""
+    config = task_config() if filtered else without_filter(task_config())
+    section = load_line(plan.line).section("WHY", "WYJ")
+    return DrivingTask(
+        replace(config, sections=(section,), scenarios=_times((plan.scheduled_s, plan.scheduled_s)))
+    )
+
+
+def _times(times_s: tuple[float, float]) -> DisturbanceDistribution:
+    return DisturbanceDistribution(time_s=times_s, on_the_way=ON_THE_WAY, left_ratio=LEFT_RATIO)
