@@ -64,7 +64,7 @@ def test_a_live_run_is_told_news_and_arrives(server):
     rest = watch(server, live, after=seen[-1][0])
     assert rest[0][0] == seen[-1][0] + 1
     words = [data["words"] for _, kind, data in rest if kind == "event"]
-    assert any("arrive later" in text for text in words)
+    assert any("new arrival time, later" in text for text in words)
     assert any("restriction" in text for text in words)
     result = next(data for _, kind, data in rest if kind == "result")
     assert result["kpis"]["outcome"] == "arrived"

@@ -60,10 +60,8 @@ def leaderboard(folder: Path, summary: Mapping[str, Any], seconds: float, comman
     sections = len(campaign.sections)
     trainsets = ", ".join(f"{name} {load}" for name, load in campaign.trainsets)
     lines = [f"# {campaign.name[:1].upper()}{campaign.name[1:]}", ""]
-    lines += [
-        f"{len(campaign.drivers)} drivers on {sections} sections with {trainsets}, under protection.",
-        "",
-    ]
+    compared = f"{len(campaign.drivers)} drivers on {sections} sections with {trainsets}"
+    lines += [f"This page compares {compared}, all under protection.", ""]
     lines += [f"Written by `{command}`: {about}.", "", LEGEND]
     for disturbance in campaign.disturbances:
         rows = [row for row in summary["cells"] if row["disturbance"] == disturbance.name]

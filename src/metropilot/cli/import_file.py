@@ -79,7 +79,7 @@ def import_command(
     screen = console()
     screen.print(f"{kind} {found.id} written to {target}", style="bold")
     heading(screen, "used", used)
-    heading(screen, "read, but without effect", unused)
+    heading(screen, "read but unused", unused)
     heading(screen, "kept for writing back", map(str, found.extra))
     heading(screen, "notes", notes)
     return 0

@@ -187,7 +187,7 @@ def show_line(line: Line, *, as_json: bool) -> int:
     )
     out.print(table("", columns, cells, right=range(1, 6)))
     heading(out, "notes", line.notes)
-    heading(out, "read, but without effect", line.unused)
+    heading(out, "read but unused", line.unused)
     citations(out, "sources", line.source)
     return 0
 
@@ -241,7 +241,7 @@ def show_trainset(t: Trainset, *, as_json: bool) -> int:
     out.print(table(f"effort, {t.load}", columns, rows, right=range(4)))
     heading(out, "in service", _service(t))
     heading(out, "notes", t.notes)
-    heading(out, "read, but without effect", t.unused)
+    heading(out, "read but unused", t.unused)
     citations(out, "sources", t.source)
     return 0
 

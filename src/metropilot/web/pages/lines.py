@@ -112,7 +112,7 @@ class LinesPage:
                 columns = ("section", "length (m)", "planned there (s)", "planned back (s)")
                 table(columns, rows, right=range(1, 4), name="Sections")
             self.notes("Notes", found["notes"])
-            self.notes("Read, but without effect", found["unused"])
+            self.notes("Read but unused", found["unused"])
             self.notes("Sources", [f"{block}: {text}" for block, text in found["source"].items()])
 
     @staticmethod
