@@ -40,6 +40,11 @@ def rows(seen):
     return [row for _, kind, data in seen if kind == "rows" for row in data["rows"]]
 
 
+def returned(kind, data):
+    """Whether an event says that the driver has the lever."""
+    return kind == "event" and "returned to the driver" in data["words"]
+
+
 def reached(metres):
     return lambda kind, data: kind == "rows" and any(row[1] > metres for row in data["rows"])
 
@@ -79,7 +84,7 @@ def test_a_live_run_is_told_news_and_arrives(server):
 def test_a_hand_that_lets_go_gives_the_lever_back(server):
     live = server.post("/api/live", {**SECTION, "pace": 1}, code=201)["id"]
     server.post(f"/api/live/{live}/lever", {"share": 1.0})
-    given = watch(server, live, until=lambda kind, data: kind == "event" and "returned to the driver" in data["words"])
+    given = watch(server, live, until=returned)
     assert any(row[5] == 1.0 for row in rows(given))
     taken, back = (data["time_s"] for _, kind, data in given if kind == "event")
     assert back - taken == pytest.approx(3.0, abs=1.0)
@@ -100,7 +105,7 @@ def test_the_lever_has_one_holder(server):
         assert "take_over" in error["allowed"]
     server.post(lever, {"share": -1.0, "holder": "tab-2", "take_over": True})
     assert server.post(lever, {"share": 0.5, "holder": "tab-1"}, code=409)["error"]["value"] == "tab-1"
-    seen = watch(server, live, until=lambda kind, data: kind == "event" and "returned to the driver" in data["words"])
+    seen = watch(server, live, until=returned)
     assert [data["words"] for _, kind, data in seen if kind == "event"] == [
         "the lever is taken by hand by tab-1",
         "the lever is taken over from tab-1 by tab-2",
