@@ -115,7 +115,7 @@ def stopped(folder, command, how):
 def test_interrupted_twice_it_learns_the_same(learned, metropilot, program, tmp_path):
     code, err = stopped(tmp_path, [*LEARN, "--out", "mine"], signal.SIGINT)
     assert code == 130
-    again = shlex.split(err.strip().partition("go on with: ")[2])
+    again = shlex.split(err.strip().partition("resume with: ")[2])
     assert again[:3] == ["metropilot", "learn", "--resume"]
     assert answer(metropilot("show", tmp_path / "mine", "--json"))["status"] == "interrupted"
     code, _ = stopped(tmp_path, again[1:], signal.SIGKILL)
