@@ -38,7 +38,7 @@ def test_ddpg_pid_is_as_good_as_published_where_the_page_claims_it(report):
     assert ours(report, "Table 1", "ddpg_pid", "largest position error") < 0.34
     assert ours(report, "Table 1", "ddpg_pid", PLACE) < 14.0
     assert ours(report, "Table 1", "ddpg_pid", "parking error") < 0.05
-    assert any("Worse than the published numbers: total position error" in remark for remark in report.remarks)
+    assert any("Worse than the published numbers: total position error" in text for text in report.remarks)
 
 
 def test_ddpg_pid_beats_fuzzy_and_neural_as_printed_by_their_margins(report):
