@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metropilot.evaluate import Request, kpis_of, make_driver, optimum_of
+from metropilot.evaluate import RunSpec, kpis_of, make_driver, optimum_of
 from metropilot.sim import AbstractDriver, Observation, Run, drive
 
 
@@ -34,7 +34,7 @@ class Coaster(AbstractDriver):
 
 
 def main() -> None:
-    request = Request("yizhuang", "RJ", "WYJ", time_s=101.0)
+    request = RunSpec("yizhuang", "RJ", "WYJ", time_s=101.0)
     for driver in (make_driver("optimal"), make_driver("manual"), Coaster()):
         driven = drive(replace(request.run(), seed=1), driver)
         kpis = kpis_of(driven, optimum_of(driven))

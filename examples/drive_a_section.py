@@ -3,12 +3,12 @@
 python examples/drive_a_section.py
 """
 
-from metropilot.evaluate import Request, checks, kpis_of, optimum_of
+from metropilot.evaluate import RunSpec, checks, kpis_of, optimum_of
 from metropilot.sim import drive
 
 
 def main() -> None:
-    request = Request("yizhuang", "RJ", "WYJ", time_s=101.0, trainset="dkz32:AW2", driver="optimal")
+    request = RunSpec("yizhuang", "RJ", "WYJ", time_s=101.0, trainset="dkz32:AW2", driver="optimal")
     driven = drive(request.run(), request.make_driver())
     kpis = kpis_of(driven, optimum_of(driven))
     print(f"{kpis.outcome} after {kpis.running_time_s:.1f} s, {kpis.stopping_error_m:+.3f} m from the stop")

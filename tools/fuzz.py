@@ -34,7 +34,7 @@ PACKAGES = (
         "metropilot.policy",
         "metropilot.env.policy_interface",
     ),
-    *("metropilot.evaluate.request", "metropilot.evaluate.request_file", "metropilot.sim.trajectory"),
+    *("metropilot.evaluate.run_spec", "metropilot.sim.trajectory"),
     *(
         "metropilot.campaign",
         "metropilot.learn.run_store",

@@ -95,10 +95,10 @@ def campaign(place: Path) -> None:
 @cache
 def driven() -> tuple[Any, Any]:
     """A drive that is written again and again: what was asked for, and what came of it."""
-    from metropilot.evaluate import Entry, Request, kpis_of
+    from metropilot.evaluate import Entry, RunSpec, kpis_of
     from metropilot.sim import drive
 
-    request = Request("yizhuang", "RJ", "WYJ", 110.0, driver="flat_out")
+    request = RunSpec("yizhuang", "RJ", "WYJ", 110.0, driver="flat_out")
     done = drive(request.run(), request.make_driver())
     return request, Entry("flat_out", (done,), (kpis_of(done, None),), None)
 
@@ -167,7 +167,7 @@ def look_at_folder(folder: Path) -> None:
     Raises:
         AssertionError: One is neither.
     """
-    from metropilot.evaluate import request_from_toml
+    from metropilot.evaluate import run_from_toml
     from metropilot.sim import Trajectory
 
     request, entry = driven()
@@ -177,7 +177,7 @@ def look_at_folder(folder: Path) -> None:
         elif path.suffix == ".csv":
             same(len(Trajectory.read(path)) == len(entry.drives[0].trajectory), path.name)
         elif path.suffix == ".toml":
-            same(request_from_toml(path) == request.resolved(), path.name)
+            same(run_from_toml(path) == request.resolved(), path.name)
         elif path.suffix in {".png", ".svg"}:
             end = b"IEND\xaeB`\x82" if path.suffix == ".png" else b"</svg>"
             same(path.read_bytes().rstrip().endswith(end), path.name)

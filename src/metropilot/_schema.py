@@ -26,12 +26,12 @@ class Range:
         infinite: Whether plus infinity ("no bound") is a value too.
     """
 
-    low: float = -math.inf
-    high: float = math.inf
+    low: int | float = -math.inf
+    high: int | float = math.inf
     above: bool = False
     infinite: bool = False
 
-    def admit(self, value: float) -> bool:
+    def admit(self, value: int | float) -> bool:
         """Whether the value lies in the range."""
         if math.isinf(value):
             return self.infinite and value > 0
@@ -42,7 +42,7 @@ class Range:
         name = f" {of.name}" if of and of.name not in {"1", "-"} else ""
         low, high = (v if of is None else of.from_si(v) for v in (self.low, self.high))
         if math.isfinite(low) and math.isfinite(high) and not self.above:
-            text = f"{low:g} to {high:g}{name}"
+            text = " to ".join(str(v) if isinstance(v, int) else f"{v:g}" for v in (low, high)) + name
         else:
             sign = ">" if self.above else ">="
             parts = [f"{sign} {low:g}{name}"] if math.isfinite(low) else []
@@ -60,7 +60,8 @@ class FieldSpec:
         unit: SI unit of the number; empty where it has none.
         range: The range of the number; None where it is no number.
         choices: The words it may be; empty where any will do.
-        option: Name of the command line's option, without dashes, where it is not the field's own.
+        option: Name of the command line's option, without dashes, where it is not the field's without unit.
+        form: How the option's text is written, where it is not a number or a word.
         label: Label in a form of the console; empty where a form does not show it.
         step: Step of that form's field.
     """
@@ -70,6 +71,7 @@ class FieldSpec:
     range: Range | None = None
     choices: tuple[str, ...] = ()
     option: str = ""
+    form: str = ""
     label: str = ""
     step: float = 0.0
 

@@ -28,7 +28,7 @@ from metropilot.campaign.store import CampaignStore
 from metropilot.campaign.summary import collect, median_ranks, share_interval
 from metropilot.cli import main
 from metropilot.errors import InputError
-from metropilot.evaluate import request_from_toml
+from metropilot.evaluate import run_from_toml
 from metropilot.sim import drive
 
 SECTIONS = (("yizhuang", "WHY", "YZQ"), ("yizhuang", "XC", "XHM"))
@@ -99,11 +99,11 @@ def test_seeds_and_draws_belong_to_the_cell_and_not_to_the_driver_or_the_matrix(
     assert set(seeds) < {seed_of(wider, wider.case(row)) for row in range(wider.rows)}
     heavy = next(case for case in cases if case.disturbance.name == "heavy")
     request = request_of(WIDE, heavy, 100.0, 1000.0)
-    assert 1.0 <= request.mass_factor <= 1.2
-    assert request.lag_s == 0.1
-    assert request.resistance_factor == 1.0
+    assert 1.0 <= request.disturbance.mass_factor <= 1.2
+    assert request.disturbance.lag_s == 0.1
+    assert request.disturbance.resistance_factor == 1.0
     more = replace(heavy.disturbance, ranges={**heavy.disturbance.ranges, "delay_s": (0.0, 1.0)})
-    assert drawn(more, request.seed)["mass_factor"] == request.mass_factor
+    assert drawn(more, request.seed)["mass_factor"] == request.disturbance.mass_factor
 
 
 def test_a_campaign_travels_as_text():
@@ -116,8 +116,8 @@ def test_a_file_is_read(tmp_path):
     assert campaign.rows == 4
     request = request_of(campaign, campaign.case(3), 120.0, 1000.0)
     assert (request.driver, dict(request.options)) == ("optimal", {"reserve_s": 1})
-    assert request.restrictions == ("400.0-600.0@40@36.0",)
-    assert request.arrivals == ("132.00@24.0",)
+    assert request.values()["restrictions"] == ["400-600@40@36"]
+    assert request.values()["arrivals"] == ["132@24"]
     assert read_campaign(written(tmp_path, FILE), "manual,mpc").drivers == ("manual", "mpc")
 
 
@@ -267,7 +267,7 @@ def test_the_command_drives_reports_and_says_how_to_drive_the_worst_again(tmp_pa
     assert (summary["rows"], summary["done"], summary["sitting"]["driven"]) == (1, 1, 1)
     assert summary["drivers"][0]["arrived"] == 1
     (worst,) = summary["worst"]
-    request = request_from_toml(out / "worst" / "01" / "run.toml")
+    request = run_from_toml(out / "worst" / "01" / "run.toml")
     done = drive(request.run(), request.make_driver())
     assert float(done.trajectory.energy_wheel_j[-1]) / 3.6e6 == worst["energy_wheel_kwh"]
     assert done.running_time_s == worst["running_time_s"]

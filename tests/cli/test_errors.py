@@ -1,9 +1,10 @@
 """Bad input: exit code 2, one line that says what and what is allowed, never a traceback."""
 
+import inspect
 import json
 import os
 from importlib import import_module
-from typing import get_args, get_type_hints
+from typing import get_args
 
 import pytest
 
@@ -74,11 +75,21 @@ NUMERIC_BASE = {
 }
 """What a command needs beside the option that is tried; a comparison's run has the options of a drive."""
 ALLOWED = {("headwind", "-1"), ("adhesion", "inf")}
+
+
+def options_of(command):
+    """Every option of a command as it is written, without dashes, and its type."""
+    for parameter in inspect.signature(command, eval_str=True).parameters.values():
+        hint, *more = get_args(parameter.annotation) or (parameter.annotation,)
+        declared = [word for option in more for word in getattr(option, "param_decls", None) or ()]
+        yield (*declared, parameter.name)[0].removeprefix("--").replace("-", "_"), hint
+
+
 NUMERIC = [
     pytest.param(name, option, value, id=f"{name} --{option.replace('_', '-')}={value}")
     for name, (module, _) in app.COMMANDS.items()
-    for option, hint in get_type_hints(getattr(import_module(module), f"{name}_command")).items()
-    if option != "return" and {hint, *get_args(hint)} & {int, float}
+    for option, hint in options_of(getattr(import_module(module), f"{name}_command"))
+    if {hint, *get_args(hint)} & {int, float}
     for value in ("nan", "-1", *(("inf",) if hint is not int else ()))
     if (option, value) not in ALLOWED and (name != "compare" or option == "seeds")
 ]
@@ -121,9 +132,9 @@ def test_a_complaint_names_the_option_as_it_was_written(metropilot, arguments, w
 
 
 def test_the_stated_minimum_is_enough(metropilot):
-    from metropilot.evaluate import Request
+    from metropilot.evaluate import RunSpec
 
-    Request("yizhuang", "RJ", "WYJ", 83.33).run()
+    RunSpec("yizhuang", "RJ", "WYJ", 83.33).run()
     assert metropilot("plan", "yizhuang", "RJ", "WYJ", "--time", "83.33").code == 0
     assert "allowed: 83.33 to" in metropilot("plan", "yizhuang", "RJ", "WYJ", "--time", "83.3").err
 

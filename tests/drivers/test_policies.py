@@ -12,7 +12,7 @@ from metropilot.drivers import DRIVERS, shipped
 from metropilot.drivers.learned import LearnedDriver
 from metropilot.env import ACTIONS, PolicyInterface, task_config
 from metropilot.errors import InputError
-from metropilot.evaluate import Request, make_driver, request_from_toml
+from metropilot.evaluate import RunSpec, make_driver, run_from_toml
 from metropilot.evaluate.folder import write_run_toml
 from metropilot.policy import (
     Policy,
@@ -210,13 +210,13 @@ def test_what_was_not_learned_for_is_driven_too(tmp_path, section, trainset, dri
 
 def test_a_policy_goes_with_the_run_it_drove(tmp_path):
     path = file_of(tmp_path)
-    request = Request("yizhuang", "RJ", "WYJ", 110.0, driver=f"learned:policy={path}")
+    request = RunSpec("yizhuang", "RJ", "WYJ", 110.0, driver=f"learned:policy={path}")
     out = tmp_path / "out"
     out.mkdir()
     write_run_toml(out, request)
     path.unlink()
     moved = out.rename(tmp_path / "elsewhere")
-    again = request_from_toml(moved / "run.toml")
+    again = run_from_toml(moved / "run.toml")
     assert again.driver == "learned"
     assert again.make_driver().loaded.perception == PERCEPTION
 
@@ -224,7 +224,7 @@ def test_a_policy_goes_with_the_run_it_drove(tmp_path):
 @pytest.mark.parametrize("driver", ["generalist", "ppo"])
 @pytest.mark.parametrize(("origin", "destination", "load"), [("RJ", "WYJ", "AW0"), ("WYJ", "WHY", "AW3")])
 def test_the_stand_jerks_no_more_than_the_trainset_may(driver, origin, destination, load):
-    request = Request("yizhuang", origin, destination, time_s=110.0, driver=driver, load=load)
+    request = RunSpec("yizhuang", origin, destination, time_s=110.0, driver=driver, load=load)
     driven = drive(request.run(), request.make_driver())
     change = np.abs(np.diff(driven.trajectory.acceleration_mps2)).max()
     assert change / driven.run.dt <= driven.run.trainset.actuation.jerk_limit_mps3 * (1 + 1e-6)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from metropilot.evaluate import Request
+from metropilot.evaluate import RunSpec
 from metropilot.sim import AbstractDriver
 
 
@@ -33,4 +33,4 @@ def scripted():
 @pytest.fixture
 def request_rj():
     """Rongjing to Wanyuanjie in 101 s with the driver that needs no plan."""
-    return Request("yizhuang", "RJ", "WYJ", 101.0, driver="flat_out")
+    return RunSpec("yizhuang", "RJ", "WYJ", 101.0, driver="flat_out")

@@ -13,9 +13,11 @@ from metropilot.evaluate.folder import write_comparison
 @pytest.fixture(scope="module")
 def entries():
     """One driver, two seeds of noise (drives are slow under the run-time type check)."""
-    from metropilot.evaluate import Request
+    from metropilot.evaluate import RunSpec
+    from metropilot.sim import Disturbance
 
-    request = Request("yizhuang", "RJ", "WYJ", 90.0, driver="flat_out", speed_noise_mps=0.02)
+    noisy = Disturbance(speed_noise_mps=0.02)
+    request = RunSpec("yizhuang", "RJ", "WYJ", 90.0, driver="flat_out", disturbance=noisy)
     return request, compare(request, jobs(["flat_out"], 5, 2))
 
 

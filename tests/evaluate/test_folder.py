@@ -8,7 +8,7 @@ import pytest
 
 from metropilot._io import fill_folder
 from metropilot.errors import InputError
-from metropilot.evaluate import kpis_of, optimum_of, request_from_toml, write_run
+from metropilot.evaluate import RunSpec, kpis_of, optimum_of, run_from_toml, write_run
 from metropilot.railway import load_line, write_line
 from metropilot.sim import drive
 
@@ -22,17 +22,17 @@ def write(folder, request):
 
 
 def test_driven_again_to_the_same_bits(tmp_path, request_rj):
-    request = replace(
-        request_rj,
-        speed_noise_mps=0.05,
-        mass_factor=1.1,
-        delay_s=0.3,
-        seed=7,
-        restrictions=("500-700@45", "900-1000@50@20"),
-        arrivals=("130@20",),
-    )
+    disturbed = {
+        "speed_noise_mps": 0.05,
+        "mass_factor": 1.1,
+        "delay_s": 0.3,
+        "seed": 7,
+        "restrictions": ["500-700@45", "900-1000@50@20"],
+        "arrivals": ["130@20"],
+    }
+    request = RunSpec.from_values(request_rj.values() | disturbed)
     write(tmp_path / "one", request)
-    again = request_from_toml(tmp_path / "one" / "run.toml")
+    again = run_from_toml(tmp_path / "one" / "run.toml")
     write(tmp_path / "two", again)
     assert sorted(p.name for p in (tmp_path / "one").iterdir()) == FILES
     for name in set(FILES) - {"kpis.json", "run.toml"}:
@@ -48,7 +48,7 @@ def test_a_line_of_ones_own_travels_with_the_folder(tmp_path, request_rj):
     write_line(load_line("yizhuang"), tmp_path / "mine.toml")
     write(tmp_path / "out", replace(request_rj, line=str(tmp_path / "mine.toml")))
     (tmp_path / "mine.toml").unlink()
-    again = request_from_toml(tmp_path / "out" / "run.toml")
+    again = run_from_toml(tmp_path / "out" / "run.toml")
     assert again.line == str(tmp_path / "out" / "line.toml")
     assert again.run().section.length_m == 1280
 

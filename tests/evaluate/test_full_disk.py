@@ -11,7 +11,7 @@ import pytest
 
 from metropilot._io import fill_folder, write_json
 from metropilot.errors import InputError
-from metropilot.evaluate import Request, kpis_of, write_run
+from metropilot.evaluate import RunSpec, kpis_of, write_run
 from metropilot.learn.run_store import read_history, write_history
 from metropilot.policy import Policy, PolicySpec, load_policy, save_policy
 from metropilot.railway import load_line, write_line
@@ -78,7 +78,7 @@ def test_a_full_disk_is_one_line_and_keeps_what_was_there(tmp_path, name):
 
 
 def test_a_drive_onto_a_full_disk_keeps_the_earlier_one(tmp_path):
-    request = Request("yizhuang", "RJ", "WYJ", 110.0, driver="flat_out")
+    request = RunSpec("yizhuang", "RJ", "WYJ", 110.0, driver="flat_out")
     done = drive(request.run(), request.make_driver())
     kpis = kpis_of(done, None)
     write_run(tmp_path, request, done, kpis, None)

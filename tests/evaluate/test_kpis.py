@@ -36,9 +36,9 @@ DESIGN = (
 
 @pytest.fixture(scope="module")
 def driven():
-    from metropilot.evaluate import Request
+    from metropilot.evaluate import RunSpec
 
-    request = Request("yizhuang", "RJ", "WYJ", 101.0, driver="flat_out")
+    request = RunSpec("yizhuang", "RJ", "WYJ", 101.0, driver="flat_out")
     return drive(request.run(), request.make_driver())
 
 

@@ -5,13 +5,19 @@ from dataclasses import replace
 import pytest
 
 from metropilot.errors import Infeasible, InputError
-from metropilot.evaluate import Request, request_from_toml
-from metropilot.evaluate.request import parse_arrival, parse_restriction
+from metropilot.evaluate import RunSpec, run_from_toml
+from metropilot.evaluate.run_spec import parse_arrival, parse_restriction
 from metropilot.planning import minimum_running_time
+from metropilot.sim import TimetableUpdate
+
+
+def changed(spec, **values):
+    """The run with some of its plain values changed."""
+    return RunSpec.from_values(spec.values() | values)
 
 
 def test_time_defaults_to_the_plan():
-    assert Request("yizhuang", "rongjing", "wanyuan", driver="flat_out").run().scheduled_time_s == 101.0
+    assert RunSpec("yizhuang", "rongjing", "wanyuan", driver="flat_out").run().scheduled_time_s == 101.0
 
 
 def test_too_little_time_names_the_minimum(request_rj):
@@ -37,11 +43,11 @@ def test_bad_times(request_rj, time_s):
 )
 def test_bad_scenarios(request_rj, change):
     with pytest.raises(InputError):
-        replace(request_rj, **change).run()
+        changed(request_rj, **change).run()
 
 
 def test_a_restriction_makes_late_but_not_impossible(request_rj):
-    run = replace(request_rj, restrictions=("400-600@36",)).run()
+    run = changed(request_rj, restrictions=("400-600@36",)).run()
     assert minimum_running_time(run.section, run.trainset) > run.scheduled_time_s
 
 
@@ -70,11 +76,10 @@ def test_options_reach_the_driver(request_rj):
 
 
 def test_restrictions(request_rj):
-    section = request_rj.section()
-    known, at_s = parse_restriction("400-600@36", section)
-    assert (known.from_m, known.to_m, known.limit_mps, at_s) == (400, 600, pytest.approx(10), None)
-    assert parse_restriction("400-600@36@30.5", section)[1] == 30.5
-    asked = replace(request_rj, restrictions=("400-600@36", "700-800@54@20"))
+    known = parse_restriction("400-600@36")
+    assert (known.from_m, known.to_m, known.limit_mps) == (400, 600, 10)
+    assert parse_restriction("400-600@36@30.5") == TimetableUpdate(30.5, restriction=known)
+    asked = changed(request_rj, restrictions=("400-600@36", "700-800@54@20"))
     assert [r.from_m for r in asked.section().restrictions] == [400]
     assert [n.at_s for n in asked.run().scenario.updates] == [20]
 
@@ -89,15 +94,15 @@ def test_restrictions(request_rj):
 )
 def test_bad_restrictions(request_rj, text):
     with pytest.raises(InputError, match="restriction"):
-        replace(request_rj, restrictions=(text,)).run()
+        changed(request_rj, restrictions=(text,)).run()
 
 
 def test_a_restriction_beside_another_is_held_to_the_lines_own_limit(request_rj):
-    twice = replace(request_rj, restrictions=("400-600@36", "400-600@36@20", "300-700@50")).run()
+    twice = changed(request_rj, restrictions=("400-600@36", "400-600@36@20", "300-700@50")).run()
     assert [r.limit_mps for r in twice.section.restrictions] == [pytest.approx(10), pytest.approx(50 / 3.6)]
     assert len(twice.scenario.updates) == 1
     with pytest.raises(InputError, match=r"no effect.*5 to below 80 km/h"):
-        replace(request_rj, restrictions=("400-600@36", "400-600@80@20")).run()
+        changed(request_rj, restrictions=("400-600@36", "400-600@80@20")).run()
 
 
 def test_arrivals():
@@ -138,9 +143,9 @@ def test_bad_run_files(tmp_path, text, words):
     path = tmp_path / "run.toml"
     path.write_text(text)
     with pytest.raises(InputError, match=words):
-        request_from_toml(path)
+        run_from_toml(path)
 
 
 def test_no_run_file(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
-        request_from_toml(tmp_path / "run.toml")
+        run_from_toml(tmp_path / "run.toml")

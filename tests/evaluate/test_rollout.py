@@ -101,7 +101,7 @@ def test_overspeed_is_found_between_two_rows(request_rj):
 def test_driving_never_imports_jax():
     code = (
         "import sys; from metropilot.evaluate import *; from metropilot.sim import drive\n"
-        "r = Request('yizhuang', 'RJ', 'WYJ', 101.0, driver='flat_out')\n"
+        "r = RunSpec('yizhuang', 'RJ', 'WYJ', 101.0, driver='flat_out')\n"
         "d = drive(r.run(), r.make_driver()); kpis_of(d, optimum_of(d))\n"
         "assert 'jax' not in sys.modules and 'matplotlib' not in sys.modules"
     )

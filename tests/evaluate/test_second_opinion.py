@@ -10,7 +10,7 @@ import pytest
 from tests.reference.replay import read_rows, replay
 
 from metropilot.drivers import DRIVERS
-from metropilot.evaluate import Request, kpis_of
+from metropilot.evaluate import RunSpec, kpis_of
 from metropilot.railway import load_line
 from metropilot.sim import drive
 
@@ -26,8 +26,13 @@ def request_of(name):
     cut = SECTIONS[(7 * k) % len(SECTIONS)]
     time_s = 1.1 * cut.planned_time_s
     stations = (cut.origin.code, cut.destination.code)
-    return Request(
-        "yizhuang", *stations, time_s, load=LOADS[k % 3], driver=name, mass_factor=1.0 + 0.02 * (k % 4)
+    return RunSpec(
+        "yizhuang",
+        *stations,
+        time_s,
+        load=LOADS[k % 3],
+        driver=name,
+        disturbance=Disturbance(mass_factor=1.0 + 0.02 * (k % 4)),
     )
 
 
@@ -59,9 +64,10 @@ def test_a_run_of_every_driver_replays_from_its_file(tmp_path, name):
 PROGRAM = """
 import sys
 from pathlib import Path
-from metropilot.evaluate import Request
-from metropilot.sim import drive
-request = Request("yizhuang", "RJ", "WYJ", 110.0, driver="ppo", speed_noise_mps=0.1, seed=5)
+from metropilot.evaluate import RunSpec
+from metropilot.sim import Disturbance, drive
+noisy = Disturbance(speed_noise_mps=0.1)
+request = RunSpec("yizhuang", "RJ", "WYJ", 110.0, driver="ppo", disturbance=noisy, seed=5)
 drive(request.run(), request.make_driver()).trajectory.write(Path(sys.argv[1]))
 """
 

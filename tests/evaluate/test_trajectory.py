@@ -16,9 +16,12 @@ DESIGN = (
 
 @pytest.fixture(scope="module")
 def driven():
-    from metropilot.evaluate import Request
+    from metropilot.evaluate import RunSpec
+    from metropilot.sim import Disturbance
 
-    request = Request("yizhuang", "XHM", "JG", 170.0, driver="flat_out", load="AW2", mass_factor=1.1)
+    heavy = Disturbance(mass_factor=1.1)
+    where = ("yizhuang", "XHM", "JG", 170.0)
+    request = RunSpec(*where, driver="flat_out", load="AW2", disturbance=heavy)
     return drive(request.run(), request.make_driver())
 
 

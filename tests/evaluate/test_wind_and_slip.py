@@ -6,7 +6,7 @@ import pytest
 
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
-from metropilot.evaluate import Request, request_from_toml
+from metropilot.evaluate import RunSpec, run_from_toml
 from metropilot.evaluate.folder import write_run_toml
 from metropilot.physics import (
     brake_available_n,
@@ -82,9 +82,10 @@ def test_out_of_range_is_refused(field, value):
 
 
 def test_a_request_carries_them_through_its_file(tmp_path):
-    asked = Request("yizhuang", "RJ", "WYJ", time_s=110.0, headwind_mps=-4.0, adhesion=0.1).resolved()
+    weather = Disturbance(headwind_mps=-4.0, adhesion=0.1)
+    asked = RunSpec("yizhuang", "RJ", "WYJ", time_s=110.0, disturbance=weather).resolved()
     write_run_toml(tmp_path, asked)
-    assert request_from_toml(tmp_path / "run.toml") == asked
-    plain = Request("yizhuang", "RJ", "WYJ", time_s=110.0).resolved()
+    assert run_from_toml(tmp_path / "run.toml") == asked
+    plain = RunSpec("yizhuang", "RJ", "WYJ", time_s=110.0).resolved()
     write_run_toml(tmp_path, plain)
-    assert request_from_toml(tmp_path / "run.toml") == plain
+    assert run_from_toml(tmp_path / "run.toml") == plain

@@ -144,17 +144,16 @@ def _read_checkpoint(path: Path) -> None:
 def _read_run(path: Path) -> None:
     import tomli_w
 
-    from metropilot.evaluate import request_from_toml
-    from metropilot.evaluate.request_file import to_table
+    from metropilot.evaluate import run_from_toml
 
-    resolved = request_from_toml(path).resolved()
-    section, scenario = resolved.section(), resolved.scenario()
+    resolved = run_from_toml(path).resolved()
+    section = resolved.section()
     assert 0 < section.length_m < 1e6
     assert (section.limit_mps.value > 0).all()
-    assert all(item.at_s >= 0 for item in scenario.updates)
-    text = tomli_w.dumps({"run": to_table(resolved)})
+    assert all(item.at_s >= 0 for item in resolved.disturbance.updates)
+    text = tomli_w.dumps({"run": resolved.values()})
     path.write_text(text)
-    again = tomli_w.dumps({"run": to_table(request_from_toml(path).resolved())})
+    again = tomli_w.dumps({"run": run_from_toml(path).resolved().values()})
     assert again == text, "it reads back as something else"
 
 

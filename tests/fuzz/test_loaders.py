@@ -15,7 +15,7 @@ from tests.railway import samples
 from metropilot.campaign.reading import campaign_from_toml
 from metropilot.env import task_config
 from metropilot.errors import InputError
-from metropilot.evaluate import Request, make_driver, request_from_toml
+from metropilot.evaluate import RunSpec, make_driver, run_from_toml
 from metropilot.policy import Policy, PolicySpec, save_policy
 from metropilot.railway import import_file, load_line
 from metropilot.sim import drive
@@ -62,7 +62,7 @@ def test_a_section_no_grid_can_hold_is_refused(tmp_path):
         line.section("B", "C")
 
 
-@pytest.mark.parametrize("read", [import_file, request_from_toml, campaign_from_toml])
+@pytest.mark.parametrize("read", [import_file, run_from_toml, campaign_from_toml])
 def test_pipes_and_files_without_end_are_refused(tmp_path, read):
     pipe, large = tmp_path / "pipe.toml", tmp_path / "large.toml"
     os.mkfifo(pipe)
@@ -85,7 +85,7 @@ def test_weights_that_mean_harm_stay_under_protection(tmp_path, task):
     params["policy.1.bias"] = np.linspace(1.0, 2.0, width).astype(np.float32) * np.float32(100 * scale)
     path = tmp_path / "theirs.safetensors"
     save_policy(path, Policy(spec, params), {"perception": perception.as_dict()})
-    done = drive(Request("yizhuang", "RJ", "WYJ", 110.0).run(), make_driver("learned", {"policy": str(path)}))
+    done = drive(RunSpec("yizhuang", "RJ", "WYJ", 110.0).run(), make_driver("learned", {"policy": str(path)}))
     seen = done.trajectory
     assert (seen.speed_mps <= seen.limit_mps + 1e-9).all()
     assert np.isfinite(seen.speed_mps).all()

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from metropilot.errors import InputError, SolverError
-from metropilot.evaluate import Request
+from metropilot.evaluate import RunSpec
 from metropilot.planning import PlanOptions, optimal_plan
 from metropilot.railway import Restriction, load_line, load_trainset
 from metropilot.web.live.engine import COLUMNS, HAND_S, Engine
@@ -15,10 +15,12 @@ from metropilot.web.refusals import Refused
 ROW = {name: k for k, name in enumerate(COLUMNS)}
 TAKE, GIVE = ({"kind": "lever", "share": share, "holder": "one"} for share in (1.0, None))
 
+WHERE = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ", "time_s": 101.0}
+
 
 def told_at(time_s, scheduled_s):
     """What a run says to a new running time, and when it then arrives."""
-    engine = Engine(Request("yizhuang", "RJ", "WYJ", time_s=101.0))
+    engine = Engine(RunSpec("yizhuang", "RJ", "WYJ", time_s=101.0))
     while engine.time_s < time_s:
         engine.advance()
     words = engine.apply({"kind": "arrival", "scheduled_time_s": scheduled_s})
@@ -80,7 +82,7 @@ def compared(row):
 
 
 def test_a_run_is_compared_with_the_plan_from_departure_whatever_the_lever_did():
-    engine = Engine(Request("yizhuang", "RJ", "WYJ", time_s=101.0))
+    engine = Engine(RunSpec("yizhuang", "RJ", "WYJ", time_s=101.0))
     at_m, planned = compared(until(engine, 45.0))
     assert planned == pytest.approx(planned_j(101.0, at_m), rel=1e-3)
     before = engine.scene()["reference"]
@@ -97,7 +99,7 @@ def test_a_run_is_compared_with_the_plan_from_departure_whatever_the_lever_did()
 
 
 def test_a_run_is_compared_with_the_plan_for_what_is_in_force():
-    engine = Engine(Request("yizhuang", "RJ", "WYJ", time_s=101.0))
+    engine = Engine(RunSpec("yizhuang", "RJ", "WYJ", time_s=101.0))
     until(engine, 20.0)
     engine.apply({"kind": "arrival", "scheduled_time_s": 125.0})
     at_m, planned = compared(until(engine, 40.0))
@@ -119,11 +121,11 @@ def test_a_run_is_compared_with_the_plan_for_what_is_in_force():
     ],
 )
 def test_a_restriction_is_checked_on_the_way_as_before_departure(from_m, to_m, kmh, words):
-    engine = Engine(Request("yizhuang", "RJ", "WYJ", time_s=101.0))
+    engine = Engine(RunSpec("yizhuang", "RJ", "WYJ", time_s=101.0))
     with pytest.raises(InputError, match=words) as refused:
         engine.apply({"kind": "restriction", "from_m": from_m, "to_m": to_m, "limit_mps": kmh / 3.6})
     with pytest.raises(InputError, match=words) as before:
-        Request("yizhuang", "RJ", "WYJ", time_s=101.0, restrictions=(f"{from_m}-{to_m}@{kmh}",)).run()
+        RunSpec.from_values(WHERE | {"restrictions": [f"{from_m}-{to_m}@{kmh}"]}).run()
     told = str(refused.value).replace("restriction:", "restrictions:", 1)  # a request has a list of them
     assert told == str(before.value)
     assert engine.rollout.section.restrictions == ()
@@ -131,7 +133,7 @@ def test_a_restriction_is_checked_on_the_way_as_before_departure(from_m, to_m, k
 
 
 def test_news_that_the_request_brings_is_in_force_when_it_is_told():
-    request = Request("yizhuang", "RJ", "WYJ", time_s=101.0, arrivals=("125@20",))
+    request = RunSpec.from_values(WHERE | {"arrivals": ["125@20"]})
     engine = Engine(request)
     at_m, planned = compared(until(engine, 19.0))
     assert planned == pytest.approx(planned_j(101.0, at_m), rel=1e-3)
@@ -142,7 +144,7 @@ def test_news_that_the_request_brings_is_in_force_when_it_is_told():
 
 
 def test_a_plan_that_is_drawn_keeps_its_times():
-    engine = Engine(Request("yizhuang", "RJ", "WYJ", time_s=101.0))
+    engine = Engine(RunSpec("yizhuang", "RJ", "WYJ", time_s=101.0))
     before = engine.scene()["plan"]
     until(engine, 20.0)
     engine.apply(TAKE)
@@ -155,7 +157,7 @@ def test_a_plan_that_is_drawn_keeps_its_times():
 
 
 def test_the_lever_has_one_holder(monkeypatch):
-    engine = Engine(Request("yizhuang", "RJ", "WYJ", time_s=101.0))
+    engine = Engine(RunSpec("yizhuang", "RJ", "WYJ", time_s=101.0))
     until(engine, 10.0)
     other = {**TAKE, "share": -1.0, "holder": "two"}
     assert engine.apply(TAKE) == "the lever is taken by hand by one"

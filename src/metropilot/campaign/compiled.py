@@ -26,7 +26,7 @@ from metropilot.campaign.rows import FAILED, add_kpis, capture_errors, new_resul
 from metropilot.drivers.shipped import AbstractPolicyDriver
 from metropilot.errors import Infeasible
 from metropilot.evaluate.optimum import Optimum
-from metropilot.evaluate.request import Request
+from metropilot.evaluate.run_spec import RunSpec
 from metropilot.physics import (
     Forces,
     Track,
@@ -75,7 +75,7 @@ class Setting(NamedTuple):
         vehicle: It as numbers.
     """
 
-    request: Request
+    request: RunSpec
     run: Run
     known: dict[str, Any]
     sections: tuple[Section, Section]
@@ -186,14 +186,15 @@ def _setting(campaign: Campaign, case: CampaignCase) -> Setting:
         if item.scheduled_time_s is not None:
             news = item.at_s, item.scheduled_time_s
     trainset, bounds = run.scenario.true_plant(run.trainset), declared_bounds(run)
-    first = tuple(text for text in request.restrictions if text.count("@") == 1)
-    where, what = case[2:5], (request.trainset, request.load, request.ideal)
+    first = request.restrictions
+    restrictions = (*first, *(u.restriction for u in run.scenario.updates if u.restriction is not None))
+    where, what = case[2:5], (request.trainset, request.load, request.disturbance.ideal)
     return Setting(
         request=request,
         run=run,
         known=known,
         sections=(run.section, section),
-        places=(Place((*where, first), what, bounds), Place((*where, request.restrictions), what, bounds)),
+        places=(Place((*where, first), what, bounds), Place((*where, restrictions), what, bounds)),
         tracks=(track_arrays(run.section, trainset), track_arrays(section, trainset)),
         restricted_at_s=restricted_at,
         news=news,

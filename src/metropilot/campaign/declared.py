@@ -18,30 +18,25 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from metropilot._schema import field_specs
 from metropilot.drivers import DRIVERS
 from metropilot.drivers.shipped import AbstractPolicyDriver
 from metropilot.evaluate.driver_options import named_driver
 from metropilot.evaluate.optimum import Objective
-from metropilot.evaluate.request import Request
-from metropilot.railway import load_trainset
-from metropilot.sim import CONTROL_PERIOD_S
+from metropilot.evaluate.run_spec import RunSpec
+from metropilot.railway import Restriction, load_trainset
+from metropilot.sim import CONTROL_PERIOD_S, Disturbance, TimetableUpdate
+from metropilot.units import KINDS
 
 PLANNED = "planned"
+KMH = KINDS["speed"]["km/h"]
 SHARDS = 20
 LARGEST_SHARD = 50
 BATCH = 256
 """Runs of a compiled shard: one program drives so many at once, whether they are real or fill it up."""
 Engine = Literal["host", "compiled"]
-DRAWN = (
-    "mass_factor",
-    "resistance_factor",
-    "delay_s",
-    "lag_s",
-    "speed_noise_mps",
-    "headwind_mps",
-    "adhesion",
-)
-"""Fields of a request that a disturbance may set or draw."""
+DRAWN = tuple(name for name, spec in field_specs(Disturbance).items() if spec.range is not None)
+"""Fields of a run's disturbance that a campaign may set or draw."""
 MEASURED = ("speed_noise_mps",)
 """Those that leave the plant as drivers are told it is."""
 
@@ -245,7 +240,7 @@ def drawn(disturbance: DisturbanceCase, seed: int) -> dict[str, float]:
     return found
 
 
-def request_of(campaign: Campaign, case: CampaignCase, scheduled_s: float, length_m: float) -> Request:
+def request_of(campaign: Campaign, case: CampaignCase, scheduled_s: float, length_m: float) -> RunSpec:
     """The request of a row.
 
     Args:
@@ -256,15 +251,20 @@ def request_of(campaign: Campaign, case: CampaignCase, scheduled_s: float, lengt
     """
     seed, told = seed_of(campaign, case), case.disturbance
     driver, options = named_driver(case.driver)
-    restrictions, arrivals = (), ()
+    known, updates = [], []
     if told.restriction is not None:
         start, end, kmh, announced = told.restriction
-        late = "" if announced is None else f"@{announced * scheduled_s:.1f}"
-        restrictions = (f"{start * length_m:.1f}-{end * length_m:.1f}@{kmh:g}{late}",)
+        place = round(start * length_m, 1), round(end * length_m, 1)
+        restriction = Restriction(*place, KMH.to_si(kmh))
+        if announced is None:
+            known.append(restriction)
+        else:
+            updates.append(TimetableUpdate(round(announced * scheduled_s, 1), restriction=restriction))
     if told.arrival is not None:
         factor, announced = told.arrival
-        arrivals = (f"{factor * scheduled_s:.2f}@{announced * scheduled_s:.1f}",)
-    return Request(
+        at_s, new_s = round(announced * scheduled_s, 1), round(factor * scheduled_s, 2)
+        updates.append(TimetableUpdate(at_s, scheduled_time_s=new_s))
+    return RunSpec(
         line=case.line,
         origin=case.origin,
         destination=case.destination,
@@ -273,13 +273,11 @@ def request_of(campaign: Campaign, case: CampaignCase, scheduled_s: float, lengt
         load=case.load,
         driver=driver,
         options=options,
-        ideal=told.ideal,
-        restrictions=restrictions,
-        arrivals=arrivals,
+        disturbance=Disturbance(ideal=told.ideal, updates=tuple(updates), **drawn(told, seed)),
+        restrictions=tuple(known),
         objective=campaign.objective,
         dt_s=campaign.dt_s,
         seed=seed,
-        **drawn(told, seed),
     )
 
 

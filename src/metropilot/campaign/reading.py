@@ -7,14 +7,15 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from metropilot._io import read_text
+from metropilot._schema import field_specs
 from metropilot.campaign.declared import DRAWN, Campaign, DisturbanceCase
 from metropilot.drivers import DRIVERS
-from metropilot.errors import InputError
+from metropilot.errors import InputError, renamed
+from metropilot.evaluate import is_file, run_fields
 from metropilot.evaluate.driver_options import make_driver
-from metropilot.evaluate.request_file import is_file
 from metropilot.railway import RESTRICTION_KMH, load_line, load_trainset
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance
 
@@ -41,16 +42,12 @@ class _Arrival(_Strict):
     announced: Share
 
 
-class _Disturbance(_Strict):
+_Ranges = create_model("_Ranges", __base__=_Strict, **dict.fromkeys(DRAWN, (Spread | None, None)))
+
+
+class _Disturbance(_Ranges):
     name: Annotated[str, Field(min_length=1)]
     ideal: bool = False
-    mass_factor: Spread | None = None
-    resistance_factor: Spread | None = None
-    delay_s: Spread | None = None
-    lag_s: Spread | None = None
-    speed_noise_mps: Spread | None = None
-    headwind_mps: Spread | None = None
-    adhesion: Spread | None = None
     restriction: _Restriction | None = None
     arrival: _Arrival | None = None
 
@@ -70,7 +67,7 @@ class _Matrix(_Strict):
 class _File(_Strict):
     name: Annotated[str, Field(min_length=1)]
     objective: Literal["wheel", "line"] = "wheel"
-    dt_s: Annotated[float, Field(ge=0.01, le=1)] = CONTROL_PERIOD_S
+    dt_s: float = CONTROL_PERIOD_S
     engine: Literal["host", "compiled"] = "host"
     matrix: _Matrix
     disturbance: list[_Disturbance] = [_Disturbance(name="nominal")]
@@ -92,6 +89,8 @@ def campaign_from_toml(path: Path) -> Campaign:
         found = _File.model_validate(values)
     except ValidationError as error:
         raise _complaint(path, error) from None
+    with renamed({"dt_s": "dt_s"}, path):
+        run_fields()["dt_s"].check("dt_s", found.dt_s)
     names = [item.name for item in found.disturbance]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
@@ -192,7 +191,7 @@ def _place(path: Path, name: str) -> str:
 
 
 def _disturbance(path: Path, item: _Disturbance) -> DisturbanceCase:
-    ranges = {}
+    ranges, specs = {}, field_specs(Disturbance)
     for name in DRAWN:
         given = getattr(item, name)
         if given is None:
@@ -201,7 +200,7 @@ def _disturbance(path: Path, item: _Disturbance) -> DisturbanceCase:
         field = f"disturbance {item.name}.{name}"
         try:
             for value in (low, high):
-                Disturbance(**{name: value})
+                specs[name].check(name, value)
         except InputError as error:
             raise _at(path, field, error) from None
         if low > high:

@@ -16,7 +16,7 @@ from metropilot.campaign.declared import DRAWN, PLANNED, Campaign, CampaignCase,
 from metropilot.errors import Infeasible, MetropilotError
 from metropilot.evaluate.kpis import Kpis, kpis_of
 from metropilot.evaluate.optimum import Optimum, optimum_of
-from metropilot.evaluate.request import Request
+from metropilot.evaluate.run_spec import RunSpec
 from metropilot.planning import minimum_running_time
 from metropilot.railway import Section, load_line, load_trainset
 from metropilot.sim import Run
@@ -156,13 +156,13 @@ def capture_errors(result: dict[str, Any]) -> Iterator[None]:
         result |= {"outcome": FAILED, "error": f"{type(error).__name__}: {error}"}
 
 
-def prepare_run(campaign: Campaign, case: CampaignCase, result: dict[str, Any]) -> tuple[Request, Run]:
-    """Request and run of a row; what is known of it by then goes into its result."""
+def prepare_run(campaign: Campaign, case: CampaignCase, result: dict[str, Any]) -> tuple[RunSpec, Run]:
+    """RunSpec and run of a row; what is known of it by then goes into its result."""
     section = section_of(case.line, case.origin, case.destination)
     scheduled = scheduled_time(case, section)
     request = request_of(campaign, case, scheduled, section.length_m)
     result |= {"seed": request.seed, "length_m": section.length_m, "scheduled_time_s": scheduled}
-    result |= {name: value for name in DRAWN if (value := getattr(request, name)) != float("inf")}
+    result |= {name: value for name in DRAWN if (value := getattr(request.disturbance, name)) != float("inf")}
     return request, request.run(fastest_s(*case[2:7]))
 
 

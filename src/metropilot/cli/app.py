@@ -50,8 +50,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
 """Each command: the module that holds it, and its line in the help. Modules are imported on use."""
 
 
-FIELDS = {"restrictions": "restriction", "arrivals": "arrive"}
-"""Fields of a request that stand for a repeatable option."""
 UNIT = re.compile(r"_(s|m|mps|mps2|mps3|mb)$")
 
 
@@ -126,7 +124,7 @@ def _as_option(error: InputError, app: typer.Typer, command: str | None) -> Inpu
         if option.startswith("--")
     }
     field, _, rest = error.field.partition(" ")
-    field = FIELDS.get(field, field).replace("-", "_")
+    field = field.replace("-", "_")
     bare = UNIT.sub("", field)
     for name in (field, bare):
         if name in options or name in options.values():

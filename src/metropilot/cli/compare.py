@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,7 +16,7 @@ from metropilot.errors import InputError
 if TYPE_CHECKING:
     from rich.text import Text
 
-    from metropilot.evaluate import Entry, Request
+    from metropilot.evaluate import Entry, RunSpec
 
 SHOWN: tuple[tuple[str, str, float, int], ...] = (
     ("time_error_s", "time s", 1.0, 2),
@@ -40,6 +40,7 @@ EXAMPLES = {
 }
 
 
+@opt.with_run_options("driver", "options")
 def compare_command(
     line: opt.LineArgument,
     origin: opt.OriginArgument,
@@ -55,24 +56,9 @@ def compare_command(
     seeds: Annotated[
         int, typer.Option(help="Drives of each driver, each with its own seed.", rich_help_panel=opt.WORLD)
     ] = 1,
-    time: opt.Time = None,
-    trainset: opt.TrainsetOption = "dkz32",
-    load: opt.Load = None,
-    objective: opt.ObjectiveOption = "wheel",
-    dt: opt.Period = 0.2,
-    seed: opt.Seed = 0,
-    ideal: opt.Ideal = False,
-    mass_factor: opt.MassFactor = 1.0,
-    resistance_factor: opt.ResistanceFactor = 1.0,
-    delay: opt.Delay = 0.0,
-    lag: opt.Lag = 0.0,
-    speed_noise: opt.SpeedNoise = 0.0,
-    headwind: opt.Headwind = 0.0,
-    adhesion: opt.Adhesion = float("inf"),
-    restriction: opt.Restrictions = None,
-    arrive: opt.Arrivals = None,
     out: opt.Out = None,
     as_json: opt.Json = False,
+    **given: Any,  # noqa: ANN401 (the fields of a run)
 ) -> int:
     """Drive the same run with several drivers.
 
@@ -81,38 +67,20 @@ def compare_command(
     each driver achieved (`successes` in the JSON counts those that met every requirement); 2: input that
     cannot be used.
     """
+    from metropilot.evaluate import RunSpec
+
     names = [name.strip() for name in drivers.split(",") if name.strip()]
     if not names:
         raise InputError("no driver given", field="drivers", value=drivers, allowed="ids separated by commas")
     if not 1 <= seeds <= MAX_SEEDS:
         raise InputError("out of range", field="seeds", value=seeds, allowed=f"1 to {MAX_SEEDS}")
-    request = opt.request_of(
-        line=line,
-        origin=origin,
-        destination=destination,
-        time_s=time,
-        trainset=trainset,
-        load=load,
-        driver=names[0],
-        objective=objective,
-        dt_s=dt,
-        seed=seed,
-        ideal=ideal,
-        mass_factor=mass_factor,
-        resistance_factor=resistance_factor,
-        delay_s=delay,
-        lag_s=lag,
-        speed_noise_mps=speed_noise,
-        headwind_mps=headwind,
-        adhesion=adhesion,
-        restrictions=restriction,
-        arrivals=arrive,
-    )
-    return compare_and_report(request, names, seeds, out, as_json=as_json)
+    where = {"line": line, "origin": origin, "destination": destination}
+    spec = RunSpec.from_values({**where, "driver": names[0], **given})
+    return compare_and_report(spec, names, seeds, out, as_json=as_json)
 
 
 def compare_and_report(
-    request: Request, names: Sequence[str], seeds: int, out: Path | None, *, as_json: bool
+    request: RunSpec, names: Sequence[str], seeds: int, out: Path | None, *, as_json: bool
 ) -> int:
     """Drive, print, write; the exit code."""
     from metropilot._io import check_writable
@@ -136,7 +104,7 @@ def compare_and_report(
     return 0
 
 
-def report(request: Request, entries: Sequence[Entry], seeds: int) -> None:
+def report(request: RunSpec, entries: Sequence[Entry], seeds: int) -> None:
     """The comparison on the screen."""
     from metropilot.evaluate import best
 

@@ -32,14 +32,15 @@ OPTIONS = {
     "emergency_s": "head_emergency",
 }
 """Fields of the request whose options are called otherwise."""
+RUN_FIELDS = ("time_s", "options", "trainset", "load", "dt_s", "seed")
 CONVOY, LINK = "The convoy", "The link between trainsets"
 
 
+@opt.with_run_options(only=RUN_FIELDS, dt_s=0.1)
 def convoy_command(
     line: opt.LineArgument,
     origin: opt.OriginArgument,
     destination: opt.DestinationArgument,
-    time: opt.Time = None,
     trainsets: Annotated[int, typer.Option(help="How many trainsets, 2 to 16.", rich_help_panel=CONVOY)] = 2,
     driver: Annotated[
         str,
@@ -49,7 +50,6 @@ def convoy_command(
             autocompletion=complete.followers,
         ),
     ] = "follow_gap",
-    options: opt.DriverOptions = None,
     head: Annotated[
         str,
         typer.Option(
@@ -58,8 +58,6 @@ def convoy_command(
             autocompletion=complete.drivers,
         ),
     ] = "optimal",
-    trainset: opt.TrainsetOption = "dkz32",
-    load: opt.Load = None,
     gap: Annotated[float, typer.Option(help="Desired gap, m.", rich_help_panel=CONVOY)] = 5.92,
     start_gap: Annotated[
         float | None,
@@ -94,10 +92,9 @@ def convoy_command(
     delay: Annotated[float, typer.Option(help="Time a message takes, s.", rich_help_panel=LINK)] = 0.0,
     jitter: Annotated[float, typer.Option(help="Largest additional time, s.", rich_help_panel=LINK)] = 0.0,
     loss: Annotated[float, typer.Option(help="Share of messages lost.", rich_help_panel=LINK)] = 0.0,
-    dt: opt.Period = 0.1,
-    seed: opt.Seed = 0,
     out: opt.Out = None,
     as_json: opt.Json = False,
+    **given: Any,  # noqa: ANN401 (the fields of a run)
 ) -> int:
     """Drive virtually coupled trainsets: a head, and followers a few metres behind each other.
 
@@ -105,14 +102,15 @@ def convoy_command(
     """
     from metropilot.convoy.link import Link
     from metropilot.convoy.request import ConvoyRequest
-    from metropilot.evaluate import Request
+    from metropilot.evaluate import RunSpec
 
+    where, options = {"line": line, "origin": origin, "destination": destination}, given.pop("options")
     with renamed(OPTIONS):
         request = ConvoyRequest(
-            head=Request(line, origin, destination, time, trainset, load, head, dt_s=dt, seed=seed),
+            head=RunSpec.from_values({**where, "driver": head, **given}),
             count=trainsets,
             follower=driver,
-            options=_options(options),
+            options=options,
             gap_m=gap,
             start_gap_m=start_gap,
             apart_m=apart,
@@ -123,12 +121,6 @@ def convoy_command(
             emergency_s=head_emergency,
         )
         return run_and_report(request, out, as_json=as_json)
-
-
-def _options(texts: list[str] | None) -> dict[str, Any]:
-    from metropilot.evaluate.driver_options import named_option
-
-    return dict(map(named_option, texts or ()))
 
 
 def _factors(text: str | None) -> tuple[float, ...]:

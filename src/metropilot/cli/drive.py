@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,7 +12,7 @@ from metropilot.cli.console import console, number, print_json, requirements, ta
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
-    from metropilot.evaluate import Kpis, Request
+    from metropilot.evaluate import Kpis, RunSpec
 EXAMPLES = {
     "drive": (
         "metropilot drive yizhuang RJ WYJ --time 101 --out drive",
@@ -23,76 +23,39 @@ EXAMPLES = {
 }
 
 
+@opt.with_run_options()
 def drive_command(
     line: Annotated[str | None, opt.LINE] = None,
     origin: Annotated[str | None, opt.ORIGIN] = None,
     destination: Annotated[str | None, opt.DESTINATION] = None,
-    time: opt.Time = None,
-    trainset: opt.TrainsetOption = "dkz32",
-    load: opt.Load = None,
-    driver: opt.Driver = "optimal",
-    options: opt.DriverOptions = None,
-    objective: opt.ObjectiveOption = "wheel",
-    dt: opt.Period = 0.2,
-    seed: opt.Seed = 0,
-    ideal: opt.Ideal = False,
-    mass_factor: opt.MassFactor = 1.0,
-    resistance_factor: opt.ResistanceFactor = 1.0,
-    delay: opt.Delay = 0.0,
-    lag: opt.Lag = 0.0,
-    speed_noise: opt.SpeedNoise = 0.0,
-    headwind: opt.Headwind = 0.0,
-    adhesion: opt.Adhesion = float("inf"),
-    restriction: opt.Restrictions = None,
-    arrive: opt.Arrivals = None,
     again: Annotated[
         Path | None, typer.Option("--from", metavar="RUN.TOML", help="Repeat the run of this file.")
     ] = None,
     out: opt.Out = None,
     as_json: opt.Json = False,
+    **given: Any,  # noqa: ANN401 (the fields of a run)
 ) -> int:
     """Drive one run under protection and report it.
 
     Exit code 0: every requirement shown was met; 1: not; 2: input that cannot be used.
     """
-    from metropilot.evaluate.request_file import in_run_toml, request_from_toml
+    from metropilot.evaluate import RunSpec, run_from_toml
+    from metropilot.evaluate.run_spec import in_run_toml
 
     if again is not None:
         if line is not None:
             raise InputError("a line and a run.toml cannot be driven at once", field="from", value=str(again))
-        request = request_from_toml(again)
+        spec = run_from_toml(again)
         with in_run_toml(again):
-            return run_and_report(request, out, as_json=as_json)
+            return run_and_report(spec, out, as_json=as_json)
     if line is None or origin is None or destination is None:
         missing = "line" if line is None else "origin" if origin is None else "destination"
         raise InputError("missing", field=missing, allowed="LINE ORIGIN DESTINATION, or --from RUN.TOML")
-    request = opt.request_of(
-        line=line,
-        origin=origin,
-        destination=destination,
-        time_s=time,
-        trainset=trainset,
-        load=load,
-        driver=driver,
-        options=options,
-        objective=objective,
-        dt_s=dt,
-        seed=seed,
-        ideal=ideal,
-        mass_factor=mass_factor,
-        resistance_factor=resistance_factor,
-        delay_s=delay,
-        lag_s=lag,
-        speed_noise_mps=speed_noise,
-        headwind_mps=headwind,
-        adhesion=adhesion,
-        restrictions=restriction,
-        arrivals=arrive,
-    )
-    return run_and_report(request, out, as_json=as_json)
+    spec = RunSpec.from_values({"line": line, "origin": origin, "destination": destination, **given})
+    return run_and_report(spec, out, as_json=as_json)
 
 
-def run_and_report(request: Request, out: Path | None, *, as_json: bool) -> int:
+def run_and_report(request: RunSpec, out: Path | None, *, as_json: bool) -> int:
     """Drive, print, write; the exit code."""
     from metropilot._io import check_writable
     from metropilot.evaluate import kpis_of, optimum_of, write_run
@@ -117,7 +80,7 @@ def run_and_report(request: Request, out: Path | None, *, as_json: bool) -> int:
     return 0 if kpis.success else 1
 
 
-def report(request: Request, kpis: Kpis) -> None:
+def report(request: RunSpec, kpis: Kpis) -> None:
     """The drive on the screen: what was required, and what it cost."""
     from metropilot.evaluate import checks, verdict
 

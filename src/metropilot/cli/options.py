@@ -1,18 +1,23 @@
-"""Arguments and options that several commands share: declared once, documented once."""
+"""Arguments and options that several commands share; those of a run are generated from its declaration."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Sequence
+from functools import wraps
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, TypeVar, cast, get_type_hints
 
 import typer
 
 from metropilot.cli import complete
 
-if TYPE_CHECKING:
-    from metropilot.evaluate import Request
-
+Command = TypeVar("Command", bound=Callable[..., int])
+UNIT = re.compile(r"_(s|m|mps|mps2|mps3|mb)$")
+"""What a field's name says of its unit, and an option's does not."""
 ABOUT, WORLD, OUTPUT = "What to drive", "Disturbances", "Output"
+ABOUT_FIELDS = ("time_s", "trainset", "load", "driver", "options", "objective", "dt_s")
 
 LINE = typer.Argument(
     help="Line: catalogue id or path to a .toml or .json file.", autocompletion=complete.lines
@@ -22,94 +27,80 @@ DESTINATION = typer.Argument(help="Station of arrival: code or name.", autocompl
 LineArgument = Annotated[str, LINE]
 OriginArgument = Annotated[str, ORIGIN]
 DestinationArgument = Annotated[str, DESTINATION]
-Time = Annotated[
-    float | None,
-    typer.Option(
-        "--time", help="Running time, s; the line's planned time if not given.", rich_help_panel=ABOUT
-    ),
-]
-TrainsetOption = Annotated[
-    str,
-    typer.Option(
-        help="Trainset: catalogue id or path, with its load as ID:LOAD.",
-        rich_help_panel=ABOUT,
-        autocompletion=complete.trainsets,
-    ),
-]
-Load = Annotated[str | None, typer.Option(help="Load aboard, e.g. AW2.", rich_help_panel=ABOUT)]
-Driver = Annotated[
-    str,
-    typer.Option(
-        help="Driver id; see `metropilot drivers`.",
-        rich_help_panel=ABOUT,
-        autocompletion=complete.drivers,
-    ),
-]
-DriverOptions = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set", metavar="NAME=VALUE", help="Option of the driver; repeatable.", rich_help_panel=ABOUT
-    ),
-]
-ObjectiveOption = Annotated[
-    str, typer.Option(help="Energy to minimise: wheel or line.", rich_help_panel=ABOUT)
-]
-Period = Annotated[float, typer.Option("--dt", help="Control period, s.", rich_help_panel=ABOUT)]
-Seed = Annotated[int, typer.Option(help="Seed of everything random.", rich_help_panel=WORLD)]
-Ideal = Annotated[
-    bool, typer.Option("--ideal", help="Ideal actuation: no delay, lag or jerk limit.", rich_help_panel=WORLD)
-]
-MassFactor = Annotated[float, typer.Option(help="True mass over nominal mass.", rich_help_panel=WORLD)]
-ResistanceFactor = Annotated[
-    float, typer.Option(help="True over nominal Davis resistance.", rich_help_panel=WORLD)
-]
-Delay = Annotated[
-    float, typer.Option(help="Dead time in addition to the trainset's, s.", rich_help_panel=WORLD)
-]
-Lag = Annotated[float, typer.Option(help="Additional lag, s.", rich_help_panel=WORLD)]
-SpeedNoise = Annotated[
-    float, typer.Option(help="Standard deviation of the measured speed, m/s.", rich_help_panel=WORLD)
-]
-Headwind = Annotated[
-    float, typer.Option(help="Wind from ahead, m/s; below 0 from behind.", rich_help_panel=WORLD)
-]
-Adhesion = Annotated[
-    float,
-    typer.Option(help="Traction over weight at which the wheels slip, e.g. 0.06.", rich_help_panel=WORLD),
-]
-Restrictions = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--restriction",
-        metavar="FROM-TO@KMH[@T]",
-        help="Temporary speed restriction, m from the origin and 5 to 400 km/h; @T: announced T s after "
-        "departure.",
-        rich_help_panel=WORLD,
-    ),
-]
-Arrivals = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--arrive",
-        metavar="S@T",
-        help="New running time of S s, announced T s after departure.",
-        rich_help_panel=WORLD,
-    ),
-]
 Out = Annotated[Path | None, typer.Option(help="Folder for the results.", rich_help_panel=OUTPUT)]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.", rich_help_panel=OUTPUT)]
 
 
-def request_of(**given: Any) -> Request:  # noqa: ANN401 (the fields of Request, one by one)
-    """The run a command was asked for.
+COMPLETIONS = {"trainset": complete.trainsets, "driver": complete.drivers}
+POSITIONAL = ("line", "origin", "destination")
+
+
+def with_run_options(
+    *left_out: str,
+    only: Sequence[str] = (),
+    **defaults: Any,  # noqa: ANN401 (of any type)
+) -> Callable[[Command], Command]:
+    """Give a command an option for every field of a run, in place of its ``**given``.
+
+    Name, type, default and help come from :func:`metropilot.evaluate.run_fields`; the values arrive by the
+    fields' names, as :meth:`metropilot.evaluate.RunSpec.from_values` takes them.
 
     Args:
-        given: Fields of :class:`~metropilot.evaluate.Request`; lists that were not given are None.
+        left_out: Fields that the command has no option for.
+        only: Fields that it has an option for; empty: all.
+        defaults: Where the command has another default.
     """
-    from metropilot.evaluate import Request
-    from metropilot.evaluate.driver_options import named_option
 
-    given["restrictions"] = tuple(given.get("restrictions") or ())
-    given["arrivals"] = tuple(given.get("arrivals") or ())
-    given["options"] = dict(map(named_option, given.get("options") or ()))
-    return Request(**given)
+    def decorate(command: Command) -> Command:
+        from metropilot.evaluate import run_fields
+
+        keys = [key for key in only or run_fields() if key not in (*POSITIONAL, *left_out)]
+        hints = get_type_hints(command, include_extras=True)
+        own = [
+            parameter.replace(annotation=hints[parameter.name])
+            for parameter in signature(command).parameters.values()
+            if parameter.kind is not Parameter.VAR_KEYWORD
+        ]
+        first = sum(parameter.name in POSITIONAL for parameter in own)
+        parameters = [*own[:first], *(run_option(key, **defaults) for key in keys), *own[first:]]
+
+        @wraps(command)
+        def called(**given: Any) -> int:  # noqa: ANN401 (what was typed)
+            from metropilot.evaluate.driver_options import named_option
+
+            if "options" in keys:
+                given["options"] = dict(map(named_option, given["options"] or ()))
+            return command(**given)
+
+        called.__signature__ = Signature(parameters, return_annotation=int)  # pyright: ignore[reportAttributeAccessIssue]
+        called.__annotations__ = {p.name: p.annotation for p in parameters} | {"return": int}
+        return cast("Command", called)
+
+    return decorate
+
+
+def run_option(key: str, **defaults: Any) -> Parameter:  # noqa: ANN401 (of any type)
+    """A command's option for a field of a run, as Typer reads it."""
+    from metropilot.evaluate import RunSpec, key_type, run_fields
+    from metropilot.sim import Disturbance
+
+    spec, kind = run_fields()[key], key_type(key)
+    name = spec.option or UNIT.sub("", key).replace("_", "-")
+    default = defaults.get(key, getattr(RunSpec, key, getattr(Disturbance, key, None)))
+    panel = ABOUT if key in ABOUT_FIELDS else WORLD
+    hint: Any = list[str] if kind in {list, dict} else kind
+    if default is None or kind in {list, dict}:
+        hint, default = hint | None, None
+    told = f"{spec.help.rstrip('.')}, {spec.allowed}." if spec.range and kind is float else spec.help
+    option = typer.Option(
+        f"--{name}",
+        help=told,
+        metavar=spec.form or None,
+        rich_help_panel=panel,
+        autocompletion=COMPLETIONS.get(key),
+    )
+    if kind is bool:
+        option = typer.Option(f"--{name}", help=spec.help, rich_help_panel=panel)
+    return Parameter(
+        key, Parameter.POSITIONAL_OR_KEYWORD, default=default, annotation=Annotated[hint, option]
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -21,6 +21,7 @@ EXAMPLES = {
 }
 
 
+@opt.with_run_options(only=("trainset", "load", "objective"))
 def plan_command(
     line: opt.LineArgument,
     origin: Annotated[
@@ -51,15 +52,13 @@ def plan_command(
     front: Annotated[
         bool, typer.Option("--front", help="Optimal energy from 1.02 to 1.6 of the minimum running time.")
     ] = False,
-    trainset: opt.TrainsetOption = "dkz32",
-    load: opt.Load = None,
-    objective: opt.ObjectiveOption = "wheel",
     jerk: Annotated[
         float | None,
         typer.Option(help="Jerk limit that the plan allows for, m/s³.", rich_help_panel=opt.ABOUT),
     ] = None,
     out: opt.Out = None,
     as_json: opt.Json = False,
+    **given: Any,  # noqa: ANN401 (the fields of a run)
 ) -> int:
     """Compute the optimal plan, its certificate, the time-energy front.
 
@@ -68,6 +67,7 @@ def plan_command(
     then spreads over the sections. Exit code 0: planned; 2: no such plan.
     """
     from metropilot.cli import plan_reports as reports
+    from metropilot.evaluate import run_fields
     from metropilot.planning import PlanOptions
     from metropilot.railway import load_line, load_trainset
 
@@ -75,8 +75,8 @@ def plan_command(
         raise InputError(
             "missing", field="destination" if origin else "origin", allowed="both stations or none"
         )
-    if objective not in ("wheel", "line"):
-        raise InputError("unknown objective", field="objective", value=objective, allowed="wheel, line")
+    trainset, load, objective = (given[key] for key in ("trainset", "load", "objective"))
+    run_fields()["objective"].check("objective", objective)
     if jerk is not None and not 0 < jerk < float("inf"):
         raise InputError("out of range", field="jerk", value=jerk, unit="m/s³", allowed="> 0, finite")
     if time is not None and not 0 < time < float("inf"):

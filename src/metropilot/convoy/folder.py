@@ -11,7 +11,6 @@ from metropilot.convoy.kpis import ConvoyKpis
 from metropilot.convoy.request import ConvoyRequest
 from metropilot.convoy.rollout import ConvoyDrive
 from metropilot.evaluate.folder import carried
-from metropilot.evaluate.request_file import to_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,7 +38,7 @@ def write_convoy(folder: Path, request: ConvoyRequest, drive: ConvoyDrive, kpis:
         for k, trajectory in enumerate(drive.trajectories, 1):
             trajectory.write(scratch / f"trajectory-{k}.csv")
         write_json(scratch / "kpis.json", kpis.as_dict())
-        head = to_table(carried(scratch, request.head.resolved()))
+        head = carried(scratch, request.head.resolved()).values()
         write_json(
             scratch / "run.json", {"run": {**request.table(), "head": head}, "made_with": provenance()}
         )

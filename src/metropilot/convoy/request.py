@@ -13,8 +13,8 @@ from metropilot.convoy.link import Link
 from metropilot.convoy.model import GAP_M, Convoy, Guard
 from metropilot.convoy.rollout import ConvoyDrive, HeadRun, drive_convoy
 from metropilot.errors import InputError, renamed
+from metropilot.evaluate import RunSpec
 from metropilot.evaluate.driver_options import make_driver, with_options
-from metropilot.evaluate.request import OUTER, Request
 from metropilot.planning import check_running_time, minimum_running_time
 from metropilot.sim import Run
 from metropilot.sim.rollout import drive
@@ -40,7 +40,7 @@ class ConvoyRequest:
         emergency_s: When the head makes an emergency brake; None: never.
     """
 
-    head: Request
+    head: RunSpec
     count: int = 2
     follower: str = "follow_gap"
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -102,8 +102,7 @@ class ConvoyRequest:
         check_running_time(
             time_s, minimum_running_time(section, trainset), "minimum running time of the convoy"
         )
-        with renamed(OUTER):
-            return Run(section, trainset, time_s, dt=self.head.dt_s, seed=self.head.seed)
+        return Run(section, trainset, time_s, dt=self.head.dt_s, seed=self.head.seed)
 
     def head_run(self, convoy: Convoy) -> HeadRun:
         """The head alone, driven by its driver.

@@ -9,10 +9,10 @@ from metropilot.evaluate.folder import (
 )
 from metropilot.evaluate.kpis import Check, Kpis, checks, kpis_of, outcome_words, verdict
 from metropilot.evaluate.optimum import Objective, Optimum, optimum_of
-from metropilot.evaluate.request import Request
-from metropilot.evaluate.request_file import request_from_toml
+from metropilot.evaluate.run_spec import POLICY, RunSpec, is_file, key_type, run_fields, run_from_toml
 
 __all__ = [
+    "POLICY",
     "Check",
     "Entry",
     "Interval",
@@ -20,18 +20,21 @@ __all__ = [
     "Kpis",
     "Objective",
     "Optimum",
-    "Request",
+    "RunSpec",
     "best",
     "checks",
     "compare",
     "comparison_json",
+    "is_file",
     "jobs",
+    "key_type",
     "kpis_of",
     "make_driver",
     "optimum_of",
     "option_defaults",
     "outcome_words",
-    "request_from_toml",
+    "run_fields",
+    "run_from_toml",
     "verdict",
     "write_comparison",
     "write_run",

@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from metropilot.evaluate.kpis import Kpis, kpis_of
 from metropilot.evaluate.optimum import Optimum, optimum_of
-from metropilot.evaluate.request import Request
+from metropilot.evaluate.run_spec import RunSpec
 from metropilot.sim.rollout import Drive, drive
 
 CONFIDENCE = 0.95
@@ -74,7 +74,7 @@ def jobs(drivers: Sequence[str], first_seed: int, seeds: int) -> list[Job]:
     return [Job(name, first_seed + k) for name in dict.fromkeys(drivers) for k in range(seeds)]
 
 
-def compare(request: Request, todo: Iterable[Job]) -> tuple[Entry, ...]:
+def compare(request: RunSpec, todo: Iterable[Job]) -> tuple[Entry, ...]:
     """Drive the same run with several drivers and seeds.
 
     Every driver meets the same plant and the same noise at the same seed.

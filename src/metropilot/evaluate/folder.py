@@ -13,13 +13,12 @@ from metropilot._provenance import provenance
 from metropilot.evaluate.compare import Entry
 from metropilot.evaluate.kpis import Kpis
 from metropilot.evaluate.optimum import Optimum
-from metropilot.evaluate.request import Request
-from metropilot.evaluate.request_file import FILES, POLICY, is_file, to_table
+from metropilot.evaluate.run_spec import FILES, POLICY, RunSpec, is_file
 from metropilot.policy import policy_path
 from metropilot.sim.rollout import Drive
 
 
-def write_run(folder: Path, request: Request, drive: Drive, kpis: Kpis, optimum: Optimum | None) -> None:
+def write_run(folder: Path, request: RunSpec, drive: Drive, kpis: Kpis, optimum: Optimum | None) -> None:
     """Write `trajectory.csv`, `kpis.json`, `profile.svg`, `profile.png` and `run.toml`.
 
     Args:
@@ -42,7 +41,7 @@ def write_run(folder: Path, request: Request, drive: Drive, kpis: Kpis, optimum:
         write_run_toml(scratch, request)
 
 
-def write_comparison(folder: Path, request: Request, entries: Sequence[Entry]) -> None:
+def write_comparison(folder: Path, request: RunSpec, entries: Sequence[Entry]) -> None:
     """Write `comparison.json`, `comparison.svg`, `comparison.png` and `run.toml` of the first driver.
 
     Args:
@@ -62,7 +61,7 @@ def write_comparison(folder: Path, request: Request, entries: Sequence[Entry]) -
         write_run_toml(scratch, request)
 
 
-def comparison_json(request: Request, entries: Sequence[Entry]) -> dict[str, Any]:
+def comparison_json(request: RunSpec, entries: Sequence[Entry]) -> dict[str, Any]:
     """A comparison as plain values: per driver every seed's KPIs, and mean and interval of each number."""
     first = entries[0].kpis[0].as_dict()
     names = [
@@ -75,19 +74,19 @@ def comparison_json(request: Request, entries: Sequence[Entry]) -> dict[str, Any
         spread = {name: found._asdict() if (found := entry.interval(name)) else None for name in names}
         runs = [{"seed": d.run.seed, **k.as_dict()} for d, k in zip(entry.drives, entry.kpis, strict=True)]
         drivers.append({"driver": entry.driver, "successes": entry.successes, "kpis": spread, "runs": runs})
-    return {"run": to_table(request.resolved()), "drivers": drivers}
+    return {"run": request.resolved().values(), "drivers": drivers}
 
 
-def write_run_toml(folder: Path, request: Request) -> None:
+def write_run_toml(folder: Path, request: RunSpec) -> None:
     """Write `run.toml` and, beside it, the line, trainset and policy files it was read from."""
     import tomli_w
 
-    table = {"run": to_table(carried(folder, request.resolved())), "made_with": provenance()}
+    table = {"run": carried(folder, request.resolved()).values(), "made_with": provenance()}
     head = "# Drive it again: metropilot drive --from run.toml\n\n"
     (folder / "run.toml").write_text(head + tomli_w.dumps(table), encoding="utf-8")
 
 
-def carried(folder: Path, request: Request) -> Request:
+def carried(folder: Path, request: RunSpec) -> RunSpec:
     """The same request with the line, trainset and policy files copied into a folder and named there."""
     for kind in FILES:
         source = Path(getattr(request, kind))

@@ -60,7 +60,7 @@ class Disturbance:
     )
     resistance_factor: float = declared(
         1.0,
-        "True Davis resistance over the one the driver believes.",
+        "True over nominal Davis resistance.",
         low=0.0,
         high=5.0,
         label="True resistance / nominal",
@@ -112,7 +112,7 @@ class Disturbance:
     )
     brake_factor: float = declared(
         1.0,
-        "True service braking force over the one the driver believes.",
+        "True over nominal service braking force.",
         low=0.5,
         high=1.5,
         label="True service brake / nominal",

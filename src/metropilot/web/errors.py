@@ -11,7 +11,7 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 
-from metropilot.errors import MetropilotError
+from metropilot.errors import InputError, MetropilotError
 from metropilot.web.refusals import FIELDS, detail_of, plain
 
 JSON = "application/json"
@@ -55,6 +55,9 @@ def install(app: FastAPI) -> None:
             why = str(first.get("ctx", {}).get("error", "")).lower()
             return answer(422, {"message": f"not JSON: {why}", "field": "body", "allowed": "a JSON object"})
         field = _path(first["loc"]) or "body"
+        refused = first.get("ctx", {}).get("error")
+        if isinstance(refused, InputError):
+            return answer(422, detail_of(refused) | {"field": field})
         return answer(422, {"message": first["msg"], "field": field, "value": _given(first)})
 
     @app.exception_handler(HTTPException)

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from metropilot.errors import InputError
-from metropilot.evaluate import Request
-from metropilot.evaluate.request_file import POLICY
+from metropilot.evaluate import POLICY, RunSpec
 from metropilot.policy import POLICY_FILE
 from metropilot.web.live.session import Session, Spare, start_spare
 from metropilot.web.pools import Pools, explained
@@ -110,7 +109,7 @@ class Service:
             raise InputError("no such policy", field=f"options.{POLICY}", value=key, allowed=allowed)
         return found
 
-    def request(self, asked: SectionAsked) -> Request:
+    def request(self, asked: SectionAsked) -> RunSpec:
         """The run that is meant.
 
         Raises:
@@ -271,7 +270,7 @@ class Service:
         self.store.update(job, status="stopped" if stopped else "done", words=words, result=result, **done)
 
     @staticmethod
-    def _check_driver(request: Request) -> None:
+    def _check_driver(request: RunSpec) -> None:
         """Make the driver, and read the policy that it was told to drive by.
 
         Raises:
@@ -394,7 +393,7 @@ class Service:
                 words = f"no viewer for {ABANDONED_S:g} s; it can be resumed"
                 self.store.update(session.id, words=words)
 
-    def _run(self, asked: LiveAsked) -> Request:
+    def _run(self, asked: LiveAsked) -> RunSpec:
         request = self.request(asked)
         request.run()
         self._check_driver(request)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from metropilot.errors import Infeasible, InputError, SolverError
-from metropilot.evaluate import Request, kpis_of, optimum_of, write_run
+from metropilot.evaluate import RunSpec, kpis_of, optimum_of, write_run
 from metropilot.physics import track_arrays
 from metropilot.planning import Plan, PlanOptions, minimum_running_time, optimal_plan
 from metropilot.protection import LEVELS, permitted_speed, protect
@@ -55,7 +55,7 @@ class Engine:
         held_since_s: When the holder took it, time since departure.
     """
 
-    def __init__(self, request: Request) -> None:
+    def __init__(self, request: RunSpec) -> None:
         self.request = request
         self.rollout = Rollout(request.run(), request.make_driver())
         self.open = request.open_section()
@@ -332,21 +332,11 @@ class Engine:
         write_run(folder, self.told(), driven, kpis, optimum)
         return {name: full[name] for name in SHORT}, full, kpis.outcome
 
-    def told(self) -> Request:
+    def told(self) -> RunSpec:
         """The request with what the driver was told on the way; what a hand did is not in it."""
-        restrictions = tuple(
-            f"{r.from_m!r}-{r.to_m!r}@{r.limit_mps * KMH!r}@{n.at_s!r}"
-            for n in self.news
-            if (r := n.restriction) is not None
-        )
-        arrivals = tuple(
-            f"{n.scheduled_time_s!r}@{n.at_s!r}" for n in self.news if n.scheduled_time_s is not None
-        )
-        return replace(
-            self.request,
-            restrictions=(*self.request.restrictions, *restrictions),
-            arrivals=(*self.request.arrivals, *arrivals),
-        )
+        disturbance = self.request.disturbance
+        updates = (*disturbance.updates, *self.news)
+        return replace(self.request, disturbance=replace(disturbance, updates=updates))
 
     @property
     def minimum_s(self) -> float:

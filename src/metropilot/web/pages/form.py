@@ -10,8 +10,8 @@ from nicegui import ui
 from pydantic import BaseModel, ValidationError
 
 from metropilot.errors import InputError, MetropilotError
+from metropilot.evaluate import POLICY, run_fields
 from metropilot.evaluate.driver_options import named_driver
-from metropilot.evaluate.request_file import POLICY
 from metropilot.web import catalogue
 from metropilot.web.pages.frame import Problem, number
 from metropilot.web.pages.strip import names
@@ -74,6 +74,9 @@ def validated(kind: type[Body], values: dict[str, Any], **scales: float) -> Body
     except ValidationError as error:
         first = error.errors()[0]
         name = str(first["loc"][0])
+        refused = first.get("ctx", {}).get("error")
+        if isinstance(refused, InputError):
+            raise refused from None
         if len(first["loc"]) == 1 and first["type"].startswith(("greater", "less")):
             scale = scales.get(name, 1.0)
             told = {"value": first["input"] * scale, "allowed": allowed(kind, name, scale)}
@@ -282,13 +285,10 @@ def kept_words(kept: dict[str, Any], options: dict[str, Any]) -> str:
 class DisturbanceForm:
     """Disturbances."""
 
-    FIELDS = (
-        ("mass_factor", "True mass / nominal", 1.0, 0.05),
-        ("resistance_factor", "True resistance / nominal", 1.0, 0.1),
-        ("delay_s", "Additional dead time (s)", 0.0, 0.1),
-        ("lag_s", "Additional lag (s)", 0.0, 0.1),
-        ("speed_noise_mps", "Speed noise, 1σ (m/s)", 0.0, 0.01),
-        ("seed", "Seed", 0, 1),
+    FIELDS = tuple(
+        (name, f"{spec.label} ({spec.unit})" if spec.unit else spec.label, spec.step)
+        for name, spec in run_fields().items()
+        if spec.label and spec.range is not None
     )
 
     def build(self, problem: Problem) -> None:
@@ -296,23 +296,31 @@ class DisturbanceForm:
         self.inputs: dict[str, ui.number] = {}
         self.fold = ui.expansion("Disturbances").props("dense").classes("mp-soft")
         with self.fold, ui.element("div").classes("mp-stack"):
-            for name, words, value, step in self.FIELDS:
-                made = bounded(words, DriveAsked, name, value=value, step=step)
+            for name, words, step in self.FIELDS:
+                made = bounded(words, DriveAsked, name, value=self.planned()[name], step=step)
                 self.inputs[name] = problem.beside(name, made, self.fold)
-            self.ideal = ui.checkbox("Ideal actuation: no delay, lag or jerk limit")
+            self.ideal = ui.checkbox(run_fields()["ideal"].help.rstrip("."))
+
+    def planned(self) -> dict[str, Any]:
+        """The fields of a run that goes as planned."""
+        return {
+            name: DriveAsked.model_fields[name].get_default()
+            for name in (*(name for name, *_ in self.FIELDS), "ideal")
+        }
 
     def asked(self) -> dict[str, Any]:
         """The fields of a request; an empty one is as planned."""
-        plain = {name: value for name, _, value, _ in self.FIELDS}
+        plain = self.planned()
         given = {n: plain[n] if e.value is None else e.value for n, e in self.inputs.items()}
         return {**given, "ideal": self.ideal.value}
 
     def restore(self, asked: dict[str, Any]) -> None:
         """Fill the fields as a run was asked for, and unfold what is not as planned."""
-        for name, _, value, _ in self.FIELDS:
-            self.inputs[name].value = asked.get(name, value)
-        self.ideal.value = asked.get("ideal", False)
-        if self.asked() != {**{name: value for name, _, value, _ in self.FIELDS}, "ideal": False}:
+        planned = self.planned()
+        for name, element in self.inputs.items():
+            element.value = asked.get(name, planned[name])
+        self.ideal.value = asked.get("ideal", planned["ideal"])
+        if self.asked() != planned:
             self.fold.open()
 
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, create_model
+from pydantic_core import CoreSchema, core_schema
 
+from metropilot._schema import field_specs
 from metropilot.errors import InputError
-from metropilot.evaluate import Request
+from metropilot.evaluate import POLICY, RunSpec, run_fields
 from metropilot.evaluate.driver_options import named_driver
-from metropilot.evaluate.request_file import POLICY
+from metropilot.railway import Restriction
+from metropilot.sim import CONTROL_PERIOD_S, Disturbance, TimetableUpdate
 
 Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$", examples=["yizhuang"])]
 Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,32}$")]
@@ -27,13 +31,58 @@ Seconds = Annotated[float, Field(gt=0, le=36_000, description="s")]
 Metres = Annotated[float, Field(ge=0, le=200_000, description="m from the section's origin")]
 Speed = Annotated[float, Field(gt=0, le=150, description="m/s")]
 Option = bool | int | float | Id
-KMH = 3.6
 
 
 class Asked(BaseModel):
     """A body: unknown fields and numbers that are not finite are refused."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A field of a run in an annotation: range, choices and description are those that it declares.
+
+    Attributes:
+        key: One of :func:`metropilot.evaluate.run_fields`.
+    """
+
+    key: str
+
+    def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Check a value of the annotated type."""
+        spec = run_fields()[self.key]
+        return core_schema.no_info_after_validator_function(
+            lambda value: spec.check(self.key, value), handler(source)
+        )
+
+    def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Say what is allowed."""
+        spec = run_fields()[self.key]
+        found = handler(core) | {
+            "description": f"{spec.help.rstrip('.')}, {spec.unit}." if spec.unit else spec.help
+        }
+        if spec.choices:
+            found["enum"] = list(spec.choices)
+        if spec.range is not None:
+            low = "exclusiveMinimum" if spec.range.above else "minimum"
+            bounds = {low: spec.range.low, "maximum": spec.range.high}
+            found |= {name: bound for name, bound in bounds.items() if abs(bound) != float("inf")}
+        return found
+
+
+def _number_fields() -> dict[str, Any]:
+    """The disturbance's own fields; JSON has no infinity, so that null stands for it."""
+    found: dict[str, Any] = {}
+    for name, spec in field_specs(Disturbance).items():
+        default = getattr(Disturbance, name)
+        hint: Any = Annotated[type(default), Checked(name)]
+        endless = spec.range is not None and spec.range.infinite
+        found[name] = (hint | None, None) if endless else (hint, default)
+    return found
+
+
+DisturbanceAsked = create_model("DisturbanceAsked", __base__=Asked, **_number_fields())
 
 
 class RestrictionAsked(Asked):
@@ -44,8 +93,8 @@ class RestrictionAsked(Asked):
     limit_mps: Speed
     told_s: Annotated[float, Field(ge=0, le=36_000)] | None = None
 
-    def text(self) -> str:
-        """As :class:`~metropilot.evaluate.Request` takes it."""
+    def restriction(self) -> Restriction:
+        """As the railway knows it."""
         if self.to_m <= self.from_m:
             raise InputError(
                 "a restriction must end after it begins",
@@ -54,8 +103,7 @@ class RestrictionAsked(Asked):
                 unit="m",
                 allowed=f"> {self.from_m:g} m",
             )
-        told = "" if self.told_s is None else f"@{self.told_s!r}"
-        return f"{self.from_m!r}-{self.to_m!r}@{self.limit_mps * KMH!r}{told}"
+        return Restriction(self.from_m, self.to_m, self.limit_mps)
 
 
 class ArrivalAsked(Asked):
@@ -79,23 +127,17 @@ class SectionAsked(Asked):
 class PlanAsked(SectionAsked):
     """A plan: the scheduled time, and which energy to save."""
 
-    time_s: Seconds | None = None
-    objective: Literal["wheel", "line"] = "wheel"
+    time_s: Annotated[float, Checked("time_s")] | None = None
+    objective: Annotated[str, Checked("objective")] = "wheel"
 
 
-class DriveAsked(PlanAsked):
+class DriveAsked(PlanAsked, DisturbanceAsked):
     """A run: the plan's fields, the driver, and what goes differently than planned."""
 
     driver: DriverName = "optimal"
     options: dict[Word, Option] = {}
-    ideal: bool = False
-    mass_factor: Annotated[float, Field(ge=0.5, le=2)] = 1.0
-    resistance_factor: Annotated[float, Field(ge=0, le=5)] = 1.0
-    delay_s: Annotated[float, Field(ge=0, le=5)] = 0.0
-    lag_s: Annotated[float, Field(ge=0, le=5)] = 0.0
-    speed_noise_mps: Annotated[float, Field(ge=0, le=1)] = 0.0
     arrivals: Annotated[list[ArrivalAsked], Field(max_length=20)] = []
-    dt_s: Annotated[float, Field(ge=0.05, le=1)] = 0.2
+    dt_s: Annotated[float, Checked("dt_s")] = CONTROL_PERIOD_S
     seed: Annotated[int, Field(ge=0, lt=2**53)] = 0
 
 
@@ -204,7 +246,7 @@ class Pace(Asked):
     pace: Annotated[float, Field(ge=0, le=100)]
 
 
-def request_of(asked: DriveAsked, path: Callable[[str, str], str]) -> Request:
+def request_of(asked: DriveAsked, path: Callable[[str, str], str]) -> RunSpec:
     """The run as :mod:`metropilot.evaluate` takes it.
 
     Args:
@@ -218,29 +260,17 @@ def request_of(asked: DriveAsked, path: Callable[[str, str], str]) -> Request:
     options = asked.options | named
     if POLICY in options:
         options[POLICY] = path(POLICY, str(options[POLICY]))
-    given: dict[str, Any] = asked.model_dump(
-        include={
-            "origin",
-            "destination",
-            "time_s",
-            "load",
-            "ideal",
-            "mass_factor",
-            "resistance_factor",
-            "delay_s",
-            "lag_s",
-            "speed_noise_mps",
-            "objective",
-            "dt_s",
-            "seed",
-        }
+    restrictions = [(item.restriction(), item.told_s) for item in asked.restrictions]
+    updates = [TimetableUpdate(told_s, restriction=r) for r, told_s in restrictions if told_s is not None]
+    updates += [TimetableUpdate(a.told_s, scheduled_time_s=a.scheduled_time_s) for a in asked.arrivals]
+    given = asked.model_dump(include=set(run_fields()) - {"restrictions", "arrivals"})
+    spec = RunSpec.from_values(
+        given
+        | {"line": path("line", asked.line), "trainset": path("trainset", asked.trainset)}
+        | {"driver": driver, "options": options}
     )
-    return Request(
-        line=path("line", asked.line),
-        trainset=path("trainset", asked.trainset),
-        driver=driver,
-        options=options,
-        restrictions=tuple(r.text() for r in asked.restrictions),
-        arrivals=tuple(f"{a.scheduled_time_s!r}@{a.told_s!r}" for a in asked.arrivals),
-        **given,
+    return replace(
+        spec,
+        restrictions=tuple(r for r, told_s in restrictions if told_s is None),
+        disturbance=replace(spec.disturbance, updates=tuple(updates)),
     )

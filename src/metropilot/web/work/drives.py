@@ -11,7 +11,7 @@ from metropilot._io import atomic_write
 from metropilot.evaluate import (
     Kpis,
     Optimum,
-    Request,
+    RunSpec,
     checks,
     compare,
     comparison_json,
@@ -59,7 +59,7 @@ def drive_out(driven: Drive, kpis: Kpis, optimum: Optimum | None) -> dict[str, A
     }
 
 
-def drive_job(root: str, job: str, request: Request) -> dict[str, Any]:
+def drive_job(root: str, job: str, request: RunSpec) -> dict[str, Any]:
     """Drive one run; its files go into the job's folder."""
     store = JobStore(Path(root))
     store.update(job, status="running", progress=0.0, words="driving")
@@ -72,7 +72,7 @@ def drive_job(root: str, job: str, request: Request) -> dict[str, Any]:
     return drive_out(driven, kpis, optimum)
 
 
-def compare_job(root: str, job: str, request: Request, drivers: dict[str, str], seeds: int) -> dict[str, Any]:
+def compare_job(root: str, job: str, request: RunSpec, drivers: dict[str, str], seeds: int) -> dict[str, Any]:
     """Drive the same run with several drivers and seeds.
 
     Args:

@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from metropilot.errors import Infeasible, InputError
-from metropilot.evaluate import Request
-from metropilot.evaluate.request_file import POLICY
+from metropilot.evaluate import POLICY, RunSpec
 from metropilot.planning import (
     JourneyPlan,
     Plan,
@@ -32,7 +31,7 @@ SUFFIX = ".safetensors"
 """Of a policy's file."""
 
 
-def section_of(request: Request) -> dict[str, Any]:
+def section_of(request: RunSpec) -> dict[str, Any]:
     """The section and its minimum running time."""
     section, trainset = request.section(), request.loaded()
     if section.length_m > LONGEST_M:
@@ -49,7 +48,7 @@ def section_of(request: Request) -> dict[str, Any]:
     }
 
 
-def plan_of(request: Request) -> dict[str, Any]:
+def plan_of(request: RunSpec) -> dict[str, Any]:
     """The optimal plan for the scheduled time."""
     section, trainset = request.section(), request.loaded()
     fastest = minimum_running_time(section, trainset)
@@ -87,7 +86,7 @@ def plan_out(plan: Plan, fastest_s: float) -> dict[str, Any]:
     }
 
 
-def front_of(request: Request) -> dict[str, Any]:
+def front_of(request: RunSpec) -> dict[str, Any]:
     """The time-energy front."""
     section, trainset = request.section(), request.loaded()
     front = time_energy_front(section, trainset, options=PlanOptions(objective=request.objective))

@@ -1,0 +1,347 @@
+"""A run as users ask for it: one declaration for the command line, `run.toml`, the HTTP API and campaigns."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import MISSING, dataclass, field, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+from metropilot._io import read_text
+from metropilot._schema import FieldSpec, check_fields, declared, field_specs
+from metropilot.drivers import DRIVERS
+from metropilot.errors import InputError, renamed
+from metropilot.evaluate.driver_options import make_driver, named_driver, option_defaults
+from metropilot.evaluate.optimum import Objective
+from metropilot.planning import LONGEST_RATIO, check_running_time, minimum_running_time
+from metropilot.policy import policy_path
+from metropilot.railway import Restriction, Section, Trainset, load_line, load_trainset
+from metropilot.sim import CONTROL_PERIOD_S, AbstractDriver, Disturbance, Run, TimetableUpdate
+from metropilot.units import KINDS
+
+KMH = KINDS["speed"]["km/h"]
+NUMBER = r"\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
+RESTRICTION = re.compile(rf"({NUMBER})-({NUMBER})@({NUMBER})(?:@({NUMBER}))?")
+ARRIVAL = re.compile(rf"({NUMBER})@({NUMBER})")
+OBJECTIVES: tuple[str, ...] = get_args(Objective)
+FILES = ("line", "trainset")
+POLICY = "policy"
+"""The option of a driver that names a file, or a learning run."""
+
+
+@dataclass(frozen=True)
+class RunSpec:
+    """Everything that decides a run.
+
+    Attributes:
+        line: Catalogue id or path.
+        origin: Code or name of the station of departure.
+        destination: Code or name of the station of arrival.
+        time_s: Scheduled running time; None takes the line's planned time.
+        trainset: Catalogue id or path.
+        load: Load aboard; None takes the trainset's first.
+        driver: Driver id.
+        options: Options of the driver.
+        disturbance: What differs from the data that driver and planner have, announced updates included.
+        restrictions: Temporary speed restrictions that are known before departure.
+        objective: Energy the optimum minimises.
+        dt_s: Control period.
+        seed: Seed of everything random.
+    """
+
+    line: str = declared(MISSING, "Line: catalogue id or path to a .toml or .json file.")
+    origin: str = declared(MISSING, "Station of departure: code or name.")
+    destination: str = declared(MISSING, "Station of arrival: code or name.")
+    time_s: float | None = declared(
+        None,
+        "Running time; the line's planned time if not given.",
+        unit="s",
+        low=0.0,
+        above=True,
+        option="time",
+    )
+    trainset: str = declared("dkz32", "Trainset: catalogue id or path, with its load as ID:LOAD.")
+    load: str | None = declared(None, "Load aboard, e.g. AW2.")
+    driver: str = declared("optimal", "Driver id; see `metropilot drivers`.")
+    options: Mapping[str, Any] = field(
+        default_factory=dict,
+        metadata={FieldSpec: FieldSpec("Option of the driver; repeatable.", option="set", form="NAME=VALUE")},
+    )
+    disturbance: Disturbance = field(default_factory=Disturbance)
+    restrictions: tuple[Restriction, ...] = declared(
+        (),
+        "Temporary speed restriction, m from the origin and 5 to 400 km/h; @T: announced T s after "
+        "departure.",
+        option="restriction",
+        form="FROM-TO@KMH[@T]",
+    )
+    objective: Objective = declared(  # noqa: RUF009 (makes a field)
+        "wheel", "Energy to minimise: wheel or line.", choices=OBJECTIVES
+    )
+    dt_s: float = field(
+        default=CONTROL_PERIOD_S, metadata={FieldSpec: replace(field_specs(Run)["dt"], option="dt")}
+    )
+    seed: int = declared(0, "Seed of everything random.", low=0, high=2**63 - 1, label="Seed", step=1.0)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> RunSpec:
+        """The run of plain values, as they stand in `run.toml`; restrictions and arrivals are texts.
+
+        Args:
+            values: By the keys of :func:`run_fields`; a key that is not given, or None, has its default.
+
+        Raises:
+            InputError: An unknown key (the nearest one is named), a missing one, a value of the wrong kind or
+                outside its range.
+        """
+        given = {key: _typed(key, value) for key, value in values.items() if value is not None}
+        for key in ("line", "origin", "destination"):
+            if key not in given:
+                raise InputError("missing", field=key, allowed="text")
+        texts = [parse_restriction(text) for text in given.pop("restrictions", ())]
+        updates = [item for item in texts if isinstance(item, TimetableUpdate)]
+        updates += [parse_arrival(text) for text in given.pop("arrivals", ())]
+        own = {key: given.pop(key) for key in field_specs(Disturbance) if key in given}
+        return cls(
+            **given,
+            disturbance=Disturbance(**own, updates=tuple(updates)),
+            restrictions=tuple(item for item in texts if isinstance(item, Restriction)),
+        )
+
+    def values(self) -> dict[str, Any]:
+        """The run as plain values, for TOML and JSON; what is None is left out."""
+        updates = self.disturbance.updates
+        found: dict[str, Any] = {}
+        for key in run_fields():
+            if key == "restrictions":
+                known = [_restriction_text(item) for item in self.restrictions]
+                found[key] = known + [
+                    _restriction_text(u.restriction, u.at_s) for u in updates if u.restriction
+                ]
+            elif key == "arrivals":
+                found[key] = list(_arrival_texts(updates))
+            else:
+                found[key] = getattr(self if hasattr(self, key) else self.disturbance, key)
+        found["options"] = dict(self.options)
+        return {key: value for key, value in found.items() if value is not None}
+
+    def loaded(self) -> Trainset:
+        """The trainset with its load, as the driver knows it."""
+        return load_trainset(self.trainset, self.load)
+
+    def section(self) -> Section:
+        """The section with every restriction known before departure."""
+        section = line_section = self.open_section()
+        with renamed({"restriction": "restrictions"}):
+            for restriction in self.restrictions:
+                section = section.restricted(line_section.check_restriction(restriction))
+        return section
+
+    def open_section(self) -> Section:
+        """The section without temporary restrictions."""
+        return load_line(self.line).section(self.origin, self.destination)
+
+    def run(self, fastest_s: float | None = None) -> Run:
+        """The run.
+
+        Args:
+            fastest_s: Minimum running time of the open section, where it is known already.
+
+        Raises:
+            InputError: Something in it cannot be used.
+            Infeasible: The scheduled time is below the minimum running time, which the message names. A
+                temporary restriction that costs more than the reserve is no such case: the run will be late.
+        """
+        section, open_section, trainset = self.section(), self.open_section(), self.loaded()
+        time_s = self.time_s if self.time_s is not None else section.planned_time_s
+        if time_s is None:
+            words = f"the line plans no running time for {section.name}; give one"
+            raise InputError(words, field="time_s", allowed="> 0 s")
+        updates = tuple(sorted(self.disturbance.updates, key=lambda update: update.at_s))
+        with renamed({"restriction": "restrictions"}):
+            for update in updates:
+                if update.restriction is not None:
+                    open_section.check_restriction(update.restriction)
+        disturbance = replace(self.disturbance, updates=updates)
+        run = Run(section, trainset, time_s, disturbance, self.dt_s, self.seed)
+        fastest = fastest_s or minimum_running_time(open_section, trainset)
+        check_running_time(time_s, fastest)
+        for update in updates:
+            if update.scheduled_time_s is not None and update.scheduled_time_s > LONGEST_RATIO * fastest:
+                check_running_time(update.scheduled_time_s, fastest, field="arrivals")
+        return run
+
+    def make_driver(self) -> AbstractDriver:
+        """The driver; one that can choose what energy to save is told the objective.
+
+        Raises:
+            InputError: No such driver, or no such option of it.
+        """
+        told = dict(self.options)
+        driver_id, _ = named_driver(self.driver)
+        if driver_id in DRIVERS.ids() and "objective" in option_defaults(DRIVERS.get(driver_id)):
+            told.setdefault("objective", self.objective)
+        return make_driver(self.driver, told)
+
+    def resolved(self) -> RunSpec:
+        """The same run with stations by code, the load named, driver and options apart, and a time."""
+        section, trainset = self.section(), self.loaded()
+        time_s = self.time_s if self.time_s is not None else section.planned_time_s
+        origin, destination = section.origin.code, section.destination.code
+        trainset_id = self.trainset.removesuffix(f":{trainset.load}")
+        driver_id, named = named_driver(self.driver)
+        return replace(
+            self,
+            driver=driver_id,
+            options=named | dict(self.options),
+            origin=origin,
+            destination=destination,
+            time_s=time_s,
+            trainset=trainset_id,
+            load=trainset.load,
+        )
+
+
+def run_fields() -> dict[str, FieldSpec]:
+    """Every key of a run as users write it, with what is declared of it."""
+    own, disturbance = field_specs(RunSpec), field_specs(Disturbance)
+    arrivals = FieldSpec(
+        "New running time of S s, announced T s after departure.", option="arrive", form="S@T"
+    )
+    late = ("restrictions", "objective", "dt_s", "seed")
+    first = {key: spec for key, spec in own.items() if key not in late}
+    last = {"restrictions": own["restrictions"], "arrivals": arrivals}
+    return first | disturbance | last | {key: own[key] for key in late[1:]}
+
+
+def key_type(key: str) -> type:
+    """The type of a run's key: ``float``, ``int``, ``bool``, ``str``, ``dict`` or ``list`` (of texts)."""
+    given: dict[str, type] = {"restrictions": list, "arrivals": list, "options": dict, "objective": str}
+    if key in given:
+        return given[key]
+    hint = get_type_hints(RunSpec if key in field_specs(RunSpec) else Disturbance)[key]
+    return next((part for part in get_args(hint) if part is not type(None)), hint)
+
+
+def _typed(key: str, value: Any) -> Any:  # noqa: ANN401 (whatever TOML holds)
+    """A plain value as its key wants it."""
+    keys = run_fields()
+    if key not in keys:
+        near = get_close_matches(key, keys, 1)
+        hint = f", did you mean {near[0]}?" if near else ""
+        raise InputError(f"unknown key{hint}", field=key, allowed=", ".join(keys))
+    kind = key_type(key)
+    value = list(value) if isinstance(value, tuple) else value
+    fits = type(value) in {kind, int} if kind is float else type(value) is kind
+    if not fits or (kind is list and not all(isinstance(item, str) for item in value)):
+        allowed = {
+            float: "a number",
+            dict: "a table",
+            list: "a list of texts",
+            bool: "true or false",
+            int: "a whole number",
+            str: "text",
+        }[kind]
+        raise InputError("wrong kind of value", field=key, value=str(value), allowed=allowed)
+    try:
+        return float(value) if kind is float else value
+    except OverflowError:  # a whole number may have more digits than a float has room for
+        raise InputError("out of range", field=key, allowed=keys[key].allowed) from None
+
+
+def parse_restriction(text: str) -> Restriction | TimetableUpdate:
+    """``FROM-TO@KMH``: known before departure; ``FROM-TO@KMH@T``: announced T s after it.
+
+    Raises:
+        InputError: Not of that form, or of a speed below 5 or above 400 km/h.
+    """
+    match = RESTRICTION.fullmatch(text.replace(" ", ""))
+    if match is None:
+        raise InputError(
+            "not a restriction",
+            field="restrictions",
+            value=text,
+            allowed="FROM-TO@KMH or FROM-TO@KMH@T, e.g. 400-600@40 or 400-600@40@30 (m, m, km/h, s)",
+        )
+    start, end, kmh = (float(x) for x in match.groups()[:3])
+    with renamed({"restriction": "restrictions"}):
+        restriction = Restriction(start, end, KMH.to_si(kmh))
+    return restriction if match[4] is None else TimetableUpdate(float(match[4]), restriction=restriction)
+
+
+def parse_arrival(text: str) -> TimetableUpdate:
+    """``S@T``: from T s after departure the scheduled running time is S.
+
+    Raises:
+        InputError: Not of that form.
+    """
+    match = ARRIVAL.fullmatch(text.replace(" ", ""))
+    if match is None or float(match[1]) <= float(match[2]):
+        raise InputError(
+            "not a new running time",
+            field="arrivals",
+            value=text,
+            allowed="S@T with S later than T, e.g. 116@30: arrive after 116 s, sent after 30 s",
+        )
+    return TimetableUpdate(float(match[2]), scheduled_time_s=float(match[1]))
+
+
+def _restriction_text(restriction: Restriction, at_s: float | None = None) -> str:
+    """What :func:`parse_restriction` reads back."""
+    start, end, kmh = restriction.from_m, restriction.to_m, KMH.from_si(restriction.limit_mps)
+    return f"{_short(start)}-{_short(end)}@{_short(kmh)}" + ("" if at_s is None else f"@{_short(at_s)}")
+
+
+def _arrival_texts(updates: tuple[TimetableUpdate, ...]) -> Iterator[str]:
+    for item in updates:
+        if item.scheduled_time_s is not None:
+            yield f"{_short(item.scheduled_time_s)}@{_short(item.at_s)}"
+
+
+def _short(number: float) -> str:
+    """A number with all its digits, without ``.0``."""
+    return repr(float(number)).removesuffix(".0")
+
+
+def is_file(key: str) -> bool:
+    """Whether a line or trainset is named by a path and not by a catalogue id."""
+    return key.lower().endswith((".toml", ".json"))
+
+
+def run_from_toml(path: Path) -> RunSpec:
+    """Read a run back from a `run.toml`; paths in it count from its own folder.
+
+    Raises:
+        InputError: Not readable, not a `run.toml`, an unknown key (the nearest one is named) or a value of
+            the wrong kind.
+    """
+    try:
+        table = tomllib.loads(read_text(path, "from"))["run"]
+    except InputError:
+        raise
+    except (ValueError, KeyError, RecursionError) as error:
+        reason = "no table [run]" if isinstance(error, KeyError) else str(error)
+        raise InputError(f"not a run.toml ({reason})", file=path, field="from") from None
+    if not isinstance(table, dict):
+        raise InputError("not a run.toml (no table [run])", file=path, field="from")
+    with in_run_toml(path, *table):
+        spec = RunSpec.from_values(table)
+    places = {k: str(path.parent / v) for k in FILES if is_file(v := getattr(spec, k))}
+    policy = spec.options.get(POLICY)
+    if isinstance(policy, str) and policy:
+        near = path.parent / policy
+        meant = near if near.exists() else policy_path(policy)
+        places["options"] = {**spec.options, POLICY: str(meant if meant.exists() else near)}
+    return replace(spec, **places)
+
+
+def in_run_toml(path: Path, *keys: str) -> AbstractContextManager[None]:
+    """Complaints about a run that was read from this `run.toml` name the file and the key in it."""
+    return renamed({key: f"run.{key}" for key in (*run_fields(), *keys)} | {"set": "run.options"}, path)

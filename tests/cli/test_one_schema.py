@@ -1,0 +1,175 @@
+"""One declaration of a run: every entry gives every field of it, and refuses it in the same words."""
+
+import json
+
+import pytest
+from fastapi.testclient import TestClient
+
+from metropilot._schema import field_specs
+from metropilot.campaign.declared import request_of
+from metropilot.campaign.reading import campaign_from_toml
+from metropilot.cli import app
+from metropilot.errors import InputError
+from metropilot.evaluate import RunSpec, run_fields, run_from_toml
+from metropilot.railway import Restriction
+from metropilot.sim import Disturbance, TimetableUpdate
+from metropilot.web.schemas.requests import DriveAsked
+from metropilot.web.schemas.requests import request_of as request_of_body
+
+WHERE = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ"}
+NUMBERS = [name for name, spec in field_specs(Disturbance).items() if spec.range is not None]
+VALUES = dict(zip(NUMBERS, (1.2, 1.5, 0.6, 0.4, 0.05, -8.0, 0.07, 0.8), strict=True))
+GIVEN = [(name, value, Disturbance(**{name: value})) for name, value in VALUES.items()]
+LIMIT = Restriction(400.0, 600.0, 40.0 / 3.6)
+
+
+class Told(Exception):
+    """The run that a command would drive."""
+
+
+@pytest.fixture
+def from_command_line(monkeypatch):
+    """The run that `metropilot drive` makes of its options."""
+
+    def tell(spec, *_, **__):
+        raise Told(spec)
+
+    def read(*options):
+        monkeypatch.setattr("metropilot.cli.drive.run_and_report", tell)
+        with pytest.raises(Told) as told:
+            app._run(["drive", *WHERE.values(), *options])
+        return told.value.args[0]
+
+    return read
+
+
+def option(name):
+    """A field's option as it is written."""
+    return f"--{run_fields()[name].option or app.UNIT.sub('', name).replace('_', '-')}"
+
+
+def run_file(folder, text):
+    """A `run.toml` with this line."""
+    path = folder / "run.toml"
+    path.write_text("[run]\n" + "".join(f'{k} = "{v}"\n' for k, v in WHERE.items()) + text)
+    return path
+
+
+def campaign_file(folder, text):
+    """A campaign of one run with this line in its disturbance."""
+    path = folder / "campaign.toml"
+    matrix = '[matrix]\ndrivers = ["flat_out"]\nsections = ["yizhuang RJ WYJ"]\nloads = ["AW0"]\n'
+    path.write_text(f'name = "one"\n{matrix}[[disturbance]]\nname = "it"\n{text}\n')
+    return path
+
+
+def of_campaign(path, scheduled_s=100.0, length_m=1000.0):
+    """The only run of a campaign."""
+    campaign = campaign_from_toml(path)
+    return request_of(campaign, campaign.case(0), scheduled_s, length_m)
+
+
+def of_body(values):
+    """The run that the HTTP API makes of a body."""
+    return request_of_body(DriveAsked.model_validate(WHERE | values), lambda _, key: key)
+
+
+@pytest.mark.parametrize(("name", "value", "disturbance"), GIVEN, ids=VALUES)
+def test_every_entry_gives_every_disturbance(tmp_path, from_command_line, name, value, disturbance):
+    assert from_command_line(f"{option(name)}={value}").disturbance == disturbance
+    assert run_from_toml(run_file(tmp_path, f"{name} = {value}")).disturbance == disturbance
+    assert of_body({name: value}).disturbance == disturbance
+    assert of_campaign(campaign_file(tmp_path, f"{name} = {value}")).disturbance == disturbance
+
+
+def test_every_entry_gives_ideal_actuation(tmp_path, from_command_line):
+    ideal = Disturbance(ideal=True)
+    assert from_command_line("--ideal").disturbance == ideal
+    assert run_from_toml(run_file(tmp_path, "ideal = true")).disturbance == ideal
+    assert of_body({"ideal": True}).disturbance == ideal
+    assert of_campaign(campaign_file(tmp_path, "ideal = true")).disturbance == ideal
+
+
+@pytest.mark.parametrize("at_s", [None, 30.0])
+def test_every_entry_gives_a_restriction(tmp_path, from_command_line, at_s):
+    text = "400-600@40" + ("" if at_s is None else "@30")
+    body = {"from_m": 400.0, "to_m": 600.0, "limit_mps": 40.0 / 3.6, "told_s": at_s}
+    share = "restriction = {from = 0.4, to = 0.6, kmh = 40" + ("}" if at_s is None else ", announced = 0.3}")
+    found = [
+        from_command_line(f"--restriction={text}"),
+        run_from_toml(run_file(tmp_path, f'restrictions = ["{text}"]')),
+        of_body({"restrictions": [body]}),
+        of_campaign(campaign_file(tmp_path, share)),
+    ]
+    update = TimetableUpdate(30.0, restriction=LIMIT)
+    for spec in found:
+        assert spec.restrictions == ((LIMIT,) if at_s is None else ())
+        assert spec.disturbance.updates == (() if at_s is None else (update,))
+        assert spec.values()["restrictions"] == [text]
+
+
+def test_every_entry_gives_a_new_arrival_time(tmp_path, from_command_line):
+    found = [
+        from_command_line("--arrive=116@30"),
+        run_from_toml(run_file(tmp_path, 'arrivals = ["116@30"]')),
+        of_body({"arrivals": [{"scheduled_time_s": 116.0, "told_s": 30.0}]}),
+        of_campaign(campaign_file(tmp_path, "arrival = {factor = 1.16, announced = 0.3}")),
+    ]
+    for spec in found:
+        assert spec.disturbance.updates == (TimetableUpdate(30.0, scheduled_time_s=116.0),)
+        assert spec.values()["arrivals"] == ["116@30"]
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_every_entry_refuses_in_the_same_words(tmp_path, metropilot, name):
+    bound = field_specs(Disturbance)[name].range
+    value = bound.low - 1.0
+    with pytest.raises(InputError) as refused:
+        Disturbance(**{name: value})
+    said = refused.value.line().removeprefix(name)
+    typed = metropilot("drive", *WHERE.values(), f"{option(name)}={value}")
+    assert (typed.code, typed.err) == (2, f"metropilot: {option(name)}{said}\n")
+    path = run_file(tmp_path, f"{name} = {value}")
+    read = metropilot("drive", "--from", path)
+    assert (read.code, read.err) == (2, f"metropilot: {path}: run.{name}{said}\n")
+    with pytest.raises(InputError) as in_campaign:
+        campaign_from_toml(path := campaign_file(tmp_path, f"{name} = {value}"))
+    assert in_campaign.value.line() == f"{path}: disturbance it.{name}{said}"
+    error = answered({name: value})
+    shown = InputError(error.pop("message"), **error).line()
+    assert shown == f"{name}{said}"
+
+
+def answered(values):
+    """The error that the HTTP API answers a body with."""
+    from fastapi import FastAPI
+
+    from metropilot.web.errors import install
+
+    server = FastAPI()
+    install(server)
+
+    @server.post("/drive")
+    def drive(asked: DriveAsked) -> None:
+        """Take a body."""
+
+    answer = TestClient(server).post("/drive", content=json.dumps(WHERE | values))
+    assert answer.status_code == 422
+    return answer.json()["error"]
+
+
+def test_a_run_reads_back_as_it_was_written():
+    spec = RunSpec(
+        **WHERE,
+        options={"reserve_s": 1},
+        restrictions=(LIMIT,),
+        disturbance=Disturbance(
+            ideal=True,
+            **VALUES,
+            updates=(
+                TimetableUpdate(12.25, restriction=Restriction(0.1, 1e3, 65 / 3.6)),
+                TimetableUpdate(20.0, scheduled_time_s=116.5),
+            ),
+        ),
+    )
+    assert RunSpec.from_values(spec.values()) == spec
