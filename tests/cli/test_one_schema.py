@@ -1,9 +1,10 @@
 """One declaration of a run: every entry gives every field of it, and refuses it in the same words."""
 
-import json
+import asyncio
 
+import httpx
 import pytest
-from fastapi.testclient import TestClient
+from fastapi import FastAPI
 
 from metropilot._schema import field_specs
 from metropilot.campaign.declared import request_of
@@ -13,6 +14,7 @@ from metropilot.errors import InputError
 from metropilot.evaluate import RunSpec, run_fields, run_from_toml
 from metropilot.railway import Restriction
 from metropilot.sim import Disturbance, TimetableUpdate
+from metropilot.web.errors import install
 from metropilot.web.schemas.requests import DriveAsked
 from metropilot.web.schemas.requests import request_of as request_of_body
 
@@ -142,10 +144,6 @@ def test_every_entry_refuses_in_the_same_words(tmp_path, metropilot, name):
 
 def answered(values):
     """The error that the HTTP API answers a body with."""
-    from fastapi import FastAPI
-
-    from metropilot.web.errors import install
-
     server = FastAPI()
     install(server)
 
@@ -153,7 +151,12 @@ def answered(values):
     def drive(asked: DriveAsked) -> None:
         """Take a body."""
 
-    answer = TestClient(server).post("/drive", content=json.dumps(WHERE | values))
+    async def post():
+        transport = httpx.ASGITransport(app=server)
+        async with httpx.AsyncClient(transport=transport, base_url="http://here") as client:
+            return await client.post("/drive", json=WHERE | values)
+
+    answer = asyncio.run(post())
     assert answer.status_code == 422
     return answer.json()["error"]
 
