@@ -16,12 +16,15 @@ from metropilot.env.tables import SectionRows
 from metropilot.env.worlds import domain_sample
 from metropilot.errors import InputError
 from metropilot.learn import TrainingOptions, config_from_mapping
-from metropilot.learn.imitation.closed_loop import WORTH, Begin, ClosedLoop, within_worth
+from metropilot.learn.imitation.closed_loop import WORTH, Begin, ClosedLoop, _Moving, within_worth
 from metropilot.learn.imitation.course import teach_in_parts
 from metropilot.learn.imitation.gather import Gathering, gather_shard, gathered
 from metropilot.learn.imitation.lessons import DemonstrationGenerator, collect_demonstrations
 from metropilot.learn.imitation.pupil import labels, learned, new_pupil, pupil_spec
+from metropilot.physics import at_rest, to_jax, vehicle_arrays
 from metropilot.policy import act
+from metropilot.railway import load_trainset
+from metropilot.sim import first_state
 
 
 def test_a_world_is_the_same_whenever_it_is_asked_for():
@@ -74,17 +77,25 @@ def test_labels_mean_the_commands_they_stand_for():
 
 
 def test_what_flows_back_is_kept_within_its_worth():
-    state = type(WORTH)(*(jnp.float32(1.0) for _ in WORTH))
+    plant = to_jax(at_rest(vehicle_arrays(load_trainset("dkz32"), np.float32)))
+    state = _Moving(first_state(plant, None), *(jnp.float32(1.0) for _ in range(2)), jnp.bool_(False))
     joule = jnp.float32(0.01)
 
-    def loss(state, scale):
-        return sum(scale * value for value in within_worth(state, joule))
+    def loss(values, scale):
+        given = state._replace(energy_j=values["energy_j"], arrival_s=values["arrival_s"])
+        rest = {name: values[name] for name in plant._fields if name in values}
+        given = given._replace(run=given.run._replace(plant=plant._replace(**rest)))
+        kept = within_worth(given, joule)
+        parts = kept._asdict() | kept.run.plant._asdict()
+        return sum(scale * parts[name].sum() for name in values)
 
-    small = jax.grad(loss)(state, 1e-4)
-    large = jax.grad(loss)(state, 1e6)
-    assert all(float(value) == pytest.approx(1e-4) for value in small[:-1])
-    for value, most in zip(large, WORTH, strict=True):
-        assert float(value) == pytest.approx(most * 0.01)
+    names = ("time_s", "position_m", "speed_mps", "acceleration_mps2", "energy_j", "arrival_s", "line_j")
+    values = dict.fromkeys(names, jnp.float32(1.0))
+    small, large = jax.grad(loss)(values, 1e-4), jax.grad(loss)(values, 1e6)
+    for name in names[:-1]:
+        assert float(small[name]) == pytest.approx(1e-4)
+        assert float(large[name]) == pytest.approx(WORTH[name] * 0.01)
+    assert float(large["line_j"]) == 0.0, "an account that no later period depends on"
 
 
 @pytest.fixture(scope="module")

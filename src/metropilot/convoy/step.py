@@ -9,11 +9,9 @@ from metropilot.convoy.model import FAR_M, Member
 from metropilot.physics import Command, State, at_rest, delay_steps, namespace
 from metropilot.protection import Memory as Watched
 from metropilot.protection import TrainAhead, at_start, spare_gap
-from metropilot.sim import OutcomeRule, PeriodRecord, RunParams, control_period, first_state
+from metropilot.sim import NEVER_ENDS, PeriodRecord, RunParams, control_period, first_state
 
 Array = Any
-NEVER_ENDS = OutcomeRule(late_s=float("inf"), give_up_m=float("inf"), stalled_s=float("inf"))
-"""A convoy ends when all of it stands; see :class:`metropilot.convoy.ConvoyRollout`."""
 SPARE_M, SPARE_SHARE, SILENT_S = 0.2, 0.1, 0.4
 """What a follower keeps beyond the gap that protection needs: distance, command, time without a message where
 the link loses some."""

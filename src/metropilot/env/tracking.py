@@ -19,13 +19,13 @@ from metropilot.physics import (
     Track,
     Vehicle,
     namespace,
-    step,
     to_jax,
     track_arrays,
     vehicle_arrays,
 )
 from metropilot.planning import TimedReference
 from metropilot.railway import Section, Trainset
+from metropilot.sim import NEVER_ENDS, RunParams, control_period, first_state
 
 Array = Any
 GRACE_S = 3.0
@@ -166,9 +166,24 @@ def seen(course: ReferenceCourse, state: TrackState) -> Tracked:
 
 
 def advance(course: ReferenceCourse, state: TrackState, command: Array, errors: Errors) -> TrackState:
-    """One period of the plant under a command (Cheng23 eqs. 1 to 3)."""
-    plant = step(course.vehicle, course.track, state.plant, Command(command, False), course.dt)
-    return TrackState(plant, command, errors, state.period + 1)
+    """One control period under a command, without protection (Cheng23 eqs. 1 to 3)."""
+    params = RunParams(
+        vehicle=course.vehicle,
+        track=course.track,
+        protection=None,
+        length_m=course.track.length_m,
+        scheduled_s=state.plant.time_s,
+        speed_noise_mps=0.0,
+        dt=course.dt,
+    )
+    run, _, _ = control_period(
+        params,
+        first_state(state.plant, None),
+        None,
+        lambda _, __: (Command(command, False), None),
+        rule=NEVER_ENDS,
+    )
+    return TrackState(run.plant, command, errors, state.period + 1)
 
 
 def tracking_observation(given: Tracked) -> Array:

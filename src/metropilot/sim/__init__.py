@@ -5,7 +5,15 @@ from metropilot.sim.disturbance import NOISE_CUT, Disturbance, TimetableUpdate
 from metropilot.sim.driver import DRIVER_REGISTRY, AbstractDriver, register
 from metropilot.sim.mismatch import true_vehicle
 from metropilot.sim.nominal import NominalDrive, simulate_nominal
-from metropilot.sim.outcome import CODES, OVERSPEED_MPS, RUNNING, Episode, OutcomeRule, final_outcome
+from metropilot.sim.outcome import (
+    CODES,
+    NEVER_ENDS,
+    OVERSPEED_MPS,
+    RUNNING,
+    Episode,
+    OutcomeRule,
+    final_outcome,
+)
 from metropilot.sim.rollout import Drive, Moment, Rollout, drive
 from metropilot.sim.run import (
     CONTROL_PERIOD_S,
@@ -33,6 +41,7 @@ __all__ = [
     "COLUMNS",
     "CONTROL_PERIOD_S",
     "DRIVER_REGISTRY",
+    "NEVER_ENDS",
     "NOISE_CUT",
     "OVERSPEED_MPS",
     "PHASES",

@@ -53,6 +53,10 @@ class OutcomeRule:
     overspeed_mps: float = float("inf")
 
 
+NEVER_ENDS = OutcomeRule(stalled_s=float("inf"), give_up_m=float("inf"), late_s=float("inf"))
+"""For whoever decides otherwise when to stop: convoys, courses of a reference, differentiable rollouts."""
+
+
 @no_type_check
 def outcome_of(
     rule: OutcomeRule,

@@ -1,34 +1,38 @@
-"""Drives a policy through many worlds at once, compiled and differentiable from its commands to the bill.
+"""Differentiable rollout of a policy on many sections at once, from its commands to energy and arrival time.
 
-A lean stand-in for the driving task: the same curves, features, action and assists, without protection (whose
-permitted speed it keeps by itself), one step a decision, and the last braking counted in closed form from the
-moment it begins. Gradients of energy and arrival time reach the policy through the whole drive, so that no
-reward has to be explored; the policy that comes out is judged in the real task.
+The control period is that of every other engine (:func:`metropilot.sim.control_period`), with the features,
+the action and the ceiling of the driving task, but as long as a decision and without protection, whose
+permitted speed the ceiling keeps; the station stop is counted in closed form from where it begins. Gradients
+of energy and arrival time reach the policy through the whole drive, so that no reward has to be explored; the
+policy that comes out is judged in the real task.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from metropilot.control.stopping import (
-    AT_ONCE_MPS3,
-    STRONGEST_MPS2,
-    braking_distance,
-    braking_time,
-    build_up,
-    curve_for,
-)
+from metropilot.control.stopping import AT_ONCE_MPS3, braking_distance, braking_time, build_up, curve_for
 from metropilot.env.actions import RegimeAction
-from metropilot.env.assists import Assists, ceiling_at, stop_options
-from metropilot.env.features import FeatureContext, observe
-from metropilot.env.tables import CLIMB, SectionRows, SectionTables
-from metropilot.physics import davis_n, effort_at
+from metropilot.env.assists import Assists, assisted, stop_options
+from metropilot.env.features import feature_context, observe
+from metropilot.env.tables import SectionRows, SectionTables, near_track
+from metropilot.physics import Command, at_rest, to_jax
 from metropilot.policy import Params
+from metropilot.sim import (
+    NEVER_ENDS,
+    RUNNING,
+    RunParams,
+    RunState,
+    control_period,
+    first_state,
+    true_vehicle,
+)
 
 Array = Any
 Decide = Callable[[Params, Array], Array]
@@ -84,21 +88,30 @@ class ClosedLoopRollout(NamedTuple):
 
 
 class _Moving(NamedTuple):
-    """State of a drive that has not begun its last braking."""
+    """State of a drive that has not begun its station stop. All 0-d but the pipeline of the plant."""
 
-    position_m: Array
-    speed_mps: Array
-    time_s: Array
-    effort_mps2: Array
-    acceleration_mps2: Array
+    run: RunState
     energy_j: Array
     arrival_s: Array
     done: Array
 
 
-WORTH = _Moving(4.0, 90.0, 50.0, 45.0, 45.0, 1.5, 50.0, 0.0)
-"""What a unit of each can be worth at most, in joules per kilogram: a metre is worth no more than the largest
-effort, a metre per second no more than the kinetic energy it adds, a second a few times its price."""
+WORTH = MappingProxyType(
+    {
+        "time_s": 50.0,
+        "position_m": 4.0,
+        "speed_mps": 90.0,
+        "measured_mps": 90.0,
+        "acceleration_mps2": 45.0,
+        "share": 45.0,
+        "pipeline": 45.0,
+        "energy_j": 1.5,
+        "arrival_s": 50.0,
+    }
+)
+"""Largest worth of a unit of each, J/kg: a metre is worth no more than the largest effort, a
+metre per second no more than the kinetic energy it adds, a second a few times its price. Nothing flows back
+through the other fields: they are accounts that the next period does not depend on."""
 
 
 @jax.custom_vjp
@@ -121,12 +134,13 @@ def _forth(now: _Moving, joule: Array) -> tuple[_Moving, Array]:
 
 
 def _back(joule: Array, worth: _Moving) -> tuple[_Moving, Array]:
-    def kept(value: Array, most: float) -> Array:
+    def kept(path: tuple[Any, ...], value: Array) -> Array:
         if value.dtype == jax.dtypes.float0:
             return value
-        return jnp.clip(jnp.nan_to_num(value, posinf=0.0, neginf=0.0), -most * joule, most * joule)
+        most = WORTH.get(path[-1].name, 0.0) * joule
+        return jnp.clip(jnp.nan_to_num(value, posinf=0.0, neginf=0.0), -most, most)
 
-    return jax.tree.map(kept, worth, WORTH), jnp.zeros_like(joule)
+    return jax.tree_util.tree_map_with_path(kept, worth), jnp.zeros_like(joule)
 
 
 within_worth.defvjp(_forth, _back)
@@ -162,18 +176,11 @@ class ClosedLoop:
             decisions: How many at most.
             joule: What a joule per kilogram is worth to the loss.
         """
-        zero = jnp.zeros((), jnp.float32)
-        case = self.rows.case(begin.case)
-        moving = _Moving(
-            begin.position_m,
-            begin.speed_mps,
-            begin.time_s,
-            zero,
-            zero,
-            zero,
-            zero,
-            jnp.zeros((), bool),
-        )
+        zero, case = jnp.zeros((), jnp.float32), self.rows.case(begin.case)
+        plant = to_jax(at_rest(self.rows.tables.vehicle))
+        plant = plant._replace(position_m=begin.position_m, speed_mps=begin.speed_mps, time_s=begin.time_s)
+        run = first_state(plant, None)._replace(outcome=jnp.full((), RUNNING, jnp.int32))
+        moving = _Moving(run, zero, zero, jnp.zeros((), bool))
 
         @jax.checkpoint
         def one(now: _Moving, _: None) -> tuple[_Moving, None]:
@@ -184,89 +191,63 @@ class ClosedLoop:
         last, _ = jax.lax.scan(one, moving, None, length=decisions)
         return ClosedLoopRollout(last.energy_j, last.arrival_s - begin.arrival_s, last.done)
 
-    def _sight(self, begin: Begin, case: SectionTables, now: _Moving) -> FeatureContext:
-        return FeatureContext(
-            rows=self.rows,
-            case=begin.case,
-            vehicle=case.vehicle,
-            track=case.track,
-            length_m=case.length_m,
-            load=case.load,
-            stop_mps2=self._planned(begin, case, now.position_m),
-            rates=case.protection.rates,
-            time_s=now.time_s,
-            position_m=now.position_m,
-            speed_mps=now.speed_mps,
-            acceleration_mps2=now.acceleration_mps2,
+    def _step(
+        self, decide: Decide, params: Params, begin: Begin, case: SectionTables, now: _Moving
+    ) -> _Moving:
+        """One control period as long as a decision, on the plant itself, under the ceiling of the assists."""
+        dt, vehicle, plant = self.period_s, case.vehicle, now.run.plant
+        at = plant.position_m
+        sight = feature_context(
+            self.rows,
+            begin.case,
+            case,
+            stop_mps2=self._planned(begin, case, at),
+            time_s=plant.time_s,
+            position_m=at,
+            speed_mps=plant.speed_mps,
+            acceleration_mps2=plant.acceleration_mps2,
             scheduled_s=begin.scheduled_s,
             command=jnp.zeros((), jnp.float32),
         )
 
-    def _step(
-        self, decide: Decide, params: Params, begin: Begin, case: SectionTables, now: _Moving
-    ) -> _Moving:
-        """One decision held for a period."""
-        sight, dt, vehicle = self._sight(begin, case, now), self.period_s, case.vehicle
-        action = decide(params, observe(self.features, sight))
-        soft = jnp.clip(action[0], -1.0, 1.0)
-        command = self.action.command(sight, action, dt) + LEAK * (soft - jax.lax.stop_gradient(soft))
-        command = jnp.clip(command, -1.0, 1.0)
-        v, mass = now.speed_mps, vehicle.effective_mass_kg * begin.mass_factor
-        way = v * dt + 0.5
-        rise = self._at(CLIMB, begin, now.position_m + way) - self._at(CLIMB, begin, now.position_m)
-        slope = rise / way * (vehicle.mass_kg / vehicle.effective_mass_kg)
+        def choose(_: None, __: RunState) -> tuple[Command, None]:
+            action = decide(params, observe(self.features, sight))
+            soft = jnp.clip(action[0], -1.0, 1.0)
+            command = self.action.command(sight, action, dt) + LEAK * (soft - jax.lax.stop_gradient(soft))
+            # the station stop is counted in closed form below
+            under = replace(self.assists, stop=False)
+            command, _ = assisted(under, sight, jnp.clip(command, -1.0, 1.0), jnp.zeros((), bool), dt)
+            return Command(command, jnp.zeros((), bool)), None
 
-        def acting(v: Array) -> tuple[Array, Array]:
-            effort = effort_at(vehicle, v)
-            force = jnp.where(command >= 0.0, command * effort.traction_n, command * effort.brake_n)
-            return force, begin.resistance_factor * davis_n(vehicle, v) / mass + slope
-
-        force, drag = acting(v)
-        gained = jnp.clip(force / mass - drag, -STRONGEST_MPS2, vehicle.max_acceleration_mps2) * dt
-        force, drag = acting(jnp.maximum(v + 0.5 * gained, 0.0))
-        jerk = jnp.minimum(vehicle.jerk_mps3, AT_ONCE_MPS3)
-        acceleration = jnp.minimum(force / mass - drag, self._ceiling(sight, jerk))
-        wanted = jnp.minimum(acceleration, vehicle.max_acceleration_mps2) + drag
-        step = jnp.minimum(jerk * dt, 1e3)
-        reached = jnp.clip(wanted, now.effort_mps2 - step, now.effort_mps2 + step)
-        ramp = jnp.abs(reached - now.effort_mps2) / jerk
-        mean = reached - 0.5 * (reached - now.effort_mps2) * jnp.clip(ramp / dt, 0.0, 1.0)
-        after = jnp.maximum(v + (mean - drag) * dt, SLOWEST_MPS)
-        gone = 0.5 * (v + after) * dt
-        moved = now._replace(
-            position_m=now.position_m + gone,
-            speed_mps=after,
-            time_s=now.time_s + dt,
-            effort_mps2=reached,
-            acceleration_mps2=reached - drag,
-            energy_j=now.energy_j + jnp.maximum(mean, 0.0) * gone * begin.mass_factor,
+        params_of_run = RunParams(
+            vehicle=true_vehicle(
+                vehicle, mass_factor=begin.mass_factor, resistance_factor=begin.resistance_factor
+            ),
+            track=near_track(case.track, vehicle, at),
+            protection=None,
+            length_m=case.length_m,
+            scheduled_s=begin.scheduled_s,
+            speed_noise_mps=0.0,
+            dt=jnp.float32(dt),
         )
-        planned = self._planned(begin, case, moved.position_m)
+        fresh = now.run._replace(plant=plant._replace(traction_j=jnp.zeros_like(plant.traction_j)))
+        run, _, _ = control_period(params_of_run, fresh, None, choose, rule=NEVER_ENDS)
+        reached = run.plant._replace(speed_mps=jnp.maximum(run.plant.speed_mps, SLOWEST_MPS))
+        planned = self._planned(begin, case, reached.position_m)
         curve = curve_for(vehicle, dt, planned, stop_options(self.assists.release))
-        quick, gone_m, build_s = build_up(after, reached - drag, planned, jerk)
+        v, jerk = reached.speed_mps, jnp.minimum(vehicle.jerk_mps3, AT_ONCE_MPS3)
+        quick, gone_m, build_s = build_up(v, reached.acceleration_mps2, planned, jerk)
         quick = jnp.maximum(quick, LEAST_STOP_MPS)
         distance = gone_m + braking_distance(quick, curve)
         duration = build_s + braking_time(quick, curve)
-        left = case.length_m - moved.position_m
-        arrival = moved.time_s + duration + (left - distance) / after
-        return moved._replace(arrival_s=arrival, done=left <= distance)
-
-    def _at(self, column: int, begin: Begin, position_m: Array) -> Array:
-        return self.rows.ground_at(column, begin.case, position_m)
+        left = case.length_m - reached.position_m
+        return _Moving(
+            run=run._replace(plant=reached),
+            energy_j=now.energy_j + reached.traction_j / vehicle.effective_mass_kg,
+            arrival_s=reached.time_s + duration + (left - distance) / v,
+            done=left <= distance,
+        )
 
     def _planned(self, begin: Begin, case: SectionTables, position_m: Array) -> Array:
-        """Deceleration the last braking is planned with from a position."""
+        """Deceleration the station stop is planned with from a position, m/s^2."""
         return self.assists.planned_mps2(self.rows, begin.case, case.stop_mps2, position_m)
-
-    def _ceiling(self, sight: FeatureContext, jerk: Array) -> Array:
-        """Largest acceleration that stays under the permitted speed."""
-        v, x, rates, dt = sight.speed_mps, sight.position_m, sight.rates, self.period_s
-        margin = self.assists.margin_mps + rates.speed_error_mps
-        ahead_s = dt + rates.reaction_s + 1.0 / jerk
-
-        def room(seconds: Array | float) -> Array:
-            return ceiling_at(self.assists, sight.rows, sight.case, x + v * seconds) - margin - v
-
-        near, later = jnp.minimum(room(0.0), room(dt)), room(ahead_s)
-        up = jnp.maximum(jnp.minimum(near, later), 0.0) / (dt + rates.reaction_s)
-        return up + jnp.minimum(jnp.minimum(near / dt, later / ahead_s), 0.0)
