@@ -192,7 +192,7 @@ BAD = [
     (("learn", "ppo", "--set", "gamma=2"), "gamma: out of range"),
     (("learn", "ppo", "--steps", "0"), "steps: out of range"),
     (("learn", "ppo", "--task", "driv"), "did you mean drive"),
-    (("learn", "generalist", "--task", "drive"), "the teacher knows only worlds"),
+    (("learn", "generalist", "--task", "drive"), "demonstrations exist only for random sections"),
     (("learn", "ppo", "--budget", "huge"), "allowed: quick, paper"),
     (("learn", "--resume", "nowhere"), "no such run"),
     (("learn", "--resume", "."), "not the folder of a learning run"),

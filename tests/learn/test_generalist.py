@@ -162,7 +162,7 @@ def test_lessons_are_gathered_once_and_read_again(tmp_path):
     assert set(numbers) <= {0, 1}
     assert lessons.begins.shape == (numbers.size, 7)
     gathering.path(0).write_bytes(b"PK\x03\x04 cut short")
-    with pytest.raises(InputError, match="lessons are missing or damaged"):
+    with pytest.raises(InputError, match="demonstrations are missing or damaged"):
         gathered(gathering)
 
 
@@ -226,7 +226,7 @@ def test_a_course_that_was_stopped_ends_the_same(few_worlds, tmp_path, monkeypat
 
 def test_the_teacher_knows_only_worlds():
     config = config_from_mapping("teacher", TINY)
-    with pytest.raises(InputError, match="the teacher knows only worlds"):
+    with pytest.raises(InputError, match="demonstrations exist only for random sections"):
         teach_in_parts(config, DrivingTask(task_config("drive")), 0, TrainingOptions())
 
 

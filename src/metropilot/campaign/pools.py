@@ -59,7 +59,7 @@ def on_this_machine(text: str, shards: Sequence[Piece], workers: int) -> Iterato
                 deaths += 1
                 if deaths > RETRIES:
                     raise WorkersDied(
-                        f"workers died {deaths} times; what is done is kept, the same command goes on"
+                        f"workers died {deaths} times; finished shards are kept, the same command resumes"
                     ) from None
 
 
@@ -118,7 +118,7 @@ def _from_ray(ray: Any, text: str, shards: Sequence[Piece]) -> Iterator[Shard]: 
             try:
                 yield Shard(*ray.get(reference))
             except ray.exceptions.WorkerCrashedError as error:
-                raise WorkersDied(f"{error}; what is done is kept, the same command goes on") from None
+                raise WorkersDied(f"{error}; finished shards are kept, the same command resumes") from None
 
 
 def own_memory_mb() -> float:

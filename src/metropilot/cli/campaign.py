@@ -49,8 +49,8 @@ def campaign_command(
 ) -> int:
     """Drive a declared matrix of runs, resumable, and report it.
 
-    Killed at any moment, the same command goes on from where it was. Exit code 0: every run was safe, and
-    arrived on time where that was possible; 1: not; 2: input that cannot be used.
+    After an interruption the same command resumes it. Exit code 0: every run was safe, and arrived on time
+    where that was possible; 1: not; 2: invalid input.
     """
     from metropilot.campaign import read_campaign, run_campaign, summarise
     from metropilot.campaign.leaderboard import write_leaderboard

@@ -64,8 +64,7 @@ def compare_command(
 
     The best of those that always met every requirement of a drive is highlighted in each column. With
     --seeds the mean over the seeds is shown with its 95 % bootstrap interval. Exit code 0: compared, whatever
-    each driver achieved (`successes` in the JSON counts those that met every requirement); 2: input that
-    cannot be used.
+    the result (`successes` in the JSON counts the drives that met every requirement); 2: invalid input.
     """
     from metropilot.evaluate import RunSpec
 

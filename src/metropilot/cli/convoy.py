@@ -98,7 +98,7 @@ def convoy_command(
 ) -> int:
     """Drive virtually coupled trainsets: a head, and followers a few metres behind each other.
 
-    Exit code 0: every trainset met every requirement shown; 1: not; 2: input that cannot be used.
+    Exit code 0: every trainset met every requirement shown; 1: not; 2: invalid input.
     """
     from metropilot.convoy.link import Link
     from metropilot.convoy.request import ConvoyRequest

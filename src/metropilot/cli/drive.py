@@ -37,7 +37,7 @@ def drive_command(
 ) -> int:
     """Drive one run under protection and report it.
 
-    Exit code 0: every requirement shown was met; 1: not; 2: input that cannot be used.
+    Exit code 0: every requirement shown was met; 1: not; 2: invalid input.
     """
     from metropilot.evaluate import RunSpec, run_from_toml
     from metropilot.evaluate.run_spec import in_run_toml

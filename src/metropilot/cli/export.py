@@ -40,8 +40,8 @@ def export_command(
 ) -> int:
     """Write a learned driver's policy in another format.
 
-    Prints how far its actions are from the policy's (parity, at most 1e-5) and how long a decision takes. The
-    graph maps an observation to an action; what both mean stands in the file's metadata as JSON.
+    Prints the largest difference of its actions from the policy's (parity, at most 1e-5) and the time of a
+    decision. The graph maps an observation to an action; the file's metadata describes both as JSON.
     """
     from metropilot.learn import export_onnx
 

@@ -36,8 +36,8 @@ def import_command(
 ) -> int:
     """Read a line, trainset or journey file and write it as TOML.
 
-    Says what the file holds and which of its blocks have no effect. The written file can be used wherever a
-    line or a trainset is asked for.
+    Prints the contents of the file and which of its blocks are unused. The written file can be used wherever
+    a line or a trainset is expected.
     """
     from metropilot.railway import (
         Journey,

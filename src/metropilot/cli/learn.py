@@ -74,9 +74,9 @@ def learn_command(
 ) -> int:
     """Learn a driver, or resume a run.
 
-    Interrupted at any moment, a run goes on with --resume and ends the same. The policy kept is the one of
-    whose drives from standstill most arrive safely and on time, and then the cheapest. Exit code 0: learned;
-    2: input that cannot be used; 130: interrupted.
+    An interrupted run continues with --resume and ends with the same policy. The policy kept is the one with
+    the most drives from standstill that arrive safely and on time, and then the lowest cost. Exit code 0:
+    learned; 2: invalid input; 130: interrupted.
     """
     from dataclasses import replace
 

@@ -63,8 +63,8 @@ def plan_command(
     """Compute the optimal plan, its certificate, the time-energy front.
 
     With two stations: one run without stops between them (with --stopping: a journey). Without: the journey
-    over the whole line. A journey keeps the line's timetable unless --time gives the whole, which the optimum
-    then spreads over the sections. Exit code 0: planned; 2: no such plan.
+    over the whole line. A journey keeps the line's timetable unless --time gives the total time, which the
+    optimum distributes over the sections. Exit code 0: planned; 2: no such plan.
     """
     from metropilot.cli import plan_reports as reports
     from metropilot.evaluate import run_fields

@@ -54,7 +54,7 @@ def reproduce_command(
 ) -> int:
     """Reproduce a paper: published, reproduced and optimal values in one table, with its figures.
 
-    Interrupted at any moment, the same command with the same folder goes on from where it was.
+    After an interruption the same command with the same folder resumes it.
     """
     from metropilot import studies
     from metropilot._io import check_writable

@@ -290,7 +290,7 @@ RECIPES: Registry[Recipe] = Registry(
             "Zhou et al. 2020, compared in Huang25",
         ),
         "generalist": RegistryRow(
-            GENERALIST_RECIPE, "the optimal plan as a teacher, then drives in closed loop", "own"
+            GENERALIST_RECIPE, "imitation of the optimal plan, then closed-loop driving", "own"
         ),
         "dqn": RegistryRow("metropilot.studies.lu2023.learning:DQN_RECIPE", "DQN", "Lu23"),
         "improved_dqn": RegistryRow(

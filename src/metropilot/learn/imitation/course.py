@@ -91,7 +91,7 @@ def only_worlds(task: DrivingTask) -> None:
         InputError: Its cases are no worlds, or its policy's action is no share of effort.
     """
     if not (isinstance(task.config, DomainRandomization) and isinstance(task.config.action, RegimeAction)):
-        raise InputError("the teacher knows only worlds", field="task", allowed="worlds")
+        raise InputError("demonstrations exist only for random sections", field="task", allowed="worlds")
 
 
 def teach_in_parts(

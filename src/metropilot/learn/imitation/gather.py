@@ -108,4 +108,4 @@ def _read(gathering: Gathering) -> Iterator[tuple[Demonstrations, np.ndarray]]:
             found, _ = read_tensors(path, MAX_BYTES)
             yield Demonstrations(*(found[name] for name in Demonstrations._fields)), found["numbers"]
         except (InputError, KeyError):
-            raise InputError("lessons are missing or damaged; remove the file", file=path) from None
+            raise InputError("demonstrations are missing or damaged; remove the file", file=path) from None
