@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from metropilot.control.incremental_pid import CHENG2023_GAINS, CHENG2023_UPPER
+from metropilot.control import CHENG2023_GAINS, CHENG2023_UPPER
 from metropilot.drivers.fuzzy_pid import (
     ASSUMED,
     DERIVATIVE,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from metropilot.control.estimator import weighs_load
+from metropilot.control import weighs_load
 from metropilot.drivers import DRIVERS
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan, plan_arrays

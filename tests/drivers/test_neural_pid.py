@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from metropilot.control.incremental_pid import CHENG2023_GAINS, CHENG2023_UPPER, Errors
+from metropilot.control import CHENG2023_GAINS, CHENG2023_UPPER, Errors
 from metropilot.drivers.neural_pid import (
     SPEED_SCALE_MPS,
     TUNED,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from metropilot.control.estimator import (
+from metropilot.control import (
     Model,
     initial_estimate,
     look_ahead,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from metropilot.control.incremental_pid import Errors, Gains, incremental_pid
+from metropilot.control import Errors, Gains, incremental_pid
 from metropilot.drivers import DRIVERS
 from metropilot.drivers.pid import Pid, PidOptions
 from metropilot.errors import InputError

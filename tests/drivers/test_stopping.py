@@ -6,22 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metropilot.control.estimator import (
+from metropilot.control import (
     Model,
-    initial_estimate,
-    look_ahead,
-    record_command,
-    share_for,
-    update_estimate,
-)
-from metropilot.control.stopping import (
     StopCurve,
     braking_distance,
     comfortable_deceleration,
     curve_for,
+    initial_estimate,
+    look_ahead,
+    record_command,
     release,
     required_deceleration,
+    share_for,
     stop_command,
+    update_estimate,
     weakest_gradient,
 )
 from metropilot.physics import Command, at_rest, delay_steps, step, track_arrays, vehicle_arrays

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metropilot.control.adaptation import Adapted, adapted_trainset, adapted_vehicle
+from metropilot.control import Adapted, adapted_trainset, adapted_vehicle
 from metropilot.evaluate import kpis_of, make_driver
 from metropilot.physics import effort_at, vehicle_arrays
 from metropilot.planning import minimum_running_time
@@ -103,3 +103,11 @@ def test_the_adapted_trainset_is_the_adapted_vehicle():
         a, b = effort_at(whole, speed), effort_at(numbers, speed)
         np.testing.assert_allclose(np.array(a), np.array(b), rtol=1e-12)
     np.testing.assert_allclose(np.array(whole.davis_n), np.array(numbers.davis_n), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["generalist", "ppo"])
+def test_a_short_dead_time_in_the_bounds_of_protection_is_no_intervention(name):
+    done, began = driven(run_of("RJ", "WYJ", 1.06, delay_s=0.1), name)
+    assert began == done.run.dt  # from the first command on
+    assert done.interventions == 0
+    assert np.abs(done.trajectory.jerk_mps3).max() < 1.01

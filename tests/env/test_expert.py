@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from metropilot.env.expert import (
-    PLAIN,
     SEGMENTS,
     Rules,
     Stretch,
@@ -21,6 +20,7 @@ from metropilot.env.expert import (
 )
 from metropilot.env.expert_action import ExpertChoiceAction
 from metropilot.errors import InputError
+from metropilot.physics import scalars
 
 FLAT = [0.0] * (SEGMENTS + 1)
 HIGH = [1e4] * (SEGMENTS + 1)
@@ -37,29 +37,29 @@ def window(mean, low=14.0, middle=15.0, high=16.0):
 def test_coasting_against_the_closed_form():
     # resistance 0.1 m/s2 from 20 m/s over 1000 m, brake 0.9: they meet where 200 - 0.1 s = 0.9 (1000 - s),
     # s = 875 m, at v = sqrt(400 - 175) = 15 m/s: (20 - 15) / 0.1 + 15 / 0.9 = 50 + 16.67 s
-    found = coasting_s(PLAIN, (0.1, 0.0, 0.0), 0.9, 20.0, stretch(1000.0))
+    found = coasting_s(scalars, (0.1, 0.0, 0.0), 0.9, 20.0, stretch(1000.0))
     assert found == pytest.approx(50.0 + 15.0 / 0.9, abs=0.02)
     # to 5 m/s at the end instead: 200 - 0.1 s = 12.5 + 0.9 (1000 - s), s = 890.6 m
     meets = math.sqrt(400.0 - 2 * 0.1 * 890.625)
-    found = coasting_s(PLAIN, (0.1, 0.0, 0.0), 0.9, 20.0, stretch(1000.0, 5.0))
+    found = coasting_s(scalars, (0.1, 0.0, 0.0), 0.9, 20.0, stretch(1000.0, 5.0))
     assert found == pytest.approx((20.0 - meets) / 0.1 + (meets - 5.0) / 0.9, abs=0.02)
 
 
 def test_coasting_uphill_counts_the_climb_and_standing_still_is_far_too_late():
     # a gradient that takes 0.05 m/s2 is resistance
     climb = [50.0 * k / SEGMENTS for k in range(SEGMENTS + 1)]
-    up = coasting_s(PLAIN, (0.05, 0.0, 0.0), 0.9, 20.0, stretch(1000.0, climb=climb))
-    assert up == pytest.approx(coasting_s(PLAIN, (0.1, 0.0, 0.0), 0.9, 20.0, stretch(1000.0)))
-    assert coasting_s(PLAIN, (0.3, 0.0, 0.0), 0.9, 10.0, stretch(1000.0)) > 500.0
+    up = coasting_s(scalars, (0.05, 0.0, 0.0), 0.9, 20.0, stretch(1000.0, climb=climb))
+    assert up == pytest.approx(coasting_s(scalars, (0.1, 0.0, 0.0), 0.9, 20.0, stretch(1000.0)))
+    assert coasting_s(scalars, (0.3, 0.0, 0.0), 0.9, 10.0, stretch(1000.0)) > 500.0
 
 
 def test_window():
     # 1000 m in 50 s, 3 s either way, all of the time: 1000/53, 1000/50, 1000/47
-    found = window_of(PLAIN, Rules(), 1000.0, 62.5, 50.0)
+    found = window_of(scalars, Rules(), 1000.0, 62.5, 50.0)
     assert found[:4] == pytest.approx((16.0, 1000 / 53, 20.0, 1000 / 47))
     assert found.late_s == pytest.approx(12.5)
     # an interval that takes half of the least time gets half of the time left (Algorithm 1)
-    assert window_of(PLAIN, Rules(), 1000.0, 62.5, 100.0, 0.5).middle_mps == pytest.approx(20.0)
+    assert window_of(scalars, Rules(), 1000.0, 62.5, 100.0, 0.5).middle_mps == pytest.approx(20.0)
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_window():
     [(13.0, 0.0, 1), (17.0, 0.6, -1), (14.5, 0.6, 1), (14.5, 0.0, -1), (15.5, 0.6, -1)],
 )
 def test_constant_change(mean, rate, sign):
-    assert constant_change(PLAIN, Rules(), window(mean), rate) == pytest.approx(sign * 0.3)
+    assert constant_change(scalars, Rules(), window(mean), rate) == pytest.approx(sign * 0.3)
 
 
 @pytest.mark.parametrize(
@@ -86,13 +86,13 @@ def test_constant_change(mean, rate, sign):
     ],
 )
 def test_next_rate(mean, rate, change, after):
-    assert next_rate(PLAIN, 0.3, window(mean), rate, change, 0.6) == pytest.approx(after)
+    assert next_rate(scalars, 0.3, window(mean), rate, change, 0.6) == pytest.approx(after)
 
 
 def test_safe_speed():
     # eq. 17 at 50 m before 10 m/s with 1 m/s2: 0.95 sqrt(100 + 100); eq. 18: never above the limit
-    assert safe_speed(PLAIN, Rules(), 1.0, 10.0, 50.0, 20.0) == pytest.approx(0.95 * math.sqrt(200.0))
-    assert safe_speed(PLAIN, Rules(), 1.0, 10.0, 500.0, 20.0) == 20.0
+    assert safe_speed(scalars, Rules(), 1.0, 10.0, 50.0, 20.0) == pytest.approx(0.95 * math.sqrt(200.0))
+    assert safe_speed(scalars, Rules(), 1.0, 10.0, 500.0, 20.0) == 20.0
 
 
 @given(st.floats(0.0, 25.0), st.floats(20.0, 2500.0), st.floats(0.0, 16.0), st.floats(-8.0, 8.0))
@@ -100,7 +100,7 @@ def test_plain_numbers_and_arrays_agree(speed, left, end, slope):
     climb = np.linspace(0.0, 0.01 * slope * left, SEGMENTS + 1)
     cap = np.full(SEGMENTS + 1, 0.5 * 22.0**2)
     arguments = ((0.02, 0.002, 0.0002), 0.9, speed)
-    plain = coasting_s(PLAIN, *arguments, Stretch(left, climb.tolist(), cap.tolist(), end))
+    plain = coasting_s(scalars, *arguments, Stretch(left, climb.tolist(), cap.tolist(), end))
     arrays = coasting_s(np, *arguments, Stretch(np.float64(left), climb, cap, np.float64(end)))
     assert plain == pytest.approx(float(arrays), rel=1e-9)
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from metropilot.control.incremental_pid import CHENG2023_UPPER, Errors, Gains, incremental_pid
+from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers.pid import Pid, PidOptions
 from metropilot.env.tracking import Tracked, compiled, tracking_observation
 from metropilot.env.tracking_task import (

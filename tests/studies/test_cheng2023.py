@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from metropilot.control.incremental_pid import Gains
+from metropilot.control import Gains
 from metropilot.errors import InputError
 from metropilot.evaluate.tracking import track, tracking_kpis
 from metropilot.physics import davis_n, effort_at

@@ -1,11 +1,25 @@
 """Control laws on the nominal plant: estimation, station stop, ceiling, coasting, incremental PID."""
 
-from metropilot.control.adaptation import Adapted, adapted_trainset, adapted_vehicle
-from metropilot.control.ceiling import Ceiling, ceiling_acceleration, ceiling_of, model_of, traction_limit
-from metropilot.control.coasting import Forecast, coast_point_for, cruise_for, forecast_of
+from metropilot.control.adaptation import (
+    Adapted,
+    adapted_trainset,
+    adapted_vehicle,
+)
+from metropilot.control.ceiling import (
+    Ceiling,
+    ceiling_acceleration,
+    ceiling_of,
+    model_of,
+    traction_limit,
+)
+from metropilot.control.coasting import (
+    Forecast,
+    coast_point_for,
+    cruise_for,
+    forecast_of,
+    time_to_go,
+)
 from metropilot.control.estimator import (
-    Model,
-    PredictedState,
     StateEstimate,
     initial_estimate,
     look_ahead,
@@ -14,10 +28,32 @@ from metropilot.control.estimator import (
     update_estimate,
     weighs_load,
 )
-from metropilot.control.headroom import Headroom, headroom_of, largest_admissible_command
-from metropilot.control.incremental_pid import Errors, Gains, incremental_pid
+from metropilot.control.headroom import (
+    Headroom,
+    headroom_of,
+    largest_admissible_command,
+)
+from metropilot.control.incremental_pid import (
+    CHENG2023_GAINS,
+    CHENG2023_UPPER,
+    Errors,
+    Gains,
+    incremental_pid,
+)
+from metropilot.control.prediction import (
+    CommandActuation,
+    Model,
+    Motion,
+    PredictedState,
+    actuation_of,
+    lead_command,
+    predict_motion,
+)
 from metropilot.control.stopping import (
+    AT_ONCE_MPS3,
+    SERVICE_USE,
     STOP_OPTIONS,
+    STRONGEST_MPS2,
     Stop,
     StopCurve,
     StopDemand,
@@ -28,6 +64,7 @@ from metropilot.control.stopping import (
     comfortable_deceleration,
     curve_for,
     deceleration_to,
+    release,
     required_deceleration,
     required_with_build_up,
     stand,
@@ -37,20 +74,28 @@ from metropilot.control.stopping import (
 )
 
 __all__ = [
+    "AT_ONCE_MPS3",
+    "CHENG2023_GAINS",
+    "CHENG2023_UPPER",
+    "SERVICE_USE",
     "STOP_OPTIONS",
+    "STRONGEST_MPS2",
     "Adapted",
     "Ceiling",
+    "CommandActuation",
     "Errors",
     "Forecast",
     "Gains",
     "Headroom",
     "Model",
+    "Motion",
     "PredictedState",
     "StateEstimate",
     "Stop",
     "StopCurve",
     "StopDemand",
     "StopOptions",
+    "actuation_of",
     "adapted_trainset",
     "adapted_vehicle",
     "braking_distance",
@@ -68,15 +113,19 @@ __all__ = [
     "incremental_pid",
     "initial_estimate",
     "largest_admissible_command",
+    "lead_command",
     "look_ahead",
     "model_of",
+    "predict_motion",
     "record_command",
+    "release",
     "required_deceleration",
     "required_with_build_up",
     "share_for",
     "stand",
     "stop_command",
     "stop_deceleration",
+    "time_to_go",
     "traction_limit",
     "update_estimate",
     "weakest_gradient",

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot.control.estimator import Model, PredictedState, StateEstimate
+from metropilot.control.estimator import StateEstimate
+from metropilot.control.prediction import Model, PredictedState
 from metropilot.control.stopping import StopCurve, required_with_build_up
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.protection import approach_margin, permitted_speed, protect

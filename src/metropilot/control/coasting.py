@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from metropilot.control.ceiling import Ceiling
-from metropilot.control.estimator import Model
+from metropilot.control.prediction import Model
 from metropilot.physics import effort_at, resistance_and_gradient
 
 STEP_M = 5.0

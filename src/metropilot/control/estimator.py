@@ -12,8 +12,7 @@ The model, per unit of believed effective mass (Huang25 eqs. 3 and 4, Chen23a eq
     a = gain_traction * f_traction(u, v) + gain_brake * f_brake(u, v) - factor * r(x, v) - g(x)
 
 Everything is a pure function over :class:`StateEstimate`. One control period is: :func:`update_estimate`,
-then
-:func:`look_ahead` and :func:`share_for` as wanted, then :func:`record_command` with the command that was
+then :func:`look_ahead` and :func:`share_for` as wanted, then :func:`record_command` with the command that was
 given.
 """
 
@@ -26,7 +25,16 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot.physics import Track, Vehicle, curve_n, effort_at, resistance_and_gradient
+from metropilot.control.prediction import (
+    LAG_LEAD,
+    Model,
+    Motion,
+    PredictedState,
+    acting_command,
+    lead_command,
+    predict_motion,
+)
+from metropilot.physics import Vehicle, command_for_effort, curve_n, effort_at, resistance_and_gradient
 
 MAX_EXTRA_DELAY_S = 1.0
 EXTRA_LAGS_S = (0.0, 0.2, 0.4, 0.6)
@@ -43,21 +51,6 @@ DRIFT_VARIANCE = np.diag([1e-6, 1e-6, 1e-6])
 SWITCH_MARGIN = 6.0
 """How much better (sum of squared normalised residuals) another delay must do to be believed instead."""
 FORGETTING = 0.998
-LAG_LEAD = 0.7
-
-
-class Model(NamedTuple):
-    """What the driver believes about trainset and section.
-
-    Attributes:
-        vehicle: The trainset as the driver knows it (NumPy).
-        track: The section.
-        dt: Control period, s.
-    """
-
-    vehicle: Vehicle
-    track: Track
-    dt: float
 
 
 class HypothesisBank(NamedTuple):
@@ -122,32 +115,6 @@ class StateEstimate(NamedTuple):
     def resistance_factor(self) -> float:
         """Actual over believed resistance per mass."""
         return float(self.bank.gains[self.best, 2])
-
-
-class PredictedState(NamedTuple):
-    """The state at the moment a command given now begins to act.
-
-    Attributes:
-        seconds: How far ahead.
-        position_m: Position.
-        speed_mps: Speed.
-        acceleration_mps2: Acceleration in the period before.
-        share: Command after delay and lag in the period before.
-        resistance_mps2: Believed resistance there, per effective mass, factor included.
-        gradient_mps2: Gradient force there, per effective mass, positive uphill.
-        traction_mps2: Largest traction there, per effective mass, gain included.
-        brake_mps2: Largest service brake there, per effective mass, gain included.
-    """
-
-    seconds: float
-    position_m: float
-    speed_mps: float
-    acceleration_mps2: float
-    share: float
-    resistance_mps2: float
-    gradient_mps2: float
-    traction_mps2: float
-    brake_mps2: float
 
 
 def weighs_load(vehicle: Vehicle, spare: float = 1.0 + 2.0 * MASS_SIGMA) -> bool:
@@ -260,7 +227,7 @@ def _fuse(
 def _learn(model: Model, belief: StateEstimate, answer: float) -> tuple[HypothesisBank, int]:
     """Compare the answer to the last command with what each hypothesis expected, and learn from it."""
     vehicle, bank, v = model.vehicle, belief.bank, belief.speed_mps
-    acting = _acting(belief.commands, bank.delay_steps)
+    acting = acting_command(belief.commands, bank.delay_steps)
     share = acting + (bank.share - acting) * bank.keep
     resistance, gradient, traction, brake = _efforts(model, belief.position_m, v)
     features = np.stack(
@@ -300,39 +267,19 @@ def _learn(model: Model, belief: StateEstimate, answer: float) -> tuple[Hypothes
 
 def look_ahead(model: Model, belief: StateEstimate) -> PredictedState:
     """Predict the state at the moment a command given now begins to act, with the commands on their way."""
-    vehicle, dt, bank = model.vehicle, model.dt, belief.bank
-    x, v, a, share = (
-        belief.position_m,
-        belief.speed_mps,
-        belief.acceleration_mps2,
-        float(bank.share[belief.best]),
-    )
-    age, keep = float(bank.delay_steps[belief.best]), float(bank.keep[belief.best])
-    steps = math.ceil(age)
-    up, down, drag = (float(k) for k in bank.gains[belief.best])
-    room = float(vehicle.jerk_mps3) * dt
-    here = _efforts(model, x, v)
-    for k in range(steps):
-        # The command given now is not known yet: where a part of it acts already, the newest stands for it.
-        acting = float(_acting(belief.commands, max(age - 1 - k, 0.0)))
-        share = acting + (share - acting) * keep
-        wanted = max(share, 0.0) * up * here[2] + min(share, 0.0) * down * here[3] - drag * here[0] - here[1]
-        a = min(max(wanted, a - room), a + room)
-        a = max(a, 0.0) if v <= 0 else a
-        after = max(v + a * dt, 0.0)
-        x, v = x + 0.5 * (v + after) * dt, after
-    there = _efforts(model, x, v) if steps else here
+    bank, best = belief.bank, belief.best
+    age, keep = float(bank.delay_steps[best]), float(bank.keep[best])
+    up, down, drag = (float(k) for k in bank.gains[best])
+    motion = Motion(belief.position_m, belief.speed_mps, belief.acceleration_mps2, float(bank.share[best]))
+    resistance, gradient, traction, brake = _efforts(model, motion.position_m, motion.speed_mps)
+    if age > 0:
+        limits = up * traction, down * brake, drag * resistance + gradient
+        commands, jerk = belief.commands.tolist(), float(model.vehicle.jerk_mps3)
+        motion = predict_motion(motion, commands, age, keep, limits, jerk, model.dt)
+        resistance, gradient, traction, brake = _efforts(model, motion.position_m, motion.speed_mps)
     return PredictedState(
-        steps * dt, x, v, a, share, drag * there[0], there[1], up * there[2], down * there[3]
+        math.ceil(age) * model.dt, *motion, drag * resistance, gradient, up * traction, down * brake
     )
-
-
-def _acting(commands: ndarray, age: ndarray | float) -> ndarray | float:
-    """The command issued so many periods ago, blended between two as the plant does."""
-    whole = np.floor(age).astype(int)
-    part = age - whole
-    older = commands[np.minimum(whole + 1, commands.size - 1)]
-    return commands[whole] * (1.0 - part) + older * part
 
 
 def share_for(
@@ -350,10 +297,8 @@ def share_for(
         A command in [-1, 1].
     """
     effort = wanted_mps2 + ahead.resistance_mps2 + ahead.gradient_mps2
-    share = effort / (ahead.traction_mps2 if effort >= 0 else ahead.brake_mps2)
-    share = min(max(share, -1.0), 1.0)
-    kept = lead * float(belief.bank.keep[belief.best])
-    return min(max((share - kept * ahead.share) / (1.0 - kept), -1.0), 1.0)
+    share = command_for_effort(effort, ahead.traction_mps2, ahead.brake_mps2)
+    return lead_command(share, ahead.share, float(belief.bank.keep[belief.best]), lead)
 
 
 def _efforts(model: Model, position_m: float, speed_mps: float) -> tuple[float, float, float, float]:

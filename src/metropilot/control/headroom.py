@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot.control.estimator import Model, PredictedState
+from metropilot.control.prediction import Model, PredictedState
 from metropilot.physics import Command
 from metropilot.planning import limit_at
 from metropilot.protection import (

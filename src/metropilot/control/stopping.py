@@ -29,7 +29,8 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 
 from metropilot._typing import Scalar
-from metropilot.control.estimator import Model, PredictedState, StateEstimate, look_ahead, share_for
+from metropilot.control.estimator import StateEstimate, look_ahead, share_for
+from metropilot.control.prediction import Model, PredictedState
 from metropilot.physics import Vehicle, effort_at, namespace, resistance_and_gradient, scalars
 
 SERVICE_USE = 0.95

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from metropilot.control.incremental_pid import Errors, incremental_pid
+from metropilot.control import Errors, incremental_pid
 from metropilot.convoy.batch import advanced, exchanged, gaps_m, sights, stacked
 from metropilot.convoy.gains import chen2023b_state, gains_of
 from metropilot.convoy.leaders import recordings

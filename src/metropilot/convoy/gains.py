@@ -6,7 +6,7 @@ from typing import Any, no_type_check
 
 import numpy as np
 
-from metropilot.control.incremental_pid import Gains
+from metropilot.control import Gains
 from metropilot.convoy.step import FollowerObservation
 from metropilot.physics import namespace, scalars
 

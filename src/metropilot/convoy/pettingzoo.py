@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from metropilot.control.incremental_pid import Errors, incremental_pid
+from metropilot.control import Errors, incremental_pid
 from metropilot.convoy.env import ROWS, ConvoyTaskConfig, follow_terms
 from metropilot.convoy.gains import STATE, chen2023b_state, gains_of
 from metropilot.convoy.leaders import recordings

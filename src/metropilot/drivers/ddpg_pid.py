@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, final
 
-from metropilot.control.incremental_pid import CHENG2023_UPPER, Errors, Gains, incremental_pid
+from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
 from metropilot.env.tracking import Tracked, tracking_observation
 from metropilot.env.tracking_task import gains_of

@@ -11,8 +11,9 @@ from typing import final
 
 from metropilot.drivers.expert.driving import ExpertMemory, Seen, decide, prepared
 from metropilot.drivers.expert.hoa import GAIN, SETTLED, UNSURE, Hoa
-from metropilot.env.expert import PLAIN, Rules, constant_change
+from metropilot.env.expert import Rules, constant_change
 from metropilot.errors import InputError
+from metropilot.physics import scalars
 from metropilot.sim import Observation, Run
 from metropilot.sim.driver import AbstractDriver
 
@@ -67,6 +68,6 @@ class Eitoe(AbstractDriver):
         rules = memory.rules
 
         def change(seen: Seen) -> float:
-            return constant_change(PLAIN, rules, seen.window, seen.rate_mps2)
+            return constant_change(scalars, rules, seen.window, seen.rate_mps2)
 
         return decide(memory, observation, change)

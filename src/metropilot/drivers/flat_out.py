@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from typing import NamedTuple, final
 
-from metropilot.control.ceiling import Ceiling, ceiling_acceleration, ceiling_of, model_of, traction_limit
-from metropilot.control.estimator import (
+from metropilot.control import (
+    Ceiling,
     Model,
     StateEstimate,
-    initial_estimate,
-    look_ahead,
-    record_command,
-    share_for,
-    update_estimate,
-)
-from metropilot.control.stopping import (
+    ceiling_acceleration,
+    ceiling_of,
     comfortable_deceleration,
     curve_for,
+    initial_estimate,
+    look_ahead,
+    model_of,
+    record_command,
     required_with_build_up,
+    share_for,
     stop_command,
+    traction_limit,
+    update_estimate,
     weakest_gradient,
 )
 from metropilot.railway import Section

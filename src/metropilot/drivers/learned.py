@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from metropilot.control.adaptation import Adapted, adapted_trainset
+from metropilot.control import Adapted, adapted_trainset
 from metropilot.drivers import watching
 from metropilot.drivers.watching import Watch
 from metropilot.env import PolicyInterface

@@ -18,24 +18,30 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from metropilot.control.ceiling import Ceiling, ceiling_acceleration, ceiling_of, model_of, traction_limit
-from metropilot.control.coasting import Forecast, coast_point_for, cruise_for, forecast_of, time_to_go
-from metropilot.control.estimator import (
+from metropilot.control import (
+    SERVICE_USE,
+    Ceiling,
+    Forecast,
     Model,
     PredictedState,
     StateEstimate,
+    StopCurve,
+    ceiling_acceleration,
+    ceiling_of,
+    coast_point_for,
+    cruise_for,
+    curve_for,
+    forecast_of,
     initial_estimate,
     look_ahead,
+    model_of,
     record_command,
-    share_for,
-    update_estimate,
-)
-from metropilot.control.stopping import (
-    SERVICE_USE,
-    StopCurve,
-    curve_for,
     required_with_build_up,
+    share_for,
     stop_command,
+    time_to_go,
+    traction_limit,
+    update_estimate,
     weakest_gradient,
 )
 from metropilot.physics import effort_at

@@ -15,13 +15,7 @@ from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
-from metropilot.control.incremental_pid import (
-    CHENG2023_GAINS,
-    CHENG2023_UPPER,
-    Errors,
-    Gains,
-    incremental_pid,
-)
+from metropilot.control import CHENG2023_GAINS, CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
 from metropilot.env.tracking import Tracked
 from metropilot.errors import InputError

@@ -8,28 +8,29 @@ from typing import ClassVar
 
 import numpy as np
 
-from metropilot.control.adaptation import Adapted, adapted_vehicle
-from metropilot.control.estimator import (
+from metropilot.control import (
+    STOP_OPTIONS,
+    Adapted,
+    Headroom,
     Model,
     PredictedState,
     StateEstimate,
-    initial_estimate,
-    look_ahead,
-    record_command,
-    share_for,
-    update_estimate,
-    weighs_load,
-)
-from metropilot.control.headroom import Headroom, headroom_of, largest_admissible_command
-from metropilot.control.stopping import (
-    STOP_OPTIONS,
     Stop,
     StopCurve,
     StopOptions,
+    adapted_vehicle,
     curve_for,
     deceleration_to,
+    headroom_of,
+    initial_estimate,
+    largest_admissible_command,
+    look_ahead,
+    record_command,
+    share_for,
     stand,
     stop_command,
+    update_estimate,
+    weighs_load,
 )
 from metropilot.errors import SolverError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays

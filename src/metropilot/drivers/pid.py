@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import ClassVar, final
 
-from metropilot.control.incremental_pid import CHENG2023_GAINS, Errors, Gains, incremental_pid
+from metropilot.control import CHENG2023_GAINS, Errors, Gains, incremental_pid
 from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
 from metropilot.env.tracking import Tracked
 from metropilot.sim import Run

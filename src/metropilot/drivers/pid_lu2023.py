@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar, final
 
-from metropilot.control.incremental_pid import CHENG2023_GAINS, Errors, Gains, incremental_pid
+from metropilot.control import CHENG2023_GAINS, Errors, Gains, incremental_pid
 from metropilot.drivers.shipped import ImprovedDqn, PolicyOptions
 from metropilot.drivers.tracking import PERIOD_S, AbstractTracker, AbstractTrackingOptions, TrackingMemory
 from metropilot.env.tracking import Tracked

@@ -13,20 +13,25 @@ from abc import abstractmethod
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import numpy as np
-
-from metropilot.control.ceiling import model_of
-from metropilot.control.estimator import (
+from metropilot.control import (
+    Headroom,
     Model,
     PredictedState,
     StateEstimate,
+    Stop,
+    StopCurve,
+    curve_for,
+    headroom_of,
     initial_estimate,
+    largest_admissible_command,
+    lead_command,
     look_ahead,
+    model_of,
     record_command,
+    required_with_build_up,
+    stop_command,
     update_estimate,
 )
-from metropilot.control.headroom import Headroom, headroom_of, largest_admissible_command
-from metropilot.control.stopping import Stop, StopCurve, curve_for, required_with_build_up, stop_command
 from metropilot.env.tracking import Tracked
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays
@@ -51,7 +56,6 @@ CAP_MARGIN_MPS = 0.4
 PATIENCE_S = 4.0
 HANDOVER_M = 25.0
 ALARM = 1.15
-LEAD = 0.7
 
 
 @dataclass(frozen=True)
@@ -182,7 +186,7 @@ class AbstractTracker(AbstractDriver):
         if memory.stop is not None:
             share = self._stopping(memory, memory.stop).share
         else:
-            share = _led(belief, ahead, memory.command)
+            share = lead_command(memory.command, ahead.share, float(belief.bank.keep[belief.best]))
         share, watched = largest_admissible_command(
             memory.guard, memory.watched, observation.position_m, observation.speed_mps, share
         )
@@ -276,9 +280,3 @@ class AbstractTracker(AbstractDriver):
             max(start_mps, 0.0),
         )
         return reference_under_for_time(ground, shape, left_s, PERIOD_S)
-
-
-def _led(belief: StateEstimate, ahead: PredictedState, share: float) -> float:
-    """The command that makes up for part of the trainset's lag."""
-    kept = LEAD * float(belief.bank.keep[belief.best])
-    return float(np.clip((share - kept * ahead.share) / (1.0 - kept), -1.0, 1.0))

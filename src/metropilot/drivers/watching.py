@@ -2,13 +2,12 @@
 
 A policy and its assists see the trainset as told and the state as it is. That is right as long as both are: a
 command that acts late, a heavier trainset or a stronger resistance makes their last braking too late and
-their ceiling too high. So every run is watched by the observer of :mod:`metropilot.control.estimator`. As
-long
-as the trainset declares neither dead time nor lag, and the observer finds nothing, nothing of it is acted
-upon, and the drive is the policy's own to the last bit. With a dead time or lag, declared or found, or
-efforts that are off by more than ``LEAST`` and by more than doubt allows, the policy sees the state in which
-its command begins to act and the trainset as it has shown itself, the last braking follows the law of
-:mod:`metropilot.control.stopping`, and the ceiling is that of :mod:`metropilot.control.headroom`.
+their ceiling too high. So every run is watched by the estimator of :mod:`metropilot.control.estimator`. As
+long as protection's bounds hold neither dead time nor lag, and the estimator finds nothing, nothing of it is
+acted upon, and the drive is the policy's own to the last bit. With a dead time or lag, in the bounds or
+found, or efforts that are off by more than ``LEAST`` and by more than doubt allows, the policy sees the state
+in which its command begins to act and the trainset as it has shown itself, the last braking follows the law
+of :mod:`metropilot.control.stopping`, and the ceiling is that of :mod:`metropilot.control.headroom`.
 """
 
 from __future__ import annotations
@@ -17,22 +16,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from metropilot.control.adaptation import Adapted
-from metropilot.control.estimator import (
+from metropilot.control import (
+    Adapted,
+    Headroom,
     Model,
     PredictedState,
     StateEstimate,
+    StopOptions,
+    curve_for,
+    headroom_of,
     initial_estimate,
+    largest_admissible_command,
     look_ahead,
     record_command,
     share_for,
+    stand,
+    stop_command,
     update_estimate,
     weighs_load,
 )
-from metropilot.control.headroom import Headroom, headroom_of, largest_admissible_command
-from metropilot.control.stopping import StopOptions, curve_for, stand, stop_command
-from metropilot.physics import Vehicle, track_arrays, vehicle_arrays
-from metropilot.protection import Memory, Protection, at_start, protect
+from metropilot.physics import track_arrays, vehicle_arrays
+from metropilot.protection import Bounds, Memory, Protection, at_start, protect
 from metropilot.railway import Section
 from metropilot.sim import Observation, Run, declared_bounds
 
@@ -55,8 +59,8 @@ LET_GO_M = 60.0
 CAREFUL_STOP = StopOptions(release_share=0.95)
 """The station stop of a careful driver: a quick release, as its policy's own stop takes longer."""
 LATE_STOP = StopOptions(build_share=0.5, release_share=0.35, end_share=0.125)
-"""The same where dead time or lag are declared: what is on its way cannot be taken back, and the rest of the
-jerk limit is there to correct the error."""
+"""The same where dead time or lag are in the bounds: what is on its way cannot be taken back, and the rest of
+the jerk limit is there to correct the error."""
 NEAR_ENOUGH_M = 0.1
 """An error at the stop that is not worth the time a correction takes."""
 RESERVE_S = 0.5
@@ -110,7 +114,9 @@ def first_watch(run: Run) -> Watch:
     model = Model(vehicle, track_arrays(run.section, trainset), run.dt)
     belief = initial_estimate(model, weighed_brakes=weighs_load(vehicle))
     watch = Watch(model, belief, None, Adapted(), -np.inf)
-    return watch._replace(care=_care(watch, run, run.section)) if answers_late(vehicle) else watch
+    return (
+        watch._replace(care=_care(watch, run, run.section)) if answers_late(declared_bounds(run)) else watch
+    )
 
 
 def update_watch(watch: Watch, run: Run, observation: Observation) -> Watch:
@@ -145,9 +151,15 @@ def record_decision(watch: Watch, share: float) -> Watch:
     return watch._replace(belief=record_command(watch.belief, share))
 
 
-def answers_late(vehicle: Vehicle) -> bool:
-    """Whether a trainset's own data declare a dead time or a lag of its service actuation."""
-    return float(vehicle.delay_s) > 0.0 or float(vehicle.lag_s) > 0.0
+def answers_late(declared: Bounds) -> bool:
+    """Tell if protection is told of a dead time or a lag of the service actuation."""
+    return declared.delay_s > 0.0 or declared.lag_s > 0.0
+
+
+def stop_options(watch: Watch) -> StopOptions:
+    """Constants of the station stop, soft where protection is told of late commands."""
+    late = watch.care is not None and watch.care.room.late_s > 0.0
+    return LATE_STOP if late else CAREFUL_STOP
 
 
 def departs(belief: StateEstimate) -> bool:
@@ -198,7 +210,7 @@ def last_braking(watch: Watch, planned_mps2: float, stopping: bool) -> tuple[boo
     """
     model, rate = watch.model, CAREFUL_USE * planned_mps2
     target = float(model.track.length_m)
-    options = LATE_STOP if answers_late(model.vehicle) else CAREFUL_STOP
+    options = stop_options(watch)
     curve = curve_for(model.vehicle, model.dt, rate, options)
     stop = stop_command(model, watch.belief, target, curve, options)
     left = stop.left_m

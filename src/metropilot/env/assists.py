@@ -15,7 +15,7 @@ from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from metropilot.control.stopping import (
+from metropilot.control import (
     AT_ONCE_MPS3,
     STRONGEST_MPS2,
     StopOptions,
@@ -27,7 +27,7 @@ from metropilot.control.stopping import (
 from metropilot.env.features import FeatureContext
 from metropilot.env.tables import LEAST_STOP_MPS2, PERMITTED, STOP_USE, SectionRows
 from metropilot.errors import InputError
-from metropilot.physics import effort_at, resistance_and_gradient
+from metropilot.physics import command_for_effort, effort_at, resistance_and_gradient
 
 Array = Any
 
@@ -151,12 +151,9 @@ def needs_of(sight: FeatureContext) -> EffortLimits:
     )
 
 
-def share_for(sight: FeatureContext, needs: EffortLimits, wanted_mps2: Array) -> Array:
+def share_for(needs: EffortLimits, wanted_mps2: Array) -> Array:
     """The command that gives an acceleration."""
-    xp = sight.xp
-    effort = wanted_mps2 + needs.drag_mps2
-    available = xp.where(effort >= 0, needs.traction_mps2, needs.brake_mps2)
-    return xp.clip(effort / available, -1.0, 1.0)
+    return command_for_effort(wanted_mps2 + needs.drag_mps2, needs.traction_mps2, needs.brake_mps2)
 
 
 def assisted(
@@ -178,14 +175,14 @@ def assisted(
         sight = sight._replace(stop_mps2=xp.asarray(assists.stop_mps2, sight.speed_mps.dtype))
     ceiling = command
     if assists.ceiling:
-        ceiling = share_for(sight, needs, ceiling_mps2(assists, sight, dt))
+        ceiling = share_for(needs, ceiling_mps2(assists, sight, dt))
         command = xp.minimum(command, ceiling)
     if assists.stop:
         stopping, wanted = stop_mps2(sight, stopping, dt, stop_options(assists.release))
         entering = xp.asarray(False)
         if assists.late:
             wanted, entering = late_mps2(assists, sight, wanted, dt)
-        stop = share_for(sight, needs, -wanted)
+        stop = share_for(needs, -wanted)
         highest = xp.minimum(stop, ceiling) if assists.ceiling else stop
         highest = xp.where(entering, xp.minimum(highest, command), highest)
         command = xp.where(stopping, highest, command)

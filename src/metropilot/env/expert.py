@@ -1,8 +1,8 @@
 """The expert of Huang25: a coasting forecast, the speed window of its eq. 14, the rules of eqs. 15 to 24.
 
 Everything is written over the array namespace ``xp``: the compiled task calls it with JAX, a driver on the
-host with plain numbers (:data:`PLAIN`), so there is one expert. Rates ``u`` are wheel effort over mass, as in
-the paper, which keeps them within 1 m/s^2.
+host with :data:`metropilot.physics.arrays.scalars`, so there is one expert. Rates ``u`` are wheel effort
+over mass, as in the paper, which keeps them within 1 m/s^2.
 
 What the paper leaves open is decided so: the speed that is compared with the window is the mean speed a
 trainset would have that coasts from here and brakes as late as it may. The plain speed would hold a trainset
@@ -11,7 +11,6 @@ near the mean speed it needs, and the published drive (19.49 m/s at most, then 9
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -31,27 +30,6 @@ GENTLE_MPS2 = 0.5
 RELEASE_SHARE = 0.5
 """Jerk at which the last brake is let go, over the trainset's limit."""
 OBSERVED = 7
-
-
-class Plain:
-    """The array namespace for plain numbers."""
-
-    minimum = staticmethod(min)
-    maximum = staticmethod(max)
-    sqrt = staticmethod(math.sqrt)
-
-    @staticmethod
-    def where(condition: Any, yes: Any, no: Any) -> Any:  # noqa: ANN401 (numbers)
-        """One of two."""
-        return yes if condition else no
-
-    @staticmethod
-    def clip(value: Any, low: Any, high: Any) -> Any:  # noqa: ANN401 (numbers)
-        """A number between two."""
-        return low if value < low else min(value, high)
-
-
-PLAIN = Plain()
 
 
 @dataclass(frozen=True)

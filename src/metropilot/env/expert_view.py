@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from metropilot.control.stopping import AT_ONCE_MPS3
+from metropilot.control import AT_ONCE_MPS3
+from metropilot.env.assists import needs_of
 from metropilot.env.expert import (
     RELEASE_SHARE,
     SEGMENTS,
@@ -23,7 +24,7 @@ from metropilot.env.expert import (
 )
 from metropilot.env.features import FeatureContext
 from metropilot.env.tables import CLIMB, PERMITTED
-from metropilot.physics import effort_at, resistance_and_gradient
+from metropilot.physics import command_for_effort
 
 Array = Any
 
@@ -56,9 +57,7 @@ def view_of(sight: FeatureContext, rules: Rules) -> View:
     """The window of the destination, and what turns rates into commands."""
     xp, vehicle, v = sight.xp, sight.vehicle, sight.speed_mps
     mass = vehicle.effective_mass_kg
-    resistance, gradient = resistance_and_gradient(vehicle, sight.track, sight.position_m, v)
-    effort = effort_at(vehicle, v)
-    traction, brake = xp.maximum(effort.traction_n, 1.0) / mass, xp.maximum(effort.brake_n, 1.0) / mass
+    drag, traction, brake = needs_of(sight)
     rate = sight.command * xp.where(sight.command >= 0.0, traction, brake)
     jerk = xp.minimum(vehicle.jerk_mps3, AT_ONCE_MPS3)
     pulling = xp.maximum(sight.acceleration_mps2, 0.0)
@@ -72,7 +71,7 @@ def view_of(sight: FeatureContext, rules: Rules) -> View:
     coasting = coasting_s(xp, davis, rules.brake_mps2, coasts_at, stretch)
     time_left = sight.left_s - RELEASE_SHARE * rules.brake_mps2 / (RELEASE * jerk)
     window = window_of(xp, rules, left, coasting, time_left)
-    return View(window, rate, (resistance + gradient) / mass, traction, brake, time_left)
+    return View(window, rate, drag, traction, brake, time_left)
 
 
 def expert_features(sight: FeatureContext) -> Sequence[Array]:
@@ -91,9 +90,8 @@ def expert_features(sight: FeatureContext) -> Sequence[Array]:
 
 def expert_command(sight: FeatureContext, rules: Rules, change: Array, period_s: float) -> Array:
     """The command after a change of the rate, which the rules bound."""
-    xp, view, part = sight.xp, view_of(sight, rules), period_s / rules.interval_s
-    top = xp.minimum(rules.start_mps2 + view.drag_mps2, view.traction_mps2)
+    view, part = view_of(sight, rules), period_s / rules.interval_s
+    top = sight.xp.minimum(rules.start_mps2 + view.drag_mps2, view.traction_mps2)
     most = rules.change_mps2 * part
-    rate = next_rate(xp, most, view.window, view.rate_mps2, change * most, top)
-    available = xp.where(rate >= 0.0, view.traction_mps2, view.brake_mps2)
-    return xp.clip(rate / available, -1.0, 1.0)
+    rate = next_rate(sight.xp, most, view.window, view.rate_mps2, change * most, top)
+    return command_for_effort(rate, view.traction_mps2, view.brake_mps2)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from metropilot.control.incremental_pid import Errors
+from metropilot.control import Errors
 from metropilot.physics import (
     Command,
     Forces,

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from metropilot.control.incremental_pid import CHENG2023_UPPER, Errors, Gains, incremental_pid
+from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.env.interface import AbstractTask, ActionSpace, Transition
 from metropilot.env.tracking import (
     ReferenceCourse,

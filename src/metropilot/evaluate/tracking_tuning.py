@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot.control.incremental_pid import CHENG2023_UPPER, Errors, Gains, incremental_pid
+from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers.fuzzy_pid import Universes, fuzzy_pid
 from metropilot.drivers.neural_pid import LearningRates, fresh_network, neural_pid
 from metropilot.env.tracking import ReferenceCourse, compiled

@@ -13,6 +13,7 @@ from metropilot.physics.deceleration import controlled
 from metropilot.physics.effort import (
     Effort,
     brake_available_n,
+    command_for_effort,
     command_for_force,
     command_force_n,
     curve_n,
@@ -51,6 +52,7 @@ __all__ = [
     "bodies_at",
     "brake_available_n",
     "centre_of_mass_m",
+    "command_for_effort",
     "command_for_force",
     "command_force_n",
     "consist",

@@ -86,9 +86,20 @@ def command_force_n(vehicle: Vehicle, speed_mps: Scalar, command: Scalar) -> Sca
     return effort_at(vehicle, speed_mps).force_n(command)
 
 
+def command_for_effort(effort: Scalar, traction: Scalar, brake: Scalar) -> Scalar:
+    """The command in [-1, 1] whose effort is nearest the wanted one.
+
+    Args:
+        effort: Wanted effort, traction positive: a force, or an acceleration per mass.
+        traction: Largest traction, above 0, in the same unit.
+        brake: Largest service brake, above 0, in the same unit.
+    """
+    xp = namespace(effort, traction)
+    return xp.clip(effort / xp.where(effort >= 0, traction, brake), -1.0, 1.0)
+
+
 def command_for_force(vehicle: Vehicle, speed_mps: Scalar, force_n: Scalar) -> Scalar:
     """The command whose force is nearest the wanted one; inverse of :func:`command_force_n`."""
     xp = namespace(vehicle.adhesion_n, speed_mps, force_n)
     effort = effort_at(vehicle, speed_mps)
-    available = xp.where(force_n >= 0, effort.traction_n, effort.brake_n)
-    return xp.clip(force_n / xp.maximum(available, 1.0), -1.0, 1.0)
+    return command_for_effort(force_n, xp.maximum(effort.traction_n, 1.0), xp.maximum(effort.brake_n, 1.0))

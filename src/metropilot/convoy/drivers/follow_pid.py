@@ -7,7 +7,7 @@ from typing import Any, final, no_type_check
 
 import numpy as np
 
-from metropilot.control.incremental_pid import Errors, Gains, incremental_pid
+from metropilot.control import Errors, Gains, incremental_pid
 from metropilot.convoy.drivers.base import AbstractFollower
 from metropilot.convoy.drivers.motion import waits
 from metropilot.convoy.gains import GAIN_HIGH, GAIN_LOW

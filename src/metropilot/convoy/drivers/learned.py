@@ -8,7 +8,7 @@ from typing import Any, final, no_type_check
 
 import numpy as np
 
-from metropilot.control.incremental_pid import Errors
+from metropilot.control import Errors
 from metropilot.convoy.drivers.base import AbstractFollower
 from metropilot.convoy.drivers.follow_pid import pid_step
 from metropilot.convoy.gains import STATE, chen2023b_state, gains_of

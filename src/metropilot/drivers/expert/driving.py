@@ -12,14 +12,22 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from metropilot.control.ceiling import Ceiling, ceiling_of, model_of
-from metropilot.control.estimator import Model, PredictedState
-from metropilot.control.stopping import StopCurve, curve_for
-from metropilot.drivers.expert.actuation import CommandActuation, actuation_of, ahead_of, share_of
-from metropilot.drivers.expert.ground import STEP_M, ExpertTrack, build_up_s, ground_of, lead_s
+from metropilot.control import (
+    Ceiling,
+    CommandActuation,
+    Model,
+    PredictedState,
+    StopCurve,
+    actuation_of,
+    ceiling_of,
+    curve_for,
+    model_of,
+)
+from metropilot.drivers.expert.ground import STEP_M, ExpertTrack, build_up_s, ground_of, lead_s, share_of
 from metropilot.drivers.expert.hoa import Hoa, felt, stop_share
 from metropilot.drivers.expert.legs import Leg, Legs, legs_of
-from metropilot.env.expert import PLAIN, RELEASE_SHARE, Rules, Window, coasting_s, next_rate, window_of
+from metropilot.env.expert import RELEASE_SHARE, Rules, Window, coasting_s, next_rate, window_of
+from metropilot.physics import scalars
 from metropilot.railway import Section
 from metropilot.sim import Observation, Run
 
@@ -132,7 +140,7 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
     ground, actuation = memory.ground, memory.actuation
     state = (observation.position_m, observation.speed_mps, observation.acceleration_mps2)
     hoa = felt(memory.hoa, ground, actuation, state, memory.before_mps2)
-    ahead = ahead_of(ground, actuation, state, hoa.gain)
+    ahead = ground.ahead(actuation, state, hoa.gain)
     brake, downhill = ground.brake(ahead.speed_mps), ground.downhill(ahead.position_m)
     plan = hoa.plan_mps2(brake, downhill, ground.most_mps2)
     curve = curve_for(memory.model.vehicle, actuation.dt, plan)
@@ -143,7 +151,7 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
         rate = _rate(memory, seen, change(seen))
         share = share_of(actuation, ahead, _kept_safe(memory, observation, ahead, rate))
     memory = memory._replace(
-        actuation=actuation.issued(share),
+        actuation=actuation.issue(share),
         hoa=hoa._replace(braking=braking),
         rate_mps2=rate,
         before_mps2=observation.acceleration_mps2,
@@ -160,8 +168,8 @@ def _seen(memory: ExpertMemory, observation: Observation, ahead: PredictedState,
     time_left = observation.scheduled_time_s - observation.time_s - ahead.seconds - _release_s(leg, curve)
     coasts_at = v + a * (lead_s(memory.model) - ahead.seconds + build_up_s(ground, a))
     stretch = ground.stretch(x, leg.end_m, leg.end_mps)
-    coasting = coasting_s(PLAIN, ground.davis, curve.deceleration_mps2, coasts_at, stretch)
-    window = window_of(PLAIN, rules, stretch.left_m, coasting, time_left, share)
+    coasting = coasting_s(scalars, ground.davis, curve.deceleration_mps2, coasts_at, stretch)
+    window = window_of(scalars, rules, stretch.left_m, coasting, time_left, share)
     top = min(rules.start_mps2 + ahead.resistance_mps2, ahead.traction_mps2)
     if len(legs.legs) > 1 and time_left > TIGHT * legs.least_s(ground.length_m - x, v):
         top = min(top, _for_lower_limits(memory, ahead, coasts_at))
@@ -197,7 +205,7 @@ def _rate(memory: ExpertMemory, seen: Seen, change: float) -> float:
     """The rate after the period's share of a change."""
     rules, part = memory.rules, memory.actuation.dt / memory.rules.interval_s
     return next_rate(
-        PLAIN,
+        scalars,
         rules.change_mps2 * part,
         seen.window,
         seen.rate_mps2,

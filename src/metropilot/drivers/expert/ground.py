@@ -7,10 +7,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from metropilot.control.ceiling import Ceiling
-from metropilot.control.estimator import Model
+from metropilot.control import (
+    Ceiling,
+    CommandActuation,
+    Model,
+    Motion,
+    PredictedState,
+    lead_command,
+    predict_motion,
+)
 from metropilot.env.expert import SEGMENTS, Rules, Stretch, safe_speed
-from metropilot.physics import effort_at, felt_slopes
+from metropilot.physics import command_for_effort, effort_at, felt_slopes
 
 STEP_M = 4.0
 SPEED_STEP_MPS = 0.25
@@ -87,6 +94,39 @@ class ExpertTrack(NamedTuple):
         climb, safe = self.climb_jpkg, self.safe_mps
         caps = [_between(safe, x / STEP_M) for x in at]
         return Stretch(left, [_between(climb, x / STEP_M) for x in at], [0.5 * v * v for v in caps], end_mps)
+
+    def ahead(
+        self, actuation: CommandActuation, state: tuple[float, float, float], brake_gain: float
+    ) -> PredictedState:
+        """The state at the moment a command given now begins to act.
+
+        Args:
+            actuation: Commands on their way.
+            state: Position, speed and acceleration of the last period; m, m/s, m/s^2.
+            brake_gain: Actual over believed braking force.
+        """
+        x, v, a = state
+        motion = Motion(x, v, a, actuation.share)
+        limits = self.traction(v), brake_gain * self.brake(v), self.drag(x, v)
+        if actuation.delay_steps > 0:
+            commands, steps, keep = actuation.commands, actuation.delay_steps, actuation.keep
+            motion = predict_motion(motion, commands, steps, keep, limits, self.jerk_mps3, actuation.dt)
+            x, v = motion.position_m, motion.speed_mps
+            limits = self.traction(v), brake_gain * self.brake(v), self.drag(x, v)
+        traction, brake, drag = limits
+        return PredictedState(actuation.seconds, *motion, drag, 0.0, traction, brake)
+
+
+def share_of(actuation: CommandActuation, ahead: PredictedState, effort_mps2: float) -> float:
+    """The command that gives a wheel effort when it begins to act, in [-1, 1].
+
+    Args:
+        actuation: Commands on their way.
+        ahead: The state at that moment.
+        effort_mps2: Effort over mass, traction positive.
+    """
+    share = command_for_effort(effort_mps2, ahead.traction_mps2, ahead.brake_mps2)
+    return lead_command(share, ahead.share, actuation.keep)
 
 
 def ground_of(model: Model, ceiling: Ceiling, rules: Rules) -> ExpertTrack:

@@ -13,16 +13,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from metropilot.control.estimator import PredictedState
-from metropilot.control.stopping import (
+from metropilot.control import (
     STOP_OPTIONS,
     STRONGEST_MPS2,
+    CommandActuation,
+    PredictedState,
     StopCurve,
     required_with_build_up,
     stop_deceleration,
 )
-from metropilot.drivers.expert.actuation import CommandActuation, share_of
-from metropilot.drivers.expert.ground import ExpertTrack
+from metropilot.drivers.expert.ground import ExpertTrack, share_of
 
 BALISES_M = (64.0, 36.0, 16.0, 4.0, 0.0)
 """Distances of the balises before the stop."""

@@ -14,11 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from metropilot.control.estimator import Model
+from metropilot.control import Model
 from metropilot.drivers.expert.ground import STEP_M, ExpertTrack, drops
-from metropilot.env.expert import PLAIN, Rules, coasting_s
+from metropilot.env.expert import Rules, coasting_s
 from metropilot.env.tables import SPEED_STEP_MPS
 from metropilot.env.to_go import to_go_table
+from metropilot.physics import scalars
 
 SLACK_MPS = 0.3
 SLOW = 1.2
@@ -106,7 +107,7 @@ def legs_of(model: Model, ground: ExpertTrack, rules: Rules) -> Legs:
 def _needs_power(ground: ExpertTrack, leg: Leg, rules: Rules) -> bool:
     """Whether a trainset that coasts on from the end of an interval comes to the stop far too late."""
     stretch = ground.stretch(leg.end_m, ground.length_m, 0.0)
-    return coasting_s(PLAIN, ground.davis, rules.brake_mps2, leg.end_mps, stretch) > SLOW * leg.after_s
+    return coasting_s(scalars, ground.davis, rules.brake_mps2, leg.end_mps, stretch) > SLOW * leg.after_s
 
 
 def _nodes(length_m: float) -> np.ndarray:

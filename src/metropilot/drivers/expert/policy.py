@@ -11,9 +11,10 @@ import numpy as np
 from metropilot.drivers.expert.driving import ExpertMemory, Seen, decide, prepared
 from metropilot.drivers.expert.hoa import SETTLED, Hoa
 from metropilot.drivers.shipped import PolicyOptions
-from metropilot.env.expert import PLAIN, features
+from metropilot.env.expert import features
 from metropilot.env.expert_action import ExpertAction, ExpertChoiceAction
 from metropilot.errors import InputError
+from metropilot.physics import scalars
 from metropilot.policy import LoadedPolicy, load_driving_policy, shipped_policy
 from metropilot.sim import Observation, Run
 from metropilot.sim.driver import AbstractDriver
@@ -93,7 +94,7 @@ class AbstractExpertPolicyDriver(AbstractDriver):
     def _asked(self, seen: Seen) -> float:
         """What the policy answers here: a change over the largest."""
         observed = features(
-            PLAIN,
+            scalars,
             seen.window,
             seen.speed_mps,
             seen.left_m,

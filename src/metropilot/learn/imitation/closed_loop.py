@@ -17,7 +17,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from metropilot.control.stopping import AT_ONCE_MPS3, braking_distance, braking_time, build_up, curve_for
+from metropilot.control import (
+    AT_ONCE_MPS3,
+    braking_distance,
+    braking_time,
+    build_up,
+    curve_for,
+)
 from metropilot.env.actions import RegimeAction
 from metropilot.env.assists import Assists, assisted, stop_options
 from metropilot.env.features import feature_context, observe

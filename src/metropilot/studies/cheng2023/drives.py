@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from metropilot.control.incremental_pid import CHENG2023_GAINS, Errors, Gains, incremental_pid
+from metropilot.control import CHENG2023_GAINS, Errors, Gains, incremental_pid
 from metropilot.drivers.ddpg_pid import ddpg_pid
 from metropilot.drivers.fuzzy_pid import ASSUMED, Universes, fuzzy_pid
 from metropilot.drivers.neural_pid import TEXTBOOK, LearningRates, fresh_network, neural_pid

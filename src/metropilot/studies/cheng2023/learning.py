@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from metropilot.control.incremental_pid import Errors
+from metropilot.control import Errors
 from metropilot.env.tracking_task import TrackingConfig, TrackingRewards, TrackingTask
 from metropilot.studies.cheng2023.setting import course
 from metropilot.studies.learning import LearnJob

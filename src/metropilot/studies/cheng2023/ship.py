@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from metropilot._provenance import circumstances
-from metropilot.control.incremental_pid import Errors
+from metropilot.control import Errors
 from metropilot.drivers.ddpg_pid import OBSERVED, DdpgPid, DdpgPidOptions, ddpg_pid
 from metropilot.evaluate.tracking import track, tracking_kpis
 from metropilot.policy import Policy, save_policy, shipped_policy
