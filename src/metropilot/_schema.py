@@ -35,7 +35,7 @@ class Range:
         """Whether the value lies in the range."""
         if math.isinf(value):
             return self.infinite and value > 0
-        return (value > self.low if self.above else value >= self.low) and value <= self.high
+        return bool((value > self.low if self.above else value >= self.low) and value <= self.high)
 
     def words(self, of: Unit | None) -> str:
         """The range in words, in the unit the file uses."""
