@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot.physics import Vehicle
+from metropilot.physics import Vehicle, effort_at
 
 STEP_MPS = 0.02
 
@@ -37,28 +37,16 @@ class Specific(NamedTuple):
     mass_kg: float
 
 
-def _curve(breaks: ndarray, pieces: ndarray, speed: ndarray) -> ndarray:
-    row = pieces[np.maximum(np.searchsorted(breaks, speed, side="right") - 1, 0)]
-    value = (
-        row[:, 0] / np.maximum(speed, 1e-3)
-        + row[:, 1]
-        + speed * (row[:, 2] + speed * (row[:, 3] + speed * row[:, 4]))
-    )
-    return np.clip(value, 0.0, row[:, 5])
-
-
 def specific(vehicle: Vehicle) -> Specific:
     """Tabulate a trainset on a grid of ``STEP_MPS`` up to 20 % above its design speed."""
     mass = float(vehicle.effective_mass_kg)
     speed = np.arange(0.0, 1.2 * float(vehicle.max_speed_mps) + 2.0, STEP_MPS)
-    traction = _curve(vehicle.traction_from_mps, vehicle.traction, speed)
-    electric = _curve(vehicle.brake_from_mps, vehicle.brake, speed)
-    braking = np.minimum(np.minimum(electric + vehicle.friction_n, vehicle.service_n), vehicle.adhesion_n)
+    effort = effort_at(vehicle, speed)
     return Specific(
         speed_mps=speed,
-        traction=np.minimum(traction, vehicle.adhesion_n) / mass,
-        braking=braking / mass,
-        electric=np.minimum(np.minimum(electric, vehicle.adhesion_n), braking) / mass,
+        traction=effort.traction_n / mass,
+        braking=effort.brake_n / mass,
+        electric=np.minimum(effort.electric_n, effort.brake_n) / mass,
         davis=np.asarray(vehicle.davis_n, np.float64) / mass,
         acceleration=float(vehicle.max_acceleration_mps2),
         deceleration=float(vehicle.max_deceleration_mps2),
