@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from metropilot import control
-from metropilot.evaluate import Request, checks, kpis_of
+from metropilot.evaluate import RunSpec, checks, kpis_of
 from metropilot.sim import AbstractDriver, Observation, Run, drive, register
 
 RESERVE_S = 1.0  # build-up and release of the brake, which the forecast leaves out
@@ -57,7 +57,7 @@ class Cruise(AbstractDriver):
 
 
 for section, time_s in ("RJ-WYJ", 110), ("WHY-WYJ", 140), ("XHM-JG", 180), ("SJZ-XC", 210):
-    request = Request("yizhuang", *section.split("-"), time_s=time_s, driver="cruise")
-    kpis = kpis_of(drive(request.run(), request.make_driver()), optimum=None)
+    spec = RunSpec("yizhuang", *section.split("-"), time_s=time_s, driver="cruise")
+    kpis = kpis_of(drive(spec.run(), spec.make_driver()), optimum=None)
     print(section, *(f"| {check.name}: {check.value}" for check in checks(kpis)))
     assert all(check.passed for check in checks(kpis))
