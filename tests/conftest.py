@@ -20,7 +20,7 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ["JAX_NUMPY_DTYPE_PROMOTION"] = "strict"
 os.environ["JAX_NUMPY_RANK_PROMOTION"] = "raise"
 os.environ["MPLBACKEND"] = "Agg"
-# Learning runs and compiled programs of all test processes go into one folder of their own, never the user's.
+# Learning runs and optima of all test processes go into one folder of their own, never the user's.
 if "METROPILOT_TEST_HOME" not in os.environ:
     os.environ["METROPILOT_TEST_HOME"] = tempfile.mkdtemp(prefix="metropilot-tests-")
     atexit.register(shutil.rmtree, os.environ["METROPILOT_TEST_HOME"], ignore_errors=True)
@@ -31,16 +31,24 @@ if "METROPILOT_TEST_HOME" not in os.environ:
         _quick.append("--xla_cpu_use_fusion_emitters=false")
     os.environ["XLA_FLAGS"] = " ".join([*_quick, os.environ.get("XLA_FLAGS", "")]).strip()
 os.environ["METROPILOT_HOME"] = os.environ["METROPILOT_TEST_HOME"]
-# Most of the suite's time would be compiling: what one process has compiled all others take, programs that
-# tests start included.
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", os.environ["METROPILOT_TEST_HOME"] + "/compiled")
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 
 # Here a program runs for a moment: LLVM is not asked to optimise it at all.
 BRIEF = ("browser", "drivers", "learn", "physics", "studies", "env")
 
 # Every annotated function of metropilot checks its arguments' types and array shapes.
 checking.install("metropilot")
+
+# Most of the suite's time would be compiling: what one process has compiled all others take, programs that
+# tests start included, and so does the next suite. JAX looks a program up by its instructions, the folder is
+# named by JAX, compiler flags and processor, so that no result can change.
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    from metropilot.learn.compile_cache import made_by, trim_cache
+
+    compiled = Path(__file__).parents[1] / ".pytest_cache" / "compiled" / made_by()
+    compiled.mkdir(parents=True, exist_ok=True)
+    trim_cache(compiled)
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(compiled)
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 
 settings.register_profile("dev", deadline=None, print_blob=True)
 settings.register_profile("ci", deadline=None, print_blob=True, derandomize=True, database=None)

@@ -45,11 +45,11 @@ def keep_compiled() -> Path | None:
         return None
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", LEAST_SECONDS)
-    _keep_small(folder)
+    trim_cache(folder)
     return folder
 
 
-def _keep_small(folder: Path) -> None:
+def trim_cache(folder: Path) -> None:
     """Delete the files that were not used for longest until the folder is small enough."""
     try:
         found = [(path, path.stat()) for path in folder.iterdir() if path.is_file()]
