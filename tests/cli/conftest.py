@@ -4,22 +4,15 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
+from tests import commands
+from tests.commands import Said
 
 from metropilot.cli import main
 
 # As wide as an output that is no terminal, whatever runs the tests says.
 os.environ.pop("COLUMNS", None)
-
-
-class Said(NamedTuple):
-    """What a command answered."""
-
-    code: int
-    out: str
-    err: str
 
 
 @pytest.fixture
@@ -43,5 +36,15 @@ def program(tmp_path):
         command = [Path(sys.executable).with_name("metropilot"), *map(str, arguments)]
         done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, **more)
         return Said(done.returncode, done.stdout, done.stderr)
+
+    return run
+
+
+@pytest.fixture
+def typed(tmp_path):
+    """Run one command as a user types it, in the program that stays."""
+
+    def run(*arguments, **more):
+        return commands.run(*arguments, cwd=tmp_path, **more)
 
     return run

@@ -37,50 +37,50 @@ def test_drive_prints_kpis(program):
     assert "FAILED" in said.out
 
 
-def test_drive_json_and_folder_agree(program, tmp_path):
-    kpis = answer(program("drive", *RUN, "--driver", "flat_out", "--out", "out", "--json"), 1)
+def test_drive_json_and_folder_agree(typed, tmp_path):
+    kpis = answer(typed("drive", *RUN, "--driver", "flat_out", "--out", "out", "--json"), 1)
     assert kpis == json.loads((tmp_path / "out" / "kpis.json").read_text())
     assert kpis["outcome"] == "arrived"
     header = (tmp_path / "out" / "trajectory.csv").read_text().splitlines()[0]
     assert header.split(",") == list(COLUMNS)
-    again = answer(program("drive", "--from", "out/run.toml", "--json"), 1)
+    again = answer(typed("drive", "--from", "out/run.toml", "--json"), 1)
     del kpis["decision_time_us_median"], again["decision_time_us_median"]
     assert again == kpis
 
 
-def test_drive_on_time_is_zero(program):
-    fast = answer(program("drive", *RUN, "--driver", "flat_out", "--json"), 1)
+def test_drive_on_time_is_zero(typed):
+    fast = answer(typed("drive", *RUN, "--driver", "flat_out", "--json"), 1)
     on_time = str(round(fast["running_time_s"]))
-    said = program("drive", *RUN[:3], "--time", on_time, "--driver", "flat_out")
+    said = typed("drive", *RUN[:3], "--time", on_time, "--driver", "flat_out")
     assert said.code == 0
     assert "arrived safely and on time" in said.out
 
 
-def test_a_requirement_shown_as_failed_is_in_headline_json_and_exit_code(program):
+def test_a_requirement_shown_as_failed_is_in_headline_json_and_exit_code(typed):
     words = ("drive", *RUN, "--driver", "manual")
-    said = program(*words)
+    said = typed(*words)
     assert said.code == 1
     assert "arrived on time, but jerk 1.57 m/s³" in said.out.splitlines()[0]
-    kpis = answer(program(*words, "--json"), 1)
+    kpis = answer(typed(*words, "--json"), 1)
     assert (kpis["success"], kpis["failed"]) == (False, ["jerk"])
 
 
-def test_a_convoy_ends_as_its_worst_trainset(program):
+def test_a_convoy_ends_as_its_worst_trainset(typed):
     words = ("convoy", *RUN[:3], "--time", "115")
-    said = program(*words)
+    said = typed(*words)
     assert said.code == 1
     assert "trainset 2 arrived on time, but jerk" in said.out.splitlines()[0]
-    kpis = answer(program(*words, "--json"), 1)
+    kpis = answer(typed(*words, "--json"), 1)
     assert (kpis["success"], kpis["outcome"], kpis["failed"]) == (False, "arrived", ["jerk"])
     assert [row["success"] for row in kpis["trainsets"]] == [True, False]
 
 
-def test_compare(program, tmp_path):
-    table = answer(program("compare", *RUN, "--drivers", "flat_out,manual", "--out", "out", "--json"))
+def test_compare(typed, tmp_path):
+    table = answer(typed("compare", *RUN, "--drivers", "flat_out,manual", "--out", "out", "--json"))
     assert [d["driver"] for d in table["drivers"]] == ["flat_out", "manual"]
     assert table["run"]["time_s"] == 101.0
     assert (tmp_path / "out" / "comparison.png").stat().st_size > 10_000
-    said = program("compare", *RUN, "--drivers", "flat_out,manual", "--seeds", "2")
+    said = typed("compare", *RUN, "--drivers", "flat_out,manual", "--seeds", "2")
     assert said.code == 0
     assert "early" in said.out
     assert "95 % interval" in said.out
@@ -101,8 +101,8 @@ def whole(text, words, width):
 
 @pytest.mark.parametrize("width", [60, 80, 120, 200])
 @pytest.mark.parametrize("name", WORDS)
-def test_a_table_breaks_between_words_only(program, name, width):
-    said = program(name, *WORDS[name], env={**os.environ, "COLUMNS": str(width)})
+def test_a_table_breaks_between_words_only(typed, name, width):
+    said = typed(name, *WORDS[name], columns=width)
     ids = {
         "compare": ("flat_out", "manual", "outcome"),
         "convoy": ("follow_gap", "trainset", "interventions"),
@@ -144,9 +144,9 @@ def test_a_campaigns_table_breaks_between_words_only(capsys, monkeypatch, tmp_pa
     whole(capsys.readouterr().out, ("generalist", "improved_dqn", "median", "12.34", "1014"), width)
 
 
-def test_a_convoy_leaves_a_trajectory_of_every_trainset(program, tmp_path):
+def test_a_convoy_leaves_a_trajectory_of_every_trainset(typed, tmp_path):
     asked = ("--time", "115", "--trainsets", "3", "--out", "out", "--json")
-    kpis = answer(program("convoy", *RUN[:3], *asked), 1)
+    kpis = answer(typed("convoy", *RUN[:3], *asked), 1)
     assert kpis == json.loads((tmp_path / "out" / "kpis.json").read_text())
     for number in (1, 2, 3):
         lines = (tmp_path / "out" / f"trajectory-{number}.csv").read_text().splitlines()
@@ -221,10 +221,10 @@ def test_show(metropilot, what, kind, words):
     assert words in metropilot("show", what).out
 
 
-def test_show_a_run_and_a_file(metropilot, program, tmp_path):
+def test_show_a_run_and_a_file(metropilot, typed, tmp_path):
     from metropilot.railway import load_trainset, write_trainset
 
-    program("drive", *RUN, "--driver", "flat_out", "--out", "run")
+    typed("drive", *RUN, "--driver", "flat_out", "--out", "run")
     assert answer(metropilot("show", tmp_path / "run", "--json"))["result"]["outcome"] == "arrived"
     assert "running_time_s" in metropilot("show", tmp_path / "run").out
     write_trainset(load_trainset("dkz32"), tmp_path / "mine.toml")
@@ -316,9 +316,9 @@ ELSEWHERE = (
 
 
 @pytest.mark.parametrize("line", [e for e in EXAMPLES if not any(part in e for part in ELSEWHERE)])
-def test_examples_in_the_help_run(program, line):
+def test_examples_in_the_help_run(typed, line):
     if line == "metropilot show drive":
-        program("drive", *RUN, "--driver", "flat_out", "--out", "drive")
-    said = program(*shlex.split(line)[1:])
+        typed("drive", *RUN, "--driver", "flat_out", "--out", "drive")
+    said = typed(*shlex.split(line)[1:])
     assert said.code in (0, 1), said.err
     assert said.err == ""

@@ -20,10 +20,10 @@ from metropilot.policy import load_policy, shipped_policy
 
 PROGRAM = Path(sys.executable).with_name("metropilot")
 LEARN = (
-    *("learn", "ppo", "--steps", "61440", "--set", "environments=32", "--set", "rollout=32"),
-    *("--set", "minibatches=4", "--set", "evaluations=60", "--set", "hidden=8,8", "--seed", "3"),
+    *("learn", "ppo", "--steps", "20480", "--set", "environments=32", "--set", "rollout=32"),
+    *("--set", "minibatches=4", "--set", "evaluations=20", "--set", "hidden=8,8", "--seed", "3"),
 )
-EVALUATIONS = 60
+EVALUATIONS = 20
 STEPS = EVALUATIONS * 32 * 32
 
 
@@ -53,11 +53,11 @@ def test_learning_says_how_it_goes(learned):
     assert f"--driver learned --set policy={folder}" in said
 
 
-def test_a_run_can_be_shown_driven_and_exported(learned, metropilot, program, tmp_path):
+def test_a_run_can_be_shown_driven_and_exported(learned, metropilot, typed, tmp_path):
     folder, _ = learned
     record = answer(metropilot("show", folder, "--json"))
     assert (record["kind"], record["status"], record["steps"]) == ("learning run", "done", STEPS)
-    assert record["command"].startswith("metropilot learn ppo --budget quick --steps 61440 --seed 3 --set")
+    assert record["command"].startswith("metropilot learn ppo --budget quick --steps 20480 --seed 3 --set")
     assert record["config"]["hidden"] == [8, 8]
     assert 0.0 <= record["kpis"]["safe_share"] <= 1.0
     policy = folder / "policy.safetensors"
@@ -67,10 +67,8 @@ def test_a_run_can_be_shown_driven_and_exported(learned, metropilot, program, tm
     assert "training" in metropilot("show", policy).out
     assert "settings" in metropilot("show", folder).out
     run = ("yizhuang", "RJ", "WYJ", "--time", "110", "--ideal")
-    kpis = json.loads(program("drive", *run, "--driver", f"learned:policy={folder}", "--json").out)
-    again = json.loads(
-        program("drive", *run, "--driver", "learned", "--set", f"policy={policy}", "--json").out
-    )
+    kpis = json.loads(typed("drive", *run, "--driver", f"learned:policy={folder}", "--json").out)
+    again = json.loads(typed("drive", *run, "--driver", "learned", "--set", f"policy={policy}", "--json").out)
     assert kpis["energy_wheel_kwh"] == again["energy_wheel_kwh"] > 0
     found = answer(metropilot("export", folder, "--to", "onnx", "--out", tmp_path / "mine.onnx", "--json"))
     assert found["parity"] < 1e-5
