@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-SUPERVISOR, PREDICT, CURVES, GROUND, SEPARATION, BOUNDS = (
-    f"protection/{name}.py" for name in ("supervisor", "predict", "curves", "ground", "separation", "bounds")
+SUPERVISOR, PREDICT, CURVES, SEPARATION, BOUNDS = (
+    f"protection/{name}.py" for name in ("supervisor", "predict", "curves", "separation", "bounds")
 )
 BY_NAME = "test_supervisor.py"
 DUELS = "test_mutations.py"
@@ -307,7 +307,7 @@ GUARDS = (
     Guard(
         "gradient changes between nodes",
         "H7",
-        GROUND,
+        CURVES,
         "    kinks = np.concatenate([breaks, breaks + trainset.length_m])\n",
         "    kinks = breaks[:0]\n",
         ("test_curves.py::test_a_fall_between_two_nodes_counts",),
@@ -315,7 +315,7 @@ GUARDS = (
     Guard(
         "limits between nodes",
         "H8",
-        GROUND,
+        CURVES,
         "    for step in range(1, int((high - low).max()) + 1):\n",
         "    for step in range(1, 1):\n",
         ("test_curves.py::test_a_limit_between_two_nodes_counts",),
@@ -323,7 +323,7 @@ GUARDS = (
     Guard(
         "a limit holds until the tail has cleared it",
         "H8",
-        GROUND,
+        CURVES,
         "restrictive_profile(section, trainset.length_m, trainset",
         "restrictive_profile(section, 0.0, trainset",
         ("test_curves.py::test_emergency_curve_is_the_braking_parabola",),
@@ -363,7 +363,7 @@ GUARDS = (
     Guard(
         "end of the movement authority",
         "H9",
-        GROUND,
+        CURVES,
         "return ceiling if stop_at_m is None else np.where(nodes[1:] > stop_at_m, 0.0, ceiling)",
         "return ceiling",
         ("test_supervisor.py::test_the_end_of_the_authority_is_never_passed",),
@@ -404,8 +404,8 @@ GUARDS = (
         "age of the last message",
         "H11",
         SEPARATION,
-        "gaps = ahead.rear_m - position_m + travelled(leader, times + ahead.age_s) -",
-        "gaps = ahead.rear_m - position_m + travelled(leader, times) -",
+        "distance_at(leader, times + ahead.age_s)",
+        "distance_at(leader, times)",
         ("test_separation.py::test_least_gap_is_never_more_than_the_smallest_on_the_way",),
     ),
     Guard(

@@ -7,7 +7,7 @@ from metropilot.convoy.model import Convoy, members
 from metropilot.errors import InputError
 from metropilot.physics import Command
 from metropilot.protection import PairBounds, TrainAhead, at_start, separate, spare_gap, supervise
-from metropilot.protection.separation import braking, leading, least_gap, travelled
+from metropilot.protection.separation import brake_motion, distance_at, leader_motion, least_gap
 from metropilot.railway import load_line, load_trainset
 
 H = 1e-3
@@ -31,9 +31,9 @@ def walked(speed, steady, reaction, jerk, rate, seconds):
     [(20, 0.9, 0.6, 1.5, 1.1), (0.3, -0.4, 0.6, 0.7, 0.9), (8, -0.9, 0.2, 1e4, 0.9), (1, 0.2, 0.0, 0.3, 0.8)],
 )
 def test_braking_is_the_motion_it_says(speed, steady, reaction, jerk, rate):
-    motion = braking(*map(np.float64, (speed, steady, reaction, jerk, rate)))
+    motion = brake_motion(*map(np.float64, (speed, steady, reaction, jerk, rate)))
     t = H * np.arange(1, 25_001)
-    assert np.abs(travelled(motion, t) - walked(speed, steady, reaction, jerk, rate, 25.0)).max() < 0.02
+    assert np.abs(distance_at(motion, t) - walked(speed, steady, reaction, jerk, rate, 25.0)).max() < 0.02
 
 
 def test_least_gap_is_never_more_than_the_smallest_on_the_way():
@@ -50,8 +50,8 @@ def test_least_gap_is_never_more_than_the_smallest_on_the_way():
         )
         ahead = TrainAhead(*map(np.float64, state), bounds)
         own = map(np.float64, (random.uniform(0, 22), random.uniform(-1.2, 1.2), 0.6, 1.5, bounds.held_mps2))
-        motion = braking(*own)
-        gaps = ahead.rear_m + travelled(leading(ahead), t + ahead.age_s) - travelled(motion, t)
+        motion = brake_motion(*own)
+        gaps = ahead.rear_m + distance_at(leader_motion(ahead), t + ahead.age_s) - distance_at(motion, t)
         found = least_gap(ahead, np.float64(0.0), motion)
         assert gaps.min() - 0.1 < found <= gaps.min() + 1e-6
 
@@ -126,7 +126,7 @@ def test_nobody_ahead_stops_shorter_than_assumed():
             x, v = x + 0.5 * (v + after) * H, after
             walked_m.append(x)
         t = H * np.arange(1, len(walked_m) + 1)
-        assert (travelled(leading(ahead), t) <= np.array(walked_m) + 1e-3).all()
+        assert (distance_at(leader_motion(ahead), t) <= np.array(walked_m) + 1e-3).all()
 
 
 def test_what_the_brake_may_miss_is_taken_off():
@@ -161,6 +161,6 @@ def test_between_two_moments_the_gap_may_dip():
     for closing in np.linspace(0.1, 2.0, 39):
         bounds = separate(PairBounds(0.5, 0.05), 0.2, 1.2)
         ahead = TrainAhead(*map(np.float64, (20.0, 12.0 - closing, 0.0, 0.0)), bounds)
-        motion = braking(*map(np.float64, (12.0, -0.3, 0.3, 0.2, 1.2)))
-        gaps = ahead.rear_m + travelled(leading(ahead), t) - travelled(motion, t)
+        motion = brake_motion(*map(np.float64, (12.0, -0.3, 0.3, 0.2, 1.2)))
+        gaps = ahead.rear_m + distance_at(leader_motion(ahead), t) - distance_at(motion, t)
         assert least_gap(ahead, np.float64(0.0), motion) <= gaps.min() + 1e-9

@@ -9,20 +9,22 @@ from metropilot.physics.build import (
     track_arrays,
     vehicle_arrays,
 )
-from metropilot.physics.deceleration import controlled
-from metropilot.physics.effort import (
+from metropilot.physics.forces import (
     Effort,
     brake_available_n,
     command_for_effort,
     command_for_force,
     command_force_n,
     curve_n,
+    davis_n,
     effort_at,
     electric_available_n,
+    felt_slopes,
+    map_value,
+    resistance_and_gradient,
+    step_energy,
     traction_available_n,
 )
-from metropilot.physics.energy import map_value, step_energy
-from metropilot.physics.integrators import INTEGRATORS
 from metropilot.physics.multibody import (
     Bodies,
     Consist,
@@ -33,8 +35,15 @@ from metropilot.physics.multibody import (
     multibody_step,
     substeps,
 )
-from metropilot.physics.plant import Command, at_rest, delay_steps, pushed, step
-from metropilot.physics.resistance import davis_n, felt_slopes, resistance_and_gradient
+from metropilot.physics.plant import (
+    INTEGRATORS,
+    Command,
+    at_rest,
+    delay_steps,
+    limit_deceleration,
+    push_command,
+    step,
+)
 from metropilot.physics.types import Forces, State, Track, Vehicle
 
 __all__ = [
@@ -56,7 +65,6 @@ __all__ = [
     "command_for_force",
     "command_force_n",
     "consist",
-    "controlled",
     "curve_n",
     "davis_n",
     "delay_steps",
@@ -67,12 +75,13 @@ __all__ = [
     "felt_slopes",
     "grid",
     "heads_m",
+    "limit_deceleration",
     "locate",
     "map_value",
     "multibody_step",
     "namespace",
     "padded_size",
-    "pushed",
+    "push_command",
     "resistance_and_gradient",
     "restrictive_profile",
     "rollout",

@@ -14,9 +14,9 @@ from collections.abc import Callable
 from typing import Any, no_type_check
 
 import numpy as np
+from jaxtyping import Float
 
-Scalar = Any
-"""A 0-d float of whichever namespace is in use (NumPy scalar, JAX array or tracer)."""
+from metropilot._typing import Array, Index, Scalar
 
 
 @no_type_check
@@ -77,7 +77,7 @@ def namespace(*values: Any) -> Any:
 
 
 @no_type_check
-def unless(done: Any, value: int, rest: Callable[..., Scalar], *given: Any) -> Scalar:
+def unless(done: Any, value: int, rest: Callable[..., Scalar], *given: Any) -> Index:
     """A number where ``done`` holds, elsewhere what ``rest(*given)`` says, an integer of shape ().
 
     For tests that are seldom needed: a single number tries them only if it must, and a compiled batch only if
@@ -86,7 +86,7 @@ def unless(done: Any, value: int, rest: Callable[..., Scalar], *given: Any) -> S
     Args:
         done: Whether the number will do.
         value: The number.
-        rest: What else; it may use nothing but what it is given.
+        rest: Gives the number elsewhere; it may use its arguments only.
         given: Numbers and tuples of them, or None.
     """
     xp = namespace(done)
@@ -113,7 +113,7 @@ def unless(done: Any, value: int, rest: Callable[..., Scalar], *given: Any) -> S
 
 
 @no_type_check
-def locate(breaks: Any, x: Scalar) -> Scalar:
+def locate(breaks: Float[Array, " breaks"], x: Scalar) -> Index:
     """Index of the piece that holds at ``x``: the last break not beyond it, at least 0.
 
     Padding breaks are infinite, so they are never chosen. In a compiled batch, counting beats a binary search

@@ -19,11 +19,12 @@ from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
+from jaxtyping import Float
 
-from metropilot.physics.arrays import Scalar
+from metropilot._typing import Array, Scalar
 from metropilot.physics.build import track_arrays, vehicle_arrays
 from metropilot.physics.plant import Command, step
-from metropilot.physics.types import Array, Forces, State, Track, Vehicle
+from metropilot.physics.types import Forces, State, Track, Vehicle
 from metropilot.railway import Section, Trainset
 
 Tree = TypeVar("Tree", Vehicle, Track, State, Forces)
@@ -57,7 +58,7 @@ def stack(trees: Sequence[Tree]) -> Tree:
     return trees[0]._replace(**columns)
 
 
-def _stacked(name: str, values: Sequence[Array]) -> Array:
+def _stacked(name: str, values: Sequence[Array]) -> np.ndarray:
     arrays = [np.asarray(value) for value in values]
     shape = tuple(max(sizes) for sizes in zip(*(a.shape for a in arrays), strict=True))
     return np.stack([_padded(a, shape, name in BREAKS) for a in arrays])
@@ -99,7 +100,7 @@ def rollout(
     vehicle: Vehicle,
     track: Track,
     state: State,
-    commands: Array,
+    commands: Float[Array, " periods"],
     dt: Scalar,
     *,
     integrator: str = "held",
@@ -111,10 +112,10 @@ def rollout(
         vehicle: The trainset.
         track: The section.
         state: State at the start.
-        commands: Command of each control period, in [-1, 1]. Shape (N,).
+        commands: Command of each control period, in [-1, 1].
         dt: Control period, s.
         integrator: A key of ``INTEGRATORS``.
-        record: What to keep of the state after each step; None keeps nothing.
+        record: Function of the state after each step whose result is kept; None keeps nothing.
 
     Returns:
         The last state, and what was recorded with a leading axis of length N.
@@ -144,7 +145,7 @@ def rollout_batch(
     vehicles: Vehicle,
     tracks: Track,
     states: State,
-    commands: Array,
+    commands: Float[Array, "batch periods"],
     dt: float,
     *,
     integrator: str = "held",
@@ -156,10 +157,10 @@ def rollout_batch(
         vehicles: Trainsets. Leading axis B.
         tracks: Sections. Leading axis B.
         states: States at the start. Leading axis B.
-        commands: Commands. Shape (B, N).
+        commands: Commands of each trainset.
         dt: Control period, s.
         integrator: A key of ``INTEGRATORS``.
-        record: What to keep of each state: pass the same function each time, or it compiles again.
+        record: As for :func:`rollout`; pass the same function each time, or it compiles again.
 
     Returns:
         The last states, and what was recorded with leading axes (B, N).

@@ -16,15 +16,17 @@ take exactly its speed and no more, so that they hold it and never push it back.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
+from metropilot._typing import Array, Scalar
 from metropilot.errors import InputError
-from metropilot.physics.arrays import Scalar, namespace
+from metropilot.physics.arrays import namespace
 from metropilot.physics.build import vehicle_arrays
-from metropilot.physics.resistance import resistance_and_gradient
-from metropilot.physics.types import Array, Track, Vehicle
+from metropilot.physics.forces import resistance_and_gradient
+from metropilot.physics.types import Track, Vehicle
 from metropilot.railway import Trainset
 
 
@@ -41,26 +43,26 @@ class Consist(NamedTuple):
     """
 
     vehicles: Vehicle
-    traction_share: Array
-    brake_share: Array
-    stiffness_n_per_m: Array
-    damping_n_s_per_m: Array
+    traction_share: Float[Array, " vehicles"]
+    brake_share: Float[Array, " vehicles"]
+    stiffness_n_per_m: Float[Array, " couplers"]
+    damping_n_s_per_m: Float[Array, " couplers"]
 
 
 class Bodies(NamedTuple):
-    """Where the vehicles of a trainset are.
+    """Positions and speeds of the vehicles of a trainset.
 
     Attributes:
         position_m: Head of the first vehicle from the section's origin. 0-d.
-        extension_m: How much longer than at rest each coupler is. Shape (n-1,).
+        extension_m: Extension of each coupler from its length at rest. Shape (n-1,).
         speed_mps: Speed of each vehicle. Shape (n,).
         coupler_n: Tension of each coupler, mean over the last substep; negative pushes. Shape (n-1,).
     """
 
-    position_m: Array
-    extension_m: Array
-    speed_mps: Array
-    coupler_n: Array
+    position_m: Scalar
+    extension_m: Float[Array, " couplers"]
+    speed_mps: Float[Array, " vehicles"]
+    coupler_n: Float[Array, " couplers"]
 
 
 def consist(trainset: Trainset, *, motors: Sequence[int] | None = None, dtype: type = np.float64) -> Consist:
@@ -102,7 +104,7 @@ def bodies_at(consist: Consist, position_m: float = 0.0, speed_mps: float = 0.0)
     return Bodies(mass.dtype.type(position_m), loose, np.full_like(mass, speed_mps), loose)
 
 
-def heads_m(consist: Consist, bodies: Bodies) -> Array:
+def heads_m(consist: Consist, bodies: Bodies) -> Float[Array, " vehicles"]:
     """Position of the head of each vehicle. Shape (n,)."""
     xp = namespace(bodies.speed_mps)
     back = consist.vehicles.length_m[:-1] + bodies.extension_m
@@ -110,7 +112,7 @@ def heads_m(consist: Consist, bodies: Bodies) -> Array:
 
 
 def centre_of_mass_m(consist: Consist, bodies: Bodies) -> Scalar:
-    """Where the centre of the (effective) mass is, counted as the head of the unstretched trainset.
+    """Centre of the (effective) mass, counted as the head of the unstretched trainset.
 
     The plant's single mass has its position there.
     """
@@ -134,13 +136,15 @@ def substeps(consist: Consist, dt: float) -> int:
     return max(1, int(np.ceil(dt * max(omega, rate, 10.0))))
 
 
-def outer_forces_n(consist: Consist, track: Track, bodies: Bodies, force_n: Scalar) -> tuple[Array, Array]:
-    """What acts on each vehicle besides its couplers, N.
+def outer_forces_n(
+    consist: Consist, track: Track, bodies: Bodies, force_n: Scalar
+) -> tuple[Float[Array, " vehicles"], Float[Array, " vehicles"]]:
+    """Forces on each vehicle besides its couplers, N.
 
     Args:
         consist: The trainset.
         track: The section, built for the whole trainset.
-        bodies: Where the vehicles are.
+        bodies: Positions and speeds of the vehicles.
         force_n: Wheel force of the whole trainset, braking negative.
 
     Returns:
@@ -162,7 +166,7 @@ def multibody_step(
     Args:
         consist: The trainset.
         track: The section.
-        bodies: Where the vehicles are.
+        bodies: Positions and speeds of the vehicles.
         force_n: Wheel force of the whole trainset after actuation, braking negative (in the plant's terms
             ``traction - electric_brake - friction_brake``).
         dt: Control period, s.
@@ -202,13 +206,15 @@ def _substep(consist: Consist, track: Track, bodies: Bodies, force_n: Scalar, h:
     )
 
 
-def solve_tridiagonal(beside: Array, diagonal: Array, right: Array) -> Any:
+def solve_tridiagonal(
+    beside: Float[Array, " couplers"], diagonal: Float[Array, " vehicles"], right: Float[Array, " vehicles"]
+) -> Float[Array, " vehicles"]:
     """Solve a symmetric tridiagonal system (Thomas' algorithm, unrolled: a trainset has few vehicles).
 
     Args:
-        beside: Off-diagonal. Shape (n-1,).
-        diagonal: Diagonal, dominant. Shape (n,).
-        right: Right-hand side. Shape (n,).
+        beside: Off-diagonal.
+        diagonal: Diagonal, dominant.
+        right: Right-hand side.
     """
     xp = namespace(diagonal)
     pivots, values = [diagonal[0]], [right[0]]

@@ -2,28 +2,69 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import NamedTuple, no_type_check
 
 import numpy as np
+from jaxtyping import Float
 
-from metropilot.physics.arrays import Scalar, namespace
-from metropilot.physics.effort import Effort, effort_at
-from metropilot.physics.energy import step_energy
-from metropilot.physics.integrators import INTEGRATORS
-from metropilot.physics.resistance import resistance_and_gradient
-from metropilot.physics.types import Array, Forces, State, Track, Vehicle
+from metropilot._typing import Array, Flag, Scalar
+from metropilot.physics.arrays import namespace
+from metropilot.physics.forces import Effort, effort_at, resistance_and_gradient, step_energy
+from metropilot.physics.types import Forces, State, Track, Vehicle
+
+Acceleration = Callable[[Scalar, Scalar], Scalar]
+Integrator = Callable[[Acceleration, Scalar, Scalar, Scalar], tuple[Scalar, Scalar]]
+
+
+def euler(acceleration: Acceleration, x: Scalar, v: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
+    """Explicit Euler, order 1."""
+    return v * dt, v + acceleration(x, v) * dt
+
+
+def held(acceleration: Acceleration, x: Scalar, v: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
+    """Constant acceleration over the step, order 1, exact where it is constant (Chen23a eq. 15)."""
+    after = v + acceleration(x, v) * dt
+    return 0.5 * (v + after) * dt, after
+
+
+def heun(acceleration: Acceleration, x: Scalar, v: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
+    """Heun's method, order 2."""
+    a0 = acceleration(x, v)
+    v1 = v + a0 * dt
+    a1 = acceleration(x + v * dt, v1)
+    return 0.5 * (v + v1) * dt, v + 0.5 * (a0 + a1) * dt
+
+
+def rk4(acceleration: Acceleration, x: Scalar, v: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
+    """The classical Runge-Kutta method, order 4."""
+    h = 0.5 * dt
+    a0 = acceleration(x, v)
+    v1 = v + h * a0
+    a1 = acceleration(x + h * v, v1)
+    v2 = v + h * a1
+    a2 = acceleration(x + h * v1, v2)
+    v3 = v + dt * a2
+    a3 = acceleration(x + dt * v2, v3)
+    return dt * (v + 2 * v1 + 2 * v2 + v3) / 6, v + dt * (a0 + 2 * a1 + 2 * a2 + a3) / 6
+
+
+INTEGRATORS: Mapping[str, Integrator] = MappingProxyType(
+    {"euler": euler, "held": held, "heun": heun, "rk4": rk4}
+)
 
 
 class Command(NamedTuple):
-    """What reaches the trainset: the command, and whether protection has the emergency brake on.
+    """Command that reaches the trainset, with protection's emergency brake.
 
     Attributes:
         share: Command in [-1, 1].
         emergency: True cuts traction and applies the emergency brake, whatever ``share`` says.
     """
 
-    share: Array
-    emergency: Array = False
+    share: Scalar
+    emergency: Flag = False
 
 
 def at_rest(
@@ -66,7 +107,8 @@ def delay_steps(delay_s: float, dt: float) -> int:
     return int(np.ceil(delay_s / dt - 1e-9)) if delay_s > 0 else 0
 
 
-def delayed(pipeline: Array, delay_s: Scalar, dt: Scalar) -> Scalar:
+@no_type_check
+def blend_delay(pipeline: Float[Array, " slots"], delay_s: Scalar, dt: Scalar) -> Scalar:
     """The command that acts during this step: the one issued ``delay_s`` ago, blended between two periods."""
     if pipeline.shape[0] == 1:
         return pipeline[0]
@@ -76,19 +118,22 @@ def delayed(pipeline: Array, delay_s: Scalar, dt: Scalar) -> Scalar:
     return xp.sum(weights * pipeline)
 
 
-def pushed(pipeline: Array, newest: Scalar) -> Array:
+@no_type_check
+def push_command(pipeline: Float[Array, " slots"], newest: Scalar) -> Float[Array, " slots"]:
     """The pipeline one period later, the oldest command gone."""
     xp = namespace(pipeline, newest)
     first = xp.expand_dims(xp.asarray(newest, dtype=pipeline.dtype), 0)
     return xp.concatenate([first, pipeline[:-1]]) if pipeline.shape[0] > 1 else first
 
 
-def actuate(vehicle: Vehicle, state: State, command: Command, dt: Scalar) -> tuple[Array, Scalar]:
+def actuate(
+    vehicle: Vehicle, state: State, command: Command, dt: Scalar
+) -> tuple[Float[Array, " slots"], Scalar]:
     """Dead time and lag (Huang25 eq. 4 with K = 1): the new pipeline and the share after both."""
     xp = namespace(state.position_m, command.share)
     share = xp.clip(command.share, -1.0, 1.0)
-    pipeline = pushed(state.pipeline, share)
-    target = delayed(pipeline, vehicle.delay_s, dt)
+    pipeline = push_command(state.pipeline, share)
+    target = blend_delay(pipeline, vehicle.delay_s, dt)
     keep = xp.where(vehicle.lag_s > 0, xp.exp(-dt / xp.maximum(vehicle.lag_s, 1e-6)), 0.0)
     return pipeline, target + (state.share - target) * keep
 
@@ -98,7 +143,7 @@ def wheel_force(
     state: State,
     effort: Effort,
     share: Scalar,
-    emergency: Scalar,
+    emergency: Flag,
     resisting_n: Scalar,
     dt: Scalar,
 ) -> Scalar:
@@ -191,3 +236,33 @@ def step(
         line_j=state.line_j + line,
         recovered_j=state.recovered_j + recovered,
     )
+
+
+def limit_deceleration(
+    vehicle: Vehicle, track: Track, state: State, command: Command, most_mps2: Scalar
+) -> tuple[Vehicle, Command]:
+    """Trainset and command for the coming period, its brakes controlled to a total deceleration.
+
+    The emergency brake asks for what gradient and resistance leave of the rate, as far as its own force and
+    the adhesion reach. The service brake gives what was asked for, and no more than that. Trainsets that run
+    close behind each other need it: with the same brake force, a few permille of difference between their
+    gradients part their stopping points by many metres.
+
+    Args:
+        vehicle: The trainset.
+        track: The section.
+        state: State at the start of the period.
+        command: Command, a share of the braking force without control.
+        most_mps2: Total deceleration, gradient and resistance included; infinite leaves the brakes alone.
+    """
+    xp = namespace(state.position_m, most_mps2)
+    resistance, gradient = resistance_and_gradient(vehicle, track, state.position_m, state.speed_mps)
+    wanted = xp.maximum(most_mps2 * vehicle.effective_mass_kg - (resistance + gradient), 0.0)
+    free = effort_at(vehicle, state.speed_mps).brake_n
+    held = xp.minimum(free, wanted)
+    share = xp.where(command.share < 0.0, command.share * free / xp.maximum(held, 1.0), command.share)
+    reach = xp.minimum(vehicle.emergency_n, vehicle.adhesion_n)
+    vehicle = vehicle._replace(
+        emergency_n=xp.minimum(wanted, reach), service_n=xp.minimum(wanted, vehicle.service_n)
+    )
+    return vehicle, Command(xp.clip(share, -1.0, 1.0), command.emergency)

@@ -1,10 +1,12 @@
-"""What the plant is made of: plain tuples of arrays, the same in NumPy and JAX (a NamedTuple is a pytree)."""
+"""Types of the plant: plain tuples of arrays, the same in NumPy and JAX (a NamedTuple is a pytree)."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-Array = Any
+from jaxtyping import Float
+
+from metropilot._typing import Array, Scalar
 
 
 class Vehicle(NamedTuple):
@@ -16,7 +18,7 @@ class Vehicle(NamedTuple):
         length_m: Length over which gradients act.
         davis_n: Constant, linear and quadratic resistance, N, N/(m/s), N/(m/s)^2. Shape (3,).
         gravity_mps2: Standard gravity.
-        traction_from_mps: Where each piece of the traction curve begins. Shape (P,).
+        traction_from_mps: Start of each piece of the traction curve. Shape (P,).
         traction: ``power, c0, c1, c2, c3, cap`` of each piece. Shape (P, 6).
         brake_from_mps: The same for the electric brake. Shape (P,).
         brake: The same for the electric brake. Shape (P, 6).
@@ -41,33 +43,33 @@ class Vehicle(NamedTuple):
         auxiliary_w: Auxiliary power.
     """
 
-    mass_kg: Array
-    effective_mass_kg: Array
-    length_m: Array
-    davis_n: Array
-    gravity_mps2: Array
-    traction_from_mps: Array
-    traction: Array
-    brake_from_mps: Array
-    brake: Array
-    friction_n: Array
-    service_n: Array
-    emergency_n: Array
-    adhesion_n: Array
-    max_acceleration_mps2: Array
-    max_deceleration_mps2: Array
-    max_speed_mps: Array
-    delay_s: Array
-    lag_s: Array
-    jerk_mps3: Array
-    emergency_jerk_mps3: Array
-    emergency_delay_s: Array
-    efficiency_speed_mps: Array
-    efficiency_share: Array
-    efficiency_traction: Array
-    efficiency_braking: Array
-    receptivity: Array
-    auxiliary_w: Array
+    mass_kg: Scalar
+    effective_mass_kg: Scalar
+    length_m: Scalar
+    davis_n: Float[Array, "3"]
+    gravity_mps2: Scalar
+    traction_from_mps: Float[Array, " pieces"]
+    traction: Float[Array, "pieces 6"]
+    brake_from_mps: Float[Array, " pieces"]
+    brake: Float[Array, "pieces 6"]
+    friction_n: Scalar
+    service_n: Scalar
+    emergency_n: Scalar
+    adhesion_n: Scalar
+    max_acceleration_mps2: Scalar
+    max_deceleration_mps2: Scalar
+    max_speed_mps: Scalar
+    delay_s: Scalar
+    lag_s: Scalar
+    jerk_mps3: Scalar
+    emergency_jerk_mps3: Scalar
+    emergency_delay_s: Scalar
+    efficiency_speed_mps: Float[Array, " speeds"]
+    efficiency_share: Float[Array, " shares"]
+    efficiency_traction: Float[Array, "speeds shares"]
+    efficiency_braking: Float[Array, "speeds shares"]
+    receptivity: Scalar
+    auxiliary_w: Scalar
 
 
 class Track(NamedTuple):
@@ -75,20 +77,20 @@ class Track(NamedTuple):
 
     Attributes:
         length_m: Distance from the origin to the stopping point. 0-d.
-        node_m: Where a slope changes. Shape (K,).
+        node_m: Positions where a slope changes. Shape (K,).
         potential: Altitude (m), curve work (N m/kg) and tunnel coefficient integral (N/(m/s)^2 m) at each
             node; each is linear in between. Shape (K, 3).
         slope: Their derivatives after each node. Shape (K, 3).
-        limit_from_m: Where each piece of the most restrictive speed profile begins. Shape (M,).
+        limit_from_m: Start of each piece of the most restrictive speed profile. Shape (M,).
         limit_mps: Speed limit of the trainset's head, held until the tail has cleared. Shape (M,).
     """
 
-    length_m: Array
-    node_m: Array
-    potential: Array
-    slope: Array
-    limit_from_m: Array
-    limit_mps: Array
+    length_m: Scalar
+    node_m: Float[Array, " breaks"]
+    potential: Float[Array, "breaks 3"]
+    slope: Float[Array, "breaks 3"]
+    limit_from_m: Float[Array, " limits"]
+    limit_mps: Float[Array, " limits"]
 
 
 class Forces(NamedTuple):
@@ -102,15 +104,15 @@ class Forces(NamedTuple):
         gradient_n: Gradient force, positive uphill.
     """
 
-    traction_n: Array
-    electric_brake_n: Array
-    friction_brake_n: Array
-    resistance_n: Array
-    gradient_n: Array
+    traction_n: Scalar
+    electric_brake_n: Scalar
+    friction_brake_n: Scalar
+    resistance_n: Scalar
+    gradient_n: Scalar
 
 
 class State(NamedTuple):
-    """Where a trainset is, what it does, and what it has used.
+    """Motion, actuation and energy of a trainset at one moment.
 
     Attributes:
         time_s: Time since departure.
@@ -119,7 +121,7 @@ class State(NamedTuple):
         acceleration_mps2: Acceleration held over the last step.
         share: Command after delay and lag.
         pipeline: Commands on their way through the dead time, newest first. Shape (D,).
-        emergency_s: How long the emergency brake has been demanded without a break.
+        emergency_s: Time for which the emergency brake has been demanded without a break.
         forces: Forces held over the last step.
         traction_j: Mechanical traction energy at the wheel.
         electric_brake_j: Energy taken by the electric brake at the wheel.
@@ -127,15 +129,15 @@ class State(NamedTuple):
         recovered_j: Energy given back to the line.
     """
 
-    time_s: Array
-    position_m: Array
-    speed_mps: Array
-    acceleration_mps2: Array
-    share: Array
-    pipeline: Array
-    emergency_s: Array
+    time_s: Scalar
+    position_m: Scalar
+    speed_mps: Scalar
+    acceleration_mps2: Scalar
+    share: Scalar
+    pipeline: Float[Array, " slots"]
+    emergency_s: Scalar
     forces: Forces
-    traction_j: Array
-    electric_brake_j: Array
-    line_j: Array
-    recovered_j: Array
+    traction_j: Scalar
+    electric_brake_j: Scalar
+    line_j: Scalar
+    recovered_j: Scalar

@@ -9,7 +9,6 @@ from metropilot._lazy import lazy_door
 if TYPE_CHECKING:
     from metropilot.planning.effort_table import STEP_MPS, Specific, specific
     from metropilot.planning.fastest import LONGEST_RATIO, check_running_time, fastest_profile, stated_s
-    from metropilot.planning.front import Front, time_energy_front
     from metropilot.planning.journey import (
         Call,
         JourneyPlan,
@@ -21,6 +20,8 @@ if TYPE_CHECKING:
     from metropilot.planning.mesh import Mesh, build_mesh, limit_at
     from metropilot.planning.notches import NotchOptions, NotchPlan, notch_plan
     from metropilot.planning.optimal import (
+        START_STRETCH_M,
+        Front,
         Objective,
         Plan,
         PlanOptions,
@@ -28,13 +29,11 @@ if TYPE_CHECKING:
         minimum_running_time,
         optimal_plan,
         plan_arrays,
-    )
-    from metropilot.planning.reading import (
-        START_STRETCH_M,
         plan_speed,
         plan_time,
         pull_away,
         ramped_acceleration,
+        time_energy_front,
     )
     from metropilot.planning.references import (
         Reference,
@@ -102,8 +101,8 @@ __all__ = [
 __getattr__, __dir__ = lazy_door(
     __name__,
     {
+        "effort_table": ("STEP_MPS", "Specific", "specific"),
         "fastest": ("LONGEST_RATIO", "check_running_time", "fastest_profile", "stated_s"),
-        "front": ("Front", "time_energy_front"),
         "journey": (
             "Call",
             "JourneyPlan",
@@ -112,20 +111,25 @@ __getattr__, __dir__ = lazy_door(
             "plan_journey",
             "timetable_waypoints",
         ),
+        "mesh": ("Mesh", "build_mesh", "limit_at"),
         "notches": ("NotchOptions", "NotchPlan", "notch_plan"),
         "optimal": (
+            "Front",
             "Objective",
             "Plan",
             "PlanOptions",
+            "START_STRETCH_M",
             "fastest_time",
             "minimum_running_time",
             "optimal_plan",
             "plan_arrays",
+            "plan_speed",
+            "plan_time",
+            "pull_away",
+            "ramped_acceleration",
+            "time_energy_front",
         ),
         "references": ("Reference", "ReferenceShape", "peak_speed", "reference", "reference_for_time"),
-        "effort_table": ("STEP_MPS", "Specific", "specific"),
-        "mesh": ("Mesh", "build_mesh", "limit_at"),
-        "reading": ("START_STRETCH_M", "plan_speed", "plan_time", "pull_away", "ramped_acceleration"),
         "timed_reference": (
             "ReferenceTrack",
             "TimedReference",

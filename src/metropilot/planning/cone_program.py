@@ -16,7 +16,8 @@ same way: the change of acceleration between neighbouring segments over the time
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import clarabel as _clarabel
@@ -29,13 +30,58 @@ from metropilot.errors import SolverError
 from metropilot.planning.effort_table import Specific
 from metropilot.planning.mesh import Mesh
 from metropilot.planning.prices import Prices
-from metropilot.planning.rows import ConstraintRows
 
 clarabel: Any = _clarabel
 """The solver ships no type information."""
 SLOWEST_J = 1e-4
 SOFT_START = 6 ** (4 / 3) / 8
 """Under a constant jerk J from rest ``v^2/2 = SOFT_START * J^(2/3) * x^(4/3)``."""
+
+
+@dataclass
+class ConstraintRows:
+    """Sparse rows ``A x <= / = b`` being collected, whole blocks at a time."""
+
+    row: list[ndarray] = field(default_factory=list)
+    col: list[ndarray] = field(default_factory=list)
+    val: list[ndarray] = field(default_factory=list)
+    rhs: list[ndarray] = field(default_factory=list)
+    count: int = 0
+
+    def add(self, terms: Sequence[tuple[ndarray, ndarray | float]], rhs: ndarray | float, size: int) -> None:
+        """``size`` rows; each term is (column of each row, coefficient of each row)."""
+        rows = self.count + np.arange(size)
+        for col, val in terms:
+            self.row.append(rows)
+            self.col.append(np.broadcast_to(col, (size,)))
+            self.val.append(np.broadcast_to(np.asarray(val, np.float64), (size,)))
+        self.rhs.append(np.broadcast_to(np.asarray(rhs, np.float64), (size,)))
+        self.count += size
+
+    def add_cones(
+        self, triples: list[list[tuple[ndarray, float]]], rhs: list[ndarray | float], size: int
+    ) -> None:
+        """``size`` second-order cones of three rows each: ``b - A x`` of the first >= norm of the others."""
+        for part, (terms, constant) in enumerate(zip(triples, rhs, strict=True)):
+            rows = self.count + 3 * np.arange(size) + part
+            for col, val in terms:
+                self.row.append(rows)
+                self.col.append(col)
+                self.val.append(np.full(size, val))
+            if part == 0:
+                self.rhs.append(np.zeros(3 * size))
+            self.rhs[-1][part::3] = constant
+        self.count += 3 * size
+
+    def add_sum(self, terms: Sequence[tuple[ndarray, ndarray | float]], rhs: float) -> int:
+        """One row over many columns; returns its number."""
+        for col, val in terms:
+            self.row.append(np.full(col.size, self.count))
+            self.col.append(col.astype(int))
+            self.val.append(np.broadcast_to(np.asarray(val, np.float64), col.shape))
+        self.rhs.append(np.array([rhs]))
+        self.count += 1
+        return self.count - 1
 
 
 @dataclass(frozen=True)
@@ -59,7 +105,7 @@ class TimeBound:
 
 @dataclass(frozen=True)
 class Programme:
-    """Everything the cone programme is made from.
+    """Data of the cone programme.
 
     Attributes:
         mesh: Mesh.
@@ -109,10 +155,10 @@ class Answer:
         recovered: Per kg, the electric part that is recovered. Shape (N,).
         time: On each segment. Shape (N,).
         dwell: Dwell at each free stop. Shape (D,).
-        second: What one second less costs: the multiplier of the last upper time bound, W per kg.
+        second: Cost of one second less: the multiplier of the last upper time bound, W per kg.
         primal: Objective, J/kg.
         dual: Dual objective: no drive of the programme costs less, J/kg.
-        late: How much later than the last bound, s.
+        late: Delay beyond the last bound, s.
         status: The solver's word.
     """
 

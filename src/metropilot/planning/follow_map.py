@@ -68,7 +68,7 @@ def _passes(
 
 
 def _cost(vehicle: Vehicle, base: Programme, answer: Answer) -> float:
-    """What an answer costs by the plant's own map, J/kg."""
+    """Cost of an answer by the plant's own map, J/kg."""
     middle = 0.5 * (answer.energy[1:] + answer.energy[:-1])
     work = cost_per_metre(vehicle, base.table, "line", middle, answer.traction, answer.recovered)
     seconds = float(vehicle.auxiliary_w) / base.table.mass_kg * float(answer.time.sum())

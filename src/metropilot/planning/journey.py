@@ -15,7 +15,7 @@ from metropilot.planning.cone_program import TimeBound
 from metropilot.planning.effort_table import specific
 from metropilot.planning.fastest import fastest_profile, times
 from metropilot.planning.mesh import Mesh, build_mesh
-from metropilot.planning.optimal import Plan, PlanOptions, explain_stall, iterate, limited
+from metropilot.planning.optimal import Plan, PlanOptions, explain_stall, iterate, limit_acceleration
 from metropilot.railway import Journey, Line, Station, Trainset
 
 Window = tuple[float | None, float | None]
@@ -28,7 +28,7 @@ class Waypoint:
 
     Attributes:
         position_m: Position from the journey's origin, in the direction of travel.
-        name: What to call it.
+        name: Name.
         stop: Whether the trainset stands here.
         arrival_s: Earliest and latest arrival (or passing), s; None is free.
         departure_s: Earliest and latest departure, s.
@@ -184,8 +184,8 @@ def plan_journey(
         trainset: Trainset with its load.
         waypoints: First at position 0, last at the journey's end.
         options: Objective, mesh and limits; its start is not used.
-        origin: Where the journey begins, or None for the line's first station.
-        destination: Where it ends, or None for the line's last station.
+        origin: Station it begins at, or None for the line's first station.
+        destination: Station it ends at, or None for the line's last station.
 
     Raises:
         Infeasible: A window cannot be met even flat out; the message names waypoint and earliest time.
@@ -193,7 +193,7 @@ def plan_journey(
     options = replace(options or PlanOptions(), start_m=0.0, start_mps=0.0, start_mps2=0.0, end_mps=0.0)
     section = line.section(origin or line.stations[0], destination or line.stations[-1])
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
-    table = limited(specific(vehicle), options)
+    table = limit_acceleration(specific(vehicle), options)
     stops_m = np.array([w.position_m for w in waypoints])
     mesh = _with_stops(build_mesh(vehicle, track, stops_m, options.spacing_m), waypoints)
     energy = fastest_profile(table, mesh)

@@ -99,7 +99,7 @@ def build_mesh(
     nodes = _merge(needed, near, gap=0.01)
     nodes = _merge(nodes, breaks, gap=NEAREST_M)
     nodes = nodes[(nodes >= first) & (nodes <= last)]
-    nodes = _filled(nodes, spacing_m)
+    nodes = _fill(nodes, spacing_m)
     length = np.diff(nodes)
     points = nodes[:-1, None] + 0.5 * length[:, None] * (1 + GAUSS_X)
     felt = np.einsum("skp,k->sp", felt_at(vehicle, track, points), GAUSS_W / 2)
@@ -130,7 +130,7 @@ def _merge(kept: ndarray, extra: ndarray, gap: float) -> ndarray:
     return result
 
 
-def _filled(nodes: ndarray, spacing_m: float) -> ndarray:
+def _fill(nodes: ndarray, spacing_m: float) -> ndarray:
     counts = np.maximum(np.ceil(np.diff(nodes) / spacing_m - 1e-9).astype(int), 1)
     parts = [a + (b - a) * np.arange(n) / n for a, b, n in zip(nodes[:-1], nodes[1:], counts, strict=True)]
     return np.append(np.concatenate(parts), nodes[-1])

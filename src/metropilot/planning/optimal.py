@@ -23,21 +23,26 @@ from metropilot.railway import Section, Trainset
 
 Objective = Literal["wheel", "line"]
 PASSES = 6
-SETTLED = 5e-5
-MOVED = 1e-3
-BINDS = 1e-4
+DUAL_TOLERANCE = 5e-5
+"""Relative change of the dual value below which the linearisation has settled."""
+ENERGY_TOLERANCE = 1e-3
+"""Change of kinetic energy, relative to its largest, that makes a tangent stale."""
+BINDING_TOLERANCE = 1e-4
+"""Distance from an effort curve, relative to its largest force, at which it counts as met."""
 EARLY_S = 0.01
-HAIR = 2e-4
+MESH_TOLERANCE = 2e-4
 """Share of the minimum running time by which a plan may be late: what meshes and tables differ by."""
 SLOW_PER_M = 1e-6
 NOTHING_J = 1e3
 """Below this an energy counts as none in the certificate."""
 FINE_M = 2.0
+START_STRETCH_M = 3.0
+RATIOS = (1.02, 1.03, 1.05, 1.075, 1.1, 1.15, 1.2, 1.25, 1.3, 1.4, 1.5, 1.6)
 
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """How a plan is computed.
+    """Options of a plan.
 
     Attributes:
         objective: ``wheel``: mechanical traction energy; ``line``: net electrical energy with efficiency,
@@ -86,7 +91,7 @@ class Plan:
         energy_j: Objective of the plan, evaluated on its own speed profile.
         bound_j: Dual value: no drive of the convex problem costs less (if it may be late: no drive as late).
         energy_wheel_j: Mechanical traction energy of the plan.
-        second_w: What the last second costs: the energy saved by one more second of running time, J/s.
+        second_w: Cost of the last second: the energy saved by one more second of running time, J/s.
         tightness: Largest relative gap of the cones ``v^2 <= 2E`` (0: tight).
         effort_excess: Largest share by which a force of the plan exceeds the effort curve at its own speed.
         passes: Linearisation passes used.
@@ -129,7 +134,7 @@ def minimum_running_time(
 
 def fastest_time(vehicle: Vehicle, track: Track, options: PlanOptions) -> float:
     """Flat-out time from the state in ``options`` on a mesh of ``FINE_M``, s."""
-    table = limited(specific(vehicle), options)
+    table = limit_acceleration(specific(vehicle), options)
     mesh = _mesh(vehicle, track, options, FINE_M)
     energy = fastest_profile(table, mesh, options.start_mps, options.end_mps)
     return float(times(mesh, energy).sum())
@@ -167,7 +172,7 @@ def plan_arrays(
         raise InputError(
             "running time out of range", field="time", value=time_s, unit="s", allowed="finite, > 0"
         )
-    table = limited(specific(vehicle), options)
+    table = limit_acceleration(specific(vehicle), options)
     mesh = _mesh(vehicle, track, options, options.spacing_m)
     energy = fastest_profile(table, mesh, options.start_mps, options.end_mps)
     fastest = float(times(mesh, energy).sum())
@@ -189,7 +194,7 @@ def _possible(vehicle: Vehicle, track: Track, time_s: float, fastest: float, opt
     Raises:
         Infeasible: The time is below the minimum running time.
     """
-    kept = fastest * (1.0 + HAIR)
+    kept = fastest * (1.0 + MESH_TOLERANCE)
     if time_s >= kept:
         return time_s
     exact = fastest_time(vehicle, track, options)
@@ -234,7 +239,7 @@ def _ramp_times(mesh: Mesh, options: PlanOptions) -> ndarray:
     return np.array([(6 * ds / j) ** (1 / 3) / 3 if v == 0 else 0.0 for v, ds, j in ends])
 
 
-def limited(table: Specific, options: PlanOptions) -> Specific:
+def limit_acceleration(table: Specific, options: PlanOptions) -> Specific:
     """The trainset's table with the acceleration limits of the options."""
     return table._replace(
         acceleration=options.acceleration_mps2 or table.acceleration,
@@ -303,22 +308,22 @@ def iterate(
     )
     if options.objective == "line" and is_mapped(vehicle):
         answer, count = follow_map(vehicle, base, energy)
-        return _finished(vehicle, table, mesh, answer, options, count)
-    answer, count = _settled(base, energy)
+        return _evaluate(vehicle, table, mesh, answer, options, count)
+    answer, count = _solve_until_settled(base, energy)
     if _uses_less_time(base, answer):
-        answer, count = _unhurried(base, answer), count + 1
+        answer, count = _use_full_running_time(base, answer), count + 1
     if _too_early(base, answer):
         # the bound without the stricter rows stays one with them
-        kept, more = _settled(replace(base, strictly_early=True), answer.energy)
+        kept, more = _solve_until_settled(replace(base, strictly_early=True), answer.energy)
         answer, count = replace(kept, dual=answer.dual), count + more
-    return _finished(vehicle, table, mesh, answer, options, count)
+    return _evaluate(vehicle, table, mesh, answer, options, count)
 
 
-def _settled(base: Programme, energy: ndarray) -> tuple[Answer, int]:
+def _solve_until_settled(base: Programme, energy: ndarray) -> tuple[Answer, int]:
     """Solve about the last answer until the energy settles; the answer and the number of passes."""
     answer, last, count = solve(base, energy), np.inf, 1
     while count < PASSES:
-        if abs(answer.dual - last) <= SETTLED * abs(answer.dual) or _curves_fit(base, energy, answer):
+        if abs(answer.dual - last) <= DUAL_TOLERANCE * abs(answer.dual) or _curves_fit(base, energy, answer):
             break
         energy, last = answer.energy, answer.dual
         answer, count = solve(base, energy), count + 1
@@ -326,33 +331,33 @@ def _settled(base: Programme, energy: ndarray) -> tuple[Answer, int]:
 
 
 def _curves_fit(base: Programme, energy: ndarray, answer: Answer) -> bool:
-    """Whether every effort curve the answer runs into is met where its tangent was taken.
+    """True if every effort curve the answer runs into is met where its tangent was taken.
 
     A tangent matters only where it binds, and there it is the curve itself if the energy has not moved.
     """
     if base.jerk_mps3 is not None or base.strictly_early:
-        return float(np.max(np.abs(answer.energy - energy))) < MOVED * float(answer.energy.max())
+        return float(np.max(np.abs(answer.energy - energy))) < ENERGY_TOLERANCE * float(answer.energy.max())
     before, after = (0.5 * (e[1:] + e[:-1]) for e in (energy, answer.energy))
-    moved = np.abs(after - before) > MOVED * float(after.max())
+    moved = np.abs(after - before) > ENERGY_TOLERANCE * float(after.max())
     curves = (base.table.traction, answer.traction), (base.table.braking, answer.braking)
     curves = (*curves, (base.table.electric, answer.recovered))
     for values, force in curves:
         value, slope = tangent(base.table, values, before)
-        binds = force > value + slope * (after - before) - BINDS * value.max()
+        binds = force > value + slope * (after - before) - BINDING_TOLERANCE * value.max()
         if np.any(binds & moved & (force > 0)):
             return False
     return True
 
 
 def _uses_less_time(base: Programme, answer: Answer) -> bool:
-    """Whether the answer leaves time unused, by the programme's clock or by its own speeds."""
+    """True if the answer leaves time unused, by the programme's clock or by its own speeds."""
     asked = base.bounds[0].high_s if len(base.bounds) == 1 else None
     given = float(answer.time.sum()) if asked is None else asked
     return float(given - times(base.mesh, answer.energy).sum()) > EARLY_S
 
 
 def _too_early(base: Programme, answer: Answer) -> bool:
-    """Whether the answer's own speeds undercut a lower time bound that its time variables keep."""
+    """True if the answer's own speeds undercut a lower time bound that its time variables keep."""
     seconds = times(base.mesh, answer.energy)
     return any(
         float(seconds[b.first : b.last].sum() + answer.dwell[list(b.waits)].sum()) < b.low_s - EARLY_S
@@ -361,7 +366,7 @@ def _too_early(base: Programme, answer: Answer) -> bool:
     )
 
 
-def _unhurried(base: Programme, answer: Answer) -> Answer:
+def _use_full_running_time(base: Programme, answer: Answer) -> Answer:
     """Of all drives that cost no more, a slow one that uses the time.
 
     Where going slower saves nothing, as on a section that is all downhill, the optimum may arrive early; a
@@ -372,7 +377,7 @@ def _unhurried(base: Programme, answer: Answer) -> Answer:
     return replace(solve(replace(base, prices=prices), answer.energy), dual=answer.dual)
 
 
-def _finished(
+def _evaluate(
     vehicle: Vehicle, table: Specific, mesh: Mesh, answer: Answer, options: PlanOptions, passes: int
 ) -> Plan:
     """Evaluate the answer's speed profile by itself: forces from the dynamics, times from the speeds."""
@@ -414,4 +419,80 @@ def _finished(
         effort_excess=float(np.max(np.where(traction > 1e-6, excess, 0.0))),
         passes=passes,
         dwell_s=tuple(float(w) for w in answer.dwell),
+    )
+
+
+def plan_speed(plan: Plan, position_m: float) -> float:
+    """Speed of the plan at a position; kinetic energy is linear between its nodes."""
+    return float(np.sqrt(np.interp(position_m, plan.position_m, plan.speed_mps**2)))
+
+
+def plan_time(plan: Plan, position_m: float) -> float:
+    """Time since the plan's start at a position, at constant acceleration between its nodes."""
+    k = int(np.clip(np.searchsorted(plan.position_m, position_m, side="right") - 1, 0, plan.time_s.size - 2))
+    v0, v = float(plan.speed_mps[k]), plan_speed(plan, position_m)
+    gone = min(max(position_m, float(plan.position_m[k])), float(plan.position_m[-1])) - float(
+        plan.position_m[k]
+    )
+    return float(plan.time_s[k]) + (2 * gone / (v0 + v) if v0 + v > 1e-6 else 0.0)
+
+
+def ramped_acceleration(plan: Plan, position_m: float) -> float:
+    """Acceleration of a plan that allows for the jerk limit: linear between the middles of its segments."""
+    change = np.diff(plan.speed_mps**2) / (2 * np.diff(plan.position_m))
+    return float(np.interp(position_m, 0.5 * (plan.position_m[1:] + plan.position_m[:-1]), change))
+
+
+def pull_away(plan: Plan, position_m: float) -> float:
+    """Acceleration to ask for just after departure: the largest planned near by; the plant builds it up."""
+    change = np.diff(plan.speed_mps**2) / (2 * np.diff(plan.position_m))
+    near = plan.position_m[:-1] < position_m + START_STRETCH_M
+    return float(change[near].max())
+
+
+@dataclass(frozen=True)
+class Front:
+    """Optimal energy over running time.
+
+    Attributes:
+        minimum_s: Minimum running time.
+        time_s: Running times, increasing. Shape (P,).
+        energy_j: Optimal energy at each. Shape (P,).
+        second_w: Energy saved by one more second at each, J/s. Shape (P,).
+        plans: The plans themselves.
+    """
+
+    minimum_s: float
+    time_s: Float[ndarray, " points"]
+    energy_j: Float[ndarray, " points"]
+    second_w: Float[ndarray, " points"]
+    plans: tuple[Plan, ...]
+
+
+def time_energy_front(
+    section: Section,
+    trainset: Trainset,
+    times_s: Sequence[float] | None = None,
+    options: PlanOptions | None = None,
+) -> Front:
+    """Optimal plans at several running times.
+
+    Args:
+        section: Section.
+        trainset: Trainset with its load.
+        times_s: Running times; None takes 1.02 to 1.6 of the minimum.
+        options: See :class:`PlanOptions`.
+
+    Raises:
+        Infeasible: A time is below the minimum.
+    """
+    minimum = minimum_running_time(section, trainset)
+    wanted = sorted(times_s) if times_s is not None else [minimum * r for r in RATIOS]
+    plans = tuple(optimal_plan(section, trainset, t, options) for t in wanted)
+    return Front(
+        minimum_s=minimum,
+        time_s=np.array(wanted),
+        energy_j=np.array([p.energy_j for p in plans]),
+        second_w=np.array([p.second_w for p in plans]),
+        plans=plans,
     )

@@ -1,4 +1,4 @@
-"""What a joule at the wheel costs at the line: constants, or maps over speed and effort made convex.
+"""Cost at the line of a joule at the wheel: constants, or maps over speed and effort made convex.
 
 With an efficiency map the traction force ``f`` costs ``c(f, v) = f / eta(v, f / F(v))`` per metre. In
 ``f`` this is replaced by its lower convex hull (exact at the points of the map where losses grow with
@@ -34,12 +34,12 @@ class Facets(NamedTuple):
 
     @property
     def single(self) -> bool:
-        """Whether one line through zero says it all."""
+        """True if one line through zero is exact."""
         return self.slope.shape[0] == 1
 
 
 class Prices(NamedTuple):
-    """What the objective pays for, per kg of effective mass.
+    """Prices in the objective, per kg of effective mass.
 
     Attributes:
         traction: Cost of traction at the wheel.
@@ -63,7 +63,7 @@ def constant_line(value: float, segments: int) -> Facets:
 
 
 def is_mapped(vehicle: Vehicle) -> bool:
-    """Whether an efficiency depends on speed or effort."""
+    """True if an efficiency depends on speed or effort."""
     return vehicle.efficiency_traction.size > 1 or vehicle.efficiency_braking.size > 1
 
 

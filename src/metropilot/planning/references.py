@@ -30,7 +30,7 @@ BISECTIONS = 200
 
 @dataclass(frozen=True)
 class ReferenceShape:
-    """What a reference may use.
+    """Bounds of a reference.
 
     Attributes:
         acceleration_mps2: Acceleration while speeding up.
@@ -70,9 +70,9 @@ class Reference:
     """Speed, acceleration and position over time, in phases of constant jerk.
 
     Attributes:
-        shape: What it was drawn with.
+        shape: Its bounds.
         cruise_mps: Highest speed.
-        time_s: Where each phase begins, and the end. Shape (P + 1,).
+        time_s: Start of each phase, and the end. Shape (P + 1,).
         position_m: Position there.
         speed_mps: Speed there.
         acceleration_mps2: Acceleration just after (0 at the end).
@@ -138,7 +138,7 @@ def reference(distance_m: float, cruise_mps: float, shape: ReferenceShape) -> Re
     """
     _positive("distance", distance_m, "m")
     _positive("cruise", cruise_mps, "m/s")
-    return _drawn(distance_m, min(cruise_mps, peak_speed(distance_m, shape)), shape)
+    return _lay_phases(distance_m, min(cruise_mps, peak_speed(distance_m, shape)), shape)
 
 
 def reference_for_time(
@@ -169,7 +169,7 @@ def reference_for_time(
             allowed=f">= {least:.1f} s",
         )
     low = distance_m / time_s * 1e-3
-    return _drawn(distance_m, _bisect(lambda v: shape.time_s(distance_m, v) > time_s, low, high), shape)
+    return _lay_phases(distance_m, _bisect(lambda v: shape.time_s(distance_m, v) > time_s, low, high), shape)
 
 
 def peak_speed(distance_m: float, shape: ReferenceShape) -> float:
@@ -204,7 +204,7 @@ def _ramps(speed_mps: float, shape: ReferenceShape) -> tuple[tuple[float, float,
     return tuple(_ramp(speed_mps, rate, shape.jerk_mps3) for rate in rates)
 
 
-def _drawn(distance_m: float, cruise_mps: float, shape: ReferenceShape) -> Reference:
+def _lay_phases(distance_m: float, cruise_mps: float, shape: ReferenceShape) -> Reference:
     """Lay the seven phases end to end; standstill and distance at the end are set exactly."""
     jerk = shape.jerk_mps3
     up, down = _ramps(cruise_mps, shape)

@@ -8,20 +8,23 @@ from metropilot._lazy import lazy_door
 
 if TYPE_CHECKING:
     from metropilot.policy.file import load_policy, save_policy, shipped_policy
-    from metropilot.policy.loaded import (
+    from metropilot.policy.guarded import (
         POLICY_FILE,
         GuardedPolicy,
         LoadedPolicy,
         load_driving_policy,
         policy_path,
     )
-    from metropilot.policy.networks import Activation, Params, dueling, forward
-    from metropilot.policy.policy import (
+    from metropilot.policy.networks import (
         NORMALISED_RANGE,
+        Activation,
+        Params,
         Policy,
         PolicySpec,
         act,
         choose_action,
+        dueling,
+        forward,
         network_output,
         normalise,
         only_policy,
@@ -56,18 +59,21 @@ __getattr__, __dir__ = lazy_door(
     __name__,
     {
         "file": ("load_policy", "save_policy", "shipped_policy"),
-        "policy": (
+        "guarded": ("GuardedPolicy", "LoadedPolicy", "POLICY_FILE", "load_driving_policy", "policy_path"),
+        "networks": (
+            "Activation",
             "NORMALISED_RANGE",
+            "Params",
             "Policy",
             "PolicySpec",
             "act",
             "choose_action",
+            "dueling",
+            "forward",
             "network_output",
             "normalise",
             "only_policy",
             "table_cell",
         ),
-        "loaded": ("GuardedPolicy", "LoadedPolicy", "POLICY_FILE", "load_driving_policy", "policy_path"),
-        "networks": ("Activation", "Params", "dueling", "forward"),
     },
 )

@@ -10,8 +10,7 @@ import numpy as np
 
 from metropilot._tensors import read_tensors, write_tensors
 from metropilot.errors import InputError
-from metropilot.policy.networks import ACTIVATIONS
-from metropilot.policy.policy import OUTPUTS, Policy, PolicySpec
+from metropilot.policy.networks import ACTIVATIONS, OUTPUTS, Policy, PolicySpec
 
 FORMAT = 1
 SHIPPED = Path(__file__).parent / "shipped"

@@ -1,21 +1,31 @@
-"""Networks as plain functions of a flat dict of arrays, named as in the policy file and the ONNX graph.
+"""Learned policies: networks as plain functions of a flat dict of arrays, and the meaning of their numbers.
 
 Everything is written for one observation; batch with ``jax.vmap``. A layer ``policy.0`` is two entries,
-``policy.0.weight`` of shape (inputs, outputs) and ``policy.0.bias`` of shape (outputs,). The functions take
-their array namespace, so that a driver in the cab runs them in NumPy without importing JAX.
+``policy.0.weight`` of shape (inputs, outputs) and ``policy.0.bias`` of shape (outputs,), named alike in the
+policy file and the ONNX graph. The functions take their array namespace, so that a driver in the cab runs
+them in NumPy without importing JAX.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from itertools import pairwise
 from types import ModuleType
 from typing import Any, Literal
 
-Array = Any
+import numpy as np
+
+from metropilot._typing import Array
+
 Params = dict[str, Array]
 Activation = Literal["tanh", "relu", "silu"]
-
 ACTIVATIONS: tuple[Activation, ...] = ("tanh", "relu", "silu")
+Output = Literal["clip", "tanh", "argmax", "dueling", "table"]
+OUTPUTS: tuple[Output, ...] = ("clip", "tanh", "argmax", "dueling", "table")
+# Observations are normalised to at most this many deviations.
+NORMALISED_RANGE = 10.0
 
 
 def activate(name: str, x: Array, xp: ModuleType) -> Array:
@@ -62,3 +72,163 @@ def dueling(value: Array, advantage: Array) -> Array:
         advantage: Shape (..., count).
     """
     return value + (advantage - advantage.mean(-1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class PolicySpec:
+    """Meaning of the parameters of a policy.
+
+    Attributes:
+        output: Treatment of the last layer: clipped to [-1, 1] (PPO), tanh (SAC, DDPG, NAF), the largest
+            chosen (DQN, discrete PPO), the largest of state value and advantages (dueling DQN), or a table
+            looked up.
+        observation_size: Length of the observation.
+        actions: Number of continuous actions, or of choices.
+        hidden: Widths of the hidden layers; of a table: cells along each observation.
+        activation: Between the layers.
+        width: Outputs of the last layer (SAC's also has the deviations, which a driver leaves alone).
+        normalised: Whether observations are normalised first.
+    """
+
+    output: Output
+    observation_size: int
+    actions: int
+    hidden: tuple[int, ...]
+    activation: Activation
+    width: int
+    normalised: bool = False
+
+    @property
+    def discrete(self) -> bool:
+        """True if the action is an integer choice."""
+        return self.output in {"argmax", "dueling", "table"}
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Name and shape of every parameter."""
+        if self.output == "table":
+            size = self.observation_size
+            return {
+                "policy.table": (math.prod(self.hidden), self.actions),
+                "policy.low": (size,),
+                "policy.high": (size,),
+            }
+        shapes: dict[str, tuple[int, ...]] = {}
+        sizes = (self.observation_size, *self.hidden)
+        for k, (inputs, outputs) in enumerate(pairwise(sizes)):
+            shapes |= _layer(f"policy.{k}", inputs, outputs)
+        if self.output == "dueling":
+            shapes |= _layer("policy.value.0", sizes[-1], 1) | _layer(
+                "policy.advantage.0", sizes[-1], self.width
+            )
+        else:
+            shapes |= _layer(f"policy.{len(self.hidden)}", sizes[-1], self.width)
+        if self.normalised:
+            shapes |= {"observation.mean": sizes[:1], "observation.scale": sizes[:1]}
+        return shapes
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return asdict(self) | {"hidden": list(self.hidden)}
+
+
+def _layer(name: str, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
+    """The two entries of a layer."""
+    return {f"{name}.weight": (inputs, outputs), f"{name}.bias": (outputs,)}
+
+
+def normalise(params: Mapping[str, Array], observation: Array, xp: ModuleType) -> Array:
+    """Subtract the mean, divide by the deviation, keep in range; without statistics, nothing."""
+    if "observation.mean" not in params:
+        return observation
+    centred = (observation - params["observation.mean"]) * params["observation.scale"]
+    return xp.clip(centred, -NORMALISED_RANGE, NORMALISED_RANGE)
+
+
+def network_output(
+    spec: PolicySpec, params: Mapping[str, Array], observation: Array, xp: ModuleType
+) -> Array:
+    """Output of the last layer, or the row of the table: action values, logits, means.
+
+    Args:
+        spec: Meaning of the parameters.
+        params: Flat parameters.
+        observation: As the task gives it. Shape (O,).
+        xp: ``numpy`` or ``jax.numpy``.
+
+    Returns:
+        Shape (width,).
+    """
+    if spec.output == "table":
+        return params["policy.table"][table_cell(spec, params, observation, xp)]
+    x = normalise(params, observation, xp)
+    if spec.output != "dueling":
+        return forward(params, "policy", x, spec.activation, xp)
+    features = forward(params, "policy", x, spec.activation, xp)
+    features = activate(spec.activation, features, xp)
+    value = forward(params, "policy.value", features, spec.activation, xp)
+    return dueling(value, forward(params, "policy.advantage", features, spec.activation, xp))
+
+
+def table_cell(spec: PolicySpec, params: Mapping[str, Array], observation: Array, xp: ModuleType) -> Array:
+    """Row of the table that an observation falls in. Shape ()."""
+    bins = np.asarray(spec.hidden, np.float32)
+    strides = np.asarray([math.prod(spec.hidden[k + 1 :]) for k in range(len(spec.hidden))], np.int32)
+    share = (observation - params["policy.low"]) / (params["policy.high"] - params["policy.low"])
+    along = xp.clip(xp.floor(share * bins), 0.0, bins - 1.0).astype(np.int32)
+    return (along * strides).sum()
+
+
+def act(
+    spec: PolicySpec,
+    params: Mapping[str, Array],
+    observation: Array,
+    mask: Array | None = None,
+    xp: Any = None,  # noqa: ANN401 (a module)
+) -> Array:
+    """The action of a policy that no longer explores.
+
+    Args:
+        spec: Meaning of the parameters.
+        params: Flat parameters.
+        observation: As the task gives it. Shape (O,).
+        mask: Choices allowed. Shape (actions,), None: all.
+        xp: ``numpy``, or ``jax.numpy`` (the default).
+
+    Returns:
+        Shape (actions,), or an integer of shape ().
+    """
+    if xp is None:
+        import jax.numpy as xp
+    return choose_action(spec, network_output(spec, params, observation, xp), mask, xp)
+
+
+def choose_action(spec: PolicySpec, output: Array, mask: Array | None, xp: ModuleType) -> Array:
+    """The action that an output of the network stands for; see :func:`act`."""
+    if spec.discrete:
+        if mask is not None:
+            output = xp.where(mask | ~mask.any(), output, -1e9)
+        return xp.argmax(output)
+    output = output[: spec.actions]
+    return xp.tanh(output) if spec.output == "tanh" else xp.clip(output, -1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Policy:
+    """Parameters with what they mean; a pytree, so that many seeds' policies are one with a leading axis.
+
+    Attributes:
+        spec: Meaning of the parameters.
+        params: Flat parameters, exactly those of ``spec.shapes()``.
+    """
+
+    spec: PolicySpec
+    params: Params
+
+    def __call__(self, observation: Array, mask: Array | None = None) -> Array:
+        """The action in NumPy, for one observation of shape (O,)."""
+        return act(self.spec, self.params, observation, mask, np)
+
+
+def only_policy(spec: PolicySpec, params: Mapping[str, Array]) -> Params:
+    """The parameters that a policy consists of, without critics, targets and deviations."""
+    return {name: params[name] for name in spec.shapes()}

@@ -1,4 +1,4 @@
-"""What protection may assume about the plant. The guarantee holds for every plant within these bounds."""
+"""Bounds of the plant that protection relies on. The guarantee holds for every plant within these bounds."""
 
 from __future__ import annotations
 

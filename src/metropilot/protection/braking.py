@@ -1,4 +1,4 @@
-"""How fast a driver may go that is already braking for a lower limit ahead: a cap for planners."""
+"""Highest speed of a driver that already brakes for a lower limit ahead: a cap for planners."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def permitted_braking(
         protection: Curves and bounds.
         track: The section.
         position_m: Positions.
-        deceleration_mps2: What the driver brakes with, nominally.
+        deceleration_mps2: Nominal deceleration of the driver's braking.
     """
     vehicle, mass = protection.vehicle, protection.vehicle.effective_mass_kg
     weight = _weight_n(protection, track, position_m)

@@ -6,13 +6,15 @@ Written once over the array namespace; the permitted curve is computed with the 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import no_type_check
 
 import numpy as np
+from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot._typing import Scalar
+from metropilot._typing import Array, Flag, Scalar
 from metropilot.physics import Vehicle, davis_n, effort_at, namespace
-from metropilot.protection.types import Array, Rates
+from metropilot.protection.types import Rates
 
 HALVINGS = 13
 BLOCK = 64
@@ -26,7 +28,7 @@ Forces = tuple[Scalar, Scalar, Scalar]
 
 
 def fastest(vehicle: Vehicle, rates: Rates, speed_mps: Scalar, pull_mps2: Scalar) -> Forces:
-    """What an effort can do at most: gain of full traction, loss of full service brake, and neither, m/s^2.
+    """Largest effect of an effort: gain of full traction, loss of full service brake, and neither, m/s^2.
 
     The lightest trainset accelerates, the heaviest with the weakest service brake slows down.
 
@@ -55,15 +57,16 @@ def acceleration(forces: Forces, share: Scalar) -> Scalar:
     return xp.maximum(share, 0.0) * push + xp.minimum(share, 0.0) * hold + coast
 
 
+@no_type_check
 def stays_under(
     rates: Rates,
-    curve: Array,
-    distance_m: Array,
+    curve: Float[Array, "*nodes ahead"],
+    distance_m: Float[Array, "*nodes ahead"],
     speed_mps: Scalar,
     acceleration_mps2: Scalar,
     pull_mps2: Scalar,
-) -> Scalar:
-    """Whether the brake, decided one period from now, still keeps under its curve.
+) -> Flag:
+    """True if the brake, decided one period from now, still keeps under its curve.
 
     The safe-braking model of IEEE 1474.1, as a convention, on energy over distance: the acceleration in
     flight goes on during the reaction; then traction falls and the brake builds up at the assumed jerk, to
@@ -76,8 +79,8 @@ def stays_under(
 
     Args:
         rates: The brake and the plant until it acts.
-        curve: Braking curve at the nodes around and ahead, m^2/s^2. Shape (W,).
-        distance_m: Distance to each of them, the first at hand or just behind. Shape (W,).
+        curve: Braking curve at the nodes around and ahead, m^2/s^2.
+        distance_m: Distance to each of them, the first at hand or just behind.
         speed_mps: Upper bound on the present speed.
         acceleration_mps2: Upper bound on the acceleration during the reaction.
         pull_mps2: Largest pull of the gradient over the distance.
@@ -108,19 +111,19 @@ def stays_under(
 def highest_speed(
     vehicle: Vehicle,
     rates: Rates,
-    curve: ndarray,
-    distance_m: ndarray,
-    pull_mps2: ndarray,
+    curve: Float[ndarray, "nodes ahead"],
+    distance_m: Float[ndarray, " ahead"],
+    pull_mps2: Float[ndarray, " nodes"],
     effort_mps2: Callable[[ndarray], ndarray],
-) -> ndarray:
+) -> Float[ndarray, " nodes"]:
     """Highest speed that a driver can have at each node without being overruled, m/s (NumPy).
 
     Args:
         vehicle: The nominal trainset.
         rates: The brake and the plant until it acts.
-        curve: Braking curve from each node on, m^2/s^2. Shape (N, W).
-        distance_m: Distance to those, from 0. Shape (W,).
-        pull_mps2: Largest pull of the gradient. Shape (N,).
+        curve: Braking curve from each node on, m^2/s^2.
+        distance_m: Distance to those, from 0.
+        pull_mps2: Largest pull of the gradient.
         effort_mps2: The driver's force over the effective mass at given speeds, traction positive.
     """
     low, high = np.zeros(curve.shape[0]), np.sqrt(2.0 * curve[:, 0])

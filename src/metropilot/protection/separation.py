@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import NamedTuple, no_type_check
 
 import numpy as np
+from jaxtyping import Float
 
-from metropilot._typing import Scalar
+from metropilot._typing import Array, Scalar
 from metropilot.errors import InputError
 from metropilot.physics import namespace, scalars
-from metropilot.protection.types import Array
 
 NODES = np.arange(24) / 23.0
 """Where the gap is looked at while either brake still builds up, as a share of that time."""
@@ -26,7 +26,7 @@ SLOWEST_MPS2 = 0.02
 
 
 class Separation(NamedTuple):
-    """What is declared of a follower and the trainset ahead of it. All 0-d.
+    """Declared bounds of a follower and the trainset ahead of it. All 0-d.
 
     Attributes:
         leader_mps2: Strongest deceleration of the trainset ahead, gradient and resistance included.
@@ -38,29 +38,29 @@ class Separation(NamedTuple):
             emergency brake. Nothing of the guarantee rests on it.
     """
 
-    leader_mps2: Array
-    leader_jerk_mps3: Array
-    held_mps2: Array
-    period_s: Array
-    margin_m: Array
-    room_m: Array
+    leader_mps2: Scalar
+    leader_jerk_mps3: Scalar
+    held_mps2: Scalar
+    period_s: Scalar
+    margin_m: Scalar
+    room_m: Scalar
 
 
 class TrainAhead(NamedTuple):
-    """What a follower knows of the trainset ahead: its last message, and what is declared of it. All 0-d.
+    """Last message of the trainset ahead, and its declared bounds. All 0-d.
 
     Attributes:
         rear_m: Its rear, in the follower's own positions, when the message was sent.
         speed_mps: Its speed then.
         acceleration_mps2: Its acceleration over the period before.
-        age_s: How long ago that was.
-        bounds: What is declared.
+        age_s: Age of the message.
+        bounds: Declared bounds.
     """
 
-    rear_m: Array
-    speed_mps: Array
-    acceleration_mps2: Array
-    age_s: Array
+    rear_m: Scalar
+    speed_mps: Scalar
+    acceleration_mps2: Scalar
+    age_s: Scalar
     bounds: Separation
 
 
@@ -72,9 +72,9 @@ class PairBounds:
         leader_mps2: Strongest deceleration of the trainset ahead, gradient and resistance included; infinite:
             it may stand where it last was (moving block).
         leader_jerk_mps3: Fastest change of its acceleration.
-        scatter_mps2: How much less than asked for the follower's emergency brake may give.
+        scatter_mps2: Shortfall of the follower's emergency brake against the rate asked for.
         margin_m: Distance never to be used up.
-        room_m: What must be left on top of it for a command to pass.
+        room_m: Distance left on top of it that lets a command pass.
     """
 
     leader_mps2: float = float("inf")
@@ -96,7 +96,7 @@ def separate(pair: PairBounds, period_s: float, held_mps2: float, dtype: type = 
     """The declared bounds of a pair as numbers for the supervisor (NumPy).
 
     Args:
-        pair: What is declared.
+        pair: Declared bounds.
         period_s: Control period.
         held_mps2: Deceleration that the follower's emergency brake gives on the steepest fall of the section.
         dtype: Number type.
@@ -131,23 +131,23 @@ class Braking(NamedTuple):
         speed_mps: Speed at first.
         steady_mps2: Acceleration held at first, at least ``-rate_mps2``.
         reaction_s: For how long.
-        jerk_mps3: How fast it falls then.
+        jerk_mps3: Rate at which it falls then.
         rate_mps2: Deceleration in the end.
         built_s: When that is reached.
         stop_s: When it stands.
     """
 
-    speed_mps: Array
-    steady_mps2: Array
-    reaction_s: Array
-    jerk_mps3: Array
-    rate_mps2: Array
-    built_s: Array
-    stop_s: Array
+    speed_mps: Scalar
+    steady_mps2: Scalar
+    reaction_s: Scalar
+    jerk_mps3: Scalar
+    rate_mps2: Scalar
+    built_s: Scalar
+    stop_s: Scalar
 
 
 @no_type_check
-def braking(
+def brake_motion(
     speed_mps: Scalar, steady_mps2: Scalar, reaction_s: Scalar, jerk_mps3: Scalar, rate_mps2: Scalar
 ) -> Braking:
     """A motion and the moment it ends, in closed form."""
@@ -165,7 +165,7 @@ def braking(
 
 
 @no_type_check
-def travelled(motion: Braking, time_s: Array) -> Array:
+def distance_at(motion: Braking, time_s: Float[Array, " times"]) -> Float[Array, " times"]:
     """Distance covered by each moment, m."""
     xp = namespace(time_s, motion.speed_mps)
     t = xp.clip(time_s, 0.0, motion.stop_s)
@@ -190,7 +190,7 @@ def speed_at(motion: Braking, time_s: Scalar) -> Scalar:
 
 
 @no_type_check
-def leading(ahead: TrainAhead) -> Braking:
+def leader_motion(ahead: TrainAhead) -> Braking:
     """The hardest the trainset ahead can brake from its message on.
 
     It holds an acceleration for a whole period, so the fall has a period's head start.
@@ -200,7 +200,7 @@ def leading(ahead: TrainAhead) -> Braking:
     worst = ahead.acceleration_mps2 - bounds.leader_jerk_mps3 * bounds.period_s
     worst = xp.maximum(worst, -bounds.leader_mps2)
     zero = 0.0 * ahead.speed_mps
-    return braking(ahead.speed_mps, worst, zero, bounds.leader_jerk_mps3, bounds.leader_mps2)
+    return brake_motion(ahead.speed_mps, worst, zero, bounds.leader_jerk_mps3, bounds.leader_mps2)
 
 
 @no_type_check
@@ -213,10 +213,10 @@ def least_gap(ahead: TrainAhead, position_m: Scalar, following: Braking) -> Scal
     Args:
         ahead: The trainset ahead.
         position_m: Head of the follower.
-        following: What the follower does at its fastest.
+        following: Fastest motion of the follower.
     """
     xp = namespace(ahead.rear_m, position_m, following.speed_mps)
-    leader = leading(ahead)
+    leader = leader_motion(ahead)
     building = xp.maximum(xp.maximum(following.built_s, leader.built_s - ahead.age_s), 0.0)
     gain = leader.rate_mps2 - following.rate_mps2
     closing = speed_at(following, building) - speed_at(leader, building + ahead.age_s)
@@ -225,7 +225,9 @@ def least_gap(ahead: TrainAhead, position_m: Scalar, following: Braking) -> Scal
     join = np if single else xp
     late = join.stack([equal, following.stop_s, xp.maximum(leader.stop_s - ahead.age_s, 0.0)])
     times = join.concatenate([NODES.astype(late.dtype) * building, late])
-    gaps = ahead.rear_m - position_m + travelled(leader, times + ahead.age_s) - travelled(following, times)
+    gaps = (
+        ahead.rear_m - position_m + distance_at(leader, times + ahead.age_s) - distance_at(following, times)
+    )
     step = building * float(NODES[1])
     dip = 0.125 * step * step * (xp.maximum(leader.steady_mps2, 0.0) + following.rate_mps2)
     return gaps.min() - dip

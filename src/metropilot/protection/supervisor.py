@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from metropilot._typing import Scalar
-from metropilot.physics import Command, namespace, pushed, scalars, unless
+from metropilot._typing import Array, Scalar
+from metropilot.physics import Command, namespace, push_command, scalars, unless
 from metropilot.protection.predict import Forces, acceleration, fastest, stays_under
-from metropilot.protection.separation import TrainAhead, braking, least_gap
-from metropilot.protection.types import Array, Memory, Protection, Rates, Verdict
+from metropilot.protection.separation import TrainAhead, brake_motion, least_gap
+from metropilot.protection.types import Memory, Protection, Rates, Verdict
 
 RELEASE_MPS = 0.1
 """After an intervention the driver's command must fit at this much more speed before it passes again."""
@@ -70,7 +70,7 @@ def supervise(
     kept, acceleration_mps2 = check.effect(share)
     overruled = (level > 0) & (command.emergency ^ True)
     after = Memory(
-        recent=pushed(memory.recent, share),
+        recent=push_command(memory.recent, share),
         share=kept,
         acceleration_mps2=acceleration_mps2,
         emergency=emergency,
@@ -105,13 +105,13 @@ class Brake(NamedTuple):
     """One brake at one position: its rates, its curve ahead, the gradient's pull, what efforts do."""
 
     rates: Rates
-    curve: Array
+    curve: Scalar
     pull_mps2: Scalar
     forces: Forces
 
 
 class CommandCheck:
-    """Everything a command is tested against, at one measured position and speed."""
+    """Tests of a command at one measured position and speed."""
 
     def __init__(
         self,
@@ -144,7 +144,7 @@ class CommandCheck:
         return _between(curve, self.node, self.way)
 
     def emergency(self, share: Scalar, margin_mps: Scalar) -> Scalar:
-        """Whether the emergency brake decided one period from now is in time, whatever the plant."""
+        """True if the emergency brake decided one period from now is in time, whatever the plant."""
         return self._in_time(self.worst, share, margin_mps) & self._clear(share, margin_mps, 0.0)
 
     def passes(self, share: Scalar, margin_mps: Scalar) -> Scalar:
@@ -165,12 +165,12 @@ class CommandCheck:
         )
 
     def _clear(self, share: Scalar, margin_mps: Scalar, rooms: float) -> Scalar:
-        """Whether the emergency brake decided one period from now keeps clear of the trainset ahead.
+        """True if the emergency brake decided one period from now keeps clear of the trainset ahead.
 
         Args:
             share: Command let pass until then.
             margin_mps: Speed to allow on top of the measured one.
-            rooms: How many times its ``room_m`` must be left.
+            rooms: Multiple of its ``room_m`` that must be left.
         """
         if self.ahead is None:
             return self.measured
@@ -182,7 +182,7 @@ class CommandCheck:
         rates = self.worst.rates
         acting = self.xp.maximum(acceleration(self.worst.forces, self.kept(share)), self.fading)
         speed = self.speed_mps + rates.speed_error_mps + margin_mps
-        motion = braking(speed, acting, rates.reaction_s, rates.jerk_mps3, ahead.bounds.held_mps2)
+        motion = brake_motion(speed, acting, rates.reaction_s, rates.jerk_mps3, ahead.bounds.held_mps2)
         return least_gap(ahead, self.position_m, motion)
 
     def kept(self, share: Scalar) -> Scalar:
@@ -213,7 +213,7 @@ def spare_gap(
     share: Scalar,
     ahead: TrainAhead,
 ) -> Scalar:
-    """How much nearer the trainset ahead could be for a command still to pass, m; negative: it does not pass.
+    """Distance by which the trainset ahead could be nearer and a command pass, m; negative: it does not pass.
 
     For drivers that follow: whoever keeps it above zero is not overruled on account of the trainset ahead.
     """
@@ -223,7 +223,7 @@ def spare_gap(
 
 
 def approach_margin(protection: Protection, acceleration_mps2: Array) -> Array:
-    """How far under the permitted speed a trainset must be that still accelerates, m/s.
+    """Margin under the permitted speed that a trainset needs which still accelerates, m/s.
 
     Until the emergency brake acts the acceleration goes on, and it may be that of the lightest trainset.
     """

@@ -1,18 +1,18 @@
-"""What protection is made of: plain tuples of arrays, the same in NumPy and JAX."""
+"""Types of protection: plain tuples of arrays, the same in NumPy and JAX."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 
+from metropilot._typing import Array, Flag, Index, Scalar
 from metropilot.physics import Vehicle
-
-Array = Any
 
 
 class Rates(NamedTuple):
-    """What is assumed of one brake and of the plant until it acts. All 0-d.
+    """Assumptions about one brake and the plant until it acts. All 0-d.
 
     Attributes:
         reaction_s: From a command let pass to the brake decided one period later acting.
@@ -25,26 +25,26 @@ class Rates(NamedTuple):
         speed_error_mps: Largest error of the measured speed.
     """
 
-    reaction_s: Array
-    brake_mps2: Array
-    jerk_mps3: Array
-    mass_low: Array
-    mass_high: Array
-    resistance_low: Array
-    service_share: Array
-    speed_error_mps: Array
+    reaction_s: Scalar
+    brake_mps2: Scalar
+    jerk_mps3: Scalar
+    mass_low: Scalar
+    mass_high: Scalar
+    resistance_low: Scalar
+    service_share: Scalar
+    speed_error_mps: Scalar
 
 
 class Fading(NamedTuple):
-    """How fast an effort let pass is sure to fade. All 0-d.
+    """Slowest fading of an effort let pass. All 0-d.
 
     Attributes:
         share: Share of a command's effect left after one period, at the longest lag.
         acceleration_mps2: Least fall of an acceleration in one period (infinite: at once).
     """
 
-    share: Array
-    acceleration_mps2: Array
+    share: Scalar
+    acceleration_mps2: Scalar
 
 
 class Protection(NamedTuple):
@@ -56,7 +56,7 @@ class Protection(NamedTuple):
         vehicle: The nominal trainset.
         rates: The emergency brake and the declared bounds: what the guarantee rests on.
         service_rates: The service brake of the nominal plant: what spares the emergency brake.
-        fading: How fast an effort fades.
+        fading: Fading of an effort.
         start_m: Position of the first node. 0-d.
         spacing_m: Distance between nodes. 0-d.
         emergency: Emergency braking curve: from anywhere under it the guaranteed brake alone keeps the limit
@@ -75,55 +75,55 @@ class Protection(NamedTuple):
     rates: Rates
     service_rates: Rates
     fading: Fading
-    start_m: Array
-    spacing_m: Array
-    emergency: Array
-    service: Array
-    pull_mps2: Array
-    usual_pull_mps2: Array
-    permitted_mps: Array
-    ahead: Array
-    slots: Array
+    start_m: Scalar
+    spacing_m: Scalar
+    emergency: Float[Array, " nodes"]
+    service: Float[Array, " nodes"]
+    pull_mps2: Float[Array, " nodes"]
+    usual_pull_mps2: Float[Array, " nodes"]
+    permitted_mps: Float[Array, " nodes"]
+    ahead: Int[Array, " ahead"]
+    slots: Float[Array, " slots"]
 
 
 class Memory(NamedTuple):
-    """What the supervisor remembers from one period to the next.
+    """Memory of the supervisor from one period to the next.
 
     Attributes:
         recent: Commands let pass that may still be on their way, newest first. Shape (D,).
         share: Upper bound on the share in effect after dead time and lag.
         acceleration_mps2: Upper bound on the acceleration over the last period.
         emergency: Whether the emergency brake is latched.
-        level: What was done last: an index into ``LEVELS``.
+        level: Last level: an index into ``LEVELS``.
         interventions: Spells in which the driver was overruled.
-        emergencies: How many of them came to the emergency brake.
+        emergencies: Number of them that came to the emergency brake.
         invalid: Commands that were not finite or out of range.
     """
 
-    recent: Array
-    share: Array
-    acceleration_mps2: Array
-    emergency: Array
-    level: Array
-    interventions: Array
-    emergencies: Array
-    invalid: Array
+    recent: Float[Array, " slots"]
+    share: Scalar
+    acceleration_mps2: Scalar
+    emergency: Flag
+    level: Index
+    interventions: Index
+    emergencies: Index
+    invalid: Index
 
 
 class Verdict(NamedTuple):
-    """What protection made of one command.
+    """Verdict of protection on one command.
 
     Attributes:
-        level: What was done: an index into ``LEVELS``.
+        level: Level of intervention: an index into ``LEVELS``.
         permitted_mps: Permitted speed at the measured position.
         emergency_mps: Speed of the emergency braking curve there.
         valid: Whether the driver's command was a number in [-1, 1].
     """
 
-    level: Array
-    permitted_mps: Array
-    emergency_mps: Array
-    valid: Array
+    level: Index
+    permitted_mps: Scalar
+    emergency_mps: Scalar
+    valid: Flag
 
 
 LEVELS = ("none", "traction cut-off", "service brake", "emergency brake")

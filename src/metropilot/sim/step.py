@@ -13,7 +13,17 @@ from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 
-from metropilot.physics import Command, State, Track, Vehicle, controlled, locate, namespace, scalars, step
+from metropilot.physics import (
+    Command,
+    State,
+    Track,
+    Vehicle,
+    limit_deceleration,
+    locate,
+    namespace,
+    scalars,
+    step,
+)
 from metropilot.protection import Memory, Protection, TrainAhead, Verdict, supervise
 from metropilot.sim.disturbance import NOISE_CUT
 from metropilot.sim.outcome import RUNNING, OutcomeRule, outcome_of
@@ -135,7 +145,7 @@ def control_period(
         intervened = (verdict.level > 0) | (abs(wanted.share) < float("inf")) ^ True
     vehicle, applied = params.vehicle, command
     if params.most_mps2 is not None:
-        vehicle, applied = controlled(vehicle, params.track, plant, command, params.most_mps2)
+        vehicle, applied = limit_deceleration(vehicle, params.track, plant, command, params.most_mps2)
     after = step(vehicle, params.track, plant, applied, params.dt)
 
     xp = namespace(after.speed_mps)

@@ -13,7 +13,7 @@ from metropilot._dirs import runs_folder
 from metropilot.env import PolicyInterface
 from metropilot.errors import InputError
 from metropilot.policy.file import load_policy
-from metropilot.policy.policy import Policy, choose_action, network_output
+from metropilot.policy.networks import Policy, choose_action, network_output
 
 POLICY_FILE = "policy.safetensors"
 """Name of the policy in the folder of a learning run."""
@@ -60,8 +60,8 @@ class LoadedPolicy:
 
     Attributes:
         policy: From an observation to an action.
-        perception: What it sees, what its actions mean, what is done for it.
-        about: What else the file says of itself: task, algorithm, seed, KPIs, provenance.
+        perception: Its features, the meaning of its actions, its assists.
+        about: Further facts that the file gives: task, algorithm, seed, KPIs, provenance.
         path: The file.
     """
 
