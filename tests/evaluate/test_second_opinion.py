@@ -12,7 +12,7 @@ from tests.reference.replay import read_rows, replay
 from metropilot.drivers import DRIVERS
 from metropilot.evaluate import RunSpec, kpis_of
 from metropilot.railway import load_line
-from metropilot.sim import drive
+from metropilot.sim import Disturbance, drive
 
 KWH = 3.6e6
 SECTIONS = [*load_line("yizhuang").sections(), *load_line("yizhuang").sections(backward=True)]
