@@ -42,7 +42,8 @@ class _Arrival(_Strict):
     announced: Share
 
 
-_Ranges = create_model("_Ranges", __base__=_Strict, **dict.fromkeys(DRAWN, (Spread | None, None)))
+_RANGES: dict[str, Any] = {name: (Spread | None, None) for name in DRAWN}
+_Ranges = create_model("_Ranges", __base__=_Strict, **_RANGES)
 
 
 class _Disturbance(_Ranges):

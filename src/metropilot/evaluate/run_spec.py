@@ -333,7 +333,7 @@ def run_from_toml(path: Path) -> RunSpec:
         raise InputError("not a run.toml (no table [run])", file=path, field="from")
     with in_run_toml(path, *table):
         spec = RunSpec.from_values(table)
-    places = {k: str(path.parent / v) for k in FILES if is_file(v := getattr(spec, k))}
+    places: dict[str, Any] = {k: str(path.parent / v) for k in FILES if is_file(v := getattr(spec, k))}
     policy = spec.options.get(POLICY)
     if isinstance(policy, str) and policy:
         near = path.parent / policy
