@@ -12,7 +12,7 @@ from metropilot.env import PolicyInterface
 from metropilot.env.tables import CURVES, SectionTables, build_tables
 from metropilot.physics import Track, delay_steps, padded_size, stack, track_arrays, vehicle_arrays
 from metropilot.protection import Bounds, protect
-from metropilot.railway import Section, Trainset, load_trainset
+from metropilot.railway import Restriction, Section, Trainset, load_trainset
 from metropilot.sim import Run, declared_bounds
 
 CASES = (8, 32, 128, 512)
@@ -34,7 +34,7 @@ class Place(NamedTuple):
         bounds: What protection is told to expect.
     """
 
-    section: tuple[str, str, str, tuple[str, ...]]
+    section: tuple[str, str, str, tuple[Restriction, ...]]
     trainset: tuple[str, str | None, bool]
     bounds: Bounds
 

@@ -42,7 +42,7 @@ class _Arrival(_Strict):
     announced: Share
 
 
-_RANGES: dict[str, Any] = {name: (Spread | None, None) for name in DRAWN}
+_RANGES: dict[str, Any] = dict.fromkeys(DRAWN, (Spread | None, None))
 _Ranges = create_model("_Ranges", __base__=_Strict, **_RANGES)
 
 
