@@ -26,7 +26,6 @@ from metropilot.sim import (
     RunState,
     control_period,
     first_state,
-    hold_ended,
     running_time,
     true_vehicle,
 )
@@ -173,7 +172,7 @@ class DrivingTask(AbstractTask):
             noise = jax.random.fold_in(key, k) if config.scenarios.speed_noise_mps[1] > 0 else key
             reached, over, excess = self._period(noise, now, (action, wanted))
             reached = reached, overruled + over, jnp.maximum(overspeed, excess)
-            return (hold_ended(now.run, reached, carry) if config.periods > 1 else reached), None
+            return reached, None
 
         carry = state, jnp.zeros((), jnp.float32), jnp.zeros((), jnp.float32)
         if config.periods > UNROLLED:
@@ -271,6 +270,8 @@ class DrivingTask(AbstractTask):
             wanted = config.action.held(sight, *decided)
             command, stopping = assisted(config.assists, sight, wanted, state.stopping, config.dt)
             command = config.action.settled(sight, command)
+            if config.periods > 1:  # an episode that ends within a decision waits for the next one
+                command = jnp.where(state.outcome == RUNNING, command, -jnp.ones_like(command))
             return Command(command, jnp.zeros((), bool)), (command, stopping)
 
         noise = jax.random.normal(key, (), jnp.float32) if noisy else 0.0

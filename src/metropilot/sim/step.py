@@ -120,7 +120,7 @@ def control_period(
 ) -> tuple[RunState, Any, PeriodRecord]:
     """One control period of one run. Pure over the array namespace; batch it with ``jax.vmap``.
 
-    A run that has ended is stepped like any other; in a batch, :func:`hold_ended` keeps it as it ended.
+    A run that has ended keeps its outcome but is stepped like any other; :func:`hold_ended` keeps all of it.
 
     Args:
         params: Data of the period.
@@ -161,6 +161,7 @@ def control_period(
         scheduled_s=params.scheduled_s,
         overspeed_mps=overspeed,
     )
+    outcome = xp.where(state.outcome == RUNNING, outcome, state.outcome)
     measured = measured_speed(after.speed_mps, params.speed_noise_mps, noise)
     reached = RunState(after, supervision, measured, since, outcome)
     return reached, memory, PeriodRecord(wanted, command, verdict, intervened, overspeed)
@@ -212,19 +213,21 @@ def overspeed_in_period(track: Track, before: State, after: State) -> Array:
     x0, x1, v0, v1 = before.position_m, after.position_m, before.speed_mps, after.speed_mps
     xp = namespace(x1, v1)
     breaks, limits = track.limit_from_m, track.limit_mps
-    first, last = locate(breaks, x0), locate(breaks, x1)
-    worst = xp.maximum(xp.maximum(v0 - limits[first], v1 - limits[last]), 0.0)
+    last = locate(breaks, x1)
+    worst = xp.maximum(v1 - limits[last], 0.0)
     if xp is scalars:
+        first = locate(breaks, x0)
+        worst = max(worst, v0 - limits[first])
         for k in range(first + 1, last + 1):
-            share = (breaks[k] - x0) / (x1 - x0)
-            speed = max(v0 * v0 + (v1 * v1 - v0 * v0) * share, 0.0) ** 0.5
+            speed = max(v0 * v0 + (v1 * v1 - v0 * v0) * (breaks[k] - x0) / (x1 - x0), 0.0) ** 0.5
             worst = max(worst, speed - min(limits[k], limits[k - 1]))
         return worst
-    share = (breaks - x0) / xp.maximum(x1 - x0, 1e-9)
-    speed = xp.sqrt(xp.maximum(v0 * v0 + (v1 * v1 - v0 * v0) * xp.clip(share, 0.0, 1.0), 0.0))
-    excess = speed - xp.minimum(limits, xp.roll(limits, 1))
-    passed = (xp.arange(breaks.shape[0]) > first) & (xp.arange(breaks.shape[0]) <= last)
-    return xp.maximum(worst, xp.max(xp.where(passed, excess, 0.0)))
+    # The excess at the beginning was that at the end of the period before; of limits so near to each other
+    # that one period crosses several, a compiled program looks at the last.
+    share = (breaks[last] - x0) / xp.maximum(x1 - x0, 1e-9)
+    speed = xp.sqrt(xp.maximum(v0 * v0 + (v1 * v1 - v0 * v0) * share, 0.0))
+    excess = speed - xp.minimum(limits[last], limits[xp.maximum(last - 1, 0)])
+    return xp.maximum(worst, xp.where(breaks[last] > x0, excess, 0.0))
 
 
 def hold_ended(before: RunState, reached: Any, kept: Any = None) -> Any:  # noqa: ANN401 (trees of arrays)
