@@ -1,7 +1,10 @@
 """One control period: the same function in NumPy and JAX, and every disturbance in every engine."""
 
+import importlib.util
+import re
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +28,7 @@ from metropilot.sim import (
     drive,
     true_vehicle,
 )
+from metropilot.sim import step as step_module
 from metropilot.sim.outcome import outcome_of
 from metropilot.sim.step import overspeed_in_period
 
@@ -211,3 +215,18 @@ def test_what_a_learner_meets_reaches_its_episodes():
     announced = np.isfinite(drawn.restricted_at_s)
     assert 0.4 < announced.mean() < 0.6
     assert set(np.asarray(drawn.restricted)[announced]) == {1, 2, 3, 4}
+
+
+def test_the_diagram_of_a_control_period_names_what_there_is():
+    page = (Path(__file__).parents[2] / "docs" / "design.md").read_text()
+    part = page.split("## A control period")[1].split("\n## ")[0]
+    diagram = part.split("```")[1]
+    callers = re.findall(r"^\| `([a-z_]+(?:\.\w+)+)`", part, re.MULTILINE)
+    names = {"RunParams", "RunState", "true_vehicle", "measured_speed", "overspeed_in_period", "outcome_of"}
+    assert names <= set(re.findall(r"\w+", diagram))
+    assert all(hasattr(step_module, name) for name in names - {"true_vehicle"})
+    assert len(callers) == 7
+    for caller in callers:
+        package, _, name = caller.rpartition(".")
+        found = importlib.import_module(f"metropilot.{package}")
+        assert hasattr(found, name) or importlib.util.find_spec(f"metropilot.{caller}"), caller
