@@ -1,4 +1,4 @@
-"""Where things of the user's are kept: learning runs, and what can be computed again."""
+"""Folders of the user's files: learning runs, and results that can be computed again."""
 
 from __future__ import annotations
 

@@ -13,9 +13,9 @@ from platform import processor, python_version
 from subprocess import DEVNULL, SubprocessError, run
 
 DRIVING = ("clarabel", "numpy", "scipy", "matplotlib", "jax")
-"""What the numbers and pictures of a drive depend on."""
+"""Packages on which the numbers and pictures of a drive depend."""
 LEARNING = ("jax", "jaxlib", "numpy", "safetensors")
-"""What the numbers of a learned policy depend on."""
+"""Packages on which the numbers of a learned policy depend."""
 
 
 def versions(packages: Sequence[str]) -> dict[str, str]:

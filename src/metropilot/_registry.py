@@ -32,7 +32,7 @@ class Registry(Generic[T]):
     """Objects by id, each imported when it is first asked for.
 
     Args:
-        kind: What the objects are, in a word for messages.
+        kind: Kind of the objects, in a word for messages.
         rows: Its rows by id.
         field: Option or field that names an id, for messages; by default the kind.
     """
@@ -82,7 +82,7 @@ class Registry(Generic[T]):
         return cast("T", getattr(import_module(module), attribute))
 
     def make(self, name: str, **options: object) -> Any:  # noqa: ANN401 (what the object makes)
-        """What the object of an id makes of options: a driver of its class.
+        """Make an object of an id with options: a driver of its class.
 
         Raises:
             InputError: No such id (the nearest is named).

@@ -22,8 +22,8 @@ class Range:
     Attributes:
         low: Lowest value.
         high: Highest value.
-        above: Whether ``low`` itself is excluded.
-        infinite: Whether plus infinity ("no bound") is a value too.
+        above: True if ``low`` itself is excluded.
+        infinite: True if plus infinity ("no bound") is a value too.
     """
 
     low: int | float = -math.inf
@@ -32,7 +32,7 @@ class Range:
     infinite: bool = False
 
     def admit(self, value: int | float) -> bool:
-        """Whether the value lies in the range."""
+        """Tell if the value lies in the range."""
         if math.isinf(value):
             return self.infinite and value > 0
         return bool((value > self.low if self.above else value >= self.low) and value <= self.high)
@@ -53,7 +53,7 @@ class Range:
 
 @dataclass(frozen=True)
 class FieldSpec:
-    """What is declared of one field besides its name, type and default.
+    """Declaration of one field besides its name, type and default.
 
     Attributes:
         help: One sentence for ``--help`` and the HTTP API.
@@ -61,7 +61,7 @@ class FieldSpec:
         range: The range of the number; None where it is no number.
         choices: The words it may be; empty where any will do.
         option: Name of the command line's option, without dashes, where it is not the field's without unit.
-        form: How the option's text is written, where it is not a number or a word.
+        form: Form of the option's text, where it is not a number or a word.
         label: Label in a form of the console; empty where a form does not show it.
         step: Step of that form's field.
     """
@@ -77,7 +77,7 @@ class FieldSpec:
 
     @property
     def allowed(self) -> str:
-        """What is allowed, in words."""
+        """Allowed values in words."""
         if self.range is None:
             return ", ".join(self.choices)
         return self.range.words(Unit(self.unit, "") if self.unit else None)
@@ -118,7 +118,7 @@ def declared(default: Any, help: str, **more: Any) -> Any:  # noqa: A002, ANN401
 
 @cache
 def field_specs(kind: type[Any]) -> dict[str, FieldSpec]:
-    """What a dataclass declares of its fields, by name; a field that declares nothing is left out."""
+    """Declarations of a dataclass's fields, by name; a field that declares nothing is left out."""
     return {f.name: f.metadata[FieldSpec] for f in fields(kind) if FieldSpec in f.metadata}
 
 

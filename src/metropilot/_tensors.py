@@ -65,7 +65,7 @@ def write_tensors(path: Path, arrays: dict[str, np.ndarray], metadata: dict[str,
     """Write arrays and metadata, whole or not at all; equal input gives equal bytes.
 
     Args:
-        path: Where to.
+        path: File to write.
         arrays: By name, of the types in :data:`DTYPES`.
         metadata: Plain values; one JSON string under one key, because several keys have no fixed order.
 
@@ -88,7 +88,7 @@ def write_tensors(path: Path, arrays: dict[str, np.ndarray], metadata: dict[str,
 
 
 def _content(path: Path, max_bytes: int) -> bytes:
-    """What is in the file; of a device or a pipe, nothing."""
+    """Content of the file; of a device or a pipe, nothing."""
     try:
         if path.exists() and not path.is_file():
             raise OSError(0, "not a file")

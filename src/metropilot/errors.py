@@ -23,7 +23,7 @@ class InputError(MetropilotError, ValueError):
     """Input that cannot be used: one line that says what, where, and what is allowed.
 
     Args:
-        message: What is wrong, in words.
+        message: Message in words.
         file: The file or catalogue entry it stands in.
         field: The field (dotted path), option or argument.
         value: The offending value as given.

@@ -31,7 +31,7 @@ class Unit:
     """A unit of a kind of quantity: one of it is ``numerator / denominator`` of the kind's first unit.
 
     Attributes:
-        name: How files write it.
+        name: Spelling in files.
         kind: The quantity it measures, a key of ``KINDS``.
         numerator: Factor to SI.
         denominator: Divisor to SI (kept apart so that 80 km/h is exactly ``80 / 3.6``).
@@ -62,7 +62,7 @@ class Unit:
         return exact
 
     def exact(self, values: Sequence[float]) -> bool:
-        """Whether every SI value survives being written in this unit and read back."""
+        """Tell if every SI value survives being written in this unit and read back."""
         return all(self.to_si(self.from_si(v)) == v for v in values)
 
 
@@ -113,7 +113,7 @@ def unit(name: object, kind: str, *, file: object = None, field: str | None = No
     """The unit of a kind that a file names.
 
     Args:
-        name: What the file says; ``None`` where it says nothing.
+        name: Spelling in the file; ``None`` where it has none.
         kind: The quantity expected, a key of ``KINDS``.
         file: The file, for the message.
         field: The dotted path of the unit's own entry, for the message.

@@ -17,7 +17,7 @@ from metropilot.policy import GuardedPolicy, load_policy, policy_path, shipped_p
 from metropilot.sim import Run
 
 OBSERVED = ("speed", "command", "speed_error", "position_error")
-"""What the policy sees, as its file must say."""
+"""Observation entries of the policy, as its file must list them."""
 
 
 def ddpg_pid(
@@ -27,7 +27,7 @@ def ddpg_pid(
 
     Args:
         policy: From an observation of shape (4,) to three numbers in [-1, 1].
-        seen: What the controller is given.
+        seen: Controller inputs: errors, speed and last command.
         errors: Speed errors of the two periods before.
         upper: Upper limits of the gains.
     """
@@ -54,7 +54,7 @@ def load_gains_policy(path: Path) -> GuardedPolicy:
 @final
 @dataclass(frozen=True)
 class DdpgPidOptions(AbstractTrackingOptions):
-    """What it follows, and which policy sets the gains.
+    """Options of ``ddpg-pid``: the reference and the policy that sets the gains.
 
     Attributes:
         policy: A policy file, or the folder or id of a learning run; empty: the one shipped.
@@ -88,7 +88,7 @@ class DdpgPid(AbstractTracker):
         return load_gains_policy(self.path)
 
     def read_policy(self) -> object:
-        """What sets the gains."""
+        """Read the policy that sets the gains."""
         return self.policy
 
     def fresh(self, run: Run) -> Errors:

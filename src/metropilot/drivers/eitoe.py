@@ -20,12 +20,13 @@ from metropilot.sim.driver import AbstractDriver
 
 @dataclass(frozen=True)
 class EitoeOptions:
-    """What the expert is told.
+    """Prior knowledge of the expert about the brake.
 
     Attributes:
         start_mps2: Largest acceleration (rule 2).
         brake_gain: Actual over believed braking force, as learned at earlier stops.
-        brake_known: Whether it was: a driver that never stopped this trainset plans its stop with care.
+        brake_known: True if it was learned: a driver that never stopped this trainset plans its stop with
+            care.
         intervals: Keep to a time for each speed-limit interval, as Algorithm 1 prints it.
     """
 
@@ -41,7 +42,7 @@ class EitoeOptions:
 
     @property
     def hoa(self) -> Hoa:
-        """What is known about the brake."""
+        """Knowledge of the brake before the first stop."""
         return Hoa(self.brake_gain, SETTLED if self.brake_known else UNSURE)
 
 

@@ -29,7 +29,7 @@ from metropilot.sim.driver import AbstractDriver
 
 
 class FlatOutMemory(NamedTuple):
-    """What the driver carries from one period to the next.
+    """Memory of the driver between two periods.
 
     Attributes:
         run: The run.

@@ -182,7 +182,7 @@ def fuzzy_pid(
 @final
 @dataclass(frozen=True)
 class FuzzyPidOptions(AbstractTrackingOptions):
-    """What it follows, the gains that the rules move, and the universes.
+    """Options of ``fuzzy-pid``: the reference, the gains that the rules change, and the universes.
 
     Attributes:
         kp: Proportional gain at rest.

@@ -35,20 +35,20 @@ EARLY_S = 1e-6
 
 
 class LearnedMemory(NamedTuple):
-    """What the driver carries from one period to the next.
+    """Memory of the driver between two periods.
 
     Attributes:
         run: The run.
         section: The section as last announced.
-        told: The section and the trainset as told, as tables.
-        rows: What it sees of them: the same, or with the trainset as it has shown itself.
+        told: Tables of the section and the nominal trainset.
+        rows: Tables the policy sees: the nominal ones, or those of the estimated trainset.
         case: The one row of that.
         command: Last command.
         action: Action of the policy's last decision.
         wanted: Command it asked for.
         decided: Decisions taken.
-        stopping: Whether the last braking has begun.
-        watch: What is believed of the trainset; None where no assist would use it.
+        stopping: True once the station-stop braking has begun.
+        watch: Estimate of the plant; None where no assist would use it.
     """
 
     run: Run
@@ -70,7 +70,7 @@ class LearnedDriver(AbstractDriver):
 
     Args:
         policy: From an observation to an action.
-        perception: What the policy sees, what its actions mean, what is done for it.
+        perception: Features, action and assists of the policy.
     """
 
     id = "learned"
@@ -176,7 +176,7 @@ class LearnedDriver(AbstractDriver):
         return memory._replace(rows=rows, case=rows.case(0), watch=watch)
 
     def _sight(self, memory: LearnedMemory, observation: Observation) -> FeatureContext:
-        """What the policy sees: the state as it is, or as it will be when its command begins to act."""
+        """Features' context: the state as it is, or as it will be when its command begins to act."""
         case, watch = memory.case, memory.watch
         time, x, v, a = observation[:4]
         scheduled = observation.scheduled_time_s

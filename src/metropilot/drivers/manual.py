@@ -62,16 +62,16 @@ LEAST_MPS2 = 0.1
 
 
 class Habits(NamedTuple):
-    """What a driver is like, drawn once for a run.
+    """Habits of one driver, drawn once for a run.
 
     Attributes:
         reaction_s: Time from seeing to moving the lever.
         band_mps: Half width of the band a speed is held in.
-        deceleration_mps2: How hard this driver brakes.
-        onset_s: How much too early (negative: too late) braking begins.
+        deceleration_mps2: Deceleration this driver brakes with.
+        onset_s: Time by which braking begins too early (negative: too late).
         coast_share: Share of the section this driver means to coast.
         clock_s: Error of the driver's feeling for the time left.
-        aim_m: Where this driver means to stop, past the stop.
+        aim_m: Stopping point this driver aims at, past the stop.
     """
 
     reaction_s: float
@@ -92,7 +92,7 @@ class LeverPosition(NamedTuple):
 
 
 class Intent(NamedTuple):
-    """What the driver means to do: hold a speed, coast from a point, whether it powers or brakes now."""
+    """Driver's intention: hold a speed, coast from a point, power or brake now."""
 
     cruise_mps: float
     coast_from_m: float
@@ -102,7 +102,7 @@ class Intent(NamedTuple):
 
 
 class ManualMemory(NamedTuple):
-    """What the driver carries from one period to the next."""
+    """Memory of the driver between two periods."""
 
     run: Run
     section: Section
@@ -230,7 +230,7 @@ def _looked_at_the_clock(memory: ManualMemory, belief: StateEstimate, observatio
 
 
 def _decided(memory: ManualMemory) -> tuple[float, Intent]:
-    """Where the lever should be, and what the driver is up to."""
+    """Choose the lever position and the intention behind it."""
     model, belief, intent, curve = memory.model, memory.belief, memory.intent, memory.curve
     target = memory.section.length_m + memory.habits.aim_m
     if intent.braking:

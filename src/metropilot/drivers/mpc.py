@@ -24,13 +24,13 @@ from metropilot.sim.driver import AbstractDriver
 
 @dataclass(frozen=True)
 class MpcOptions:
-    """How often it plans, and with what.
+    """Options of ``mpc``: period and objective of the plan.
 
     Attributes:
-        objective: What the plan saves: ``wheel`` or ``line`` energy.
+        objective: Energy the plan saves: ``wheel`` or ``line``.
         period_s: Time between two plans; news and departures from the plan call for one at once.
         brake_use: Share of the braking force planned with where commands act late or the mass is not as told.
-        reserve_s: How much earlier than scheduled the plan arrives.
+        reserve_s: Time before the scheduled one at which the plan arrives.
         spacing_m: Mesh of the plan.
     """
 

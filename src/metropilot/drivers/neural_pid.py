@@ -28,7 +28,7 @@ SPEED_SCALE_MPS = 20.0
 
 
 class LearningRates(NamedTuple):
-    """How the network learns.
+    """Learning rates of the network.
 
     Attributes:
         learning: Learning rate.
@@ -64,7 +64,7 @@ class Network(NamedTuple):
         outer: Weights from the hidden units, and a bias, to the outputs. Shape (3, 6).
         inner_change: Last change of ``inner``.
         outer_change: Last change of ``outer``.
-        answer: What the last period's command owes to each output, and the activations it came from.
+        answer: Effect of the last period's command on each output, and the activations it came from.
         errors: Speed errors of the two periods before.
     """
 
@@ -104,8 +104,8 @@ def neural_pid(
 
     Args:
         network: The controller's memory.
-        seen: What it is given.
-        rates: How it learns.
+        seen: Controller inputs: errors, speed and last command.
+        rates: Learning rates.
         upper: Upper limits of the gains.
 
     Returns:
@@ -147,7 +147,7 @@ def _xp(*values: Array) -> Any:  # noqa: ANN401 (a module)
 @final
 @dataclass(frozen=True)
 class NeuralPidOptions(AbstractTrackingOptions):
-    """What it follows, the gains it begins with, how it learns.
+    """Options of ``neural-pid``: the reference, the initial gains and the learning rates.
 
     Attributes:
         kp: Proportional gain at first.

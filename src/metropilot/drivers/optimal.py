@@ -55,10 +55,10 @@ from metropilot.sim.driver import AbstractDriver
 
 @dataclass(frozen=True)
 class OptimalOptions:
-    """How closely the plan is followed.
+    """Options of ``optimal``: the plan, and how closely it is followed.
 
     Attributes:
-        objective: What the plan saves: ``wheel`` or ``line`` energy.
+        objective: Energy the plan saves: ``wheel`` or ``line``.
         speed_gain_per_s: Correction of a departure in speed.
         coast_band_mps2: Efforts below this are not given where the plan coasts.
         time_band_s: A departure in time that calls for a new plan.
@@ -72,12 +72,13 @@ class OptimalOptions:
         brake_use: Share of the braking force that plan and stop count on; the rest is for corrections.
         careful_brake_use: The same where commands act late, the brake has no force to spare, or the trainset
             answers differently than told.
-        handover_m: How near the stop its own law takes over from the plan.
-        alarm: Where the stop needs this much more than the planned deceleration, its law takes over at once.
+        handover_m: Distance from the stop at which the stop's own law takes over from the plan.
+        alarm: Factor on the planned deceleration: a stop that needs more is given to the stop's own law at
+            once.
         careful_alarm: The same, wherever it is, where commands act late.
         near_enough_m: Error at the stop that is not worth a correction in the last period.
-        cap_margin_mps: How far below the permitted speed the plan stays.
-        reserve_s: How much earlier than scheduled the plan arrives.
+        cap_margin_mps: Distance of the plan below the permitted speed.
+        reserve_s: Time before the scheduled one at which the plan arrives.
         spacing_m: Mesh of the plan.
     """
 
@@ -111,19 +112,20 @@ class FollowingMemory:
         trainset: The trainset as it is known.
         run: The run.
         guard: Protection's curves and bounds, as the trainset carries them.
-        watched: What protection remembers, kept alongside.
+        watched: State of protection, kept alongside.
         room: Speeds to keep under.
-        model: What it believes about trainset and section.
-        belief: Where it is and how the trainset answers.
+        model: Nominal trainset and section.
+        belief: Estimate of the state and of the plant.
         plan: The plan in force.
-        clock_s: When the plan began.
+        clock_s: Start of the plan.
         curve: Shape of the stop.
-        braking: Whether it is on its way to the stop.
-        overruled: Whether protection overruled the last command (then its answer teaches nothing).
-        adapted: What the plan assumed of the trainset.
+        braking: True on the way to the stop.
+        overruled: True if protection overruled the last command (its answer is then no measurement of the
+            plant).
+        adapted: Plant that the plan assumes.
         scheduled_s: The scheduled time the plan was made for.
         section: The section the plan was made for.
-        planned_at_s: When the plan was made.
+        planned_at_s: Time at which the plan was made.
     """
 
     trainset: Trainset
@@ -236,7 +238,7 @@ class Optimal(AbstractDriver):
         return float(memory.model.track.length_m) - ahead.position_m
 
     def _takes_over(self, memory: FollowingMemory, stop: Stop, available_mps2: float) -> bool:
-        """Whether the stop's own law takes over: near the point, or where the plan would come too late."""
+        """Tell if the stop's own law takes over: near the point, or where the plan would come too late."""
         left = self._left(memory, stop.ahead)
         rate = memory.curve.deceleration_mps2
         if memory.room.late_s > 0.0:
@@ -287,7 +289,7 @@ class Optimal(AbstractDriver):
         return share_for(memory.belief, ahead, wanted)
 
     def _departs(self, memory: FollowingMemory, observation: Observation) -> bool:
-        """Whether the plan in force no longer answers the question."""
+        """Tell if the run has left the plan in force."""
         news = observation.scheduled_time_s != memory.scheduled_s or observation.section is not memory.section
         if news:
             return True
@@ -352,7 +354,7 @@ class Optimal(AbstractDriver):
         return replace(told, plan=plan, clock_s=clock_s, curve=self._curve(model, plan, room))
 
     def _adaptation(self, belief: StateEstimate) -> Adapted:
-        """What to plan with: the trainset as estimated, with a brake no stronger than nominal."""
+        """Plant to plan with: the estimated one, with a brake no stronger than nominal."""
         return Adapted(belief.traction_gain, min(belief.brake_gain, 1.0), belief.resistance_factor)
 
     def _brake_use(self, vehicle: Vehicle, adapted: Adapted, room: Headroom) -> float:
@@ -404,7 +406,7 @@ def _plan(
 
 
 def stands_short(memory: FollowingMemory) -> bool:
-    """Whether the trainset stands, once departed, so far from the stop that it takes a plan to get there."""
+    """Tell if the trainset stands, once departed, so far from the stop that it takes a plan to get there."""
     belief = memory.belief
     left = float(memory.model.track.length_m) - belief.position_m
     return (

@@ -20,7 +20,7 @@ TUNED: Mapping[str, float] = MappingProxyType({"kp": 4.986, "ki": 1.4996, "kd": 
 @final
 @dataclass(frozen=True)
 class PidOptions(AbstractTrackingOptions):
-    """What it follows, and its gains; they stand for a control period of 0.2 s.
+    """Options of ``pid``: the reference, and gains for a control period of 0.2 s.
 
     Attributes:
         kp: Gain on the change of the error, 1/(m/s).

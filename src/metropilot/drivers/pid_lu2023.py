@@ -17,7 +17,7 @@ from metropilot.sim.nominal import simulate_nominal
 @final
 @dataclass(frozen=True)
 class PidLu2023Options(AbstractTrackingOptions):
-    """Whose curve it tracks, and its gains (the paper gives none; these are Cheng23's).
+    """Options of ``pid-lu2023``: the tracked curve, and gains (the paper gives none; these are Cheng23's).
 
     Attributes:
         policy: Policy file whose drive is tracked; empty: that of ``improved_dqn``.
@@ -37,7 +37,7 @@ class PidLu2023(AbstractTracker):
     """Tracks what improved DQN would drive (Lu23 Fig. 9); a curve laid anew on the way is an S-curve.
 
     Args:
-        options: Whose curve, and gains.
+        options: Options: curve and gains.
     """
 
     id: ClassVar[str] = "pid_lu2023"
@@ -51,7 +51,7 @@ class PidLu2023(AbstractTracker):
         self.learned = ImprovedDqn(PolicyOptions(self.given.policy))
 
     def read_policy(self) -> object:
-        """What drives the curve it tracks."""
+        """Read the policy that drives the curve it tracks."""
         return self.learned.loaded
 
     def init(self, run: Run) -> TrackingMemory:

@@ -21,7 +21,7 @@ from metropilot.sim.driver import AbstractDriver
 
 @dataclass(frozen=True)
 class PolicyOptions:
-    """Which policy drives.
+    """Options of a driver with a policy file.
 
     Attributes:
         policy: A policy file, or the folder or id of a learning run; empty: the one shipped with the driver.
@@ -37,7 +37,7 @@ class AbstractPolicyDriver(AbstractDriver):
     can; protection supervises it like any other driver.
 
     Args:
-        options: Which policy.
+        options: Options: the policy file.
     """
 
     def __init__(self, options: PolicyOptions | None = None) -> None:
@@ -62,7 +62,7 @@ class AbstractPolicyDriver(AbstractDriver):
         return load_driving_policy(self.path)
 
     def read_policy(self) -> object:
-        """What it drives by."""
+        """Read the policy."""
         return self.loaded
 
     @cached_property
@@ -92,7 +92,7 @@ class FromFile(AbstractPolicyDriver):
     """Any learned policy: ``--set policy=PATH``, a policy file, or the folder or id of a learning run.
 
     Args:
-        options: Which policy.
+        options: Options: the policy file.
     """
 
     id: ClassVar[str] = "learned"

@@ -1,4 +1,4 @@
-"""What every driver that tracks a reference shares: the reference itself, the errors, the stop at the point.
+"""Shared part of the drivers that track a reference: the reference, the errors, the stop at the point.
 
 The controllers of Cheng23 see a reference over time and answer its speed error. Around them stands what a
 real line needs and the paper leaves out: the reference keeps to limits and effort and is laid anew when the
@@ -60,7 +60,7 @@ ALARM = 1.15
 
 @dataclass(frozen=True)
 class AbstractTrackingOptions:
-    """What a tracking driver follows, and what is done for it.
+    """Options of a tracking driver: the reference it follows and its assists.
 
     Attributes:
         reference: ``trapezoid``, ``s_curve`` or ``optimal`` (the energy-optimal plan).
@@ -95,17 +95,17 @@ class TrackingMemory:
         run: The run.
         section: The section the reference was laid for.
         scheduled_s: The scheduled time it was laid for.
-        model: What is believed about trainset and section.
+        model: Nominal trainset and section.
         guard: Protection's curves.
-        watched: What protection remembers, kept alongside.
+        watched: State of protection, kept alongside.
         room: Speeds to keep under.
-        belief: Where it is and how the trainset answers.
-        reference: What is followed.
-        clock_s: When it began.
+        belief: Estimate of the state and of the plant.
+        reference: Reference in force.
+        clock_s: Start of the reference.
         controller: The controller's own memory.
         command: The controller's last command.
         stop: Shape of the stop, once the stop's own law drives.
-        overruled: Whether protection would have overruled the last command.
+        overruled: True if protection would have overruled the last command.
     """
 
     run: Run
@@ -128,7 +128,7 @@ class AbstractTracker(AbstractDriver):
     """A controller of the speed error with a reference to follow.
 
     Args:
-        options: What it follows.
+        options: Options of the driver.
     """
 
     def __init__(self, options: AbstractTrackingOptions) -> None:

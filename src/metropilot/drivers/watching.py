@@ -1,4 +1,4 @@
-"""Where a trainset answers differently than told, a learned driver looks ahead, allows for it and takes care.
+"""Plant mismatch under a learned policy: look ahead, replan the tables, and keep clear of protection.
 
 A policy and its assists see the trainset as told and the state as it is. That is right as long as both are: a
 command that acts late, a heavier trainset or a stronger resistance makes their last braking too late and
@@ -64,17 +64,17 @@ the jerk limit is there to correct the error."""
 NEAR_ENOUGH_M = 0.1
 """An error at the stop that is not worth the time a correction takes."""
 RESERVE_S = 0.5
-"""How much earlier than scheduled the policy is asked to arrive; careful braking takes time."""
+"""Time before the scheduled one at which the policy is asked to arrive; careful braking takes time."""
 MARGIN_MPS = 0.05
-"""How far below the permitted speed, less the error of a measurement, the ceiling is."""
+"""Distance of the ceiling below the permitted speed, besides the error of a measurement."""
 
 
 class Care(NamedTuple):
-    """What it takes to keep clear of protection.
+    """Protection kept alongside, to stay clear of it.
 
     Attributes:
         guard: Protection of the section.
-        watched: What it remembers.
+        watched: State of protection.
         room: Speeds to keep under.
     """
 
@@ -84,13 +84,14 @@ class Care(NamedTuple):
 
 
 class Watch(NamedTuple):
-    """What is believed of a run.
+    """Estimate of the plant during a run.
 
     Attributes:
         model: Trainset and section as told.
-        belief: Where it is and how the trainset answers.
-        care: What it takes to keep clear of protection; None as long as all is as told and nothing is late.
-        adapted: What the tables in force assume of the trainset.
+        belief: Estimate of the state and of the plant.
+        care: Protection kept alongside; None as long as nothing departs from the nominal plant and nothing is
+            late.
+        adapted: Plant that the tables in force assume.
         adapted_at_s: Since when.
     """
 
@@ -108,7 +109,7 @@ class Watch(NamedTuple):
 
 
 def first_watch(run: Run) -> Watch:
-    """What is believed before departure."""
+    """Estimate before departure."""
     trainset = run.scenario.nominal(run.trainset)
     vehicle = vehicle_arrays(trainset)
     model = Model(vehicle, track_arrays(run.section, trainset), run.dt)
@@ -120,12 +121,12 @@ def first_watch(run: Run) -> Watch:
 
 
 def update_watch(watch: Watch, run: Run, observation: Observation) -> Watch:
-    """What is believed after this period's measurements.
+    """Update the estimate with this period's measurements.
 
     Args:
-        watch: What was believed, the command of the last period included.
+        watch: Estimate before, the command of the last period included.
         run: The run.
-        observation: What the driver is given.
+        observation: Measurements of this period.
     """
     seen = observation.position_m, observation.speed_mps, observation.acceleration_mps2
     belief = update_estimate(watch.model, watch.belief, *seen)
@@ -147,7 +148,7 @@ def set_section(watch: Watch, run: Run, section: Section) -> Watch:
 
 
 def record_decision(watch: Watch, share: float) -> Watch:
-    """What is believed once a command has been given."""
+    """Add a command that has been given to the estimate."""
     return watch._replace(belief=record_command(watch.belief, share))
 
 
@@ -163,7 +164,7 @@ def stop_options(watch: Watch) -> StopOptions:
 
 
 def departs(belief: StateEstimate) -> bool:
-    """Whether the trainset surely answers differently than told."""
+    """Tell if the plant surely departs from the nominal one."""
     if belief.best != 0:
         return True
     gains, covariance = belief.bank.gains[belief.best], belief.bank.covariance[belief.best]
@@ -173,7 +174,7 @@ def departs(belief: StateEstimate) -> bool:
 
 
 def outdated(watch: Watch, time_s: float) -> bool:
-    """Whether the tables in force are of another trainset than the one that has shown itself."""
+    """Tell if the tables in force are of another plant than the one estimated since."""
     if watch.care is None or time_s - watch.adapted_at_s < PATIENCE_S:
         return False
     off = np.abs(np.subtract(watch.shown, watch.adapted))
@@ -189,7 +190,7 @@ def eased(watch: Watch, ahead: PredictedState, share: float, most_mps2: float) -
     """The command that stays under the ceiling.
 
     Args:
-        watch: What is believed.
+        watch: Estimate of the plant.
         ahead: From :func:`predicted_state`.
         share: Command wanted.
         most_mps2: Largest acceleration for other reasons.
@@ -201,12 +202,12 @@ def eased(watch: Watch, ahead: PredictedState, share: float, most_mps2: float) -
 
 
 def last_braking(watch: Watch, planned_mps2: float, stopping: bool) -> tuple[bool, float, PredictedState]:
-    """Whether the last braking is on, the command it asks for, and the state in which that begins to act.
+    """Decide on the station-stop braking: True if it is on, its command, and the state in which that acts.
 
     Args:
-        watch: What is believed.
+        watch: Estimate of the plant.
         planned_mps2: Deceleration the policy's last braking is planned with.
-        stopping: Whether it was on.
+        stopping: True if it was on.
     """
     model, rate = watch.model, CAREFUL_USE * planned_mps2
     target = float(model.track.length_m)

@@ -26,7 +26,7 @@ STATE, HISTORY = "state", "history."
 
 
 def _is_key(leaf: Any) -> bool:
-    """Whether a leaf is a typed random key."""
+    """Tell if a leaf is a typed random key."""
     return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
@@ -36,7 +36,7 @@ def save_checkpoint(
     """Write a checkpoint over the previous one, whole or not at all.
 
     Args:
-        path: Where to.
+        path: File to write.
         state: Pytree of arrays.
         history: Rows so far, one array a column.
         about: Plain values that must be the same when the run goes on, and whatever else is to be remembered.
@@ -57,7 +57,7 @@ def load_checkpoint(path: Path, template: Tree) -> tuple[Tree, dict[str, np.ndar
 
     Args:
         path: The file.
-        template: What the state looks like: from ``jax.eval_shape``.
+        template: Shapes and dtypes of the state, from ``jax.eval_shape``.
 
     Returns:
         State, history and what was remembered about the run.

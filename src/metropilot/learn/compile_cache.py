@@ -64,7 +64,7 @@ def trim_cache(folder: Path) -> None:
 
 
 def made_by() -> str:
-    """What a compiled program depends on, as the name of a folder: versions, processor, compiler flags."""
+    """Folder name for compiled programs, of all they depend on: versions, processor, compiler flags."""
     flags = "\n".join([_processor(), os.environ.get("XLA_FLAGS", ""), platform.machine()])
     digest = hashlib.sha256(flags.encode()).hexdigest()[:12]
     return f"jax-{version('jax')}-jaxlib-{version('jaxlib')}-{digest}"

@@ -1,4 +1,4 @@
-"""What learning is told: one frozen dataclass a learner.
+"""Configuration of learning: one frozen dataclass a learner.
 
 The CLI, the docs and the run record are derived from them; :mod:`metropilot.learn.config_reading` reads them.
 """
@@ -28,7 +28,7 @@ class PPOConfig(AbstractConfig):
 
     Attributes:
         rollout: Steps of each environment between updates.
-        epochs: How often each rollout is gone through.
+        epochs: Passes over each rollout.
         minibatches: Into how many each epoch is cut.
         learning_rate: Of Adam.
         lambda_: Of the generalised advantage (0.995 with gamma 1 suits sparse terminal rewards).
@@ -91,7 +91,7 @@ class DQNConfig(AbstractReplayConfig):
         mask_targets: The next action of the target, too, is one the task allows.
         epsilon: Share of random actions.
         target_period: Copy the target every so many gradient steps; 0: follow by ``tau`` at each.
-        huber: Where the square of the error turns straight; None: nowhere.
+        huber: Error at which the loss turns from square to linear; None: square everywhere.
     """
 
     algorithm: ClassVar[str] = "dqn"

@@ -1,4 +1,4 @@
-"""What every learner is told, and what those with a replay memory are told besides."""
+"""Configuration that every learner shares, and that of learners with a replay memory."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ Keep = Literal["best", "last"]
 
 @dataclass(frozen=True)
 class AbstractConfig(ABC):
-    """What every learner is told.
+    """Configuration that every learner shares.
 
     Attributes:
         steps: Environment steps in all, over all environments.
-        environments: How many environments run side by side.
+        environments: Number of environments side by side.
         evaluations: Learning is cut into this many chunks; after each the policy is evaluated and may be
             saved.
         evaluation_episodes: Episodes of one evaluation, always the same ones.
-        evaluation_steps: Where an evaluation episode is cut off.
+        evaluation_steps: Steps at which an evaluation episode is cut off.
         keep: ``best``: the policy with the highest evaluation score, the earlier one of equals; ``last``: the
             last.
         gamma: Discount; 1 is fine for episodes that end.
@@ -34,7 +34,7 @@ class AbstractConfig(ABC):
         normalise_observations: Subtract the running mean and divide by the running deviation.
         hidden: Widths of the hidden layers.
         activation: Between the layers.
-        initialiser: How weights begin.
+        initialiser: Initialiser of the weights.
         max_gradient_norm: Longer gradients are shortened to this.
     """
 
@@ -91,7 +91,7 @@ class AbstractConfig(ABC):
 
 @dataclass(frozen=True)
 class AbstractReplayConfig(AbstractConfig):
-    """What learners with a replay memory are told besides.
+    """Configuration that learners with a replay memory share besides.
 
     Attributes:
         collect: Steps of each environment between updates.

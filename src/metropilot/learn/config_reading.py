@@ -70,7 +70,7 @@ def _read(key: str, value: Any, hints: Mapping[str, Any]) -> Any:
 
 
 def _countable(value: Any) -> bool:
-    """Whether no whole number in a value is so large that it has no float, and no learner counts so far."""
+    """Tell if every whole number in a value has a float; larger ones than that no learner counts to."""
     todo = [value]
     while todo:
         found = todo.pop()

@@ -32,8 +32,8 @@ class DDPG(AbstractReplayLearner[DDPGConfig]):
     """DDPG on a task with continuous actions.
 
     Args:
-        config: What it is told.
-        task: What it learns.
+        config: Configuration.
+        task: Task to learn.
 
     Raises:
         InputError: The task has choices.
@@ -68,7 +68,7 @@ class DDPG(AbstractReplayLearner[DDPGConfig]):
         return jnp.tanh(self.asked_of(params, observation))
 
     def asked_of(self, params: Params, observation: Array) -> Array:
-        """What the actor asks for, before tanh. Shape (B, A)."""
+        """Output of the actor before tanh. Shape (B, A)."""
         return jax.vmap(lambda x: self.actor.apply(params, "policy", x))(observation)
 
     def values(self, params: Params, observation: Array, action: Array) -> Array:

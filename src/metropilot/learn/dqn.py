@@ -28,8 +28,8 @@ class DQN(AbstractReplayLearner[DQNConfig]):
     """DQN on a task with choices.
 
     Args:
-        config: What it is told.
-        task: What it learns.
+        config: Configuration.
+        task: Task to learn.
 
     Raises:
         InputError: The task has continuous actions.

@@ -14,7 +14,7 @@ RENEWED = 8
 
 
 class Environments(NamedTuple):
-    """Where each environment is.
+    """State of each environment.
 
     Attributes:
         state: Of the task, with a leading axis.
@@ -48,7 +48,7 @@ class Finished(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What one step of all environments gave, before any reset.
+    """Outcome of one step of all environments, before any reset.
 
     Attributes:
         observation: Surviving observation after the step. Shape (N, O).
@@ -116,7 +116,7 @@ def advance(
     Args:
         task: The task.
         key: Random key; every environment gets two of its own.
-        environments: Where they are.
+        environments: State of the environments.
         action: Shape (N, A), or (N,) choices.
     """
     count = environments.returned.shape[0]
@@ -176,9 +176,9 @@ def evaluate(task: AbstractTask, act: Any, key: Array, episodes: int, steps: int
     Args:
         task: The task.
         act: ``(observation, mask) -> action`` for one environment.
-        key: Where the episodes begin and what disturbs them: the same key, the same episodes.
-        episodes: How many.
-        steps: Where they are cut off.
+        key: Random key of starts and disturbances: the same key, the same episodes.
+        episodes: Number of episodes.
+        steps: Steps at which an episode is cut off.
 
     Returns:
         ``return``, ``length``, ``terminated`` (share that ended by itself), ``term.NAME`` each; all of shape

@@ -23,7 +23,7 @@ PARITY = 1e-5
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What an exported policy is worth.
+    """Report on an exported policy: its evaluation and its file.
 
     Attributes:
         path: The file.
@@ -71,8 +71,8 @@ def export_onnx(
 
     Args:
         policy: Of one seed.
-        path: Where to.
-        about: What is known about it, for the file's metadata: one JSON string each.
+        path: File to write.
+        about: Entries of the file's metadata: one JSON string each.
         probes: Random observations on which graph and policy are compared.
         seed: Of those.
 

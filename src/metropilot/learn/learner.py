@@ -1,4 +1,4 @@
-"""What the loop asks of a learner, and what every learner shares."""
+"""Interface between the loop and a learner, and the part that every learner shares."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Config = TypeVar("Config", bound=AbstractConfig)
 
 
 class LearnerReport(NamedTuple):
-    """What one iteration has to say.
+    """Report of one iteration.
 
     Attributes:
         losses: Named numbers of shape (), averaged over a chunk.
@@ -34,9 +34,9 @@ class AbstractLearner(ABC, Generic[Config]):
     """An algorithm on one task, as pure functions of a state that is one pytree of arrays.
 
     Attributes:
-        config: What it is told.
-        task: What it learns.
-        spec: What its policy's parameters mean.
+        config: Configuration.
+        task: Task to learn.
+        spec: Layout of its policy's parameters.
         iteration_steps: Environment steps of one iteration.
     """
 
@@ -88,7 +88,7 @@ def needs_choices(task: AbstractTask, algorithm: str) -> int:
 
 
 def observation_entries(moments: Moments) -> Params:
-    """What the policy file holds of the observations' statistics."""
+    """Entries of the policy file for the observations' statistics."""
     return {
         "observation.mean": moments.mean,
         "observation.scale": 1.0 / jnp.maximum(deviation(moments), 1e-4),

@@ -52,7 +52,7 @@ class Loop(NamedTuple):
 
     Attributes:
         learner: The algorithm on its task.
-        evaluate: What evaluates its policy.
+        evaluate: Evaluates its policy.
         iterations: Of one chunk.
         chunks: Of the run.
     """
@@ -118,8 +118,8 @@ def make_loop(config: AbstractConfig, task: AbstractTask, evaluate: Evaluate | N
     """A run ready to begin.
 
     Args:
-        config: Which learner and what it is told.
-        task: What it learns.
+        config: Configuration; its type chooses the learner.
+        task: Task to learn.
         evaluate: Parameters and a key to numbers, among them ``score``, the higher the better; by default the
             mean return of ``evaluation_episodes`` episodes.
 
@@ -151,8 +151,8 @@ def learn(
     ``jit(vmap(partial(learn, config, task)))(keys)`` learns many seeds at once.
 
     Args:
-        config: Which learner (by its type) and what it is told.
-        task: What it learns.
+        config: Configuration; its type chooses the learner.
+        task: Task to learn.
         key: Of ``jax.random.key(seed)``: the same key, the same bits.
         evaluate: See :func:`make_loop`.
 

@@ -26,8 +26,8 @@ class NAF(AbstractReplayLearner[NAFConfig]):
     """NAF on a task with continuous actions.
 
     Args:
-        config: What it is told.
-        task: What it learns.
+        config: Configuration.
+        task: Task to learn.
 
     Raises:
         InputError: The task has choices.

@@ -1,4 +1,4 @@
-"""How networks begin, and NAF's matrix; what runs them is :mod:`metropilot.policy.networks`."""
+"""Initial parameters of networks, and NAF's matrix; :mod:`metropilot.policy.networks` runs them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class MLP:
         initialiser: Orthogonal (gain sqrt 2), He uniform, or uniform within 1/sqrt(inputs) as Lillicrap's
             DDPG.
         output_scale: The last layer begins smaller by this factor.
-        output_bias: What the last layer gives at first, whatever the observation.
+        output_bias: Initial output of the last layer, whatever the observation.
     """
 
     sizes: tuple[int, ...]

@@ -1,4 +1,4 @@
-"""What DQN, DDPG, SAC and NAF share: act, remember, replay. They differ in how they explore and improve.
+"""Shared loop of DQN, DDPG, SAC and NAF: act, remember, replay. They differ in how they explore and improve.
 
 The memory is in the carry of the outermost scan and in nothing else that branches; the warm-up is a scan of
 its own.
@@ -33,7 +33,7 @@ from metropilot.policy import Params, normalise, only_policy
 
 
 class Networks(NamedTuple):
-    """What a gradient step changes.
+    """Networks and optimiser, changed by a gradient step.
 
     Attributes:
         params: Online parameters.
@@ -75,7 +75,7 @@ class ReplayState(NamedTuple):
 
     Attributes:
         networks: Parameters, targets and optimiser.
-        environments: Where the environments are.
+        environments: State of the environments.
         memory: A Ring, or a Prioritised one.
         window: The last n transitions of each environment. Shape (n, N, width).
         noise: State of correlated exploration noise. Shape (N, actions).
@@ -112,10 +112,10 @@ class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]
     """A learner with a memory of transitions.
 
     Args:
-        config: What it is told.
-        task: What it learns.
+        config: Configuration.
+        task: Task to learn.
         actions: Numbers of continuous actions, or of choices.
-        prioritised: Which of the two memories.
+        prioritised: True for the prioritised memory, False for the uniform one.
     """
 
     def __init__(self, config: ReplayConfig, task: AbstractTask, actions: int, *, prioritised: bool) -> None:

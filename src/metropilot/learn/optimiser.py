@@ -55,7 +55,7 @@ def adam_step(
     """One step against the gradient.
 
     Args:
-        params: Where we are.
+        params: Current parameters.
         gradient: Of the loss; same keys.
         state: Moments so far.
         learning_rate: Shape ().

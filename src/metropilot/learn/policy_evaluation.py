@@ -44,11 +44,11 @@ class Grid:
 
 
 class EvaluationRuns(NamedTuple):
-    """What came of an evaluation's drives; each of shape (N,).
+    """Results of an evaluation's drives; each of shape (N,).
 
     Attributes:
         episode: Their KPIs.
-        safe: Whether it arrived in place and on time, without overspeed or intervention.
+        safe: True if it arrived in place and on time, without overspeed or intervention.
         gap: Traction energy over the optimum at the running time achieved, minus one.
         late_s: Running time minus the scheduled time.
     """
@@ -75,7 +75,7 @@ class DrivingEvaluation:
 
     Args:
         task: The task.
-        spec: What the policies' parameters mean.
+        spec: Layout of the policies' parameters.
     """
 
     def __init__(self, task: DrivingTask, spec: PolicySpec) -> None:

@@ -50,7 +50,7 @@ class PPOState(NamedTuple):
     Attributes:
         params: Policy, value, statistics of observations.
         optimiser: Moments of Adam.
-        environments: Where the environments are.
+        environments: State of the environments.
         observed: Statistics of observations.
         scale: Statistics of returns.
         key: Random key.
@@ -79,8 +79,8 @@ class PPO(AbstractLearner[PPOConfig]):
     """PPO on a task with continuous actions or choices.
 
     Args:
-        config: What it is told.
-        task: What it learns.
+        config: Configuration.
+        task: Task to learn.
     """
 
     def __init__(self, config: PPOConfig, task: AbstractTask) -> None:

@@ -1,4 +1,4 @@
-"""How each driver is learned: its task, its learner and its two budgets, one typed recipe a driver.
+"""Recipes of the shipped drivers: task, learner and two budgets, one typed recipe a driver.
 
 ``metropilot learn`` and whoever ships a policy follow the same recipe; those of a paper are in its study.
 """
@@ -37,14 +37,14 @@ BUDGETS = ("quick", "paper")
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a driver is learned.
+    """Recipe by which a driver is learned.
 
     Attributes:
         task: Name of a registered task.
         paper: The learner's configuration that the shipped policy was learned with.
         quick: The same under the budget ``quick`` (about two minutes on two cores).
         changes: Change of the task's configuration; None: none.
-        evaluation: What evaluates a policy while it is learned; None: drives of the task from standstill.
+        evaluation: Evaluates a policy while it is learned; None: drives of the task from standstill.
     """
 
     task: str
@@ -103,7 +103,7 @@ def new_request(
     command: str = "",
     **told: Any,
 ) -> RunRequest:
-    """What to ask of :func:`metropilot.learn.train.learn_run` for a new run of a recipe.
+    """Request of a new run of a recipe, for :func:`metropilot.learn.train.learn_run`.
 
     Args:
         driver: Id of the driver.
@@ -121,7 +121,7 @@ def new_request(
 
 
 def resumed_request(record: RunRecord) -> RunRequest:
-    """What to ask of :func:`metropilot.learn.train.learn_run` to go on with a run.
+    """Request to go on with a run, for :func:`metropilot.learn.train.learn_run`.
 
     Raises:
         InputError: The run is of no recipe, or its task is no more.
@@ -174,7 +174,7 @@ def recipe(driver: str) -> Recipe:
 
 
 def _learned_by(driver: str) -> str:
-    """What to call for a driver that is learned otherwise, as the file shipped with it says."""
+    """Call that learns a driver without a recipe, as the file shipped with it says."""
     path = shipped_policy(driver)
     if not (driver.isidentifier() and path.is_file()):
         return ""

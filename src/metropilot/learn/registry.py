@@ -1,4 +1,4 @@
-"""Which class learns from which configuration: one row a learner."""
+"""Learner class of each configuration: one row a learner."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ BRANCHES = 8
 
 @dataclass(frozen=True)
 class RowLayout:
-    """Where each field of a transition stands in its row.
+    """Columns of each field of a transition in its row.
 
     Attributes:
         widths: Field name and number of columns, in order.
@@ -54,8 +54,8 @@ class Ring(NamedTuple):
 
     Attributes:
         rows: Shape (capacity, width).
-        position: Where the next batch goes. Shape (), int32.
-        size: How many rows are filled. Shape (), int32.
+        position: Row of the next batch. Shape (), int32.
+        size: Number of filled rows. Shape (), int32.
     """
 
     rows: Array

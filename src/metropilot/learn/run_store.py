@@ -73,20 +73,20 @@ class RunRecord:
     Attributes:
         id: Name of its folder.
         algorithm: ``ppo``, ...
-        task: What was learned, in a word.
+        task: Name of the task.
         seed: Of everything random.
         status: ``running``, ``interrupted``, ``done`` or ``failed``.
-        created: When it began, UTC, ISO 8601.
+        created: Start of the run, UTC, ISO 8601.
         seconds: Spent learning.
         steps: Environment steps done.
         score: Of the policy kept; None before the first evaluation.
         commit_id: The commit of the code, ``+`` where it was changed.
         config: The resolved configuration as plain values.
-        about: What else identifies the task: line, section, trainset.
+        about: Further identification of the task: line, section, trainset.
         versions: Of Python and packages.
         driver: Id of the driver that was learned; empty where it has none.
         command: The command line that began it; empty where none did.
-        machine: Where it began.
+        machine: Machine on which it began.
         kpis: Of the policy kept, by driving the task from standstill; before the end, of the last one driven.
         compile_seconds: Spent compiling, in the session that ended the run.
     """
@@ -120,7 +120,7 @@ class RunStore:
 
     Args:
         root: The folder; made when the first run is.
-        indexed: Whether there is an index; without one, only single runs can be looked at.
+        indexed: True if there is an index; without one, only single runs can be looked at.
     """
 
     def __init__(self, root: Path, *, indexed: bool = True) -> None:
@@ -128,7 +128,7 @@ class RunStore:
         self.indexed = indexed
 
     def folder(self, run_id: str) -> Path:
-        """Where a run's files are."""
+        """Folder of a run's files."""
         return self.root / run_id
 
     def create(
@@ -137,10 +137,10 @@ class RunStore:
         """A new run: its folder, its ``run.toml`` and its row.
 
         Args:
-            config: Which learner and what it is told.
-            task: What is learned, in a word.
+            config: Configuration; its type chooses the learner.
+            task: Name of the task.
             seed: Of everything random.
-            about: What else identifies the task.
+            about: Further identification of the task.
             more: ``id``, ``driver`` and ``command`` of the record.
 
         Raises:
@@ -319,7 +319,7 @@ def read_record(path: Path) -> RunRecord | None:
 
 
 def _fits(record: RunRecord) -> bool:
-    """Whether each value is of its kind, and the index can take it.
+    """Tell if each value is of its kind, and the index can take it.
 
     Raises:
         TypeError: A table holds what JSON does not know, as a date.

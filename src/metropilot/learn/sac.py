@@ -27,8 +27,8 @@ class SAC(AbstractReplayLearner[SACConfig]):
     """SAC on a task with continuous actions.
 
     Args:
-        config: What it is told.
-        task: What it learns.
+        config: Configuration.
+        task: Task to learn.
 
     Raises:
         InputError: The task has choices.

@@ -20,7 +20,7 @@ class Schedule:
         start: Value at the beginning.
         end: Value from ``over`` on.
         over: Share of the whole learning, in (0, 1].
-        shape: How it goes from one to the other; ``exponential`` needs both above zero.
+        shape: Curve from one to the other; ``exponential`` needs both above zero.
     """
 
     start: float

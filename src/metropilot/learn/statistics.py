@@ -17,7 +17,7 @@ class Moments(NamedTuple):
     """Mean and sum of squared differences from it, of everything seen so far.
 
     Attributes:
-        count: How many. Shape ().
+        count: Number of observations. Shape ().
         mean: Shape (K,).
         squares: Shape (K,).
     """
@@ -52,7 +52,7 @@ def deviation(moments: Moments) -> Array:
 
 
 class ReturnScale(NamedTuple):
-    """What reward scaling knows.
+    """Statistics of returns, for reward scaling.
 
     Attributes:
         returned: Discounted return of each environment's running episode. Shape (N,).
@@ -74,7 +74,7 @@ def return_scale_update(scale: ReturnScale, reward: Array, done: Array, gamma: f
     Args:
         scale: So far.
         reward: Shape (N,).
-        done: Where the episode ended. Shape (N,).
+        done: True where the episode ended. Shape (N,).
         gamma: Discount.
     """
     returned = scale.returned * gamma + reward

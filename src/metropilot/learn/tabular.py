@@ -23,7 +23,7 @@ class TabularState(NamedTuple):
 
     Attributes:
         params: The table and the ends of its grid.
-        environments: Where the environments are.
+        environments: State of the environments.
         key: Random key.
     """
 
@@ -37,8 +37,8 @@ class TabularQ(AbstractLearner[TabularConfig]):
     """A table of action values on a task with choices.
 
     Args:
-        config: What it is told.
-        task: What it learns.
+        config: Configuration.
+        task: Task to learn.
 
     Raises:
         InputError: The task has continuous actions, or the grid another number of axes than the observation.

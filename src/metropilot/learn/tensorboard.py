@@ -63,7 +63,7 @@ class EventWriter:
     """Scalars for TensorBoard; a context manager.
 
     Args:
-        folder: Where the event file goes; made if it is not there.
+        folder: Folder of the event file; made if it is not there.
     """
 
     def __init__(self, folder: Path) -> None:

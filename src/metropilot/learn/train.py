@@ -80,7 +80,7 @@ class TrainingOptions:
     Attributes:
         evaluate: Evaluates the policy; see :func:`metropilot.learn.loop.make_loop`.
         on_progress: Called after every chunk.
-        checkpoint: Where the state is kept; None: nowhere.
+        checkpoint: File of the kept state; None: not kept.
         every: Chunks between checkpoints.
         resume: Go on from the checkpoint if there is one; else it is written over.
         about: Plain values that must be the same to go on (which task, which section).
@@ -99,7 +99,7 @@ class TrainingLog:
     """History of one run, with the checkpoint that holds it and the learner's state.
 
     Attributes:
-        options: How the run is done.
+        options: Options of the run.
         identity: Plain values that must be the same to go on.
         chunks: Chunks of the run.
         total_steps: Environment steps of the run.
@@ -130,7 +130,7 @@ class TrainingLog:
         """State in the checkpoint; None where there is none to go on from.
 
         Args:
-            template: What the state looks like: from ``jax.eval_shape``.
+            template: Shapes and dtypes of the state, from ``jax.eval_shape``.
 
         Raises:
             InputError: The checkpoint is damaged, or of another run.
@@ -154,7 +154,7 @@ class TrainingLog:
             state: Of the learner, after the chunk.
             row: Of the history.
             steps: Environment steps done, this chunk included.
-            spent_s: What the chunk took.
+            spent_s: Duration of the chunk.
 
         Raises:
             InputError: The checkpoint cannot be written.
@@ -187,10 +187,10 @@ def learn_in_chunks(
     is lost is at most what was done since the last checkpoint.
 
     Args:
-        config: Which learner and its options.
-        task: What it learns.
+        config: Configuration; its type chooses the learner.
+        task: Task to learn.
         seed: Of everything random.
-        options: How.
+        options: Options of the run.
 
     Raises:
         InputError: The checkpoint is damaged, or of another run.
@@ -237,14 +237,14 @@ class RunRequest:
     """Learning run to be done.
 
     Attributes:
-        config: Which learner and what it is told.
-        task: What it learns.
+        config: Configuration; its type chooses the learner.
+        task: Task to learn.
         name: The task in a word.
         seed: Of everything random.
-        about: What identifies the task: line, section, trainset.
+        about: Identification of the task: line, section, trainset.
         tensorboard: Also write event files.
         driver: Id of the driver that is learned; empty where it has none.
-        perception: What a driver must know to use the policy; None: it cannot be driven.
+        perception: Knowledge a driver needs to use the policy; None: it cannot be driven.
         command: The command line that asks for it.
     """
 
@@ -265,8 +265,8 @@ def learn_run(
     """Learn into a run folder, or go on with one that was stopped.
 
     Args:
-        store: Where the runs are.
-        request: What is to be learned.
+        store: Store of the runs.
+        request: Run to begin or to go on with.
         options: Evaluation, progress and how often to save; its paths are replaced by the folder's.
         resume: Id of the run to go on with; None begins a new one.
 
@@ -293,7 +293,7 @@ def begin_run(store: RunStore, request: RunRequest, run_id: str | None = None) -
 
 
 def _about(request: RunRequest) -> dict[str, Any]:
-    """What identifies the task."""
+    """Identification of the task."""
     return dict(request.about or {}) | {"name": request.name}
 
 
@@ -356,7 +356,7 @@ def _learned(request: RunRequest, options: TrainingOptions) -> TrainingResult:
 
 
 def policy_about(record: RunRecord, perception: PolicyInterface | None) -> dict[str, Any]:
-    """What a policy file says of itself: all that a driver needs, and where it comes from."""
+    """Metadata of a policy file: all that a driver needs, and its origin."""
     about: dict[str, Any] = {
         "driver": record.driver,
         "algorithm": record.algorithm,
@@ -380,7 +380,7 @@ def policy_about(record: RunRecord, perception: PolicyInterface | None) -> dict[
 
 
 EVALUATION = "evaluation."
-"""How the names of an evaluation's columns begin."""
+"""Prefix of an evaluation's columns."""
 
 
 def kpis_kept(history: Mapping[str, np.ndarray], keep: str) -> dict[str, float]:

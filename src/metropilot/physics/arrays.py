@@ -84,7 +84,7 @@ def unless(done: Any, value: int, rest: Callable[..., Scalar], *given: Any) -> I
     any of its members must. (A plain ``where`` or ``cond`` makes all members of a batch try both.)
 
     Args:
-        done: Whether the number will do.
+        done: True if the number is accepted.
         value: The number.
         rest: Gives the number elsewhere; it may use its arguments only.
         given: Numbers and tuples of them, or None.

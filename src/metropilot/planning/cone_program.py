@@ -119,10 +119,10 @@ class Programme:
         floor_mps: Lowest speed at each node, or None. Shape (N+1,).
         jerk_mps3: Bound on jerk or None.
         start_mps2: Acceleration before the first node, for the jerk bound.
-        stands: Whether the run begins from rest (the acceleration then starts from zero).
+        stands: True if the run begins from rest (the acceleration then starts from zero).
         release_mps3: Jerk at which the brake is let go at the last node, or None for the bound on jerk.
         late_w: Price of a second later than the last bound, W per kg, or None to forbid it.
-        strictly_early: Whether lower time bounds are linearised about the last iterate, rather than put on
+        strictly_early: True to linearise lower time bounds about the last iterate, rather than put them on
             the time variables, which may exceed the true times where going slower saves nothing.
     """
 

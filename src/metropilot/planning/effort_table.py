@@ -14,7 +14,7 @@ STEP_MPS = 0.02
 
 
 class Specific(NamedTuple):
-    """What a planner asks of a trainset, all per kg of effective mass (m/s^2).
+    """Efforts of a trainset as planners use them, all per kg of effective mass (m/s^2).
 
     Attributes:
         speed_mps: Uniform grid from 0. Shape (G,).

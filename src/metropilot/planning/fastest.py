@@ -32,7 +32,7 @@ def check_running_time(
     Args:
         time_s: The running time.
         minimum_s: The minimum running time.
-        what: What that minimum is called.
+        what: Name of that minimum.
         field: The field that holds the time.
 
     Raises:

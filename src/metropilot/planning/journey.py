@@ -29,7 +29,7 @@ class Waypoint:
     Attributes:
         position_m: Position from the journey's origin, in the direction of travel.
         name: Name.
-        stop: Whether the trainset stands here.
+        stop: True if the trainset stops here.
         arrival_s: Earliest and latest arrival (or passing), s; None is free.
         departure_s: Earliest and latest departure, s.
         dwell_s: Shortest and longest dwell, s; equal: fixed.

@@ -42,7 +42,7 @@ INFEASIBLE = 1e9
 
 @dataclass(frozen=True)
 class NotchOptions:
-    """How the programme is solved.
+    """Options of the programme.
 
     Attributes:
         spacing_m: Largest segment; a notch is held over a segment.
@@ -75,11 +75,11 @@ class NotchPlan:
         time_s: Time since the start at the nodes. Shape (N+1,).
         force_n: Force of the notch held on each segment, braking negative. Shape (N,).
         running_time_s: Total time, at most the time asked for.
-        energy_j: What was minimised: traction work, plus ``brake_weight`` times braking work.
+        energy_j: Minimised energy: traction work, plus ``brake_weight`` times braking work.
         energy_wheel_j: Traction work.
         energy_effort_j: Traction and braking work (Lu23 eq. 16).
-        bound_j: What the programme's own value says no such drive can undercut in the time asked for: the
-            dual over the price of time, exact but for the interpolation of the value.
+        bound_j: Lower bound of the programme on any such drive in the time asked for: the dual over the price
+            of time, exact but for the interpolation of the value.
         second_w: Energy that one more second would save, J/s.
     """
 

@@ -39,7 +39,7 @@ class TimedReference:
         position_m: Shape (N,).
         speed_mps: Shape (N,).
         acceleration_mps2: Shape (N,).
-        duration_s: When it stands at the end.
+        duration_s: Time of the standstill at the end.
     """
 
     period_s: float
@@ -62,16 +62,16 @@ class TimedReference:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceTrack:
-    """What a reference is laid under.
+    """Constraints under which a reference is laid.
 
     Attributes:
         vehicle: Trainset.
         track: Section.
         cap_m: Positions of a speed to keep under beside the limits, None for none. Shape (G,).
-        cap_mps: That speed. Shape (G,).
+        cap_mps: Those speeds. Shape (G,).
         effort_share: Share of the traction and braking at hand that the reference may use.
-        start_m: Where it begins.
-        start_mps: How fast.
+        start_m: Initial position.
+        start_mps: Initial speed.
     """
 
     vehicle: Vehicle

@@ -48,7 +48,7 @@ def forward(params: Mapping[str, Array], prefix: str, x: Array, activation: str,
 
     Args:
         params: Flat parameters.
-        prefix: Which network of them.
+        prefix: Prefix of the network's parameters.
         x: Input. Shape (inputs,) or, in NumPy, (batch, inputs).
         activation: Between the layers.
         xp: ``numpy`` or ``jax.numpy``.
@@ -87,7 +87,7 @@ class PolicySpec:
         hidden: Widths of the hidden layers; of a table: cells along each observation.
         activation: Between the layers.
         width: Outputs of the last layer (SAC's also has the deviations, which a driver leaves alone).
-        normalised: Whether observations are normalised first.
+        normalised: True if observations are normalised first.
     """
 
     output: Output

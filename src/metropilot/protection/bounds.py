@@ -29,7 +29,7 @@ class Bounds:
         emergency_jerk_mps3: Slowest removal of traction and build-up of the emergency brake.
         speed_error_mps: Largest error of the measured speed.
         position_error_m: Largest error of the measured position.
-        controlled: Whether the emergency brake is controlled to its rate on any gradient, so that a climb
+        controlled: True if the emergency brake is controlled to its rate on any gradient, so that a climb
             adds nothing to it.
     """
 

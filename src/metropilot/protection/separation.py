@@ -20,7 +20,7 @@ from metropilot.errors import InputError
 from metropilot.physics import namespace, scalars
 
 NODES = np.arange(24) / 23.0
-"""Where the gap is looked at while either brake still builds up, as a share of that time."""
+"""Instants at which the gap is checked while either brake still builds up, as a share of that time."""
 AT_ONCE = 1e4
 SLOWEST_MPS2 = 0.02
 
@@ -133,8 +133,8 @@ class Braking(NamedTuple):
         reaction_s: For how long.
         jerk_mps3: Rate at which it falls then.
         rate_mps2: Deceleration in the end.
-        built_s: When that is reached.
-        stop_s: When it stands.
+        built_s: Time at which that is reached.
+        stop_s: Time of the standstill.
     """
 
     speed_mps: Scalar

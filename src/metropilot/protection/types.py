@@ -93,7 +93,7 @@ class Memory(NamedTuple):
         recent: Commands let pass that may still be on their way, newest first. Shape (D,).
         share: Upper bound on the share in effect after dead time and lag.
         acceleration_mps2: Upper bound on the acceleration over the last period.
-        emergency: Whether the emergency brake is latched.
+        emergency: True while the emergency brake is latched.
         level: Last level: an index into ``LEVELS``.
         interventions: Spells in which the driver was overruled.
         emergencies: Number of them that came to the emergency brake.
@@ -117,7 +117,7 @@ class Verdict(NamedTuple):
         level: Level of intervention: an index into ``LEVELS``.
         permitted_mps: Permitted speed at the measured position.
         emergency_mps: Speed of the emergency braking curve there.
-        valid: Whether the driver's command was a number in [-1, 1].
+        valid: True if the driver's command was a number in [-1, 1].
     """
 
     level: Index
@@ -127,7 +127,7 @@ class Verdict(NamedTuple):
 
 
 LEVELS = ("none", "traction cut-off", "service brake", "emergency brake")
-"""What the supervisor can do to a command, the least first; ``Verdict.level`` is an index."""
+"""Interventions on a command, the least first; ``Verdict.level`` is an index."""
 
 
 def at_start(protection: Protection, *, share: float = 0.0, acceleration_mps2: float = 0.0) -> Memory:

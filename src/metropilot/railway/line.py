@@ -349,7 +349,7 @@ def cut_section(line: Line, start: Station, end: Station) -> Section:
 LONGEST_M = 1.2e5
 """Longest run between two stops: grids of a metre are made of it, and no metro has a longer one."""
 BEYOND_M = 1e6
-"""How far a mirrored line's last curve reaches: further than any line."""
+"""Reach of a mirrored line's last curve: further than any line."""
 
 
 def _mirrored_curves(curves: tuple[Curve, ...], origin_m: float) -> tuple[Curve, ...]:

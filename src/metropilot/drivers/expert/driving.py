@@ -1,6 +1,8 @@
-"""How the expert drives: the loop that EITOE and the drivers that learned inside it share.
+"""Decision loop of the expert, shared by EITOE and the drivers that learned inside it.
 
-Every control period: what came of the last command, the state when a command given now acts, the last braking
+Every control period: Every control period, in this order: the effect of the last command, the state in which
+    a command given now acts, the station-stop braking if it must begin, the safe speed, and else the rate by
+    the window, changed by a constant or by a policy.
 if it must begin, the safe speed, and else the rate by the window, changed by a constant or by a policy.
 
 Source: Huang25 section 3 (rules 1 to 5, eqs. 14 to 24).
@@ -36,17 +38,17 @@ HOLD_PER_S = 0.5
 BACK_PER_S = 1.0
 """Deceleration for each m/s above it."""
 EASE_PER_S = 2.0
-"""How much less of it for each m/s below, where the safe speed falls."""
+"""Deceleration taken off for each m/s below a safe speed that falls."""
 CLEAR_MPS = 3.0
 """Farther below the safe speed than this nothing needs to be eased off."""
 MARGIN_MPS = 0.25
-"""How far below the permitted speed."""
+"""Distance of the ceiling from the permitted speed."""
 TIGHT = 1.03
 """Time left over the least time below which no time is given away for a lower limit ahead."""
 
 
 class Seen(NamedTuple):
-    """What a choice of the change of the rate may look at.
+    """Inputs to a choice of the change of the rate.
 
     Attributes:
         window: The speed window.
@@ -72,7 +74,7 @@ Change = Callable[[Seen], float]
 
 
 class ExpertMemory(NamedTuple):
-    """What an expert driver carries from one period to the next.
+    """Memory of an expert driver between two periods.
 
     Attributes:
         run: The run.
@@ -83,7 +85,7 @@ class ExpertMemory(NamedTuple):
         ground: Tables of both.
         legs: The speed-limit intervals.
         actuation: Commands on their way.
-        hoa: What is known about the brake.
+        hoa: Knowledge of the brake.
         rate_mps2: The rate ``u``.
         before_mps2: Acceleration of the period before.
     """
@@ -108,7 +110,7 @@ def prepared(run: Run, section: Section, rules: Rules, hoa: Hoa) -> ExpertMemory
         run: The run.
         section: The section with every restriction announced so far.
         rules: The expert's constants.
-        hoa: What is known about the brake.
+        hoa: Knowledge of the brake.
     """
     model = model_of(run, section)
     ceiling = ceiling_of(run, section, MARGIN_MPS)
@@ -131,7 +133,7 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
 
     Args:
         memory: From :func:`prepared`, or the decision before.
-        observation: What is seen.
+        observation: Measurements of this period.
         change: Chooses the change of the rate.
     """
     if observation.section is not memory.section:

@@ -25,16 +25,16 @@ BEYOND_M = 60.0
 FOR_LIMITS = 0.85
 """Share of the largest deceleration to brake for lower limits with: protection watches the brake build up."""
 UNDER_MPS = 0.4
-"""How far below a lower limit's ceiling the braking for it ends."""
+"""Speed below a lower limit's ceiling at which the braking for it ends."""
 
 
 class ExpertTrack(NamedTuple):
     """Tables of a section, even in position and speed; every number over effective mass.
 
     Attributes:
-        length_m: Where to stop.
+        length_m: Position of the stop.
         climb_jpkg: Work of gradients and curves since the origin, by position.
-        downhill_mps2: What gradients and curves take off the last braking, by position: their mean from
+        downhill_mps2: Loss of station-stop deceleration to gradients and curves, by position: their mean from
             there, or from somewhere behind it, to the stop, where that is worst; at most 0.
         safe_mps: Speed to stay under, by position.
         traction_mps2: Largest traction, by speed.
@@ -59,7 +59,7 @@ class ExpertTrack(NamedTuple):
         return _between(self.climb_jpkg, position_m / STEP_M)
 
     def downhill(self, position_m: float) -> float:
-        """What gradients and curves take off the last braking from a position, m/s^2; at most 0."""
+        """Loss of station-stop deceleration to gradients and curves from a position, m/s^2; at most 0."""
         return _between(self.downhill_mps2, position_m / STEP_M)
 
     def safe(self, position_m: float) -> float:
@@ -87,7 +87,7 @@ class ExpertTrack(NamedTuple):
         return a + speed_mps * (b + speed_mps * c) + slope
 
     def stretch(self, position_m: float, end_m: float, end_mps: float) -> Stretch:
-        """What lies between a position and the end of an interval."""
+        """Summarise the track between a position and the end of an interval."""
         left = max(end_m - position_m, 1e-3)
         ds = left / SEGMENTS
         at = [position_m + k * ds for k in range(SEGMENTS + 1)]
@@ -133,7 +133,7 @@ def ground_of(model: Model, ceiling: Ceiling, rules: Rules) -> ExpertTrack:
     """Tables of a section for a trainset.
 
     Args:
-        model: What the driver believes about trainset and section.
+        model: Nominal trainset and section.
         ceiling: Speeds protection permits, less a margin; eqs. 17 and 18 of Huang25 come on top.
         rules: The expert's constants.
     """
@@ -167,7 +167,7 @@ def _downhill(at: np.ndarray, climb: np.ndarray, length_m: float) -> np.ndarray:
 
 
 def drops(model: Model) -> list[tuple[float, float]]:
-    """Where a lower limit begins, and which, for every one of the section; m and m/s."""
+    """Starts of lower limits and their values, for every one of the section; m and m/s."""
     begins, limits = np.asarray(model.track.limit_from_m), np.asarray(model.track.limit_mps)
     inside = np.isfinite(begins) & (begins > 0.0) & (begins < float(model.track.length_m))
     return [(float(begins[k]), float(limits[k])) for k in np.flatnonzero(inside) if limits[k] < limits[k - 1]]

@@ -27,7 +27,7 @@ from metropilot.drivers.expert.ground import ExpertTrack, share_of
 BALISES_M = (64.0, 36.0, 16.0, 4.0, 0.0)
 """Distances of the balises before the stop."""
 HEURISTIC = 0.5
-"""How much of what a pair of balises says is taken over."""
+"""Share of the gain measured between two balises that is taken over."""
 UNSURE = 0.2
 """Scatter of the gain of a brake never tried."""
 SETTLED = 0.01
@@ -50,12 +50,12 @@ PAST_M = 0.1
 
 
 class Hoa(NamedTuple):
-    """What is known about the brake, and where this stop is.
+    """Knowledge of the brake, and progress of this stop.
 
     Attributes:
         gain: Actual over believed braking force.
         sigma: Its standard deviation.
-        braking: Whether the last braking is on.
+        braking: True while the station-stop braking is on.
         passed: Balises passed.
         speed_mps: Speed at the last of them.
         effort_jpkg: Braking effort asked for since, times distance, after delay and lag.
@@ -77,7 +77,7 @@ class Hoa(NamedTuple):
         return USE * min(brake_mps2 * sure, left, most_mps2)
 
     def next_stop(self) -> Hoa:
-        """What is carried to the next stop."""
+        """Knowledge carried to the next stop."""
         return Hoa(self.gain, max(self.sigma, SETTLED))
 
 
@@ -91,9 +91,9 @@ def felt(
     """The gain after one control period.
 
     Args:
-        hoa: What was known.
+        hoa: Knowledge before the period.
         ground: Tables of the section.
-        actuation: What acted in the period.
+        actuation: Actuation during the period.
         state: Position, speed and acceleration of the period; m, m/s, m/s^2.
         before_mps2: Acceleration of the period before.
     """
@@ -136,7 +136,7 @@ def stop_share(
     """The command of the last braking, and whether it is on.
 
     Args:
-        hoa: What is known about the brake.
+        hoa: Knowledge of the brake.
         ground: Tables of the section.
         actuation: Commands on their way.
         ahead: The state when a command given now begins to act, the gain in its brake.

@@ -30,7 +30,7 @@ class Leg(NamedTuple):
     """One interval.
 
     Attributes:
-        end_m: Where it ends.
+        end_m: End of the interval.
         end_mps: Speed to have there, 0 at the stop.
         after_s: Least time from there to the destination, at that speed.
     """
@@ -84,7 +84,7 @@ def legs_of(model: Model, ground: ExpertTrack, rules: Rules) -> Legs:
     """The intervals of a section for a trainset that keeps the expert's acceleration.
 
     Args:
-        model: What the driver believes about trainset and section.
+        model: Nominal trainset and section.
         ground: Tables of the section.
         rules: The expert's constants.
     """
@@ -105,7 +105,7 @@ def legs_of(model: Model, ground: ExpertTrack, rules: Rules) -> Legs:
 
 
 def _needs_power(ground: ExpertTrack, leg: Leg, rules: Rules) -> bool:
-    """Whether a trainset that coasts on from the end of an interval comes to the stop far too late."""
+    """Tell if a trainset that coasts on from the end of an interval comes to the stop far too late."""
     stretch = ground.stretch(leg.end_m, ground.length_m, 0.0)
     return coasting_s(scalars, ground.davis, rules.brake_mps2, leg.end_mps, stretch) > SLOW * leg.after_s
 

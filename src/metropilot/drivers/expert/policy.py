@@ -23,7 +23,7 @@ EARLY_S = 1e-6
 
 
 class PolicyMemory(NamedTuple):
-    """What such a driver carries from one period to the next.
+    """Memory of such a driver between two periods.
 
     Attributes:
         expert: The expert's.
@@ -65,7 +65,7 @@ class AbstractExpertPolicyDriver(AbstractDriver):
         return loaded
 
     def read_policy(self) -> object:
-        """What changes the rate."""
+        """Read the policy that changes the rate."""
         return self.loaded
 
     @cached_property
@@ -92,7 +92,7 @@ class AbstractExpertPolicyDriver(AbstractDriver):
         return share, PolicyMemory(expert, decided, chosen)
 
     def _asked(self, seen: Seen) -> float:
-        """What the policy answers here: a change over the largest."""
+        """Evaluate the policy: a change of the rate, as a share of the largest."""
         observed = features(
             scalars,
             seen.window,

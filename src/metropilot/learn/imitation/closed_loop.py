@@ -52,17 +52,17 @@ LEAST_STOP_MPS = 0.1
 
 
 class Begin(NamedTuple):
-    """How a drive begins, and what it is compared with. All 0-d, or one entry a drive.
+    """Start of a drive and the optimum it is compared with. All 0-d, or one entry a drive.
 
     Attributes:
         case: Row of the world.
-        position_m: Where.
-        speed_mps: How fast.
+        position_m: Initial position.
+        speed_mps: Initial speed.
         time_s: Time already used.
         scheduled_s: Scheduled running time.
-        arrival_s: When the optimal plan arrives from here: the scheduled time, or the first possible.
-        optimum_j: What that plan spends from here, per kilogram.
-        second_w: What its last second costs, per kilogram.
+        arrival_s: Arrival of the optimal plan from here: the scheduled time, or the first possible.
+        optimum_j: Energy of that plan from here, per kilogram.
+        second_w: Marginal price of that plan's time, per kilogram.
         mass_factor: True over believed mass.
         resistance_factor: True over believed resistance.
     """
@@ -80,12 +80,12 @@ class Begin(NamedTuple):
 
 
 class ClosedLoopRollout(NamedTuple):
-    """What came of a drive. All 0-d, or one entry a drive.
+    """Result of a drive. All 0-d, or one entry a drive.
 
     Attributes:
         energy_j: Traction energy, per kilogram.
         late_s: Arrival minus the optimal plan's.
-        done: Whether the last braking was reached.
+        done: True once the station-stop braking was reached.
     """
 
     energy_j: Array
@@ -129,7 +129,7 @@ def within_worth(now: _Moving, joule: Array) -> _Moving:
 
     Args:
         now: The state.
-        joule: What a joule per kilogram is worth to the loss.
+        joule: Weight of a joule per kilogram in the loss.
     """
     del joule
     return now
@@ -158,9 +158,9 @@ class ClosedLoop:
 
     Attributes:
         rows: Their tables.
-        features: What the policy sees.
-        action: What its action means.
-        assists: What is done for it.
+        features: Features the policy sees.
+        action: Meaning of the policy's action.
+        assists: Assists to the policy.
         period_s: Time between two decisions.
     """
 
@@ -178,9 +178,9 @@ class ClosedLoop:
         Args:
             decide: The policy.
             params: Its parameters.
-            begin: How it begins.
-            decisions: How many at most.
-            joule: What a joule per kilogram is worth to the loss.
+            begin: Start of the drive.
+            decisions: Largest number of decisions.
+            joule: Weight of a joule per kilogram in the loss.
         """
         zero, case = jnp.zeros((), jnp.float32), self.rows.case(begin.case)
         plant = to_jax(at_rest(self.rows.tables.vehicle))

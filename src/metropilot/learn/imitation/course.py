@@ -53,17 +53,17 @@ Array = Any
 IMITATIONS = 4
 """Parts that the imitation is cut into."""
 IMITATE, DRIVE = 1, 2
-"""What a part's random numbers are for."""
+"""Tags of the random numbers of each part."""
 AT_A_TIME = 100
 """Gradient steps of the imitation in one call."""
 TOLD = 10
-"""How often it is told that lessons have been gathered."""
+"""Number of progress reports while demonstrations are collected."""
 WARM_UP = 500
 DRIVE_WARM_UP = 20
 
 
 class Standing(NamedTuple):
-    """What a checkpoint holds.
+    """Content of a checkpoint.
 
     Attributes:
         pupil: The policy as it stands.
@@ -100,10 +100,10 @@ def teach_in_parts(
     """Take the course, with progress and checkpoints.
 
     Args:
-        config: What the learner is told.
+        config: Configuration.
         task: The worlds that judge.
         seed: Of everything random.
-        options: How; its evaluation decides which policy is kept.
+        options: Options of the run; its evaluation decides which policy is kept.
 
     Raises:
         InputError: The checkpoint or a file of lessons is damaged or of another run, or the task's policy
@@ -176,7 +176,7 @@ class _Course:
         return IMITATIONS + self.config.evaluations
 
     def _parts(self, lessons: Demonstrations, numbers: np.ndarray) -> Part:
-        """What does each part."""
+        """Build the functions of each part."""
         config, spec = self.config, pupil_spec(self.config, lessons.observations.shape[1])
         action = self.task.config.action
         assert isinstance(action, RegimeAction)

@@ -22,14 +22,14 @@ ATTEMPT = 1 << 32
 
 @dataclass(frozen=True)
 class Gathering:
-    """What is to be gathered.
+    """Specification of a set of demonstrations.
 
     Attributes:
         seed: Of everything random.
-        worlds: How many worlds.
+        worlds: Number of sampled lines with their trainsets.
         plans: Plans of each.
         states: States along each plan.
-        folder: Where the files are.
+        folder: Folder of the files.
     """
 
     seed: int
@@ -40,7 +40,7 @@ class Gathering:
 
     @property
     def shards(self) -> int:
-        """How many files."""
+        """Number of files."""
         return -(-self.worlds // SHARD)
 
     def path(self, shard: int) -> Path:
@@ -53,7 +53,7 @@ def gather(gathering: Gathering, on_shard: Callable[[int], object]) -> None:
     """Gather what is missing, on every core there is.
 
     Args:
-        gathering: What.
+        gathering: Specification of the demonstrations.
         on_shard: Called with the number of files there are, whenever there is one more.
 
     Raises:

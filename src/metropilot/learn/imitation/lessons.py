@@ -28,18 +28,18 @@ ALMOST, FULL = 0.9, 0.98
 """Between these shares of the largest effort at hand the command goes over to 1."""
 TIME_RATIO = (1.03, 1.6)
 SPREAD_MPS, SPREAD_SHARE, SPREAD_S = 1.8, 0.045, 1.5
-"""How far a state lies beside the plan: speed, time left as a share, and time left besides."""
+"""Scatter of states about the plan: speed, time left as a share, and time left besides."""
 SLOWEST_MPS = 0.3
 SAFE_SHARE = 0.97
 """Share of the last braking's rate from which a disturbed state may still have to stop."""
 
 
 class Demonstrations(NamedTuple):
-    """What one or more worlds teach.
+    """Demonstrations of the optimal plan on one or more sampled lines.
 
     Attributes:
         observations: States as the policy sees them. Shape (N, O), float32.
-        commands: What the optimal plan commands there. Shape (N,), float32.
+        commands: Commands of the optimal plan there. Shape (N,), float32.
         begins: From where to drive in closed loop, and what the plan makes of it: position, speed, time,
             scheduled time, arrival, energy and price of the last second, per kilogram. Shape (K, 7).
     """
@@ -53,7 +53,7 @@ class DemonstrationGenerator:
     """One world with its tables: observes states in it, and asks the plan.
 
     Args:
-        world: Where and with what.
+        world: Sampled line and trainset.
         scheduled_ratio: Scheduled time over the minimum.
     """
 
@@ -94,7 +94,7 @@ class DemonstrationGenerator:
         return plan_arrays(self.case.vehicle, self.case.track, left_s, options)
 
     def observed(self, time_s: ndarray, position_m: ndarray, speed_mps: ndarray) -> ndarray:
-        """What the policy would see in these states. Shape (N, O), float32."""
+        """Features of the policy in these states. Shape (N, O), float32."""
         case, nothing = self.case, np.zeros_like(position_m)
         sight = FeatureContext(
             rows=self.rows,
@@ -166,9 +166,9 @@ def collect_demonstrations(world: DomainSample, random: Generator, plans: int, s
     """Lessons along the optimal plan of a world, and along plans from disturbed states beside it.
 
     Args:
-        world: Where and with what.
+        world: Sampled line and trainset.
         random: Source of the scheduled time and the disturbances.
-        plans: How many plans.
+        plans: Number of plans.
         states: States along each.
 
     Raises:

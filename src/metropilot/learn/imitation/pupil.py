@@ -21,7 +21,7 @@ COASTS = 0.02
 """A command up to this size is still coasting, growing into the dead zone's edge."""
 FULL_FROM, FULL_TO = 0.95, 0.99
 NEAR = 0.1
-"""Where the loss of the imitation turns from square to straight."""
+"""Error at which the loss of the imitation turns from square to linear."""
 STATISTICS = ("observation.mean", "observation.scale")
 LEAST_DEVIATION = 1e-3
 
@@ -39,7 +39,7 @@ class TrainState(NamedTuple):
 
 
 def pupil_spec(config: TeacherConfig, observation_size: int) -> PolicySpec:
-    """What the parameters of the policy mean."""
+    """Layout of the policy's parameters."""
     return PolicySpec(
         output="clip",
         observation_size=observation_size,

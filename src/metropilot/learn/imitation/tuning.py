@@ -28,7 +28,7 @@ DECISIONS = (200, 400, 600)
 SPARE_S, SPARE_SHARE = 15.0, 0.05
 """Time beyond the optimal plan's that a drive may take before it is cut off."""
 LEAST_J = 60.0
-"""What a drive costs is counted against no less than this, per kilogram."""
+"""Least energy a drive's cost is a share of, per kilogram."""
 SECOND_W = (0.2, 25.0)
 ON_TIME_S = 0.3
 """Below this the price of being off time is square, beyond straight."""
@@ -39,7 +39,7 @@ MASS, RESISTANCE = 0.1, 0.2
 
 @dataclass(frozen=True)
 class TuningRuns:
-    """Where drives may begin, by length.
+    """Starts of drives, by length.
 
     Attributes:
         case: Row of the world in the tables. Shape (K,).
@@ -90,14 +90,14 @@ def batch_of(drives: TuningRuns, random: Generator, decisions: int) -> tuple[int
 def bill(
     loop: ClosedLoop, spec: PolicySpec, params: Params, begin: Begin, decisions: int, late: float
 ) -> Array:
-    """What one drive costs above the optimum, as a share of it; being late is paid at its price and more.
+    """Cost of one drive above the optimum, as a share of it; lateness at its price and more.
 
     Args:
         loop: The worlds.
-        spec: What the parameters mean.
+        spec: Layout of the policy's parameters.
         params: Of the policy.
         begin: The drive.
-        decisions: Where it is cut off.
+        decisions: Largest number of decisions.
         late: Price of a second off time besides, as a share.
     """
 
@@ -118,11 +118,11 @@ class Tuning:
     """Gradient steps in closed loop.
 
     Args:
-        config: What the learner is told.
-        spec: What the policy's parameters mean.
+        config: Configuration.
+        spec: Layout of the policy's parameters.
         loop: The worlds.
-        drives: Where to begin.
-        lessons: What is still imitated beside.
+        drives: Starts of drives.
+        lessons: Demonstrations still imitated beside.
     """
 
     def __init__(

@@ -50,7 +50,7 @@ def loss(
     Args:
         error: Temporal-difference errors.
         weight: Importance weights of prioritised replay, ones for uniform replay.
-        huber: Where the square turns into a straight line; None: nowhere.
+        huber: Error at which the loss turns from square to linear; None: square everywhere.
     """
     square = 0.5 * error * error
     if huber is not None:

@@ -19,7 +19,7 @@ def action_value(
         value: State value, the value of the best action.
         best: The best action.
         lower: Lower-triangular matrix with a positive diagonal.
-        action: Where the value is wanted.
+        action: Action whose value is wanted.
     """
     reach = lower.T @ (action - best)
     return value - 0.5 * jnp.sum(reach * reach)

@@ -19,8 +19,8 @@ def td_error(
     Args:
         table: Action values.
         cell: State of each environment.
-        choice: What was done there.
-        reward: What it gave.
+        choice: Choice made there.
+        reward: Reward received.
         next_value: Discounted value of the next state, zero where the episode terminated.
     """
     return reward + next_value - table[cell, choice]
@@ -38,7 +38,7 @@ def update(
     Args:
         table: Action values.
         cell: State of each environment.
-        choice: What was done there.
+        choice: Choice made there.
         error: From :func:`td_error`.
         rate: Learning rate.
     """

@@ -37,7 +37,7 @@ class Column:
         name: Its key in the units table.
         kind: The kind of its unit.
         bounds: The range of its cells, in SI.
-        optional: Whether a cell may be empty (null).
+        optional: True if a cell may be empty (null).
     """
 
     name: str
