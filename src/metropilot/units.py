@@ -17,6 +17,10 @@ from numpy import ndarray
 from metropilot.errors import InputError
 
 STANDARD_GRAVITY_MPS2 = 9.81
+KMH_PER_MPS = 3.6
+"""Kilometres per hour in one metre per second. Divide by it: multiplying by the inverse rounds otherwise."""
+J_PER_KWH = 3.6e6
+"""Joules in one kilowatt-hour."""
 
 
 def tidy(value: int | float) -> int | float:
@@ -71,7 +75,7 @@ def _table(kind: str, factors: Mapping[str, tuple[float, float]]) -> dict[str, U
 
 
 _FORCES = {"N": (1.0, 1.0), "kN": (1000.0, 1.0)}
-_SPEEDS = {"m/s": (1.0, 1.0), "km/h": (1.0, 3.6)}
+_SPEEDS = {"m/s": (1.0, 1.0), "km/h": (1.0, KMH_PER_MPS)}
 
 
 def _per_speed(power: int) -> dict[str, tuple[float, float]]:

@@ -26,10 +26,9 @@ from metropilot.evaluate.optimum import Objective
 from metropilot.evaluate.run_spec import RunSpec
 from metropilot.railway import Restriction, load_trainset
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance, TimetableUpdate
-from metropilot.units import KINDS
+from metropilot.units import KMH_PER_MPS
 
 PLANNED = "planned"
-KMH = KINDS["speed"]["km/h"]
 SHARDS = 20
 LARGEST_SHARD = 50
 BATCH = 256
@@ -255,7 +254,7 @@ def request_of(campaign: Campaign, case: CampaignCase, scheduled_s: float, lengt
     if told.restriction is not None:
         start, end, kmh, announced = told.restriction
         place = round(start * length_m, 1), round(end * length_m, 1)
-        restriction = Restriction(*place, KMH.to_si(kmh))
+        restriction = Restriction(*place, kmh / KMH_PER_MPS)
         if announced is None:
             known.append(restriction)
         else:

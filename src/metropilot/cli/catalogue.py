@@ -8,6 +8,7 @@ import typer
 
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, print_json, table
+from metropilot.units import KMH_PER_MPS
 
 EXAMPLES = {
     "lines": (
@@ -78,7 +79,7 @@ def trainsets_command(as_json: opt.Json = False) -> int:
     rows = []
     for t in found:
         loads = ", ".join(f"{name} {mass / 1000:.1f} t" for name, mass in t.loads.items())
-        rows.append((t.id, t.name, loads, f"{t.length_m:g}", f"{3.6 * t.max_speed_mps:g}"))
+        rows.append((t.id, t.name, loads, f"{t.length_m:g}", f"{KMH_PER_MPS * t.max_speed_mps:g}"))
     console().print(table("", ("id", "name", "loads", "length m", "max km/h"), rows, right=(3, 4)))
     return 0
 

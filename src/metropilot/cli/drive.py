@@ -10,6 +10,7 @@ import typer
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, number, print_json, requirements, table, working
 from metropilot.errors import InputError
+from metropilot.units import KMH_PER_MPS
 
 if TYPE_CHECKING:
     from metropilot.evaluate import Kpis, RunSpec
@@ -118,7 +119,7 @@ def rows(kpis: Kpis) -> list[tuple[str, str, str]]:
         ),
         (f"optimum {objective}", number(kpis.optimal_energy_kwh, 2, "kWh"), certificate),
         ("above the optimum", number(share, 2, "%"), "for the running time achieved"),
-        ("highest speed", number(3.6 * kpis.max_speed_mps, 1, "km/h"), ""),
+        ("highest speed", number(KMH_PER_MPS * kpis.max_speed_mps, 1, "km/h"), ""),
         (
             "acceleration",
             f"{kpis.max_acceleration_mps2:+.2f} / {-kpis.max_deceleration_mps2:+.2f} m/s²",

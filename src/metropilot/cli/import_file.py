@@ -10,6 +10,7 @@ import typer
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, heading, print_json
 from metropilot.errors import InputError
+from metropilot.units import KMH_PER_MPS
 
 if TYPE_CHECKING:
     from metropilot.railway import Journey, Line, Trainset
@@ -100,4 +101,8 @@ def contents(found: Line | Trainset | Journey) -> list[str]:
     if isinstance(found, Journey):
         return [f"{len(found.points)} timing points"]
     loads = ", ".join(f"{name} {mass / 1000:.1f} t" for name, mass in found.loads.items())
-    return [f"loads {loads}", f"length {found.length_m:g} m", f"top speed {3.6 * found.max_speed_mps:g} km/h"]
+    return [
+        f"loads {loads}",
+        f"length {found.length_m:g} m",
+        f"top speed {KMH_PER_MPS * found.max_speed_mps:g} km/h",
+    ]

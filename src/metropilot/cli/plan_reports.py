@@ -24,11 +24,11 @@ from metropilot.planning import (
     timetable_waypoints,
 )
 from metropilot.railway import Line, Section, Station, Trainset, load_journey
+from metropilot.units import J_PER_KWH, KMH_PER_MPS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-J_PER_KWH = 3.6e6
 AT_STATION_M = 1.0
 
 
@@ -101,7 +101,7 @@ def energy_rows(plan: Plan, options: PlanOptions) -> list[tuple[str, str, str]]:
             f"certificate gap {100 * plan.gap:.4f} %",
         ),
         ("one more second saves", number(plan.second_w / 1000, 1, "kJ"), ""),
-        ("highest speed", number(3.6 * float(plan.speed_mps.max()), 1, "km/h"), ""),
+        ("highest speed", number(KMH_PER_MPS * float(plan.speed_mps.max()), 1, "km/h"), ""),
     ]
 
 

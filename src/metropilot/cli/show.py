@@ -15,6 +15,7 @@ from metropilot.cli import options as opt
 from metropilot.cli.console import citations, console, heading, number, print_json, table
 from metropilot.cli.show_learned import policy_json, read_policy, say_policy, show_learning_run, show_policy
 from metropilot.errors import InputError
+from metropilot.units import KMH_PER_MPS
 
 if TYPE_CHECKING:
     from metropilot._registry import Registry
@@ -171,7 +172,7 @@ def show_line(line: Line, *, as_json: bool) -> int:
             r["section"],
             f"{r['length_m']:.0f}",
             f"{number(r['planned_forward_s'], 0)} / {number(r['planned_backward_s'], 0)}",
-            f"{3.6 * r['limit_lowest_mps']:.0f} – {3.6 * r['limit_highest_mps']:.0f}",
+            f"{KMH_PER_MPS * r['limit_lowest_mps']:.0f} – {KMH_PER_MPS * r['limit_highest_mps']:.0f}",
             f"{r['gradient_lowest_permil']:+.1f} – {r['gradient_highest_permil']:+.1f}",
             number(r["curve_tightest_m"], 0),
         )
@@ -196,7 +197,7 @@ def show_trainset(t: Trainset, *, as_json: bool) -> int:
     """Masses, effort at some speeds, notes, sources."""
     import numpy as np
 
-    speeds = np.array(SPEEDS_KMH) / 3.6
+    speeds = np.array(SPEEDS_KMH) / KMH_PER_MPS
     a, b, c = t.davis.newtons(t.mass_kg)
     resistance = a + speeds * (b + speeds * c)
     effort = {
@@ -248,7 +249,7 @@ def show_trainset(t: Trainset, *, as_json: bool) -> int:
 
 def _service(t: Trainset) -> list[str]:
     jerk = t.actuation.jerk_limit_mps3
-    top, rotating = 3.6 * t.max_speed_mps, 100 * t.rotating_fraction
+    top, rotating = KMH_PER_MPS * t.max_speed_mps, 100 * t.rotating_fraction
     up, down = t.max_acceleration_mps2, t.max_deceleration_mps2
     smooth = "jerk without limit" if jerk == float("inf") else f"jerk up to {jerk:g} m/s³"
     friction, aboard = t.friction_brake_n / 1000, t.auxiliary_w / 1000

@@ -11,6 +11,7 @@ from metropilot.convoy.kpis import ConvoyKpis
 from metropilot.convoy.request import ConvoyRequest
 from metropilot.convoy.rollout import ConvoyDrive
 from metropilot.evaluate.folder import carried
+from metropilot.units import KMH_PER_MPS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -52,14 +53,14 @@ def convoy_figure(drive: ConvoyDrive, kpis: ConvoyKpis) -> Figure:
         drive: The run.
         kpis: Its KPIs, for the line under the title.
     """
-    from metropilot.evaluate.style import BLACK, GREY, KMH, SERIES, headline, house_style, label, new_panels
+    from metropilot.evaluate.style import BLACK, GREY, SERIES, headline, house_style, label, new_panels
 
     with house_style():
         figure, (speed, gap, apart) = new_panels(WIDTH_IN, HEIGHT_IN, (5.0, 4.0, 3.0))
         for k, t in enumerate(drive.trajectories):
             colour, dashes = (BLACK, "-") if k == 0 else SERIES[(k - 1) % len(SERIES)]
             name = f"head ({drive.head})" if k == 0 else f"{k + 1}"
-            speed.plot(t.time_s, KMH * t.speed_mps, color=colour, linestyle=dashes, label=name)
+            speed.plot(t.time_s, KMH_PER_MPS * t.speed_mps, color=colour, linestyle=dashes, label=name)
             if k:
                 gap.plot(drive.time_s, drive.gap_m[:, k - 1], color=colour, linestyle=dashes)
                 apart.plot(drive.time_s, drive.speed_difference_mps[:, k - 1], color=colour, linestyle=dashes)

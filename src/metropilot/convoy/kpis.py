@@ -21,8 +21,8 @@ from metropilot.evaluate.kpis import (
     verdict_words,
 )
 from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M, Outcome
+from metropilot.units import J_PER_KWH
 
-J_PER_KWH = 3.6e6
 OVERSPEED_MPS = 1e-6
 CONTACT, NO_CONTACT = "contact", "no contact"
 NAMED = 3

@@ -13,6 +13,7 @@ from metropilot.errors import InputError
 from metropilot.protection import Bounds
 from metropilot.railway import Restriction, Section, Trainset
 from metropilot.sim import Disturbance, Run, declared_bounds
+from metropilot.units import KMH_PER_MPS
 
 Array = Any
 NOMINAL = MappingProxyType(
@@ -159,7 +160,7 @@ class DisturbanceDistribution:
             first = section.length_m * random.uniform(0.3, 0.75)
             last = min(first + random.uniform(80.0, 300.0), 0.95 * section.length_m)
             limit = float(section.limit_mps.value.max()) * random.uniform(0.4, 0.8)
-            found.append(section.restricted(Restriction(first, last, max(limit, 20.0 / 3.6))))
+            found.append(section.restricted(Restriction(first, last, max(limit, 20.0 / KMH_PER_MPS))))
         return tuple(found)
 
 

@@ -9,10 +9,9 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, final
 
 from metropilot.physics import namespace
+from metropilot.units import J_PER_KWH
 
 Array = Any
-
-J_PER_KWH = 3.6e6
 
 
 class Change(NamedTuple):

@@ -20,6 +20,7 @@ from metropilot.env.tracking import (
 )
 from metropilot.errors import InputError
 from metropilot.physics import davis_n, effort_at
+from metropilot.units import KMH_PER_MPS
 
 Array = Any
 
@@ -74,7 +75,7 @@ class TrackingConfig:
     courses: tuple[ReferenceCourse, ...]
     upper: Gains = CHENG2023_UPPER
     rewards: TrackingRewards = TrackingRewards()
-    limit_mps: float = 80 / 3.6
+    limit_mps: float = 80 / KMH_PER_MPS
     on_the_way: float = 0.5
     apart_mps: float = 0.1
     apart_m: float = 0.2

@@ -14,11 +14,11 @@ from numpy.random import Generator
 from metropilot.env.assists import Assists
 from metropilot.env.config import DrivingConfig
 from metropilot.railway import Actuation, Davis, EffortCurve, SafeBraking, Section, Station, Steps, Trainset
+from metropilot.units import KMH_PER_MPS
 
 OBSERVER = "line"
 ASSISTS = Assists(margin_mps=0.05, stop_use=0.99, release=0.95, late=True)
 """Closer to the limits than the standard: what a driver may not use, the optimum uses."""
-KMH = 3.6
 GRAVITY_MPS2 = 9.81
 STEEPEST_PERMIL = (6.0, 14.0, 28.0, 40.0)
 PLATFORM_KMH = (45.0, 50.0, 55.0, 60.0)
@@ -56,7 +56,7 @@ def draw_world(random: Generator) -> DomainSample:
     """A section and a trainset that could be somewhere."""
     section = draw_section(random)
     fastest = float(section.limit_mps.value.max())
-    return DomainSample(section, draw_trainset(random, max(fastest, 60.0 / KMH)))
+    return DomainSample(section, draw_trainset(random, max(fastest, 60.0 / KMH_PER_MPS)))
 
 
 def draw_section(random: Generator) -> Section:
@@ -109,7 +109,7 @@ def _limits(random: Generator, length: float) -> tuple[np.ndarray, np.ndarray]:
         pieces = {x: v for x, v in pieces.items() if x > zone + 30.0}
         pieces |= {-500.0: float(random.choice(PLATFORM_KMH)), zone: float(max(after, 60.0))}
     order = sorted(pieces)
-    return np.array(order), np.array([pieces[x] for x in order]) / KMH
+    return np.array(order), np.array([pieces[x] for x in order]) / KMH_PER_MPS
 
 
 def draw_trainset(random: Generator, max_speed_mps: float) -> Trainset:
@@ -122,8 +122,8 @@ def draw_trainset(random: Generator, max_speed_mps: float) -> Trainset:
     weight_kn = mass * GRAVITY_MPS2 * 1e-3
     davis = Davis(
         weight_kn * random.uniform(1.0, 3.0),
-        weight_kn * 0.0622 * KMH * random.uniform(0.0, 1.4),
-        weight_kn * 0.0018 * KMH**2 * random.uniform(0.4, 1.6),
+        weight_kn * 0.0622 * KMH_PER_MPS * random.uniform(0.0, 1.4),
+        weight_kn * 0.0018 * KMH_PER_MPS**2 * random.uniform(0.4, 1.6),
     )
     jerk = float(random.uniform(0.5, 1.5)) if random.random() < 0.5 else float("inf")
     return Trainset(

@@ -19,7 +19,6 @@ from metropilot.evaluate.picture import (
 from metropilot.evaluate.style import (
     BLUE,
     GREY,
-    KMH,
     ORANGE,
     VERMILION,
     headline,
@@ -30,12 +29,11 @@ from metropilot.evaluate.style import (
 )
 from metropilot.planning import Call, Front, Plan
 from metropilot.railway import Section, Trainset
+from metropilot.units import J_PER_KWH, KMH_PER_MPS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-J_PER_KWH = 3.6e6
 
 
 def comparison_figure(entries: Sequence[Entry]) -> Figure:
@@ -56,9 +54,9 @@ def comparison_figure(entries: Sequence[Entry]) -> Figure:
             t = entry.drives[0].trajectory
             used = t.energy_wheel_j / J_PER_KWH
             total = f"{entry.driver}: {used[-1]:.1f} kWh in {entry.kpis[0].running_time_s:.1f} s"
-            speed.plot(t.position_m, KMH * t.speed_mps, label=entry.driver, **look)
+            speed.plot(t.position_m, KMH_PER_MPS * t.speed_mps, label=entry.driver, **look)
             energy.plot(t.position_m, used, label=total, **look)
-        top = max(float(KMH * e.drives[0].trajectory.limit_mps.max()) for e in entries)
+        top = max(float(KMH_PER_MPS * e.drives[0].trajectory.limit_mps.max()) for e in entries)
         speed.set_ylim(0, 1.09 * top)
         speed.set_ylabel("speed (km/h)")
         draw_stations(speed, first.section)
@@ -151,9 +149,9 @@ def plan_figure(section: Section, trainset: Trainset, plan: Plan, calls: Sequenc
     with house_style():
         figure, (speed, gradient, energy) = new_panels(13.0 if calls else 8.4, 5.6, (10.0, 2.2, 4.0))
         draw_limits(speed, section, trainset)
-        at, profile = fine_profile(plan.position_m, KMH * plan.speed_mps)
+        at, profile = fine_profile(plan.position_m, KMH_PER_MPS * plan.speed_mps)
         speed.plot(at, profile, color=BLUE, label="optimal plan")
-        speed.set_ylim(0, 1.12 * KMH * trainset.max_speed_mps)
+        speed.set_ylim(0, 1.12 * KMH_PER_MPS * trainset.max_speed_mps)
         speed.set_ylabel("speed (km/h)")
         draw_stations(speed, section)
         for call in calls[1:-1]:

@@ -12,8 +12,8 @@ from metropilot.evaluate import measures
 from metropilot.evaluate.optimum import Objective, Optimum
 from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M, Outcome
 from metropilot.sim.rollout import Drive
+from metropilot.units import J_PER_KWH, KMH_PER_MPS
 
-J_PER_KWH = 3.6e6
 ROUNDING = 1e-6
 
 
@@ -262,7 +262,7 @@ def checks(kpis: Judged) -> tuple[Check, ...]:
         ),
         Check(
             NO_OVERSPEED,
-            f"{3.6 * kpis.max_overspeed_mps:.2f} km/h",
+            f"{KMH_PER_MPS * kpis.max_overspeed_mps:.2f} km/h",
             "0 km/h",
             kpis.outcome != Outcome.OVERSPEED.value,
         ),

@@ -15,7 +15,6 @@ from metropilot.evaluate.style import (
     BLUE,
     FAINT,
     GREY,
-    KMH,
     ORANGE,
     PALE,
     SKY,
@@ -29,6 +28,7 @@ from metropilot.physics import restrictive_profile
 from metropilot.planning import Plan
 from metropilot.railway import Section, Trainset
 from metropilot.sim.rollout import Drive
+from metropilot.units import J_PER_KWH, KMH_PER_MPS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 WIDTH_IN, HEIGHT_IN = 8.4, 7.2
 HEIGHTS = (10.0, 2.2, 2.6, 4.2)
-J_PER_KWH = 3.6e6
 
 
 def profile_figure(drive: Drive, kpis: Kpis, optimum: Optimum | None) -> Figure:
@@ -95,16 +94,21 @@ def draw_speed(axes: Axes, drive: Drive, optimum: Optimum | None) -> None:
     t = drive.trajectory
     draw_limits(axes, drive.section, drive.trainset)
     axes.plot(
-        t.position_m, KMH * t.permitted_mps, color=ORANGE, lw=1.0, ls=(0, (2, 1.5)), label="permitted speed"
+        t.position_m,
+        KMH_PER_MPS * t.permitted_mps,
+        color=ORANGE,
+        lw=1.0,
+        ls=(0, (2, 1.5)),
+        label="permitted speed",
     )
     if optimum is not None:
         draw_plan(axes, optimum.plan, "optimal plan")
-    axes.plot(t.position_m, KMH * t.speed_mps, color=BLUE, lw=1.5, label="driven")
+    axes.plot(t.position_m, KMH_PER_MPS * t.speed_mps, color=BLUE, lw=1.5, label="driven")
     began = np.flatnonzero(np.diff(drive.overruled.astype(int), prepend=0) > 0)
     if began.size:
-        at = t.position_m[began], KMH * t.speed_mps[began]
+        at = t.position_m[began], KMH_PER_MPS * t.speed_mps[began]
         axes.plot(*at, ls="none", marker="v", ms=6, color=VERMILION, mec=BLACK, mew=0.5, label="protection")
-    top = max(float(KMH * t.limit_mps.max()), float(KMH * t.speed_mps.max()))
+    top = max(float(KMH_PER_MPS * t.limit_mps.max()), float(KMH_PER_MPS * t.speed_mps.max()))
     axes.set_ylim(0, 1.09 * top)
     draw_stations(axes, drive.section)
     axes.set_ylabel("speed (km/h)")
@@ -112,7 +116,7 @@ def draw_speed(axes: Axes, drive: Drive, optimum: Optimum | None) -> None:
 
 def draw_plan(axes: Axes, plan: Plan, name: str) -> None:
     """A plan's speed as a broad pale band that a drive is read against."""
-    at, speed = fine_profile(plan.position_m, KMH * plan.speed_mps)
+    at, speed = fine_profile(plan.position_m, KMH_PER_MPS * plan.speed_mps)
     axes.plot(at, speed, color=SKY, lw=4.5, alpha=0.75, solid_capstyle="round", label=name)
 
 
@@ -128,13 +132,13 @@ def draw_limits(axes: Axes, section: Section, trainset: Trainset) -> None:
     """The limit for the trainset's head, shaded above, and restrictions hatched."""
     starts, limits = restrictive_profile(section, trainset.length_m, trainset.max_speed_mps)
     edges = np.append(starts, section.length_m + 500.0)
-    values = KMH * np.append(limits, limits[-1])
+    values = KMH_PER_MPS * np.append(limits, limits[-1])
     axes.fill_between(edges, values, 1e3, step="post", color=FAINT, lw=0, zorder=0.5)
     axes.step(edges, values, where="post", color=BLACK, lw=1.1, label="speed limit")
     for index, restriction in enumerate(section.restrictions):
         axes.fill_between(
             [restriction.from_m, restriction.to_m],
-            KMH * restriction.limit_mps,
+            KMH_PER_MPS * restriction.limit_mps,
             1e3,
             facecolor="none",
             edgecolor=VERMILION,

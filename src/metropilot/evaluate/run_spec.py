@@ -23,7 +23,7 @@ from metropilot.railway import Restriction, Section, Trainset, load_line, load_t
 from metropilot.sim import CONTROL_PERIOD_S, AbstractDriver, Disturbance, Run, TimetableUpdate
 from metropilot.units import KINDS
 
-KMH = KINDS["speed"]["km/h"]
+SPEED_UNIT = KINDS["speed"]["km/h"]
 NUMBER = r"\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
 RESTRICTION = re.compile(rf"({NUMBER})-({NUMBER})@({NUMBER})(?:@({NUMBER}))?")
 ARRIVAL = re.compile(rf"({NUMBER})@({NUMBER})")
@@ -272,7 +272,7 @@ def parse_restriction(text: str) -> Restriction | TimetableUpdate:
         )
     start, end, kmh = (float(x) for x in match.groups()[:3])
     with renamed({"restriction": "restrictions"}):
-        restriction = Restriction(start, end, KMH.to_si(kmh))
+        restriction = Restriction(start, end, SPEED_UNIT.to_si(kmh))
     return restriction if match[4] is None else TimetableUpdate(float(match[4]), restriction=restriction)
 
 
@@ -295,7 +295,7 @@ def parse_arrival(text: str) -> TimetableUpdate:
 
 def _restriction_text(restriction: Restriction, at_s: float | None = None) -> str:
     """What :func:`parse_restriction` reads back."""
-    start, end, kmh = restriction.from_m, restriction.to_m, KMH.from_si(restriction.limit_mps)
+    start, end, kmh = restriction.from_m, restriction.to_m, SPEED_UNIT.from_si(restriction.limit_mps)
     return f"{_short(start)}-{_short(end)}@{_short(kmh)}" + ("" if at_s is None else f"@{_short(at_s)}")
 
 

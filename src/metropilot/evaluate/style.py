@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-KMH = 3.6
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.62, 0.16, 0.78, 0.46
 # Okabe and Ito (2008): told apart by everyone; line styles keep them apart in greyscale print.
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (

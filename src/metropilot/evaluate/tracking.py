@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from metropilot.env.tracking import ReferenceCourse, Tracked, TrackState, advance, seen, standing
+from metropilot.units import J_PER_KWH
 
 Array = Any
 Memory = Any
@@ -141,7 +142,7 @@ def tracking_kpis(course: ReferenceCourse, record: TrackRecord, xp: Namespace = 
         position_total_m=xp.sum(distance),
         position_max_m=xp.max(distance),
         parking_m=xp.abs(course.track.length_m - record.position_m[-1]),
-        energy_kwh=record.traction_j[-1] / 3.6e6,
+        energy_kwh=record.traction_j[-1] / J_PER_KWH,
         jerk_mps3=xp.max(xp.stack(changes)) / JERK_WINDOW_S,
         periods=xp.sum(counted),
         end_mps=record.speed_mps[-1],

@@ -18,6 +18,7 @@ from metropilot.env import DrivingTask, episode_of, starts
 from metropilot.env.optima import Optima, cached_optima
 from metropilot.policy import Params, PolicySpec, act
 from metropilot.sim import CODES, PUNCTUALITY_S, Episode, Outcome
+from metropilot.units import J_PER_KWH
 
 Array = Any
 
@@ -156,7 +157,7 @@ def judged(drives: EvaluationRuns) -> dict[str, Array]:
         "gap_worst_percent": 100.0 * _most(drives.gap, safe),
         "late_worst_s": _most(jnp.abs(drives.late_s), arrived),
         "stop_error_worst_m": _most(jnp.abs(episode.stop_error_m), arrived),
-        "energy_wheel_kwh": _mean(episode.wheel_j, safe) / 3.6e6,
+        "energy_wheel_kwh": _mean(episode.wheel_j, safe) / J_PER_KWH,
         "running_time_s": _mean(episode.running_time_s, arrived),
         "interventions": jnp.sum(episode.interventions).astype(jnp.float32),
     }

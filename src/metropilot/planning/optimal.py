@@ -20,6 +20,7 @@ from metropilot.planning.follow_map import follow_map
 from metropilot.planning.mesh import Mesh, build_mesh
 from metropilot.planning.prices import cost_per_metre, is_mapped, prices_at
 from metropilot.railway import Section, Trainset
+from metropilot.units import J_PER_KWH
 
 Objective = Literal["wheel", "line"]
 PASSES = 6
@@ -121,7 +122,7 @@ class Plan:
     @property
     def energy_kwh(self) -> float:
         """Objective, kWh."""
-        return self.energy_j / 3.6e6
+        return self.energy_j / J_PER_KWH
 
 
 def minimum_running_time(

@@ -11,7 +11,7 @@ import numpy as np
 
 from metropilot.errors import InputError
 from metropilot.railway.profile import Steps
-from metropilot.units import tidy
+from metropilot.units import KMH_PER_MPS, tidy
 
 RESTRICTION_KMH = (5.0, 400.0)
 """Speeds a temporary restriction may have, km/h."""
@@ -84,11 +84,11 @@ class Restriction:
                 allowed="from < to, finite",
             )
         low, high = RESTRICTION_KMH
-        if not low - 1e-6 <= 3.6 * self.limit_mps <= high + 1e-6:
+        if not low - 1e-6 <= KMH_PER_MPS * self.limit_mps <= high + 1e-6:
             raise InputError(
                 "a restriction needs a speed that can be driven",
                 field="restriction",
-                value=tidy(3.6 * self.limit_mps),
+                value=tidy(KMH_PER_MPS * self.limit_mps),
                 unit="km/h",
                 allowed=f"{low:g} to {high:g} km/h",
             )
@@ -152,9 +152,9 @@ class Section:
             raise InputError(
                 "a restriction has no effect: the line's own limit is no higher there",
                 field="restriction",
-                value=tidy(3.6 * restriction.limit_mps),
+                value=tidy(KMH_PER_MPS * restriction.limit_mps),
                 unit="km/h",
-                allowed=f"{RESTRICTION_KMH[0]:g} to below {tidy(3.6 * highest_mps)} km/h",
+                allowed=f"{RESTRICTION_KMH[0]:g} to below {tidy(KMH_PER_MPS * highest_mps)} km/h",
             )
         return restriction
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from metropilot.errors import InputError
 from metropilot.railway.effort import Efficiency, EffortCurve
+from metropilot.units import KMH_PER_MPS
 
 CurveFormula = Literal["none", "600/r", "6.3/(r-55)"]
 POSITIVE_FIELDS = (
@@ -146,7 +147,7 @@ class Trainset:
     service_deceleration_mps2: float = float("inf")
     max_acceleration_mps2: float = 1.0
     max_deceleration_mps2: float = 1.0
-    max_speed_mps: float = 80 / 3.6
+    max_speed_mps: float = 80 / KMH_PER_MPS
     efficiency_traction: Efficiency = field(default_factory=lambda: Efficiency.constant(1.0))
     efficiency_braking: Efficiency = field(default_factory=lambda: Efficiency.constant(1.0))
     receptivity: float = 0.0

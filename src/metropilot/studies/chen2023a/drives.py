@@ -15,6 +15,7 @@ from metropilot.studies.chen2023a.published import THRESHOLD_S
 from metropilot.studies.chen2023a.setting import COMFORT, DECISION_S
 from metropilot.studies.learning import SeedResult
 from metropilot.studies.report import ReportRow
+from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:
     from metropilot.env.optima import Optima
@@ -117,7 +118,6 @@ Courses = Mapping[str, Sequence[DriveCourse]]
 Bound = Callable[[float], "float | None"]
 AFTER = 4000.0
 """The paper judges the running time from this episode on."""
-J_PER_KWH = 3.6e6
 LEARNING, DRIVING = "episodes with exploration", "the policy itself"
 KINDS = ((LEARNING, "learning"), (DRIVING, "driving"))
 REWARD, LOSS, TIME = "Figures 5 to 7: reward", "Figures 8 to 10: loss", "Figures 11 to 13: running time"

@@ -19,6 +19,7 @@ from metropilot.errors import InputError
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import CODES, Outcome, OutcomeRule
 from metropilot.studies.chen2023a.published import PRESCRIBED_S, THRESHOLD_S
+from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:
     from metropilot.env import AbstractTask
@@ -43,7 +44,6 @@ ALLOWED_S = THRESHOLD_S - PRESCRIBED_S
 DECISION_S = 1.0
 COMFORT = 0.1
 UNASSISTED_TOLERANCE_M = 5.0
-J_PER_KWH = 3.6e6
 
 
 def task_config() -> DrivingConfig:

@@ -12,6 +12,7 @@ from metropilot.studies.chen2023a.published import CITATION, EPISODES, PRESCRIBE
 from metropilot.studies.chen2023a.words import deviations, remarks
 from metropilot.studies.report import ReportRow, StudyReport
 from metropilot.studies.study import Study
+from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:
     from metropilot.learn import AbstractConfig
@@ -99,7 +100,7 @@ def _optimum() -> tuple[LeastEnergy, list[ReportRow]]:
     """The certified front, and what the last braking of the stop assist costs."""
     from metropilot.env.optima import optima_of
     from metropilot.planning import minimum_running_time, optimal_plan
-    from metropilot.studies.chen2023a.setting import J_PER_KWH, STOP_MPS2, make_assisted
+    from metropilot.studies.chen2023a.setting import STOP_MPS2, make_assisted
 
     (section, trainset), *_ = cases = make_assisted().config.cases
     least = LeastEnergy(optima_of(cases))

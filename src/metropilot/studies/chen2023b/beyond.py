@@ -20,6 +20,7 @@ from metropilot.convoy.rollout import drive_convoy
 from metropilot.convoy.stability import speed_gains
 from metropilot.studies.chen2023b.setting import head_run, pair
 from metropilot.studies.report import ReportRow
+from metropilot.units import KMH_PER_MPS
 
 TABLE = "Beyond the paper: "
 SWINGS = {"quick": (3, (6.0, 16.0)), "paper": (5, (4.0, 6.0, 10.0, 16.0, 25.0, 40.0))}
@@ -30,7 +31,7 @@ CAMPAIGNS = {
     "quick": ((2, "coupled", 2_000),),
     "paper": ((2, "coupled", 60_000), (4, "coupled", 30_000), (8, "coupled", 10_000), (2, "none", 4_000)),
 }
-SPEED_MPS = 60.0 / 3.6
+SPEED_MPS = 60.0 / KMH_PER_MPS
 PARTS = "parts"
 """Folder of what takes minutes, in the study's: an interrupted study goes on from there."""
 

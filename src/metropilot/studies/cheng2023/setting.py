@@ -23,10 +23,11 @@ from metropilot.planning import (
     sampled_profile,
 )
 from metropilot.railway import Section, Steps, Trainset, load_line, load_trainset
+from metropilot.units import KMH_PER_MPS
 
 DT_S = 0.2
 LENGTH_M = 1280.0
-LIMIT_MPS = 80 / 3.6
+LIMIT_MPS = 80 / KMH_PER_MPS
 SHAPE = ReferenceShape(0.9, 0.8, 0.5)
 GENTLE = ReferenceShape(0.75, 0.75, 0.4)
 EFFORT_SHARE = 0.9

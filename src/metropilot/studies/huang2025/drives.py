@@ -26,8 +26,8 @@ from metropilot.studies.huang2025.published import (
 )
 from metropilot.studies.huang2025.setting import DELAY_S, comfortable, run_of, trainset
 from metropilot.studies.report import ReportRow
+from metropilot.units import J_PER_KWH
 
-J_PER_KWH = 3.6e6
 SPACING_M = 5.0
 ABOVE, ABOVE_DEAD = "above the optimum", "above the optimum, dead time of the actuation apart"
 

@@ -14,6 +14,7 @@ from metropilot.learn.recipes import PPO_BASE, REPLAY, REPLAY_QUICK, TABLE_BASE
 from metropilot.studies.huang2025.published import LEARNED
 from metropilot.studies.huang2025.setting import gentle
 from metropilot.studies.learning import LearnJob, SeedResult
+from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 COMMAND = "metropilot reproduce huang2025 --budget paper"
 TIMES_S = (95.0, 101.0, 115.0)
 WATCHED_S = 101.0
-J_PER_KWH = 3.6e6
 EVALUATIONS = 16
 SIZES: dict[str, dict[str, int]] = {
     "quick": {"eitop": 300_000, "itor": 1_000_000, "ston": 20_000, "stod": 20_000},

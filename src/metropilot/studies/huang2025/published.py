@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
+from metropilot.units import KMH_PER_MPS
+
 CITATION = (
     "Y. Huang, W. Lai, D. Chen, G. Lin, J. Yin: Enhanced intelligent train operation algorithms for metro "
     "train based on expert system and deep reinforcement learning. PLoS ONE 20(5), 2025, e0323478, "
@@ -166,7 +168,7 @@ CASES: tuple[PublishedCase, ...] = (
         scheduled_s=115.0,
         drivers=EXPERTS,
         told_s=30.0,
-        restricted=Restricted(700.0, 900.0, 40.0 / 3.6),
+        restricted=Restricted(700.0, 900.0, 40.0 / KMH_PER_MPS),
     ),
     PublishedCase(
         id="restricted-101",
@@ -177,7 +179,7 @@ CASES: tuple[PublishedCase, ...] = (
         scheduled_s=101.0,
         drivers=EXPERTS,
         told_s=30.0,
-        restricted=Restricted(700.0, 900.0, 40.0 / 3.6),
+        restricted=Restricted(700.0, 900.0, 40.0 / KMH_PER_MPS),
     ),
     PublishedCase(
         id="sjz",

@@ -21,6 +21,7 @@ from metropilot.sim import AbstractDriver, Drive, Run, drive
 from metropilot.studies.lu2023.published import PID_130, PlanCase, Published
 from metropilot.studies.lu2023.setting import NOTCHES, TRAINSET
 from metropilot.studies.report import ReportRow
+from metropilot.units import J_PER_KWH
 
 AROUND_S = (-4.0, 0.0, 4.0)
 MESH = NotchOptions(spacing_m=5.0, speeds=400)
@@ -74,7 +75,6 @@ def effort_j(plan: PlanCase) -> float:
 
 
 POLICIES = Path(__file__).parent / "policies"
-J_PER_KWH = 3.6e6
 SPAN_M = 500.0
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from metropilot.studies.lu2023.drives import NotchRun
 from metropilot.studies.lu2023.published import plan_case
 from metropilot.studies.report import Figure
+from metropilot.units import KMH_PER_MPS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
@@ -57,8 +58,10 @@ def drives_drawing(found: Sequence[NotchRun]) -> Drawing:
         speed = axes[2 * (number // columns), number % columns]
         force = axes[2 * (number // columns) + 1, number % columns]
         t = one.drive.trajectory
-        speed.plot(t.position_m, 3.6 * t.limit_mps, color="0.5", linewidth=0.8, drawstyle="steps-post")
-        speed.plot(t.position_m, 3.6 * t.speed_mps)
+        speed.plot(
+            t.position_m, KMH_PER_MPS * t.limit_mps, color="0.5", linewidth=0.8, drawstyle="steps-post"
+        )
+        speed.plot(t.position_m, KMH_PER_MPS * t.speed_mps)
         kwh, late = one.kpis.energy_wheel_kwh, one.kpis.time_error_s
         speed.set_title(f"{one.plan.name}, {one.driver}: {kwh:.2f} kWh, {late:+.1f} s", fontsize=8.5)
         speed.set(ylabel="speed in km/h")

@@ -16,6 +16,7 @@ from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M
 from metropilot.studies.learning import LearnJob
 from metropilot.studies.lu2023.published import PLANS, PlanCase
 from metropilot.studies.lu2023.setting import MARGIN, PERIOD_S, plan_task, without_filter
+from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:
     from metropilot.studies.lu2023.drives import NotchFront
@@ -85,7 +86,7 @@ def drive_plans(plans: tuple[PlanCase, ...], config: AbstractConfig, task: Any) 
         for k, plan in enumerate(plans):
             values = {
                 "return": total[k],
-                "kwh": episode.wheel_j[k] / 3.6e6,
+                "kwh": episode.wheel_j[k] / J_PER_KWH,
                 "late_s": episode.running_time_s[k] - plan.scheduled_s,
                 "stop_m": episode.stop_error_m[k],
                 "over_mps": episode.max_overspeed_mps[k],
@@ -185,7 +186,7 @@ def meets(history: Mapping[str, ndarray], plan_id: str, scheduled_s: float, fron
         name: np.asarray(history[f"evaluation.{plan_id}.{name}"], float)
         for name in ("kwh", "late_s", "stop_m", "over_mps", "arrived")
     }
-    above = column["kwh"] * 3.6e6 / front.at(scheduled_s + column["late_s"]) - 1.0
+    above = column["kwh"] * J_PER_KWH / front.at(scheduled_s + column["late_s"]) - 1.0
     return (
         (column["arrived"] > 0.5)
         & (np.abs(column["late_s"]) <= PUNCTUALITY_S)

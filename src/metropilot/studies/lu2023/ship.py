@@ -19,6 +19,7 @@ from metropilot.errors import InputError
 from metropilot.policy import shipped_policy
 from metropilot.studies.lu2023.drives import notch_front, policy_file
 from metropilot.studies.lu2023.published import PLANS, PlanCase
+from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:
     from metropilot.studies.learning import SeedResult
@@ -40,7 +41,7 @@ def _shortfall(result: SeedResult, plans: Sequence[PlanCase]) -> float:
             float(result.history[f"evaluation.{plan.id}.{name}"][kept])
             for name in ("late_s", "kwh", "stop_m")
         )
-        total += kwh * 3.6e6 / float(notch_front(plan).at(plan.scheduled_s + late)) - 1.0
+        total += kwh * J_PER_KWH / float(notch_front(plan).at(plan.scheduled_s + late)) - 1.0
         total += MISSED * (abs(late) > 2.9 or abs(stop) > 0.29)
     return total / len(plans)
 

@@ -19,6 +19,7 @@ from metropilot.planning import Plan, PlanOptions, minimum_running_time, optimal
 from metropilot.protection import LEVELS, permitted_speed, protect
 from metropilot.railway import Restriction
 from metropilot.sim import PUNCTUALITY_S, Moment, Rollout, TimetableUpdate, declared_bounds
+from metropilot.units import KMH_PER_MPS
 from metropilot.web.refusals import Refused
 from metropilot.web.work.drives import drive_out
 from metropilot.web.work.plain import numbers, station, window
@@ -28,7 +29,6 @@ HAND_S = 3.0
 """The lever falls back to the driver unless whoever holds it says so within this time."""
 COLUMNS = (*Moment._fields, "plan_energy_wheel_j", "step")
 """``plan_energy_wheel_j``: what the reference plan has used where the trainset is (see :class:`Engine`)."""
-KMH = 3.6
 NOBODY = "api"
 """Who holds the lever where a request does not say."""
 LATE_W = 500.0
@@ -347,4 +347,4 @@ class Engine:
 def restriction_words(restriction: Restriction) -> str:
     """A restriction that is announced, in words."""
     where = f"{restriction.from_m:.0f} to {restriction.to_m:.0f} m"
-    return f"restriction announced: {3.6 * restriction.limit_mps:.0f} km/h from {where}"
+    return f"restriction announced: {KMH_PER_MPS * restriction.limit_mps:.0f} km/h from {where}"

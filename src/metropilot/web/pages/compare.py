@@ -8,6 +8,7 @@ from fastapi import Request
 from nicegui import ui
 
 from metropilot.errors import MetropilotError
+from metropilot.units import J_PER_KWH
 from metropilot.web import catalogue
 from metropilot.web.pages.form import (
     DisturbanceForm,
@@ -152,7 +153,7 @@ class ComparePage:
 
     def say_second(self, now: float, plan: dict[str, Any]) -> None:
         """The optimum at a time, and its slope there."""
-        energy, second = plan["energy_j"] / 3.6e6, plan["second_w"] / 3600
+        energy, second = plan["energy_j"] / J_PER_KWH, plan["second_w"] / 3600
         gap = max(100 * plan["certificate_gap"], 0.001)
         self.words.text = (
             f"At {now:.0f} s the optimum needs {energy:.2f} kWh at the wheel (certified within {gap:.3f} %). "

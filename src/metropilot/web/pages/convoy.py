@@ -9,6 +9,7 @@ from nicegui import events, ui
 
 from metropilot.convoy.drivers import FOLLOWERS
 from metropilot.errors import MetropilotError
+from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.pages.drive import checks_table
 from metropilot.web.pages.form import SectionForm, bounded, driver_choice, driver_names, validated
@@ -288,7 +289,12 @@ def members_table(trainsets: list[dict[str, Any]]) -> None:
             number(t["energy_wheel_kwh"], 2),
             number(t["gap_min_m"], 2),
             number(t["gap_max_m"], 2),
-            number(None if t["speed_difference_max_mps"] is None else 3.6 * t["speed_difference_max_mps"], 2),
+            number(
+                None
+                if t["speed_difference_max_mps"] is None
+                else KMH_PER_MPS * t["speed_difference_max_mps"],
+                2,
+            ),
             str(t["interventions"]),
         )
         for t in trainsets

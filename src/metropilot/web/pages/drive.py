@@ -10,6 +10,7 @@ from nicegui import events, ui
 
 from metropilot.errors import InputError, MetropilotError
 from metropilot.railway import RESTRICTION_KMH
+from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.live.session import Session
 from metropilot.web.pages.form import (
@@ -323,9 +324,9 @@ class DrivePage:
             values = {
                 "from_m": self.from_m.value,
                 "to_m": self.to_m.value,
-                "limit_mps": (self.kmh.value or 0) / 3.6,
+                "limit_mps": (self.kmh.value or 0) / KMH_PER_MPS,
             }
-            asked = validated(NewRestriction, values, limit_mps=3.6)
+            asked = validated(NewRestriction, values, limit_mps=KMH_PER_MPS)
             await self.ask({"kind": "restriction", **asked.model_dump()})
 
     async def change_pace(self) -> None:
@@ -395,7 +396,7 @@ def kpis_table(k: dict[str, Any]) -> None:
         ),
         (f"optimum at the {objective}", number(k["optimal_energy_kwh"], 2, "kWh"), "for the time achieved"),
         ("above the optimum", number(k["optimality_gap_percent"], 2, "%"), ""),
-        ("highest speed", number(3.6 * k["max_speed_mps"], 1, "km/h"), ""),
+        ("highest speed", number(KMH_PER_MPS * k["max_speed_mps"], 1, "km/h"), ""),
         ("largest jerk", number(k["max_jerk_mps3"], 2, "m/s³"), k["comfort_band"]),
         ("coasting", number(k["coasting_distance_m"], 0, "m"), f"{k['regime_switches']} changes of regime"),
         ("decision time", number(k["decision_time_us_median"], 0, "µs"), "median"),

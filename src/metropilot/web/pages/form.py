@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 from metropilot.errors import InputError, MetropilotError
 from metropilot.evaluate import POLICY, run_fields
 from metropilot.evaluate.driver_options import named_driver
+from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.pages.frame import Problem, number
 from metropilot.web.pages.strip import names
@@ -269,7 +270,7 @@ def loads(service: Service, trainset: str) -> dict[str, str]:
 def kept_words(kept: dict[str, Any], options: dict[str, Any]) -> str:
     """What a linked run was asked that has no field: the driver's options too, but for its policy."""
     said = [
-        f"{3.6 * r['limit_mps']:.0f} km/h from {r['from_m']:g} to {r['to_m']:g} m"
+        f"{KMH_PER_MPS * r['limit_mps']:.0f} km/h from {r['from_m']:g} to {r['to_m']:g} m"
         + ("" if r["told_s"] is None else f", sent after {r['told_s']:g} s")
         for r in kept.get("restrictions", ())
     ]

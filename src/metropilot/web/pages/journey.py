@@ -8,6 +8,7 @@ from typing import Any
 from fastapi import Request
 from nicegui import ui
 
+from metropilot.units import J_PER_KWH
 from metropilot.web import catalogue
 from metropilot.web.pages.form import bounded, loads, validated
 from metropilot.web.pages.frame import Problem, card, clock, frame, number, reads, table
@@ -102,7 +103,7 @@ class JourneyPage:
         """The journey's numbers and pictures."""
         ends = self.fields["origin"].value, self.fields["destination"].value
         self.map.content = line_strip(self.line, ends)
-        energy, planned = found["energy_j"] / 3.6e6, found["planned_energy_j"]
+        energy, planned = found["energy_j"] / J_PER_KWH, found["planned_energy_j"]
         saved = None if not planned else 100 * (1 - found["energy_j"] / planned)
         minutes, seconds = divmod(round(found["running_time_s"]), 60)
         gap = 100 * (found["energy_j"] / found["bound_j"] - 1)
@@ -125,7 +126,7 @@ class JourneyPage:
                 number(b["running_time_s"], 1),
                 number(b["minimum_running_time_s"], 1),
                 number(b["running_time_s"] - b["minimum_running_time_s"], 1),
-                number(b["energy_j"] / 3.6e6, 2),
+                number(b["energy_j"] / J_PER_KWH, 2),
             )
             for a, b in pairwise(found["calls"])
         ]

@@ -8,6 +8,7 @@ from fastapi import Request
 from nicegui import events, ui
 
 from metropilot.errors import MetropilotError
+from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.pages.frame import card, empty, frame, heading, number, table
 from metropilot.web.pages.plots import BLACK, BLUE, axis, figure, line, stairs
@@ -77,7 +78,7 @@ class LinesPage:
             ):
                 ui.html(line_strip(found)).classes("mp-strip")
                 end = found["stops"][-1]["position_m"]
-                limits = stairs(found["limit_mps"], end, 3.6)
+                limits = stairs(found["limit_mps"], end, KMH_PER_MPS)
                 slopes = stairs(found["gradient_permil"], end)
                 km = [[x / 1000 for x in limits[0]], [x / 1000 for x in slopes[0]]]
                 traces = [

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-from metropilot.evaluate.style import BLACK, BLUE, GREEN, GREY, KMH, ORANGE, SERIES, SKY, VERMILION, series
+from metropilot.evaluate.style import BLACK, BLUE, GREEN, GREY, ORANGE, SERIES, SKY, VERMILION, series
+from metropilot.units import J_PER_KWH, KMH_PER_MPS
 
-KWH = 3.6e6
 DASHES = dict(
     zip(
         (dashes for _, dashes in SERIES),
@@ -79,12 +79,12 @@ def line(
 
 def kmh(speeds: Sequence[float]) -> list[float]:
     """Speeds for the reader."""
-    return [round(v * KMH, 3) for v in speeds]
+    return [round(v * KMH_PER_MPS, 3) for v in speeds]
 
 
 def kwh(joules: Sequence[float]) -> list[float]:
     """Energies for the reader."""
-    return [round(j / KWH, 5) for j in joules]
+    return [round(j / J_PER_KWH, 5) for j in joules]
 
 
 def stairs(
@@ -144,7 +144,7 @@ def planned_run(section: dict[str, Any], plan: dict[str, Any]) -> Figure:
     """A run before it is driven: the limit and the optimal plan."""
     made = run_figure()
     values: dict[int, tuple[Sequence[float], Sequence[float]]] = {
-        0: stairs(section["limit_mps"], section["length_m"], KMH),
+        0: stairs(section["limit_mps"], section["length_m"], KMH_PER_MPS),
         2: (plan["position_m"], kmh(plan["speed_mps"])),
         7: (plan["position_m"], kwh(plan["energy_wheel_so_far_j"])),
     }
@@ -329,7 +329,7 @@ def convoy_figure() -> Figure:
 def driven_convoy(found: dict[str, Any]) -> Figure:
     """The same of a convoy that was driven before."""
     made = convoy_figure()
-    for first, name, factor in ((0, "gap_m", 1.0), (MOST, "speed_difference_mps", KMH)):
+    for first, name, factor in ((0, "gap_m", 1.0), (MOST, "speed_difference_mps", KMH_PER_MPS)):
         for k, values in enumerate(zip(*found.get(name, ()), strict=True)):
             made["data"][first + k] |= {"x": found["time_s"], "y": [factor * x for x in values]}
     for k, trainset in enumerate(found.get("speeds", ())):

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
-KMH = 3.6
+from metropilot.units import KMH_PER_MPS
+
 WIDTH, X0, X1 = 1000.0, 34.0, 966.0
 TOP, HILL, RAIL = 24.0, 84.0, 104.0
 NARROW = 46.0
@@ -138,7 +139,7 @@ def _limits(root: Element, limit: dict[str, list[float]], frame: Frame, *, numbe
             SubElement(root, "line", mark)
         if numbers and xs[k + 1] - xs[k] > NARROW:
             unit = " km/h" if xs[k + 1] - xs[k] > 70 else ""
-            words = f"{value * KMH:.0f}{unit}"
+            words = f"{value * KMH_PER_MPS:.0f}{unit}"
             _text(root, (xs[k] + xs[k + 1]) / 2, RAIL + 19, words, "middle", size=11, soft=True)
 
 
