@@ -17,12 +17,19 @@ from metropilot.web.service import Service
 SECTION = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ", "time_s": 101}
 
 
+WATCH_S = 120.0
+"""Longest wait of a test for an event of a live run; the longest run takes some 40 s."""
+
+
 def watch(server, live, *, until=lambda kind, data: kind == "end", after=None):
-    """The events of a live run up to one."""
+    """The events of a live run up to one; fails where it does not come in time."""
+    end = time.monotonic() + WATCH_S
     headers = {} if after is None else {"Last-Event-ID": str(after)}
     seen, kind, number = [], "", 0
     with server.client.stream("GET", f"/api/live/{live}/stream", headers=headers, timeout=60) as answer:
         for line in answer.iter_lines():
+            # A quiet stream sends a comment every 15 s, so that the client's timeout never fires.
+            assert time.monotonic() < end, f"{live}: not seen within {WATCH_S:g} s, last {seen[-1:]}"
             name, _, value = line.partition(": ")
             if name == "id":
                 number = int(value)

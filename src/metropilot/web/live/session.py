@@ -13,10 +13,12 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from threading import Thread
 from time import monotonic
+from traceback import print_exception
 from typing import Any, cast
 
 from metropilot.web.live.worker import main
-from metropilot.web.refusals import FIELDS, Refused
+from metropilot.web.pools import explained
+from metropilot.web.refusals import FIELDS, Refused, detail_of
 
 ANSWER_S = 10.0
 KEEP_ALIVE_S = 15.0
@@ -106,8 +108,9 @@ class Session:
         return 0.0 if self.viewers else monotonic() - self.seen_at
 
     def start(self, order: dict[str, Any]) -> None:
-        """Give the process its order and listen."""
-        self.spare.pipe.send(order)
+        """Send the process its order and read its messages in a thread."""
+        with suppress(OSError):  # the process has died; the reader finds the pipe closed and ends the run
+            self.spare.pipe.send(order)
         Thread(target=self._listen, daemon=True, name=self.id).start()
 
     async def wait_begun(self) -> None:
@@ -187,7 +190,10 @@ class Session:
         self.spare.process.kill()
 
     def _listen(self) -> None:
-        """In a thread of its own: forward what the process says."""
+        """Forward the messages of the process until it ends; runs in a thread of its own.
+
+        Whatever fails here ends the run as failed: a reader that died alone would leave viewers waiting.
+        """
         last: dict[str, Any] = {"status": "failed"}
         error: dict[str, Any] | None = None
         try:
@@ -202,8 +208,17 @@ class Session:
                 self._in_loop(self._took, kind, text, known)
         except (EOFError, OSError):
             error = {"message": DIED, **dict.fromkeys(FIELDS)}
-        self.spare.process.join()
-        self.kept(self, "end", {**last, "error": error})
+        except Exception as raised:  # noqa: BLE001 (a message that cannot be read or stored)
+            error = detail_of(explained(raised, 0.0))
+            self.kill()
+            print_exception(raised)
+        self.spare.process.join(ANSWER_S)
+        self.kill()
+        try:
+            self.kept(self, "end", {**last, "error": error})
+        except Exception as raised:  # noqa: BLE001 (viewers are told even where the store is not)
+            last, error = {"status": "failed"}, error or detail_of(explained(raised, 0.0))
+            print_exception(raised)
         self._in_loop(self._ended, last["status"], error)
 
     def _in_loop(self, call: Callable[..., None], *values: object) -> None:

@@ -6,7 +6,7 @@ import json
 from multiprocessing.connection import Connection
 from pathlib import Path
 from time import monotonic
-from traceback import print_exc
+from traceback import print_exception
 from typing import TYPE_CHECKING, Any
 
 from metropilot.errors import MetropilotError
@@ -25,7 +25,9 @@ MOST_STEPS = 40
 GIVEN_UP_S = 0.5
 """Further behind than this the clock is set back: a run never races to catch up."""
 GIVE_BACK = {"kind": "lever", "share": None, "take_over": True}
-"""Whoever holds the lever, the driver gets it."""
+"""The event that returns the lever to the driver, whatever its holder."""
+SERVER_GONE = (EOFError, BrokenPipeError, ConnectionResetError)
+"""Errors of a pipe whose other end is closed."""
 
 
 def main(pipe: Connection, worker_bytes: int) -> None:
@@ -37,7 +39,7 @@ def main(pipe: Connection, worker_bytes: int) -> None:
     try:
         order = pipe.recv()
         Driving(pipe, order).to_the_end()
-    except (EOFError, BrokenPipeError, ConnectionResetError):
+    except SERVER_GONE:
         return
 
 
@@ -57,8 +59,8 @@ class Driving:
         self.flushed = 0.0
 
     def to_the_end(self) -> None:
-        """Begin, replay, drive, report; whatever goes wrong is said before the end."""
-        steps, failed = self.order["step"], False
+        """Begin, replay, drive and report; any error is sent before the end of the run is."""
+        steps, failure = self.order["step"], None
         try:
             engine = self._engine()
             self._replay(engine)
@@ -69,16 +71,15 @@ class Driving:
             steps = engine.steps
             if not self.stopped:
                 self._report(engine)
-        except (EOFError, BrokenPipeError, ConnectionResetError):
-            raise  # the server is gone
-        except Exception as error:  # noqa: BLE001 (whatever it is, the run has failed and the user is told)
-            failed = True
-            if not isinstance(error, MetropilotError):
-                print_exc()
+        except Exception as error:  # noqa: BLE001 (any error ends the run and is sent to its viewers)
+            failure = error
             detail = detail_of(explained(error, 0.0))
+            # Where the server is gone, this raises as well: the process ends in silence.
             self._say("error", {"error": detail}, {"error": detail})
-        status = "failed" if failed else "stopped" if self.stopped else "done"
+        status = "failed" if failure else "stopped" if self.stopped else "done"
         self._say("end", {"status": status}, {"status": status, "step": steps})
+        if failure is not None and not isinstance(failure, MetropilotError):
+            print_exception(failure)
 
     def _engine(self) -> AnyEngine:
         from metropilot.web.live.convoy import ConvoyEngine

@@ -1,0 +1,134 @@
+"""Live runs that fail: each ends as failed, and its reason is sent to every viewer."""
+
+import asyncio
+import json
+from multiprocessing import Pipe
+from multiprocessing.process import BaseProcess
+from threading import Thread
+
+import pytest
+
+from metropilot.web.live.session import DIED, Session, Spare
+from metropilot.web.live.worker import Driving
+from metropilot.web.refusals import Refused
+
+ORDER = {"pace": 20.0, "journal": [], "step": 0}
+LIMIT_S = 20.0
+STEPS = 5
+
+
+class FailingEngine:
+    """An engine that departs and fails after some steps."""
+
+    dt_s, over, position_m = 0.2, False, 0.0
+
+    def __init__(self, error):
+        self.error, self.steps = error, 0
+
+    @property
+    def time_s(self):
+        return self.steps * self.dt_s
+
+    def advance(self):
+        self.steps += 1
+        if self.steps > STEPS and self.error is not None:
+            raise self.error
+        return [self.time_s, self.steps]
+
+    def scene(self):
+        return {"scheduled_time_s": 100.0}
+
+    def lever(self):
+        return None
+
+    def holds(self, event):
+        return True
+
+    def heard(self):
+        return []
+
+    def forgotten(self):
+        return False
+
+
+class Worker(BaseProcess):
+    """A thread in the place of a run's process."""
+
+    def __init__(self, pipe, engine):
+        self.pipe, self.engine = pipe, engine
+        self.thread = Thread(target=self.work, daemon=True)
+        self.thread.start()
+
+    def work(self):
+        try:
+            order = self.pipe.recv()
+            if self.engine is None:
+                return
+            driving = Driving(self.pipe, order)
+            driving._engine = lambda: self.engine
+            driving.to_the_end()
+        except (OSError, EOFError):
+            return
+        finally:
+            self.pipe.close()
+
+    def join(self, timeout=None):
+        self.thread.join(timeout)
+
+    def kill(self):
+        """Close the pipe, as the end of a process does."""
+        self.pipe.close()
+
+
+def events_of(engine, kept):
+    """Events and session of a live run of an engine; fails where the run does not end."""
+
+    async def story():
+        ours, theirs = Pipe()
+        session = Session("live-1", {"pace": ORDER["pace"]}, Spare(Worker(theirs, engine), ours), kept)
+        session.start(ORDER)
+        seen = []
+
+        async def watch():
+            async for chunk in session.listen():
+                for event in chunk.decode().split("\n\n")[:-1]:
+                    _, kind, data = (line.partition(": ")[2] for line in event.split("\n"))
+                    seen.append((kind, json.loads(data)))
+
+        await asyncio.wait_for(watch(), LIMIT_S)
+        return seen, session
+
+    return asyncio.run(story())
+
+
+@pytest.mark.parametrize(
+    "error", [TypeError("boom"), EOFError("boom"), BrokenPipeError("boom")], ids=lambda e: type(e).__name__
+)
+def test_an_internal_error_ends_the_run_and_reaches_its_viewers(error):
+    kept = []
+    seen, session = events_of(FailingEngine(error), lambda _, kind, known: kept.append((kind, known)))
+    words = f"internal error: {type(error).__name__}: boom"
+    assert seen[-1] == ("end", {"status": "failed", "message": words})
+    assert ("error", words) in [(kind, data["error"]["message"]) for kind, data in seen if kind == "error"]
+    kind, known = kept[-1]
+    assert (kind, known["status"], known["error"]["message"]) == ("end", "failed", words)
+    assert (session.over, session.known.error["message"]) == (True, words)
+    with pytest.raises(Refused, match="boom"):
+        raise session.failure()
+
+
+def test_a_dead_process_ends_the_run():
+    seen, _ = events_of(None, lambda *_: None)
+    assert seen == [("end", {"status": "failed", "message": DIED})]
+
+
+@pytest.mark.parametrize("broken", ["rows", "end"])
+def test_a_store_that_fails_ends_the_run(broken):
+    def keep(_, kind, known):
+        if kind == broken:
+            raise RuntimeError("disk full")
+
+    seen, session = events_of(FailingEngine(None if broken == "rows" else TypeError("boom")), keep)
+    words = "RuntimeError: disk full" if broken == "rows" else "TypeError: boom"
+    assert seen[-1] == ("end", {"status": "failed", "message": f"internal error: {words}"})
+    assert session.over
