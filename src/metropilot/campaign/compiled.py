@@ -51,7 +51,7 @@ from metropilot.sim import (
     final_outcome,
     noise_stream,
 )
-from metropilot.sim.recorder import closed_trajectory, limits_at
+from metropilot.sim.recorder import build_trajectory, limits_at
 
 CURVES = Curves()
 """This worker's."""
@@ -311,7 +311,7 @@ def _drive_of(driver_id: str, start: CompiledStart, record: CompiledRow, k: int)
     final = tracks[int(told[-1])]
     at, speed = rows["position_m"], rows["speed_mps"]
     limits = np.where(told > 0, limits_at(tracks[1], at[:-1]), limits_at(tracks[0], at[:-1]))
-    trajectory = closed_trajectory(
+    trajectory = build_trajectory(
         setting.vehicle,
         run.dt,
         rows,

@@ -1,4 +1,4 @@
-"""What protection is told to expect of the plant in a run."""
+"""Bounds on the plant that are declared to protection for a run."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from metropilot.sim.disturbance import NOISE_CUT
 from metropilot.sim.run import Run
 
 MASS = (0.9, 1.1)
-"""Scatter of the mass about the load aboard, which the trainset weighs; a scenario beyond it widens it."""
+"""Scatter of the mass about the load aboard, which the trainset weighs; a larger disturbance widens it."""
 
 
 def declared_bounds(run: Run) -> Bounds:
-    """Protection's bounds in a run: its usual scatter, widened where the scenario goes further.
+    """Protection's bounds in a run: its usual scatter, widened where the disturbance exceeds it.
 
-    Drivers that keep clear of interventions and the host that supervises them read the same bounds here.
+    Drivers that avoid interventions and the host loop that supervises them use the same bounds.
     """
     scenario = run.scenario
     bounds = Bounds.of(
@@ -29,29 +29,30 @@ def declared_bounds(run: Run) -> Bounds:
         extra_lag_s=scenario.lag_s,
         speed_error_mps=NOISE_CUT * scenario.speed_noise_mps,
     )
-    resistance = _holding(bounds.resistance, scenario.resistance_factor)
+    resistance = _widen(bounds.resistance, scenario.resistance_factor)
     if scenario.headwind_mps != 0.0:
-        resistance = _holding(resistance, *_resistance_ratios(run))
+        resistance = _widen(resistance, *_resistance_ratios(run))
     share = bounds.service_share
     if np.isfinite(scenario.adhesion) or scenario.brake_factor < 1.0:
         share = min(share, _braking_share(run))
     return replace(
-        bounds, mass=_holding(MASS, scenario.mass_factor), resistance=resistance, service_share=share
+        bounds, mass=_widen(MASS, scenario.mass_factor), resistance=resistance, service_share=share
     )
 
 
 def _resistance_ratios(run: Run) -> tuple[float, float]:
-    """Least and largest true running resistance over the believed one, at any speed."""
+    """Least and largest true running resistance over the nominal one, at any speed."""
     known, actual = _known(run), run.scenario.true_plant(run.trainset)
     speed = np.linspace(0.0, known.max_speed_mps, 65)
     powers = np.stack([np.ones_like(speed), speed, speed * speed])
-    true_n, told_n = (np.array(t.davis.newtons(t.mass_kg)) @ powers for t in (actual, known))
-    ratio = true_n / np.maximum(told_n, 1e-6)
+    true_n, nominal_n = (np.array(t.davis.newtons(t.mass_kg)) @ powers for t in (actual, known))
+    # a trainset without running resistance would divide by zero
+    ratio = true_n / np.maximum(nominal_n, 1e-6)
     return max(float(ratio.min()), 0.0), float(ratio.max())
 
 
 def _braking_share(run: Run) -> float:
-    """Service braking force that the rail still takes, over the one believed, at its least."""
+    """Least ratio of true to nominal service braking force over all speeds."""
     known, actual = (vehicle_arrays(t) for t in (_known(run), run.scenario.true_plant(run.trainset)))
     speeds = np.linspace(0.0, float(known.max_speed_mps), 65)
     return float(np.min(brake_available_n(actual, speeds) / brake_available_n(known, speeds)))
@@ -61,5 +62,5 @@ def _known(run: Run) -> Trainset:
     return run.scenario.nominal(run.trainset)
 
 
-def _holding(interval: tuple[float, float], *values: float) -> tuple[float, float]:
+def _widen(interval: tuple[float, float], *values: float) -> tuple[float, float]:
     return min(interval[0], *values), max(interval[1], *values)

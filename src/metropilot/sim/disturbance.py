@@ -1,4 +1,4 @@
-"""What may go differently than planned in a run: the true plant, the measured speed, the timetable."""
+"""Disturbance of a run: plant mismatch, noise of the measured speed, changes of the timetable."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from metropilot._schema import check_fields, declared
 from metropilot.railway import Actuation, Davis, EffortCurve, Restriction, Trainset
 
 NOISE_CUT = 3.0
-"""Deviations at which the noise of the measured speed is cut, so that protection can bound it."""
+"""Standard deviations at which the noise of the measured speed is cut, so that protection can bound it."""
 
 
 @dataclass(frozen=True)
 class TimetableUpdate:
-    """Something the driver is told during the run.
+    """Change of the arrival time or a temporary speed restriction (TSR) announced during the run.
 
     Attributes:
-        at_s: When it is announced, s after departure.
-        scheduled_time_s: New scheduled running time, if that is announced.
-        restriction: New temporary speed restriction, if that is announced.
+        at_s: Time of the announcement, s after departure.
+        scheduled_time_s: New scheduled running time, s; None: unchanged.
+        restriction: New temporary speed restriction; None: none.
     """
 
     at_s: float
@@ -28,24 +28,24 @@ class TimetableUpdate:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """How a run differs from the data that driver and planner have.
+    """Difference between a run and the data that driver and planner have.
 
-    Each field is declared once, here: what it is called, its unit, its range, its help text. Command line,
-    `run.toml`, HTTP API, console, campaigns, convoys and learners take it from this class.
+    Each field is declared once, here, with its name, unit, range and help text. Command line, `run.toml`,
+    HTTP API, console, campaigns, convoys and learners take it from this class.
 
     Attributes:
         ideal: Drop the trainset's own delay, lag and jerk limit.
         mass_factor: True mass over nominal mass.
-        resistance_factor: True Davis resistance over the one the driver believes.
+        resistance_factor: True over nominal Davis resistance.
         delay_s: Dead time in addition to the trainset's.
         lag_s: Lag in addition to the trainset's.
         speed_noise_mps: Standard deviation of the measured speed (cut at three deviations).
         headwind_mps: Wind from ahead on the whole section; below 0 it blows from behind.
         adhesion: Traction, or electric braking, over weight at which the driven wheels slip; infinite: dry
-            rail. Friction brakes fill up what the electric brake cannot give; the guaranteed emergency brake
-            does not depend on it (sand, track brake).
-        brake_factor: True service braking force over the one the driver believes; the guaranteed emergency
-            brake does not depend on it.
+            rail. Friction brakes supply the rest of the braking force; the guaranteed emergency brake does
+            not depend on adhesion (sand, track brake).
+        brake_factor: True over nominal service braking force; the guaranteed emergency brake does not
+            depend on it.
         updates: New arrival times and temporary speed restrictions announced during the run.
     """
 
@@ -124,14 +124,14 @@ class Disturbance:
         check_fields(self)
 
     def nominal(self, trainset: Trainset) -> Trainset:
-        """The trainset as the driver and the planner know it."""
+        """Nominal trainset: the data that driver and planner use."""
         return trainset.ideal() if self.ideal else trainset
 
     def true_plant(self, trainset: Trainset) -> Trainset:
-        """The trainset as it really is.
+        """True plant: the nominal trainset with the disturbance applied.
 
-        The air meets the trainset at ``v + w``, so that ``c (v + w)^2`` stands for ``c v^2``; exact while the
-        trainset is faster than a wind from behind, and in tunnels taken as in the open.
+        With wind ``w`` the quadratic term of the resistance is ``c (v + w)^2`` instead of ``c v^2``. This is
+        exact while the trainset is faster than a wind from behind; tunnels are treated as open track.
         """
         known = self.nominal(trainset)
         mass = known.mass_kg * self.mass_factor
@@ -147,13 +147,13 @@ class Disturbance:
             known,
             loads={**known.loads, known.load: mass},
             davis=Davis(a + c * wind * wind, b + 2.0 * c * wind, c),
-            traction=_capped(known.traction, most_n),
-            electric_brake=_capped(known.electric_brake, most_n),
+            traction=_cap(known.traction, most_n),
+            electric_brake=_cap(known.electric_brake, most_n),
             service_deceleration_mps2=known.service_deceleration_mps2 * self.brake_factor,
             actuation=actuation,
         )
 
 
-def _capped(curve: EffortCurve, most_n: float) -> EffortCurve:
-    """An effort curve where no more than this can be put on the rail."""
+def _cap(curve: EffortCurve, most_n: float) -> EffortCurve:
+    """Limit an effort curve to a largest force, N."""
     return EffortCurve(tuple(replace(piece, cap_n=min(piece.cap_n, most_n)) for piece in curve.pieces))

@@ -1,4 +1,4 @@
-"""What a driver is: two functions, and a row in the registry."""
+"""Base class of a driver (two functions) and the registry of drivers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Memory = Any
 
 
 class AbstractDriver(ABC):
-    """Whatever gives the command. Protection supervises every one of them.
+    """Control law that gives the command of each period; protection supervises it.
 
     Attributes:
         id: Name in the registry and on the command line.
@@ -35,23 +35,23 @@ class AbstractDriver(ABC):
 
     @abstractmethod
     def act(self, memory: Memory, observation: Observation) -> tuple[float, Memory]:
-        """The command in [-1, 1] for the coming control period, and the memory to bring next time."""
+        """Command in [-1, 1] for the coming control period, and the memory for the next call."""
 
     def read_policy(self) -> object:
-        """The policy it drives by, read from its file; None for a driver that has none.
+        """Read the driver's policy from its file; None for a driver without a policy.
 
         Raises:
-            InputError: The file cannot be used, or is of a policy that is none of this driver's.
+            InputError: The file cannot be used, or its policy is not one for this driver.
         """
         return None
 
 
 DriverClass = TypeVar("DriverClass", bound=type[AbstractDriver])
 DRIVER_REGISTRY: Registry[type[AbstractDriver]] = Registry("driver")
-"""Every driver; those of this package are added by :mod:`metropilot.drivers`, which no loop needs."""
+"""Every driver. :mod:`metropilot.drivers` adds the shipped ones; simulations do not import it."""
 
 
 def register(driver: DriverClass) -> DriverClass:
-    """Add a driver of one's own to the registry (class decorator)."""
+    """Add a user's driver to the registry (class decorator)."""
     DRIVER_REGISTRY.register(driver)
     return driver

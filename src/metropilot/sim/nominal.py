@@ -1,4 +1,4 @@
-"""Simulation of another driver on the nominal plant, ahead of departure: a reference to be tracked."""
+"""Simulation of a driver on the nominal plant before departure, as a reference for a tracking driver."""
 
 from __future__ import annotations
 
@@ -19,18 +19,23 @@ from metropilot.sim.run import Run
 from metropilot.sim.step import RunParams, RunState, control_period, first_state
 
 RULE = OutcomeRule()
-LATE = 1.5
-MOST_STANDING = 3
+LATE_RATIO = 1.5
+"""The simulation ends after this many times the scheduled running time."""
+LEAST_NODES = 3
+"""With fewer positions on the way the trainset has not moved."""
 STANDING_S = 2.0
+"""The simulation ends once the trainset has stood this long."""
+LEAST_SPEED_MPS = 0.05
+"""Speed between the two ends is at least this, so that the time between two nodes is finite."""
 
 
 class NominalDrive(NamedTuple):
-    """A drive as nodes of distance.
+    """Simulated drive at nodes of distance.
 
     Attributes:
-        position_m: Increasing, from the origin to the stop. Shape (N,).
-        speed_mps: Speed there, above zero but at both ends. Shape (N,).
-        running_time_s: How long it took.
+        position_m: Positions, increasing, from the origin to the stop. Shape (N,).
+        speed_mps: Speed there, zero at both ends and positive between. Shape (N,).
+        running_time_s: Running time, s.
     """
 
     position_m: Float[ndarray, " nodes"]
@@ -43,10 +48,10 @@ def simulate_nominal(run: Run, driver: AbstractDriver) -> NominalDrive:
 
     Args:
         run: The run.
-        driver: Who is to drive it.
+        driver: The driver to simulate.
 
     Raises:
-        InputError: It never moves.
+        InputError: The trainset never moves.
     """
     trainset = run.scenario.nominal(run.trainset)
     vehicle = vehicle_arrays(trainset)
@@ -69,18 +74,18 @@ def simulate_nominal(run: Run, driver: AbstractDriver) -> NominalDrive:
     plant = at_rest(vehicle, delay_steps=delay_steps(float(vehicle.delay_s), run.dt))
     state, memory = first_state(plant, at_start(guard)), driver.init(run)
     nodes, still_s, time_s = [(0.0, 0.0)], 0.0, 0.0
-    while float(state.plant.time_s) < LATE * run.scheduled_time_s and still_s < STANDING_S:
+    while float(state.plant.time_s) < LATE_RATIO * run.scheduled_time_s and still_s < STANDING_S:
         state, memory, _ = control_period(params, state, memory, decide, rule=RULE)
         moved = float(state.plant.position_m) > nodes[-1][0]
         still_s = 0.0 if moved else still_s + run.dt
         if moved:
             nodes.append((float(state.plant.position_m), float(state.plant.speed_mps)))
             time_s = float(state.plant.time_s)
-    if len(nodes) < MOST_STANDING:
+    if len(nodes) < LEAST_NODES:
         raise InputError("the driver to be tracked does not move", field="driver", value=driver.id)
     position_m, speed_mps = np.array(nodes).T
     # the plan ends at the stop itself, a few centimetres from where the trainset stood
     position_m = position_m * float(params.track.length_m) / position_m[-1]
-    speed_mps[1:-1] = np.maximum(speed_mps[1:-1], 0.05)
+    speed_mps[1:-1] = np.maximum(speed_mps[1:-1], LEAST_SPEED_MPS)
     speed_mps[-1] = 0.0
     return NominalDrive(position_m, speed_mps, time_s)

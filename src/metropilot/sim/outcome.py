@@ -1,20 +1,20 @@
-"""The rule that ends a run, and the key figures of an episode: one drive and a compiled batch alike."""
+"""Rule that ends a run, and the key figures of an episode, for one drive and a compiled batch."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
 
+from metropilot._typing import Index, Scalar
 from metropilot.physics import namespace
 from metropilot.sim.run import STOP_TOLERANCE_M, Outcome
 
-Array = Any
-
 RUNNING = -1
+"""Number of the outcome of a run that has not ended."""
 CODES: tuple[Outcome, ...] = tuple(Outcome)
-"""Outcomes by number; :data:`RUNNING` is none yet."""
+"""Outcomes by number."""
 _ARRIVED, _OVERSHOT, _OVERSPEED, _STALLED, _OUT_OF_TIME = (
     CODES.index(outcome)
     for outcome in (
@@ -26,23 +26,23 @@ _ARRIVED, _OVERSHOT, _OVERSPEED, _STALLED, _OUT_OF_TIME = (
     )
 )
 OVERSPEED_MPS = 1e-6
-"""A larger excess over the limit makes the outcome of a whole run ``overspeed``, wherever it ended."""
+"""Excess over the limit, m/s, beyond which the outcome of a whole run is ``overspeed`` wherever it ended."""
 
 
 @dataclass(frozen=True)
 class OutcomeRule:
     """Conditions that end a run; the defaults are those of every drive that is reported.
 
-    A task may end its episodes sooner (see :class:`metropilot.env.DrivingConfig`): from the rest of a lost
-    run a learner learns nothing.
+    A task may end its episodes sooner (see :class:`metropilot.env.DrivingConfig`), as the remainder of a
+    failed run carries no training signal.
 
     Attributes:
-        tolerance_m: A trainset that stands this near to the stop has arrived, m.
-        stalled_s: A trainset that has stood this long anywhere else is stalled, s.
-        give_up_m: This far beyond the stop it has overshot, moving or not, m.
-        late_ratio: Out of time when more than this times the scheduled running time ...
-        late_s: ... and this much more has passed, s.
-        overspeed_mps: A speed this much over the limit ends the run; infinite: the run goes on, m/s.
+        tolerance_m: Largest distance from the stop at standstill that counts as arrived, m.
+        stalled_s: Standstill elsewhere after which the run is stalled, s.
+        give_up_m: Distance beyond the stop at which the run is overshot, moving or not, m.
+        late_ratio: Ratio of the limit ``late_ratio * scheduled + late_s`` on the time since departure.
+        late_s: Constant term of that limit, s.
+        overspeed_mps: Excess over the limit that ends the run, m/s; infinite: the run continues.
     """
 
     tolerance_m: float = STOP_TOLERANCE_M
@@ -54,35 +54,36 @@ class OutcomeRule:
 
 
 NEVER_ENDS = OutcomeRule(stalled_s=float("inf"), give_up_m=float("inf"), late_s=float("inf"))
-"""For whoever decides otherwise when to stop: convoys, courses of a reference, differentiable rollouts."""
+"""For callers with an end of their own: convoys, tracking of a reference, differentiable rollouts."""
 
 
 @no_type_check
 def outcome_of(
     rule: OutcomeRule,
     *,
-    error_m: Array,
-    speed_mps: Array,
-    time_s: Array,
-    stood_since_s: Array,
-    scheduled_s: Array,
-    overspeed_mps: Array,
-) -> Array:
+    error_m: Scalar,
+    speed_mps: Scalar,
+    time_s: Scalar,
+    stood_since_s: Scalar,
+    scheduled_s: Scalar,
+    overspeed_mps: Scalar,
+) -> Index:
     """Number of the outcome in :data:`CODES`, or :data:`RUNNING`. NumPy and JAX alike, all 0-d.
 
     Args:
         rule: The conditions.
-        error_m: Position less the stop, m.
+        error_m: Position minus the stop, m.
         speed_mps: Speed, m/s.
         time_s: Time since departure, s.
-        stood_since_s: Time of the last standstill, s.
-        scheduled_s: Scheduled running time as it stands, s.
+        stood_since_s: Time at which the trainset last came to a standstill, s.
+        scheduled_s: Scheduled running time in force, s.
         overspeed_mps: Largest excess over the limit in the last control period, m/s.
     """
     xp = namespace(speed_mps, error_m, time_s)
     stands = speed_mps <= 0.0
     near = xp.abs(error_m) <= rule.tolerance_m
     beyond = (error_m > rule.give_up_m) | (stands & (error_m > 0.0))
+    # Later lines take precedence: an arrival counts even after the time limit.
     code = xp.where(time_s > rule.late_ratio * scheduled_s + rule.late_s, _OUT_OF_TIME, RUNNING)
     code = xp.where(stands & (time_s - stood_since_s > rule.stalled_s), _STALLED, code)
     code = xp.where(overspeed_mps > rule.overspeed_mps, _OVERSPEED, code)
@@ -102,32 +103,32 @@ def final_outcome(code: int, max_overspeed_mps: float) -> Outcome:
 
 
 class Episode(NamedTuple):
-    """Key figures of an episode, readable from any state of it. All 0-d, or batched alike.
+    """Key figures of an episode, available in any state of it. All 0-d, or batched alike.
 
     Attributes:
         outcome: Number of the outcome in :data:`CODES`, or :data:`RUNNING`.
         case: Row of the task's cases.
-        running_time_s: Time since departure, to the standstill if it stands.
-        scheduled_s: Scheduled running time as it stands.
+        running_time_s: Time from departure to now, or to the standstill at the end.
+        scheduled_s: Scheduled running time in force.
         wheel_j: Traction energy at the wheel.
         line_j: Net energy at the line.
         stop_error_m: Position minus the stop.
-        interventions: Interventions of protection; an uninterrupted spell counts once.
+        interventions: Interventions of protection; consecutive periods count once.
         max_jerk_mps3: Largest jerk.
-        jerk_mps2: Integral of the size of the jerk.
+        jerk_mps2: Integral of the absolute jerk.
         max_overspeed_mps: Largest excess over the limit.
         decisions: Decisions taken.
     """
 
-    outcome: Array
-    case: Array
-    running_time_s: Array
-    scheduled_s: Array
-    wheel_j: Array
-    line_j: Array
-    stop_error_m: Array
-    interventions: Array
-    max_jerk_mps3: Array
-    jerk_mps2: Array
-    max_overspeed_mps: Array
-    decisions: Array
+    outcome: Index
+    case: Index
+    running_time_s: Scalar
+    scheduled_s: Scalar
+    wheel_j: Scalar
+    line_j: Scalar
+    stop_error_m: Scalar
+    interventions: Index
+    max_jerk_mps3: Scalar
+    jerk_mps2: Scalar
+    max_overspeed_mps: Scalar
+    decisions: Index

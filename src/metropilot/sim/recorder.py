@@ -1,4 +1,4 @@
-"""From the states of a run to its trajectory."""
+"""Recorder of a run, period by period, and its trajectory."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from metropilot.sim.trajectory import Trajectory, phases
 
 @dataclass
 class Recorder:
-    """Collects a run step by step.
+    """Record of a run in progress.
 
     Attributes:
-        vehicle: The trainset as it really is.
+        vehicle: True plant.
         dt: Control period, s.
         first: State at departure.
         states: State after each step.
@@ -47,15 +47,15 @@ class Recorder:
         self.overspeed_mps = max(self.overspeed_mps, float(record.overspeed_mps))
 
     def trajectory(self, track: Track, permitted_mps: float) -> Trajectory:
-        """Everything recorded, closed by the exact end.
+        """Trajectory of everything recorded, with a last row for the exact end.
 
         Args:
-            track: The section as it stands at the end.
+            track: The section at the end, with every restriction announced.
             permitted_mps: Permitted speed at the end.
         """
         rows = [self.first, *self.states]
         names = ("time_s", "position_m", "speed_mps", "traction_j", "line_j")
-        return closed_trajectory(
+        return build_trajectory(
             self.vehicle,
             self.dt,
             {name: np.array([getattr(state, name) for state in rows]) for name in names},
@@ -67,7 +67,7 @@ class Recorder:
         )
 
 
-def closed_trajectory(
+def build_trajectory(
     vehicle: Vehicle,
     dt: float,
     rows: Mapping[str, ndarray],
@@ -78,23 +78,24 @@ def closed_trajectory(
     limit_mps: ndarray,
     permitted_mps: ndarray,
 ) -> Trajectory:
-    """A run of ``n`` steps as a trajectory of ``n + 1`` rows, closed by the exact end.
+    """Build the trajectory of ``n + 1`` rows of a run of ``n`` steps; the last row is the exact end.
 
     Args:
-        vehicle: The trainset as it really is.
+        vehicle: True plant.
         dt: Control period, s.
         rows: ``time_s, position_m, speed_mps, traction_j, line_j`` at departure and after each step.
-        acceleration_mps2: Of each step.
-        held: Forces of each step.
-        commands: Of each step, after protection.
-        limit_mps: At the start of each step, and at the end.
-        permitted_mps: The same.
+        acceleration_mps2: Acceleration of each step. Shape (n,).
+        held: Forces of each step, each of shape (n,).
+        commands: Command of each step, after protection. Shape (n,).
+        limit_mps: Speed limit at the start of each step, and at the end. Shape (n + 1,).
+        permitted_mps: Permitted speed at the same times. Shape (n + 1,).
     """
     forces = held._asdict()
     speed = rows["speed_mps"]
     last = {name: values[-1] for name, values in forces.items()}
     end = float(acceleration_mps2[-1])
     if speed[-1] <= 0:
+        # At standstill no force of motion acts; the friction brake holds the trainset against the gradient.
         end = 0.0
         last |= {"traction_n": 0.0, "electric_brake_n": 0.0, "resistance_n": 0.0}
         last["friction_brake_n"] = -last["gradient_n"]

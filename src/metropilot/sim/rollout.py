@@ -1,4 +1,4 @@
-"""The host loop: one driver drives one run under protection, in NumPy float64 (never imports JAX)."""
+"""Host loop: one driver drives one run under protection, in NumPy float64 (never imports JAX)."""
 
 from __future__ import annotations
 
@@ -27,22 +27,23 @@ RULE = OutcomeRule()
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """A run as it was driven.
+    """Completed run with its record.
 
     Attributes:
-        run: What was to be driven.
+        run: The run.
         driver: Id of the driver.
-        trajectory: Row by row.
-        outcome: How it ended.
-        running_time_s: From departure to the last stand (to the end, if it never came to one).
-        scheduled_time_s: Scheduled running time as it stood at the end.
+        trajectory: Trajectory, one row a control period.
+        outcome: Outcome of the run.
+        running_time_s: Time from departure to the last standstill (to the end, if there was none), s.
+        scheduled_time_s: Scheduled running time in force at the end, s.
         section: The section with every restriction announced during the run.
-        trainset: The trainset as it really was.
-        interventions: How many times protection overruled the driver (an uninterrupted spell counts once).
-        max_overspeed_mps: Largest excess over the limit in force, 0 if none.
-        recovered_j: Energy given back to the line.
-        decision_us: Time the driver took for each decision, microseconds.
-        overruled: Whether protection overruled the driver in each step; a command that is no number counts.
+        trainset: True plant.
+        interventions: Interventions of protection; consecutive periods count once.
+        max_overspeed_mps: Largest excess over the limit in force, 0 if none, m/s.
+        recovered_j: Energy fed back into the line, J.
+        decision_us: Computing time of each decision, microseconds.
+        overruled: True in each step in which protection overruled the driver, or the command was not a
+            finite number.
     """
 
     run: Run
@@ -61,7 +62,7 @@ class Drive:
 
 
 def drive(run: Run, driver: AbstractDriver) -> Drive:
-    """Let a driver drive a run until it stands at the stop, or until it plainly will not.
+    """Simulate a run with a driver until an :class:`OutcomeRule` ends it.
 
     The run ends when the trainset stands within 0.3 m of the stop (arrived) or beyond it (overshot), has
     stood anywhere else for 20 s (stalled), is 100 m past the stop (overshot), or has used twice its scheduled
@@ -69,8 +70,8 @@ def drive(run: Run, driver: AbstractDriver) -> Drive:
     wherever the run ended.
 
     Args:
-        run: What is to be driven; its scenario is the truth that the driver is not told.
-        driver: Whatever gives the command.
+        run: The run; its disturbance acts on the plant and is not visible to the driver.
+        driver: The driver.
 
     Raises:
         Infeasible: The driver cannot meet the scheduled time.
@@ -82,17 +83,17 @@ def drive(run: Run, driver: AbstractDriver) -> Drive:
 
 
 class Moment(NamedTuple):
-    """A run at the end of a control period.
+    """State of a run at the end of a control period.
 
     Attributes:
         time_s: Time since departure.
         position_m: Head of the trainset from the section's origin.
         speed_mps: Speed.
         acceleration_mps2: Acceleration over the period.
-        wanted: What the driver asked for.
-        command: What protection let pass.
-        level: What protection did: an index into :data:`metropilot.protection.LEVELS`.
-        permitted_mps: Speed protection permits here.
+        wanted: Command of the driver, or of the manual lever.
+        command: Command after protection.
+        level: Level of the intervention, an index into :data:`metropilot.protection.LEVELS`.
+        permitted_mps: Permitted speed at the position.
         energy_wheel_j: Traction energy at the wheel so far.
         energy_line_j: Net energy at the line so far.
     """
@@ -111,18 +112,19 @@ class Moment(NamedTuple):
 
 @final
 class Rollout:
-    """A run in progress, one control period at a time: what :func:`drive` loops over.
+    """Run in progress, advanced one control period at a time; :func:`drive` loops over it.
 
-    Whoever steps it may tell the driver news on the way, or take the lever for a while; both happen at the
-    beginning of the next period, so that the same calls at the same times give the same bits.
+    A caller may announce timetable updates on the way (:meth:`tell`) and give the command by hand
+    (:meth:`take`). Both take effect at the beginning of the next period, so that the same calls at the same
+    times give bitwise equal results.
 
     Args:
-        run: What is to be driven.
-        driver: Whatever gives the command.
+        run: The run.
+        driver: The driver.
 
     Attributes:
-        outcome: How the run has ended, None while it goes on (see :func:`drive`).
-        scheduled_time_s: Scheduled running time as it stands.
+        outcome: Outcome of the run; None while it is in progress (see :func:`drive`).
+        scheduled_time_s: Scheduled running time in force, s.
         section: The section with every restriction announced so far.
 
     Raises:
@@ -160,33 +162,33 @@ class Rollout:
 
     @property
     def scheduled_time_s(self) -> float:
-        """Scheduled running time as it stands, s."""
+        """Scheduled running time in force, s."""
         return self.params.scheduled_s
 
     def enter(self, section: Section) -> None:
-        """Take a section as the truth, at once: a new restriction has been announced."""
+        """Replace the section in force, for plant and protection, after a new restriction."""
         self.section = section
         nominal = self.run.scenario.nominal(self.run.trainset)
         self.params = self.params._replace(
             track=track_arrays(section, self.trainset), protection=protect(section, nominal, self.bounds)
         )
 
-    def tell(self, news: TimetableUpdate) -> None:
-        """Tell the driver something on the way; what is due already is told at once."""
-        self.pending = sorted([*self.pending, news], key=lambda item: item.at_s)
+    def tell(self, update: TimetableUpdate) -> None:
+        """Announce a timetable update during the run; one already due takes effect in the next period."""
+        self.pending = sorted([*self.pending, update], key=lambda item: item.at_s)
 
     def take(self, share: float | None) -> None:
-        """Take the lever and hold it at a share, or (None) give it back to the driver.
+        """Hold the command at a share by hand, or (None) return control to the driver.
 
-        A driver who gets it back prepares anew: for the run as it was, with all the news of the way.
+        On return the driver is initialised again for the original run.
         """
         if share is None and self.by_hand is not None:
             self.memory = self.driver.init(self.run)
         self.by_hand = share
 
     def advance(self) -> Moment:
-        """One control period, with the timetable updates that are due at its beginning."""
-        self.hear()
+        """Simulate one control period, with the timetable updates that are due at its beginning."""
+        self.apply_updates()
         self.permitted_mps = self.permitted()
         params = self.params
         self.state, self.memory, record = control_period(
@@ -201,7 +203,7 @@ class Rollout:
         return self.moment()
 
     def decide(self, memory: Any, state: RunState) -> tuple[Command, Any]:  # noqa: ANN401 (a driver's)
-        """The driver's command, or that of the lever, with the time it took."""
+        """Command of the driver or of the manual lever; records the computing time."""
         observation = observation_of(self.params, state, self.section, self.permitted_mps)
         began = perf_counter_ns()
         if self.by_hand is None:
@@ -216,7 +218,7 @@ class Rollout:
         return float(self.errors.standard_normal()) if self.run.scenario.speed_noise_mps > 0 else 0.0
 
     def moment(self) -> Moment:
-        """The run as it is."""
+        """State of the run now."""
         state = self.state.plant
         return Moment(
             time_s=float(state.time_s),
@@ -232,10 +234,10 @@ class Rollout:
         )
 
     def drive(self) -> Drive:
-        """The run as it was driven, once it is over.
+        """Result of the run after its end.
 
         Raises:
-            ValueError: It is not over.
+            ValueError: The run has not ended.
         """
         if self.outcome is None:
             raise ValueError("the run is not over")
@@ -256,22 +258,22 @@ class Rollout:
             overruled=np.array(self.overruled),
         )
 
-    def hear(self) -> None:
-        """Deliver the timetable updates that are due."""
+    def apply_updates(self) -> None:
+        """Apply the timetable updates that are due."""
         while self.pending and self.pending[0].at_s <= self.state.plant.time_s:
-            news = self.pending.pop(0)
-            if news.scheduled_time_s is not None:
-                self.params = self.params._replace(scheduled_s=news.scheduled_time_s)
-            if news.restriction is not None:
-                self.enter(self.section.restricted(news.restriction))
+            update = self.pending.pop(0)
+            if update.scheduled_time_s is not None:
+                self.params = self.params._replace(scheduled_s=update.scheduled_time_s)
+            if update.restriction is not None:
+                self.enter(self.section.restricted(update.restriction))
 
     def permitted(self) -> float:
-        """Permitted speed where the trainset is."""
+        """Permitted speed at the trainset's position, m/s."""
         return float(permitted_speed(self.params.protection, float(self.state.plant.position_m)))
 
 
 def observation_of(params: RunParams, state: RunState, section: Section, permitted_mps: float) -> Observation:
-    """Inputs of a driver: the speed as measured, everything else as it is.
+    """Observation of a driver: the measured speed, and the true values of everything else.
 
     Args:
         params: Data of the period.

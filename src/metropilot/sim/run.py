@@ -1,4 +1,4 @@
-"""A run: one trip from a stop to the next, with everything that may go differently than planned."""
+"""Run: one trip from a stop to the next, with its disturbance; observation and outcome of a run."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from metropilot.sim.disturbance import Disturbance
 
 CONTROL_PERIOD_S = 0.2
 PUNCTUALITY_S = 3.0
+"""Largest deviation from the scheduled running time that counts as punctual."""
 STOP_TOLERANCE_M = 0.3
+"""Largest stop error at which the trainset has arrived."""
 
 
 class Outcome(Enum):
-    """How a run ended; a value, never an exception."""
+    """Outcome of a run; a value, never an exception."""
 
     ARRIVED = "arrived"
     OVERSHOT = "overshot"
@@ -27,15 +29,15 @@ class Outcome(Enum):
 
 @dataclass(frozen=True)
 class Run:
-    """One trip to drive.
+    """One trip from a stop to the next.
 
     Attributes:
-        section: Where.
-        trainset: With what, as the driver knows it.
-        scheduled_time_s: In what running time.
-        scenario: What the driver does not know.
+        section: Section.
+        trainset: Nominal trainset.
+        scheduled_time_s: Scheduled running time, s.
+        scenario: Disturbance, unknown to the driver.
         dt: Control period, s.
-        seed: Seed of everything random in the run.
+        seed: Seed of all random numbers of the run.
     """
 
     section: Section
@@ -50,15 +52,15 @@ class Run:
 
 
 class Observation(NamedTuple):
-    """What a driver is given each control period.
+    """Input of a driver in one control period.
 
     Attributes:
         time_s: Time since departure.
         position_m: Measured position of the head.
         speed_mps: Measured speed.
         acceleration_mps2: Acceleration over the last period, from the propulsion control.
-        scheduled_time_s: Scheduled running time as it stands now.
-        permitted_mps: Speed protection permits here.
+        scheduled_time_s: Scheduled running time in force.
+        permitted_mps: Permitted speed at the position.
         section: The section with every restriction announced so far.
     """
 

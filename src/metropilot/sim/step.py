@@ -1,9 +1,9 @@
-"""One control period: decide, supervise, move, judge. Every engine of metropilot steps through this function.
+"""One control period: decide, supervise, step the plant, determine the outcome; common to all simulations.
 
 The host loop (:mod:`metropilot.sim.rollout`) calls it with NumPy scalars in double precision, the compiled
 campaign and the compiled task with JAX arrays, the convoy once for every trainset, simulations inside drivers
-and the differentiable rollout of the imitation learner without protection's disturbances. What differs
-between them is data: the array type, the grid of protection's curves (or none), the precision.
+and the differentiable rollout of the imitation learner without disturbances. They differ in data alone: the
+array type, the grid of protection's curves (or none), the precision.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 
+from metropilot._typing import Flag, Index, Scalar
 from metropilot.physics import (
     Command,
     State,
@@ -29,15 +30,13 @@ from metropilot.sim.disturbance import NOISE_CUT
 from metropilot.sim.outcome import RUNNING, OutcomeRule, outcome_of
 from metropilot.sim.run import Run
 
-Array = Any
-
 
 class RunParams(NamedTuple):
-    """The data of one control period; constant over a run but for what is announced on the way.
+    """Data of one control period; constant over a run except for timetable updates.
 
     Attributes:
         vehicle: True plant of the trainset.
-        track: Section as the trainset feels it; the pieces around its position suffice.
+        track: Section as it acts on the trainset; the pieces around its position suffice.
         protection: Protection of the section; the nodes ahead suffice. None: no protection.
         length_m: Distance from the origin to the stop. 0-d, m.
         scheduled_s: Scheduled running time in force. 0-d, s.
@@ -50,11 +49,11 @@ class RunParams(NamedTuple):
     vehicle: Vehicle
     track: Track
     protection: Protection | None
-    length_m: Array
-    scheduled_s: Array
-    speed_noise_mps: Array
-    dt: Array
-    most_mps2: Array | None = None
+    length_m: Scalar
+    scheduled_s: Scalar
+    speed_noise_mps: Scalar
+    dt: Scalar
+    most_mps2: Scalar | None = None
 
 
 class RunState(NamedTuple):
@@ -64,33 +63,33 @@ class RunState(NamedTuple):
         plant: State of the plant.
         supervision: Memory of protection; None: no protection.
         measured_mps: Speed as measured for the coming period, m/s.
-        stood_since_s: Time of the last standstill, s.
+        stood_since_s: Time at which the trainset last came to a standstill, s.
         outcome: Number of the outcome, or ``RUNNING``.
     """
 
     plant: State
     supervision: Memory | None
-    measured_mps: Array
-    stood_since_s: Array
-    outcome: Array
+    measured_mps: Scalar
+    stood_since_s: Scalar
+    outcome: Index
 
 
 class PeriodRecord(NamedTuple):
-    """One control period as it was. All 0-d.
+    """Record of one control period. All 0-d.
 
     Attributes:
         wanted: Command of the driver.
-        command: Command that reached the trainset.
+        command: Command after protection.
         verdict: Decision of protection; None: no protection.
-        intervened: Whether protection changed the command, or the command was not a finite number.
+        intervened: True where protection changed the command, or the command was not a finite number.
         overspeed_mps: Largest excess over the limit in the period, m/s, never negative.
     """
 
     wanted: Command
     command: Command
     verdict: Verdict | None
-    intervened: Array
-    overspeed_mps: Array
+    intervened: Flag
+    overspeed_mps: Scalar
 
 
 Decide = Callable[[Any, RunState], tuple[Command, Any]]
@@ -98,7 +97,7 @@ Decide = Callable[[Any, RunState], tuple[Command, Any]]
 
 
 def first_state(plant: State, supervision: Memory | None) -> RunState:
-    """The state in which a run begins (NumPy constants, also in JAX).
+    """State at the beginning of a run (NumPy constants, also in JAX).
 
     Args:
         plant: State of the plant.
@@ -111,16 +110,17 @@ def first_state(plant: State, supervision: Memory | None) -> RunState:
 def control_period(
     params: RunParams,
     state: RunState,
-    memory: Any,  # noqa: ANN401 (whatever the driver keeps)
+    memory: Any,  # noqa: ANN401 (a driver's memory)
     decide: Decide,
     *,
     rule: OutcomeRule,
-    noise: Array = 0.0,
+    noise: Scalar = 0.0,
     ahead: TrainAhead | None = None,
 ) -> tuple[RunState, Any, PeriodRecord]:
-    """One control period of one run. Pure over the array namespace; batch it with ``jax.vmap``.
+    """Simulate one control period of one run. Pure over the array namespace; batch it with ``jax.vmap``.
 
-    A run that has ended keeps its outcome but is stepped like any other; :func:`hold_ended` keeps all of it.
+    A run that has ended keeps its outcome but is stepped like any other; :func:`hold_ended` restores all of
+    its state.
 
     Args:
         params: Data of the period.
@@ -129,7 +129,7 @@ def control_period(
         decide: The driver.
         rule: Conditions that end a run.
         noise: Error of the speed measured at the end, in standard deviations, cut at ``NOISE_CUT``. 0-d.
-        ahead: The trainset ahead as last heard of, if there is one.
+        ahead: Last message of the trainset ahead; None: there is none.
 
     Returns:
         The state at the end, the driver's new memory, and a record of the period.
@@ -142,6 +142,7 @@ def control_period(
         command, supervision, verdict = supervise(
             params.protection, supervision, plant.position_m, state.measured_mps, wanted, ahead
         )
+        # ``^ True`` negates arrays, tracers and plain bools alike; NaN compares false and so counts.
         intervened = (verdict.level > 0) | (abs(wanted.share) < float("inf")) ^ True
     vehicle, applied = params.vehicle, command
     if params.most_mps2 is not None:
@@ -168,25 +169,23 @@ def control_period(
 
 
 @no_type_check
-def running_time(state: RunState) -> Array:
-    """Time from departure to the standstill, or to now where the trainset moves, s."""
+def running_time(state: RunState) -> Scalar:
+    """Time from departure to the standstill, or to now while the trainset moves, s."""
     xp = namespace(state.plant.speed_mps)
     return xp.where(state.plant.speed_mps <= 0.0, state.stood_since_s, state.plant.time_s)
 
 
 def noise_stream(run: Run) -> np.random.Generator:
-    """Errors of a run's measured speeds in standard deviations, one a control period, from its seed.
-
-    The first would be that of the speed at departure, which odometry knows to be zero.
-    """
+    """Random stream of the errors of a run's measured speeds, one a control period, from its seed."""
     stream = np.random.default_rng(np.random.SeedSequence(run.seed, spawn_key=(1,)))
+    # the first number belongs to the speed at departure, which odometry measures exactly as zero
     stream.standard_normal()
     return stream
 
 
 @no_type_check
-def measured_speed(speed_mps: Array, sigma_mps: Array, noise: Array) -> Array:
-    """Speed as odometry reports it: true speed and a cut normal error, exact at standstill, never negative.
+def measured_speed(speed_mps: Scalar, sigma_mps: Scalar, noise: Scalar) -> Scalar:
+    """Speed from odometry: true speed plus a cut normal error, exact at standstill, never negative.
 
     Args:
         speed_mps: True speed. 0-d, m/s.
@@ -199,7 +198,7 @@ def measured_speed(speed_mps: Array, sigma_mps: Array, noise: Array) -> Array:
 
 
 @no_type_check
-def overspeed_in_period(track: Track, before: State, after: State) -> Array:
+def overspeed_in_period(track: Track, before: State, after: State) -> Scalar:
     """Largest excess over the limit within one control period, m/s, never negative.
 
     Speed squared is linear in distance over a period, so the excess is largest at an end of the period or
@@ -222,8 +221,8 @@ def overspeed_in_period(track: Track, before: State, after: State) -> Array:
             speed = max(v0 * v0 + (v1 * v1 - v0 * v0) * (breaks[k] - x0) / (x1 - x0), 0.0) ** 0.5
             worst = max(worst, speed - min(limits[k], limits[k - 1]))
         return worst
-    # The excess at the beginning was that at the end of the period before; of limits so near to each other
-    # that one period crosses several, a compiled program looks at the last.
+    # The excess at the beginning equals that at the end of the period before. If one period crosses several
+    # limits, a compiled program evaluates only the last, which keeps its shapes fixed.
     share = (breaks[last] - x0) / xp.maximum(x1 - x0, 1e-9)
     speed = xp.sqrt(xp.maximum(v0 * v0 + (v1 * v1 - v0 * v0) * share, 0.0))
     excess = speed - xp.minimum(limits[last], limits[xp.maximum(last - 1, 0)])
@@ -231,11 +230,11 @@ def overspeed_in_period(track: Track, before: State, after: State) -> Array:
 
 
 def hold_ended(before: RunState, reached: Any, kept: Any = None) -> Any:  # noqa: ANN401 (trees of arrays)
-    """The state reached, or (JAX) the one before where the run had already ended.
+    """State after the period, or (JAX) the one before it where the run had already ended.
 
     Args:
         before: State of the run before the period.
-        reached: Whatever the period led to: a state of the run, or a tree that contains it.
+        reached: State of the run after the period, or a tree that contains it.
         kept: The same tree before the period; None: ``before``.
     """
     import jax

@@ -1,4 +1,4 @@
-"""The record of a run, row by row, and its CSV file."""
+"""Trajectory of a run, one row a control period, and its CSV file."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ from metropilot.errors import InputError
 POWER, CRUISE, COAST, BRAKE, STAND = "power", "cruise", "coast", "brake", "stand"
 PHASES = (POWER, CRUISE, COAST, BRAKE, STAND)
 COAST_MPS2 = 0.01
+"""Wheel force per effective mass below which a row counts as coasting."""
 CRUISE_MPS2 = 0.03
+"""Acceleration below which a row with effort counts as cruising."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A run, one row a control period; the last row is the exact end.
+    """Trajectory of a run, one row a control period; the last row is the exact end.
 
     Forces and acceleration hold over the step that starts at the row, and in every row
     ``effective_mass * acceleration = traction - electric_brake - friction_brake - resistance - gradient``.
-    A trainset that ends at a stand has no step left: its last row holds it still, with the friction brake
-    balancing the gradient.
+    No step follows a run that ends at standstill: in its last row the friction brake balances the gradient.
 
     Attributes:
         time_s: Time since departure.
@@ -38,12 +39,12 @@ class Trajectory:
         command: Command that reached the trainset, after protection.
         traction_n: Traction at the wheel.
         electric_brake_n: Electric braking force.
-        friction_brake_n: Friction braking force; at a stand whatever holds the trainset.
+        friction_brake_n: Friction braking force; at standstill the force that holds the trainset.
         resistance_n: Davis, curve and tunnel resistance.
         gradient_n: Gradient force, positive uphill.
-        gradient_permil: Gradient as the trainset feels it over its length.
+        gradient_permil: Gradient, the mean over the trainset's length.
         limit_mps: Speed limit in force for the head, held until the tail has cleared it.
-        permitted_mps: Speed protection permits.
+        permitted_mps: Permitted speed of protection.
         energy_wheel_j: Traction energy at the wheel so far.
         energy_line_j: Net energy at the line so far.
         phase: ``power``, ``cruise``, ``coast``, ``brake`` or ``stand``.
@@ -72,11 +73,11 @@ class Trajectory:
 
     @property
     def duration_s(self) -> Float[ndarray, " rows"]:
-        """How long each row's step lasted; 0 for the last row."""
+        """Duration of each row's step, s; 0 for the last row."""
         return np.append(np.diff(self.time_s), 0.0)
 
     def balance_n(self, effective_mass_kg: float) -> Float[ndarray, " rows"]:
-        """What is left of the identity in each row, N; zero up to rounding."""
+        """Residual of the balance of forces in each row, N; zero up to rounding."""
         forces = (
             self.traction_n
             - self.electric_brake_n
@@ -125,11 +126,11 @@ def phases(
     wheel_n: Float[ndarray, " rows"],
     effective_mass_kg: float,
 ) -> Shaped[ndarray, " rows"]:
-    """The driving regime of each row, in words.
+    """Name of the driving regime of each row.
 
-    ``stand``: not moving and not about to. ``coast``: wheel force below 0.01 N per kg of effective mass.
-    ``cruise``: effort of either sign that keeps the acceleration below 0.03 m/s² (holding a speed, uphill or
-    downhill). Else ``power`` or ``brake`` by the sign of the wheel force.
+    ``stand``: at standstill without acceleration. ``coast``: wheel force below 0.01 N per kg of effective
+    mass. ``cruise``: effort of either sign that keeps the acceleration below 0.03 m/s² (holding a speed,
+    uphill or downhill). Otherwise ``power`` or ``brake`` by the sign of the wheel force.
 
     Args:
         speed_mps: Speed at the row.
