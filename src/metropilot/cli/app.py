@@ -47,14 +47,14 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "serve": ("metropilot.cli.serve", "Open the web console and the HTTP API."),
     "import": ("metropilot.cli.import_file", "Read a line, trainset or journey file and write it as TOML."),
 }
-"""Each command: the module that holds it, and its line in the help. Modules are imported on use."""
+"""Module and help line of each command; modules are imported on use."""
 
 
 UNIT = re.compile(r"_(s|m|mps|mps2|mps3|mb)$")
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line and exit: 0 every requirement met, 1 not, 2 for input that cannot be used.
+    """Run the command line and exit: 0 every requirement met, 1 not, 2 invalid input.
 
     Args:
         argv: Arguments without the program's name; the process's own by default.
@@ -82,7 +82,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 
 
 def _run(arguments: list[str]) -> int:
-    """Build only the command that is asked for, and run it."""
+    """Build and run the requested command only."""
     words = arguments or asked_words()
     wanted = next((word for word in words if not word.startswith("-")), None)
     app = typer.Typer(
@@ -110,9 +110,9 @@ def _run(arguments: list[str]) -> int:
 
 
 def _as_option(error: InputError, app: typer.Typer, command: str | None) -> InputError:
-    """The complaint with its field as the option that the user wrote, if there is such a one.
+    """The error with its field renamed to the option on the command line, if there is one.
 
-    A field carries its unit (``delay_s``), an option does not (``--delay``).
+    A field has its unit in the name (``delay_s``), an option does not (``--delay``).
     """
     if error.file is not None or not error.field or command not in COMMANDS:
         return error
@@ -134,7 +134,7 @@ def _as_option(error: InputError, app: typer.Typer, command: str | None) -> Inpu
 
 
 def _stub() -> None:
-    """A command that is listed but not called."""
+    """Placeholder of a command in the help, never called."""
 
 
 def _say_version(wanted: bool) -> bool:
@@ -153,7 +153,7 @@ def _root(
 
 
 def _usage(error: typer.TyperException, arguments: list[str]) -> str:
-    """A usage error on one line, with where to look."""
+    """Format a usage error on one line with a reference to the help."""
     named = next((word for word in arguments if word in COMMANDS), None)
     command = f"metropilot {named}" if named else "metropilot"
     message = " ".join(error.format_message().split()).rstrip(".")
@@ -161,7 +161,7 @@ def _usage(error: typer.TyperException, arguments: list[str]) -> str:
 
 
 def _fail(line: str, code: int, error: InputError | None = None, *, as_json: bool = False) -> int:
-    """Say what is wrong on one line of the error stream; as JSON on the output too where that is wanted."""
+    """Print an error on one line of the error stream; with ``--json`` also on the output."""
     if as_json:
         import json
 

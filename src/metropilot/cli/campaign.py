@@ -100,14 +100,14 @@ class _Saying:
 
 
 def sitting(progress: CampaignProgress, workers: int, cluster: str | None) -> dict[str, Any]:
-    """What this sitting did, for the JSON."""
+    """Runs and time of this call, for the JSON."""
     rate = progress.driven / progress.seconds if progress.driven else None
     values = {"driven": progress.driven, "seconds": progress.seconds, "runs_per_s": rate, "workers": workers}
     return {"sitting": values | {"cluster": cluster, "memory_mb": progress.memory_mb}}
 
 
 def circumstances(progress: CampaignProgress, workers: int, cluster: str | None) -> dict[str, str]:
-    """What the head of the report says of how it was made."""
+    """Provenance lines in the head of the report."""
     from metropilot._provenance import provenance
 
     where = f"{workers} processes" if cluster is None else f"Ray cluster {cluster}"
@@ -120,7 +120,7 @@ def circumstances(progress: CampaignProgress, workers: int, cluster: str | None)
 
 
 def report(summary: dict[str, Any], folder: Path) -> None:
-    """The summary on the screen."""
+    """Print the summary."""
     rows = []
     for row in summary["drivers"]:
         share = 100.0 * row["successes"] / row["possible"] if row["possible"] else None

@@ -30,7 +30,7 @@ SHOWN: tuple[tuple[str, str, float, int], ...] = (
     ("decision_time_us_median", "µs", 1.0, 0),
 )
 SPARE = ("µs", "switches", "Σ|Δu|", "line kWh", "stop cm")
-"""Columns that are left out where there is no room, the first one first."""
+"""Columns that may be left out on a narrow screen, in this order."""
 MAX_SEEDS = 10_000
 EXAMPLES = {
     "compare": (
@@ -81,7 +81,7 @@ def compare_command(
 def compare_and_report(
     request: RunSpec, names: Sequence[str], seeds: int, out: Path | None, *, as_json: bool
 ) -> int:
-    """Drive, print, write; the exit code."""
+    """Drive, print and write; return the exit code."""
     from metropilot._io import check_writable
     from metropilot.evaluate import compare, jobs, make_driver, write_comparison
 
@@ -104,7 +104,7 @@ def compare_and_report(
 
 
 def report(request: RunSpec, entries: Sequence[Entry], seeds: int) -> None:
-    """The comparison on the screen."""
+    """Print the comparison."""
     from metropilot.evaluate import best
 
     known = request.resolved()
@@ -141,7 +141,7 @@ def _cell(entry: Entry, name: str, factor: float, digits: int, winner: str | Non
 
 
 def _outcomes(entry: Entry) -> str:
-    """How the drives ended: one word, or a count of each."""
+    """Outcomes of the drives: one word, or a count of each."""
     from metropilot.evaluate import outcome_words
 
     said = [outcome_words(k) for k in entry.kpis]

@@ -1,4 +1,4 @@
-"""Words a shell may complete; each list is read only when it is asked for."""
+"""Shell completion; each list of words is read on use."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Iterable
 import typer
 
 VARIABLE = "_METROPILOT_COMPLETE"
-"""What a shell's completion script sets when it asks for words."""
+"""Environment variable that a shell's completion script sets."""
 
 
 def asked_words() -> list[str]:
-    """The words on the command line that a shell wants completed, without the program's name."""
+    """Words of the command line under completion, without the program's name."""
     if VARIABLE not in os.environ:
         return []
     line = os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS", "")
@@ -61,7 +61,7 @@ def followers(incomplete: str) -> list[str]:
 
 
 def shown(incomplete: str) -> list[str]:
-    """Ids of whatever can be shown."""
+    """Ids of everything that `metropilot show` accepts."""
     kinds = (lines, trainsets, drivers, followers)
     return list(dict.fromkeys(key for kind in kinds for key in kind(incomplete)))
 

@@ -1,4 +1,4 @@
-"""What goes to the screen: tables, JSON, progress."""
+"""Screen output: tables, JSON, progress."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ USUAL_WIDTH = 120
 
 
 def console() -> Console:
-    """The output, as wide as it is. Text is shown as it is, brackets included."""
+    """Console of the output at its width. Text is printed without markup, brackets included."""
     from rich.console import Console
 
     return Console(width=screen_width(), highlight=False, markup=False, emoji=False)
@@ -35,7 +35,7 @@ def screen_width() -> int | None:
 
 
 def print_json(values: object) -> None:
-    """One JSON document on the output."""
+    """Print one JSON document."""
     from metropilot._io import to_json
 
     sys.stdout.write(to_json(values) + "\n")
@@ -49,14 +49,14 @@ def table(
     right: Iterable[int] = (),
     spare: Sequence[str] = (),
 ) -> Table:
-    """A table that fits the output: lines break between words, never inside.
+    """Table that fits the output: lines break between words, never inside.
 
     Args:
-        title: Above it; empty: none.
-        columns: Their heads.
-        rows: Their cells: text, or rich's.
-        right: Numbers of the columns that are set flush right.
-        spare: Heads of columns that may be left out where there is no room, the first one first.
+        title: Title; empty: none.
+        columns: Headings of the columns.
+        rows: Cells, text or rich renderables.
+        right: Indices of the right-aligned columns.
+        spare: Headings of columns that may be left out on a narrow screen, in this order.
     """
     from rich import box
     from rich.table import Table
@@ -87,7 +87,7 @@ def table(
 def _fitted(
     columns: Sequence[str], cells: Sequence[Sequence[Any]], spare: Sequence[str]
 ) -> tuple[list[int], list[int], bool]:
-    """Which columns fit the output, how wide each is, and whether they stand close together."""
+    """Columns that fit the output, their widths, and if the padding is reduced."""
     from rich.cells import cell_len
 
     room = console().width
@@ -110,7 +110,7 @@ def _fitted(
 
 
 def _widened(free: int, least: Sequence[int], full: Sequence[int]) -> list[int]:
-    """Widths from the least there must be towards the full ones: always the narrowest grows."""
+    """Widen from the least to the full widths, always the narrowest column first."""
     widths = list(least)
     while free > 0 and (short := [k for k, width in enumerate(widths) if width < full[k]]):
         widths[min(short, key=lambda k: widths[k])] += 1
@@ -119,18 +119,18 @@ def _widened(free: int, least: Sequence[int], full: Sequence[int]) -> list[int]:
 
 
 def requirements(checks: Iterable[Check]) -> Table:
-    """What was required, passed or failed."""
+    """Requirements with passed or failed."""
     rows = [(c.name, c.value, c.wanted, "✓" if c.passed else "✗ FAILED") for c in checks]
     return table("", ("requirement", "measured", "allowed", ""), rows, right=(1,))
 
 
 def printable(text: str) -> str:
-    """The text without what a terminal would obey or cannot show; line ends stay."""
+    """Remove terminal control sequences and characters that cannot be shown; keep line ends."""
     return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
 def heading(out: Console, title: str, lines: Iterable[str]) -> None:
-    """A bold heading and its lines, indented; nothing where there are no lines."""
+    """Print a bold heading and its lines, indented; nothing without lines."""
     from rich.padding import Padding
 
     lines = list(lines)
@@ -143,13 +143,13 @@ def heading(out: Console, title: str, lines: Iterable[str]) -> None:
 
 
 def citations(out: Console, title: str, source: Mapping[str, str]) -> None:
-    """Where each block of data comes from."""
+    """Sources of the blocks of data."""
     heading(out, title, [f"{block}: {text}" for block, text in source.items()])
 
 
 @contextmanager
 def working(what: str) -> Iterator[None]:
-    """Show on a terminal's error stream that something is going on."""
+    """Show an activity indicator on a terminal's error stream."""
     if not sys.stderr.isatty():
         yield
         return
@@ -160,7 +160,7 @@ def working(what: str) -> Iterator[None]:
 
 
 def progress(items: Sequence[Item], what: str) -> Iterator[Item]:
-    """The items, one by one, with a progress bar on a terminal's error stream."""
+    """Iterate over the items with a progress bar on a terminal's error stream."""
     if not sys.stderr.isatty():
         yield from items
         return
@@ -171,7 +171,7 @@ def progress(items: Sequence[Item], what: str) -> Iterator[Item]:
 
 
 def number(value: float | None, digits: int = 2, unit: str = "") -> str:
-    """A number with its unit, or a dash where there is none."""
+    """Format a number with its unit; None becomes a dash."""
     if value is None:
         return NOTHING
     return f"{value:.{digits}f}" + (f" {unit}" if unit else "")

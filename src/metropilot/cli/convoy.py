@@ -31,7 +31,7 @@ OPTIONS = {
     "masses": "mass_factors",
     "emergency_s": "head_emergency",
 }
-"""Fields of the request whose options are called otherwise."""
+"""Options with another name than their field of the request."""
 RUN_FIELDS = ("time_s", "options", "trainset", "load", "dt_s", "seed")
 CONVOY, LINK = "The convoy", "The link between trainsets"
 
@@ -133,7 +133,7 @@ def _factors(text: str | None) -> tuple[float, ...]:
 
 
 def run_and_report(request: ConvoyRequest, out: Path | None, *, as_json: bool) -> int:
-    """Drive, print, write; the exit code."""
+    """Drive, print and write; return the exit code."""
     from metropilot._io import check_writable
     from metropilot.convoy.folder import write_convoy
     from metropilot.convoy.kpis import convoy_kpis
@@ -158,7 +158,7 @@ def run_and_report(request: ConvoyRequest, out: Path | None, *, as_json: bool) -
 
 
 def report(request: ConvoyRequest, kpis: ConvoyKpis) -> None:
-    """The convoy on the screen."""
+    """Print the convoy."""
     out, known = console(), request.head.resolved()
     where = (
         f"{known.line} {known.origin} → {known.destination}, {request.count} x {known.trainset} {known.load}"
@@ -180,7 +180,7 @@ def report(request: ConvoyRequest, kpis: ConvoyKpis) -> None:
 
 
 def _row(member: MemberKpis) -> tuple[str, ...]:
-    """One trainset."""
+    """Cells of one trainset."""
     return (
         str(member.number),
         member.driver,

@@ -57,7 +57,7 @@ def drive_command(
 
 
 def run_and_report(request: RunSpec, out: Path | None, *, as_json: bool) -> int:
-    """Drive, print, write; the exit code."""
+    """Drive, print and write; return the exit code."""
     from metropilot._io import check_writable
     from metropilot.evaluate import kpis_of, optimum_of, write_run
     from metropilot.sim import drive
@@ -82,7 +82,7 @@ def run_and_report(request: RunSpec, out: Path | None, *, as_json: bool) -> int:
 
 
 def report(request: RunSpec, kpis: Kpis) -> None:
-    """The drive on the screen: what was required, and what it cost."""
+    """Print the drive: requirements and KPIs."""
     from metropilot.evaluate import checks, verdict
 
     out = console()
@@ -97,7 +97,7 @@ def report(request: RunSpec, kpis: Kpis) -> None:
 
 
 def rows(kpis: Kpis) -> list[tuple[str, str, str]]:
-    """The KPIs worth a line on the screen: name, value with unit, remark."""
+    """Rows of the printed KPIs: name, value with unit, remark."""
     from metropilot.planning import stated_s
 
     share, gap = kpis.optimality_gap_percent, kpis.certificate_gap_percent

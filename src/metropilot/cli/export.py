@@ -66,10 +66,10 @@ def export_command(
 
 
 def policy_named(what: str) -> tuple[str, PolicyFile]:
-    """The policy that a driver's id, a run or a file means, and a short name for it.
+    """Find the policy of a driver's id, a run or a file, and a short name for it.
 
     Raises:
-        InputError: There is none.
+        InputError: There is no such policy.
     """
     from metropilot.cli.learn import found_run
     from metropilot.cli.show_learned import read_policy

@@ -87,7 +87,7 @@ def import_command(
 
 
 def contents(found: Line | Trainset | Journey) -> list[str]:
-    """What was read, in words."""
+    """Contents of the file in words."""
     from metropilot.railway import Journey, Line
 
     if isinstance(found, Line):

@@ -114,14 +114,14 @@ def learn_command(
 def _asked(
     task: str | None, budget: str, steps: int | None, seed: int, settings: list[str] | None
 ) -> list[str]:
-    """The options that decide what is learned."""
+    """Options that were given and that change the learned policy."""
     told = [("--task", task), ("--budget", budget), ("--steps", steps), ("--seed", seed)]
     words = [str(word) for name, value in told if value is not None for word in (name, value)]
     return words + [word for text in settings or () for word in ("--set", text)]
 
 
 def setting(text: str) -> tuple[str, Any]:
-    """``KEY=VALUE``, the value as TOML writes it; text needs no quotes, a list no brackets.
+    """Parse ``KEY=VALUE``, the value as in TOML; text needs no quotes, a list no brackets.
 
     Raises:
         InputError: Not of that form.
@@ -142,7 +142,7 @@ def setting(text: str) -> tuple[str, Any]:
 
 
 def _check_steps(request: RunRequest, evaluate: Evaluate) -> None:
-    """Refuse fewer steps than a run can have, and say where it has more than were asked for.
+    """Reject fewer steps than a run can have, and report more steps than requested.
 
     Raises:
         InputError: Fewer steps than every evaluation has after one iteration.
@@ -161,10 +161,10 @@ def _check_steps(request: RunRequest, evaluate: Evaluate) -> None:
 
 
 def _nothing_new(new: dict[str, Any], record: RunRecord) -> None:
-    """Refuse to change what a run learns while it goes on.
+    """Reject options that differ from those of the resumed run.
 
     Raises:
-        InputError: Something was asked for that is not as the run has it.
+        InputError: An option differs.
     """
     for name, value in new.items():
         same = {"driver": record.driver, "task": record.task, "seed": record.seed}
@@ -174,10 +174,10 @@ def _nothing_new(new: dict[str, Any], record: RunRecord) -> None:
 
 
 def _free(out: Path) -> None:
-    """Refuse a folder that holds a run already.
+    """Reject a folder that already holds a run.
 
     Raises:
-        InputError: It does.
+        InputError: The folder holds a run.
     """
     if (out / "run.toml").exists():
         words, allowed = "the folder holds a run already", f"another, or --resume {out}"
@@ -185,7 +185,7 @@ def _free(out: Path) -> None:
 
 
 def new_run(request: RunRequest, out: Path | None) -> tuple[RunStore, RunRecord]:
-    """A new run's folder and record.
+    """Create a run's folder and record.
 
     Raises:
         InputError: The folder cannot be written.
@@ -203,7 +203,7 @@ def new_run(request: RunRequest, out: Path | None) -> tuple[RunStore, RunRecord]
 
 
 def found_run(text: str) -> tuple[RunStore, RunRecord]:
-    """A run by its folder, or by the beginning of its id.
+    """Find a run by its folder or by the beginning of its id.
 
     Raises:
         InputError: No such run.
@@ -221,7 +221,7 @@ def found_run(text: str) -> tuple[RunStore, RunRecord]:
 
 
 def report_done(store: RunStore, record: RunRecord, *, as_json: bool) -> int:
-    """What came of a run; the exit code."""
+    """Print the result of a run; return the exit code."""
     from metropilot.cli.learn_report import learned_json, report_learned
 
     folder = store.folder(record.id)
@@ -235,7 +235,7 @@ def report_done(store: RunStore, record: RunRecord, *, as_json: bool) -> int:
 def learn_and_report(
     store: RunStore, request: RunRequest, record: RunRecord, evaluate: Evaluate, *, as_json: bool
 ) -> int:
-    """Learn with progress, then say what came of it; the exit code."""
+    """Learn with progress and print the result; return the exit code."""
     from metropilot.cli.learn_report import LearnReport
     from metropilot.learn import TrainingOptions, learn_run
 

@@ -1,4 +1,4 @@
-"""What `metropilot learn` says while it learns and afterwards."""
+"""Output of `metropilot learn` during and after learning."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ KPIS: tuple[tuple[str, str, str, float], ...] = (
 
 
 class LearnReport:
-    """Rows as the evaluations come; on a terminal, a bar as well.
+    """Output during learning: a row per evaluation, and a progress bar on a terminal.
 
     Args:
-        request: What is learned.
-        folder: Where.
-        quiet: Print nothing but the bar.
+        request: The learning run.
+        folder: Folder of the run.
+        quiet: Print the bar only.
     """
 
     def __init__(self, request: RunRequest, folder: Path, *, quiet: bool) -> None:
@@ -63,7 +63,7 @@ class LearnReport:
         return self
 
     def progress(self, now: TrainingProgress) -> None:
-        """One evaluation more."""
+        """Print an evaluation and advance the bar."""
         self.steps = now.steps
         row = now.row
         left = clock(now.seconds_left)
@@ -88,7 +88,7 @@ class LearnReport:
             )
 
     def close(self) -> None:
-        """Take the bar away."""
+        """Remove the bar."""
         if self.bar is not None:
             self.bar.stop()
             self.bar = None
@@ -109,19 +109,19 @@ class LearnReport:
 
 
 def figure(value: float | None, digits: int, factor: float = 1.0) -> str:
-    """A number, or a dash where there is none."""
+    """Format a number; None becomes a dash."""
     return NOTHING if value is None or value != value else f"{factor * value:.{digits}f}"  # noqa: PLR0124 (NaN)
 
 
 def clock(seconds: float) -> str:
-    """Seconds as m:ss or h:mm:ss."""
+    """Format seconds as m:ss or h:mm:ss."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
 def kpi_rows(kpis: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """KPIs of learned drivers: words, number, unit; those that are not known left out."""
+    """Rows of the known KPIs of a learned driver: words, number, unit."""
     known = [(words, kpis.get(name), unit, factor) for name, words, unit, factor in KPIS]
     return [
         (words, f"{factor * value:.4g}", unit)
@@ -138,7 +138,7 @@ def learned_json(record: RunRecord, folder: Path) -> dict[str, Any]:
 
 
 def report_learned(record: RunRecord, folder: Path) -> None:
-    """What came of a run, and what to do with it."""
+    """Print the result of a run and the commands that use it."""
     out = console()
     done = f"{record.steps:,} steps in {clock(record.seconds)}".replace(",", " ")
     out.print(

@@ -15,7 +15,7 @@ from metropilot.cli import complete
 
 Command = TypeVar("Command", bound=Callable[..., int])
 UNIT = re.compile(r"_(s|m|mps|mps2|mps3|mb)$")
-"""What a field's name says of its unit, and an option's does not."""
+"""Unit suffixes of field names, absent from option names."""
 ABOUT, WORLD, OUTPUT = "What to drive", "Disturbances", "Output"
 ABOUT_FIELDS = ("time_s", "trainset", "load", "driver", "options", "objective", "dt_s")
 
@@ -46,9 +46,9 @@ def with_run_options(
     fields' names, as :meth:`metropilot.evaluate.RunSpec.from_values` takes them.
 
     Args:
-        left_out: Fields that the command has no option for.
-        only: Fields that it has an option for; empty: all.
-        defaults: Where the command has another default.
+        left_out: Fields without an option.
+        only: Fields with an option; empty: all.
+        defaults: Defaults of the command that differ from the declaration.
     """
 
     def decorate(command: Command) -> Command:
@@ -80,7 +80,7 @@ def with_run_options(
 
 
 def run_option(key: str, **defaults: Any) -> Parameter:  # noqa: ANN401 (of any type)
-    """A command's option for a field of a run, as Typer reads it."""
+    """Typer parameter of a command's option for a field of a run."""
     from metropilot.evaluate import RunSpec, key_type, run_fields
     from metropilot.sim import Disturbance
 

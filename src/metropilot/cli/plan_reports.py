@@ -1,4 +1,4 @@
-"""What `metropilot plan` prints and writes: a run, a front, a journey."""
+"""Output of `metropilot plan`: a run, a front, a journey."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ AT_STATION_M = 1.0
 
 
 class PlanArguments(NamedTuple):
-    """What every plan needs.
+    """Arguments common to all plans.
 
     Attributes:
-        trainset: Trainset with its load.
+        trainset: Loaded trainset.
         options: Objective and limits.
         out: Folder for the results, if any.
         as_json: JSON instead of tables.
@@ -91,7 +91,7 @@ def run(asked: PlanArguments, section: Section, time_s: float | None) -> int:
 
 
 def energy_rows(plan: Plan, options: PlanOptions) -> list[tuple[str, str, str]]:
-    """Energy, certificate and price of a second."""
+    """Rows of energy, certificate and price of a second."""
     where = "at the wheel" if options.objective == "wheel" else "net at the line"
     return [
         (f"energy {where}", number(plan.energy_j / J_PER_KWH, 3, "kWh"), f"passes {plan.passes}"),
@@ -133,7 +133,7 @@ def deliver(
     plan: Plan | None,
     draw: Callable[[], Figure],
 ) -> int:
-    """Write what is to be written, then print."""
+    """Write the requested files, then print."""
     written = []
     if asked.out is not None:
         from metropilot.evaluate.style import save
@@ -154,7 +154,7 @@ def deliver(
 
 
 def write_profile(path: Path, plan: Plan) -> None:
-    """The plan node by node; a force holds to the next node."""
+    """Write the plan node by node; a force holds to the next node."""
     rows = ["position_m,time_s,speed_mps,traction_n,brake_n"]
     forces = zip([*plan.traction_n.tolist(), 0.0], [*plan.brake_n.tolist(), 0.0], strict=True)
     nodes = zip(plan.position_m.tolist(), plan.time_s.tolist(), plan.speed_mps.tolist(), forces, strict=True)

@@ -96,7 +96,7 @@ def studies_command(as_json: opt.Json = False) -> int:
 
 
 def _pairs(texts: list[str] | None) -> dict[str, str]:
-    """``NAME=VALUE``, split."""
+    """Split ``NAME=VALUE``."""
     pairs = {}
     for text in texts or []:
         name, sign, value = text.partition("=")
@@ -107,12 +107,12 @@ def _pairs(texts: list[str] | None) -> dict[str, str]:
 
 
 def _say(line: str) -> None:
-    """Progress, on the error stream."""
+    """Print progress on the error stream."""
     sys.stderr.write(f"{line}\n")
 
 
 def _report(report: StudyReport, folder: Path) -> None:
-    """The tables on the screen."""
+    """Print the tables."""
     from metropilot.studies.page import numbers
 
     out = console()

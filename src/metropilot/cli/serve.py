@@ -84,22 +84,22 @@ def serve_command(
 
 
 def import_check() -> None:
-    """Find out whether the extra is installed."""
+    """Check that the extra is installed."""
     import nicegui  # noqa: F401
     import pebble  # noqa: F401
 
 
 def free_port(host: str) -> int:
-    """A port nobody listens on."""
+    """Find a free port."""
     with socket.create_server((host, 0), family=_family(host)) as probe:
         return int(probe.getsockname()[1])
 
 
 def check_free(host: str, port: int) -> None:
-    """Find out before the server starts whether it can listen.
+    """Check before the start of the server that it can listen.
 
     Raises:
-        InputError: It cannot.
+        InputError: The address is in use or not available.
     """
     try:
         with socket.create_server((host, port), family=_family(host)):

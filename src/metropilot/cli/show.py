@@ -73,7 +73,7 @@ def show_command(
 
 
 def run_of_id(what: str) -> tuple[RunRecord, Path] | None:
-    """The learning run of the user's whose id this is, or begins so, and its folder."""
+    """Find the user's learning run by its id or the beginning of its id, and its folder."""
     from metropilot._dirs import runs_folder
     from metropilot.learn import RunStore
 
@@ -86,7 +86,7 @@ def run_of_id(what: str) -> tuple[RunRecord, Path] | None:
 
 
 def show_run_folder(folder: Path, *, as_json: bool) -> int:
-    """The folder of a learning run, or of a drive."""
+    """Show the folder of a learning run or of a drive."""
     from metropilot.cli.learn import found_run
     from metropilot.learn.run_store import read_record
 
@@ -97,7 +97,7 @@ def show_run_folder(folder: Path, *, as_json: bool) -> int:
 
 
 def show_file(path: Path, *, as_json: bool) -> int:
-    """A line, trainset, journey or policy file, or a `run.toml`."""
+    """Show a line, trainset, journey or policy file, or a `run.toml`."""
     from metropilot.railway import Line, Trainset, import_file
 
     if path.name == "run.toml":
@@ -120,7 +120,7 @@ def show_file(path: Path, *, as_json: bool) -> int:
 
 
 def section_row(section: Section, back: Section) -> dict[str, Any]:
-    """One section of a line, both directions' planned times."""
+    """Cells of one section of a line, with planned times in both directions."""
     window = section.limit_mps.window(0.0, section.length_m)
     slope = section.gradient_permil.window(0.0, section.length_m).value
     curves = [
@@ -141,7 +141,7 @@ def section_row(section: Section, back: Section) -> dict[str, Any]:
 
 
 def show_line(line: Line, *, as_json: bool) -> int:
-    """Stations, sections, notes, sources."""
+    """Show stations, sections, notes, sources."""
     forward, backward = line.sections(), line.sections(backward=True)[::-1]
     sections = [section_row(f, b) for f, b in zip(forward, backward, strict=True)]
     if as_json:
@@ -194,7 +194,7 @@ def show_line(line: Line, *, as_json: bool) -> int:
 
 
 def show_trainset(t: Trainset, *, as_json: bool) -> int:
-    """Masses, effort at some speeds, notes, sources."""
+    """Show masses, effort at some speeds, notes, sources."""
     import numpy as np
 
     speeds = np.array(SPEEDS_KMH) / KMH_PER_MPS
@@ -263,7 +263,7 @@ def _service(t: Trainset) -> list[str]:
 
 
 def show_driver(registry: Registry[Any], driver_id: str, *, as_json: bool) -> int:
-    """What a driver, or a follower in a convoy, does, and the options it takes."""
+    """Show description and options of a driver or of a follower in a convoy."""
     import inspect
 
     from metropilot.evaluate import option_defaults
@@ -298,7 +298,7 @@ def show_driver(registry: Registry[Any], driver_id: str, *, as_json: bool) -> in
 
 
 def show_run(folder: Path, *, as_json: bool) -> int:
-    """What was asked for and what came of it."""
+    """Show request and result of a drive."""
     try:
         asked = tomllib.loads((folder / "run.toml").read_text(encoding="utf-8"))
         name = "kpis.json" if (folder / "kpis.json").is_file() else "comparison.json"

@@ -1,4 +1,4 @@
-"""`metropilot show` of what was learned: a run, a policy file, the provenance of a learned driver."""
+"""`metropilot show` of learned results: a run, a policy file, the provenance of a learned driver."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
     from metropilot.policy import Policy
 
 APART = ("perception", "kpis", "config", "provenance")
-"""What a policy file says of itself that is shown under a heading of its own."""
+"""Metadata keys of a policy file that have their own heading."""
 
 
 class PolicyFile(NamedTuple):
-    """A policy file as it is shown.
+    """Contents of a policy file.
 
     Attributes:
-        path: The file.
-        policy: What is in it.
-        about: What it says of itself.
+        path: Path of the file.
+        policy: The policy.
+        about: Metadata of the file.
     """
 
     path: Path
@@ -32,10 +32,10 @@ class PolicyFile(NamedTuple):
 
 
 def read_policy(path: Path) -> PolicyFile:
-    """A policy file, of a driver or of whatever else uses one.
+    """Read a policy file of a driver or of another user of policies.
 
     Raises:
-        InputError: It cannot be used.
+        InputError: The file cannot be used.
     """
     from metropilot.policy import load_policy
 
@@ -43,7 +43,7 @@ def read_policy(path: Path) -> PolicyFile:
 
 
 def show_learning_run(record: RunRecord, folder: Path, *, as_json: bool) -> int:
-    """What was learned, from what, and how good it is."""
+    """Show task, configuration and results of a learning run."""
     from metropilot.cli.learn_report import clock, kpi_rows, learned_json
 
     if as_json:
@@ -73,7 +73,7 @@ def show_learning_run(record: RunRecord, folder: Path, *, as_json: bool) -> int:
 
 
 def show_policy(file: PolicyFile, *, as_json: bool) -> int:
-    """A policy file: what it does and where it comes from."""
+    """Show interface and provenance of a policy file."""
     if as_json:
         print_json({"kind": "policy", **policy_json(file)})
         return 0
@@ -89,7 +89,7 @@ def policy_json(file: PolicyFile) -> dict[str, Any]:
 
 
 def say_policy(file: PolicyFile) -> None:
-    """Network, perception, KPIs and provenance on the screen."""
+    """Print network, perception, KPIs and provenance."""
     from metropilot.cli.learn_report import kpi_rows
 
     out, about, spec = console(), file.about, file.policy.spec
@@ -106,13 +106,13 @@ def say_policy(file: PolicyFile) -> None:
 
 
 def _lines(values: object) -> list[str]:
-    """The entries of a table of plain values, those that say nothing left out."""
+    """Lines of a table of plain values, empty entries left out."""
     told = values if isinstance(values, Mapping) else {}
     return [f"{name}: {_words(value)}" for name, value in told.items() if value is not None and value != ""]
 
 
 def _words(value: Any) -> str:  # noqa: ANN401 (whatever JSON holds)
-    """A plain value in words."""
+    """Format a plain value."""
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {_words(inner)}" for name, inner in value.items())
     if isinstance(value, list):

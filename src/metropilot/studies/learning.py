@@ -1,4 +1,4 @@
-"""Learning runs of a study: seed by seed, side by side, in a run store, resumed by asking again."""
+"""Learning runs of a study: seed by seed, side by side, in a run store, resumed by the same call."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LearnJob:
-    """One learning run. Everything in it travels to another process, so functions stand at module level.
+    """One learning run. It is pickled for another process, so its functions are defined at module level.
 
     Attributes:
-        name: What is learned, in a word that is unique in the study; folder name with the seed.
-        config: Which learner and what it is told.
-        task: Makes the task.
-        seed: Of everything random.
-        evaluation: From the task to what evaluates a policy; None: the learner's own episodes.
-        about: Plain values that identify the run further; a change learns anew.
+        name: Short name, unique in the study; with the seed it is the name of the run's folder.
+        config: Learner and its hyperparameters.
+        task: Factory of the task.
+        seed: Seed of all random numbers.
+        evaluation: Maps the task to the function that evaluates a policy; None: the learner's own episodes.
+        about: Further plain values that identify the run; the run is repeated when they change.
     """
 
     name: str
@@ -48,15 +48,15 @@ class LearnJob:
 
 @dataclass(frozen=True, eq=False)
 class SeedResult:
-    """What came of one.
+    """Result of one learning run.
 
     Attributes:
-        job: Which.
-        policy: The one kept.
+        job: The run.
+        policy: Policy with the best evaluation.
         score: Its evaluation score.
-        history: One array a column.
-        seconds: Spent learning, compilation apart.
-        compile_seconds: Spent compiling, in the sitting that ended it.
+        history: One array per column of the history.
+        seconds: Learning time without compilation.
+        compile_seconds: Compilation time of the call that finished the run.
     """
 
     job: LearnJob
@@ -73,16 +73,16 @@ def learn_seeds(
     processes: int = 2,
     say: Callable[[str], object] = lambda line: None,  # noqa: ARG005 (silent)
 ) -> list[SeedResult]:
-    """Do every learning run that is not already done in the folder.
+    """Do every learning run that is not yet finished in the folder.
 
     Args:
         jobs: The runs.
-        folder: Each run has a folder of its own in here, with checkpoint, history and policy.
-        processes: Runs side by side, each in one single-threaded process.
-        say: Called with a line whenever a run is done.
+        folder: Parent of the runs' folders, each with checkpoint, history and policy.
+        processes: Number of runs side by side, each in a single-threaded process.
+        say: Called with a line of text whenever a run is done.
 
     Returns:
-        One result a job, in their order.
+        One result per job, in the same order.
 
     Raises:
         InputError: A folder cannot be written or read, or two jobs share name and seed.
@@ -103,13 +103,13 @@ def learn_seeds(
 
 
 def is_done(job: LearnJob, folder: Path) -> bool:
-    """True if the folder holds the job's learning run, finished."""
+    """True if the folder holds the finished learning run of the job."""
     record = _record(job, folder)
     return record is not None and record.status == "done"
 
 
 def _record(job: LearnJob, folder: Path) -> RunRecord | None:
-    """Record of a job's run; None where there is none, or it was of another seed, configuration or task."""
+    """Record of a job's run; None if there is none, or if its seed, configuration or task differ."""
     from metropilot.learn import config_to_mapping
     from metropilot.learn.run_store import RECORD, read_record
 
@@ -124,7 +124,7 @@ def _record(job: LearnJob, folder: Path) -> RunRecord | None:
 
 
 def _learn(job: LearnJob, folder: Path) -> str:
-    """Do one run in a process of its own; returns a line about it."""
+    """Do one run in a worker process; return a line about it."""
     from metropilot.env import DrivingTask
     from metropilot.learn import RunRequest, RunStore, TrainingOptions, begin_run, learn_run
     from metropilot.learn.run_store import CHECKPOINT
@@ -145,7 +145,7 @@ def _learn(job: LearnJob, folder: Path) -> str:
 
 
 def _read(job: LearnJob, folder: Path) -> SeedResult:
-    """A finished run from its folder."""
+    """Read a finished run from its folder."""
     from metropilot.learn import read_history
     from metropilot.learn.run_store import HISTORY, record_of
     from metropilot.policy import load_policy

@@ -17,7 +17,7 @@ LEGEND = (
 
 
 def number(value: float | None) -> str:
-    """Three or four significant digits; a dash for nothing."""
+    """Format with three or four significant digits; None becomes a dash."""
     if value is None:
         return NOTHING
     size = abs(value)
@@ -28,19 +28,19 @@ def number(value: float | None) -> str:
 
 
 def numbers(row: ReportRow) -> tuple[str, str, str, str]:
-    """Published, ours, range and optimum as text."""
+    """Format the published value, ours, the range and the optimum."""
     return number(row.published), number(row.ours), span(row), number(row.optimum)
 
 
 def span(row: ReportRow) -> str:
-    """The range over the seeds; a dash where they agree."""
+    """Format the range over the seeds; a dash where they agree."""
     if row.low is None or row.high is None or number(row.low) == number(row.high):
         return NOTHING
     return f"{number(row.low)} … {number(row.high)}"
 
 
 def page(study: Study, report: StudyReport) -> str:
-    """The page, in Markdown; its figures lie in a folder of the study's name beside it."""
+    """Render the page as Markdown; its figures are in a folder with the study's id beside it."""
     command = f"metropilot reproduce {study.id} --budget {report.budget}"
     about = "; ".join(f"{name}: {value}" for name, value in report.circumstances.items())
     lines = [f"# {report.title}", "", study.citation, ""]
@@ -60,7 +60,7 @@ def page(study: Study, report: StudyReport) -> str:
 
 
 def _table(rows: list[ReportRow]) -> list[str]:
-    """One table; case and driver only where they change."""
+    """Render one table; case and driver are repeated only where they change."""
     lines = ["| case | driver | KPI | unit | published | ours | range | optimum |"]
     lines += ["|---|---|---|---|---:|---:|---:|---:|"]
     before = ("", "")

@@ -1,4 +1,4 @@
-"""Studies by id; a study's module is imported when it is asked for."""
+"""Studies by id; a study's module is imported on first use."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ STUDIES: Registry[Study] = Registry(
 
 
 def reproduce(study_id: str, order: Order) -> StudyReport:
-    """Do a study.
+    """Reproduce a paper.
 
     Args:
-        study_id: Which.
-        order: How.
+        study_id: Id of the study.
+        order: Budget, seeds, options and folder.
 
     Returns:
         Its report, with the time it took and the circumstances.

@@ -1,4 +1,4 @@
-"""What a study says: rows of published, reproduced and optimal values, figures, deviations from the paper."""
+"""Report of a study: rows of published, reproduced and optimal values, figures, deviations from the paper."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ class ReportRow:
 
     Attributes:
         table: Table or figure of the paper it belongs to; "beyond the paper" where the paper has none.
-        case: Which run: scheduled time, scenario, reference.
+        case: The run: scheduled time, scenario, reference.
         driver: Driver id.
-        kpi: What was measured, in words.
+        kpi: The quantity measured, in words.
         unit: Its unit; empty for a count or ratio.
         published: The paper's number; None where it gives none.
         ours: Median over the seeds; None where nothing could be measured.
         low: Smallest over the seeds.
         high: Largest over the seeds.
-        optimum: What physics allows; None where the question makes no sense.
+        optimum: Best value that is physically possible; None where there is no such bound.
     """
 
     table: str
@@ -61,8 +61,8 @@ class Figure:
 
     Attributes:
         name: File name without ending, unique in the study.
-        caption: What it shows and which figure of the paper it answers.
-        draw: Makes it; called inside the house style, only when a folder is written.
+        caption: Content, and the figure of the paper that it answers.
+        draw: Draws the figure; called inside the house style, only when a folder is written.
     """
 
     name: str
@@ -72,18 +72,18 @@ class Figure:
 
 @dataclass(frozen=True)
 class StudyReport:
-    """What came of a study.
+    """Results of a study and their provenance.
 
     Attributes:
         study: Its id.
         title: Its heading.
         budget: quick or paper.
-        seeds: How many.
+        seeds: Number of seeds.
         seconds: Wall time.
         rows: Every number.
         figures: Every figure.
-        deviations: Where it departs from the paper and why, one sentence or two each.
-        remarks: What a reader must know of the results: what was missed and why.
+        deviations: Departures from the paper and their reasons, one sentence or two each.
+        remarks: Findings: claims of the paper that were not reached, and the reasons.
         circumstances: Machine, date, commit, versions.
     """
 

@@ -1,4 +1,4 @@
-"""What a study is: a paper, and one function that reproduces it."""
+"""A study: a paper, and one function that reproduces it."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def check_budget(text: str) -> Budget:
 
 @dataclass(frozen=True)
 class Order:
-    """How a study is to be done.
+    """Budget, options and folder of one reproduction.
 
     Attributes:
-        folder: Where learning runs are kept; a second call with the same folder goes on from there.
+        folder: Folder of the learning runs; a second call with the same folder resumes them.
         budget: quick (shipped policies, short learning) or paper (everything learned anew).
-        seeds: How many; None: the study's own number for the budget.
+        seeds: Number of seeds; None: the study's own number for the budget.
         options: The study's own options, already checked.
         processes: Learning runs side by side.
         say: Called with one line when something is done.
@@ -56,11 +56,11 @@ class Study:
     """One paper.
 
     Attributes:
-        id: On the command line: author and year.
+        id: Id on the command line: author and year.
         title: Heading of its page.
         citation: The paper.
         reproduce: From an order to a report; sets neither ``seconds`` nor ``circumstances``.
-        options: What ``--set`` may say: each option's allowed values, the default first.
+        options: Allowed values of each option (``--set``), the default first.
     """
 
     id: str

@@ -1,4 +1,4 @@
-"""How each learner went, seed by seed, and its numbers beside what the paper says of figures 5 to 19."""
+"""Learning curves of every seed, and their numbers beside the paper's statements about figures 5 to 19."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ Values = Float[ndarray, " chunks"]
 CLOSE = 0.1
 """A return is near the final one when it differs by at most this share of it."""
 KEPT = 0.95
-"""Share of the later chunks in which the rule must hold: the paper, too, forgives a jump."""
+"""Share of the later chunks in which the rule must hold; the paper, too, tolerates single jumps."""
 LAST = 0.1
 """Final values are medians over this last share of the chunks."""
 
 
 @dataclass(frozen=True, eq=False)
 class DriveCourse:
-    """How one learning run went, chunk by chunk.
+    """Measures of one learning run, one value per chunk between evaluations.
 
     Attributes:
-        episodes: Episodes ended so far.
+        episodes: Number of episodes ended so far.
         loss: Mean loss, as the learner minimises it.
-        learning: Means over the episodes that ended in the chunk, exploration and all: ``return``,
+        learning: Means over the episodes, with exploration, that ended in the chunk: ``return``,
             ``running_time_s`` (episodes that never arrive count with the time until they were stopped),
             ``energy_kwh``, ``impact_mps3``. NaN where no episode ended.
-        driving: The same of the policy's own run from standstill without exploration, and
+        driving: The same for the policy's run from standstill without exploration, and
             ``stopping_error_m``, ``arrived``.
     """
 
@@ -51,7 +51,7 @@ class DriveCourse:
 
 
 def course(result: SeedResult) -> DriveCourse:
-    """The course of one run from its history."""
+    """Extract the measures of one run from its history."""
     history = result.history
     seconds = history["length"] * DECISION_S
     learning = {
@@ -73,8 +73,8 @@ def converged_at(episodes: Values, running_time_s: Values, returned: Values) -> 
     10 % of the final one (median of the last tenth).
 
     Args:
-        episodes: Ended so far.
-        running_time_s: Of each chunk; NaN holds nothing.
+        episodes: Number of episodes ended so far.
+        running_time_s: Running time in each chunk; NaN meets no bound.
         returned: Return of each chunk.
     """
     final = float(np.nanmedian(returned[-last_chunks(len(returned)) :]))
@@ -87,7 +87,7 @@ def converged_at(episodes: Values, running_time_s: Values, returned: Values) -> 
 
 
 def last_chunks(chunks: int) -> int:
-    """How many chunks are the last tenth."""
+    """Number of chunks in the last tenth."""
     return max(1, round(LAST * chunks))
 
 
@@ -102,9 +102,9 @@ def band(
     """Smallest, median and largest over the seeds on a common grid of episodes.
 
     Args:
-        courses: Of each seed.
-        values: One measure of each seed.
-        grid: Episodes. Shape (G,).
+        courses: One course per seed.
+        values: One measure per seed.
+        grid: Numbers of episodes. Shape (G,).
     """
     rows = []
     for one, measure in zip(courses, values, strict=True):
@@ -127,21 +127,21 @@ ORDER, STOP = "The order of the three", "Stopping error (the paper gives none)"
 
 @dataclass(frozen=True, eq=False)
 class LeastEnergy:
-    """Certified least energy at a running time, kWh; None where the front does not reach."""
+    """Certified least energy at a running time, kWh; None outside the computed front."""
 
     optima: Optima
 
     def __call__(self, time_s: float) -> float | None:
-        """At one running time."""
+        """Look up the least energy at one running time."""
         found = float(self.optima.at(np.zeros(1, int), np.array([time_s]))[0]) / J_PER_KWH
         return found if np.isfinite(found) else None
 
 
 def paper_rows(courses: Courses, least: Bound) -> list[ReportRow]:
-    """Every row that answers a figure of the paper.
+    """Rows that answer the figures of the paper.
 
     Args:
-        courses: Of every seed, by learner.
+        courses: One course per seed, by learner.
         least: Certified least energy at a running time.
     """
     rows = [*reward_rows(courses), *loss_rows(courses), *time_rows(courses)]
@@ -155,7 +155,7 @@ def paper_rows(courses: Courses, least: Bound) -> list[ReportRow]:
 
 
 def reward_rows(courses: Courses) -> Iterator[ReportRow]:
-    """Whether and when each learner converged, and its final return."""
+    """Convergence of each learner: share of seeds, episodes, final return."""
     for case, kind in KINDS:
         for name, mine in courses.items():
             at = convergences(mine, kind)
@@ -177,13 +177,13 @@ def reward_rows(courses: Courses) -> Iterator[ReportRow]:
 
 
 def convergences(mine: Sequence[DriveCourse], kind: str) -> list[float | None]:
-    """Episodes after which each seed had converged."""
+    """Number of episodes to convergence for each seed; None: not converged."""
     parts = [(one.episodes, getattr(one, kind)) for one in mine]
     return [converged_at(episodes, part["running_time_s"], part["return"]) for episodes, part in parts]
 
 
 def loss_rows(courses: Courses) -> Iterator[ReportRow]:
-    """How much the loss still moves at the end, against its size at first."""
+    """Size of the loss at the beginning and at the end of learning."""
     for name, mine in courses.items():
         row = ReportRow(LOSS, "first tenth of the learning", name, "median size of the loss", "")
         yield row.measured([_loss(one, 0) for one in mine])
@@ -198,7 +198,7 @@ def _loss(one: DriveCourse, end: int) -> float:
 
 
 def time_rows(courses: Courses) -> Iterator[ReportRow]:
-    """Final running time, and how often it is at most 88 s after 4000 episodes."""
+    """Final running time, and the share of later chunks within 88 s."""
     for case, kind in KINDS:
         for name, mine in courses.items():
             times = [final(getattr(one, kind)["running_time_s"]) for one in mine]
@@ -256,14 +256,14 @@ def order_rows(courses: Courses) -> Iterator[ReportRow]:
 
 
 def stop_rows(courses: Courses) -> Iterator[ReportRow]:
-    """How far from the stop the policies stand at last."""
+    """Final stopping error."""
     for name, mine in courses.items():
         errors = [final(one.driving["stopping_error_m"]) for one in mine]
         yield ReportRow(STOP, DRIVING, name, "final stopping error", "m").measured(errors)
 
 
 def outcome_rows(table: str, courses: Courses) -> Iterator[ReportRow]:
-    """For comparisons beyond the paper: whether, when and how well, one learner or variant a case."""
+    """Convergence, final return and running time of learners or variants beyond the paper."""
     for case, mine in courses.items():
         driver = "ddpg" if "ddpg" in case else "ppo_scaled" if "scaled" in case else "ppo"
         at = convergences(mine, "learning")

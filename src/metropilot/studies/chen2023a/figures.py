@@ -25,14 +25,14 @@ ORDER = ("ddpg", "ppo", "ppo_scaled")
 
 @dataclass(frozen=True)
 class Panel:
-    """One measure.
+    """One measure and its axis.
 
     Attributes:
         name: Key in a course, and name of the figure.
         label: Axis with unit.
-        caption: Of the figure, with the paper's numbers.
-        line: A horizontal line and what it is.
-        span: Lowest and highest value shown.
+        caption: Caption of the figure, with the paper's numbers.
+        line: Height and label of a horizontal line.
+        span: Lowest and highest displayed value.
     """
 
     name: str
@@ -43,10 +43,10 @@ class Panel:
 
 
 def figures(courses: Mapping[str, Sequence[DriveCourse]], optimum_kwh: float) -> list[Figure]:
-    """The figures, from the courses of every learner's seeds.
+    """Figures of the learning courses of every learner.
 
     Args:
-        courses: By learner.
+        courses: Courses of all seeds, by learner.
         optimum_kwh: Certified least energy at the threshold.
     """
     band_text = (
@@ -87,7 +87,7 @@ def figures(courses: Mapping[str, Sequence[DriveCourse]], optimum_kwh: float) ->
 
 
 def _top(courses: Mapping[str, Sequence[DriveCourse]], name: str) -> float:
-    """A little more than nearly all values of a measure."""
+    """Upper axis limit, slightly above nearly all values of a measure."""
     every = [part[name] for mine in courses.values() for one in mine for part in (one.learning, one.driving)]
     return 1.1 * float(np.nanquantile(np.concatenate(every), 0.995))
 
@@ -96,7 +96,7 @@ Draw = Callable[["Axes", Sequence[DriveCourse], np.ndarray], None]
 
 
 def _draw(courses: Mapping[str, Sequence[DriveCourse]], draw: Draw) -> Drawing:
-    """Three panels side by side."""
+    """Draw three panels side by side."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as New
 
@@ -118,13 +118,13 @@ def _draw(courses: Mapping[str, Sequence[DriveCourse]], draw: Draw) -> Drawing:
 
 
 def _is_first(axes: Axes) -> bool:
-    """Whether a panel is the leftmost."""
+    """True for the leftmost panel."""
     place = axes.get_subplotspec()
     return place is not None and place.is_first_col()
 
 
 def _measure(panel: Panel) -> Draw:
-    """Draws one measure of one learner."""
+    """Return a function that draws one measure of one learner."""
 
     def draw(axes: Axes, mine: Sequence[DriveCourse], grid: np.ndarray) -> None:
         from metropilot.evaluate.style import BLUE, GREY, ORANGE
@@ -148,7 +148,7 @@ def _measure(panel: Panel) -> Draw:
 
 
 def _loss(axes: Axes, mine: Sequence[DriveCourse], grid: np.ndarray) -> None:
-    """Draws the loss of one learner, around zero in a symmetric logarithm."""
+    """Draw the loss of one learner on a symmetric logarithmic axis."""
     from metropilot.evaluate.style import BLUE
 
     values = [one.loss for one in mine]
@@ -168,7 +168,7 @@ def _band(
     grid: np.ndarray,
     look: tuple[str, float, float],
 ) -> None:
-    """Median and range."""
+    """Draw median and range."""
     colour, width, alpha = look
     low, middle, high = band(mine, values, grid)
     axes.fill_between(grid, low, high, color=colour, alpha=alpha, linewidth=0)

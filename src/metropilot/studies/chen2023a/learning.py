@@ -23,10 +23,10 @@ TRIALS = 6
 TUNING_SEEDS = (101, 102)
 TUNING_EPISODES = 3_000
 DECISIONS = 85
-"""Decisions of an episode that arrives about on time: turns the paper's episodes into steps."""
+"""Decisions in an episode that arrives about on time; converts the paper's episodes to steps."""
 
 FIRST_COMMAND = 0.8
-"""Mean command of every policy before it has learned: full enough to arrive in time now and then."""
+"""Mean command of every policy before learning: large enough that some episodes arrive in time."""
 BASE_PPO = PPOConfig(environments=16, rollout=128, minibatches=16, initial_bias=FIRST_COMMAND, gamma=1.0)
 BASE_DDPG = DDPGConfig(
     environments=16,
@@ -44,13 +44,13 @@ FOLDER = Path(__file__).parent / "trials"
 
 
 def trials(learner: str) -> list[dict[str, Any]]:
-    """The trials of one learner with their scores, as the tuning wrote them."""
+    """Read the tuning trials of one learner with their scores."""
     path = FOLDER / f"{learner}.jsonl"
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
 def tuned(learner: str, base: AbstractConfig) -> AbstractConfig:
-    """A learner with the best of its settings."""
+    """Configuration of a learner with the best settings of its trials."""
     found = trials(learner)
     return replace(base, **max(found, key=lambda one: one["mean"])["settings"]) if found else base
 
@@ -62,7 +62,7 @@ LEARNERS: Mapping[str, AbstractConfig] = MappingProxyType(
         "ddpg": tuned("ddpg", BASE_DDPG),
     }
 )
-"""As tuned."""
+"""Configurations with the tuned settings."""
 
 NAMES: Mapping[str, str] = MappingProxyType(
     {"ppo": "PPO", "ppo_scaled": "PPO, reward scaling", "ddpg": "DDPG"}
@@ -87,7 +87,7 @@ def ablations() -> dict[str, AbstractConfig]:
 
 
 def sized(config: AbstractConfig, episodes: int, chunks: int) -> AbstractConfig:
-    """A learner told to learn for about so many episodes, evaluated about so many times."""
+    """Set a learner's steps for about ``episodes`` episodes and about ``chunks`` evaluations."""
     a_time = config.environments * (
         config.rollout if isinstance(config, PPOConfig) else getattr(config, "collect", 1)
     )
@@ -100,7 +100,7 @@ def sized(config: AbstractConfig, episodes: int, chunks: int) -> AbstractConfig:
 def jobs(
     configs: Mapping[str, AbstractConfig], seeds: Sequence[int], *, assisted: bool = True, prefix: str = ""
 ) -> list[LearnJob]:
-    """One learning run a learner and seed, learners varying slowest."""
+    """Learning runs of every learner and seed, learners varying slowest."""
     task = make_assisted if assisted else make_unassisted
     return [
         LearnJob(
@@ -117,4 +117,4 @@ def jobs(
 
 
 SETTING = 1
-"""Raised when the task changes, so that runs kept in a folder are done anew."""
+"""Version of the task; increment it when the task changes, so that stored runs are repeated."""

@@ -1,4 +1,4 @@
-"""What Chen et al. 2023 say of their figures 5 to 19. The paper prints no table of results and no kWh."""
+"""Statements of Chen et al. 2023 about figures 5 to 19. The paper prints no table of results and no kWh."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CONVERGED_AT: Mapping[str, float] = MappingProxyType({"ppo_scaled": 3000.0, "ddp
 CONVERGED: Mapping[str, float] = MappingProxyType({"ppo": 0.0, "ppo_scaled": 1.0, "ddpg": 1.0})
 """Share of the runs whose reward converged: one run each."""
 LOSS_CONVERGED: Mapping[str, float] = MappingProxyType({"ppo": 0.0, "ppo_scaled": 1.0, "ddpg": 0.0})
-"""The same of the loss (figs. 8 to 10)."""
+"""Share of the runs whose loss converged (figs. 8 to 10)."""
 ENERGY_ORDER = ("ddpg", "ppo_scaled", "ppo")
 """Most energy first (figs. 14 to 16): DDPG "much higher", plain PPO lowest because it is late."""
 IMPACT_ORDER = ("ddpg", "ppo_scaled", "ppo")

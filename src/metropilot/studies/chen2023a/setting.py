@@ -1,4 +1,4 @@
-"""What is learned in the study: the section, its reward, and how a policy is measured."""
+"""Task of the study: the section, its reward, and the evaluation of a policy."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ REWARDS = (
     OnTime(bonus=100.0, allowed_s=8.0),
     Failure(price=100.0, per_m=0.1),
 )
-"""Chen23a eqs. 16 and 17. The last term is ours: the paper's train always arrives, late at worst, and without
-it standing still would be the best of all ways to be late."""
+"""Chen23a eqs. 16 and 17. The last term is added here: the paper's train always arrives, at worst late;
+without the term standing still would have the largest return of all late runs."""
 STOP_MPS2 = 0.6
-"""Its brake has 0.39 m/s2 at 80 km/h but 0.9 under the 55 km/h that are allowed before the stop; with what is
-at hand at any speed hardly anybody arrives in time."""
+"""The brake gives 0.39 m/s2 at 80 km/h but 0.9 below the 55 km/h permitted before the stop; with the
+deceleration that is available at every speed hardly any run arrives in time."""
 ALLOWED_S = THRESHOLD_S - PRESCRIBED_S
 DECISION_S = 1.0
 COMFORT = 0.1
@@ -63,31 +63,31 @@ def task_config() -> DrivingConfig:
 def make_assisted() -> DrivingTask:
     """The study's task: position and speed in, the share of the available force out, eqs. 16 and 17.
 
-    The last braking to the stop point and the speed limit are kept by the assists; see the deviations.
+    Assists do the station-stop braking and keep the speed limit; see the deviations.
     """
     return DrivingTask(task_config())
 
 
 def make_unassisted() -> DrivingTask:
-    """The same where the policy must brake to a stand by itself, within 5 m of the stop."""
+    """The same task without the stop assist; the policy must stop by itself within 5 m of the stop point."""
     rule = OutcomeRule(tolerance_m=UNASSISTED_TOLERANCE_M)
     return DrivingTask(replace(task_config(), assists=Assists(stop=False), outcomes=rule))
 
 
 def measured(config: AbstractConfig, task: AbstractTask) -> Evaluate:
-    """What evaluates a policy: one run from standstill without exploration; nothing in it is random.
+    """Return the evaluation of a policy: one deterministic run from standstill without exploration.
 
     Args:
-        config: The learner's.
-        task: One of this module's.
+        config: Configuration of the learner.
+        task: One of this module's tasks.
 
     Returns:
-        From parameters and a key to ``score`` (the return), ``running_time_s`` (130 s unless it arrived),
-        ``energy_kwh`` (wheel), ``impact_mps3`` (mean size of the jerk), ``stopping_error_m``, ``arrived`` (1
-        or 0), each of shape ().
+        A function of parameters and a key that gives ``score`` (the return), ``running_time_s`` (130 s unless
+        arrived), ``energy_kwh`` (wheel), ``impact_mps3`` (mean size of the jerk), ``stopping_error_m``,
+        ``arrived`` (1 or 0), each of shape ().
 
     Raises:
-        InputError: Not a driving task.
+        InputError: The task is not a driving task.
     """
     import jax
     import jax.numpy as jnp

@@ -26,14 +26,14 @@ BOUNDS = "Beyond the paper: what the section allows"
 
 @dataclass(frozen=True)
 class Size:
-    """How much is learned.
+    """Amount of learning in a budget.
 
     Attributes:
-        seeds: Of the three learners.
-        episodes: Each learns.
-        chunks: Points of a curve, about.
-        more_seeds: Of the ablations and of the runs without the stop assist.
-        more_episodes: These learn; 0: they are left out.
+        seeds: Seeds of each of the three learners.
+        episodes: Episodes of each run.
+        chunks: Approximate number of points of a learning curve.
+        more_seeds: Seeds of the ablations and of the runs without the stop assist.
+        more_episodes: Episodes of those runs; 0: they are left out.
     """
 
     seeds: int
@@ -47,7 +47,7 @@ SIZES = {"quick": Size(1, 1_500, 30), "paper": Size(5, EPISODES, 170, 2, 5_000)}
 
 
 def reproduce(order: Order) -> StudyReport:
-    """Do the study.
+    """Reproduce figures 5 to 19 and the comparisons beyond the paper.
 
     Args:
         order: ``quick``: one seed, 1,500 episodes of the three learners. ``paper``: five seeds, 20,000
@@ -84,7 +84,7 @@ def _courses(
     assisted: bool = True,
     prefix: str = "",
 ) -> dict[str, list[DriveCourse]]:
-    """Learn every one of these with every seed; how each went, by name."""
+    """Learn every configuration with every seed; return the courses by name."""
     from metropilot.studies.chen2023a.drives import course
     from metropilot.studies.chen2023a.learning import jobs, sized
     from metropilot.studies.learning import learn_seeds
@@ -97,7 +97,7 @@ def _courses(
 
 
 def _optimum() -> tuple[LeastEnergy, list[ReportRow]]:
-    """The certified front, and what the last braking of the stop assist costs."""
+    """Compute the certified front and the energy cost of the stop assist's braking."""
     from metropilot.env.optima import optima_of
     from metropilot.planning import minimum_running_time, optimal_plan
     from metropilot.studies.chen2023a.setting import STOP_MPS2, make_assisted

@@ -63,7 +63,7 @@ decisions, so learners with short or long episodes end with slightly more or few
 
 
 def deviations() -> list[str]:
-    """One paragraph each."""
+    """Deviations from the paper, one paragraph each."""
     return [" ".join(part.split()) for part in TEXT.strip().split("\n\n")]
 
 
@@ -73,11 +73,11 @@ KINDS = ("learning", "driving")
 
 
 def remarks(learned: Courses, changed: Courses) -> list[str]:
-    """Findings, every one with its numbers.
+    """Findings as sentences with their numbers.
 
     Args:
-        learned: The three learners' seeds.
-        changed: The ablations' seeds; may be empty.
+        learned: Courses of the three learners.
+        changed: Courses of the ablations; may be empty.
     """
     found = [_converged(name, mine) for name, mine in learned.items()]
     found.append(_lags(learned))
@@ -88,7 +88,7 @@ def remarks(learned: Courses, changed: Courses) -> list[str]:
 
 
 def _converged(name: str, mine: Sequence[DriveCourse]) -> str:
-    """When one learner converged, next to the claim."""
+    """Convergence of one learner beside the paper's claim."""
     at = [a for a in convergences(mine, "learning") if a is not None]
     said = f"around episode {CONVERGED_AT[name]:,.0f}" if name in CONVERGED_AT else f"not by {PPO_EPISODES:,}"
     when = f"; median {np.median(at):,.0f} episodes" if at else ""
@@ -101,7 +101,7 @@ def _converged(name: str, mine: Sequence[DriveCourse]) -> str:
 
 
 def _lags(learned: Courses) -> str:
-    """Whether plain PPO lags behind the scaled one: how many converge, and where the policies end."""
+    """Comparison of plain with scaled PPO: converged seeds and final policies."""
     share, late = {}, {}
     for name in ("ppo", "ppo_scaled"):
         mine = learned[name]
@@ -128,7 +128,7 @@ def _lags(learned: Courses) -> str:
 
 
 def _order(learned: Courses) -> str:
-    """The order in energy of the policies."""
+    """Order of the policies by energy."""
     energy = {n: float(np.median([final(o.driving["energy_kwh"]) for o in m])) for n, m in learned.items()}
     order = sorted(energy, key=lambda name: -energy[name])
     words = ", ".join(f"{NAMES[name]} {energy[name]:.1f} kWh" for name in order)
@@ -139,7 +139,7 @@ def _order(learned: Courses) -> str:
 
 
 def _ablation(changed: Courses) -> str:
-    """What scaling changes by what else is switched on."""
+    """Effect of reward scaling in each ablation."""
     parts = []
     for name in changed:
         if name.endswith(", plain"):

@@ -1,4 +1,4 @@
-"""What the paper leaves open: longer convoys, bad links, string stability, collisions, capacity."""
+"""Questions beyond the paper: longer convoys, bad links, string stability, collisions, capacity."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from metropilot.units import KMH_PER_MPS
 
 TABLE = "Beyond the paper: "
 SWINGS = {"quick": (3, (6.0, 16.0)), "paper": (5, (4.0, 6.0, 10.0, 16.0, 25.0, 40.0))}
-"""Trainsets and periods of the head's swing."""
+"""Number of trainsets and periods of the head's speed oscillation, s."""
 SITTING, BATCH = 2_000, 1_000
 CONTACTS = "cases with a contact"
 CAMPAIGNS = {
@@ -33,7 +33,7 @@ CAMPAIGNS = {
 }
 SPEED_MPS = 60.0 / KMH_PER_MPS
 PARTS = "parts"
-"""Folder of what takes minutes, in the study's: an interrupted study goes on from there."""
+"""Subfolder of results that take minutes; an interrupted study resumes from it."""
 
 
 def _identity(follower: AbstractFollower) -> str:
@@ -49,7 +49,7 @@ def _identity(follower: AbstractFollower) -> str:
 def rough_rows(
     followers: Mapping[str, AbstractFollower], counts: Sequence[int], folder: Path
 ) -> list[ReportRow]:
-    """The same policy in longer convoys, with other masses and a bad link; kept, each run by itself."""
+    """Rows of longer convoys with other masses and a bad link; every run is stored on its own."""
     rows = []
     for count in counts:
         for name, follower in followers.items():
@@ -77,7 +77,7 @@ def _rough(follower: AbstractFollower, count: int) -> list[float]:
 def stability(
     followers: Mapping[str, AbstractFollower], budget: str, folder: Path
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Gains of speed over the head's for each period; (P,) and (P, N). Kept, each follower by itself."""
+    """Compute speed gains over the head for each period, (P,) and (P, N); stored for each follower."""
     count, periods = SWINGS[budget]
     found = {}
     for name, follower in followers.items():
@@ -95,7 +95,7 @@ def _gains(follower: AbstractFollower, count: int, periods: Sequence[float]) -> 
 
 
 def stability_rows(gains: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> list[ReportRow]:
-    """Largest gain between neighbours, over all swings."""
+    """Rows of the largest gain between neighbours over all periods."""
     return [
         ReportRow(
             TABLE + "string stability",
@@ -109,7 +109,7 @@ def stability_rows(gains: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> list[R
 
 
 def campaign_rows(budget: str, folder: Path) -> list[ReportRow]:
-    """Emergency brakes of the head at any moment, followers that mean harm; kept bit by bit."""
+    """Rows of the campaign: emergency brakes of the head, adversarial followers; stored in parts."""
     rows = []
     for count, guard, cases in CAMPAIGNS[budget]:
         found = _attacked(AttackCampaign(count=count, guard=guard), cases, folder)
@@ -123,7 +123,7 @@ def campaign_rows(budget: str, folder: Path) -> list[ReportRow]:
 
 
 def _attacked(campaign: AttackCampaign, cases: int, folder: Path) -> list[list[float]]:
-    """Contacts and smallest gap of every sitting of a campaign."""
+    """Contacts and smallest gap of every part of a campaign."""
     arena: list[Arena] = []
     sitting = min(SITTING, cases)
 
@@ -142,7 +142,7 @@ def _attacked(campaign: AttackCampaign, cases: int, folder: Path) -> list[list[f
 
 
 def capacity_rows() -> list[ReportRow]:
-    """Trainsets an hour: moving block, and coupled convoys behind each other under it."""
+    """Rows of line capacity, trainsets per hour: moving block with single trainsets and with convoys."""
     rows = []
     single = pair(2)
     apart = needed_gap_m(single, "moving_block", SPEED_MPS)

@@ -24,7 +24,7 @@ def _panels(count: int, height: float, **options: Any) -> tuple[Drawing, Any]:  
 
 
 def learning(histories: Histories, columns: Mapping[str, str], label: str) -> Drawing:
-    """A column of the history over environment steps, one panel an algorithm, one line a seed."""
+    """Draw a column of the history over environment steps: one panel per algorithm, one line per seed."""
     figure, axes = _panels(len(histories), 5.0, sharex=True)
     for (name, runs), panel, (colour, _) in zip(histories.items(), axes, SERIES, strict=False):
         for run in runs:
@@ -36,7 +36,7 @@ def learning(histories: Histories, columns: Mapping[str, str], label: str) -> Dr
 
 
 def profiles(drive: ConvoyDrive) -> Drawing:
-    """Speeds of both trainsets over time."""
+    """Draw the speeds of both trainsets over time."""
     figure, axes = _panels(1, 3.6)
     for k, t in enumerate(drive.trajectories):
         name = "trainset 1 (head)" if k == 0 else f"trainset {k + 1} ({drive.follower})"
@@ -48,7 +48,7 @@ def profiles(drive: ConvoyDrive) -> Drawing:
 
 
 def gaps(drives: Mapping[str, ConvoyDrive]) -> Drawing:
-    """Gaps over time, the published band behind."""
+    """Draw the gaps over time and the published band."""
     figure, axes = _panels(1, 4.2)
     axes.axhspan(PUBLISHED["gap_min_m"], PUBLISHED["gap_max_m"], color="#EDEDED", zorder=0)
     for (name, drive), (colour, dashes) in zip(drives.items(), SERIES, strict=False):
@@ -59,7 +59,7 @@ def gaps(drives: Mapping[str, ConvoyDrive]) -> Drawing:
 
 
 def differences(drives: Mapping[str, ConvoyDrive]) -> Drawing:
-    """Speed differences over time, the published bound as lines."""
+    """Draw the speed differences over time and the published bound."""
     figure, axes = _panels(1, 4.2)
     bound = PUBLISHED["speed_difference_max_mps"]
     for level in (-bound, bound):
@@ -73,7 +73,7 @@ def differences(drives: Mapping[str, ConvoyDrive]) -> Drawing:
 
 
 def stability(gains: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Drawing:
-    """Amplitude of the last trainset's speed over the head's, over the period of the swing."""
+    """Draw the ratio of the last trainset's speed amplitude to the head's over the oscillation period."""
     figure, axes = _panels(1, 4.0)
     for (name, (periods, values)), (colour, dashes) in zip(gains.items(), SERIES, strict=False):
         axes.plot(

@@ -1,4 +1,4 @@
-"""How the gains are learned, by SAC and by DDPG."""
+"""Learning of the PID gains by SAC and by DDPG."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 NAMES = {"sac": "sac_pid", "ddpg": "ddpg_pid_follow"}
 ETAS = {"soft": (100.0, 200.0), "paper": (1000.0, 1000.0)}
-"""eta_1 and eta_2: with the paper's 1000 the reward is next to nothing beyond a few millimetres."""
+"""eta_1 and eta_2: with the paper's 1000 the reward is almost zero beyond a few millimetres."""
 STEPS = {"quick": 32_000, "paper": 96_000}
 
 
 def config(algorithm: str, budget: str) -> AbstractConfig:
-    """The learner as it is told; the paper prints none of it."""
+    """Configuration of the learner; the paper prints no hyperparameters."""
     from metropilot.learn import DDPGConfig, SACConfig, Schedule
 
     common: dict[str, Any] = {
@@ -41,13 +41,13 @@ def config(algorithm: str, budget: str) -> AbstractConfig:
 
 
 def task(eta: str) -> ConvoyTask:
-    """Behind S-curves and restless heads, a fifth of the episodes disturbed."""
+    """The following task: heads on S-curves and on random profiles, a fifth of the episodes disturbed."""
     speed, gap = ETAS[eta]
     return ConvoyTask(ConvoyTaskConfig(eta_speed=speed, eta_gap=gap, disturbed=0.2))
 
 
 def jobs(algorithm: str, budget: str, eta: str, seeds: range) -> list[LearnJob]:
-    """One run a seed."""
+    """Learning runs of one algorithm, one per seed."""
     return [
         LearnJob(
             f"{NAMES[algorithm]}-{budget}-{eta}",
@@ -62,7 +62,7 @@ def jobs(algorithm: str, budget: str, eta: str, seeds: range) -> list[LearnJob]:
 
 
 def evaluation(algorithm: str, budget: str, made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
-    """What keeps the best policy: undisturbed runs behind every head, judged by the largest gap errors."""
+    """Return the evaluation of a policy: the largest gap errors of undisturbed runs behind every head."""
     import jax
     import jax.numpy as jnp
 

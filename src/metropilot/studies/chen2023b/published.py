@@ -1,4 +1,4 @@
-"""What Chen et al. 2023 (Actuators) print of their follower."""
+"""Published results of Chen et al. 2023 (Actuators)."""
 
 from __future__ import annotations
 

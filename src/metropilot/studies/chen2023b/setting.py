@@ -1,4 +1,4 @@
-"""What runs: the pair of the paper, its head's run, and the followers compared."""
+"""Setting of the study: the pair of trainsets, the head's run, and the compared followers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MASSES = (1.0, 1.2, 0.8, 1.2, 0.8, 1.2, 0.8, 1.2)
 
 
 def pair(count: int = 2, *, rough: bool = False, guard: Guard = "coupled") -> Convoy:
-    """The paper's convoy, or a longer one; ``rough``: masses +-20 %, messages 0.3 s late, 10 % lost."""
+    """The paper's convoy or a longer one; ``rough``: masses ±20 %, messages 0.3 s late, 10 % lost."""
     section = load_line(LINE).section(ORIGIN, DESTINATION)
     masses = MASSES[:count] if rough else ()
     link = ROUGH if rough else Link()
@@ -30,7 +30,7 @@ def pair(count: int = 2, *, rough: bool = False, guard: Guard = "coupled") -> Co
 
 @lru_cache
 def head_run(count: int = 2, emergency_s: float = float("inf")) -> HeadRun:
-    """The head on its S-curve; slower where a long convoy's limits make it."""
+    """Run of the head on its S-curve; slower where the speed limit of a long convoy requires it."""
     convoy = pair(count)
     section, trainset = convoy.leader()
     fastest = min(float(section.limit_mps.at(400.0)) - 0.8, 20.0)

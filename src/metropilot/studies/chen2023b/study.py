@@ -1,4 +1,4 @@
-"""The study: figures 3 to 9, and what the paper left open."""
+"""Reproduction of figures 3 to 9, and questions beyond the paper."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ CASE = "2 trainsets, YZQ–WHY"
 
 
 def reproduce(order: Order) -> StudyReport:
-    """Figures 3 to 9 and beyond; quick: figures 7 to 9 with the shipped policies, nothing learned."""
+    """Reproduce figures 3 to 9 and beyond; quick: figures 7 to 9 with the shipped policies."""
     seeds = order.choose_seeds(quick=1, paper=5)
     runs = {} if _shipped(order) else _learned(order, seeds)
     drivers = _drivers(order, runs)
@@ -69,7 +69,7 @@ def reproduce(order: Order) -> StudyReport:
 
 
 def _learned(order: Order, seeds: range) -> dict[str, list[SeedResult]]:
-    """Every seed's learning run, or those that the folder holds already."""
+    """Do the learning runs of all seeds, or read those that the folder already holds."""
     from metropilot.studies.learning import is_done, learn_seeds
 
     todo = [job for name in NAMES for job in jobs(name, order.budget, order.options["eta"], seeds)]
@@ -84,7 +84,7 @@ def _learned(order: Order, seeds: range) -> dict[str, list[SeedResult]]:
 
 
 def _missing(runs: dict[str, list[SeedResult]], seeds: range) -> list[str]:
-    """Which seeds the numbers come from, where some are missing."""
+    """Remark on the seeds behind the numbers; empty if none is missing."""
     if all(len(each) == len(seeds) for each in runs.values()):
         return []
     there = " and ".join(
@@ -95,12 +95,12 @@ def _missing(runs: dict[str, list[SeedResult]], seeds: range) -> list[str]:
 
 
 def _shipped(order: Order) -> bool:
-    """Whether the shipped policies drive: in the quick study with its own eta."""
+    """True if the shipped policies drive: in the quick study with its own eta."""
     return order.budget == "quick" and order.options["eta"] == "soft"
 
 
 def _drivers(order: Order, runs: dict[str, list[SeedResult]]) -> dict[str, list[AbstractFollower]]:
-    """Every follower: learned ones as shipped, or one a seed; the others once."""
+    """Make every follower: learned ones as shipped or one per seed, the others once."""
     made: dict[str, list[AbstractFollower]] = {}
     for algorithm, name in NAMES.items():
         paths = [""] if _shipped(order) else [str(order.folder / run.job.run_id) for run in runs[algorithm]]
@@ -113,7 +113,7 @@ def _driven(follower: AbstractFollower) -> ConvoyDrive:
 
 
 def _rows(name: str, drives: Sequence[ConvoyDrive]) -> list[ReportRow]:
-    """Figures 8 and 9 in numbers."""
+    """Rows of figures 8 and 9."""
     values = {
         "gap_min_m": [drive.gap_m.min() for drive in drives],
         "gap_max_m": [drive.gap_m.max() for drive in drives],
@@ -133,7 +133,7 @@ def _rows(name: str, drives: Sequence[ConvoyDrive]) -> list[ReportRow]:
 
 
 def _learning_rows(runs: dict[str, list[SeedResult]], budget: str) -> list[ReportRow]:
-    """What learning took and came to."""
+    """Rows of learning: gap error, returns, learning time."""
     rows = []
     for algorithm, each in runs.items():
         name, table = NAMES[algorithm], "Figs. 3 to 6"

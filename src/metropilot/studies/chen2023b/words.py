@@ -1,4 +1,4 @@
-"""Where the study departs from the paper, and what its numbers say."""
+"""Deviations from the paper, and findings in sentences made from the numbers."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ Found = Mapping[tuple[str, str], float]
 
 
 def remarks(rows: Sequence[ReportRow]) -> list[str]:
-    """What the numbers say, in words that follow them."""
+    """Findings as sentences that depend on the numbers."""
     value = {(row.driver, row.kpi): float(row.ours or 0.0) for row in rows if row.table == "Figs. 7 to 9"}
     value |= {(row.driver, row.kpi): float(row.ours or 0.0) for row in rows if row.table == "Figs. 3 to 6"}
     gap = {name: (value[name, "smallest gap"], value[name, "largest gap"]) for name in FOLLOWED}
@@ -92,7 +92,7 @@ def _text(gap: tuple[float, float]) -> str:
 
 
 def _ddpg(gap: Mapping[str, tuple[float, float]], value: Found) -> str:
-    """Whether DDPG fails as it does in the paper."""
+    """Finding on DDPG, which fails in the paper."""
     inside = "within" if _inside(gap["ddpg_pid_follow"]) else "outside"
     said = f"DDPG-PID's gap is {_text(gap['ddpg_pid_follow'])}, {inside} the band published for SAC-PID"
     first = value.get(("ddpg_pid_follow", FIRST_RETURN))
@@ -104,7 +104,7 @@ def _ddpg(gap: Mapping[str, tuple[float, float]], value: Found) -> str:
 
 
 def _attacked(rows: Sequence[ReportRow]) -> list[str]:
-    """What the campaign says of protection and of what is without it."""
+    """Finding of the campaign with and without protection."""
     found = [row for row in rows if row.kpi == CONTACTS]
     guarded = [row for row in found if row.driver != "protection none"]
     cases = sum(_cases(row) for row in guarded)

@@ -1,4 +1,4 @@
-"""The controllers that are compared, and their numbers: tables 1, 3 and 4, the margins, other references."""
+"""Compared controllers and their rows: tables 1, 3 and 4, margins, other references."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class Contestant:
     """One controller of the comparison.
 
     Attributes:
-        driver: Id of the driver, with ``tuned`` behind it where its parameters were searched for.
-        published: Whose published numbers stand beside it; empty for nobody's.
-        of_seed: The controller for a seed.
+        driver: Id of the driver, followed by ``tuned`` if its parameters come from the search.
+        published: Driver of the published numbers beside it; empty: none.
+        of_seed: Maps a seed to the controller.
     """
 
     driver: str
@@ -38,7 +38,7 @@ class Contestant:
 
 
 def pid(gains: Gains) -> Start:
-    """Fixed gains."""
+    """PID with fixed gains."""
 
     def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
         return incremental_pid(seen.command, gains, seen.error_mps, memory)
@@ -47,7 +47,7 @@ def pid(gains: Gains) -> Start:
 
 
 def fuzzy(gains: Gains, universes: Universes) -> Start:
-    """Gains moved by rules."""
+    """PID with gains changed by fuzzy rules."""
 
     def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
         return fuzzy_pid(seen.command, seen.error_mps, memory, universes, gains)
@@ -56,7 +56,7 @@ def fuzzy(gains: Gains, universes: Universes) -> Start:
 
 
 def neural(gains: Gains, rates: LearningRates, seed: int) -> Start:
-    """Gains from a network that learns online."""
+    """PID with gains from a network that learns online."""
 
     def control(memory: Any, seen: Any) -> tuple[Any, Any]:  # noqa: ANN401 (arrays)
         return neural_pid(memory, seen, rates)
@@ -65,7 +65,7 @@ def neural(gains: Gains, rates: LearningRates, seed: int) -> Start:
 
 
 def learned(policy: Callable[[Any], Any]) -> Start:
-    """Gains from a policy."""
+    """PID with gains from a policy."""
 
     def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
         return ddpg_pid(policy, seen, memory)
@@ -76,11 +76,11 @@ def learned(policy: Callable[[Any], Any]) -> Start:
 def contestants(
     tuned: Mapping[str, Mapping[str, float]], policies: Mapping[int, Callable[[Any], Any]]
 ) -> tuple[Contestant, ...]:
-    """Everybody who is compared.
+    """Controllers of the comparison.
 
     Args:
-        tuned: What the search found, by driver and parameter.
-        policies: One a seed.
+        tuned: Parameters found by the search, by driver and name.
+        policies: One policy per seed.
     """
     by_hand, p, f, n = CHENG2023_GAINS, tuned["pid"], tuned["fuzzy_pid"], tuned["neural_pid"]
     universes = Universes(f["error_mps"], f["change_mps"], f["kp_span"], f["ki_span"], f["kd_span"])
@@ -101,7 +101,7 @@ def _gains(values: Mapping[str, float]) -> Gains:
 
 
 Measured = Mapping[tuple[str, int], Sequence[TrackingKpis]]
-"""KPIs of each driver in each scenario, one entry a seed."""
+"""KPIs of each driver in each scenario, one entry per seed."""
 MARGINS = (("pid", 24.29), ("fuzzy_pid", 6.95), ("neural_pid", 6.32))
 
 
@@ -116,12 +116,12 @@ def median(found: Iterable[TrackingKpis], field: str) -> float:
 
 
 def optimum(field: str, scenario: int) -> float | None:
-    """What physics allows of a KPI, where it says anything: the energy."""
+    """Best possible value of a KPI; known for the energy only."""
     return optimal_kwh(scenario) if field == "energy_kwh" else None
 
 
 def table_1(measured: Measured, published: Mapping[str, str]) -> list[ReportRow]:
-    """Every driver in the base scenario."""
+    """Rows of table 1: every driver in the base scenario."""
     rows = []
     for driver, whose in published.items():
         numbers = TABLE_1.get(whose, (None,) * len(KPIS))
@@ -132,7 +132,7 @@ def table_1(measured: Measured, published: Mapping[str, str]) -> list[ReportRow]
 
 
 def table_3(measured: Measured) -> list[ReportRow]:
-    """DDPG-PID under other resistances, not learned again; the tuned PID beside it."""
+    """Rows of table 3: DDPG-PID and the tuned PID under other resistances, without new learning."""
     rows = []
     for scenario, numbers in TABLE_3.items():
         for driver in ("ddpg_pid", "pid tuned"):
@@ -145,7 +145,7 @@ def table_3(measured: Measured) -> list[ReportRow]:
 
 
 def table_4(measured: Measured) -> list[ReportRow]:
-    """DDPG-PID on other references, not learned again; averages instead of totals."""
+    """Rows of table 4: DDPG-PID on other references without new learning; averages instead of totals."""
     rows = []
     for scenario, numbers in TABLE_4.items():
         for driver in ("ddpg_pid", "pid tuned"):
@@ -164,7 +164,7 @@ def table_4(measured: Measured) -> list[ReportRow]:
 
 
 def margins(measured: Measured) -> list[ReportRow]:
-    """By how much DDPG-PID has less total speed and position error than each other driver, percent."""
+    """Rows of the margins of DDPG-PID: reduction of total speed and position error, percent."""
     rows = []
     published = {
         ("speed_total_mps", "pid"): 85.5,

@@ -23,7 +23,7 @@ def _counted(record: TrackRecord) -> np.ndarray:
 
 
 def errors_figure(records: Records, field: str, label: str) -> Drawing:
-    """An error over time, one line a driver, in the base scenario."""
+    """Draw an error over time in the base scenario, one line per driver."""
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(figsize=(8, 4))
@@ -47,7 +47,7 @@ def errors_figure(records: Records, field: str, label: str) -> Drawing:
 
 
 def profiles_figure(records: Records, scenarios: tuple[int, ...], over: str) -> Drawing:
-    """Speed of DDPG-PID in some scenarios with its reference, the error below."""
+    """Draw the speed of DDPG-PID with its reference in some scenarios, the error below."""
     from matplotlib import pyplot as plt
 
     figure, (speeds, errors) = plt.subplots(
@@ -67,7 +67,7 @@ def profiles_figure(records: Records, scenarios: tuple[int, ...], over: str) -> 
 
 
 def figures(records: Records) -> tuple[Figure, ...]:
-    """The paper's figures 7 to 10 with our drivers."""
+    """Figures 7 to 10 of the paper, reproduced."""
     return (
         Figure(
             "speed_errors",

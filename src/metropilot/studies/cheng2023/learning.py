@@ -1,4 +1,4 @@
-"""How DDPG-PID is learned and how the others are tuned."""
+"""Learning runs of DDPG-PID."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ REWARDS = TrackingRewards(
     jerk_scale_mps3=10.0,
     parking_scale_m=0.05,
 )
-"""Cheng23's five terms; the scales say what counts as a small error, where the paper has 1, and parking, paid
-once in a run, weighs twenty times the paper's."""
+"""Cheng23's five terms; the scales (1 in the paper) define a small error, and parking, which is rewarded once
+per run, has twenty times the paper's weight."""
 JOB = "ddpg_pid"
 SEEDS = 5
 
 
 def config() -> DDPGConfig:
-    """DDPG as it is told; the paper prints none of it."""
+    """Configuration of DDPG; the paper prints no hyperparameters."""
     from metropilot.learn import DDPGConfig, Schedule
 
     return DDPGConfig(
@@ -55,7 +55,7 @@ def task() -> TrackingTask:
 
 
 def evaluation(made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
-    """What keeps the best policy: the base scenario from standstill, judged by ``tracking_score``."""
+    """Return the evaluation of a policy: ``tracking_score`` of the base scenario from standstill."""
     import jax
     import jax.numpy as jnp
 
@@ -83,6 +83,6 @@ def evaluation(made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
 
 
 def jobs(seeds: Iterable[int]) -> list[LearnJob]:
-    """The learning runs of the study, one a seed."""
+    """Learning runs of the study, one per seed."""
     about = {"rewards": repr(REWARDS)}
     return [LearnJob(JOB, config(), task, seed, evaluation, about) for seed in seeds]

@@ -1,4 +1,4 @@
-"""What Cheng et al. 2023 print: tables 1, 3 and 4."""
+"""Published results of Cheng et al. 2023: tables 1, 3 and 4."""
 
 from __future__ import annotations
 
@@ -34,4 +34,4 @@ TABLE_4 = {
     4: (0.05, 0.60, 0.34, 2.92, 0.07, 19.36, 0.50),
     5: (0.01, 0.05, 0.00, 0.01, 0.02, 15.22, 0.44),
 }
-"""Of DDPG-PID; the first and third columns are averages over the run."""
+"""Results of DDPG-PID; the first and third columns are averages over the run."""

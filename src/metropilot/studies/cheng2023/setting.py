@@ -1,4 +1,4 @@
-"""What is tracked: the references, and the five scenarios."""
+"""Setting of the study: the references and the five scenarios."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SHAPE = ReferenceShape(0.9, 0.8, 0.5)
 GENTLE = ReferenceShape(0.75, 0.75, 0.4)
 EFFORT_SHARE = 0.9
 CRUISE_MPS = {"base": 18.3, "fast": 19.7, "slow": 17.2}
-"""Those that give the published energies 17.04, 19.36 and 15.22 kWh."""
+"""Cruising speeds that give the published energies 17.04, 19.36 and 15.22 kWh."""
 REFERENCES = {
     "s_curve": "S-curve 0.9/0.8 m/s2, 0.5 m/s3, within 90 % of the effort at hand",
     "gentle": "S-curve 0.75/0.75 m/s2, 0.4 m/s3, within 90 % of the effort at hand",
@@ -81,10 +81,10 @@ def section() -> Section:
 
 
 def reference_of(kind: str, speed: str = "base") -> TimedReference:
-    """A reference sampled at the paper's control period.
+    """Compute a reference, sampled at the paper's control period.
 
     Args:
-        kind: A name in ``REFERENCES``.
+        kind: Key of ``REFERENCES``.
         speed: ``base``, ``fast`` or ``slow``.
 
     Raises:
@@ -106,7 +106,7 @@ def reference_of(kind: str, speed: str = "base") -> TimedReference:
 
 
 def course(kind: str = "s_curve", scenario: int = 1) -> ReferenceCourse:
-    """What is tracked in a scenario."""
+    """Course to track in a scenario: reference, vehicle and track."""
     speed, factor = SCENARIOS[scenario]
     return course_of(trainset(), section(), reference_of(kind, speed), factor)
 

@@ -1,9 +1,8 @@
-"""Put a learned policy where the driver ``ddpg_pid`` finds it.
+"""Shipping of a learned policy as that of the driver ``ddpg_pid``.
 
-``python -m metropilot.studies.cheng2023.ship DIR``, where ``DIR`` is the folder in which ``metropilot
-reproduce cheng2023 --budget paper`` kept its learning runs; of their policies the one is taken that
-protection overrules least on real sections with a trainset that is not as believed, and among equals the
-best score.
+``python -m metropilot.studies.cheng2023.ship DIR``; ``DIR`` is the folder with the learning runs of
+``metropilot reproduce cheng2023 --budget paper``. It selects the policy with the fewest interventions of
+protection on real sections under plant mismatch, and among equals the one with the best score.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ UNKNOWN = Disturbance(resistance_factor=1.5, delay_s=0.6, lag_s=0.4, speed_noise
 
 
 def overruled(policy: Policy) -> int:
-    """How often protection overrules a policy as a driver of the Yizhuang line."""
+    """Count the interventions of protection with a policy as driver of the Yizhuang line."""
     with TemporaryDirectory() as folder:
         place = Path(folder, "policy.safetensors")
         save_policy(place, policy, {"observed": list(OBSERVED)})
@@ -50,11 +49,11 @@ def overruled(policy: Policy) -> int:
 
 
 def ship(folder: Path, target: Path) -> SeedResult:
-    """Write the policy that drives best where it did not learn.
+    """Write the policy with the fewest interventions on sections outside its training.
 
     Args:
-        folder: The learning runs; those that are missing are done now.
-        target: The policy's file.
+        folder: Folder of the learning runs; missing ones are done now.
+        target: File of the policy.
     """
     results = learn_seeds(jobs(range(SEEDS)), folder)
     chosen = min(results, key=lambda result: (overruled(result.policy), -result.score))

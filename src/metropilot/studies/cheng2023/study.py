@@ -1,4 +1,4 @@
-"""The study: tune or take what was tuned, learn or take what was learned, track, report."""
+"""The study, start to end: tune and learn (or load the shipped results), track, report."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from metropilot.studies.study import Order, Study
 
 
 def reproduce(order: Order) -> StudyReport:
-    """Tables 1, 3 and 4 and figures 7 to 10.
+    """Reproduce tables 1, 3 and 4 and figures 7 to 10.
 
-    The budget ``quick`` takes the policy and the parameters that are shipped; ``paper`` learns and searches
-    anew on the base scenario.
+    The budget ``quick`` uses the shipped policy and parameters; ``paper`` learns and searches again on the
+    base scenario.
 
     Args:
-        order: How; its option ``reference`` chooses what is tracked (nobody learns it anew).
+        order: Its option ``reference`` selects the tracked reference (without new learning).
     """
     kind = order.options["reference"]
     policies, tuned = _made(order)
@@ -53,7 +53,7 @@ def reproduce(order: Order) -> StudyReport:
 
 
 def _made(order: Order) -> tuple[dict[int, Callable[[Any], Any]], Mapping[str, Mapping[str, float]]]:
-    """A policy a seed, and the tuned parameters."""
+    """Load or learn one policy per seed and the tuned parameters."""
     if order.budget == "quick":
         from metropilot.drivers import fuzzy_pid, neural_pid, pid
         from metropilot.drivers.ddpg_pid import load_gains_policy
@@ -77,7 +77,7 @@ def _made(order: Order) -> tuple[dict[int, Callable[[Any], Any]], Mapping[str, M
 def _raced(
     everybody: tuple[Contestant, ...], kind: str, seeds: tuple[int, ...]
 ) -> tuple[dict[tuple[str, int], list[TrackingKpis]], dict[tuple[str, int], TrackRecord]]:
-    """Every driver in every scenario with every seed; the record kept is of the seed nearest the median."""
+    """Track every scenario with every driver and seed; return KPIs, and the record of the median seed."""
     measured: dict[tuple[str, int], list[TrackingKpis]] = {}
     records: dict[tuple[str, int], TrackRecord] = {}
     for scenario in SCENARIOS:
@@ -92,7 +92,7 @@ def _raced(
 
 
 def _elsewhere(everybody: tuple[Contestant, ...], seeds: tuple[int, ...], kind: str) -> list[ReportRow]:
-    """The base scenario on every other reference: totals, parking, jerk."""
+    """Rows of the base scenario on every other reference: totals, parking, jerk."""
     found = []
     for other in REFERENCES:
         if other == kind:

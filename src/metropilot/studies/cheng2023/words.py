@@ -1,4 +1,4 @@
-"""What to read from the numbers, said from the numbers; and where the study departs from the paper."""
+"""Deviations from the paper, and findings in sentences made from the numbers."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ DEVIATIONS = (
 
 
 def missed(measured: Measured, kind: str) -> list[str]:
-    """Every number of DDPG-PID that falls short of the published one by more than its rounding."""
+    """List the results of DDPG-PID that are worse than the published ones by more than rounding."""
     if kind != "s_curve":
         return []
     found = []
@@ -95,7 +95,7 @@ def _missed(
 
 @cache
 def needed() -> tuple[float, float]:
-    """How much the command that the base reference needs rises and falls in all, and its summed size."""
+    """Total variation and absolute sum of the command that the base reference requires."""
     what = course()
     speed = what.speed_mps[: int(what.end) + 1]
     rate = np.diff(speed) / DT_S
@@ -109,7 +109,7 @@ def needed() -> tuple[float, float]:
 
 
 def remarks(measured: Measured, kind: str, tuned: Mapping[str, Mapping[str, float]]) -> tuple[str, ...]:
-    """The sentences under the heading, from the medians."""
+    """Findings as sentences, from the medians over the seeds."""
     found = [_against_tuned(measured, tuned["pid"])]
     if kind == "s_curve":
         short = missed(measured, kind)
@@ -119,7 +119,7 @@ def remarks(measured: Measured, kind: str, tuned: Mapping[str, Mapping[str, floa
 
 
 def _against_tuned(measured: Measured, gains: Mapping[str, float]) -> str:
-    """DDPG-PID beside the tuned PID."""
+    """Comparison of DDPG-PID with the tuned PID."""
     ours, other = measured["ddpg_pid", 1], measured["pid tuned", 1]
     speed, against = median(ours, "speed_total_mps"), median(other, "speed_total_mps")
     place, behind = median(ours, "position_total_m"), median(other, "position_total_m")
@@ -133,7 +133,7 @@ def _against_tuned(measured: Measured, gains: Mapping[str, float]) -> str:
 
 
 def _why(measured: Measured) -> str:
-    """What eq. 15 itself allows."""
+    """Bounds on the errors that follow from eq. 15."""
     fixed, against = (median(measured[driver, 1], "speed_total_mps") for driver in ("pid", "pid tuned"))
     variation, size = needed()
     return (
@@ -149,7 +149,7 @@ def _why(measured: Measured) -> str:
 
 
 def _jerk() -> str:
-    """What the reference itself costs in jerk."""
+    """Jerk of the reference itself."""
     change = np.abs(np.diff(course().speed_mps)).max() / DT_S
     return (
         f"The reference itself changes its acceleration by {change:.2f} m/s2 within 2 s, "

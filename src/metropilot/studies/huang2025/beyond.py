@@ -35,7 +35,7 @@ LITERAL = f"{BEYOND}: Algorithm 1 as printed, a time for each speed-limit interv
 
 
 def beyond_rows(policies: Mapping[str, Sequence[Path]]) -> Iterator[ReportRow]:
-    """Every row of this file."""
+    """Rows of all comparisons beyond the paper."""
     case = BY_ID["101"]
     plain = run_of(case)
     for driver in EXPERTS:
@@ -55,7 +55,7 @@ def beyond_rows(policies: Mapping[str, Sequence[Path]]) -> Iterator[ReportRow]:
 
 
 def _plants(run: Run) -> dict[str, Run]:
-    """The same run on another plant, or decided in another step."""
+    """Variants of a run with another plant or another control period."""
     known = run.trainset
     limited = replace(known, actuation=Actuation(DELAY_S, LAG_S, 1.0))
     return {
@@ -66,7 +66,7 @@ def _plants(run: Run) -> dict[str, Run]:
 
 
 def _drives(run: Run, driver: str, policies: Mapping[str, Sequence[Path]]) -> list[Drive]:
-    """One drive a policy, of at most a few, each with a seed of its own."""
+    """Drive a run once per policy (at most ``SEEDS``), each with its own seed."""
     few = {name: list(paths)[:SEEDS] for name, paths in policies.items()}
     return [drive(replace(run, seed=k), one) for k, one in enumerate(drivers_of(driver, few, range(1)))]
 
@@ -96,14 +96,14 @@ NOISE_MPS = 0.02
 
 
 class Stops(NamedTuple):
-    """Stops one after another with the same brake.
+    """Consecutive station stops with the same brake.
 
     Attributes:
-        gain: True over believed braking force.
-        error_m: Where the head stood minus the stop, one a stop.
-        learned: The gain known after each.
-        time_s: Running time of each.
-        interventions: Spells of protection in all of them.
+        gain: Ratio of true to nominal braking force.
+        error_m: Position of the head minus the stop point, one per stop.
+        learned: Estimated gain after each stop.
+        time_s: Running time of each run.
+        interventions: Interventions of protection in all runs.
     """
 
     gain: float
@@ -114,12 +114,12 @@ class Stops(NamedTuple):
 
 
 def repeated_stops(gain: float, noise_mps: float = NOISE_MPS, stops: int = STOPS) -> Stops:
-    """Drive case 1 again and again; what was learned of the brake is kept from stop to stop.
+    """Drive case 1 repeatedly; the estimate of the brake is carried from stop to stop.
 
     Args:
-        gain: True over believed braking force.
+        gain: Ratio of true to nominal braking force.
         noise_mps: Standard deviation of the measured speed.
-        stops: How often.
+        stops: Number of stops.
     """
     driver, hoa = Eitoe(EitoeOptions(brake_known=False)), None
     errors, learned, times, overruled = [], [], [], 0
@@ -141,7 +141,7 @@ def repeated_stops(gain: float, noise_mps: float = NOISE_MPS, stops: int = STOPS
 
 
 def stop_rows(found: list[Stops]) -> Iterator[ReportRow]:
-    """The first stop with an unknown brake, and the one after ten."""
+    """Rows of the first stop with an unknown brake, and of the last."""
     for one in found:
         case = (
             f"brake {100 * (one.gain - 1):+.0f} %, 101 s" if one.gain != 1.0 else "brake as believed, 101 s"
@@ -160,11 +160,11 @@ def stop_rows(found: list[Stops]) -> Iterator[ReportRow]:
 
 
 class Apart(NamedTuple):
-    """How far six vehicles are from one body under the same efforts.
+    """Deviation of six coupled vehicles from one body under the same efforts.
 
     Attributes:
         speed_mps: Largest difference of the head's speed while it moves.
-        place_m: Difference of the head's place when the one body stands.
+        place_m: Difference of the head's position at standstill of the one body.
         coupler_n: Largest force in a coupler while it moves.
     """
 
@@ -174,7 +174,7 @@ class Apart(NamedTuple):
 
 
 def apart(found: Drive) -> Apart:
-    """Give a drive's efforts to the vehicles, open loop."""
+    """Apply a drive's efforts to the vehicles in open loop."""
     t, trainset = found.trajectory, found.trainset
     cars, track = consist(trainset), track_arrays(found.section, trainset)
     effort = t.traction_n - t.electric_brake_n - t.friction_brake_n
@@ -191,7 +191,7 @@ def apart(found: Drive) -> Apart:
 
 
 def vehicle_rows(found: Drive, case: str) -> Iterator[ReportRow]:
-    """The differences as rows."""
+    """Rows of the vehicle deviations."""
     one = apart(found)
     place = (f"{BEYOND}: the same efforts on six vehicles with couplers (eq. 3)", case, found.driver)
     yield ReportRow(*place, "largest difference of speed", "m/s").measured([one.speed_mps])

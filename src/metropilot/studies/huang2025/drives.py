@@ -1,4 +1,4 @@
-"""The cases driven, and each drive's numbers beside the paper's and the optimum's."""
+"""Drives of the cases, and their numbers beside the paper's and the optimum's."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ ABOVE, ABOVE_DEAD = "above the optimum", "above the optimum, dead time of the ac
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedRun:
-    """One case as one driver drove it, once a seed.
+    """Drives of one case by one driver, one per seed.
 
     Attributes:
-        case: Which.
+        case: The case.
         driver: Driver id.
-        drives: The drives.
+        drives: Drives, one per seed.
     """
 
     case: PublishedCase
@@ -48,17 +48,17 @@ class EvaluatedRun:
 
     @property
     def indices(self) -> list[Indices]:
-        """The five indices of each."""
+        """The five indices of each drive."""
         return [indices_of(one) for one in self.drives]
 
     @property
     def kpis(self) -> list[Kpis]:
-        """The KPIs of each, without an optimum."""
+        """KPIs of each drive, without an optimum."""
         return [kpis_of(one, None) for one in self.drives]
 
 
 def drivers_of(driver: str, policies: Mapping[str, Sequence[Path]], seeds: range) -> list[AbstractDriver]:
-    """One driver a seed: manual drives differ by the seed, learned ones by policy, an expert's not at all."""
+    """Make one driver per seed: manual drives differ by seed, learned ones by policy, an expert has one."""
     if driver in policies:
         return [make_driver(driver, {"policy": str(path)}) for path in policies[driver]]
     return [make_driver(driver) for _ in (seeds if driver == MANUAL else range(1))]
@@ -67,7 +67,7 @@ def drivers_of(driver: str, policies: Mapping[str, Sequence[Path]], seeds: range
 def driven(
     case: PublishedCase, driver: str, policies: Mapping[str, Sequence[Path]], seeds: range
 ) -> EvaluatedRun:
-    """Drive a case."""
+    """Drive a case with every seed or policy."""
     who = drivers_of(driver, policies, seeds)
     return EvaluatedRun(case, driver, [drive(run_of(case, seed), one) for seed, one in enumerate(who)])
 
@@ -76,8 +76,8 @@ class LeastIndex:
     """Least wheel energy over running time under a driver's comfort limits: the parabola of three plans.
 
     Args:
-        drives: What is to be compared; their section, restrictions included.
-        driver: Whose limits.
+        drives: Drives to compare; the section, with restrictions, is theirs.
+        driver: Id of the driver with the limits.
     """
 
     def __init__(self, drives: Sequence[Drive], driver: str) -> None:
@@ -100,13 +100,13 @@ class LeastIndex:
 
         Args:
             one: The drive.
-            dead_s: Taken off the running time: nothing moves before the dead time of the actuation is over.
+            dead_s: Subtracted from the running time: nothing moves during the dead time of the actuation.
         """
         return 100.0 * (float(one.trajectory.energy_wheel_j[-1]) / self.at(one.running_time_s - dead_s) - 1.0)
 
 
 def rows_of(found: EvaluatedRun, manual: EvaluatedRun | None) -> Iterator[ReportRow]:
-    """Every number of a driven case."""
+    """Rows of a case and driver."""
     case, driver = found.case, found.driver
     place = (case.table, case.name, driver)
     indices, kpis = found.indices, found.kpis
@@ -138,7 +138,7 @@ def rows_of(found: EvaluatedRun, manual: EvaluatedRun | None) -> Iterator[Report
 
 
 def decision_row(table: str, driver: str, found: Sequence[EvaluatedRun]) -> ReportRow:
-    """Median time of a decision over all drives, expert system included."""
+    """Row of the median decision time over all drives, expert system included."""
     times = np.concatenate([one.decision_us for many in found for one in many.drives])
     said = DECISION_US if driver == "eitop" else None
     place = ReportRow(
@@ -149,13 +149,13 @@ def decision_row(table: str, driver: str, found: Sequence[EvaluatedRun]) -> Repo
 
 
 HURRY_W = 1e5
-"""A second costs so much that the plan is the fastest there is."""
+"""Price of time, high enough that the plan is the fastest one."""
 EARLIEST = "earliest arrival possible from the update on"
 LEFT = "above the least energy still possible from the update on"
 
 
 def state_at(one: Drive, time_s: float) -> tuple[PlanOptions, float]:
-    """Where a drive was at a time, as the beginning of a plan, and the wheel energy used by then, J."""
+    """State of a drive at a time as the start of a plan, and the wheel energy used by then, J."""
     t = one.trajectory
     place, speed, used = (
         float(np.interp(time_s, t.time_s, values)) for values in (t.position_m, t.speed_mps, t.energy_wheel_j)
@@ -164,7 +164,7 @@ def state_at(one: Drive, time_s: float) -> tuple[PlanOptions, float]:
 
 
 def earliest_s(one: Drive, driver: str, told_s: float) -> float:
-    """Earliest arrival from where the drive was when told, under the driver's comfort limits, s."""
+    """Earliest arrival from the state at the update, under the driver's comfort limits, s."""
     options, _ = state_at(one, told_s)
     hurry = replace(options, late_w=HURRY_W)
     plan = optimal_plan(one.section, comfortable(driver, one.trainset), 1.0, hurry)
@@ -172,7 +172,7 @@ def earliest_s(one: Drive, driver: str, told_s: float) -> float:
 
 
 def above_left_percent(one: Drive, driver: str, told_s: float) -> float:
-    """Energy of the whole drive above what it had used when told and the least for the rest, %."""
+    """Energy of the drive above the sum of that used at the update and the least for the rest, %."""
     options, used = state_at(one, told_s)
     gentle, left = comfortable(driver, one.trainset), one.running_time_s - told_s
     try:
@@ -183,7 +183,7 @@ def above_left_percent(one: Drive, driver: str, told_s: float) -> float:
 
 
 def news_rows(found: EvaluatedRun) -> Iterator[ReportRow]:
-    """Rows of a case with news; none of one without."""
+    """Rows of a case with a timetable update; empty for one without."""
     case, driver, told = found.case, found.driver, found.case.told_s
     if told is None:
         return

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def learning_drawing(
     results: Sequence[SeedResult], column: str, label: str, lines: Sequence[float]
 ) -> Drawing:
-    """One number of case 1 over the episodes learned from: median and range of the seeds."""
+    """Draw one measure of case 1 over the training episodes: median and range of the seeds."""
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(figsize=(7, 3.2), layout="constrained")
@@ -41,7 +41,7 @@ def learning_drawing(
 
 
 def speeds_drawing(found: Sequence[EvaluatedRun]) -> Drawing:
-    """Speed over distance with the limit, one line a driver (of several drives the first)."""
+    """Draw speed over distance with the limit, one line per driver (its first drive)."""
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(figsize=(8, 3.8), layout="constrained")
@@ -61,7 +61,7 @@ def _label(one: EvaluatedRun, found: Sequence[EvaluatedRun]) -> str:
 
 
 def track_drawing(found: Sequence[EvaluatedRun]) -> Drawing:
-    """Speed limit and gradient of sections, as the trainset feels them (its Figs. 4 and 12)."""
+    """Draw speed limit and gradient of sections, as averaged over the trainset (Figs. 4 and 12)."""
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(2, len(found), figsize=(9, 3.6), squeeze=False, layout="constrained")
@@ -77,7 +77,7 @@ def track_drawing(found: Sequence[EvaluatedRun]) -> Drawing:
 
 
 def stops_drawing(stops: Sequence) -> Drawing:
-    """Stopping error and gain over repeated stops."""
+    """Draw stopping error and gain over repeated stops."""
     from matplotlib import pyplot as plt
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(8, 3.0), layout="constrained")
@@ -94,7 +94,7 @@ def stops_drawing(stops: Sequence) -> Drawing:
 def figures_of(
     found: Mapping[tuple[str, str], EvaluatedRun], learned: Sequence[SeedResult], stops: Sequence
 ) -> list[Figure]:
-    """Every figure there is something for.
+    """Figures for which there are results.
 
     Args:
         found: Drives by case and driver.

@@ -1,4 +1,4 @@
-"""The learning runs: which learner, what is watched while it learns, and the policies that are kept."""
+"""Learning runs: recipes, evaluation during learning, and the policy files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SIZES: dict[str, dict[str, int]] = {
     "quick": {"eitop": 300_000, "itor": 1_000_000, "ston": 20_000, "stod": 20_000},
     "paper": {"eitop": 1_000_000, "itor": 4_000_000, "ston": 64_000, "stod": 64_000},
 }
-"""Environment steps of half a second."""
+"""Environment steps of half a second, by budget and driver."""
 
 
 EITOP_BASE = replace(
@@ -52,7 +52,7 @@ ITOR_BASE = replace(
     low=(0.0, 0.0, 0.0, -0.6, 0.0, -3.0, -1.0),
     high=(2.0, 1.2, 2.0, 0.6, 1.2, 3.0, 1.0),
 )
-"""Of what the expert's policies see, a table holds distance, speed, the rate, how late coasting would be."""
+"""Of the expert policies' features the table uses distance, speed, rate and the lateness under coasting."""
 ITOR_RECIPE = Recipe("huang2025_choices", ITOR_BASE, replace(ITOR_BASE, steps=2_000_000, evaluations=8))
 STO: dict[str, Any] = {
     **REPLAY,
@@ -64,23 +64,23 @@ STO: dict[str, Any] = {
     "n_step": 10,
     "noise": Schedule(0.6, 0.1),
 }
-"""Of STOD and STON."""
+"""Hyperparameters of STOD and STON."""
 STOD_RECIPE = Recipe("huang2025", DDPGConfig(**STO), DDPGConfig(**{**STO, **REPLAY_QUICK}), changes=gentle)
 STON_RECIPE = Recipe("huang2025", NAFConfig(**STO), NAFConfig(**{**STO, **REPLAY_QUICK}), changes=gentle)
 
 
 def make_task(driver: str) -> DrivingTask:
-    """The task of a driver's recipe."""
+    """Make the task of a driver's recipe."""
     return RECIPES.get(driver).make_task()
 
 
 def watched(config: AbstractConfig, driver: str, task: Any) -> Evaluate:  # noqa: ANN401 (a driving task)
-    """What evaluates a policy: the recipe's own rule, and beside it the paper's case 1 in its Ie and time.
+    """Return the evaluation of a policy: the recipe's own rule, and Ie and time of case 1.
 
     Args:
-        config: The learner's.
+        config: Configuration of the learner.
         driver: Id of the driver.
-        task: Of its recipe.
+        task: Task of its recipe.
     """
     import jax
     import jax.numpy as jnp
@@ -128,7 +128,7 @@ def job(driver: str, seed: int, budget: str) -> LearnJob:
 
 
 def keep(folder: Path, result: SeedResult) -> Path:
-    """Write the policy of a learning run with all that a driver must know of it."""
+    """Write the policy of a learning run with the metadata that a driver requires."""
     from metropilot._provenance import circumstances
     from metropilot.learn import config_to_mapping
     from metropilot.policy import save_policy
@@ -156,10 +156,10 @@ def keep(folder: Path, result: SeedResult) -> Path:
 
 
 def best_of(results: Sequence[SeedResult]) -> SeedResult:
-    """The seed with the best evaluation."""
+    """Select the seed with the best evaluation."""
     return max(results, key=lambda result: result.score)
 
 
 def jobs(seeds: range, budget: str) -> list[LearnJob]:
-    """Every learning run of the study, drivers varying slowest."""
+    """Learning runs of the study, drivers varying slowest."""
     return [job(driver, seed, budget) for driver in LEARNED for seed in seeds]

@@ -1,6 +1,6 @@
-"""The cases of the paper and what it prints about them.
+"""Cases of the paper and its published results.
 
-Most cells of its Tables 1 to 4 are pictures; the numbers here are those its text names. Energies of the other
+Most cells of its Tables 1 to 4 are pictures; the numbers here are from its text. Energies of the other
 drivers are printed as percentages of manual driving.
 """
 
@@ -18,7 +18,7 @@ CITATION = (
     "doi 10.1371/journal.pone.0323478."
 )
 DECISION_US = 2100.0
-"""Its mean time of a decision, 2.1 ms."""
+"""Published mean decision time, 2.1 ms."""
 TABLE2, TABLE3, TABLE4 = "Cases 1 and 2: its Table 2", "Late updates: its Table 3", "Case 3: its Table 4"
 BEYOND = "Beyond the paper"
 
@@ -32,9 +32,9 @@ class Restricted:
     """A temporary speed restriction.
 
     Attributes:
-        from_m: Where it begins.
-        to_m: Where it ends.
-        limit_mps: Its speed.
+        from_m: Start.
+        to_m: End.
+        limit_mps: Permitted speed.
     """
 
     from_m: float
@@ -48,16 +48,16 @@ class PublishedCase:
 
     Attributes:
         id: Short name.
-        name: As tables show it.
-        table: Where it belongs.
-        origin: Code of the station.
-        destination: Code of the station.
+        name: Name in tables.
+        table: Table of the paper.
+        origin: Station code.
+        destination: Station code.
         scheduled_s: Planned running time at departure.
-        drivers: Who drives it.
-        told_s: When news comes; None: never.
-        news_s: The new planned running time.
-        restricted: The restriction that is the news.
-        published: What the paper prints, by driver and KPI.
+        drivers: Ids of the compared drivers.
+        told_s: Time of the timetable update; None: no update.
+        news_s: New planned running time of the update.
+        restricted: Temporary speed restriction of the update.
+        published: Published values by driver and KPI.
     """
 
     id: str
@@ -73,7 +73,7 @@ class PublishedCase:
     published: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def said(self, driver: str, kpi: str) -> float | None:
-        """What the paper prints, None where it prints nothing."""
+        """Published value; None where the paper prints none."""
         return self.published.get(driver, {}).get(kpi)
 
 
@@ -204,5 +204,5 @@ CASES: tuple[PublishedCase, ...] = (
 )
 BY_ID: Mapping[str, PublishedCase] = MappingProxyType({case.id: case for case in CASES})
 EPISODES_TO_SETTLE = 80
-"""Its Figs. 5 and 6: the energy falls from 380 to 364 J/kg in about so many episodes."""
+"""Episodes in which the energy falls from 380 to 364 J/kg in Figs. 5 and 6, approximately."""
 LEARNED_IE = (380.0, 364.0)

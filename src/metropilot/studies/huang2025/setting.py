@@ -21,32 +21,32 @@ REWARDS = (
 )
 """Huang25 eq. 26: energy, time error (eq. 27 at the end) and comfort; its weights are not printed."""
 STOP_MPS2 = 0.95
-"""What its station stop plans with."""
+"""Planned deceleration of the station stop."""
 LEARNED_ON = (("RJ", "WYJ"), ("WYJ", "RJ"), ("XC", "XHM"), ("JG", "YZQ"))
 """Sections of the line that can be coasted to the end; the first is case 1."""
 ON_THE_WAY = 0.7
-"""Share of the episodes that begin on the way."""
+"""Share of the episodes that begin between stations."""
 DELAY_S, LAG_S = 0.6, 0.4
 """Dead time and time constant of its eq. 4 (assumed: no value can be read)."""
 GENTLE_MPS2 = {EITOP: 0.8}
-"""Largest acceleration of each driver; every other one of the expert's keeps rule 2."""
+"""Largest acceleration by driver; all other expert drivers keep rule 2."""
 RULE2_MPS2 = 0.6
 FREE = ("manual", "optimal", "flat_out")
 """Drivers that keep only the trainset's own limit of 1 m/s^2."""
 
 
 def task_config() -> DrivingConfig:
-    """The task ``huang2025``: inside the expert, the change of the rate as a number."""
+    """Task ``huang2025``: the policy inside the expert changes the rate by a continuous value."""
     return _task_config(ExpertAction())
 
 
 def choice_task_config() -> DrivingConfig:
-    """The task ``huang2025_choices``: one of three changes of the rate."""
+    """Task ``huang2025_choices``: the policy selects one of three changes of the rate."""
     return _task_config(ExpertChoiceAction())
 
 
 def gentle(config: DrivingConfig) -> DrivingConfig:
-    """The acceleration of the paper's second rule."""
+    """Limit the acceleration by the paper's second rule."""
     return replace(config, action=ExpertAction(start_mps2=RULE2_MPS2))
 
 
@@ -69,12 +69,12 @@ def trainset() -> Trainset:
 
 
 def section(case: PublishedCase) -> Section:
-    """Where a case runs."""
+    """Section of a case."""
     return load_line(LINE).section(case.origin, case.destination)
 
 
 def run_of(case: PublishedCase, seed: int = 0) -> Run:
-    """A case as a run, its news told on the way."""
+    """Run of a case, with its timetable update."""
     news: tuple[TimetableUpdate, ...] = ()
     if case.told_s is not None:
         told = case.restricted
@@ -84,7 +84,7 @@ def run_of(case: PublishedCase, seed: int = 0) -> Run:
 
 
 def comfortable(driver: str, plant: Trainset) -> Trainset:
-    """The trainset under a driver's own comfort limits, for the optimum it is compared with."""
+    """Trainset with a driver's comfort limits, for its optimum."""
     if driver in FREE:
         return plant
     return replace(plant, max_acceleration_mps2=GENTLE_MPS2.get(driver, RULE2_MPS2))

@@ -41,7 +41,7 @@ Found = dict[tuple[str, str], EvaluatedRun]
 
 
 def reproduce(order: Order) -> StudyReport:
-    """Do the study.
+    """Reproduce the cases of the paper and the comparisons beyond it.
 
     Args:
         order: ``quick``: shipped policies, a short learning run of each. ``paper``: everything learned with
@@ -72,7 +72,7 @@ def reproduce(order: Order) -> StudyReport:
 
 
 def _policies(folder: Path, results: Sequence[SeedResult], *, paper: bool) -> Mapping[str, Sequence[Path]]:
-    """Which policies drive: shipped ones, or those just learned, one a seed."""
+    """Policy files by driver: the shipped ones, or one per seed of the learning runs."""
     from metropilot.studies.huang2025.learning import keep
 
     if not paper:
@@ -84,7 +84,7 @@ def _policies(folder: Path, results: Sequence[SeedResult], *, paper: bool) -> Ma
 
 
 def _rows(found: Found) -> list[ReportRow]:
-    """Every case, who drove it, and how long deciding took."""
+    """Rows of every case and driver, and of the decision times."""
     rows: list[ReportRow] = []
     for (case_id, _), one in found.items():
         rows += rows_of(one, found.get((case_id, MANUAL)))
@@ -96,7 +96,7 @@ def _rows(found: Found) -> list[ReportRow]:
 
 
 def _whole(found: Found) -> list[ReportRow]:
-    """Case 3 from end to end, the time at the stop between apart (as in the paper)."""
+    """Rows of case 3 over both sections, without the dwell time between them (as in the paper)."""
     rows, said = [], {"eitoe": 300.0, EITOP: 298.0}
     for driver in EXPERTS:
         if ("sjz", driver) not in found:
@@ -109,7 +109,7 @@ def _whole(found: Found) -> list[ReportRow]:
 
 
 def _learning_rows(results: Sequence[SeedResult]) -> list[ReportRow]:
-    """What each learner reached in its own evaluation, and how EITOP's case 1 began and ended."""
+    """Rows of each learner's evaluation, and of EITOP's case 1 at the first and the best evaluation."""
     import numpy as np
 
     rows = []

@@ -1,4 +1,4 @@
-"""Deviations from the paper, and findings: what was reached, what was missed, and why."""
+"""Deviations from the paper, and findings: claims reached, claims missed, and reasons."""
 
 from __future__ import annotations
 
@@ -101,10 +101,10 @@ def _ranged(rows: Sequence[ReportRow], case: str, driver: str, kpi: str) -> str:
 
 
 def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
-    """What was reached and missed, from the rows themselves.
+    """Findings as sentences made from the rows.
 
     Args:
-        rows: Every row of the study.
+        rows: All rows of the study.
         budget: quick or paper.
     """
     peak, ie, coast = (_said(rows, "101", EITOE, kpi, d) for kpi, d in ((TOP, 2), (IE, 1), (COAST, 0)))
@@ -147,7 +147,7 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
 
 
 def _met(rows: Sequence[ReportRow]) -> str:
-    """Which of the three indices were missed, by whom."""
+    """Finding on the three indices: those missed, by driver."""
     kpis = ("Is, safe", "It, on time", "Ip, parked")
     missed = [
         f"`{r.driver}`, {r.case}: {r.kpi}"

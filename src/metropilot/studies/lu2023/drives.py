@@ -1,4 +1,4 @@
-"""The plans driven, their optimum over the notches and over all forces, and each drive's numbers."""
+"""Drives of the plans, their optimum over the notches and over all forces, and their rows."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class NotchFront:
     energy_j: Float[ndarray, "3"]
 
     def at(self, time_s: float | ndarray) -> ndarray:
-        """The parabola through the three, extended straight beyond the outer two, J."""
+        """Interpolate with a parabola, extrapolate with its tangents, J."""
         bend = np.polynomial.Polynomial.fit(self.time_s, self.energy_j, 2)
         inside = np.clip(time_s, self.time_s[0], self.time_s[-1])
         return bend(inside) + bend.deriv()(inside) * (np.asarray(time_s) - inside)
@@ -49,7 +49,7 @@ class NotchFront:
 
 @cache
 def notch_front(plan: PlanCase) -> NotchFront:
-    """The optimum over the twelve notches about a plan's time (a few seconds)."""
+    """Compute the optimum over the twelve notches about a plan's time (takes a few seconds)."""
     section, trainset = load_line(plan.line).section("WHY", "WYJ"), load_trainset(TRAINSET)
     found = [
         notch_plan(section, trainset, plan.scheduled_s + shift, trainset.notches[NOTCHES], MESH)
@@ -61,14 +61,14 @@ def notch_front(plan: PlanCase) -> NotchFront:
 
 
 def convex_j(plan: PlanCase, time_s: float) -> float:
-    """The optimum over all forces up to the strongest notches, J."""
+    """Least traction energy over all forces up to the strongest notches, J."""
     section, trainset = load_line(plan.line).section("WHY", "WYJ"), load_trainset(TRAINSET)
     return optimal_plan(section, trainset, time_s, PlanOptions(spacing_m=5.0)).energy_wheel_j
 
 
 @cache
 def effort_j(plan: PlanCase) -> float:
-    """The optimum over the notches of what the paper counts, traction and braking work, J."""
+    """Least traction and braking work (the paper's energy) over the notches, J."""
     section, trainset = load_line(plan.line).section("WHY", "WYJ"), load_trainset(TRAINSET)
     options = NotchOptions(MESH.spacing_m, MESH.speeds, 1.0)
     return notch_plan(section, trainset, plan.scheduled_s, trainset.notches[NOTCHES], options).energy_effort_j
@@ -80,10 +80,10 @@ SPAN_M = 500.0
 
 @dataclass(frozen=True, eq=False)
 class NotchRun:
-    """One plan as driven.
+    """Drive of one plan.
 
     Attributes:
-        plan: Which.
+        plan: The plan.
         driver: Driver id.
         drive: The drive.
         kpis: Its KPIs (their optimum is in ``optima``).
@@ -96,12 +96,12 @@ class NotchRun:
 
 
 def policy_file(name: str) -> Path:
-    """A policy shipped with the study."""
+    """Path of a policy shipped with the study."""
     return POLICIES / f"{name}.safetensors"
 
 
 def learned_driver(path: Path) -> LearnedDriver:
-    """The driver of a policy file."""
+    """Load a policy file as a driver."""
     loaded = load_driving_policy(path)
     return LearnedDriver(loaded.policy, loaded.perception)
 
@@ -114,18 +114,18 @@ def driven(plan: PlanCase, name: str, driver: AbstractDriver) -> NotchRun:
 
 
 def tracked(plan: PlanCase, path: Path) -> NotchRun:
-    """The paper's PID on the curve that a policy drives."""
+    """Track the curve of a policy with the paper's PID."""
     return driven(plan, "pid_lu2023", PidLu2023(PidLu2023Options(policy=str(path))))
 
 
 def shipped_for(plan_id: str) -> Path:
-    """The shipped network of a plan; where there is none, and for ``all``, the one for all plans."""
+    """Path of the shipped network of a plan; without one, and for ``all``, of the network for all plans."""
     own = policy_file(f"improved_dqn-{plan_id}")
     return own if own.is_file() else shipped_policy("improved_dqn")
 
 
 def switches_over(found: Drive, span_m: float = SPAN_M) -> float:
-    """Most changes of the sign of the effort (traction, none, brake) over any stretch, as in Lu23 Fig. 9."""
+    """Largest number of changes between traction, coasting and braking within ``span_m`` (Lu23 Fig. 9)."""
     t = found.trajectory
     sign = np.sign(np.round(t.traction_n - t.electric_brake_n - t.friction_brake_n, 0))[:-1]
     at = t.position_m[1:-1][sign[1:] != sign[:-1]]
@@ -133,13 +133,13 @@ def switches_over(found: Drive, span_m: float = SPAN_M) -> float:
 
 
 def command_changes(found: Drive) -> float:
-    """How often the wheel effort changes from one control period to the next by more than a twentieth."""
+    """Number of changes of the command by more than 0.05 from one control period to the next."""
     command = found.trajectory.command[:-1]
     return float((np.abs(np.diff(command)) > 0.05).sum())
 
 
 def arrival_rows(table: str, found: NotchRun, *, published: bool = True) -> Iterator[ReportRow]:
-    """Stop, time, energy of one drive, each beside what is published and what physics allows."""
+    """Rows of one drive: stop, time and energy with published and optimal values."""
     plan, k = found.plan, found.kpis
     paper: Published | None = PID_130 if found.driver == "pid_lu2023" else plan.published
     paper = paper if published else None

@@ -27,7 +27,7 @@ def _episodes(result: SeedResult) -> np.ndarray:
 
 
 def reward_drawing(runs: Mapping[str, Sequence[SeedResult]], plan_id: str) -> Drawing:
-    """Return of a drive without exploration over the episodes learned from: median and range of seeds."""
+    """Draw the return without exploration over the training episodes: median and range of the seeds."""
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
@@ -46,7 +46,7 @@ def reward_drawing(runs: Mapping[str, Sequence[SeedResult]], plan_id: str) -> Dr
 
 
 def drives_drawing(found: Sequence[NotchRun]) -> Drawing:
-    """Speed over distance with the limit, and the force below it, one column a drive."""
+    """Draw speed over distance with the limit, and force below, one column per drive."""
     from matplotlib import pyplot as plt
 
     columns = min(len(found), 2)
@@ -78,7 +78,7 @@ def drives_drawing(found: Sequence[NotchRun]) -> Drawing:
 def figures_of(
     drives: Sequence[NotchRun], runs: Mapping[str, Mapping[str, Sequence[SeedResult]]]
 ) -> list[Figure]:
-    """Every figure there is something for.
+    """Figures for which there are results.
 
     Args:
         drives: The drives of Table 5.

@@ -1,4 +1,4 @@
-"""Recipes and learning runs, what evaluates a policy, and when a run has converged."""
+"""Recipes and learning runs, evaluation of policies, and the convergence rule."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ LEARNING = DQNConfig(
     target_period=200,
     huber=2.0,
 )
-"""The same for DQN and improved DQN; what differs are the four switches."""
+"""Hyperparameters of DQN and improved DQN, which differ in four switches only."""
 IMPROVEMENTS = ("double", "dueling", "prioritised", "filter")
 IMPROVED = {"double": True, "dueling": True, "prioritised": True}
 
 
 def drive_plans(plans: tuple[PlanCase, ...], config: AbstractConfig, task: Any) -> Callable[..., Any]:  # noqa: ANN401 (a driving task)
-    """What evaluates a policy: each plan once from standstill, without exploration.
+    """Return the evaluation of a policy: each plan once from standstill, without exploration.
 
-    The score is the mean return. ``PLAN.kwh, PLAN.late_s, PLAN.stop_m, PLAN.over_mps, PLAN.arrived`` say how
-    each went.
+    The score is the mean return. ``PLAN.kwh, PLAN.late_s, PLAN.stop_m, PLAN.over_mps, PLAN.arrived`` are the
+    results of each plan.
     """
     import jax
     import jax.numpy as jnp
@@ -99,9 +99,9 @@ def drive_plans(plans: tuple[PlanCase, ...], config: AbstractConfig, task: Any) 
 
 
 def evaluate_plans(config: AbstractConfig, task: Any) -> Callable[..., Any]:  # noqa: ANN401 (a driving task)
-    """What evaluates a policy for all plans: by the return over them, as :func:`drive_plans` says.
+    """Return the evaluation of a policy on all plans, scored as in :func:`drive_plans`.
 
-    The key figures of every recipe stand beside it.
+    It adds the KPIs that are evaluated for every recipe.
     """
     from metropilot.learn import DrivingEvaluation
     from metropilot.learn.registry import make_learner
@@ -116,7 +116,7 @@ def evaluate_plans(config: AbstractConfig, task: Any) -> Callable[..., Any]:  # 
 
 
 ALL_STEPS = 160_000
-"""Of the network for all plans, and of the one of the plan with the restriction."""
+"""Steps of the network for all plans, and of that for the plan with the restriction."""
 QUICK = {"steps": 40_000, "evaluations": 10}
 DQN_RECIPE = Recipe(
     "lu2023",
@@ -135,7 +135,7 @@ IMPROVED_DQN_RECIPE = Recipe(
 
 
 def plan_job(name: str, plan: PlanCase, seed: int, off: str = "", steps: int = LEARNING.steps) -> LearnJob:
-    """One learning run of one plan: improved DQN with one improvement off, or none; ``all``: plain DQN."""
+    """Learning run of one plan: improved DQN without the improvement ``off``; ``all``: plain DQN."""
     on = {improvement: off not in {improvement, "all"} for improvement in IMPROVEMENTS}
     filtered = on.pop("filter")
     config = replace(LEARNING, steps=steps, **on)
@@ -145,7 +145,7 @@ def plan_job(name: str, plan: PlanCase, seed: int, off: str = "", steps: int = L
 
 
 def all_plans_job(name: str, seed: int) -> LearnJob:
-    """The run of the one network for all plans: the recipe of the driver."""
+    """Learning run of the one network for all plans, with the recipe of the driver."""
     recipe = {"dqn": DQN_RECIPE, "improved_dqn": IMPROVED_DQN_RECIPE}[name]
     config = recipe.configuration("paper")
     about = {"plan": "all", "filter": name == "improved_dqn", "period_s": PERIOD_S, "margin": MARGIN}
@@ -153,7 +153,7 @@ def all_plans_job(name: str, seed: int) -> LearnJob:
 
 
 STEADY = 3
-"""So many evaluations in a row that meet the demands are called steady."""
+"""Number of consecutive evaluations that meet the demands in a steady run."""
 ABOVE = 0.08
 OVERSPEED_MPS = 1e-3
 RESAMPLES = 10_000
@@ -169,11 +169,11 @@ RULE = " ".join(
 
 @dataclass(frozen=True)
 class Converged:
-    """What the rule says of a run.
+    """Convergence of a run under the rule.
 
     Attributes:
-        episodes: Episodes learned from until it converged, or in all.
-        converged: Whether it did.
+        episodes: Training episodes until convergence, or in total.
+        converged: True if the run converged.
     """
 
     episodes: float
@@ -181,7 +181,7 @@ class Converged:
 
 
 def meets(history: Mapping[str, ndarray], plan_id: str, scheduled_s: float, front: NotchFront) -> ndarray:
-    """Which evaluations meet the rule's demands. Shape (E,), bool."""
+    """Mask of the evaluations that meet the rule's demands. Shape (E,), bool."""
     column = {
         name: np.asarray(history[f"evaluation.{plan_id}.{name}"], float)
         for name in ("kwh", "late_s", "stop_m", "over_mps", "arrived")
@@ -200,9 +200,9 @@ def converged(history: Mapping[str, ndarray], good: ndarray, in_a_row: int = 1) 
     """Apply the rule to the evaluations that meet its demands.
 
     Args:
-        history: Of the run.
-        good: Which evaluations meet the demands, from :func:`meets`. Shape (E,), bool.
-        in_a_row: How many in a row are asked for.
+        history: History of the run.
+        good: Mask of the evaluations that meet the demands, from :func:`meets`. Shape (E,), bool.
+        in_a_row: Required number of consecutive evaluations.
     """
     episodes = np.cumsum(np.nan_to_num(np.asarray(history["episodes"], float)))
     runs = np.convolve(good.astype(int), np.ones(in_a_row, int), mode="valid") == in_a_row
@@ -213,7 +213,7 @@ def converged(history: Mapping[str, ndarray], good: ndarray, in_a_row: int = 1) 
 
 @dataclass(frozen=True)
 class Faster:
-    """How much sooner the one converges than the other: median of the ratio less one, with its interval.
+    """Speed-up of convergence, %, with its confidence interval.
 
     Attributes:
         percent: Ratio of the medians less one.
@@ -227,12 +227,12 @@ class Faster:
 
 
 def faster(slow: Sequence[Converged], fast: Sequence[Converged], seed: int = 0) -> Faster:
-    """Lu23's measure: 1100 episodes against 800 are 37 % faster.
+    """Compute Lu23's speed-up of convergence: 800 episodes instead of 1100 are 37 % faster.
 
     Args:
-        slow: Runs of the learner compared with.
-        fast: Runs of the other.
-        seed: Of the bootstrap.
+        slow: Runs of the baseline.
+        fast: Runs of the other learner.
+        seed: Seed of the bootstrap.
     """
     a, b = (np.array([run.episodes for run in runs]) for runs in (slow, fast))
     rng = np.random.default_rng(seed)

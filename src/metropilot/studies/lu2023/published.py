@@ -1,4 +1,4 @@
-"""What Lu and Liu 2023 print, and the plans of their Table 5."""
+"""Published results of Lu and Liu 2023, and the plans of their Table 5."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Published:
     Attributes:
         stop_m: Stopping error.
         late_s: Size of the time error.
-        kwh: Energy of the section; the paper does not say whether braking work is in it.
+        kwh: Energy of the section; the paper does not state if braking work is included.
     """
 
     stop_m: float
@@ -37,11 +37,11 @@ class PlanCase:
     """One plan: a scheduled time, with or without the restriction.
 
     Attributes:
-        id: In file names.
-        name: In tables.
+        id: Id in file names.
+        name: Name in tables.
         scheduled_s: Scheduled running time.
         restricted: 55 km/h from 600 to 930 m.
-        published: Its column of Table 5.
+        published: Column of Table 5.
     """
 
     id: str
@@ -52,7 +52,7 @@ class PlanCase:
 
     @property
     def line(self) -> str:
-        """Its line in the catalogue."""
+        """Id of its line in the catalogue."""
         return "lu2023-restricted" if self.restricted else "lu2023"
 
 
@@ -64,7 +64,7 @@ PLANS = (
 )
 PID_130 = Published(0.21, 4.1, 15.12)
 EPISODES = {("120", "improved_dqn"): 800.0, ("120", "dqn"): 1100.0, ("130", "improved_dqn"): 2100.0}
-"""Episodes to convergence as the paper reads them off its figures; plain DQN at 130 s does not converge."""
+"""Episodes to convergence as the paper states them; plain DQN at 130 s does not converge."""
 FASTER_PERCENT = 37.0
 PID_SWITCHES_IN_500_M = 13.0
 

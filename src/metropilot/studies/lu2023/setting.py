@@ -15,12 +15,12 @@ LINES = ("lu2023", "lu2023-restricted")
 """The section without and with 55 km/h from 600 to 930 m."""
 PERIOD_S, CONTROL_S = 3.0, 0.2
 MARGIN = 0.06
-"""The filter's flat-out time counts so much longer: keeping clear of protection costs 4 to 5 %."""
+"""Relative margin on the filter's flat-out time: the distance to protection costs 4 to 5 %."""
 IN_HAND_S = 0.5
-"""Learned with so much less than the 3 s that are allowed."""
+"""Reduction of the permitted lateness (3 s) during learning."""
 ALL_TIMES_S = (118.0, 142.0)
 ON_THE_WAY, LEFT_RATIO = 0.8, (1.0, 1.7)
-"""So many episodes begin on the way, with so much time left over the flat-out time to go."""
+"""Share of episodes that begin between stations, and their range of time left over flat-out time to go."""
 REWARDS = (
     OnTime(bonus=1000.0, allowed_s=3.0 - IN_HAND_S),
     EffortEnergy(),
@@ -30,11 +30,11 @@ REWARDS = (
 )
 """Lu23 eqs. 15 to 20."""
 STATE = ("position", "speed", "time_left", "reserve", "permitted_ahead")
-"""Position, speed, time; what the filter asks (time left beyond the flat-out time to go); limits ahead."""
+"""Position, speed, time left, the filter's reserve (time left beyond flat-out time to go), limits ahead."""
 
 
 def task_config() -> DrivingConfig:
-    """The task ``lu2023``: both lines, any of the plans' times, told the time left and the limits ahead."""
+    """Task ``lu2023``: both lines, running times of all plans, time left and limits ahead observed."""
     return DrivingConfig(
         sections=tuple(load_line(line).section("WHY", "WYJ") for line in LINES),
         trainsets=(load_trainset(TRAINSET),),
@@ -49,12 +49,12 @@ def task_config() -> DrivingConfig:
 
 
 def without_filter(config: DrivingConfig) -> DrivingConfig:
-    """The same without the minimum-arrival-time filter."""
+    """Remove the minimum-arrival-time filter from a task."""
     return replace(config, action=NotchForceAction(in_time=False, margin=MARGIN))
 
 
 def plan_task(plan: PlanCase, *, filtered: bool) -> DrivingTask:
-    """The task of one plan, as in the paper: one line, one scheduled time."""
+    """Make the task of one plan, as in the paper: one line, one scheduled time."""
     config = task_config() if filtered else without_filter(task_config())
     section = load_line(plan.line).section("WHY", "WYJ")
     return DrivingTask(

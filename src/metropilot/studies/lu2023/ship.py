@@ -1,7 +1,7 @@
 """Shipping of the best seeds' policies: ``python -m metropilot.studies.lu2023.ship FOLDER``.
 
-``FOLDER`` is what ``metropilot reproduce lu2023 --budget paper --out FOLDER`` wrote. The networks for all
-plans become the drivers ``improved_dqn`` and ``dqn``; those of one plan go with the study.
+``FOLDER`` is the output of ``metropilot reproduce lu2023 --budget paper --out FOLDER``. The networks for all
+plans become the drivers ``improved_dqn`` and ``dqn``; those of one plan belong to the study.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ MISSED = 10.0
 
 
 def best_of(results: Sequence[SeedResult], plans: Sequence[PlanCase]) -> SeedResult:
-    """The seed whose policy comes nearest the optimum over the plans, demands met first."""
+    """Select the seed with the policy nearest to the optimum over the plans, demands first."""
     return min(results, key=lambda result: _shortfall(result, plans))
 
 
 def _shortfall(result: SeedResult, plans: Sequence[PlanCase]) -> float:
-    """Mean share above the optimum at the evaluation the policy is from; much where a demand is missed."""
+    """Mean share above the optimum at the best evaluation, plus ``MISSED`` for every demand not met."""
     kept = int(np.argmax(result.history["evaluation.score"]))
     total = 0.0
     for plan in plans:
@@ -50,7 +50,7 @@ COMMAND = "metropilot reproduce lu2023 --budget paper"
 
 
 def keep_policy(path: Path, result: SeedResult, plans: Sequence[PlanCase], command: str = COMMAND) -> None:
-    """Write a policy with its perception, so that any driver of policies drives it."""
+    """Write a policy with its perception, so that every policy driver can load it."""
     from metropilot._provenance import circumstances
     from metropilot.policy import save_policy
 
@@ -77,13 +77,13 @@ def keep_policy(path: Path, result: SeedResult, plans: Sequence[PlanCase], comma
 
 
 def ship(folder: Path) -> list[Path]:
-    """Copy the kept policies to where drivers and study read them.
+    """Copy the stored policies to the files of the drivers and of the study.
 
     Args:
         folder: The ``--out`` of the paper budget.
 
     Raises:
-        InputError: It holds none.
+        InputError: The folder holds no policy of the study.
     """
     names = {f"improved_dqn-{plan.id}": policy_file(f"improved_dqn-{plan.id}") for plan in PLANS}
     names |= {f"{driver}-all": shipped_policy(driver) for driver in ("improved_dqn", "dqn")}

@@ -49,7 +49,7 @@ Runs = dict[str, dict[str, list["SeedResult"]]]
 
 
 def reproduce(order: Order) -> StudyReport:
-    """Do the study; see :class:`metropilot.studies.study.Study`."""
+    """Reproduce Table 5, Figs. 6 to 9, convergence and ablation."""
     from metropilot.studies.lu2023.learning import (
         ALL_STEPS,
         IMPROVEMENTS,
@@ -109,7 +109,7 @@ def reproduce(order: Order) -> StudyReport:
 def _drives(
     folder: Path, named: dict[str, list[SeedResult]], *, paper: bool
 ) -> tuple[list[NotchRun], list[NotchRun]]:
-    """The plans by their own networks (with the PID at 130 s), and by the one network for all."""
+    """Drive the plans with their own networks (and the PID at 130 s), and with the network for all."""
 
     def path(plan_id: str, driver: str = "improved_dqn") -> Path:
         if not paper:
@@ -184,7 +184,7 @@ def _ablation(named: dict[str, list[SeedResult]]) -> list[ReportRow]:
 
 
 def _short(runs: Runs) -> list[ReportRow]:
-    """What a short run of each learner reaches: that learning works, not how well."""
+    """Rows of a short run of each learner, as a check that learning works."""
     rows = []
     for plan_id, learners in runs.items():
         for driver, results in learners.items():

@@ -1,4 +1,4 @@
-"""What a reader must know: deviations from the paper, and what came of it."""
+"""Deviations from the paper, and findings in sentences made from the numbers."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ DEVIATIONS = tuple(" ".join(text.split()) for text in _DEVIATIONS.split("\n\n"))
 
 
 def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
-    """Sentences made of the rows."""
+    """Findings as sentences made from the rows."""
     plans = [row for row in rows if row.table == TABLE and row.driver == "improved_dqn"]
 
     def worst(kpi: str, among: Sequence[ReportRow]) -> float:
