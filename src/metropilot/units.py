@@ -1,7 +1,7 @@
-"""Units that input files may use, and what each is worth in SI.
+"""Units that input files may use, each with its factor to SI.
 
 Conversion happens here and nowhere else: a loader asks for a unit of a kind and multiplies. Gradients are the
-one quantity kept outside SI, in permil, since the whole field speaks it.
+one quantity kept outside SI: they are in permil, as is usual in railway engineering.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ J_PER_KWH = 3.6e6
 
 
 def tidy(value: int | float) -> int | float:
-    """A number as people would write it: no ``.0``, six digits."""
+    """A number for display: six digits, no trailing ``.0``."""
     if isinstance(value, int) or not math.isfinite(value):
         return value
     return int(value) if value == int(value) and abs(value) < 1e15 else float(f"{value:.6g}")
@@ -142,12 +142,12 @@ def si_unit(kind: str) -> Unit:
 
 
 def pick(kind: str, values: Sequence[float], wish: str) -> tuple[Callable[[float], float], str]:
-    """The unit to write values in: the wished one where every value survives the way back, else SI.
+    """The unit to write values in: the preferred one if every value is read back unchanged, else SI.
 
     Args:
         kind: The quantity, a key of ``KINDS``.
         values: The values to write, in SI.
-        wish: The unit people like to read.
+        wish: The preferred unit.
 
     Returns:
         The conversion from SI, and the unit's name.

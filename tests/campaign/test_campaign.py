@@ -21,7 +21,7 @@ from metropilot.campaign import (
     shipped_campaigns,
     summarise,
 )
-from metropilot.campaign.declared import drawn, from_text, request_of, seed_of
+from metropilot.campaign.declared import draw_disturbance, from_text, request_of, seed_of
 from metropilot.campaign.leaderboard import write_leaderboard
 from metropilot.campaign.rows import RESULTS, TIMINGS, Shard, parquet
 from metropilot.campaign.store import CampaignStore
@@ -103,7 +103,7 @@ def test_seeds_and_draws_belong_to_the_cell_and_not_to_the_driver_or_the_matrix(
     assert request.disturbance.lag_s == 0.1
     assert request.disturbance.resistance_factor == 1.0
     more = replace(heavy.disturbance, ranges={**heavy.disturbance.ranges, "delay_s": (0.0, 1.0)})
-    assert drawn(more, request.seed)["mass_factor"] == request.disturbance.mass_factor
+    assert draw_disturbance(more, request.seed)["mass_factor"] == request.disturbance.mass_factor
 
 
 def test_a_campaign_travels_as_text():

@@ -1,4 +1,4 @@
-"""Campaigns: a declared matrix of runs, driven on one machine or a cluster, resumable, reported."""
+"""Campaigns: a declared matrix of runs, driven on one machine or a cluster, resumable, with a report."""
 
 from metropilot.campaign.declared import Campaign, CampaignCase, DisturbanceCase
 from metropilot.campaign.rows import RESULTS

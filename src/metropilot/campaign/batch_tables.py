@@ -1,4 +1,4 @@
-"""What the runs of a batch look up, stacked to a few agreed sizes: one program serves many batches."""
+"""Look-up tables of the runs of a batch, padded to a few sizes so that one program serves many batches."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ GUARD_NODES = (4096, 8192, 16384, 32768, 65536, 131072)
 SEEN_NODES = (1024, 4096, 16384, 65536)
 TRACK_NODES = (64, 256, 1024)
 SPEEDS = (64, 128, 256, 512)
-"""Few sizes, for each combination of them is a program of its own; what is not looked up costs nothing."""
+"""Sizes that tables are padded to: each combination of them is compiled once; padding is never read."""
 KEPT = 128
 """Tables a worker keeps; a section's take about 0.1 MB."""
 
 
 class Place(NamedTuple):
-    """What tables are of; two runs with the same place share them.
+    """Section, trainset and bounds of a table; runs with the same place share it.
 
     Attributes:
         section: Line, origin, destination, and restrictions in force.
         trainset: Trainset, load, and whether its actuation is ideal.
-        bounds: What protection is told to expect.
+        bounds: Deviations from the nominal plant that protection allows for.
     """
 
     section: tuple[str, str, str, tuple[Restriction, ...]]
@@ -39,11 +39,11 @@ class Place(NamedTuple):
     bounds: Bounds
 
 
-class Held:
-    """The tables of one kind that a worker has made so far.
+class TableCache:
+    """Tables of one kind made by this worker so far.
 
     Args:
-        make: Makes one, without a leading axis.
+        make: Function that makes one, without a leading axis.
     """
 
     def __init__(self, make: Callable[[Section, Run], SectionTables]) -> None:
@@ -51,7 +51,7 @@ class Held:
         self.known: dict[Place, SectionTables] = {}
 
     def get(self, place: Place, section: Section, run: Run) -> SectionTables:
-        """The tables of a place, made if they are new; the oldest go when there are too many."""
+        """The tables of a place, made on first use; the oldest are dropped beyond ``KEPT``."""
         if place not in self.known:
             while len(self.known) >= KEPT:
                 del self.known[next(iter(self.known))]
@@ -60,7 +60,7 @@ class Held:
 
 
 def guard_tables(section: Section, run: Run) -> SectionTables:
-    """Protection of a section as the host supervises it, and its track; no leading axis."""
+    """Protection of a section on the grid of the host loop, and its track; no leading axis."""
     believed = run.scenario.nominal(run.trainset)
     guard = protect(section, believed, declared_bounds(run))
     curves = [getattr(guard, name) for name in CURVES]
@@ -80,12 +80,12 @@ def guard_tables(section: Section, run: Run) -> SectionTables:
 
 
 def seen_tables(perception: PolicyInterface) -> Callable[[Section, Run], SectionTables]:
-    """What makes the tables a policy sees; as :class:`metropilot.drivers.learned.LearnedDriver` has them."""
+    """A function that makes the tables of a policy, as the driver does in the host loop."""
 
     def make(section: Section, run: Run) -> SectionTables:
         believed = run.scenario.nominal(run.trainset)
         case = (section, believed, declared_bounds(run))
-        tables = mapped(lambda a: a[0], build_tables([case], perception.spacing_m, np.float64))
+        tables = map_tree(lambda a: a[0], build_tables([case], perception.spacing_m, np.float64))
         guard = tables.protection._replace(ahead=np.zeros(1, np.int32), slots=np.zeros(1))
         load = np.float64(believed.mass_kg / perception.mean_mass_kg)
         return tables._replace(load=load, protection=guard, track=_track(section, believed))
@@ -94,24 +94,24 @@ def seen_tables(perception: PolicyInterface) -> Callable[[Section, Run], Section
 
 
 def _track(section: Section, trainset: Trainset) -> Track:
-    """The section as the trainset feels it, in one of the agreed sizes."""
+    """The track under the trainset, padded to one of ``TRACK_NODES``."""
     track = track_arrays(section, trainset)
     return track_arrays(section, trainset, size=padded_size(track.node_m.size, TRACK_NODES))
 
 
 @lru_cache(maxsize=8)
-def held(perception: PolicyInterface | None) -> Held:
-    """The tables a worker keeps for a perception, or (None) for protection."""
-    return Held(guard_tables if perception is None else seen_tables(perception))
+def table_cache(perception: PolicyInterface | None) -> TableCache:
+    """This worker's cache of the tables of a policy interface, or (None) of protection."""
+    return TableCache(guard_tables if perception is None else seen_tables(perception))
 
 
-def stacked(tables: Sequence[SectionTables], nodes: Sequence[int], slots: int) -> SectionTables:
-    """Tables with a leading axis, every shape one of a few.
+def stack_tables(tables: Sequence[SectionTables], nodes: Sequence[int], slots: int) -> SectionTables:
+    """Stack tables along a leading axis, padded so that every shape is one of a few.
 
     Args:
-        tables: Without one.
-        nodes: Sizes the ground may have.
-        slots: Commands that may be on their way, the most of all runs.
+        tables: Tables without a leading axis.
+        nodes: Sizes that the number of position nodes may have.
+        slots: Largest number of commands in the dead time of any run.
     """
     rows = [*tables, *[tables[0]] * (padded_size(len(tables), CASES) - len(tables))]
     size = padded_size(max(t.ground.shape[0] for t in tables) + 4, nodes)
@@ -119,7 +119,7 @@ def stacked(tables: Sequence[SectionTables], nodes: Sequence[int], slots: int) -
     ahead = np.arange(max(t.protection.ahead.size for t in tables), dtype=np.int32)
     count = len(rows)
     guards = [t.protection._replace(vehicle=(), ahead=np.int32(0), slots=0.0) for t in rows]
-    guard = mapped_together(lambda *values: np.stack([np.asarray(v) for v in values]), *guards)
+    guard = map_trees(lambda *values: np.stack([np.asarray(v) for v in values]), *guards)
     return SectionTables(
         vehicle=stack([t.vehicle for t in rows]),
         track=stack([t.track for t in rows]),
@@ -130,7 +130,7 @@ def stacked(tables: Sequence[SectionTables], nodes: Sequence[int], slots: int) -
         ),
         ground=np.stack([np.pad(t.ground, ((0, size - t.ground.shape[0]), (0, 0)), "edge") for t in rows]),
         to_go=np.stack([np.pad(t.to_go, ((0, 0), (0, columns - t.to_go.shape[1])), "edge") for t in rows]),
-        braked=np.stack([_lengthened(t.braked, size) for t in rows]),
+        braked=np.stack([_pad_curves(t.braked, size) for t in rows]),
         **{
             name: np.array([getattr(t, name) for t in rows])
             for name in ("minimum_s", "length_m", "load", "stop_mps2")
@@ -138,25 +138,25 @@ def stacked(tables: Sequence[SectionTables], nodes: Sequence[int], slots: int) -
     )
 
 
-def _lengthened(braked: np.ndarray, size: int) -> np.ndarray:
-    """Braking curves in an agreed size; protection's tables have none."""
+def _pad_curves(braked: np.ndarray, size: int) -> np.ndarray:
+    """Pad braking curves to a size; the tables of protection have none."""
     return np.pad(braked, ((0, size - len(braked) if len(braked) > 1 else 0), (0, 0)), "edge")
 
 
-def mapped(function: Callable[..., Any], tree: Any) -> Any:  # noqa: ANN401 (a tree of tuples)
-    """A tree of tuples with every array replaced."""
-    return mapped_together(function, tree)
+def map_tree(function: Callable[..., Any], tree: Any) -> Any:  # noqa: ANN401 (a tree of tuples)
+    """Apply a function to every array of a tree of tuples."""
+    return map_trees(function, tree)
 
 
-def mapped_together(function: Callable[..., Any], *trees: Any) -> Any:  # noqa: ANN401 (trees of tuples)
-    """Trees of tuples as one, every array made of theirs."""
+def map_trees(function: Callable[..., Any], *trees: Any) -> Any:  # noqa: ANN401 (trees of tuples)
+    """Apply a function to the corresponding arrays of several trees of tuples."""
     if isinstance(trees[0], tuple):
-        values = [mapped_together(function, *entries) for entries in zip(*trees, strict=True)]
+        values = [map_trees(function, *entries) for entries in zip(*trees, strict=True)]
         return type(trees[0])(*values) if hasattr(trees[0], "_fields") else tuple(values)
     return function(*trees)
 
 
 def most_slots(trainsets: Sequence[tuple[str, str]], dt: float) -> int:
-    """Commands that may be on their way in any run of a campaign: the length of its pipelines."""
+    """The largest number of commands in the dead time of any run of a campaign."""
     delays = [load_trainset(name, load).actuation.delay_s for name, load in trainsets]
     return delay_steps(max(delays), dt) + 1

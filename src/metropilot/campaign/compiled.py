@@ -1,4 +1,4 @@
-"""Runs of one learned driver driven together as a compiled batch, each measured like any other run."""
+"""Runs of one learned driver as a compiled batch, each measured like a run of the host loop."""
 
 from __future__ import annotations
 
@@ -10,7 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray
 
-from metropilot.campaign.batch_tables import GUARD_NODES, SEEN_NODES, Place, held, most_slots, stacked
+from metropilot.campaign.batch_tables import (
+    GUARD_NODES,
+    SEEN_NODES,
+    Place,
+    most_slots,
+    stack_tables,
+    table_cache,
+)
 from metropilot.campaign.declared import BATCH, Campaign, CampaignCase, seed_of
 from metropilot.campaign.optima import Curves
 from metropilot.campaign.program import (
@@ -22,7 +29,7 @@ from metropilot.campaign.program import (
     Kind,
     program,
 )
-from metropilot.campaign.rows import FAILED, add_kpis, capture_errors, new_result, prepare_run, worker_mb
+from metropilot.campaign.rows import FAILED, add_kpis, capture_errors, new_result, peak_memory_mb, prepare_run
 from metropilot.drivers.shipped import AbstractPolicyDriver
 from metropilot.errors import Infeasible
 from metropilot.evaluate.optimum import Optimum
@@ -54,25 +61,25 @@ from metropilot.sim import (
 from metropilot.sim.recorder import build_trajectory, limits_at
 
 CURVES = Curves()
-"""This worker's."""
+"""Energy curves of this worker."""
 GUARD_SPACING_M = 1.0
-"""Distance between the nodes of the host's protection."""
+"""Distance between the nodes of the protection of the host loop."""
 
 
 class Setting(NamedTuple):
-    """What the seeds of a cell share, as long as nothing but noise differs between them.
+    """Values shared by the seeds of a cell if only the noise differs between them.
 
     Attributes:
-        request: What one of them is made of.
-        run: It.
-        known: What its row of results says of it by now.
+        request: Request of one of them.
+        run: Run of that request.
+        known: Entries of the row of results that are known before the run.
         sections: The section at departure, and once the restriction has been announced.
-        places: What tables are of there.
-        tracks: The two as the trainset feels them.
-        restricted_at_s: When the restriction is announced (infinite: never).
-        news: When another running time is announced (infinite: never), and which.
-        trainset: The trainset as it really is.
-        vehicle: It as numbers.
+        places: Keys of the tables of the two sections.
+        tracks: Tracks of the two sections.
+        restricted_at_s: Time at which the restriction is announced (infinite: never).
+        news: Time at which another running time is announced (infinite: never), and that running time.
+        trainset: True plant.
+        vehicle: True plant as arrays.
     """
 
     request: RunSpec
@@ -93,8 +100,8 @@ class CompiledStart(NamedTuple):
     Attributes:
         case: Its cell.
         run: The run.
-        setting: What other seeds may share with it.
-        result: Its row of results, to be filled in.
+        setting: Values shared with other seeds.
+        result: Its row of results, completed after the run.
         timing: Its row of timings.
     """
 
@@ -108,7 +115,7 @@ class CompiledStart(NamedTuple):
 def drive_batch(
     campaign: Campaign, cases: Sequence[CampaignCase]
 ) -> list[tuple[dict[str, Any], dict[str, Any]]]:
-    """Drive rows by the same learned driver, all with the plant as told: result and timing of each.
+    """Drive rows with one learned driver on the nominal plant; returns result and timing of each.
 
     Args:
         campaign: The campaign.
@@ -129,7 +136,7 @@ def drive_batch(
     driver = starts[0].setting.request.make_driver()
     if not isinstance(driver, AbstractPolicyDriver):
         raise TypeError(f"{driver.id} is no learned driver")
-    record, outcome = _driven(campaign, driver.loaded, starts)
+    record, outcome = _run_batch(campaign, driver.loaded, starts)
     shares = (perf_counter() - began) / len(starts), (process_time() - spent) / len(starts)
     for k, start in enumerate(starts):
         began, spent = perf_counter(), process_time()
@@ -141,12 +148,12 @@ def drive_batch(
                 add_kpis(campaign, drive, _optimum(campaign, start, drive), start.result)
         start.timing["wall_s"] += shares[0] + perf_counter() - began
         start.timing["processor_s"] += shares[1] + process_time() - spent
-        start.timing["worker_mb"] = worker_mb()
+        start.timing["worker_mb"] = peak_memory_mb()
     return rows
 
 
 def _optimum(campaign: Campaign, start: CompiledStart, drive: Drive) -> Optimum | None:
-    """The optimum of a run, off its plant's curve: seeds share the plant."""
+    """The optimum of a run, from the energy curve of its plant, which the seeds share."""
     place = start.setting.places[int(drive.section is start.setting.sections[1])]
     plant = (place.section, place.trainset, campaign.objective)
     try:
@@ -164,7 +171,7 @@ def _start(
     result: dict[str, Any],
     timing: dict[str, Any],
 ) -> CompiledStart:
-    """A row ready to be driven; seeds that differ in nothing but noise share the last setting made."""
+    """Prepare a row; seeds that differ only in the noise share the last setting."""
     seed = seed_of(campaign, case)
     key = str((case[2:8], case.disturbance.name))
     ranges = case.disturbance.ranges.values()
@@ -203,10 +210,10 @@ def _setting(campaign: Campaign, case: CampaignCase) -> Setting:
     )
 
 
-def _driven(
+def _run_batch(
     campaign: Campaign, loaded: LoadedPolicy, starts: Sequence[CompiledStart]
 ) -> tuple[CompiledRow, ndarray]:
-    """Drive the batch to its end: everything recorded, leading axes (steps, runs), and how each ended."""
+    """Drive the batch to its end; returns the record, leading axes (steps, runs), and the outcomes."""
     import jax
 
     from metropilot.learn.compile_cache import keep_compiled
@@ -215,7 +222,7 @@ def _driven(
     policy = loaded.policy.policy
     kind = Kind(policy.spec, loaded.perception, campaign.dt_s, GUARD_SPACING_M)
     slots = most_slots(campaign.trainsets, campaign.dt_s)
-    tables, given = _given(loaded, starts, slots)
+    tables, given = _episode_params(loaded, starts, slots)
     going = _at_departure(given, slots, policy.spec.discrete, policy.spec.actions)
     streams = [
         noise_stream(start.run) if start.run.scenario.speed_noise_mps > 0 else None for start in starts
@@ -232,7 +239,7 @@ def _driven(
 
 
 def _noise(streams: Sequence[np.random.Generator | None]) -> ndarray:
-    """Noise of the next periods in deviations, each run's from its own stream. Shape (PERIODS, BATCH)."""
+    """Standard normal noise of the next periods, each run from its own stream. Shape (PERIODS, BATCH)."""
     noise = np.zeros((PERIODS, BATCH))
     for k, stream in enumerate(streams):
         if stream is not None:
@@ -240,9 +247,11 @@ def _noise(streams: Sequence[np.random.Generator | None]) -> ndarray:
     return noise
 
 
-def _given(loaded: LoadedPolicy, starts: Sequence[CompiledStart], slots: int) -> tuple[Any, EpisodeParams]:
-    """Tables of protection and of the policy, and the runs over them; the first run fills up a batch."""
-    kinds = held(None), held(loaded.perception)
+def _episode_params(
+    loaded: LoadedPolicy, starts: Sequence[CompiledStart], slots: int
+) -> tuple[Any, EpisodeParams]:
+    """Tables of protection and of the policy, and the runs' parameters; the first run pads the batch."""
+    kinds = table_cache(None), table_cache(loaded.perception)
     numbers: dict[Place, int] = {}
     found: tuple[list[Any], list[Any]] = ([], [])
     rows = []
@@ -271,11 +280,11 @@ def _given(loaded: LoadedPolicy, starts: Sequence[CompiledStart], slots: int) ->
         length_m=np.array([setting.run.section.length_m for setting in settings]),
     )
     sizes = GUARD_NODES, SEEN_NODES
-    return tuple(stacked(t, size, slots) for t, size in zip(found, sizes, strict=True)), given
+    return tuple(stack_tables(t, size, slots) for t, size in zip(found, sizes, strict=True)), given
 
 
 def _at_departure(given: EpisodeParams, slots: int, discrete: bool, actions: int) -> EpisodeState:
-    """Where the runs of a batch are at departure (NumPy)."""
+    """States of the runs of a batch at departure (NumPy)."""
     zero, count = np.zeros(BATCH), np.zeros(BATCH, np.int32)
     state = at_rest(given.vehicle, delay_steps=slots - 1)
     plant = state._replace(
@@ -301,7 +310,7 @@ def _at_departure(given: EpisodeParams, slots: int, discrete: bool, actions: int
 
 
 def _drive_of(driver_id: str, start: CompiledStart, record: CompiledRow, k: int) -> Drive:
-    """A run of the batch as the host would have handed it over."""
+    """One run of the batch in the form that the host loop returns."""
     run, setting = start.run, start.setting
     last = int(np.argmax(record.outcome[:, k] != RUNNING)) + 1
     own = {name: getattr(record, name)[:last, k] for name in CompiledRow._fields if name != "forces"}

@@ -1,8 +1,8 @@
-"""What a campaign is: a matrix whose rows are numbered, and a request for each row.
+"""Declaration of a campaign: a matrix with numbered rows, and the request of each row.
 
-Nothing of a row depends on which rows were driven before it, where, or by how many: its seed and everything
-drawn at random come from its identity. The driver is no part of that identity, so that every driver meets the
-same plant and the same noise.
+A row does not depend on the order, the machine or the number of workers: its seed and all random draws derive
+from its identity. The driver is no part of that identity, so that every driver meets the same plant and the
+same noise.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ PLANNED = "planned"
 SHARDS = 20
 LARGEST_SHARD = 50
 BATCH = 256
-"""Runs of a compiled shard: one program drives so many at once, whether they are real or fill it up."""
+"""Runs of a compiled shard: the batch size of the program; a smaller shard is padded to it."""
 Engine = Literal["host", "compiled"]
 DRAWN = tuple(name for name, spec in field_specs(Disturbance).items() if spec.range is not None)
 """Fields of a run's disturbance that a campaign may set or draw."""
 MEASURED = ("speed_noise_mps",)
-"""Those that leave the plant as drivers are told it is."""
+"""Those of them that leave the plant nominal."""
 
 
 @dataclass(frozen=True)
 class DisturbanceCase:
-    """Disturbances, in words that fit every section.
+    """Disturbances, relative to section and scheduled time so that they apply to every section.
 
     Attributes:
-        name: In the results.
+        name: Name in the results.
         ideal: Ideal actuation: no delay, lag or jerk limit.
         ranges: From a field of :data:`DRAWN` to the interval it is drawn from, evenly.
         restriction: A temporary speed restriction: from and to as shares of the section, limit in km/h, and
@@ -60,8 +60,8 @@ class DisturbanceCase:
     arrival: tuple[float, float] | None = None
 
     @property
-    def as_told(self) -> bool:
-        """Whether the plant is the one that drivers are told of, whatever they measure and hear of it."""
+    def plant_is_nominal(self) -> bool:
+        """True if the true plant is the nominal one; measurements and the timetable may still differ."""
         return not set(self.ranges) - set(MEASURED)
 
 
@@ -77,8 +77,8 @@ class CampaignCase(NamedTuple):
         trainset: Trainset.
         load: Load aboard.
         time: ``planned``, or the scheduled time over the minimum running time.
-        disturbance: What goes differently.
-        number: Which of the seeds.
+        disturbance: Disturbance of the run.
+        number: Number of the seed.
     """
 
     row: int
@@ -94,11 +94,11 @@ class CampaignCase(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """A shard: what is driven and kept as a whole.
+    """A shard: rows that are driven and stored together.
 
     Attributes:
         driver: Driver id, options included.
-        chunk: Which of its shards.
+        chunk: Number of the shard among those of the driver.
     """
 
     driver: str
@@ -115,13 +115,13 @@ class Campaign:
         sections: Line, origin and destination of each.
         trainsets: Trainset and load of each.
         times: ``planned``, or ratios to the minimum running time.
-        disturbances: What goes differently.
-        seeds: How many of each.
-        first_seed: Base of all that is random.
+        disturbances: Disturbances.
+        seeds: Number of seeds of each cell.
+        first_seed: Base of all seeds.
         objective: Energy the optimum minimises.
         dt_s: Control period.
         engine: ``host`` drives each run by itself, exactly as ``metropilot drive``; ``compiled`` drives
-            those of learned policies in batches, where the plant is the one they are told of.
+            those of learned policies on the nominal plant in batches.
     """
 
     name: str
@@ -138,7 +138,7 @@ class Campaign:
 
     @property
     def axes(self) -> tuple[int, ...]:
-        """Drivers, sections, trainsets, times, disturbances, seeds: how many; the last vary fastest."""
+        """Numbers of drivers, sections, trainsets, times, disturbances, seeds; the last vary fastest."""
         lists = (self.drivers, self.sections, self.trainsets, self.times, self.disturbances)
         return (*(len(axis) for axis in lists), self.seeds)
 
@@ -153,27 +153,33 @@ class Campaign:
         return prod(self.axes)
 
     def is_compiled(self, driver: str, disturbance: DisturbanceCase, trainset: tuple[str, str]) -> bool:
-        """Whether a driver's runs are driven as compiled batches; elsewhere it acts on what it observes.
+        """True if runs of a driver are driven as compiled batches.
+
+        Runs with dead time or lag are not: there the driver predicts from its observations.
 
         Args:
             driver: Driver id, options included.
-            disturbance: What goes differently.
-            trainset: Trainset and load; of one that declares a dead time or lag every driver looks ahead.
+            disturbance: Disturbance of the run.
+            trainset: Trainset and load.
         """
         kind = DRIVERS.get(named_driver(driver)[0])
-        if self.engine != "compiled" or not issubclass(kind, AbstractPolicyDriver) or not disturbance.as_told:
+        if (
+            self.engine != "compiled"
+            or not issubclass(kind, AbstractPolicyDriver)
+            or not disturbance.plant_is_nominal
+        ):
             return False
         return disturbance.ideal or not _declares_late(*trainset)
 
     def shard_rows(self, driver: str) -> int:
-        """Rows of a driver's shard; decided by driver and matrix alone."""
+        """Number of rows in a shard of a driver; depends on driver and matrix only."""
         pairs = product(self.disturbances, self.trainsets)
         if any(self.is_compiled(driver, disturbance, trainset) for disturbance, trainset in pairs):
             return BATCH
         return min(max(-(-self.cells // SHARDS), 1), LARGEST_SHARD)
 
     def pieces(self) -> tuple[Piece, ...]:
-        """All shards. Each is of one driver, so that more drivers leave those of the others as they are."""
+        """All shards. Each is of one driver, so that adding a driver keeps the shards of the others."""
         counts = [(name, -(-self.cells // self.shard_rows(name))) for name in self.drivers]
         return tuple(Piece(name, chunk) for name, count in counts for chunk in range(count))
 
@@ -205,7 +211,7 @@ class Campaign:
 
     @property
     def digest(self) -> str:
-        """What names the campaign: the same for the same cells, whoever drives them."""
+        """Identifier of the campaign: the same for the same cells, whatever the drivers."""
         return sha256(replace(self, drivers=()).text.encode()).hexdigest()[:16]
 
 
@@ -213,7 +219,7 @@ def from_text(text: str) -> Campaign:
     """The campaign of :attr:`Campaign.text`.
 
     Raises:
-        ValueError: It is no campaign's text.
+        ValueError: The text does not describe a campaign.
     """
     from pydantic import TypeAdapter
 
@@ -227,8 +233,8 @@ def seed_of(campaign: Campaign, case: CampaignCase) -> int:
     return int.from_bytes(sha256(text.encode()).digest()[:8], "big") >> 1
 
 
-def drawn(disturbance: DisturbanceCase, seed: int) -> dict[str, float]:
-    """What the disturbance makes of a request's fields, drawn from the row's own stream."""
+def draw_disturbance(disturbance: DisturbanceCase, seed: int) -> dict[str, float]:
+    """Draw the fields of a request's disturbance from the random stream of the row."""
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
     found = {}
     for name in DRAWN:
@@ -272,7 +278,7 @@ def request_of(campaign: Campaign, case: CampaignCase, scheduled_s: float, lengt
         load=case.load,
         driver=driver,
         options=options,
-        disturbance=Disturbance(ideal=told.ideal, updates=tuple(updates), **drawn(told, seed)),
+        disturbance=Disturbance(ideal=told.ideal, updates=tuple(updates), **draw_disturbance(told, seed)),
         restrictions=tuple(known),
         objective=campaign.objective,
         dt_s=campaign.dt_s,
@@ -282,6 +288,6 @@ def request_of(campaign: Campaign, case: CampaignCase, scheduled_s: float, lengt
 
 @cache
 def _declares_late(trainset: str, load: str) -> bool:
-    """Whether a trainset declares a dead time or a lag."""
+    """True if a trainset declares a dead time or a lag."""
     actuation = load_trainset(trainset, load).actuation
     return actuation.delay_s > 0.0 or actuation.lag_s > 0.0

@@ -11,7 +11,7 @@ from typing import Any
 from metropilot._io import atomic_write
 from metropilot._provenance import provenance
 from metropilot.campaign.store import stored_campaign
-from metropilot.campaign.summary import POSSIBLE, asked, opened
+from metropilot.campaign.summary import POSSIBLE, open_database, query_rows
 
 DASH = "–"
 LEGEND = """\
@@ -34,11 +34,11 @@ def write_leaderboard(
     """Write the page.
 
     Args:
-        page: Where to.
+        page: File to write.
         folder: The campaign's folder.
         summary: From :func:`summarise`.
-        seconds: What the command took.
-        command: What was typed.
+        seconds: Duration of the command.
+        command: Command line.
 
     Raises:
         InputError: It cannot be written.
@@ -131,8 +131,8 @@ def _rank(row: Mapping[str, Any]) -> tuple[float, float]:
 
 def _by_section(folder: Path, disturbance: str) -> list[str]:
     """Median gap of each driver on each section; in brackets the runs that were not on time."""
-    with opened(folder) as database:
-        rows = asked(database, BY_SECTION.replace("?", "'" + disturbance.replace("'", "''") + "'"))
+    with open_database(folder) as database:
+        rows = query_rows(database, BY_SECTION.replace("?", "'" + disturbance.replace("'", "''") + "'"))
     drivers = list(dict.fromkeys(row["driver"] for row in rows))
     cells = {(row["section"], row["driver"]): row for row in rows}
     lines = [f"## Section by section, {disturbance}", ""]

@@ -1,9 +1,9 @@
-"""Optima of many runs of one trainset on one section: solved at a few running times, read in between.
+"""Optima of many runs of one trainset on one section, interpolated between a few running times.
 
-A campaign with many seeds drives the same plant again and again, and only the running time achieved differs.
-The least energy falls smoothly with that time, and each solution also gives its slope (the price of the last
-second), so that a cubic through two neighbouring solutions and their slopes stands for all between them. A
-knot is solved when a run first needs it.
+In a campaign with many seeds the plant is the same and only the achieved running time differs. The least
+energy decreases smoothly with that time, and each solution also gives its slope (the marginal energy of one
+second), so that a cubic Hermite polynomial interpolates between two neighbouring solutions. A knot is solved
+on first use.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from metropilot.planning import Plan, PlanOptions, minimum_running_time, optimal
 from metropilot.railway import Section, Trainset
 
 STEP = 0.02
-"""Between two knots, as a share of the minimum running time."""
+"""Distance between two knots, as a share of the minimum running time."""
 KEPT = 256
-"""Curves a worker keeps."""
+"""Largest number of curves in the cache of a worker."""
 
 
 class EnergyCurve:
@@ -27,7 +27,7 @@ class EnergyCurve:
 
     Args:
         section: The section with every restriction of the run.
-        trainset: The trainset as it really is.
+        trainset: True plant.
         objective: Energy minimised.
 
     Raises:
@@ -41,7 +41,7 @@ class EnergyCurve:
         self.knots: dict[int, Plan] = {}
 
     def at(self, time_s: float) -> Optimum:
-        """The optimum for a running time; nearer to the minimum than one step it is solved for itself.
+        """The optimum for a running time; within one step of the minimum it is solved directly.
 
         Raises:
             Infeasible: There is no plan.
@@ -65,7 +65,7 @@ class EnergyCurve:
 
 
 def _hermite(share: float, step_s: float, low: Plan, high: Plan) -> float:
-    """Energy between two plans, from their energies and what their last second costs, J."""
+    """Energy between two plans from their energies and marginal energies (cubic Hermite), J."""
     a, b = low.energy_j, high.energy_j
     da, db = -low.second_w * step_s, -high.second_w * step_s
     t = share
@@ -74,7 +74,7 @@ def _hermite(share: float, step_s: float, low: Plan, high: Plan) -> float:
 
 
 class Curves:
-    """The curves of a worker; the oldest go when there are too many."""
+    """Energy curves of a worker; the oldest are dropped beyond ``KEPT``."""
 
     def __init__(self) -> None:
         self.known: dict[Any, EnergyCurve] = {}
@@ -83,7 +83,7 @@ class Curves:
         """The curve of a plant.
 
         Args:
-            plant: What tells it from others.
+            plant: Key of the plant, hashable.
             section: Its section.
             trainset: Its trainset.
             objective: Energy minimised.

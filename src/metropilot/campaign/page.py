@@ -1,4 +1,4 @@
-"""The report of a campaign: one HTML file that needs nothing else, and a folder for each worst run."""
+"""The report of a campaign: one self-contained HTML file, and a folder for each worst run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from metropilot._io import atomic_write
 from metropilot.campaign.declared import Campaign
 from metropilot.campaign.store import stored_campaign
-from metropilot.campaign.summary import asked, opened
+from metropilot.campaign.summary import open_database, query_rows
 from metropilot.campaign.worst import drive_worst, worst_table
 
 if TYPE_CHECKING:
@@ -51,12 +51,12 @@ POINTS = """
 
 
 def write_report(folder: Path, summary: Mapping[str, Any], about: Mapping[str, str]) -> Path:
-    """Write ``report.html``, and a folder ``worst/NN`` for each of the runs it ends with.
+    """Write ``report.html``, and a folder ``worst/NN`` for each of the worst runs.
 
     Args:
         folder: The campaign's folder.
         summary: From :func:`summarise`.
-        about: What the head says beside it: time, machine, commit.
+        about: Further lines of the head by name: time, machine, commit.
 
     Raises:
         InputError: The folder cannot be written.
@@ -139,7 +139,7 @@ def _cell(row: Mapping[str, Any], name: str, digits: int) -> str:
 
 
 def _ends(low: float, high: float, digits: int) -> str:
-    """An interval, small, under its number."""
+    """An interval in small type under its number."""
     return f"<br><small>{low:.{digits}f}…{high:.{digits}f}</small>"
 
 
@@ -161,9 +161,9 @@ def _pareto(folder: Path, campaign: Campaign) -> str:
     from metropilot.evaluate.style import house_style
 
     energy = "energy_wheel_kwh" if campaign.objective == "wheel" else "energy_line_kwh"
-    with opened(folder) as database:
-        medians = asked(database, PARETO.format(energy=energy))
-        cloud = asked(database, POINTS.format(energy=energy, most=CLOUD))
+    with open_database(folder) as database:
+        medians = query_rows(database, PARETO.format(energy=energy))
+        cloud = query_rows(database, POINTS.format(energy=energy, most=CLOUD))
     if not medians:
         return "<p>No run arrived.</p>"
     with house_style():
@@ -179,7 +179,7 @@ def _pareto(folder: Path, campaign: Campaign) -> str:
 
 
 def pareto_figure(medians: Sequence[Mapping[str, Any]], cloud: Sequence[Mapping[str, Any]]) -> Figure:
-    """Energy per tonne-kilometre, and energy over the optimum, each over running time by the minimum."""
+    """Energy per tonne-kilometre and energy above the optimum, both over running time by the minimum."""
     from matplotlib.figure import Figure
 
     from metropilot.evaluate.style import GREY, SERIES

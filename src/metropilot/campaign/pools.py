@@ -1,12 +1,11 @@
-"""Where shards are driven: processes of this machine (joblib, loky), or a Ray cluster.
+"""Pools of workers that drive shards: processes of this machine (joblib, loky), or a Ray cluster.
 
-Both hand shards over as they come, in any order; what is in a shard does not depend on them. Few shards are
-on their way at a time, so that memory stays flat however long the campaign is.
+Both yield shards as they finish, in any order; the content of a shard does not depend on the pool. Few shards
+are in flight at a time, so that memory does not grow with the length of the campaign.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -18,19 +17,19 @@ from metropilot.errors import InputError, MetropilotError
 RETRIES = 3
 LOCAL = "local"
 AHEAD = 2
-"""Shards on their way for each worker."""
+"""Shards in flight for each worker."""
 
 
 class WorkersDied(MetropilotError, RuntimeError):
-    """Workers died again and again; what is done is kept."""
+    """Workers died repeatedly; finished shards are kept."""
 
 
-def on_this_machine(text: str, shards: Sequence[Piece], workers: int) -> Iterator[Shard]:
+def drive_locally(text: str, shards: Sequence[Piece], workers: int) -> Iterator[Shard]:
     """Drive shards in processes of this machine, each on one thread; one that dies is replaced.
 
     Args:
         text: The campaign.
-        shards: Which of its shards.
+        shards: Shards to drive.
         workers: Number of processes.
 
     Raises:
@@ -63,18 +62,18 @@ def on_this_machine(text: str, shards: Sequence[Piece], workers: int) -> Iterato
                     ) from None
 
 
-def on_a_cluster(text: str, shards: Sequence[Piece], workers: int, address: str) -> Iterator[Shard]:
+def drive_on_cluster(text: str, shards: Sequence[Piece], workers: int, address: str) -> Iterator[Shard]:
     """Drive shards on a Ray cluster; a shard whose worker dies is driven again by another.
 
     Args:
         text: The campaign.
-        shards: Which of its shards.
-        workers: Processes, where the cluster is begun here.
-        address: Of a running cluster, or ``local`` to begin one on this machine.
+        shards: Shards to drive.
+        workers: Processes, if the cluster is started here.
+        address: Address of a running cluster, or ``local`` to start one on this machine.
 
     Raises:
-        InputError: Ray is not installed, or the cluster is not there.
-        WorkersDied: A shard's workers died again and again.
+        InputError: Ray is not installed, or the cluster cannot be reached.
+        WorkersDied: The workers of a shard died repeatedly.
     """
     try:
         import ray  # pyright: ignore[reportMissingImports]
@@ -119,11 +118,3 @@ def _from_ray(ray: Any, text: str, shards: Sequence[Piece]) -> Iterator[Shard]: 
                 yield Shard(*ray.get(reference))
             except ray.exceptions.WorkerCrashedError as error:
                 raise WorkersDied(f"{error}; finished shards are kept, the same command resumes") from None
-
-
-def own_memory_mb() -> float:
-    """Largest resident memory of this process so far, MB."""
-    import resource
-
-    scale = 1024.0 * 1024.0 if sys.platform == "darwin" else 1024.0
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / scale

@@ -1,7 +1,7 @@
-"""The compiled run of a batch: :func:`metropilot.sim.control_period` with a policy, in JAX, float64.
+"""Compiled program of a batch of runs: :func:`metropilot.sim.control_period` with a policy, in JAX, float64.
 
-``vmap`` makes a batch of it and ``scan`` some periods in a row. What differs between runs is data, so that
-one program serves every section, trainset and disturbance of a campaign.
+``vmap`` runs a batch and ``scan`` several periods. All that differs between runs is data, so that one program
+serves every section, trainset and disturbance of a campaign.
 """
 
 from __future__ import annotations
@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from metropilot._typing import Array
 from metropilot.drivers.learned import EARLY_S
 from metropilot.env import PolicyInterface
 from metropilot.env.assists import assisted
@@ -20,28 +21,28 @@ from metropilot.physics import Command, Forces, Vehicle
 from metropilot.policy import Params, PolicySpec, choose_action, network_output
 from metropilot.sim import OutcomeRule, RunParams, RunState, control_period, hold_ended
 
-Array = Any
 RULE = OutcomeRule()
 
 PERIODS = 50
-"""Control periods between two looks at whether all runs have ended."""
+"""Control periods between two checks for the end of all runs."""
 BROKEN = -2
-"""Outcome of a run whose policy answered what is not a number."""
+"""Outcome of a run whose policy returned NaN or infinity."""
 
 
 class EpisodeParams(NamedTuple):
-    """What one run of a batch is. All 0-d but the vehicle's curves.
+    """Parameters of one run of a batch. All 0-d except the curves of the vehicle.
 
     Attributes:
-        vehicle: The trainset as it really is.
-        guard: Row of protection's tables: at departure, and after the restriction is announced. Shape (2,).
-        seen: Row of the tables the policy sees: the same two. Shape (2,).
-        restricted_at_s: When the restriction is announced (infinite: never).
+        vehicle: True plant.
+        guard: Rows of the tables of protection: at departure, and after the restriction is announced.
+            Shape (2,).
+        seen: Rows of the tables of the policy, likewise. Shape (2,).
+        restricted_at_s: Time at which the restriction is announced (infinite: never).
         scheduled_s: Scheduled running time.
-        news_at_s: When another one is announced (infinite: never).
-        news_s: The other one.
+        news_at_s: Time at which a new running time is announced (infinite: never).
+        news_s: New running time.
         speed_noise_mps: Standard deviation of the measured speed.
-        slots: Commands that protection takes to be on their way.
+        slots: Number of commands in the dead time that protection assumes.
         length_m: Distance to the stop.
     """
 
@@ -58,15 +59,15 @@ class EpisodeParams(NamedTuple):
 
 
 class EpisodeState(NamedTuple):
-    """State of one run of a batch. All 0-d but the pipelines and the action.
+    """State of one run of a batch. All 0-d except the pipelines and the action.
 
     Attributes:
         run: State of the run; its outcome may be ``BROKEN``.
-        command: The policy's last command, assists included.
+        command: Last command of the policy, assists included.
         action: Action of its last decision.
-        wanted: Command that asked for.
-        decided: Decisions taken.
-        stopping: Whether the station-stop braking has begun.
+        wanted: Command requested by that action.
+        decided: Number of decisions so far.
+        stopping: True after station-stop braking has begun.
     """
 
     run: RunState
@@ -78,7 +79,7 @@ class EpisodeState(NamedTuple):
 
 
 class CompiledRow(NamedTuple):
-    """What is kept of one control period: the state at its end, the rest at or over it."""
+    """Record of one control period: the state at its end, the rest at its beginning or over it."""
 
     time_s: Array
     position_m: Array
@@ -98,13 +99,13 @@ class CompiledRow(NamedTuple):
 
 @dataclass(frozen=True)
 class Kind:
-    """What a program is compiled for; everything else is data.
+    """Static parameters of a program; everything else is data.
 
     Attributes:
-        spec: What the policy's parameters mean.
-        perception: What the policy sees and does.
+        spec: Architecture of the policy.
+        perception: Features, actions and assists of the policy.
         dt: Control period, s.
-        guard_spacing_m: Distance between the nodes of protection's tables.
+        guard_spacing_m: Distance between the nodes of the tables of protection.
     """
 
     spec: PolicySpec
@@ -117,9 +118,9 @@ class Kind:
 def program(kind: Kind) -> Callable[..., tuple[EpisodeState, CompiledRow]]:
     """``PERIODS`` control periods of a batch, compiled.
 
-    The function takes the policy's parameters, protection's tables and those the policy sees, the runs,
-    where they are, and the noise of each period in deviations, shape (PERIODS, B); it gives where they are
-    then, and a row a period, leading axes (PERIODS, B).
+    The function takes the parameters of the policy, the tables of protection and of the policy, the
+    parameters and states of the runs, and the standard normal noise, shape (PERIODS, B); it returns the
+    states after the periods and a row for each period, leading axes (PERIODS, B).
     """
     import jax
 
@@ -182,7 +183,7 @@ def period(
             scheduled_s=params.scheduled_s,
             command=going.command,
         )
-        going, broken = _decided(kind, params_of_policy, sight, going)
+        going, broken = _decide(kind, params_of_policy, sight, going)
         return Command(going.command, jnp.zeros((), bool)), (going, broken)
 
     run, (going, broken), record = control_period(params, before.run, before, decide, rule=RULE, noise=noise)
@@ -212,10 +213,10 @@ def period(
     return going, row
 
 
-def _decided(
+def _decide(
     kind: Kind, params: Params, sight: FeatureContext, before: EpisodeState
 ) -> tuple[EpisodeState, Array]:
-    """The policy's decision if it is due, what the assists make of it, and whether it was no number."""
+    """Take a decision if one is due and apply the assists; also returns True if the output was not finite."""
     import jax.numpy as jnp
 
     perception, spec = kind.perception, kind.spec

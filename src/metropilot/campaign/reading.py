@@ -1,4 +1,4 @@
-"""A campaign's TOML file, checked by pydantic: every complaint is one line that names file and field."""
+"""TOML files of campaigns, validated by pydantic: every error is one line that names file and field."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from metropilot.sim import CONTROL_PERIOD_S, Disturbance
 
 ALL = "all"
 UNSPECIFIC = ("learned",)
-"""Drivers that need a file to be one, and so are no part of ``all``."""
+"""Drivers that need a policy file, and so are no part of ``all``."""
 Share = Annotated[float, Field(ge=0, le=1)]
 Spread = float | tuple[float, float]
 
@@ -89,7 +89,7 @@ def campaign_from_toml(path: Path) -> Campaign:
     try:
         found = _File.model_validate(values)
     except ValidationError as error:
-        raise _complaint(path, error) from None
+        raise _input_error(path, error) from None
     with renamed({"dt_s": "dt_s"}, path):
         run_fields()["dt_s"].check("dt_s", found.dt_s)
     names = [item.name for item in found.disturbance]
@@ -115,8 +115,8 @@ def campaign_from_toml(path: Path) -> Campaign:
     return campaign
 
 
-def _complaint(path: Path, error: ValidationError) -> InputError:
-    """The first of the complaints, at the deepest place it names."""
+def _input_error(path: Path, error: ValidationError) -> InputError:
+    """The first of the validation errors, at the deepest field it names."""
     first = max(error.errors(), key=lambda item: (item["type"] == "extra_forbidden", len(item["loc"])))
     words = [str(part) for part in first["loc"] if not str(part).startswith(("list[", "literal[", "tuple["))]
     known = {"float", "constrained-float", "function-before"}
@@ -127,7 +127,7 @@ def _complaint(path: Path, error: ValidationError) -> InputError:
 
 
 def _once(values: list[Any]) -> tuple[Any, ...]:
-    """The values, each once, in their order."""
+    """The values without repetitions, in their order."""
     return tuple(dict.fromkeys(values))
 
 
@@ -187,7 +187,7 @@ def _trainsets(path: Path, wanted: list[str], loads: list[str] | str) -> tuple[t
 
 
 def _place(path: Path, name: str) -> str:
-    """A catalogue id as it is; a file from the campaign's own folder."""
+    """A catalogue id unchanged; a file name relative to the folder of the campaign."""
     return str((path.parent / name).resolve()) if is_file(name) else name
 
 
@@ -220,5 +220,5 @@ def _disturbance(path: Path, item: _Disturbance) -> DisturbanceCase:
 
 
 def _at(path: Path, field: str, error: InputError) -> InputError:
-    """The same complaint, with the campaign's file and field."""
+    """The same error with the file and field of the campaign."""
     return error.at(file=path, field=field)

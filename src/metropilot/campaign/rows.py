@@ -1,9 +1,10 @@
-"""One row driven, and a shard of them as Parquet: what a worker does, wherever it runs."""
+"""Work of a worker: drive the rows of a shard and write them as Parquet."""
 
 from __future__ import annotations
 
 import json
 import resource
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -57,7 +58,7 @@ RESULTS: Mapping[str, str] = {
     **dict.fromkeys(COUNTS, "INTEGER"),
     "error": "VARCHAR",
 }
-"""Columns of the results: the same bits wherever and in whatever order the rows were driven."""
+"""Columns of the results: the same bits on every machine and in every order of the rows."""
 TIMINGS: Mapping[str, str] = {
     "cell": "BIGINT",
     "driver": "VARCHAR",
@@ -67,20 +68,20 @@ TIMINGS: Mapping[str, str] = {
     "decision_us_max": "DOUBLE",
     "worker_mb": "DOUBLE",
 }
-"""Columns of what is measured on the clock, kept apart because it never repeats."""
+"""Columns of measured times, in a file of their own because they are not reproducible."""
 FAILED, INFEASIBLE = "failed", "infeasible"
 """Outcomes of a row besides those of a run: the driver ended with an error; no driver could meet the time."""
 
 
 class Shard(NamedTuple):
-    """A shard as a worker hands it over.
+    """A finished shard, as a worker returns it.
 
     Attributes:
-        piece: Which.
-        rows: How many rows it has.
+        piece: Identity of the shard.
+        rows: Number of rows.
         results: Parquet file of :data:`RESULTS`.
         timings: Parquet file of :data:`TIMINGS`.
-        version: Version of metropilot that drove it.
+        version: Version of metropilot of the worker.
     """
 
     piece: Piece
@@ -95,7 +96,7 @@ def drive_shard(text: str, piece: Piece) -> Shard:
 
     Args:
         text: :attr:`Campaign.text`.
-        piece: Which shard.
+        piece: Shard to drive.
     """
     import metropilot
 
@@ -118,7 +119,7 @@ def drive_shard(text: str, piece: Piece) -> Shard:
 
 
 def drive_row(campaign: Campaign, case: CampaignCase) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Drive one row: its result and its timing. A driver that ends with an error is a result, too."""
+    """Drive one row; returns its result and its timing. An error of the driver is recorded as a result."""
     began, spent = perf_counter(), process_time()
     result, timing = new_result(campaign, case)
     with capture_errors(result):
@@ -130,13 +131,13 @@ def drive_row(campaign: Campaign, case: CampaignCase) -> tuple[dict[str, Any], d
     timing |= {
         "wall_s": perf_counter() - began,
         "processor_s": process_time() - spent,
-        "worker_mb": worker_mb(),
+        "worker_mb": peak_memory_mb(),
     }
     return result, timing
 
 
 def new_result(campaign: Campaign, case: CampaignCase) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Result and timing of a row before anything is known of it."""
+    """Result and timing of a row before its run: the cell only."""
     cell = case.row % campaign.cells
     result: dict[str, Any] = {name: str(getattr(case, name)) for name in WORDS[:-1]}
     result |= {"cell": cell, "disturbance": case.disturbance.name, "number": case.number}
@@ -145,7 +146,7 @@ def new_result(campaign: Campaign, case: CampaignCase) -> tuple[dict[str, Any], 
 
 @contextmanager
 def capture_errors(result: dict[str, Any]) -> Iterator[None]:
-    """What goes wrong inside is a result of its own; one driver's bug must not lose a campaign."""
+    """Record an exception of the block as the result, so that one failing driver does not stop a campaign."""
     try:
         yield
     except Infeasible as error:
@@ -157,7 +158,7 @@ def capture_errors(result: dict[str, Any]) -> Iterator[None]:
 
 
 def prepare_run(campaign: Campaign, case: CampaignCase, result: dict[str, Any]) -> tuple[RunSpec, Run]:
-    """RunSpec and run of a row; what is known of it by then goes into its result."""
+    """Request and run of a row; enters seed, section length and disturbance into its result."""
     section = section_of(case.line, case.origin, case.destination)
     scheduled = scheduled_time(case, section)
     request = request_of(campaign, case, scheduled, section.length_m)
@@ -167,7 +168,7 @@ def prepare_run(campaign: Campaign, case: CampaignCase, result: dict[str, Any]) 
 
 
 def add_kpis(campaign: Campaign, driven: Drive, optimum: Optimum | None, result: dict[str, Any]) -> Kpis:
-    """KPIs of a driven row, written into its result."""
+    """Measure the run of a row and enter its KPIs into its result."""
     kpis = kpis_of(driven, optimum, campaign.objective)
     found = kpis.as_dict()
     result |= {name: found[name] for name in (*TRUTHS, *NUMBERS, *COUNTS, "outcome", "scheduled_time_s")}
@@ -175,20 +176,22 @@ def add_kpis(campaign: Campaign, driven: Drive, optimum: Optimum | None, result:
     return kpis
 
 
-def worker_mb() -> float:
+def peak_memory_mb() -> float:
     """Largest resident memory of this process so far, MB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    # getrusage counts bytes on macOS and KiB on Linux.
+    scale = 1024.0 * 1024.0 if sys.platform == "darwin" else 1024.0
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / scale
 
 
 @lru_cache(maxsize=64)
 def section_of(line: str, origin: str, destination: str) -> Section:
-    """A section, read once a worker."""
+    """A section, read once per worker."""
     return load_line(line).section(origin, destination)
 
 
 @lru_cache(maxsize=512)
 def fastest_s(line: str, origin: str, destination: str, trainset: str, load: str) -> float:
-    """Minimum running time of a section, computed once a worker."""
+    """Minimum running time of a section, computed once per worker."""
     return minimum_running_time(section_of(line, origin, destination), load_trainset(trainset, load))
 
 
@@ -196,7 +199,7 @@ def scheduled_time(case: CampaignCase, section: Section) -> float:
     """The scheduled time of a row.
 
     Raises:
-        Infeasible: The line plans no running time here.
+        Infeasible: The line has no planned running time for the section.
     """
     if case.time != PLANNED:
         return round(float(case.time) * fastest_s(*case[2:7]), 3)
@@ -206,7 +209,7 @@ def scheduled_time(case: CampaignCase, section: Section) -> float:
 
 
 def parquet(columns: Mapping[str, str], rows: Sequence[Mapping[str, Any]]) -> bytes:
-    """Rows as a Parquet file of these columns, in this order; the same rows give the same bytes."""
+    """Encode rows as a Parquet file with these columns in this order; the same rows give the same bytes."""
     import duckdb
 
     with tempfile.TemporaryDirectory(prefix="metropilot-") as folder:
@@ -222,7 +225,7 @@ def parquet(columns: Mapping[str, str], rows: Sequence[Mapping[str, Any]]) -> by
 
 
 def _plain(value: object) -> object:
-    """A value for JSON: no infinity, no NumPy."""
+    """A value for JSON: NumPy scalars as Python numbers, infinity and NaN as None."""
     if value is None or isinstance(value, str | bool | int):
         return value
     if hasattr(value, "item"):

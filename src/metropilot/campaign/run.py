@@ -1,4 +1,4 @@
-"""A campaign from the first shard to the last, gone on with wherever it was left."""
+"""Runner of a campaign: drives the shards that its folder does not hold yet."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from typing import NamedTuple
 
 import metropilot
 from metropilot.campaign.declared import Campaign
-from metropilot.campaign.pools import on_a_cluster, on_this_machine, own_memory_mb
+from metropilot.campaign.pools import drive_locally, drive_on_cluster
+from metropilot.campaign.rows import peak_memory_mb
 from metropilot.campaign.store import CampaignStore
 from metropilot.errors import InputError
 
 
 class CampaignProgress(NamedTuple):
-    """How far a campaign is.
+    """Progress of a campaign.
 
     Attributes:
-        rows: Rows done, those of earlier sittings included.
-        total: All of them.
-        driven: Rows done in this sitting.
-        seconds: Spent in this sitting.
-        memory_mb: Largest memory of the process that collects, so far.
+        rows: Rows done, those of earlier calls included.
+        total: Number of rows.
+        driven: Rows done in this call.
+        seconds: Duration of this call so far.
+        memory_mb: Largest memory of the collecting process so far.
     """
 
     rows: int
@@ -43,17 +44,17 @@ def run_campaign(
 
     Args:
         campaign: The matrix.
-        folder: Where shards are kept; the same folder is gone on with.
+        folder: Folder of the shards; a campaign in it is resumed.
         workers: Processes on this machine.
-        cluster: Address of a Ray cluster, ``local`` for one begun here; None: processes of this machine.
-        say: Called after each shard.
+        cluster: Address of a Ray cluster, ``local`` to start one here; None: processes of this machine.
+        say: Callback after each shard.
 
     Returns:
         The last progress.
 
     Raises:
         InputError: The folder holds another campaign, cannot be written, or there is no such cluster.
-        WorkersDied: Workers died again and again.
+        WorkersDied: Workers died repeatedly.
     """
     if workers < 1:
         raise InputError("out of range", field="workers", value=workers, allowed=">= 1")
@@ -61,13 +62,13 @@ def run_campaign(
     done = store.done()
     rows = sum(len(campaign.shard(piece)) for piece in done)
     todo = [piece for piece in campaign.pieces() if piece not in done]
-    progress = CampaignProgress(rows, campaign.rows, 0, 0.0, own_memory_mb())
+    progress = CampaignProgress(rows, campaign.rows, 0, 0.0, peak_memory_mb())
     if not todo:
         return progress
     if cluster is None:
-        shards = on_this_machine(campaign.text, todo, workers)
+        shards = drive_locally(campaign.text, todo, workers)
     else:
-        shards = on_a_cluster(campaign.text, todo, workers, cluster)
+        shards = drive_on_cluster(campaign.text, todo, workers, cluster)
     for shard in shards:
         if shard.version != metropilot.__version__:
             raise InputError(
@@ -79,7 +80,7 @@ def run_campaign(
         store.keep(shard)
         driven += shard.rows
         progress = CampaignProgress(
-            rows + driven, campaign.rows, driven, perf_counter() - began, own_memory_mb()
+            rows + driven, campaign.rows, driven, perf_counter() - began, peak_memory_mb()
         )
         say(progress)
     return progress

@@ -20,7 +20,7 @@ def read_campaign(name_or_path: str, drivers: str | None = None) -> Campaign:
     """A campaign by the name of one that ships, or by its file.
 
     Args:
-        name_or_path: Which.
+        name_or_path: Name of a campaign that ships, or path of a TOML file.
         drivers: Drivers to run instead of the file's own, separated by commas.
 
     Raises:

@@ -1,8 +1,8 @@
-"""The folder of a campaign: shards written whole, and a list of those done; kill -9 loses or doubles nothing.
+"""Folder of a campaign: shards written atomically, and a list of those done; safe against ``kill -9``.
 
-A shard arrives as two Parquet files. Each is written beside its place and renamed into it; then a line with
-its number, rows and checksum goes to the end of the list and to the disk. Killed in between, a file without
-its line is written again, over itself, with the same bits; a torn line counts for nothing.
+A shard consists of two Parquet files. Each is written to a temporary file and renamed; then a line with its
+number, rows and checksum is appended to the list and synced to disk. After a crash in between, a file without
+its line is written again with the same bits; an incomplete line is ignored.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class CampaignStore:
     """A campaign's folder, written by one process.
 
     Args:
-        folder: Made if it is not there; one with the same cells in it is gone on with, also by other drivers.
-        campaign: What it is for.
+        folder: Created if missing; a campaign with the same cells in it is resumed, also with other drivers.
+        campaign: The campaign.
 
     Raises:
         InputError: The folder cannot be written, or holds another campaign.
@@ -65,7 +65,7 @@ class CampaignStore:
             )
 
     def done(self) -> dict[Piece, str]:
-        """Shards that are done, each with its checksum: listed, and their file as long as it was then."""
+        """Shards that are done, each with its checksum: listed, with a file of the listed size."""
         path, found = self.folder / DONE, {}
         text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
         lines = text.splitlines(keepends=True)
@@ -83,18 +83,18 @@ class CampaignStore:
         return found
 
     def part(self, piece: Piece) -> Path:
-        """Where the results of a shard are."""
+        """Path of the results of a shard."""
         return self.folder / PARTS / key_of(piece.driver) / f"{piece.chunk:06d}.parquet"
 
     def timing(self, piece: Piece) -> Path:
-        """Where its timings are."""
+        """Path of the timings of a shard."""
         return self.folder / TIMINGS / key_of(piece.driver) / f"{piece.chunk:06d}.parquet"
 
     def keep(self, shard: Shard) -> None:
-        """Write a shard, and then its line.
+        """Write a shard, then its line in the list.
 
         Raises:
-            InputError: The disk does not take it.
+            InputError: It cannot be written.
         """
         try:
             piece = shard.piece
@@ -114,7 +114,7 @@ class CampaignStore:
             ) from None
 
     def checksum(self) -> str:
-        """One checksum of all results, in the order of the rows; the same whoever drove them."""
+        """One checksum of all results in the order of the rows; the same for every pool of workers."""
         done = self.done()
         words = (
             f"{piece.driver} {piece.chunk} {done[piece]}" for piece in self.campaign.pieces() if piece in done
@@ -123,7 +123,7 @@ class CampaignStore:
 
 
 def _torn(path: Path) -> bool:
-    """Whether a list ends in the middle of a line; only its last byte is looked at, however long it is."""
+    """True if a list ends in the middle of a line; reads its last byte only."""
     if not path.exists() or path.stat().st_size == 0:
         return False
     with path.open("rb") as file:
@@ -132,16 +132,16 @@ def _torn(path: Path) -> bool:
 
 
 def key_of(driver: str) -> str:
-    """A driver with its options as the name of a folder."""
+    """Name of the folder of a driver with its options."""
     plain = "".join(letter if letter.isalnum() or letter == "_" else "-" for letter in driver)[:40]
     return plain if plain == driver else f"{plain}-{sha256(driver.encode()).hexdigest()[:8]}"
 
 
 def stored_campaign(folder: Path) -> Campaign:
-    """The campaign a folder is of.
+    """The campaign of a folder.
 
     Raises:
-        InputError: It is of none.
+        InputError: Not the folder of a campaign.
     """
     try:
         found = json.loads((folder / ABOUT).read_text())

@@ -1,4 +1,4 @@
-"""What a campaign found, asked of DuckDB: numbers by driver and disturbance, and the worst runs."""
+"""Summary of a campaign by DuckDB: statistics by driver and disturbance, and the worst runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WORST = 10
 RESULTS_FILE, TIMINGS_FILE = "results.parquet", "timings.parquet"
 DRIVEN = f"outcome <> '{INFEASIBLE}'"
 POSSIBLE = f"{DRIVEN} AND coalesce(scheduled_time_s >= minimum_running_time_s, true)"
-"""Whether the time could be kept at all, by the trainset as it was, all restrictions known beforehand."""
+"""Condition that the true plant can keep the scheduled time with all restrictions known in advance."""
 NUMBERS = f"""
     count(*) AS runs,
     count(*) FILTER ({DRIVEN}) AS driven,
@@ -53,8 +53,8 @@ WORST_FIRST = f"""
 """
 
 
-def opened(folder: Path) -> DuckDBPyConnection:
-    """A database with the view ``runs``: every result of the campaign's drivers with its row and timing."""
+def open_database(folder: Path) -> DuckDBPyConnection:
+    """Open a database with the view ``runs``: the results of the drivers with their rows and timings."""
     import duckdb
 
     database = duckdb.connect(config={"memory_limit": "512MB"})
@@ -66,7 +66,7 @@ def opened(folder: Path) -> DuckDBPyConnection:
 
 
 def _parts(folder: Path, kind: str) -> str:
-    """A query for all parts of one kind, a driver after the other, with the number of the row."""
+    """Query for all parts of one kind, ordered by driver, with the number of the row."""
     campaign = stored_campaign(folder)
     quoted = [name.replace("'", "''") for name in campaign.drivers]
     names = ", ".join(f"'{name}'" for name in quoted)
@@ -102,14 +102,14 @@ def _copy(query: str, partial: Path) -> None:
 
 
 def summarise(folder: Path) -> dict[str, Any]:
-    """What a campaign found, as plain values.
+    """Summarise a campaign as plain values.
 
     Args:
-        folder: The campaign's folder; it need not be finished.
+        folder: Folder of the campaign, which may be unfinished.
 
     Returns:
-        ``campaign, digest, rows, done, checksum``, and lists of rows ``drivers`` (one a driver), ``cells``
-        (one a driver and disturbance) and ``worst``; ``cost`` says what a run took.
+        ``campaign, digest, rows, done, checksum``, and lists of rows ``drivers`` (one per driver), ``cells``
+        (one per driver and disturbance) and ``worst``; ``cost`` holds processor time and memory.
 
     Raises:
         InputError: Not the folder of a campaign.
@@ -126,11 +126,11 @@ def summarise(folder: Path) -> dict[str, Any]:
     }
     if not done:
         return found | {"drivers": [], "cells": [], "worst": [], "cost": {}}
-    with opened(folder) as database:
-        drivers = grouped(database, "driver")
-        cells = grouped(database, "driver", "disturbance")
-        worst = asked(database, WORST_FIRST)
-        cost = asked(database, COST)[0]
+    with open_database(folder) as database:
+        drivers = group_statistics(database, "driver")
+        cells = group_statistics(database, "driver", "disturbance")
+        worst = query_rows(database, WORST_FIRST)
+        cost = query_rows(database, COST)[0]
     return found | {"drivers": drivers, "cells": cells, "worst": worst, "cost": cost}
 
 
@@ -140,17 +140,17 @@ COST = """
 """
 
 
-def asked(database: DuckDBPyConnection, query: str) -> list[dict[str, Any]]:
+def query_rows(database: DuckDBPyConnection, query: str) -> list[dict[str, Any]]:
     """The rows of a query, as dictionaries."""
     answer = database.execute(query)
     names = [column[0] for column in answer.description or ()]
     return [dict(zip(names, row, strict=True)) for row in answer.fetchall()]
 
 
-def grouped(database: DuckDBPyConnection, *by: str) -> list[dict[str, Any]]:
-    """Numbers by group, with 95 % intervals of the shares and of the median gap."""
+def group_statistics(database: DuckDBPyConnection, *by: str) -> list[dict[str, Any]]:
+    """Statistics by group, with 95 % intervals of the shares and of the median gap."""
     keys = ", ".join(by)
-    rows = asked(database, f"SELECT {keys}, {NUMBERS} FROM runs GROUP BY ALL ORDER BY min(row)")
+    rows = query_rows(database, f"SELECT {keys}, {NUMBERS} FROM runs GROUP BY ALL ORDER BY min(row)")
     for row in rows:
         row["success_low"], row["success_high"] = share_interval(row["successes"], row["possible"])
         row["safe_low"], row["safe_high"] = share_interval(row["safe"], row["driven"])
@@ -165,7 +165,7 @@ def grouped(database: DuckDBPyConnection, *by: str) -> list[dict[str, Any]]:
 
 
 def share_interval(hits: int, total: int) -> tuple[float | None, float | None]:
-    """95 % interval of a share. Source: Wilson (1927), as SciPy has it."""
+    """95 % interval of a share. Source: Wilson (1927), from SciPy."""
     if total == 0:
         return None, None
     from scipy.stats import binomtest

@@ -1,4 +1,4 @@
-"""The worst runs of a campaign, driven again by the host loop to be looked at."""
+"""The worst runs of a campaign, driven again by the host loop for the report."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class Again(NamedTuple):
     """One of the worst runs, driven again.
 
     Attributes:
-        folder: Its folder, from the campaign's; empty where the run could not even be asked for.
-        picture: Speed over distance as SVG; empty where the driver failed.
+        folder: Its folder, relative to that of the campaign; empty if the run has no scheduled time.
+        picture: Speed over distance as SVG; empty if the driver failed.
     """
 
     folder: str
@@ -40,7 +40,7 @@ class Again(NamedTuple):
 
 
 def drive_worst(folder: Path, campaign: Campaign, worst: Sequence[Mapping[str, Any]]) -> list[Again]:
-    """Drive the worst runs again and leave the folder of a run for each: trajectory, KPIs, picture, request.
+    """Drive the worst runs again and write the folder of a run for each: trajectory, KPIs, picture, request.
 
     Args:
         folder: The campaign's folder.
@@ -86,7 +86,7 @@ def speed_svg(driven: Drive, optimum: Optimum | None) -> str:
 
 
 def speed_figure(driven: Drive, optimum: Optimum | None) -> Figure:
-    """Speed over distance with limit, permitted speed, optimum and where protection stepped in."""
+    """Speed over distance with limit, permitted speed, optimum and interventions of protection."""
     from matplotlib.figure import Figure
 
     from metropilot.evaluate.picture import draw_speed, set_distance
@@ -99,7 +99,7 @@ def speed_figure(driven: Drive, optimum: Optimum | None) -> Figure:
 
 
 def worst_table(worst: Sequence[Mapping[str, Any]], again: Sequence[Again]) -> str:
-    """The worst runs as a table, then each as a picture."""
+    """HTML table of the worst runs, then a picture of each."""
     if not worst:
         return "<p>None.</p>"
     heads = "".join(f"<th class='text'>{name}</th>" for name in ("", *NAMES, *NUMBERS, "drive it again"))
