@@ -137,10 +137,10 @@ def test_news_that_the_request_brings_is_in_force_when_it_is_told():
     engine = Engine(request)
     at_m, planned = compared(until(engine, 19.0))
     assert planned == pytest.approx(planned_j(101.0, at_m), rel=1e-3)
-    assert engine.heard() == []
+    assert engine.pop_updates() == []
     at_m, planned = compared(until(engine, 40.0))
     assert planned == pytest.approx(planned_j(125.0, at_m), rel=1e-3)
-    assert engine.heard() == ["new arrival time, later: after 125 s"]
+    assert engine.pop_updates() == ["new arrival time, later: after 125 s"]
 
 
 def test_a_plan_that_is_drawn_keeps_its_times():
@@ -172,9 +172,9 @@ def test_the_lever_has_one_holder(monkeypatch):
         engine.apply(GIVE)
     late = engine.renewed + HAND_S
     monkeypatch.setattr("metropilot.web.live.engine.monotonic", lambda: late - 0.1)
-    assert not engine.forgotten()
+    assert not engine.lever_expired()
     monkeypatch.setattr("metropilot.web.live.engine.monotonic", lambda: late + 0.1)
-    assert engine.forgotten()
+    assert engine.lever_expired()
     assert engine.apply({**GIVE, "take_over": True}) == "the lever is returned to the driver"
     assert engine.lever() is None
 

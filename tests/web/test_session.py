@@ -44,10 +44,10 @@ class FailingEngine:
     def holds(self, event):
         return True
 
-    def heard(self):
+    def pop_updates(self):
         return []
 
-    def forgotten(self):
+    def lever_expired(self):
         return False
 
 

@@ -1,4 +1,4 @@
-"""The web console and the HTTP API: one process, nothing from a network. Needs the extra ``web``."""
+"""Web console and HTTP API in one process; loads nothing from a network. Needs the extra ``web``."""
 
 from __future__ import annotations
 

@@ -164,7 +164,7 @@ def _run_out(record: Any) -> dict[str, Any]:  # noqa: ANN401 (a RunRecord, whose
 
 
 def history(service: Service, key: str) -> dict[str, list[float | None]]:
-    """The history of a learning run: one column a measure; a chunk done twice counts once."""
+    """History of a learning run, one column for each measure; a repeated chunk counts once."""
     run_out(service, key)
     folder = service.root / "runs" / key
     rows: dict[float, dict[str, Any]] = {}
@@ -188,14 +188,14 @@ def _number(value: object) -> float:
 
 
 def task_rows() -> list[dict[str, Any]]:
-    """What can be learned."""
+    """Learning tasks."""
     from metropilot.env import TASKS
 
     return [{"id": key, "summary": row.summary} for key, row in TASKS.rows().items()]
 
 
 def recipe_rows() -> list[dict[str, Any]]:
-    """Which drivers can be learned, and how."""
+    """Learning recipes of drivers, with their sources and steps."""
     from metropilot.learn.recipes import RECIPES
 
     return [
@@ -212,7 +212,7 @@ def recipe_rows() -> list[dict[str, Any]]:
 
 
 def study_rows(service: Service) -> list[dict[str, Any]]:
-    """Every study, and whether a report of it is here."""
+    """Every study; ``page`` is true where a report of it exists."""
     from metropilot.studies import STUDIES
 
     return [
@@ -225,7 +225,7 @@ def study_table(service: Service, key: str) -> list[dict[str, Any]]:
     """Rows of the newest report of a study.
 
     Raises:
-        Refused: No such study, or no report yet (404).
+        Refused: Unknown study, or no report yet (404).
     """
     from metropilot.studies import STUDIES
 
@@ -237,7 +237,7 @@ def study_table(service: Service, key: str) -> list[dict[str, Any]]:
 
 
 def _report(service: Service, key: str) -> dict[str, Any] | None:
-    """The newest report that a job of this server made."""
+    """Newest report made by a job of this server."""
     for job in service.store.jobs("study", limit=1000):
         if job.status == "done" and job.asked.get("study") == key:
             return service.store.result(job.id)
@@ -245,7 +245,7 @@ def _report(service: Service, key: str) -> dict[str, Any] | None:
 
 
 def file_of(service: Service, job: str, name: str) -> Path:
-    """A file of a job, by one of the names every job of its kind has.
+    """Path of a file of a job, by one of the file names of its kind.
 
     Raises:
         Refused: No such job or file (404).

@@ -1,4 +1,4 @@
-"""One error shape for every answer that is not what was asked for."""
+"""One JSON shape for every error response."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ METHOD_NOT_ALLOWED = 405
 
 
 class ErrorDetail(BaseModel):
-    """What is wrong, where, and what is allowed; the same as the command line prints with ``--json``."""
+    """Message, place, value and allowed range of an error, as with ``--json`` on the command line."""
 
     message: str
     file: str | None = None
@@ -30,18 +30,18 @@ class ErrorDetail(BaseModel):
 
 
 class ErrorBody(BaseModel):
-    """Every error."""
+    """Body of every error response."""
 
     error: ErrorDetail
 
 
 def answer(status: int, detail: dict[str, Any]) -> JSONResponse:
-    """An error as an answer."""
+    """Make an error response."""
     return JSONResponse({"error": {"message": "", **dict.fromkeys(FIELDS), **detail}}, status_code=status)
 
 
 def install(app: FastAPI) -> None:
-    """Let an application answer every error in the one shape."""
+    """Install the exception handlers of an application."""
 
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
@@ -58,7 +58,7 @@ def install(app: FastAPI) -> None:
         refused = first.get("ctx", {}).get("error")
         if isinstance(refused, InputError):
             return answer(422, detail_of(refused) | {"field": field})
-        return answer(422, {"message": first["msg"], "field": field, "value": _given(first)})
+        return answer(422, {"message": first["msg"], "field": field, "value": _value_of(first)})
 
     @app.exception_handler(HTTPException)
     async def http(request: Request, error: HTTPException) -> JSONResponse:
@@ -77,14 +77,14 @@ def install(app: FastAPI) -> None:
 
 
 def _path(parts: Sequence[Any]) -> str:
-    """``body.restrictions[0].from_m`` as ``restrictions[0].from_m``."""
+    """Dotted path of a field without its first part: ``body.line`` becomes ``line``."""
     text = ""
     for part in parts[1:] if parts and parts[0] in {"body", "query", "path", "header"} else parts:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
     return text
 
 
-def _given(found: Any) -> Any:  # noqa: ANN401 (whatever was sent)
+def _value_of(found: Any) -> Any:  # noqa: ANN401 (whatever was sent)
     return plain(found.get("input"))
 
 
@@ -103,4 +103,4 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
         429: "too much at once",
     }.items()
 }
-"""For every route."""
+"""Error responses of every route, by status."""

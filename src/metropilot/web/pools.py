@@ -1,6 +1,6 @@
-"""Worker processes: one for what is answered at once, some for drives, one for learning.
+"""Worker processes: one for direct answers, some for drives, one for learning.
 
-None of them is the event loop's process, and each is killed when it takes too long.
+All are separate from the process of the event loop, and each is killed when it takes too long.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ BEHIND = 4
 
 
 def warm() -> None:
-    """Import what answers need."""
+    """Import the modules of answers."""
     import metropilot.web.work.plans  # noqa: F401
 
 
@@ -45,14 +45,14 @@ class Pools:
         self.asking = 0
 
     def start(self) -> None:
-        """Begin the worker that answers, before the first question."""
+        """Start the worker of answers before the first request."""
         self.answers.schedule(warm)
 
     async def answer(self, function: Callable[..., Any], *values: object) -> Any:  # noqa: ANN401
-        """What a function gives, computed in a worker.
+        """Call a function in a worker; return its result.
 
         Raises:
-            MetropilotError: What the function raised.
+            MetropilotError: Any error of the function.
             Refused: It took too long or too much memory, or too many wait.
         """
         if self.asking >= BUSY:
@@ -62,7 +62,7 @@ class Pools:
             future = self.answers.schedule(function, args=list(values), timeout=self.settings.answer_s)
             return await asyncio.wrap_future(future)
         except Exception as error:  # noqa: BLE001 (whatever a worker died of is an answer)
-            raise explained(error, self.settings.answer_s) from None
+            raise explain(error, self.settings.answer_s) from None
         finally:
             self.asking -= 1
 
@@ -79,8 +79,8 @@ class Pools:
             pool.join()
 
 
-def explained(error: BaseException, bound_s: float) -> MetropilotError:
-    """A worker's failure as an error a user can read."""
+def explain(error: BaseException, bound_s: float) -> MetropilotError:
+    """Turn a worker's exception into an error for the user."""
     if isinstance(error, MetropilotError):
         return error
     if isinstance(error, Late):

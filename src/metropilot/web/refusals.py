@@ -1,4 +1,4 @@
-"""Requests that cannot be met now, and errors as plain values. Imports nothing heavy."""
+"""Refusals with an HTTP status, and errors as plain values. Light to import."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ FIELDS = ("file", "field", "value", "unit", "allowed")
 
 
 class Refused(InputError):
-    """A request that is in order but cannot be met now, with its HTTP status."""
+    """Refusal of a valid request that cannot be met now, with its HTTP status."""
 
     def __init__(
         self,
@@ -26,18 +26,18 @@ class Refused(InputError):
         self.status = status
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Cross a pipe with its status."""
+        """Pickle with the status."""
         return Refused, (self.message, self.status), self.__dict__
 
 
 def detail_of(error: Exception) -> dict[str, Any]:
-    """The error's fields as plain values."""
+    """Convert an error to plain values."""
     message = error.message if isinstance(error, InputError) else str(error)
     return {"message": message, **{name: plain(getattr(error, name, None)) for name in FIELDS}}
 
 
 def plain(value: Any) -> Any:  # noqa: ANN401 (whatever was sent)
-    """A value that JSON can say; a long one is cut."""
+    """Convert a value for JSON; a long one is cut."""
     if value is None or isinstance(value, bool | int):
         return value
     if isinstance(value, float):

@@ -1,4 +1,4 @@
-"""What every request passes first: whence it comes, what it presents, how large it is. Plain ASGI."""
+"""ASGI middleware that checks host, origin, token and size of every request."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from metropilot.web.settings import LOOPBACK, Settings
 COOKIE = "metropilot_token"
 SAFE = ("GET", "HEAD", "OPTIONS")
 OVERHEAD = 10_000
-"""What a multipart upload adds to its file."""
+"""Bytes that a multipart upload adds to its file."""
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval';"
     " style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:;"
@@ -26,11 +26,11 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
-"""Whatever a page contains, a browser loads nothing from elsewhere."""
+"""Headers of every response; they forbid a browser to load anything from another host."""
 
 
 class Guard:
-    """Wraps an application.
+    """Middleware around an application.
 
     Args:
         app: The application.
@@ -42,7 +42,7 @@ class Guard:
         self.settings = settings
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let a request through, or answer it here."""
+        """Pass a request on, or refuse it."""
         if scope["type"] not in {"http", "websocket"}:
             await self.app(scope, receive, send)
             return
@@ -59,7 +59,7 @@ class Guard:
         try:
             await self.app(scope, bounded, _with_headers(send))
         except RuntimeError:
-            # Starlette's "No response returned": whoever asked went away before there was an answer.
+            # Starlette's "No response returned": the client closed the connection before there was an answer.
             if not bounded.left:
                 raise
 
@@ -99,7 +99,7 @@ class Guard:
         return hmac.compare_digest(given.encode(), (self.settings.token or "").encode())
 
     def _welcome(self, scope: Scope) -> Response:
-        """A browser that comes with ``?token=`` gets a cookie, and an address without it."""
+        """Turn ``?token=`` of a browser into a cookie by a redirect; refuse other requests."""
         if scope["type"] == "http" and scope["method"] == "GET":
             request = Request(scope)
             query = dict(parse_qsl(request.url.query))
@@ -117,7 +117,7 @@ class Guard:
 
 
 class Bounded:
-    """The body of a request, cut where it grows too large (whatever its length was said to be)."""
+    """Receiver that ends the body of a request where it grows too large, whatever its declared length."""
 
     def __init__(self, receive: Receive, bound: int) -> None:
         self.receive = receive
@@ -148,7 +148,7 @@ def _with_headers(send: Send) -> Send:
 
 
 def _name(host: str) -> str:
-    """``[::1]:8060`` and ``localhost:8060`` without port and brackets."""
+    """Host without port and brackets: ``[::1]:8060`` becomes ``::1``."""
     name, _, port = host.rpartition(":")
     name = name if name and port.isdigit() else host
     return name.strip("[]").lower()

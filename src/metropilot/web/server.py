@@ -1,4 +1,4 @@
-"""The application: API, pages, and the server that runs both."""
+"""Application of API and pages, and the server that runs it."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ Every error is `{"error": {"message", "file", "field", "value", "unit", "allowed
 
 
 def make_api(service: Service) -> FastAPI:
-    """The API alone, described at ``/api/openapi.json`` and, to be read, at ``/api/docs``.
+    """Make the API without pages, described at ``/api/openapi.json`` and, to be read, at ``/api/docs``.
 
     The service opens and closes with it.
 
     Args:
-        service: What does the work.
+        service: The service that the routes call.
     """
 
     @asynccontextmanager
@@ -57,7 +57,7 @@ def make_api(service: Service) -> FastAPI:
 
     @app.get("/api/health", response_model=Health, tags=["server"])
     def health() -> dict[str, object]:
-        """That the server is there."""
+        """State of the server."""
         lives = sum(not session.over for session in service.sessions.values())
         return {
             "version": metropilot.__version__,
@@ -72,7 +72,7 @@ def make_api(service: Service) -> FastAPI:
 
     @app.api_route("/api/{rest:path}", methods=list(METHODS), include_in_schema=False)
     def nowhere(rest: str) -> None:
-        """What is no route of ours is no page either; a route of ours is asked in its own way."""
+        """Refuse an unknown path (404) or a method that a route does not have (405)."""
         path = f"/api/{rest}"
         if known := _methods(app.openapi()["paths"], path):
             raise HTTPException(errors.METHOD_NOT_ALLOWED, headers={"Allow": ", ".join(known)})
@@ -82,7 +82,7 @@ def make_api(service: Service) -> FastAPI:
 
 
 def _methods(paths: dict[str, Any], path: str) -> list[str]:
-    """How a path may be asked; nothing if it is none of ours."""
+    """Methods of a path; empty if it is no route."""
     for template, operations in paths.items():
         parts = (re.escape(part) for part in re.split(r"\{[^}]*\}", template))
         if re.fullmatch("[^/]+".join(parts), path):
@@ -91,10 +91,10 @@ def _methods(paths: dict[str, Any], path: str) -> list[str]:
 
 
 def make_app(settings: Settings) -> ASGIApp:
-    """API and pages behind the guard. One to a process: NiceGUI keeps its pages globally.
+    """Make the application with API and pages. One to a process: NiceGUI keeps its pages globally.
 
     Args:
-        settings: Where and how much.
+        settings: Settings of the server.
     """
     from metropilot.web.pages import install
 
@@ -108,7 +108,7 @@ def serve(settings: Settings) -> None:
     """Run the server until it is interrupted.
 
     Args:
-        settings: Where and how much.
+        settings: Settings of the server.
     """
     import uvicorn
 

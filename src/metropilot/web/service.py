@@ -1,4 +1,4 @@
-"""What the API's routes and the pages both call: the catalogue with uploads, jobs, live runs."""
+"""Service behind the API and the pages: catalogue with uploads, jobs, live runs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from metropilot.errors import InputError
 from metropilot.evaluate import POLICY, RunSpec
 from metropilot.policy import POLICY_FILE
 from metropilot.web.live.session import Session, Spare, start_spare
-from metropilot.web.pools import Pools, explained
+from metropilot.web.pools import Pools, explain
 from metropilot.web.refusals import Refused, detail_of
 from metropilot.web.schemas.requests import (
     CompareAsked,
@@ -36,18 +36,18 @@ if TYPE_CHECKING:
 SUFFIXES = (".toml", ".json", ".safetensors")
 SAVE_STEPS = 25
 ABANDONED_S = 120.0
-"""A live run that no viewer or asks about is stopped after this; it can be resumed."""
+"""Time without viewers or requests after which a live run is stopped; it can be resumed."""
 RESUMABLE = ("interrupted", "stopped")
 LISTED = 6
-"""Live runs that can be resumed and are listed, the newest first."""
+"""Number of live runs to resume that are listed, the newest first."""
 FORGET = 50
 
 
 class Service:
-    """One server's work.
+    """Jobs, live runs, uploads and worker processes of one server.
 
     Args:
-        settings: Where and how much.
+        settings: Settings of the server.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -62,7 +62,7 @@ class Service:
         self._watch: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
-        """Begin: mark what an earlier server left behind, start workers."""
+        """Mark unfinished jobs of an earlier server as interrupted and start the workers."""
         for job in self.store.unfinished():
             words = "the server was restarted; it can be resumed"
             self.store.update(job.id, status="interrupted", words=words)
@@ -73,7 +73,7 @@ class Service:
         self._watch = asyncio.create_task(self._watching())
 
     async def close(self) -> None:
-        """End every process; what was under way can be resumed."""
+        """End every process; interrupted jobs can be resumed."""
         self.closing = True
         if self._watch:
             self._watch.cancel()
@@ -85,18 +85,18 @@ class Service:
 
     # ------------------------------------------------------------------------------------------ names
     def paths(self, kind: str | None = None) -> dict[str, str]:
-        """Uploads by id: where their files are."""
+        """Paths of uploaded files by id."""
         return {row.id: str(self.root / "uploads" / row.file) for row in self.store.uploads(kind)}
 
     def policies(self) -> dict[str, str]:
-        """Policy files by the id of their learning run or upload, the newest runs first."""
+        """Paths of policies by the id of their learning run or upload, the newest runs first."""
         runs = self.root / "runs"
         found = sorted(runs.glob(f"*/{POLICY_FILE}"), key=lambda path: path.stat().st_mtime, reverse=True)
         inside = [path for path in found if path.resolve().is_relative_to(runs.resolve())]
         return {path.parent.name: str(path) for path in inside} | self.paths(POLICY)
 
     def path(self, kind: str, key: str) -> str:
-        """The file that an id means; a line or trainset that was not uploaded is one of the catalogue.
+        """File of an id; the id itself where a line or trainset is one of the catalogue.
 
         Raises:
             InputError: No policy of that id.
@@ -110,7 +110,7 @@ class Service:
         return found
 
     def request(self, asked: SectionAsked) -> RunSpec:
-        """The run that is meant.
+        """Resolve a request to a run.
 
         Raises:
             InputError: A name is unknown, or a number is not allowed.
@@ -177,11 +177,11 @@ class Service:
 
     # ------------------------------------------------------------------------------------------ jobs
     def submit(self, asked: DriveAsked | CompareAsked | LearnAsked | StudyAsked) -> str:
-        """Queue a job; its id.
+        """Queue a job; return its id.
 
         Raises:
-            InputError: It cannot be done at all.
-            Refused: Too many wait (429).
+            InputError: The job is not possible.
+            Refused: Too many jobs wait (429).
         """
         if self.store.waiting() >= self.settings.queued_jobs:
             raise Refused("too many jobs wait", 429)
@@ -197,7 +197,7 @@ class Service:
             request = self.request(asked)
             request.run()
             if isinstance(asked, CompareAsked):
-                self._compared(asked)
+                self._drivers_of(asked)
             else:
                 self._check_driver(request)
             kind = "compare" if isinstance(asked, CompareAsked) else "drive"
@@ -206,7 +206,7 @@ class Service:
         return job
 
     def stop(self, job: str) -> None:
-        """Ask a job to end: a learning run ends at its next checkpoint, anything else at once."""
+        """Stop a job: a learning run at its next checkpoint, any other job at once."""
         row = self.store.job(job)
         if row.status in OVER:
             return
@@ -222,10 +222,10 @@ class Service:
             self.store.update(job, status="stopped", words="stopped")
 
     def resume(self, job: str) -> None:
-        """Go on with a job that was interrupted, stopped or failed.
+        """Resume a job that was interrupted, stopped or failed.
 
         Raises:
-            Refused: It waits, runs or is done (409), or is a live run (409).
+            Refused: The job waits, runs or is done (409), or is a live run (409).
         """
         row = self.store.job(job)
         if row.kind == "live" or row.status in {"queued", "running", "done"}:
@@ -241,16 +241,16 @@ class Service:
             future = self.pools.submit(kind, studying.study_job, root, job, asked)
         elif kind == "compare":
             body = CompareAsked.model_validate(asked)
-            what = (self.request(body), self._compared(body), body.seeds)
+            what = (self.request(body), self._drivers_of(body), body.seeds)
             future = self.pools.submit(kind, drives.compare_job, root, job, *what)
         else:
             request = self.request(DriveAsked.model_validate(asked))
             future = self.pools.submit(kind, drives.drive_job, root, job, request)
         self.futures[job] = future
-        future.add_done_callback(lambda done: self._finished(job, kind, done))
+        future.add_done_callback(lambda done: self._store_result(job, kind, done))
 
-    def _finished(self, job: str, kind: str, future: Future[Any]) -> None:
-        """In a thread of the pool: write down what came of a job."""
+    def _store_result(self, job: str, kind: str, future: Future[Any]) -> None:
+        """Store the result of a job; runs in a thread of the pool."""
         self.futures.pop(job, None)
         if self.closing:
             return
@@ -260,7 +260,7 @@ class Service:
         error = future.exception()
         if error is not None:
             bound = self.settings.learn_s if kind in {"learn", "study"} else self.settings.job_s
-            told = detail_of(explained(error, bound))
+            told = detail_of(explain(error, bound))
             self.store.update(job, status="failed", words=told["message"], error=told)
             return
         result = future.result()
@@ -271,7 +271,7 @@ class Service:
 
     @staticmethod
     def _check_driver(request: RunSpec) -> None:
-        """Make the driver, and read the policy that it was told to drive by.
+        """Make the driver and read its policy.
 
         Raises:
             InputError: No such driver or option, or the policy is none of this driver's.
@@ -283,8 +283,8 @@ class Service:
             told = {"value": error.value, "unit": error.unit, "allowed": error.allowed}
             raise InputError(error.message, field=f"options.{POLICY}", **told) from None
 
-    def _compared(self, asked: CompareAsked) -> dict[str, str]:
-        """The drivers of a comparison as :func:`metropilot.evaluate.compare` takes them, by their names.
+    def _drivers_of(self, asked: CompareAsked) -> dict[str, str]:
+        """Drivers of a comparison for :func:`metropilot.evaluate.compare`, by name.
 
         Raises:
             InputError: No such driver, or no such option of it.
@@ -302,11 +302,11 @@ class Service:
         from metropilot.learn.recipes import recipe
 
         row = recipe(asked.driver)
-        row.configuration(asked.budget, **learning.told_of(asked.model_dump()))
+        row.configuration(asked.budget, **learning.recipe_fields(asked.model_dump()))
         row.task_configuration(asked.task)
 
     def _mark_run(self, run: str) -> None:
-        """A learning run whose process is gone is interrupted."""
+        """Mark a learning run without a process as interrupted."""
         from metropilot.learn import RunStore
 
         runs = RunStore(self.root / "runs")
@@ -351,14 +351,14 @@ class Service:
         self.store.update(job, status="running", words="", error=None)
         session.start(order)
         self.spare = start_spare(self.settings.worker_bytes)
-        await session.wait_begun()
+        await session.wait_ready()
         return session
 
     async def resume_live(self, job: str) -> Session:
-        """Resume a live run: what was done is done again at once, then it goes on.
+        """Resume a live run: repeat its steps and events, then continue in real time.
 
         Raises:
-            Refused: It is no live run, or it is over or running (409).
+            Refused: The job is no live run, or it is done, failed or running (409).
         """
         row = self.store.job(job)
         if row.kind != "live" or row.status not in RESUMABLE:
@@ -367,10 +367,10 @@ class Service:
         return await self.go_live(kind.model_validate(row.asked), job)
 
     def live_run(self, job: str) -> JobRow:
-        """A live run or convoy as it is stored, also one of an earlier server.
+        """Stored row of a live run or convoy, also of an earlier server.
 
         Raises:
-            Refused: There is none of that id (404).
+            Refused: Unknown id (404).
         """
         row = self.store.job(job)
         if row.kind != "live":
@@ -378,13 +378,13 @@ class Service:
         return row
 
     def live_runs(self) -> list[JobRow]:
-        """Live runs that go on, and the newest of those that can be resumed."""
+        """Running live runs, and the newest of those that can be resumed."""
         rows = self.store.jobs("live", limit=1000)
         going = [row for row in rows if row.status == "running" and row.id in self.sessions]
         return going + [row for row in rows if row.status in RESUMABLE][:LISTED]
 
     async def stop_abandoned(self) -> None:
-        """Stop the live runs that nobody has watched for long, so that they take nobody's place."""
+        """Stop live runs without viewers for ``ABANDONED_S``, so that others can start."""
         for session in list(self.sessions.values()):
             if session.over or session.unwatched_s <= ABANDONED_S:
                 continue
@@ -432,14 +432,14 @@ class Service:
         """A live run of this server.
 
         Raises:
-            Refused: There is none of that id (404).
+            Refused: Unknown id (404).
         """
         if job not in self.sessions:
             raise Refused("no such live run", 404, field="id", value=job)
         return self.sessions[job]
 
     def _keep(self, session: Session, kind: str, known: dict[str, Any]) -> None:
-        """In the reader's thread: what is to outlive the server."""
+        """Store a message of a live run; runs in the reader's thread."""
         job = session.id
         if self.closing:
             return
@@ -448,7 +448,7 @@ class Service:
         elif kind == "rows":
             if known["step"] // SAVE_STEPS != session.known.step // SAVE_STEPS:
                 self.store.update(job, progress=known["step"])
-        elif kind == "kept":
+        elif kind == "store":
             self.store.update(job, result=known["result"], words=known["outcome"])
         else:
             error = known["error"]
@@ -463,7 +463,7 @@ class Service:
             del self.sessions[key]
 
     async def _watching(self) -> None:
-        """Stop what is abandoned, for as long as the server runs."""
+        """Stop abandoned live runs for as long as the server runs."""
         while True:
             await asyncio.sleep(10.0)
             await self.stop_abandoned()

@@ -1,4 +1,4 @@
-"""What a server is told: where it listens, where it keeps things, and its bounds."""
+"""Settings of a server: address, data folder and bounds."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ def data_folder() -> Path:
 
 @dataclass(frozen=True)
 class Settings:
-    """How a server runs.
+    """Settings of a server.
 
     Attributes:
         data: Folder of uploads, jobs and learning runs; made if it is not there.
         host: Address to listen on.
         port: Port to listen on.
-        token: What a browser or program must present; needed wherever the host is not loopback.
+        token: Secret of every client; required where the host is not loopback.
         parallel_jobs: Drives and comparisons computed at once.
         queued_jobs: Jobs that may wait.
         live_runs: Live runs at once.
         upload_bytes: Largest upload.
         request_bytes: Largest body of any other request.
-        answer_s: Longest computation answered at once (a plan, a front, a file read).
+        answer_s: Longest computation of a direct answer (a plan, a front, an upload).
         job_s: Longest drive or comparison.
-        learn_s: Longest learning job in one sitting; it can be resumed.
-        worker_bytes: Address space of a worker, learning apart.
+        learn_s: Longest part of a learning job; it can be resumed.
+        worker_bytes: Address space of a worker, except the learning one.
     """
 
     data: Path = field(default_factory=data_folder)
@@ -68,5 +68,5 @@ class Settings:
 
     @property
     def is_local(self) -> bool:
-        """Whether only this machine can reach the server."""
+        """True where only this machine can reach the server."""
         return self.host in LOOPBACK

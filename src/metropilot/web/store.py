@@ -1,4 +1,4 @@
-"""Store of the console: jobs, the journals of live runs, and the names of uploads, in one SQLite file."""
+"""Store of the console in one SQLite file: jobs, journals of live runs, uploads."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class JobStore:
             yield database
 
     def new_job(self, kind: str, asked: dict[str, Any]) -> str:
-        """A job that waits; its id."""
+        """Add a job with status ``queued``; return its id."""
         now = datetime.now(UTC)
         job = f"{kind}-{now:%Y%m%d-%H%M%S}-{secrets.token_hex(3)}"
         with self._open() as database:
@@ -112,23 +112,23 @@ class JobStore:
         return self._jobs(f"{where} ORDER BY created DESC, id DESC LIMIT ?", (kind or "", limit))
 
     def unfinished(self) -> list[JobRow]:
-        """Jobs that a server left behind."""
+        """Jobs with status ``queued`` or ``running``, the oldest first."""
         return self._jobs("WHERE status IN ('queued', 'running') ORDER BY created", ())
 
     def waiting(self) -> int:
-        """How many jobs wait or run."""
+        """Number of jobs that wait or run, without live runs."""
         with self._open() as database:
             sql = "SELECT count(*) FROM jobs WHERE status IN ('queued', 'running') AND kind != 'live'"
             return int(database.execute(sql).fetchone()[0])
 
     def result(self, job: str) -> Any:  # noqa: ANN401 (whatever the job's kind gives)
-        """What came of a job; None while there is nothing."""
+        """Result of a job; None while there is none."""
         with self._open() as database:
             row = database.execute("SELECT result FROM jobs WHERE id = ?", (job,)).fetchone()
         return json.loads(row[0]) if row and row[0] else None
 
-    def stop_asked(self, job: str) -> bool:
-        """Whether somebody asked for an end."""
+    def stop_requested(self, job: str) -> bool:
+        """Tell whether a job is to be stopped."""
         with self._open() as database:
             row = database.execute("SELECT stop FROM jobs WHERE id = ?", (job,)).fetchone()
         return bool(row and row[0])
@@ -142,7 +142,7 @@ class JobStore:
             )
 
     def journal(self, job: str) -> list[tuple[int, dict[str, Any]]]:
-        """A live run's journal: before which step, and what."""
+        """Journal of a live run: (step before which it applies, event)."""
         with self._open() as database:
             rows = database.execute(
                 "SELECT step, event FROM journal WHERE job = ? ORDER BY number", (job,)
@@ -150,7 +150,7 @@ class JobStore:
         return [(int(step), json.loads(event)) for step, event in rows]
 
     def add_upload(self, kind: str, name: str, file: str) -> UploadRow:
-        """A file that was read and found in order; its id is ours, never the sender's."""
+        """Add an upload under a new id."""
         row = UploadRow(f"upload-{secrets.token_hex(4)}", kind, name, file)
         now = datetime.now(UTC).isoformat(timespec="seconds")
         with self._open() as database:

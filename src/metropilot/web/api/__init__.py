@@ -1,1 +1,1 @@
-"""The routes of the HTTP API, one file a subject."""
+"""Routes of the HTTP API, one file for each subject."""

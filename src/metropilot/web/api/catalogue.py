@@ -14,7 +14,7 @@ Key = Annotated[str, Path(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 
 
 def routes(service: Service) -> APIRouter:
-    """The routes of this file."""
+    """Make the routes of the catalogue."""
     router = APIRouter(tags=["catalogue"])
 
     @router.get("/lines", response_model=list[LineRow])
@@ -39,14 +39,14 @@ def routes(service: Service) -> APIRouter:
 
     @router.get("/drivers", response_model=list[DriverOut])
     def drivers() -> list[dict[str, Any]]:
-        """Every driver, with its options and what they are if nothing is said."""
+        """Every driver, with its options and their defaults."""
         return catalogue.driver_rows()
 
     @router.post("/uploads", response_model=Uploaded, status_code=201)
     async def upload(file: UploadFile) -> dict[str, Any]:
         """Upload a line or trainset (metropilot's TOML, TTOBench's JSON) or a policy (safetensors).
 
-        Its id is used like any other; that of a policy as the option `policy` of a driver.
+        Use the id like one of the catalogue; the id of a policy is given as the option `policy` of a driver.
         """
         content = await file.read(service.settings.upload_bytes + 1)
         row, found = await service.upload(file.filename or "file", content)

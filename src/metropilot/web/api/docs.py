@@ -1,4 +1,4 @@
-"""The API's description as a page to read: made from its OpenAPI document, with nothing from elsewhere."""
+"""Reference page of the API, made from its OpenAPI document without external scripts."""
 
 from __future__ import annotations
 
@@ -39,19 +39,19 @@ Schema = dict[str, Any]
 
 
 def routes(app: FastAPI) -> APIRouter:
-    """The routes of this file."""
+    """Make the route of the reference page."""
     router = APIRouter()
 
     @router.get("/docs", include_in_schema=False)
     def docs() -> HTMLResponse:
-        """The description as a page."""
+        """Reference of the API."""
         return HTMLResponse(page(app.openapi()))
 
     return router
 
 
 def page(document: Schema) -> str:
-    """A page from an OpenAPI document.
+    """Make the page of an OpenAPI document.
 
     Args:
         document: As at ``/api/openapi.json``.
@@ -115,7 +115,7 @@ def _model(name: str, schema: Schema) -> str:
 
 
 def _table(rows: list[tuple[str, Schema, str, bool]]) -> str:
-    """Fields: name, kind, what is allowed, and what it is if nothing is said."""
+    """Table of fields: name, type, allowed values and default."""
     cells = [
         f"<tr><td><code>{escape(name)}</code></td><td>{_kind(schema)}</td>"
         f"<td>{escape(', '.join([*([where] if where else []), *_bounds(schema)]))}</td>"
@@ -130,7 +130,7 @@ def _default(schema: Schema) -> str:
 
 
 def _kind(schema: Schema) -> str:
-    """What a schema holds, with a link where it has a name."""
+    """Type of a schema, with a link where it has a name."""
     if "$ref" in schema:
         name = escape(schema["$ref"].rpartition("/")[2])
         return f'<a href="#{name}">{name}</a>'

@@ -1,4 +1,4 @@
-"""Jobs: drives, comparisons, learning, studies. Started here, done in workers, looked at later."""
+"""Routes of jobs: drives, comparisons, learning runs and studies, computed in worker processes."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FileName = Annotated[str, Path(pattern=r"^[a-z]{1,16}(-[0-9])?\.(csv|json|svg|pn
 
 
 def routes(service: Service) -> APIRouter:
-    """The routes of this file."""
+    """Make the routes of jobs, learning runs and studies."""
     router = APIRouter(tags=["jobs"])
 
     @router.post("/jobs/drive", response_model=JobOut, status_code=202)
@@ -66,12 +66,12 @@ def routes(service: Service) -> APIRouter:
 
     @router.get("/jobs/{job_id}/drive", response_model=DriveOut)
     def drive_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
-        """What came of a drive or of a live run that arrived at its end."""
+        """Result of a drive, or of a live run that has ended."""
         return _result(service, job_id, ("drive", "live"))
 
     @router.get("/jobs/{job_id}/compare", response_model=CompareOut)
     def compare_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
-        """What came of a comparison."""
+        """Result of a comparison."""
         return _result(service, job_id, ("compare",))
 
     @router.get("/jobs/{job_id}/files/{name}", response_class=FileResponse)
@@ -107,12 +107,12 @@ def routes(service: Service) -> APIRouter:
 def _learning(router: APIRouter, service: Service) -> None:
     @router.get("/tasks", response_model=list[TaskOut], tags=["learning"])
     def tasks() -> list[dict[str, Any]]:
-        """What can be learned."""
+        """Learning tasks."""
         return catalogue.task_rows()
 
     @router.get("/recipes", response_model=list[RecipeOut], tags=["learning"])
     def recipes() -> list[dict[str, Any]]:
-        """Which drivers can be learned."""
+        """Learning recipes of drivers."""
         return catalogue.recipe_rows()
 
     @router.get("/runs", response_model=list[RunOut], tags=["learning"])
@@ -127,7 +127,7 @@ def _learning(router: APIRouter, service: Service) -> None:
 
     @router.get("/runs/{run_id}/history", response_model=HistoryOut, tags=["learning"])
     def history(run_id: Key) -> dict[str, Any]:
-        """The history of a learning run, also while it goes on."""
+        """History of a learning run, also while it runs."""
         return {"columns": catalogue.history(service, run_id)}
 
     @router.get("/studies", response_model=list[StudyOut], tags=["learning"])

@@ -1,4 +1,4 @@
-"""Live runs: started, watched, updated, driven manually."""
+"""Routes of live runs: start, watch, send timetable updates, drive manually."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ STREAM: dict[int | str, dict[str, Any]] = {
         "In a scene, `plan` leads from where the trainset was when it was made to the stop; `reference` "
         "leads from departure to the stop for what is in force now, and a run's energy is compared with it: "
         "`plan_energy_wheel_j` of a row is what it has used at that position. "
-        "`Last-Event-ID` goes on from there; without it everything is told from departure.",
+        "`Last-Event-ID` goes on from there; without it the stream begins at departure.",
         "content": {"text/event-stream": {"schema": {"type": "string"}}},
     }
 }
@@ -57,7 +57,7 @@ def live_out(session: Session) -> dict[str, Any]:
 
 
 def routes(service: Service) -> APIRouter:
-    """The routes of this file."""
+    """Make the routes of live runs and live convoys."""
     router = APIRouter(tags=["live"])
 
     async def tell(live_id: str, kind: str, asked: Asked) -> dict[str, Any]:
@@ -76,7 +76,7 @@ def routes(service: Service) -> APIRouter:
 
     @router.post("/live/{live_id}/link", response_model=Told)
     async def link(live_id: Key, asked: NewLink) -> dict[str, Any]:
-        """Make the link of a convoy worse, better or silent."""
+        """Change delay, jitter and loss of the link of a convoy, or silence it."""
         return await tell(live_id, "link", asked)
 
     @router.post("/live/{live_id}/emergency", response_model=Told)
@@ -91,7 +91,7 @@ def routes(service: Service) -> APIRouter:
 
     @router.get("/live/{live_id}", response_model=LiveOut)
     async def one(live_id: Key) -> dict[str, Any]:
-        """A live run. Asking counts as watching: one that no viewer for 2 min is stopped."""
+        """A live run. A request counts as a viewer; a live run without viewers for 2 min is stopped."""
         session = service.session(live_id)
         session.seen_at = monotonic()
         return live_out(session)
@@ -100,7 +100,7 @@ def routes(service: Service) -> APIRouter:
     async def stream(
         live_id: Key, last_event_id: Annotated[int | None, Header(ge=0, le=10**9)] = None
     ) -> StreamingResponse:
-        """Watch a live run. However slow or many, viewers never hold it up."""
+        """Watch a live run. The number and speed of its viewers do not delay it."""
         session = service.session(live_id)
         body: AsyncIterator[bytes] = session.listen(-1 if last_event_id is None else last_event_id)
         headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
@@ -108,7 +108,7 @@ def routes(service: Service) -> APIRouter:
 
     @router.post("/live/{live_id}/arrival", response_model=Told)
     async def arrival(live_id: Key, asked: NewArrival) -> dict[str, Any]:
-        """Tell the driver to arrive earlier or later."""
+        """Send the driver a new arrival time."""
         return await tell(live_id, "arrival", asked)
 
     @router.post("/live/{live_id}/restriction", response_model=Told)
@@ -118,15 +118,15 @@ def routes(service: Service) -> APIRouter:
 
     @router.post("/live/{live_id}/lever", response_model=Told)
     async def lever(live_id: Key, asked: Lever) -> dict[str, Any]:
-        """Hold the lever by hand, under protection; renew it within 3 s or the driver has it again.
+        """Drive manually under protection; without renewal within 3 s the driver takes over.
 
-        It has one holder: another one is refused (409) and told who holds it and since when.
+        The lever has one holder. A second one is refused (409); the message names the first.
         """
         return await tell(live_id, "lever", asked)
 
     @router.post("/live/{live_id}/pace", response_model=Told)
     async def pace(live_id: Key, asked: Pace) -> dict[str, Any]:
-        """Change how fast the run goes: 1 is real time, 0 waits."""
+        """Change the pace of the run: 1 is real time, 0 pauses it."""
         return await tell(live_id, "pace", asked)
 
     @router.post("/live/{live_id}/stop", response_model=Told)

@@ -1,4 +1,4 @@
-"""Sections, plans, fronts and journeys: answered at once."""
+"""Routes of sections, plans, fronts and journeys, which are answered directly."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from metropilot.web.service import Service
 
 
 def routes(service: Service) -> APIRouter:
-    """The routes of this file."""
+    """Make the routes of planning."""
     router = APIRouter(tags=["planning"])
 
     @router.post("/section", response_model=SectionOut)
     async def section(asked: SectionAsked) -> dict[str, Any]:
-        """A section as this trainset meets it, with the minimum running time."""
+        """A section for a trainset, with the minimum running time."""
         return await service.section(asked)
 
     @router.post("/plan", response_model=PlanOut)
@@ -32,7 +32,7 @@ def routes(service: Service) -> APIRouter:
 
     @router.post("/journey", response_model=JourneyOut)
     async def journey(asked: JourneyAsked) -> dict[str, Any]:
-        """A journey that calls at every station; with ``total_s`` the optimum spreads the reserve."""
+        """A journey that calls at every station; with ``total_s`` its reserve is spread optimally."""
         return await service.journey(asked.model_dump())
 
     return router

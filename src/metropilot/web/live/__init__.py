@@ -1,1 +1,1 @@
-"""Live runs: each is stepped by a process of its own, and watched by any number of viewers."""
+"""Live runs, each stepped by its own process and watched by any number of viewers."""

@@ -1,4 +1,4 @@
-"""A convoy stepped against the clock, its link made worse or silent on the way."""
+"""A convoy stepped in real time, with link faults and emergency braking of its head on request."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ SILENT = float("inf")
 
 
 class ConvoyEngine:
-    """A convoy under way; the same calls as :class:`metropilot.web.live.engine.Engine`.
+    """A live convoy, with the methods of :class:`metropilot.web.live.engine.Engine`.
 
     Args:
-        request: What is to be driven.
+        request: The convoy.
     """
 
     def __init__(self, request: ConvoyRequest) -> None:
@@ -33,7 +33,7 @@ class ConvoyEngine:
         self.rollout = ConvoyRollout(convoy, request.head_run(convoy), follower, request.head.seed)
         self.steps = 0
         self.link = request.link
-        self.braked = False
+        self.head_brakes = False
 
     @property
     def time_s(self) -> float:
@@ -47,16 +47,16 @@ class ConvoyEngine:
 
     @property
     def over(self) -> bool:
-        """Whether all stand."""
+        """True when all trainsets stand still."""
         return self.rollout.over
 
     @property
     def position_m(self) -> float:
-        """Of the head."""
+        """Position of the head of the first trainset."""
         return float(self.rollout.states[0].plant.position_m)
 
     def advance(self) -> list[Any]:
-        """One control period; the row it gives."""
+        """Simulate one control period; return its row."""
         time_s, gaps, apart = self.rollout.advance()
         self.steps += 1
         states = self.rollout.states
@@ -72,28 +72,28 @@ class ConvoyEngine:
         ]
 
     def holds(self, event: Event) -> bool:
-        """Whether an event changes nothing."""
+        """Tell whether an event changes nothing."""
         return event["kind"] == "lever" and event["share"] is None
 
-    def forgotten(self) -> bool:
+    def lever_expired(self) -> bool:
         """A convoy has no lever."""
         return False
 
     def lever(self) -> None:
-        """A convoy has no lever."""
+        """None: a convoy has no lever."""
 
-    def heard(self) -> list[str]:
-        """A convoy's head is told nothing on the way."""
+    def pop_updates(self) -> list[str]:
+        """Empty: the head of a convoy gets no timetable updates."""
         return []
 
     def apply(self, event: Event) -> str:
-        """Make the link worse or better, or let the head brake; what happened, in words.
+        """Change the link or apply the emergency brake of the head; return a description.
 
         Raises:
-            InputError: A convoy cannot be told that.
+            InputError: The event is none of a convoy.
         """
         if event["kind"] == "emergency":
-            self.braked = True
+            self.head_brakes = True
             self.rollout.brake_head()
             return "the head makes an emergency brake"
         if event["kind"] != "link":
@@ -107,7 +107,7 @@ class ConvoyEngine:
         return f"link: {event['delay_s']:g} s late, {event['jitter_s']:g} s uneven, {lost}"
 
     def scene(self) -> dict[str, Any]:
-        """What stands still between events."""
+        """Values that are constant between events."""
         convoy = self.rollout.convoy
         section = convoy.section
         return {
@@ -131,11 +131,11 @@ class ConvoyEngine:
                 "loss": self.link.loss,
                 "silent": self.link.silent_from_s != SILENT,
             },
-            "head_brakes": self.braked,
+            "head_brakes": self.head_brakes,
         }
 
     def report(self, folder: Path) -> tuple[dict[str, Any], dict[str, Any], str]:
-        """KPIs in short and in full, and the outcome; files into a folder."""
+        """Write the files of the run; return the result in short and in full, and the outcome."""
         driven = self.rollout.result()
         kpis = convoy_kpis(driven, self.scheduled_s)
         write_convoy(folder, self.request, driven, kpis)

@@ -1,4 +1,4 @@
-"""A run stepped against the clock, with timetable updates and manual driving; every event has its step.
+"""A run stepped in real time, with timetable updates and manual driving.
 
 The same events before the same steps give the same bits, so that a journal is enough to resume a run.
 """
@@ -26,11 +26,11 @@ from metropilot.web.work.plain import numbers, station, window
 from metropilot.web.work.plans import work_j
 
 HAND_S = 3.0
-"""The lever falls back to the driver unless whoever holds it says so within this time."""
+"""Manual driving ends unless the holder of the lever renews it within this time."""
 COLUMNS = (*Moment._fields, "plan_energy_wheel_j", "step")
-"""``plan_energy_wheel_j``: what the reference plan has used where the trainset is (see :class:`Engine`)."""
+"""Columns of a row; ``plan_energy_wheel_j`` is the energy of the reference plan at this position."""
 NOBODY = "api"
-"""Who holds the lever where a request does not say."""
+"""Holder of the lever where a request names none."""
 LATE_W = 500.0
 SHORT = ("driver", "success", "kpis", "checks")
 PERMITTED_STEP_M = 5.0
@@ -41,18 +41,18 @@ Event = dict[str, Any]
 class Engine:
     """A live run.
 
-    Two plans are kept. ``plan`` leads from where the trainset was when it was made (at departure, at a new
-    arrival time or restriction, or when the driver got the lever again) to the stop: what is still possible.
-    ``reference`` leads from departure to the stop for the scheduled running time and the restrictions in
-    force: what the run is compared with. Driven and reference energy both count from departure, whatever
-    happened on the way; where the time cannot be met even from departure, the reference is late.
+    There are two plans. ``plan`` leads from the state at the last event (departure, a new arrival time or
+    restriction, the end of manual driving) to the stop: the best that is still possible. ``reference``
+    leads from departure to the stop for the scheduled running time and the restrictions in force; the run
+    is compared with it. Energy of the run and of the reference both count from departure. Where the
+    scheduled time cannot be met from departure, the reference arrives late.
 
     Args:
-        request: What is to be driven.
+        request: The run.
 
     Attributes:
-        holder: Who holds the lever, None while the driver does.
-        held_since_s: When the holder took it, time since departure.
+        holder: Name of the holder of the lever, None while the driver drives.
+        held_since_s: Time since departure at which the holder took the lever.
     """
 
     def __init__(self, request: RunSpec) -> None:
@@ -79,16 +79,16 @@ class Engine:
 
     @property
     def over(self) -> bool:
-        """Whether the run has ended."""
+        """True when the run has ended."""
         return self.rollout.outcome is not None
 
     @property
     def position_m(self) -> float:
-        """Of the head."""
+        """Position of the head of the trainset."""
         return float(self.rollout.state.plant.position_m)
 
     def advance(self) -> list[Any]:
-        """One control period; the row it gives, in the order of ``COLUMNS``."""
+        """Simulate one control period; return its row in the order of ``COLUMNS``."""
         scheduled_s, section = self.rollout.scheduled_time_s, self.rollout.section
         moment = self.rollout.advance()
         self.steps += 1
@@ -103,17 +103,17 @@ class Engine:
             ]
         return [*(round(x, 4) for x in moment), self._reference_j(moment.position_m), self.steps]
 
-    def heard(self) -> list[str]:
-        """What the request had the driver told since the last call, in words."""
+    def pop_updates(self) -> list[str]:
+        """Descriptions of the timetable updates of the request since the last call."""
         words, self.due = self.due, []
         return words
 
     def apply(self, event: Event) -> str:
-        """Tell the driver something, or take the lever; what happened, in words.
+        """Send the driver a timetable update, or move the lever; return a description.
 
         Raises:
-            InputError: It cannot be: the message says what can.
-            Refused: Somebody else holds the lever (409).
+            InputError: The event is not possible; the message names the allowed values.
+            Refused: The lever has another holder (409).
         """
         kind = event["kind"]
         if kind == "arrival":
@@ -126,7 +126,7 @@ class Engine:
         return self._lever(event["share"], event.get("holder", NOBODY), take_over=take_over)
 
     def _lever(self, share: float | None, holder: str, *, take_over: bool) -> str:
-        """Take the lever, move it, or (None) give it back; it has one holder at a time."""
+        """Take the lever, move it, or (None) return it to the driver; it has one holder at a time."""
         held = self.holder
         if held not in {None, holder} and not take_over:
             raise Refused(
@@ -148,7 +148,7 @@ class Engine:
         return f"the lever is taken {'by hand' if held is None else f'over from {held}'} by {holder}"
 
     def holds(self, event: Event) -> bool:
-        """Whether the lever is there already; then its holder's hand is felt again, and nothing changes."""
+        """Tell whether an event leaves the lever where it is; if so, renew its holder's time."""
         if event["kind"] != "lever" or event["share"] != self.rollout.by_hand:
             return False
         if self.holder not in {None, event.get("holder", NOBODY)}:
@@ -156,12 +156,12 @@ class Engine:
         self.renewed = monotonic()
         return True
 
-    def forgotten(self) -> bool:
-        """Whether the hand on the lever has not been felt for too long."""
+    def lever_expired(self) -> bool:
+        """Tell whether the holder has not renewed the lever in time."""
         return self.holder is not None and monotonic() - self.renewed > HAND_S
 
     def lever(self) -> dict[str, Any] | None:
-        """Who holds the lever, and since when; None while the driver does."""
+        """Holder of the lever and since when; None while the driver drives."""
         return None if self.holder is None else {"holder": self.holder, "since_s": self.held_since_s}
 
     def _arrival(self, scheduled_s: float) -> str:
@@ -189,7 +189,7 @@ class Engine:
         self.rollout.tell(news)
 
     def _instead(self) -> str:
-        """When it can be there, where the time it was told cannot be met from here; else nothing."""
+        """Words on the earliest arrival where the scheduled time cannot be met; else empty."""
         if self.plan is None:
             return "; no plan from here meets it"
         arrives_s = self.time_s + float(self.plan.time_s[-1])
@@ -223,7 +223,7 @@ class Engine:
         return restriction_words(restriction)
 
     def _in_time(self, restriction: Restriction) -> bool:
-        """Whether the speed is one protection would permit with the restriction."""
+        """Tell whether protection would permit the present speed with the restriction."""
         run = self.rollout.run
         section = self.rollout.section.restricted(restriction)
         guard = protect(section, run.scenario.nominal(run.trainset), declared_bounds(run))
@@ -232,7 +232,7 @@ class Engine:
         return seen <= float(permitted_speed(guard, float(state.position_m)))
 
     def _nearest(self, restriction: Restriction) -> float | None:
-        """Where it could begin instead; None if nowhere."""
+        """Nearest possible begin of the restriction, m; None if there is none."""
         first = np.ceil(float(self.rollout.state.plant.position_m) / NEAREST_STEP_M) * NEAREST_STEP_M
         for at in np.arange(first, self.rollout.section.length_m, 4 * NEAREST_STEP_M):
             if self._in_time(replace(restriction, from_m=float(at), to_m=float(at) + 1.0)):
@@ -240,7 +240,7 @@ class Engine:
         return None
 
     def _plan_anew(self) -> None:
-        """Make both plans for what is in force now."""
+        """Compute both plans for the timetable and restrictions in force."""
         state = self.rollout.state.plant
         self.planned_s = self.time_s
         self.plan = self._plan(max(float(state.position_m), 0.0), float(state.speed_mps), self.time_s)
@@ -252,7 +252,7 @@ class Engine:
         self.reference_used_j = None if self.reference is None else work_j(self.reference)
 
     def _plan(self, start_m: float, start_mps: float, time_s: float) -> Plan | None:
-        """The optimal plan from a state to the stop, which may be late where the time cannot be met."""
+        """Optimal plan from a state to the stop; late where the time cannot be met."""
         rollout = self.rollout
         left = max(rollout.scheduled_time_s - time_s, 1.0)
         options = PlanOptions(
@@ -272,7 +272,7 @@ class Engine:
         return round(float(np.interp(position_m, self.reference.position_m, self.reference_used_j)), 1)
 
     def scene(self) -> dict[str, Any]:
-        """What stands still between events: track, permitted speed, plan."""
+        """Values that are constant between events: track, permitted speed, plan."""
         rollout, plan, reference = self.rollout, self.plan, self.reference
         section, trainset = rollout.section, rollout.run.trainset
         track = track_arrays(section, trainset)
@@ -324,16 +324,16 @@ class Engine:
         }
 
     def report(self, folder: Path) -> tuple[dict[str, Any], dict[str, Any], str]:
-        """KPIs in short and the drive in full, and the outcome; files into a folder."""
+        """Write the files of the run; return the result in short and in full, and the outcome."""
         driven = self.rollout.drive()
         optimum = optimum_of(driven, self.request.objective)
         kpis = kpis_of(driven, optimum, self.request.objective)
         full = drive_out(driven, kpis, optimum)
-        write_run(folder, self.told(), driven, kpis, optimum)
+        write_run(folder, self.request_with_updates(), driven, kpis, optimum)
         return {name: full[name] for name in SHORT}, full, kpis.outcome
 
-    def told(self) -> RunSpec:
-        """The request with what the driver was told on the way; what a hand did is not in it."""
+    def request_with_updates(self) -> RunSpec:
+        """The request with the timetable updates sent during the run, without manual driving."""
         disturbance = self.request.disturbance
         updates = (*disturbance.updates, *self.news)
         return replace(self.request, disturbance=replace(disturbance, updates=updates))
@@ -345,6 +345,6 @@ class Engine:
 
 
 def restriction_words(restriction: Restriction) -> str:
-    """A restriction that is announced, in words."""
+    """Description of a restriction that is announced."""
     where = f"{restriction.from_m:.0f} to {restriction.to_m:.0f} m"
     return f"restriction announced: {KMH_PER_MPS * restriction.limit_mps:.0f} km/h from {where}"

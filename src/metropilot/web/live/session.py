@@ -1,4 +1,4 @@
-"""A live run as the server holds it: what was said so far, and whoever listens."""
+"""Live run on the side of the server: its process, its messages so far, its viewers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from traceback import print_exception
 from typing import Any, cast
 
 from metropilot.web.live.worker import main
-from metropilot.web.pools import explained
+from metropilot.web.pools import explain
 from metropilot.web.refusals import FIELDS, Refused, detail_of
 
 ANSWER_S = 10.0
@@ -28,14 +28,14 @@ DIED = "the process of the run ended before the run did, most likely of too litt
 
 @dataclass
 class Spare:
-    """A process that waits for an order."""
+    """A process that waits for a run."""
 
     process: BaseProcess
     pipe: Connection
 
 
 def start_spare(worker_bytes: int) -> Spare:
-    """A new process; it imports what it needs while it waits."""
+    """Start a process, which imports its modules while it waits."""
     context = get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=main, args=(theirs, worker_bytes), daemon=True)
@@ -46,7 +46,7 @@ def start_spare(worker_bytes: int) -> Spare:
 
 @dataclass
 class Known:
-    """What is known of a live run at a glance."""
+    """Latest state of a live run."""
 
     time_s: float = 0.0
     position_m: float = 0.0
@@ -68,23 +68,23 @@ class Session:
     """One live run.
 
     Attributes:
-        id: Of the job.
-        asked: What was asked for.
+        id: Id of the job.
+        asked: The request.
         spare: Its process.
-        kept: Called in the reader's thread with what is to outlive the server.
-        known: What is known of it.
-        said: Everything said so far, as events of the stream.
-        viewers: How many listen.
+        keep: Called in the reader's thread with each message to be stored.
+        known: Latest state.
+        sent: All events of the stream so far.
+        viewers: Number of viewers.
         summary: KPIs and requirements, once it has stopped.
-        seen_at: When somebody last watched it or asked about it.
+        seen_at: Monotonic time at which it was last watched or requested.
     """
 
     id: str
     asked: dict[str, Any]
     spare: Spare
-    kept: Callable[[Session, str, dict[str, Any]], None]
+    keep: Callable[[Session, str, dict[str, Any]], None]
     known: Known = field(default_factory=Known)
-    said: list[bytes] = field(default_factory=list)
+    sent: list[bytes] = field(default_factory=list)
     viewers: int = 0
     summary: dict[str, Any] | None = None
     seen_at: float = field(default_factory=monotonic)
@@ -94,17 +94,17 @@ class Session:
         self.more = asyncio.Event()
         self.numbers = itertools.count()
         self.answers: dict[int, asyncio.Future[dict[str, Any]]] = {}
-        self.begun, self.ended = asyncio.Event(), asyncio.Event()
+        self.ready, self.ended = asyncio.Event(), asyncio.Event()
         self.known.pace = float(self.asked["pace"])
 
     @property
     def over(self) -> bool:
-        """Whether it has ended."""
+        """True when the run has ended."""
         return self.known.status != "running"
 
     @property
     def unwatched_s(self) -> float:
-        """How long nobody has watched it or asked about it."""
+        """Time without viewers or requests."""
         return 0.0 if self.viewers else monotonic() - self.seen_at
 
     def start(self, order: dict[str, Any]) -> None:
@@ -113,29 +113,29 @@ class Session:
             self.spare.pipe.send(order)
         Thread(target=self._listen, daemon=True, name=self.id).start()
 
-    async def wait_begun(self) -> None:
-        """Wait until it stands ready to depart; a slow machine is not waited for without end.
+    async def wait_ready(self) -> None:
+        """Wait until the run is ready to depart, at most ``ANSWER_S``.
 
         Raises:
-            Refused: It cannot depart; the message says why.
+            Refused: It cannot depart; the message gives the reason.
         """
         with suppress(TimeoutError):
-            await asyncio.wait_for(self.begun.wait(), ANSWER_S)
+            await asyncio.wait_for(self.ready.wait(), ANSWER_S)
         if self.known.status == "failed":
             raise self.failure()
 
     def failure(self) -> Refused:
-        """Why it failed."""
+        """Error of a failed run."""
         told = self.known.error or {"message": DIED}
         shown = {name: told.get(name) for name in ("field", "value", "allowed")}
         return Refused(told["message"], 422, **shown)
 
     async def ask(self, event: dict[str, Any]) -> float:
-        """Tell the run something; at what time it took note.
+        """Send the run an event; return the time since departure at which it takes effect.
 
         Raises:
             Refused: The run is over, or does not answer.
-            InputError: It cannot be; the message says what can.
+            InputError: The event is not possible; the message names the allowed values.
         """
         if self.over:
             raise Refused("the run is over", 409, field="id", value=self.id)
@@ -154,7 +154,7 @@ class Session:
         return float(answer["time_s"])
 
     async def stop(self) -> float:
-        """End the run, so that it can be resumed; at what time it ended.
+        """Stop the run, so that it can be resumed; return the time since departure.
 
         Raises:
             Refused: The run is over, or does not answer.
@@ -165,13 +165,13 @@ class Session:
         return at
 
     async def listen(self, after: int = -1) -> AsyncIterator[bytes]:
-        """Everything said from an event on, then what is said from now on, until the run is over."""
+        """Yield the events of the stream after number ``after`` until the run is over."""
         self.viewers += 1
         at = after + 1
         try:
             while True:
-                if at < len(self.said):
-                    chunk, at = b"".join(self.said[at:]), len(self.said)
+                if at < len(self.sent):
+                    chunk, at = b"".join(self.sent[at:]), len(self.sent)
                     yield chunk
                     continue
                 if self.over:
@@ -203,23 +203,23 @@ class Session:
                     last = known
                     break
                 error = known["error"] if kind == "error" else error
-                if kind in {"journal", "kept", "rows"}:
-                    self.kept(self, kind, known)
-                self._in_loop(self._took, kind, text, known)
+                if kind in {"journal", "store", "rows"}:
+                    self.keep(self, kind, known)
+                self._in_loop(self._receive, kind, text, known)
         except (EOFError, OSError):
             error = {"message": DIED, **dict.fromkeys(FIELDS)}
         except Exception as raised:  # noqa: BLE001 (a message that cannot be read or stored)
-            error = detail_of(explained(raised, 0.0))
+            error = detail_of(explain(raised, 0.0))
             self.kill()
             print_exception(raised)
         self.spare.process.join(ANSWER_S)
         self.kill()
         try:
-            self.kept(self, "end", {**last, "error": error})
+            self.keep(self, "end", {**last, "error": error})
         except Exception as raised:  # noqa: BLE001 (viewers are told even where the store is not)
-            last, error = {"status": "failed"}, error or detail_of(explained(raised, 0.0))
+            last, error = {"status": "failed"}, error or detail_of(explain(raised, 0.0))
             print_exception(raised)
-        self._in_loop(self._ended, last["status"], error)
+        self._in_loop(self._end, last["status"], error)
 
     def _in_loop(self, call: Callable[..., None], *values: object) -> None:
         try:
@@ -227,7 +227,7 @@ class Session:
         except RuntimeError:
             return  # the server is gone
 
-    def _took(self, kind: str, text: bytes, known: dict[str, Any]) -> None:
+    def _receive(self, kind: str, text: bytes, known: dict[str, Any]) -> None:
         for name, value in known.items():
             if name in KNOWN:
                 setattr(self.known, name, value)
@@ -239,12 +239,12 @@ class Session:
             if kind == "result":
                 self.summary = json.loads(text)
             elif kind == "scene":
-                self.begun.set()
+                self.ready.set()
             self._say(kind, text)
 
-    def _ended(self, status: str, error: dict[str, Any] | None) -> None:
+    def _end(self, status: str, error: dict[str, Any] | None) -> None:
         self.known.status, self.known.error, self.known.lever = status, error, None
-        self.begun.set()
+        self.ready.set()
         self.ended.set()
         for future in self.answers.values():
             if not future.done():
@@ -253,6 +253,6 @@ class Session:
         self._say("end", json.dumps(said).encode())
 
     def _say(self, kind: str, text: bytes) -> None:
-        self.said.append(b"id: %d\nevent: %s\ndata: %s\n\n" % (len(self.said), kind.encode(), text))
+        self.sent.append(b"id: %d\nevent: %s\ndata: %s\n\n" % (len(self.sent), kind.encode(), text))
         self.more.set()
         self.more = asyncio.Event()

@@ -1,4 +1,4 @@
-"""The process of one live run: it keeps the clock, and the server at the other end of the pipe forwards."""
+"""Process of one live run: steps it in real time and sends its messages to the server."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from traceback import print_exception
 from typing import TYPE_CHECKING, Any
 
 from metropilot.errors import MetropilotError
-from metropilot.web.pools import explained
+from metropilot.web.pools import explain
 from metropilot.web.refusals import detail_of
 from metropilot.web.work.setup import begin
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 FLUSH_S = 0.1
 MOST_STEPS = 40
 GIVEN_UP_S = 0.5
-"""Further behind than this the clock is set back: a run never races to catch up."""
+"""Lag behind the clock above which the clock is set back, so that a run does not race to catch up."""
 GIVE_BACK = {"kind": "lever", "share": None, "take_over": True}
 """The event that returns the lever to the driver, whatever its holder."""
 SERVER_GONE = (EOFError, BrokenPipeError, ConnectionResetError)
@@ -31,7 +31,7 @@ SERVER_GONE = (EOFError, BrokenPipeError, ConnectionResetError)
 
 
 def main(pipe: Connection, worker_bytes: int) -> None:
-    """Wait for an order, then drive it; ends with the pipe."""
+    """Wait for an order, then drive it; end with the pipe."""
     begin(worker_bytes, 0)
     import metropilot.web.live.convoy
     import metropilot.web.live.engine  # noqa: F401 (warm before the order comes)
@@ -47,7 +47,7 @@ class Driving:
     """A live run and its clock.
 
     Args:
-        pipe: To the server.
+        pipe: Connection to the server.
         order: ``request``, ``pace``, ``root``, ``job``, ``journal``, ``step`` (replayed up to here).
     """
 
@@ -73,7 +73,7 @@ class Driving:
                 self._report(engine)
         except Exception as error:  # noqa: BLE001 (any error ends the run and is sent to its viewers)
             failure = error
-            detail = detail_of(explained(error, 0.0))
+            detail = detail_of(explain(error, 0.0))
             # Where the server is gone, this raises as well: the process ends in silence.
             self._say("error", {"error": detail}, {"error": detail})
         status = "failed" if failure else "stopped" if self.stopped else "done"
@@ -88,7 +88,7 @@ class Driving:
         return (ConvoyEngine if self.order["convoy"] else Engine)(self.order["request"])
 
     def _say(self, kind: str, value: dict[str, Any], known: dict[str, Any] | None = None) -> None:
-        self.pipe.send((kind, encoded(value), known or {}))
+        self.pipe.send((kind, encode(value), known or {}))
 
     def _say_scene(self, engine: AnyEngine) -> None:
         scene = engine.scene()
@@ -97,13 +97,13 @@ class Driving:
 
     def _rows(self, engine: AnyEngine, rows: list[list[Any]]) -> None:
         self.flushed = monotonic()
-        behind = round(max(self._wanted_s() - engine.time_s, 0.0), 3)
+        behind = round(max(self._clock_s() - engine.time_s, 0.0), 3)
         known = {"time_s": engine.time_s, "position_m": engine.position_m}
         known |= {"step": engine.steps, "pace": self.pace, "behind_s": behind}
-        self.pipe.send(("rows", encoded({"rows": rows, "behind_s": behind, "pace": self.pace}), known))
+        self.pipe.send(("rows", encode({"rows": rows, "behind_s": behind, "pace": self.pace}), known))
 
     def _replay(self, engine: AnyEngine) -> None:
-        """Do again what was done before the server went away."""
+        """Repeat the steps and events of an earlier process."""
         journal = list(self.order["journal"])
         end = max([self.order["step"], *(step for step, _ in journal)])
         self._say_scene(engine)
@@ -115,7 +115,7 @@ class Driving:
             if engine.steps >= end:
                 break
             rows.append(engine.advance())
-            self._heard(engine)
+            self._send_updates(engine)
         if rows:
             self._clock(engine)
             self._rows(engine, rows)
@@ -123,10 +123,10 @@ class Driving:
         self._apply(engine, GIVE_BACK)
 
     def _clock(self, engine: AnyEngine) -> None:
-        """From now on the run's clock goes at the pace."""
+        """Restart the run's clock at the present pace."""
         self.began, self.began_s = monotonic(), engine.time_s
 
-    def _wanted_s(self) -> float:
+    def _clock_s(self) -> float:
         return self.began_s + self.pace * (monotonic() - self.began)
 
     def _listen(self, engine: AnyEngine) -> None:
@@ -146,7 +146,7 @@ class Driving:
         """Until rows are due: a control period, but not more often than viewers need."""
         if self.pace <= 0:
             return FLUSH_S
-        due = (engine.time_s + engine.dt_s - self._wanted_s()) / self.pace
+        due = (engine.time_s + engine.dt_s - self._clock_s()) / self.pace
         return max(due, self.flushed + FLUSH_S - monotonic(), 0.0)
 
     def _take(self, engine: AnyEngine, number: int, event: dict[str, Any]) -> None:
@@ -171,35 +171,35 @@ class Driving:
             self._say_scene(engine)
 
     def _tell(self, engine: AnyEngine, kind: str, words: str) -> bool:
-        """Say what happened, if anything did."""
+        """Send a description of an event; return True if it is not empty."""
         if words:
             said = {"time_s": engine.time_s, "kind": kind, "words": words}
             self._say("event", said, {"lever": engine.lever()})
         return bool(words)
 
-    def _heard(self, engine: AnyEngine) -> bool:
-        """Say what the request had the driver told, if anything."""
-        heard = engine.heard()
-        for words in heard:
+    def _send_updates(self, engine: AnyEngine) -> bool:
+        """Send the timetable updates of the request; return True if there were any."""
+        updates = engine.pop_updates()
+        for words in updates:
             self._tell(engine, "news", words)
-        return bool(heard)
+        return bool(updates)
 
     def _drive(self, engine: AnyEngine) -> None:
-        """The control periods that are due, at most so many before orders are heard again."""
-        if engine.forgotten():
+        """Simulate the control periods that are due, at most ``MOST_STEPS`` between two looks at the pipe."""
+        if engine.lever_expired():
             self._apply(engine, GIVE_BACK)
         if self.pace <= 0:
             return
         dt, rows, began = engine.dt_s, [], monotonic()
-        while engine.time_s + dt <= self._wanted_s() + 1e-6 and not engine.over:
+        while engine.time_s + dt <= self._clock_s() + 1e-6 and not engine.over:
             rows.append(engine.advance())
             if len(rows) >= MOST_STEPS or monotonic() - began > FLUSH_S:
                 break
         if rows:
             self._rows(engine, rows)
-        if self._heard(engine):
+        if self._send_updates(engine):
             self._say_scene(engine)
-        if self._wanted_s() - engine.time_s > GIVEN_UP_S * max(self.pace, 1.0):
+        if self._clock_s() - engine.time_s > GIVEN_UP_S * max(self.pace, 1.0):
             self._clock(engine)
 
     def _report(self, engine: AnyEngine) -> None:
@@ -208,9 +208,9 @@ class Driving:
         folder: Path = folder_of(self.order["root"], self.order["job"])
         short, full, outcome = engine.report(folder)
         self._say("result", short)
-        self.pipe.send(("kept", b"", {"result": full, "outcome": outcome}))
+        self.pipe.send(("store", b"", {"result": full, "outcome": outcome}))
 
 
-def encoded(value: object) -> bytes:
+def encode(value: object) -> bytes:
     """One line of JSON."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False).encode()

@@ -1,1 +1,1 @@
-"""What the HTTP API takes and answers."""
+"""Request and response bodies of the HTTP API."""

@@ -1,4 +1,4 @@
-"""What a request may ask: bounded, typed, units in names. Nothing here can name a file of the server."""
+"""Bodies of requests: bounded, typed, units in names. No field can name a file of the server."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DriverName = Annotated[
         examples=["optimal", "learned:policy=RUN"],
     ),
 ]
-"""A driver, and the learning run or upload whose policy drives."""
+"""Id of a driver, with the learning run or upload that holds its policy."""
 StationKey = Annotated[str, Field(min_length=1, max_length=80, examples=["RJ"])]
 Seconds = Annotated[float, Field(gt=0, le=36_000, description="s")]
 Metres = Annotated[float, Field(ge=0, le=200_000, description="m from the section's origin")]
@@ -34,14 +34,14 @@ Option = bool | int | float | Id
 
 
 class Asked(BaseModel):
-    """A body: unknown fields and numbers that are not finite are refused."""
+    """Base of request bodies; refuses unknown fields and numbers that are not finite."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
 @dataclass(frozen=True)
 class Checked:
-    """A field of a run in an annotation: range, choices and description are those that it declares.
+    """Annotation that takes range, choices and description from a run's declared field.
 
     Attributes:
         key: One of :func:`metropilot.evaluate.run_fields`.
@@ -57,7 +57,7 @@ class Checked:
         )
 
     def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Say what is allowed."""
+        """Add the allowed values and the description to the JSON schema."""
         spec = run_fields()[self.key]
         found = handler(core) | {
             "description": f"{spec.help.rstrip('.')}, {spec.unit}." if spec.unit else spec.help
@@ -72,7 +72,7 @@ class Checked:
 
 
 def _number_fields() -> dict[str, Any]:
-    """The disturbance's own fields; JSON has no infinity, so that null stands for it."""
+    """Fields of the disturbance; null stands for infinity, which JSON does not have."""
     found: dict[str, Any] = {}
     for name, spec in field_specs(Disturbance).items():
         default = getattr(Disturbance, name)
@@ -86,7 +86,7 @@ DisturbanceAsked = create_model("DisturbanceAsked", __base__=Asked, **_number_fi
 
 
 class RestrictionAsked(Asked):
-    """A temporary speed restriction; ``told_s`` after departure, or known before it."""
+    """A temporary speed restriction, sent ``told_s`` after departure, or known before it."""
 
     from_m: Metres
     to_m: Metres
@@ -94,7 +94,7 @@ class RestrictionAsked(Asked):
     told_s: Annotated[float, Field(ge=0, le=36_000)] | None = None
 
     def restriction(self) -> Restriction:
-        """As the railway knows it."""
+        """Convert to :class:`metropilot.railway.Restriction`."""
         if self.to_m <= self.from_m:
             raise InputError(
                 "a restriction must end after it begins",
@@ -107,14 +107,14 @@ class RestrictionAsked(Asked):
 
 
 class ArrivalAsked(Asked):
-    """A new scheduled running time, told on the way."""
+    """A new scheduled running time, sent ``told_s`` after departure."""
 
     scheduled_time_s: Seconds
     told_s: Annotated[float, Field(ge=0, le=36_000)]
 
 
 class SectionAsked(Asked):
-    """A section and what runs on it."""
+    """A section, its trainset and its restrictions."""
 
     line: Id = "yizhuang"
     origin: StationKey = "RJ"
@@ -125,14 +125,14 @@ class SectionAsked(Asked):
 
 
 class PlanAsked(SectionAsked):
-    """A plan: the scheduled time, and which energy to save."""
+    """A plan: the scheduled running time and the energy objective."""
 
     time_s: Annotated[float, Checked("time_s")] | None = None
     objective: Annotated[str, Checked("objective")] = "wheel"
 
 
 class DriveAsked(PlanAsked, DisturbanceAsked):
-    """A run: the plan's fields, the driver, and what goes differently than planned."""
+    """A run: the plan's fields, the driver, the disturbance and timetable updates."""
 
     driver: DriverName = "optimal"
     options: dict[Word, Option] = {}
@@ -153,7 +153,7 @@ class CompareAsked(DriveAsked):
 
 
 class JourneyAsked(Asked):
-    """A journey that calls at every station; with ``total_s`` the optimum spreads the reserve."""
+    """A journey that calls at every station; with ``total_s`` its reserve is spread optimally."""
 
     line: Id = "yizhuang"
     origin: StationKey | None = None
@@ -165,7 +165,7 @@ class JourneyAsked(Asked):
 
 
 class LearnAsked(Asked):
-    """A learning run of one of our recipes; what is not told is the recipe's own."""
+    """A learning run of a recipe; null stands for the recipe's own value."""
 
     driver: Id = "ppo"
     budget: Literal["quick", "paper"] = "quick"
@@ -176,20 +176,20 @@ class LearnAsked(Asked):
 
 
 class StudyAsked(Asked):
-    """A study to reproduce: quick takes about two minutes, paper an hour."""
+    """A study to reproduce; ``quick`` takes about two minutes, ``paper`` an hour."""
 
     study: Id
     budget: Literal["quick", "paper"] = "quick"
 
 
 class LiveAsked(DriveAsked):
-    """A live run and how fast it goes: 1 is real time, 0 waits."""
+    """A live run and its pace: 1 is real time, 0 pauses it."""
 
     pace: Annotated[float, Field(ge=0, le=100)] = 1.0
 
 
 class ConvoyAsked(SectionAsked):
-    """A live convoy: the head's run, followers behind it, the link between them."""
+    """A live convoy: the head's run, the followers and the link between them."""
 
     time_s: Seconds | None = None
     driver: DriverName = "optimal"
@@ -206,7 +206,7 @@ class ConvoyAsked(SectionAsked):
 
 
 class NewLink(Asked):
-    """From now on the link of a convoy is so good."""
+    """New delay, jitter and loss of the link of a convoy."""
 
     delay_s: Annotated[float, Field(ge=0, le=2)] = 0.0
     jitter_s: Annotated[float, Field(ge=0, le=1)] = 0.0
@@ -215,13 +215,13 @@ class NewLink(Asked):
 
 
 class NewArrival(Asked):
-    """Told now: arrive when the run is so old."""
+    """A new scheduled running time, sent now."""
 
     scheduled_time_s: Seconds
 
 
 class NewRestriction(Asked):
-    """Told now: a temporary restriction ahead."""
+    """A temporary speed restriction ahead, sent now."""
 
     from_m: Metres
     to_m: Metres
@@ -229,10 +229,10 @@ class NewRestriction(Asked):
 
 
 class Lever(Asked):
-    """The lever by hand: a share of the effort; null gives it back. It falls back unless renewed in 3 s.
+    """Manual driving: a share of the effort, null to return the lever to the driver. Renew it within 3 s.
 
-    It has one holder at a time, who goes by the name given here. Anybody else is refused (409) unless
-    ``take_over`` says that the lever is to be taken from whoever holds it.
+    The lever has one holder at a time, named here. Another holder is refused (409) unless ``take_over``
+    is true.
     """
 
     share: Annotated[float, Field(ge=-1, le=1)] | None
@@ -241,17 +241,17 @@ class Lever(Asked):
 
 
 class Pace(Asked):
-    """How fast a live run goes: 1 is real time, 0 waits."""
+    """Pace of a live run: 1 is real time, 0 pauses it."""
 
     pace: Annotated[float, Field(ge=0, le=100)]
 
 
 def request_of(asked: DriveAsked, path: Callable[[str, str], str]) -> RunSpec:
-    """The run as :mod:`metropilot.evaluate` takes it.
+    """Convert to a run of :mod:`metropilot.evaluate`.
 
     Args:
         asked: The body.
-        path: From a kind (line, trainset, policy) and an id to the file that is meant.
+        path: Function from a kind (line, trainset, policy) and an id to a file.
 
     Raises:
         InputError: No policy of that id.

@@ -1,4 +1,4 @@
-"""What the API answers: typed, SI, units in names."""
+"""Bodies of responses: typed, SI, units in names."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ JobStatus = Literal["queued", "running", "done", "failed", "stopped", "interrupt
 
 
 class Health(BaseModel):
-    """That the server is there, and what it is."""
+    """State of the server."""
 
     version: str
     jobs_running: int
@@ -91,7 +91,7 @@ class DriverOut(BaseModel):
 
 
 class Uploaded(BaseModel):
-    """What a file turned out to be."""
+    """Kind and name of an uploaded file."""
 
     kind: Literal["line", "trainset", "policy"]
     id: str
@@ -100,7 +100,7 @@ class Uploaded(BaseModel):
 
 
 class SectionOut(BaseModel):
-    """A section in the direction of travel, as this trainset meets it."""
+    """A section in the direction of travel, for a trainset."""
 
     name: str
     origin: StationOut
@@ -113,7 +113,7 @@ class SectionOut(BaseModel):
 
 
 class PlanOut(BaseModel):
-    """The optimal plan, its certificate, and what the next second costs."""
+    """The optimal plan, its certificate, and the energy that the next second saves."""
 
     position_m: list[float]
     speed_mps: list[float]
@@ -162,7 +162,7 @@ class JourneyOut(BaseModel):
 
 
 class JobOut(BaseModel):
-    """A job: what was asked, how far it is, and, once it is over, what came of it or went wrong."""
+    """A job: request, progress, status, and its error if it failed."""
 
     id: str
     kind: JobKind
@@ -221,14 +221,14 @@ class CompareOut(BaseModel):
 
 
 class LeverOut(BaseModel):
-    """Who holds the lever by hand, and since when (time since departure)."""
+    """Holder of the lever, and the time since departure at which it was taken."""
 
     holder: str
     since_s: float
 
 
 class LiveOut(BaseModel):
-    """A live run; ``lever`` is null while the driver has it."""
+    """A live run; ``lever`` is null while the driver drives."""
 
     id: str
     status: JobStatus
@@ -245,7 +245,7 @@ class LiveOut(BaseModel):
 
 
 class Told(BaseModel):
-    """That a live run took note."""
+    """Confirmation of an event of a live run, with its time since departure."""
 
     id: str
     at_s: float
@@ -273,7 +273,7 @@ class HistoryOut(BaseModel):
 
 
 class TaskOut(BaseModel):
-    """Something to learn."""
+    """A learning task."""
 
     id: str
     summary: str
@@ -291,7 +291,7 @@ class RecipeOut(BaseModel):
 
 
 class StudyOut(BaseModel):
-    """A paper reproduced; ``page`` says whether its tables are here."""
+    """A reproduced paper; ``page`` is true where its tables exist."""
 
     id: str
     title: str
@@ -299,7 +299,7 @@ class StudyOut(BaseModel):
 
 
 class StudyRow(BaseModel):
-    """A number of a study: published, ours with its range over seeds, and the optimum."""
+    """A number of a study: published, reproduced with its range over seeds, optimal."""
 
     table: str
     case: str

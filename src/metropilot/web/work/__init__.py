@@ -1,1 +1,1 @@
-"""What workers compute: plain values in, plain values out. Each runs in a process of its own."""
+"""Functions of the worker processes; arguments and results are plain values."""

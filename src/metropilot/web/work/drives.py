@@ -28,7 +28,7 @@ from metropilot.web.work.plain import numbers
 from metropilot.web.work.plans import plan_out
 
 MOST = 6
-"""Trainsets of a live convoy."""
+"""Largest number of trainsets of a live convoy."""
 FILES = {
     "drive": ("trajectory.csv", "kpis.json", "profile.svg", "profile.png", "run.toml"),
     "live": (
@@ -48,7 +48,7 @@ FILES = {
 
 
 def drive_out(driven: Drive, kpis: Kpis, optimum: Optimum | None) -> dict[str, Any]:
-    """A drive as plain values."""
+    """Convert a drive to plain values."""
     return {
         "driver": driven.driver,
         "success": kpis.success,
@@ -60,7 +60,7 @@ def drive_out(driven: Drive, kpis: Kpis, optimum: Optimum | None) -> dict[str, A
 
 
 def drive_job(root: str, job: str, request: RunSpec) -> dict[str, Any]:
-    """Drive one run; its files go into the job's folder."""
+    """Drive one run and write its files into the job's folder."""
     store = JobStore(Path(root))
     store.update(job, status="running", progress=0.0, words="driving")
     driven = drive(request.run(), request.make_driver())
@@ -79,7 +79,7 @@ def compare_job(root: str, job: str, request: RunSpec, drivers: dict[str, str], 
         root: Folder of the server's data.
         job: Id of the job.
         request: The run.
-        drivers: What :func:`metropilot.evaluate.compare` takes, by the names the drivers are shown by.
+        drivers: Drivers for :func:`metropilot.evaluate.compare`, by display name.
         seeds: Drives of each driver.
     """
     store = JobStore(Path(root))
@@ -87,13 +87,13 @@ def compare_job(root: str, job: str, request: RunSpec, drivers: dict[str, str], 
     todo = jobs(list(drivers.values()), request.seed, seeds)
     shown = {taken: name for name, taken in drivers.items()}
 
-    def told() -> Any:  # noqa: ANN401 (a generator of jobs)
+    def with_progress() -> Any:  # noqa: ANN401 (a generator of jobs)
         for k, item in enumerate(todo):
             words = shown[item.driver] + (f", seed {item.seed}" if seeds > 1 else "")
             store.update(job, progress=k / (len(todo) + 1), words=words)
             yield item
 
-    driven = compare(replace(request, options={}), told())
+    driven = compare(replace(request, options={}), with_progress())
     entries = [replace(entry, driver=shown[entry.driver]) for entry in driven]
     store.update(job, progress=0.95, words="drawing")
     write_comparison(folder_of(root, job), request, entries)
@@ -114,7 +114,7 @@ def compare_job(root: str, job: str, request: RunSpec, drivers: dict[str, str], 
 
 
 def archive(folder: Path) -> Path:
-    """`trajectories.zip` of a convoy's folder: every trainset's trajectory; made when it is first wanted."""
+    """Make `trajectories.zip` in a convoy's folder, with every trainset's trajectory, if it is missing."""
     path, found = folder / "trajectories.zip", sorted(folder.glob("trajectory-*.csv"))
     if found and not path.exists():
 
@@ -128,5 +128,5 @@ def archive(folder: Path) -> Path:
 
 
 def folder_of(root: str, job: str) -> Path:
-    """Where a job's files are."""
+    """Folder of a job's files."""
     return Path(root) / "jobs" / job

@@ -1,4 +1,4 @@
-"""Learning jobs: a run of the run store, its history told as it grows, stopped when asked, resumed later."""
+"""Learning jobs: runs of the run store that report progress, stop at a checkpoint and can be resumed."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from metropilot.web.store import JobStore
 PROGRESS = "progress.jsonl"
 
 
-def told_of(asked: dict[str, Any]) -> dict[str, Any]:
+def recipe_fields(asked: dict[str, Any]) -> dict[str, Any]:
     """The fields of a configuration that a learning job sets."""
     return {name: asked[name] for name in ("steps", "evaluations") if asked[name] is not None}
 
 
 def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> dict[str, Any]:
-    """Learn, or go on with a run that was stopped.
+    """Start a learning run, or resume one.
 
     Args:
         root: Folder of the server's data.
         job: Id of the job.
         asked: Fields of :class:`metropilot.web.schemas.requests.LearnAsked`.
-        run: Id of the learning run to go on with.
+        run: Id of the learning run to resume.
     """
     store = JobStore(Path(root))
     store.update(job, status="running", words="compiling")
@@ -37,7 +37,7 @@ def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> di
         request = resumed_request(record)
     else:
         what = {"budget": asked["budget"], "task": asked["task"], "seed": asked["seed"]}
-        request = new_request(asked["driver"], **what, **told_of(asked))
+        request = new_request(asked["driver"], **what, **recipe_fields(asked))
         record = begin_run(runs, request)
     store.update(job, run=record.id)
     told = runs.folder(record.id) / PROGRESS
@@ -49,7 +49,7 @@ def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> di
         if "lessons" in now.row:
             words = f"{now.row['lessons']:.0%} of the demonstrations collected"
         store.update(job, progress=now.steps / now.total_steps, words=words)
-        if store.stop_asked(job):
+        if store.stop_requested(job):
             raise KeyboardInterrupt
 
     sitting = TrainingOptions(evaluate=evaluation_of(request), on_progress=progress)

@@ -1,4 +1,4 @@
-"""Numbers as JSON takes them: what is not finite becomes null."""
+"""Plain values for JSON; numbers that are not finite become null."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from metropilot.railway import Section, Station, Steps
 
 
 def numbers(values: Iterable[Any], digits: int = 6) -> list[Any]:
-    """A list of numbers (what is not finite becomes None), rounded to micro-units."""
+    """Convert to a list of rounded numbers; None where one is not finite."""
     array = np.asarray(values)
     if array.dtype.kind not in "fiu":
         return array.tolist()
@@ -20,16 +20,16 @@ def numbers(values: Iterable[Any], digits: int = 6) -> list[Any]:
 
 
 def pieces(steps: Steps) -> dict[str, list[Any]]:
-    """A piecewise-constant profile."""
+    """Convert a piecewise-constant profile."""
     return {"from_m": numbers(steps.from_m), "value": numbers(steps.value)}
 
 
 def window(section: Section, name: str) -> dict[str, list[Any]]:
-    """A profile of a section, from its origin to its end."""
+    """Convert a profile of a section, from its origin to its end."""
     return pieces(getattr(section, name).window(0.0, section.length_m))
 
 
 def station(stop: Station, position_m: float | None = None) -> dict[str, Any]:
-    """A stop."""
+    """Convert a station."""
     at = stop.position_m if position_m is None else position_m
     return {"code": stop.code, "name": stop.name, "position_m": at, "local_name": stop.local_name}

@@ -1,4 +1,4 @@
-"""Sections, plans, fronts, journeys, and files read: what is answered at once."""
+"""Direct answers: sections, plans, fronts, journeys, uploads."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from metropilot.web.work.plain import numbers, station, window
 BARELY = 1.0 + 1e-4
 LONGEST_M = 200_000.0
 SUFFIX = ".safetensors"
-"""Of a policy's file."""
+"""Ending of the file name of a policy."""
 
 
 def section_of(request: RunSpec) -> dict[str, Any]:
@@ -71,7 +71,7 @@ def work_j(plan: Plan) -> Float[np.ndarray, " positions"]:
 
 
 def plan_out(plan: Plan, fastest_s: float) -> dict[str, Any]:
-    """A plan as plain values."""
+    """Convert a plan to plain values."""
     return {
         "position_m": numbers(plan.position_m, 3),
         "speed_mps": numbers(plan.speed_mps, 4),
@@ -125,7 +125,7 @@ def journey_of(asked: dict[str, Any]) -> dict[str, Any]:
 def _timetable_energy(
     line: Line, trainset: Trainset, options: PlanOptions, ends: dict[str, Any]
 ) -> float | None:
-    """What the same journey costs when the timetable's own times are kept."""
+    """Energy of the same journey with the timetable's running times, J; None where they are infeasible."""
     try:
         points = timetable_waypoints(line, ends["origin"], ends["destination"])
         return plan_journey(line, trainset, points, options, **ends).plan.energy_j
@@ -166,10 +166,10 @@ def _journey_out(made: JourneyPlan) -> dict[str, Any]:
 
 
 def read_upload(path: str, shown: str) -> dict[str, Any]:
-    """Whether a file holds a line, a trainset or a policy that drives.
+    """Read an uploaded file; return its kind (line, trainset, policy), name and notes.
 
     Raises:
-        InputError: It does not; the message names the file as its sender does, and the field.
+        InputError: The file is none of these; the message has the sender's file name and the field.
     """
     try:
         if Path(path).suffix == SUFFIX:

@@ -1,4 +1,4 @@
-"""How a worker process begins: one thread, a bound on memory, behind the server in the queue for a core."""
+"""Set-up of a worker process: one thread, bounded memory, lower priority than the server."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def begin(worker_bytes: int | None, nice: int) -> None:
 
     Args:
         worker_bytes: Bound on the address space; None leaves it (JAX maps far more than it uses).
-        nice: How far behind the server it queues for a core.
+        nice: Increment of the niceness over the server's.
     """
     for name, value in ONE_THREAD.items():
         os.environ.setdefault(name, value)
@@ -33,7 +33,7 @@ def begin(worker_bytes: int | None, nice: int) -> None:
 
 
 def _outlive_nobody() -> None:
-    """End with the server, however it ended: what was under way is resumed from its last checkpoint."""
+    """End this process when the server ends, so that no worker outlives it."""
     parent = parent_process()
     if parent is not None:
         wait([parent.sentinel])

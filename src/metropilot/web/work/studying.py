@@ -1,4 +1,4 @@
-"""Studies as jobs."""
+"""Study jobs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from metropilot.web.store import JobStore
 
 
 def study_job(root: str, job: str, asked: dict[str, Any]) -> dict[str, Any]:
-    """Reproduce a study into a folder that a later job goes on with; its report as plain values."""
+    """Reproduce a study in a folder that a later job can resume; return its report as plain values."""
     store = JobStore(Path(root))
     store.update(job, status="running", words="beginning")
     from metropilot import studies
