@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metropilot.control import Adapted, adapted_trainset, adapted_vehicle
+from metropilot.control import Adaptation, adapt_trainset, adapt_vehicle
 from metropilot.evaluate import kpis_of, make_driver
 from metropilot.physics import effort_at, vehicle_arrays
 from metropilot.planning import minimum_running_time
@@ -94,10 +94,10 @@ def test_a_dead_time_or_lag_that_is_declared_is_allowed_for(name, load, delay_s,
 
 
 def test_the_adapted_trainset_is_the_adapted_vehicle():
-    trainset, shown = load_trainset("dkz32", "AW2"), Adapted(0.83, 0.91, 1.4)
+    trainset, shown = load_trainset("dkz32", "AW2"), Adaptation(0.83, 0.91, 1.4)
     whole, numbers = (
-        vehicle_arrays(adapted_trainset(trainset, shown)),
-        adapted_vehicle(vehicle_arrays(trainset), shown),
+        vehicle_arrays(adapt_trainset(trainset, shown)),
+        adapt_vehicle(vehicle_arrays(trainset), shown),
     )
     for speed in np.linspace(0.0, 22.0, 12):
         a, b = effort_at(whole, speed), effort_at(numbers, speed)

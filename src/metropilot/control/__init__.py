@@ -1,9 +1,9 @@
 """Control laws on the nominal plant: estimation, station stop, ceiling, coasting, incremental PID."""
 
 from metropilot.control.adaptation import (
-    Adapted,
-    adapted_trainset,
-    adapted_vehicle,
+    Adaptation,
+    adapt_trainset,
+    adapt_vehicle,
 )
 from metropilot.control.ceiling import (
     Ceiling,
@@ -80,7 +80,7 @@ __all__ = [
     "SERVICE_USE",
     "STOP_OPTIONS",
     "STRONGEST_MPS2",
-    "Adapted",
+    "Adaptation",
     "Ceiling",
     "CommandActuation",
     "Errors",
@@ -96,8 +96,8 @@ __all__ = [
     "StopDemand",
     "StopOptions",
     "actuation_of",
-    "adapted_trainset",
-    "adapted_vehicle",
+    "adapt_trainset",
+    "adapt_vehicle",
     "braking_distance",
     "braking_time",
     "build_up",

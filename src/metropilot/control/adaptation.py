@@ -1,4 +1,4 @@
-"""A trainset as it has shown itself: what a driver plans with once it answers differently than told."""
+"""Adaptation of the nominal plant to the effort and resistance that a driver has observed."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from metropilot.physics import Vehicle
 from metropilot.railway import Davis, Trainset
 
 
-class Adapted(NamedTuple):
-    """How a trainset answers over how it was said to: factors on effort, brake and resistance."""
+class Adaptation(NamedTuple):
+    """Observed over nominal values: factors on traction, service brake and running resistance per mass."""
 
     traction: float = 1.0
     brake: float = 1.0
     resistance: float = 1.0
 
 
-def adapted_vehicle(vehicle: Vehicle, adapted: Adapted) -> Vehicle:
-    """The trainset as it has shown itself: effort and resistance per mass scaled."""
+def adapt_vehicle(vehicle: Vehicle, adapted: Adaptation) -> Vehicle:
+    """Scale effort and resistance of a plant by the observed factors."""
     up, down, drag = adapted
     return vehicle._replace(
         traction=vehicle.traction * up,
@@ -29,8 +29,8 @@ def adapted_vehicle(vehicle: Vehicle, adapted: Adapted) -> Vehicle:
     )
 
 
-def adapted_trainset(trainset: Trainset, adapted: Adapted) -> Trainset:
-    """The same for what is built from a trainset's data."""
+def adapt_trainset(trainset: Trainset, adapted: Adaptation) -> Trainset:
+    """Scale effort and resistance of a trainset, for plans that are computed from its data."""
     up, down, drag = adapted
     a, b, c = trainset.davis.newtons(trainset.mass_kg)
     return replace(

@@ -1,7 +1,7 @@
-"""Run under a ceiling: reach a speed, hold it, and be slow enough wherever a lower speed is permitted.
+"""Speed control under a ceiling: reach a speed, hold it, and slow down in time for lower permitted speeds.
 
-The ceiling is protection's permitted-speed curve with a margin, and a driver that still accelerates stays
-further below it, so that protection never has a reason to intervene.
+The ceiling is protection's permitted-speed curve less a margin. A driver that still accelerates stays further
+below it, so that protection does not intervene.
 """
 
 from __future__ import annotations
@@ -22,26 +22,29 @@ from metropilot.railway import Section
 from metropilot.sim import Run, declared_bounds
 
 MARGIN_MPS = 0.15
-"""How far below the permitted speed a driver holds."""
+"""Margin below the permitted speed."""
 APPROACH_PER_S = 0.8
 """Acceleration for each m/s below the speed to hold."""
 EASE_SHARE = 0.4
-"""Jerk at which traction is eased off before the speed is reached, over the trainset's limit."""
+"""Jerk at which traction is reduced before the speed is reached, over the trainset's jerk limit."""
 REACTION_S = 1.0
-"""Time before traction can be turned into braking, delay and lag aside."""
+"""Time to change from traction to braking, without dead time and lag."""
 SPACING_M = 2.0
+"""Distance between two nodes of the ceiling."""
 BEYOND_M = 100.0
+"""Length of the ceiling beyond the stop, for a trainset that overshoots."""
 ACCELERATIONS_MPS2 = np.linspace(0.0, 1.5, 16)
+"""Accelerations for which protection's approach margin is tabulated."""
 
 
 class Ceiling(NamedTuple):
-    """Speeds to keep under, on a uniform grid from the origin to beyond the stop.
+    """Speed ceiling on a uniform grid from the origin to beyond the stop.
 
     Attributes:
         position_m: Grid. Shape (N,).
         speed_mps: Permitted speed less the margin. Shape (N,).
-        room_mps: How far below the permitted speed each acceleration must stay. Shape (A,).
-        reaction_s: Traction must fit to the lower speeds permitted within the way of this time.
+        room_mps: Least distance below the permitted speed for each acceleration. Shape (A,).
+        reaction_s: Time ahead within which traction must respect lower permitted speeds, s.
     """
 
     position_m: Float[ndarray, " nodes"]
@@ -50,31 +53,32 @@ class Ceiling(NamedTuple):
     reaction_s: float
 
     def at(self, position_m: float, way_m: float = 0.0) -> float:
-        """The lowest speed to keep from a position over a little way."""
+        """Lowest ceiling from a position over a short distance, m/s."""
         first = min(max(int(position_m / SPACING_M), 0), self.position_m.size - 2)
         last = min(int((position_m + way_m) / SPACING_M) + 2, self.position_m.size)
         return float(self.speed_mps[first:last].min())
 
     def acceleration_under(self, missing_mps: float) -> float:
-        """Largest acceleration this far under the ceiling, the inverse of protection's approach margin."""
+        """Largest acceleration at a speed below the ceiling: the inverse of protection's approach margin."""
         return float(np.interp(missing_mps, self.room_mps, ACCELERATIONS_MPS2))
 
 
 def model_of(run: Run, section: Section) -> Model:
-    """What the driver of a run believes about trainset and section, as the plant's numbers."""
+    """Nominal model of a run's trainset and of a section, for the control laws."""
     trainset = run.scenario.nominal(run.trainset)
     return Model(vehicle_arrays(trainset), track_arrays(section, trainset), run.dt)
 
 
 def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ceiling:
-    """The ceiling of a section under the protection that supervises the run.
+    """Ceiling of a section under the protection that supervises the run.
 
-    Protection reads each measured speed as it comes, so the largest error of one adds to the margin.
+    Protection uses each measured speed without a filter, so the largest error of one measurement adds to the
+    margin.
 
     Args:
         run: The run.
         section: The section with every restriction announced so far.
-        margin_mps: How far to stay below the permitted speed.
+        margin_mps: Margin below the permitted speed.
     """
     bounds = declared_bounds(run)
     protection = protect(section, run.scenario.nominal(run.trainset), bounds)
@@ -91,14 +95,14 @@ def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ce
 def ceiling_acceleration(
     model: Model, ahead: PredictedState, ceiling: Ceiling, cruise_mps: float, curve: StopCurve
 ) -> float:
-    """The acceleration that runs as fast as a cruising speed and the ceiling allow, comfortably.
+    """Acceleration toward the cruising speed or the ceiling, within the comfort limits.
 
     Args:
-        model: What the driver believes about trainset and section.
+        model: Nominal trainset and section.
         ahead: The state when the command begins to act.
-        ceiling: Speeds to keep under.
+        ceiling: Speed ceiling.
         cruise_mps: Speed to hold where the ceiling is higher.
-        curve: Deceleration and jerk to slow down with.
+        curve: Deceleration and jerk of a slow-down.
 
     Returns:
         Wanted acceleration, m/s^2.
@@ -111,6 +115,7 @@ def ceiling_acceleration(
     if found is not None:
         distance, lower = found
         required, falling = required_with_build_up(v, ahead.acceleration_mps2, distance, slowing, lower)
+        # a slow-down that has begun (below -0.1 m/s^2) goes on, so that the brake is not applied twice
         if required >= curve.deceleration_mps2 or falling > 0.0 or ahead.acceleration_mps2 < -0.1:
             most = float(model.vehicle.max_deceleration_mps2)
             wanted = min(wanted, -min(required, (v - lower) / model.dt, most))
@@ -118,15 +123,15 @@ def ceiling_acceleration(
 
 
 def traction_limit(belief: StateEstimate, ahead: PredictedState, ceiling: Ceiling) -> float:
-    """Largest command that protection lets pass here and now, whatever trainset carries it out and how soon.
+    """Largest traction command that protection admits now and when the command begins to act.
 
-    Protection judges a command by what the trainset of the data sheet (and a lighter one) would make of it,
-    at once; holding a speed is always allowed.
+    Protection evaluates a command with the nominal trainset and the lightest admissible one, without dead
+    time; a command that holds the speed is always admitted.
 
     Args:
-        belief: The belief.
+        belief: The estimate.
         ahead: The state when the command begins to act.
-        ceiling: Speeds to keep under.
+        ceiling: Speed ceiling.
     """
     drag = ahead.resistance_mps2 + ahead.gradient_mps2
     here_mps = ceiling.at(belief.position_m, ceiling.reaction_s * belief.speed_mps)
@@ -139,7 +144,7 @@ def traction_limit(belief: StateEstimate, ahead: PredictedState, ceiling: Ceilin
 
 
 def lowest_ahead(ahead: PredictedState, ceiling: Ceiling, curve: StopCurve) -> tuple[float, float] | None:
-    """Distance and speed of the point ahead that asks for the hardest braking, if any asks for it soon."""
+    """Distance, m, and speed, m/s, of the point ahead that requires the hardest braking; None: none soon."""
     x, v, b = ahead.position_m, ahead.speed_mps, curve.deceleration_mps2
     jerk = curve.build_jerk_mps3
     build_m = v * max(b + min(ahead.acceleration_mps2, b), 0.0) / (2.0 * jerk) if math.isfinite(jerk) else 0.0
@@ -148,6 +153,7 @@ def lowest_ahead(ahead: PredictedState, ceiling: Ceiling, curve: StopCurve) -> t
     lower, at = ceiling.speed_mps[first:last], ceiling.position_m[first:last]
     release_m = lower * b / (2.0 * jerk) if math.isfinite(jerk) else 0.0
     needed = (v * v - lower * lower) / (2.0 * np.maximum(at - x - build_m - release_m, 0.5))
+    # a point that needs less than half of the planned deceleration is too far away to act on
     if needed.size == 0 or needed.max() < 0.5 * b:
         return None
     k = int(np.argmax(needed))
@@ -155,7 +161,7 @@ def lowest_ahead(ahead: PredictedState, ceiling: Ceiling, curve: StopCurve) -> t
 
 
 def approach(model: Model, speed_mps: float, target_mps: float) -> float:
-    """Acceleration toward a speed, eased off in time for the jerk limit, never above what service allows."""
+    """Acceleration toward a speed, reduced in time for the jerk limit, at most the service limit, m/s^2."""
     missing = target_mps - speed_mps
     if missing < 0:
         return max(APPROACH_PER_S * missing, -1.0)

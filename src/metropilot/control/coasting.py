@@ -1,7 +1,7 @@
-"""A simple look into the rest of a run: when would I arrive if I held this speed and coasted from there?
+"""Forecast of the time to the stop for a cruising speed and a coasting point.
 
-One forward pass over a coarse grid of positions, as a driver with route knowledge does it in the head: no
-actuation, no jerk limit. Good to about a second; whoever uses it looks again on the way.
+One forward pass over a coarse grid of positions, without actuation dynamics or jerk limit. It is accurate to
+about one second; drivers repeat it on the way.
 """
 
 from __future__ import annotations
@@ -16,21 +16,24 @@ from metropilot.control.prediction import Model
 from metropilot.physics import effort_at, resistance_and_gradient
 
 STEP_M = 5.0
+"""Distance between two nodes of the forecast; it is rounded so that the stop is a node."""
 SPEED_STEP_MPS = 0.25
+"""Step of the tables over speed."""
 SLOWEST_MPS = 0.3
 """A trainset that coasts to less than this before the stop does not arrive."""
 
 
 class Forecast(NamedTuple):
-    """Tables of the section, lists because one number at a time is read.
+    """Tables of a section for the forecast; lists, as single numbers are read faster from them.
 
     Attributes:
-        step_m: Grid of positions.
-        length_m: Where to stop.
-        ceiling_mps: Highest speed at each position that limits and braking for them and the stop allow.
-        drag_mps2: What track and constant resistance take at each position, gradient included.
+        step_m: Distance between two nodes.
+        length_m: Distance from the origin to the stop.
+        ceiling_mps: Highest speed at each node under the limits and with service braking to them and the
+            stop.
+        drag_mps2: Deceleration by gradient, curves and the constant resistance at each node.
         traction_mps2: Largest traction acceleration by speed, in steps of ``SPEED_STEP_MPS``.
-        davis_mps2: Speed-dependent resistance by speed.
+        davis_mps2: Speed-dependent resistance by speed, per effective mass.
         most_mps2: Largest acceleration in service.
     """
 
@@ -44,12 +47,12 @@ class Forecast(NamedTuple):
 
 
 def forecast_of(model: Model, ceiling: Ceiling, deceleration_mps2: float) -> Forecast:
-    """Tables for a section.
+    """Tables of a section for the forecast.
 
     Args:
-        model: What the driver believes about trainset and section.
-        ceiling: Speeds to keep under.
-        deceleration_mps2: How the driver brakes.
+        model: Nominal trainset and section.
+        ceiling: Speed ceiling.
+        deceleration_mps2: Deceleration of the driver's braking.
     """
     vehicle, length = model.vehicle, float(model.track.length_m)
     count = max(math.ceil(length / STEP_M), 2)
@@ -80,17 +83,17 @@ def forecast_of(model: Model, ceiling: Ceiling, deceleration_mps2: float) -> For
 def time_to_go(
     forecast: Forecast, position_m: float, speed_mps: float, cruise_mps: float, coast_from_m: float
 ) -> float:
-    """Time from here to the stop: full traction to a speed, hold it, coast from a point, brake; s.
+    """Time to the stop with full traction to a speed, holding it, coasting from a point, and braking.
 
     Args:
         forecast: Tables of the section.
-        position_m: Where the trainset is.
-        speed_mps: How fast it is.
+        position_m: Position.
+        speed_mps: Speed.
         cruise_mps: Speed to hold.
-        coast_from_m: Where traction is shut off for good.
+        coast_from_m: Position from which the trainset coasts.
 
     Returns:
-        Seconds; infinite when it would not get there.
+        Time, s; infinite if the trainset would not reach the stop.
     """
     step, length = forecast.step_m, forecast.length_m
     top, traction, davis = forecast.ceiling_mps, forecast.traction_mps2, forecast.davis_mps2
@@ -109,6 +112,7 @@ def time_to_go(
             else max(min(cruise_mps, top[k + 1]), math.sqrt(max(v * v - 2.0 * drag * ds, 0.0)))
         )
         after = min(after, cap, top[k + 1])
+        # the last two steps are excepted: there braking to the stop makes the trainset slow
         if v + after < SLOWEST_MPS and k < len(top) - 3:
             return math.inf
         total += 2.0 * ds / max(v + after, 1e-3)
@@ -119,7 +123,7 @@ def time_to_go(
 def cruise_for(
     forecast: Forecast, position_m: float, speed_mps: float, time_left_s: float, coast_from_m: float
 ) -> float:
-    """The slowest cruising speed that arrives in the time left, or the highest there is; m/s."""
+    """Slowest cruising speed that arrives in the time left, or the highest one; m/s, by bisection."""
     low, high = 2.0, max(forecast.ceiling_mps)
     for _ in range(20):
         middle = 0.5 * (low + high)
@@ -131,7 +135,7 @@ def cruise_for(
 def coast_point_for(
     forecast: Forecast, position_m: float, speed_mps: float, time_left_s: float, cruise_mps: float
 ) -> float:
-    """The earliest point to coast from that still arrives in the time left, or the stop itself; m."""
+    """Earliest coasting point that still arrives in the time left, or the stop; m, by bisection."""
     low, high = position_m, forecast.length_m
     if time_to_go(forecast, position_m, speed_mps, cruise_mps, low) <= time_left_s:
         return low

@@ -1,18 +1,18 @@
-"""What a driver can know about its own trainset while it drives: where it is, how it answers, and how late.
+"""Estimator of state and plant parameters from the measurements and commands of a run.
 
-A driver sees a position (measured well), a noisy speed and the acceleration of the last period. The observer
-fuses them into a state, and learns from command and answer what the data sheet does not say: the gain of
-traction and brake (a trainset 20 % heavier than believed answers with gain 1/1.2), the factor on running
-resistance, and the dead time and lag between command and force. For the last two it keeps a small bank of
-hypotheses, each with its own recursive least squares, and believes the one that predicted best; the jerk
-limit is known to the driver and is part of every prediction.
+A driver measures a position (accurately), a noisy speed and the acceleration of the last period. The
+estimator fuses them into a state and identifies, from commands and accelerations, the gain of traction and
+brake (a trainset 20 % heavier than nominal has a gain of 1/1.2), the factor on running resistance, and the
+dead time and lag between command and force. For dead time and lag it has a bank of hypotheses, each with a
+recursive least-squares estimate, and uses the one with the smallest prediction error; the jerk limit is
+known to the driver and is part of every prediction.
 
-The model, per unit of believed effective mass (Huang25 eqs. 3 and 4, Chen23a eq. 1)::
+The model, per unit of nominal effective mass (Huang25 eqs. 3 and 4, Chen23a eq. 1)::
 
     a = gain_traction * f_traction(u, v) + gain_brake * f_brake(u, v) - factor * r(x, v) - g(x)
 
-Everything is a pure function over :class:`StateEstimate`. One control period is: :func:`update_estimate`,
-then :func:`look_ahead` and :func:`share_for` as wanted, then :func:`record_command` with the command that was
+All functions are pure over :class:`StateEstimate`. One control period calls :func:`update_estimate`, then
+:func:`look_ahead` and :func:`share_for` as needed, then :func:`record_command` with the command that was
 given.
 """
 
@@ -37,20 +37,27 @@ from metropilot.control.prediction import (
 from metropilot.physics import Vehicle, command_for_effort, curve_n, effort_at, resistance_and_gradient
 
 MAX_EXTRA_DELAY_S = 1.0
+"""Largest dead time among the hypotheses beyond the nominal one."""
 EXTRA_LAGS_S = (0.0, 0.2, 0.4, 0.6)
+"""Lags of the hypotheses beyond the nominal one."""
 POSITION_SIGMA_M = 0.01
+"""Standard deviation of the measured position."""
 SPEED_SIGMA_MPS = 0.05
+"""Standard deviation of the measured speed."""
 ANSWER_SIGMA_MPS2 = 0.02
-"""Scatter of the acceleration about the model's, once its parameters are right."""
+"""Standard deviation of the acceleration about the model's with the right parameters."""
 MASS_SIGMA = 0.12
-"""Prior scatter of what traction and brake have in common: the mass."""
+"""Prior standard deviation of the mass, common to the gains of traction and brake."""
 EFFORT_SIGMA = 0.05
-"""Prior scatter of each effort by itself."""
+"""Prior standard deviation of each gain apart from the mass."""
 RESISTANCE_SIGMA = 0.4
+"""Prior standard deviation of the factor on running resistance."""
 DRIFT_VARIANCE = np.diag([1e-6, 1e-6, 1e-6])
+"""Variance added to the parameters in each period, so that they can follow slow changes."""
 SWITCH_MARGIN = 6.0
-"""How much better (sum of squared normalised residuals) another delay must do to be believed instead."""
+"""Advantage in the sum of squared normalised residuals at which another hypothesis is selected."""
 FORGETTING = 0.998
+"""Discount of the residuals of earlier periods; a half-life of 346 periods."""
 
 
 class HypothesisBank(NamedTuple):
@@ -58,32 +65,32 @@ class HypothesisBank(NamedTuple):
 
     Attributes:
         delay_steps: Dead time in control periods, not always whole. Shape (H,).
-        keep: Share of the old effort that the lag keeps over a period. Shape (H,).
+        keep: Share of the old effort that remains after a period of lag. Shape (H,).
         share: Command after delay and lag. Shape (H,).
         gains: Traction gain, brake gain, resistance factor. Shape (H, 3).
         covariance: Their covariance. Shape (H, 3, 3).
         cost: Discounted sum of squared normalised residuals. Shape (H,).
     """
 
-    delay_steps: ndarray
-    keep: ndarray
-    share: ndarray
-    gains: ndarray
-    covariance: ndarray
-    cost: ndarray
+    delay_steps: Float[ndarray, " hypotheses"]
+    keep: Float[ndarray, " hypotheses"]
+    share: Float[ndarray, " hypotheses"]
+    gains: Float[ndarray, "hypotheses 3"]
+    covariance: Float[ndarray, "hypotheses 3 3"]
+    cost: Float[ndarray, " hypotheses"]
 
 
 class StateEstimate(NamedTuple):
-    """What the driver knows at the start of a control period.
+    """Estimate of state and plant parameters at the start of a control period.
 
     Attributes:
         position_m: Position of the head.
         speed_mps: Filtered speed.
         acceleration_mps2: Acceleration over the last period.
-        covariance: Of position and speed. Shape (2, 2).
+        covariance: Covariance of position and speed. Shape (2, 2).
         commands: Commands already given, newest first. Shape (D,).
         bank: Hypotheses about the actuation.
-        best: The hypothesis believed.
+        best: Index of the selected hypothesis.
         started: False until the first observation.
     """
 
@@ -98,12 +105,12 @@ class StateEstimate(NamedTuple):
 
     @property
     def traction_gain(self) -> float:
-        """Actual over believed traction force per mass."""
+        """Estimated over nominal traction force per mass."""
         return float(self.bank.gains[self.best, 0])
 
     @property
     def brake_gain(self) -> float:
-        """Actual over believed braking force per mass."""
+        """Estimated over nominal braking force per mass."""
         return float(self.bank.gains[self.best, 1])
 
     @property
@@ -113,12 +120,17 @@ class StateEstimate(NamedTuple):
 
     @property
     def resistance_factor(self) -> float:
-        """Actual over believed resistance per mass."""
+        """Estimated over nominal resistance per mass."""
         return float(self.bank.gains[self.best, 2])
 
 
 def weighs_load(vehicle: Vehicle, spare: float = 1.0 + 2.0 * MASS_SIGMA) -> bool:
-    """Whether full service braking is a rate, with force to spare for a load this many times as heavy."""
+    """Test for load-weighed brakes: full service braking is a deceleration, not a force.
+
+    Args:
+        vehicle: Nominal plant.
+        spare: Mass over the nominal one for which the brake force must still suffice.
+    """
     speeds = np.linspace(0.0, float(vehicle.max_speed_mps), 9)
     electric = min(float(curve_n(vehicle.brake_from_mps, vehicle.brake, v)) for v in speeds)
     force = min(electric + float(vehicle.friction_n), float(vehicle.adhesion_n))
@@ -128,16 +140,17 @@ def weighs_load(vehicle: Vehicle, spare: float = 1.0 + 2.0 * MASS_SIGMA) -> bool
 def initial_estimate(
     model: Model, position_m: float = 0.0, speed_mps: float = 0.0, *, weighed_brakes: bool = False
 ) -> StateEstimate:
-    """The belief before anything was observed: the data sheet, and any delay up to a second more.
+    """Estimate before any observation: nominal gains, with hypotheses of up to one second more dead time.
 
     Args:
-        model: What the driver believes about trainset and section.
-        position_m: Where it starts.
-        speed_mps: How fast it starts.
-        weighed_brakes: The brake is controlled to a rate at any load (see :func:`weighs_load`): a wrong mass
-            moves the gain of traction alone.
+        model: Nominal trainset and section.
+        position_m: Position at the start.
+        speed_mps: Speed at the start.
+        weighed_brakes: The brake is controlled to a deceleration at any load (see :func:`weighs_load`), so a
+            wrong mass changes the gain of traction alone.
     """
     dt = model.dt
+    # rounded, as 0.6 / 0.2 is 2.9999999999999996 and would count as not whole
     known = round(float(model.vehicle.delay_s) / dt, 6)
     extra = np.arange(round(MAX_EXTRA_DELAY_S / dt) + 1)
     lags = np.array(EXTRA_LAGS_S) + float(model.vehicle.lag_s)
@@ -169,11 +182,11 @@ def initial_estimate(
 def update_estimate(
     model: Model, belief: StateEstimate, position_m: float, speed_mps: float, acceleration_mps2: float
 ) -> StateEstimate:
-    """The belief after this period's measurements.
+    """Update the estimate with this period's measurements.
 
     Args:
-        model: What the driver believes about trainset and section.
-        belief: The belief of the period before, commands brought up to date by :func:`record_command`.
+        model: Nominal trainset and section.
+        belief: The estimate of the period before, after :func:`record_command`.
         position_m: Measured position.
         speed_mps: Measured speed, noisy.
         acceleration_mps2: Acceleration over the last period.
@@ -198,7 +211,7 @@ def update_estimate(
 
 
 def record_command(belief: StateEstimate, share: float) -> StateEstimate:
-    """The belief that remembers the command just given."""
+    """Add the command just given to the estimate."""
     commands = np.concatenate([[min(max(float(share), -1.0), 1.0)], belief.commands[:-1]])
     return belief._replace(commands=commands)
 
@@ -206,7 +219,7 @@ def record_command(belief: StateEstimate, share: float) -> StateEstimate:
 def _fuse(
     dt: float, belief: StateEstimate, position_m: float, speed_mps: float, acceleration_mps2: float
 ) -> tuple[float, float, ndarray]:
-    """Kalman filter of position and speed; the acceleration of the period is an input known well."""
+    """Kalman filter of position and speed, with the measured acceleration of the period as its input."""
     a = float(acceleration_mps2)
     position = belief.position_m + belief.speed_mps * dt + 0.5 * a * dt * dt
     speed = belief.speed_mps + a * dt
@@ -225,7 +238,10 @@ def _fuse(
 
 
 def _learn(model: Model, belief: StateEstimate, answer: float) -> tuple[HypothesisBank, int]:
-    """Compare the answer to the last command with what each hypothesis expected, and learn from it."""
+    """Update every hypothesis with the measured acceleration, and select the best.
+
+    A recursive least-squares step with forgetting; the cost of a hypothesis is its prediction error.
+    """
     vehicle, bank, v = model.vehicle, belief.bank, belief.speed_mps
     acting = acting_command(belief.commands, bank.delay_steps)
     share = acting + (bank.share - acting) * bank.keep
@@ -246,6 +262,7 @@ def _learn(model: Model, belief: StateEstimate, answer: float) -> tuple[Hypothes
         expected = np.maximum(expected, 0.0)
     miss = np.clip((answer - expected) / ANSWER_SIGMA_MPS2, -6.0, 6.0)
     cost = FORGETTING * bank.cost + miss**2
+    # no update where the jerk limit or standstill determines the acceleration: the gains do not show there
     learns = (np.abs(expected - free) < 1e-9) & (not standing or answer > 0)
     wide = bank.covariance + DRIFT_VARIANCE
     spread = np.einsum("hjk,hk->hj", wide, features)
@@ -266,7 +283,7 @@ def _learn(model: Model, belief: StateEstimate, answer: float) -> tuple[Hypothes
 
 
 def look_ahead(model: Model, belief: StateEstimate) -> PredictedState:
-    """Predict the state at the moment a command given now begins to act, with the commands on their way."""
+    """Predict the state when a command given now begins to act, with the commands still in the pipeline."""
     bank, best = belief.bank, belief.best
     age, keep = float(bank.delay_steps[best]), float(bank.keep[best])
     up, down, drag = (float(k) for k in bank.gains[best])
@@ -285,13 +302,13 @@ def look_ahead(model: Model, belief: StateEstimate) -> PredictedState:
 def share_for(
     belief: StateEstimate, ahead: PredictedState, wanted_mps2: float, lead: float = LAG_LEAD
 ) -> float:
-    """The command that gives an acceleration when it begins to act.
+    """Command for an acceleration at the moment when it begins to act.
 
     Args:
-        belief: The belief.
+        belief: The estimate.
         ahead: The state at that moment, from :func:`look_ahead`.
         wanted_mps2: Wanted acceleration.
-        lead: How much of the lag to make up for by asking for more at once, in [0, 1].
+        lead: Share of the lag that is compensated by a larger command, in [0, 1].
 
     Returns:
         A command in [-1, 1].
@@ -302,7 +319,7 @@ def share_for(
 
 
 def _efforts(model: Model, position_m: float, speed_mps: float) -> tuple[float, float, float, float]:
-    """Resistance, gradient, traction and brake per believed effective mass, m/s^2."""
+    """Resistance, gradient, traction and brake per nominal effective mass, m/s^2."""
     vehicle = model.vehicle
     mass = float(vehicle.effective_mass_kg)
     resistance, gradient = resistance_and_gradient(vehicle, model.track, position_m, speed_mps)
@@ -310,6 +327,7 @@ def _efforts(model: Model, position_m: float, speed_mps: float) -> tuple[float, 
     return (
         float(resistance) / mass,
         float(gradient) / mass,
+        # at least 1 N, as commands are efforts divided by these
         max(float(effort.traction_n), 1.0) / mass,
         max(float(effort.brake_n), 1.0) / mass,
     )

@@ -1,4 +1,4 @@
-"""How much room a driver has under protection, and asking protection before commanding."""
+"""Headroom below protection's curves, and the largest command that protection admits."""
 
 from __future__ import annotations
 
@@ -22,18 +22,20 @@ from metropilot.protection import (
 )
 
 CLEARING_STEPS = 7
+"""Bisection steps for the largest admissible command; the last interval is 2 / 2^7."""
 CATCH_PER_S = 1.0
+"""Deceleration for each m/s above the headroom."""
 
 
 class Headroom(NamedTuple):
-    """What the driver keeps under, so that protection has no reason to intervene.
+    """Largest speed and acceleration without an intervention of protection.
 
     Attributes:
         position_m: Uniform grid of 1 m from the origin. Shape (G,).
-        speed_mps: Speed to keep under while holding it. Shape (G,).
-        reaction_s: How long an acceleration goes on once it is not wanted any more, in protection's eyes.
-        quadratic: What its decay adds, s^3/m.
-        late_s: How long a service command may be on its way at most.
+        speed_mps: Largest speed that may be held. Shape (G,).
+        reaction_s: Time for which protection assumes that an acceleration continues, s.
+        quadratic: Coefficient of the further gain of speed while it decays, s^3/m.
+        late_s: Largest dead time and lag of a service command, s.
     """
 
     position_m: Float[ndarray, " grid"]
@@ -43,7 +45,7 @@ class Headroom(NamedTuple):
     late_s: float
 
     def approach(self, ahead: PredictedState) -> float:
-        """Largest acceleration with which the ceiling is not broken through: ``a r + q a^2 <= room``."""
+        """Largest acceleration that stays below the ceiling, m/s^2: ``a r + q a^2 <= room``."""
         room = float(np.interp(ahead.position_m, self.position_m, self.speed_mps)) - ahead.speed_mps
         if room < 0:
             return CATCH_PER_S * room
@@ -52,13 +54,13 @@ class Headroom(NamedTuple):
 
 
 def headroom_of(model: Model, guard: Protection, bounds: Bounds, margin_mps: float) -> Headroom:
-    """What protection permits less a margin, and how long an acceleration goes on.
+    """Headroom of a section under its protection.
 
     Args:
-        model: Trainset and section as believed.
+        model: Nominal trainset and section.
         guard: Protection of this section.
-        bounds: What protection was told of the plant.
-        margin_mps: How far to stay below the permitted speed; the error of one measurement is added.
+        bounds: Bounds on the plant that were declared to protection.
+        margin_mps: Margin below the permitted speed; the error of one measurement is added.
     """
     rates, late = guard.rates, bounds.delay_s + bounds.lag_s
     at = np.arange(0.0, float(model.track.length_m) + 1.0, 1.0)
@@ -79,7 +81,15 @@ def headroom_of(model: Model, guard: Protection, bounds: Bounds, margin_mps: flo
 def largest_admissible_command(
     guard: Protection, watched: Memory, position_m: float, speed_mps: float, share: float
 ) -> tuple[float, Memory]:
-    """The largest command up to ``share`` that protection lets pass, and what protection remembers of it."""
+    """Largest command up to ``share`` that protection admits, and the memory of protection after it.
+
+    Args:
+        guard: Protection of the section.
+        watched: Memory of protection.
+        position_m: Position.
+        speed_mps: Measured speed.
+        share: Wanted command in [-1, 1].
+    """
     seen = position_m, speed_mps
     _, after, verdict = supervise(guard, watched, *seen, Command(share, False))
     if int(verdict.level) == 0:

@@ -1,21 +1,20 @@
-"""The incremental PID law that tracking controllers and the tracking task share."""
+"""Incremental PID law of the tracking controllers and the tracking task."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from metropilot._typing import Scalar
 from metropilot.physics import namespace
-
-Scalar = Any
 
 
 class Gains(NamedTuple):
     """Gains of the law, per m/s of error and per control period.
 
     Attributes:
-        proportional: On the change of the error, 1/(m/s).
-        integral: On the error, 1/(m/s).
-        derivative: On the change of the change, 1/(m/s).
+        proportional: Gain on the change of the error, 1/(m/s).
+        integral: Gain on the error, 1/(m/s).
+        derivative: Gain on the second difference of the error, 1/(m/s).
     """
 
     proportional: Scalar
@@ -37,16 +36,16 @@ class Errors(NamedTuple):
 
 
 def incremental_pid(command: Scalar, gains: Gains, error: Scalar, errors: Errors) -> tuple[Scalar, Errors]:
-    """One period of the law: the new command in [-1, 1], and the errors to bring next time.
+    """Compute the new command in [-1, 1], and the errors for the next period.
 
     ``u = clip(u + kp (e - e1) + ki e + kd (e - 2 e1 + e2), -1, 1)`` with ``e`` the reference's speed less the
-    trainset's. Clipping the command itself is all the anti-windup it needs. Source: Cheng23 eqs. 15 and 16.
+    trainset's. The clipped command prevents windup. Source: Cheng23 eqs. 15 and 16.
 
     Args:
         command: Command of the period before.
         gains: Gains in force.
         error: Speed error now, m/s.
-        errors: Those of the two periods before.
+        errors: Speed errors of the two periods before, m/s.
     """
     xp = namespace(command, error, gains.proportional)
     e1, e2 = errors

@@ -1,7 +1,7 @@
-"""Dead time, lag and jerk limit: commands on their way, and the state when a command given now begins to act.
+"""Prediction over dead time, lag and jerk limit: the state when a command given now begins to act.
 
-The one prediction that drivers compensate the actuation with (Huang25 eq. 4, Chen23a eq. 1). A dead time that
-is no whole number of periods blends two commands, as the plant does.
+All drivers compensate the actuation with it (Huang25 eq. 4, Chen23a eq. 1). A dead time that is not a whole
+number of periods blends two commands, as the plant does.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from metropilot._typing import Scalar
 from metropilot.physics import Track, Vehicle, namespace, scalars
 
 LAG_LEAD = 0.7
-"""Share of the lag that is made up for by asking for more at once; all of it would amplify noise."""
+"""Share of the lag that is compensated by a larger command; full compensation would amplify noise."""
 
 
 class Model(NamedTuple):
-    """What the driver believes about trainset and section.
+    """Nominal model of trainset and section in a driver.
 
     Attributes:
-        vehicle: The trainset as the driver knows it (NumPy).
+        vehicle: Nominal plant (NumPy).
         track: The section.
         dt: Control period, s.
     """
@@ -34,15 +34,15 @@ class Model(NamedTuple):
 
 
 class PredictedState(NamedTuple):
-    """The state at the moment a command given now begins to act.
+    """Predicted state when a command given now begins to act.
 
     Attributes:
-        seconds: How far ahead.
+        seconds: Time from now, s.
         position_m: Position.
         speed_mps: Speed.
         acceleration_mps2: Acceleration in the period before.
         share: Command after delay and lag in the period before.
-        resistance_mps2: Believed resistance there, per effective mass, factor included.
+        resistance_mps2: Estimated resistance there, per effective mass, factor included.
         gradient_mps2: Gradient force there, per effective mass, positive uphill.
         traction_mps2: Largest traction there, per effective mass, gain included.
         brake_mps2: Largest service brake there, per effective mass, gain included.
@@ -69,13 +69,13 @@ class Motion(NamedTuple):
 
 
 class CommandActuation(NamedTuple):
-    """Commands on their way through a known dead time and lag.
+    """Commands in the pipeline of a known dead time and lag.
 
     Attributes:
-        commands: Commands given, newest first, as many as are on their way and one more.
+        commands: Commands given, newest first: those not yet acting and one more.
         share: Command after dead time and lag in the last period.
         delay_steps: Dead time in control periods, not always whole.
-        keep: Share of the old effort that the lag keeps over a period.
+        keep: Share of the old effort that remains after a period of lag.
         lag_s: Time constant of the lag.
         dt: Control period, s.
     """
@@ -93,14 +93,14 @@ class CommandActuation(NamedTuple):
         return math.ceil(self.delay_steps) * self.dt
 
     def issue(self, command: float) -> CommandActuation:
-        """The actuation once a command has been given for the coming period."""
+        """Add a command for the coming period."""
         commands = (command, *self.commands[:-1])
         acting = acting_command(commands, self.delay_steps)
         return self._replace(commands=commands, share=acting + (self.share - acting) * self.keep)
 
 
 def actuation_of(model: Model) -> CommandActuation:
-    """The actuation of a nominal trainset with no command on its way."""
+    """Actuation of a nominal trainset with an empty pipeline."""
     dt, lag = model.dt, float(model.vehicle.lag_s)
     steps = round(float(model.vehicle.delay_s) / dt, 6)
     keep = math.exp(-dt / lag) if lag > 0 else 0.0
@@ -109,7 +109,7 @@ def actuation_of(model: Model) -> CommandActuation:
 
 @no_type_check
 def acting_command(commands: Sequence[Scalar], age: Scalar) -> Scalar:
-    """The command issued so many periods ago, blended between two as the plant does.
+    """Command issued a number of periods ago, blended between two as in the plant.
 
     Args:
         commands: Newest first.
@@ -131,15 +131,15 @@ def predict_motion(
     jerk_mps3: float,
     dt: float,
 ) -> Motion:
-    """The motion when a command given now begins to act, with the commands on their way.
+    """Predict the motion when a command given now begins to act.
 
     Args:
         motion: The motion now.
         commands: Commands given, newest first.
         delay_steps: Dead time in control periods.
-        keep: Share of the old effort that the lag keeps over a period.
-        limits_mps2: Largest traction, largest service brake, and resistance with gradient; they hold over
-            the prediction, which is far shorter than they take to change.
+        keep: Share of the old effort that remains after a period of lag.
+        limits_mps2: Largest traction, largest service brake, and resistance with gradient; constant over the
+            prediction, which is short.
         jerk_mps3: Jerk limit.
         dt: Control period, s.
     """
@@ -147,7 +147,7 @@ def predict_motion(
     traction, brake, drag = limits_mps2
     room = jerk_mps3 * dt
     for k in range(math.ceil(delay_steps)):
-        # The command given now is not known yet: where a part of it acts already, the newest stands for it.
+        # The command of this period is not known yet: where a part of it acts already, the newest is used.
         acting = acting_command(commands, max(delay_steps - 1 - k, 0.0))
         share = acting + (share - acting) * keep
         wanted = share * (traction if share > 0.0 else brake) - drag
@@ -159,13 +159,13 @@ def predict_motion(
 
 
 def lead_command(share: float, acting: float, keep: float, lead: float = LAG_LEAD) -> float:
-    """The command that makes up for part of the trainset's lag, in [-1, 1].
+    """Command that compensates part of the trainset's lag, in [-1, 1].
 
     Args:
         share: Command that should act.
         acting: Command after delay and lag in the period before.
-        keep: Share of it that the lag keeps over a period.
-        lead: How much of the lag to make up for, in [0, 1].
+        keep: Share of the old effort that remains after a period of lag.
+        lead: Share of the lag that is compensated, in [0, 1].
     """
     kept = lead * keep
     return min(max((share - kept * acting) / (1.0 - kept), -1.0), 1.0)

@@ -1,12 +1,11 @@
-"""Station stop: where to begin braking, how hard, and how to release the brake without a jolt.
+"""Station stop: braking point, deceleration, and release of the brake within the jerk limit.
 
-The curve is: build up to a deceleration ``b`` at the jerk limit, hold it, release it at a softer jerk ``J``
-to a small deceleration ``e``, and stand. In every period the deceleration is computed anew that makes this
-curve end at the target from the state predicted for the moment the command begins to act.
-(Without a jerk limit
-this is ``b = v^2 / (2 S)``, the rule of the heuristic online algorithm of Chen, Chen, Li and Tang, 2013.) So
-there is nothing to integrate and nothing to remember: an error made earlier is an error in distance, and the
-next period corrects it. The force that the brake really gives is the estimator's business.
+The curve builds up a deceleration ``b`` at the jerk limit, holds it, and releases it at a lower jerk ``J`` to
+a small deceleration ``e`` at standstill. Every period computes the deceleration with which this curve ends at
+the target, from the state predicted for the moment when the command begins to act. (Without a jerk limit this
+is ``b = v^2 / (2 S)``, the rule of the heuristic online algorithm of Chen, Chen, Li and Tang, 2013.) The law
+has no integrator and no memory: an earlier error is an error in distance, which the next period corrects.
+The gain of the brake comes from the estimator.
 
 Closed forms, with distance ``S``, speed ``v`` and final speed ``f``:
 
@@ -24,7 +23,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, no_type_check
+from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 
@@ -34,15 +33,15 @@ from metropilot.control.prediction import Model, PredictedState
 from metropilot.physics import Vehicle, effort_at, namespace, resistance_and_gradient, scalars
 
 SERVICE_USE = 0.95
-"""Share of the deceleration at hand that a comfortable stop is planned with."""
+"""Share of the available deceleration with which a comfortable stop is planned."""
 AT_ONCE_MPS3 = 1e4
-"""A jerk limit from here on counts as none; it stands for an infinite one where arithmetic needs a number."""
+"""Jerk limit from which on there is none; it replaces an infinite one where arithmetic needs a number."""
 STRONGEST_MPS2 = 3.0
-"""Larger than any brake: where the target is too near to stop at."""
+"""Deceleration larger than that of any brake, for a target that is too near to stop at."""
 LEAST_MPS2 = 0.05
-"""Least deceleration that is solved for; nobody begins to brake this gently."""
+"""Least deceleration that is solved for; a stop never begins with less."""
 NEAREST_M = 1e-3
-"""Nearer than this the target is reached."""
+"""Distance below which the target is reached."""
 
 
 @dataclass(frozen=True)
@@ -55,20 +54,21 @@ class StopOptions:
             more of the limit to correct errors.
         end_share: Deceleration the stop is planned to end with, over what the jerk limit lets drop in one
             period.
-        drop_share: Largest deceleration in the last period, over the same; below 1, as the last period
-            seldom ends with the stand.
+        drop_share: Largest deceleration in the last period, over the same; below 1, as standstill seldom
+            coincides with the end of a period.
         return_gain: Correction of a departure from the planned deceleration, beyond what the stop needs.
         at_once_gain: The same for a trainset without a jerk limit.
-        inch_m: A trainset that stands nearer to the target than this is left to stand, m.
-        push_m: Nearer than this no traction is asked for, m.
-        hold_mps2: Least deceleration asked for at a stand, m/s^2.
-        creep_mps: Slower than this, and near enough, there is nothing left to correct, m/s.
-        creep_m: Nearer than this a trainset that creeps is made to stand, m.
-        draw_up_mps2: Acceleration with which a trainset that stands short of the target draws up to it...
-        draw_up_share: ...until a deceleration of this share of it would be needed to stop there.
+        inch_m: Distance to the target below which a trainset at standstill is not moved again, m.
+        push_m: Distance to the target below which no traction is applied, m.
+        hold_mps2: Least deceleration requested at standstill, m/s^2.
+        creep_mps: Speed below which the stop is no longer corrected within ``creep_m``, m/s.
+        creep_m: Distance to the target below which a creeping trainset is stopped, m.
+        draw_up_mps2: Acceleration toward the target from a standstill short of it, m/s^2.
+        draw_up_share: Share of that acceleration; drawing up ends when a deceleration of this size would
+            stop at the target.
         passes: Passes of the fixed point for the build-up; each divides the error by about four.
-        newton_steps: Steps from the deceleration without a release; six are good to 1e-5 m/s^2, three to 0.1
-            where the release takes nearly all of the way.
+        newton_steps: Newton steps from the deceleration without a release; six are accurate to 1e-5 m/s^2,
+            three to 0.1 where the release takes nearly the whole distance.
     """
 
     build_share: float = 1.0
@@ -89,11 +89,11 @@ class StopOptions:
 
 
 STOP_OPTIONS = StopOptions()
-"""For drivers that estimate their trainset: the small end leaves room for what the estimate may be off."""
+"""Options of drivers with an estimator: a small final deceleration leaves room for its errors."""
 
 
 class StopCurve(NamedTuple):
-    """The shape of a stop.
+    """Shape of a stop.
 
     Attributes:
         deceleration_mps2: Deceleration held.
@@ -109,31 +109,32 @@ class StopCurve(NamedTuple):
 
 
 def weakest_gradient(model: Model, target_m: float, stretch_m: float = 400.0) -> float:
-    """The worst mean gradient on the way to a stop, as an acceleration (negative downhill), m/s^2.
+    """Least mean gradient on the way to a stop, as an acceleration (negative downhill), m/s^2.
 
-    Braking is an exchange of energy, so what counts is the mean from where it begins to the stop.
+    Braking is an exchange of energy, so the mean from the braking point to the stop counts.
 
     Args:
-        model: What the driver believes about trainset and section.
-        target_m: Where to stop.
-        stretch_m: How far before the stop braking may begin.
+        model: Nominal trainset and section.
+        target_m: Position of the stop.
+        stretch_m: Largest distance before the stop at which braking may begin.
     """
     at = np.linspace(target_m, target_m - stretch_m, 41)
     forces = [float(resistance_and_gradient(model.vehicle, model.track, x, np.float64(0.0))[1]) for x in at]
     means = np.cumsum(forces) / np.arange(1, at.size + 1)
+    # means over at least 50 m: no stop begins to brake nearer to the target
     return float(means[5:].min()) / float(model.vehicle.effective_mass_kg)
 
 
 def comfortable_deceleration(
     model: Model, belief: StateEstimate, gradient_mps2: float, use: float = SERVICE_USE
 ) -> float:
-    """Deceleration to plan a stop with: what is surely at hand, and no more than the trainset's own limit.
+    """Deceleration for planning a stop: the surely available one, at most the trainset's limit, m/s^2.
 
     Args:
-        model: What the driver believes about trainset and section.
-        belief: The belief; a brake not yet tried counts for less, one that turned out stronger for no more.
-        gradient_mps2: From :func:`weakest_gradient`.
-        use: Share of it to plan with.
+        model: Nominal trainset and section.
+        belief: The estimate; the gain of the brake counts less 1.5 standard deviations, and at most 1.
+        gradient_mps2: Mean gradient from :func:`weakest_gradient`.
+        use: Share of the available deceleration to plan with.
     """
     vehicle = model.vehicle
     speeds = (0.0, belief.speed_mps)
@@ -147,10 +148,10 @@ def comfortable_deceleration(
 def curve_for(
     vehicle: Vehicle, dt: float, deceleration_mps2: Scalar, options: StopOptions = STOP_OPTIONS
 ) -> StopCurve:
-    """The curve that a trainset's jerk limit asks for; a plain ``v^2 / (2 S)`` where there is none.
+    """Stop curve for a trainset's jerk limit; ``v^2 / (2 S)`` where there is none.
 
     Args:
-        vehicle: The trainset as the driver knows it.
+        vehicle: Nominal plant.
         dt: Control period, s.
         deceleration_mps2: Deceleration to hold.
         options: Constants of the stop.
@@ -166,28 +167,29 @@ def braking_distance(speed_mps: Scalar, curve: StopCurve, final_mps: Scalar = 0.
     """Distance from one speed down to another: hold, then release (no build-up), m."""
     xp = namespace(speed_mps, curve.deceleration_mps2, final_mps)
     v, e = xp.maximum(speed_mps, final_mps), curve.end_mps2
-    return _distance(xp, v, _held(xp, v, curve, final_mps), e, curve.release_jerk_mps3, final_mps)
+    held = _attainable_deceleration(xp, v, curve, final_mps)
+    return _distance(xp, v, held, e, curve.release_jerk_mps3, final_mps)
 
 
 @no_type_check
 def braking_time(speed_mps: Scalar, curve: StopCurve) -> Scalar:
-    """Time from a speed to the stand: hold, then release (no build-up), s."""
+    """Time from a speed to standstill: hold, then release (no build-up), s."""
     xp = namespace(speed_mps, curve.deceleration_mps2)
-    b, e = _held(xp, speed_mps, curve, 0.0), curve.end_mps2
+    b, e = _attainable_deceleration(xp, speed_mps, curve, 0.0), curve.end_mps2
     jerk = xp.minimum(curve.release_jerk_mps3, AT_ONCE_MPS3)
     return (speed_mps - (b * b - e * e) / (2.0 * jerk)) / b + (b - e) / jerk
 
 
 @no_type_check
-def _held(xp: Scalar, v: Scalar, curve: StopCurve, final_mps: Scalar) -> Scalar:
-    """The deceleration held, no more than the release can come down from on the way to the final speed."""
+def _attainable_deceleration(xp: Any, v: Scalar, curve: StopCurve, final_mps: Scalar) -> Scalar:  # noqa: ANN401
+    """Deceleration held: the planned one, at most what the release can reduce before the final speed."""
     e = curve.end_mps2
     jerk = xp.minimum(curve.release_jerk_mps3, AT_ONCE_MPS3)
     return xp.minimum(curve.deceleration_mps2, xp.sqrt(e * e + 2.0 * jerk * (v - final_mps)))
 
 
 @no_type_check
-def _distance(xp: Scalar, v: Scalar, b: Scalar, e: Scalar, jerk: Scalar, f: Scalar) -> Scalar:
+def _distance(xp: Any, v: Scalar, b: Scalar, e: Scalar, jerk: Scalar, f: Scalar) -> Scalar:  # noqa: ANN401
     """Distance of holding ``b`` and releasing it to ``e``, from ``v`` to ``f``."""
     jerk = xp.minimum(jerk, AT_ONCE_MPS3)
     t = (b - e) / jerk
@@ -203,15 +205,15 @@ def required_deceleration(
     final_mps: Scalar = 0.0,
     newton_steps: int = STOP_OPTIONS.newton_steps,
 ) -> tuple[Scalar, Scalar]:
-    """Deceleration that must act now for the curve to end where it should, and how fast it is released.
+    """Deceleration that must act now for the curve to end at the target, and the jerk of its release.
 
-    The held deceleration by Newton's method on :func:`braking_distance`, the release in closed form.
+    The held deceleration is found by Newton's method on :func:`braking_distance`, the release in closed form.
 
     Args:
         speed_mps: Speed.
         distance_m: Distance to go.
-        curve: Shape of the stop; its ``deceleration_mps2`` is not used, it is what is solved for.
-        final_mps: Speed to have there: 0 for a stop.
+        curve: Shape of the stop; its ``deceleration_mps2`` is not used but solved for.
+        final_mps: Speed at the target; 0 for a stop.
         newton_steps: See :class:`StopOptions`.
 
     Returns:
@@ -274,14 +276,14 @@ def required_with_build_up(
     final_mps: Scalar = 0.0,
     options: StopOptions = STOP_OPTIONS,
 ) -> tuple[Scalar, Scalar]:
-    """:func:`required_deceleration` with the build-up from the acceleration that acts now.
+    """:func:`required_deceleration` including the build-up from the present acceleration.
 
     Args:
         speed_mps: Speed.
         acceleration_mps2: Acceleration that acts now.
         distance_m: Distance to go.
         curve: Shape of the stop; its ``deceleration_mps2`` is not used.
-        final_mps: Speed to have there: 0 for a stop.
+        final_mps: Speed at the target; 0 for a stop.
         options: Constants of the stop.
     """
     xp = namespace(speed_mps, acceleration_mps2, distance_m, curve.end_mps2)
@@ -297,12 +299,12 @@ def required_with_build_up(
 
 
 class StopDemand(NamedTuple):
-    """The deceleration of one period on the way to a stop.
+    """Deceleration of one period on the way to a stop.
 
     Attributes:
-        wanted_mps2: Deceleration to ask for, m/s^2; below 0 where the trainset is too slow to get there.
+        wanted_mps2: Requested deceleration, m/s^2; negative if the trainset is too slow to reach the target.
         required_mps2: Deceleration that must be held for the curve to end at the target, build-up included.
-        falling_mps3: Jerk at which it is released from now on, m/s^3; 0 while it is held.
+        falling_mps3: Jerk of the release from now on, m/s^3; 0 while the deceleration is held.
     """
 
     wanted_mps2: Scalar
@@ -321,9 +323,9 @@ def stop_deceleration(
 ) -> StopDemand:
     """Deceleration of the coming period on the way to a stop.
 
-    Held, it is corrected toward the planned one; released, it is the mean over the period; in the last
-    period it is the constant one that stands on the target; and it is never more than can be released before
-    the stand.
+    While held it is corrected toward the planned one; during the release it is the mean over the period; in
+    the last period it is the constant deceleration that stops at the target. It never exceeds what can be
+    released before standstill.
 
     Args:
         speed_mps: Speed when the command begins to act.
@@ -351,9 +353,9 @@ def stop_deceleration(
 
 @no_type_check
 def strongest(speed_mps: Scalar, curve: StopCurve, dt: float, options: StopOptions = STOP_OPTIONS) -> Scalar:
-    """The deceleration from which the jerk limit still allows a release before the stand, m/s^2.
+    """Largest deceleration that the jerk limit can still release before standstill, m/s^2.
 
-    In periods of ``dt``: the last one decelerates by at most ``c`` (what may drop to zero at once), the one
+    In periods of ``dt`` the last one decelerates by at most ``c`` (which may drop to zero at once), the one
     before by ``J dt`` more; ``n`` periods take ``v = n c dt + J dt^2 n (n - 1) / 2``.
     """
     xp = namespace(speed_mps, curve.build_jerk_mps3)
@@ -367,14 +369,14 @@ def strongest(speed_mps: Scalar, curve: StopCurve, dt: float, options: StopOptio
 
 
 class Stop(NamedTuple):
-    """What a stop needs now.
+    """Command of a stop in one period.
 
     Attributes:
-        share: The command that gives it.
-        required_mps2: Deceleration that must be held for the curve to end at the target, build-up included:
-            begin braking when it reaches the deceleration you want.
-        ahead: The state it was worked out for.
-        left_m: Distance to the target from there.
+        share: The command.
+        required_mps2: Deceleration that must be held for the curve to end at the target, build-up included;
+            braking begins when it reaches the planned deceleration.
+        ahead: Predicted state for which it was computed.
+        left_m: Distance to the target from that state.
     """
 
     share: float
@@ -390,13 +392,13 @@ def stop_command(
     curve: StopCurve,
     options: StopOptions = STOP_OPTIONS,
 ) -> Stop:
-    """The command of this period on the way to a stop.
+    """Compute the command of this period on the way to a stop.
 
     Args:
-        model: What the driver believes about trainset and section.
-        belief: From :func:`metropilot.control.estimator.update_estimate`.
-        target_m: Where to stop.
-        curve: Shape of the stop; departures from its deceleration are corrected gently.
+        model: Nominal trainset and section.
+        belief: Estimate from :func:`metropilot.control.estimator.update_estimate`.
+        target_m: Position of the stop.
+        curve: Shape of the stop; deviations from its deceleration are corrected with a small gain.
         options: Constants of the stop.
     """
     ahead = look_ahead(model, belief)
@@ -412,15 +414,15 @@ def stop_command(
 
 
 def deceleration_to(model: Model, belief: StateEstimate, stop: Stop) -> float:
-    """The constant deceleration that full service braking can keep up from a state to the stop, m/s^2.
+    """Constant deceleration that full service braking can hold from a state to the stop, m/s^2.
 
-    Braking exchanges energy, so it is the least of the mean decelerations over every rest of the way; of the
-    effort the least on the way down to standstill counts.
+    Braking is an exchange of energy, so it is the least mean deceleration over all remaining distances, with
+    the least braking effort between the speed and standstill.
 
     Args:
-        model: What the driver believes about trainset and section.
-        belief: The belief; a brake stronger than nominal counts for no more, and so does a larger resistance.
-        stop: From :func:`stop_command`.
+        model: Nominal trainset and section.
+        belief: The estimate; gain of the brake and factor on resistance count as at most 1.
+        stop: The stop from :func:`stop_command`.
     """
     vehicle, ahead = model.vehicle, stop.ahead
     done = np.linspace(0.0, 1.0, 9)
@@ -441,14 +443,14 @@ def stand(
     creep_m: float,
     options: StopOptions = STOP_OPTIONS,
 ) -> float:
-    """The stop's command; in the last period the deceleration in force, where it ends near enough.
+    """Command of the last metres: the stop's, or the deceleration in force if it ends near enough.
 
     Args:
-        model: What the driver believes about trainset and section.
-        belief: The belief.
-        stop: From :func:`stop_command`.
-        near_enough_m: Error at the stop that is not worth a correction in the last period.
-        creep_m: Nearer than this a trainset that hardly moves is made to stand.
+        model: Nominal trainset and section.
+        belief: The estimate.
+        stop: The stop from :func:`stop_command`.
+        near_enough_m: Largest stop error that is accepted without a correction in the last period.
+        creep_m: Distance to the target below which a creeping trainset is stopped.
         options: Constants of the stop.
     """
     ahead, left_m, dt = stop.ahead, stop.left_m, model.dt

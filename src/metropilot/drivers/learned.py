@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from metropilot.control import Adapted, adapted_trainset
+from metropilot.control import Adaptation, adapt_trainset
 from metropilot.drivers import watching
 from metropilot.drivers.watching import Watch
 from metropilot.env import PolicyInterface
@@ -157,14 +157,14 @@ class LearnedDriver(AbstractDriver):
         if memory.watch is not None:
             watch = watching.set_section(memory.watch, memory.run, section)
             memory = memory._replace(watch=watch)
-            if watch.adapted != Adapted():
+            if watch.adapted != Adaptation():
                 return self._adapted(memory, watch, watch.adapted_at_s)
         return memory._replace(case=memory.rows.case(0))
 
     def _adapted(self, memory: LearnedMemory, watch: Watch, time_s: float) -> LearnedMemory:
         """Tables of the trainset as it has shown itself, under protection as it is for the one told."""
         told, shown = memory.told, watch.shown
-        trainset = adapted_trainset(memory.run.scenario.nominal(memory.run.trainset), shown)
+        trainset = adapt_trainset(memory.run.scenario.nominal(memory.run.trainset), shown)
         tables = self._tables(memory.run, memory.section, trainset)
         size = told.braked.shape[1]
         braked = np.pad(tables.braked, ((0, 0), (0, size), (0, 0)), "edge")[:, :size]

@@ -10,7 +10,7 @@ import numpy as np
 
 from metropilot.control import (
     STOP_OPTIONS,
-    Adapted,
+    Adaptation,
     Headroom,
     Model,
     PredictedState,
@@ -18,7 +18,7 @@ from metropilot.control import (
     Stop,
     StopCurve,
     StopOptions,
-    adapted_vehicle,
+    adapt_vehicle,
     curve_for,
     deceleration_to,
     headroom_of,
@@ -140,7 +140,7 @@ class FollowingMemory:
     curve: StopCurve
     braking: bool
     overruled: bool
-    adapted: Adapted
+    adapted: Adaptation
     scheduled_s: float
     section: Section
     planned_at_s: float
@@ -175,7 +175,7 @@ class Optimal(AbstractDriver):
         room = headroom_of(model, guard, bounds, self.options.cap_margin_mps)
         options = self._plan_options(model, room)
         check_running_time(run.scheduled_time_s, fastest_time(vehicle, track, PlanOptions()))
-        careful = adapted_vehicle(vehicle, Adapted(brake=self._brake_use(vehicle, Adapted(), room)))
+        careful = adapt_vehicle(vehicle, Adaptation(brake=self._brake_use(vehicle, Adaptation(), room)))
         plan = _plan(careful, track, run.scheduled_time_s - self.options.reserve_s, options)
         curve = self._curve(model, plan, room)
         return FollowingMemory(
@@ -191,7 +191,7 @@ class Optimal(AbstractDriver):
             curve=curve,
             braking=False,
             overruled=False,
-            adapted=Adapted(),
+            adapted=Adaptation(),
             scheduled_s=run.scheduled_time_s,
             section=run.section,
             planned_at_s=0.0,
@@ -335,7 +335,7 @@ class Optimal(AbstractDriver):
             start_mps2=ahead.acceleration_mps2,
         )
         use = self._brake_use(model.vehicle, adapted, room)
-        vehicle = adapted_vehicle(model.vehicle, adapted._replace(brake=adapted.brake * use))
+        vehicle = adapt_vehicle(model.vehicle, adapted._replace(brake=adapted.brake * use))
         told = replace(
             memory,
             model=model,
@@ -353,11 +353,11 @@ class Optimal(AbstractDriver):
             return told
         return replace(told, plan=plan, clock_s=clock_s, curve=self._curve(model, plan, room))
 
-    def _adaptation(self, belief: StateEstimate) -> Adapted:
+    def _adaptation(self, belief: StateEstimate) -> Adaptation:
         """Plant to plan with: the estimated one, with a brake no stronger than nominal."""
-        return Adapted(belief.traction_gain, min(belief.brake_gain, 1.0), belief.resistance_factor)
+        return Adaptation(belief.traction_gain, min(belief.brake_gain, 1.0), belief.resistance_factor)
 
-    def _brake_use(self, vehicle: Vehicle, adapted: Adapted, room: Headroom) -> float:
+    def _brake_use(self, vehicle: Vehicle, adapted: Adaptation, room: Headroom) -> float:
         """Share of the braking force to plan with."""
         nominal = room.late_s == 0.0 and abs(adapted.traction - 1.0) <= SURPRISE
         sure = nominal and weighs_load(vehicle, spare=1.0)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from metropilot.control import (
-    Adapted,
+    Adaptation,
     Headroom,
     Model,
     PredictedState,
@@ -98,14 +98,14 @@ class Watch(NamedTuple):
     model: Model
     belief: StateEstimate
     care: Care | None
-    adapted: Adapted
+    adapted: Adaptation
     adapted_at_s: float
 
     @property
-    def shown(self) -> Adapted:
+    def shown(self) -> Adaptation:
         """The trainset as it has shown itself; a brake that turns out stronger counts for no more."""
         belief = self.belief
-        return Adapted(belief.traction_gain, min(belief.brake_gain, 1.0), belief.resistance_factor)
+        return Adaptation(belief.traction_gain, min(belief.brake_gain, 1.0), belief.resistance_factor)
 
 
 def first_watch(run: Run) -> Watch:
@@ -114,7 +114,7 @@ def first_watch(run: Run) -> Watch:
     vehicle = vehicle_arrays(trainset)
     model = Model(vehicle, track_arrays(run.section, trainset), run.dt)
     belief = initial_estimate(model, weighed_brakes=weighs_load(vehicle))
-    watch = Watch(model, belief, None, Adapted(), -np.inf)
+    watch = Watch(model, belief, None, Adaptation(), -np.inf)
     return (
         watch._replace(care=_care(watch, run, run.section)) if answers_late(declared_bounds(run)) else watch
     )
