@@ -12,9 +12,9 @@ from metropilot.errors import InputError
 from metropilot.evaluate.style import SERIES, series
 from metropilot.web.pages.compare import outcome
 from metropilot.web.pages.convoy import member_outcome
-from metropilot.web.pages.form import allowed, validated
+from metropilot.web.pages.form import describe_range, validate
 from metropilot.web.pages.frame import frame
-from metropilot.web.pages.plots import compare_figure, convoy_figure, driven_convoy, front_figure
+from metropilot.web.pages.plots import compare_figure, convoy_figure, driven_convoy_figure, front_figure
 from metropilot.web.schemas.requests import ConvoyAsked, DriveAsked, JourneyAsked, LearnAsked, NewLink
 
 
@@ -30,7 +30,7 @@ from metropilot.web.schemas.requests import ConvoyAsked, DriveAsked, JourneyAske
     ],
 )
 def test_a_field_says_what_its_request_allows(kind, name, scale, words):
-    assert allowed(kind, name, scale) == words
+    assert describe_range(kind, name, scale) == words
 
 
 @pytest.mark.parametrize(
@@ -43,7 +43,7 @@ def test_a_field_says_what_its_request_allows(kind, name, scale, words):
 )
 def test_what_is_not_allowed_is_refused_in_one_line(kind, values, scales, told):
     with pytest.raises(InputError) as refused:
-        validated(kind, values, **scales)
+        validate(kind, values, **scales)
     error = refused.value
     assert (error.field, error.value, error.allowed) == (told[0], pytest.approx(told[1]), told[2])
     assert "\n" not in str(error)
@@ -51,7 +51,7 @@ def test_what_is_not_allowed_is_refused_in_one_line(kind, values, scales, told):
 
 def test_half_a_trainset_is_refused():
     with pytest.raises(InputError, match="trainsets"):
-        validated(ConvoyAsked, {"trainsets": 2.5})
+        validate(ConvoyAsked, {"trainsets": 2.5})
 
 
 def entry(name):
@@ -96,7 +96,7 @@ def test_a_driver_has_one_colour_in_every_comparison():
 def test_a_convoy_of_an_earlier_server_is_drawn_whole():
     speeds = [{"time_s": [0.0, 1.0], "speed_mps": [0.0, 10.0]}] * 3
     gaps = {"gap_m": [[6.0, 7.0], [6.5, 7.5]], "speed_difference_mps": [[0.0, 0.1], [0.0, 0.2]]}
-    drawn = driven_convoy({"time_s": [0.0, 1.0], "speeds": speeds, **gaps})["data"]
+    drawn = driven_convoy_figure({"time_s": [0.0, 1.0], "speeds": speeds, **gaps})["data"]
     assert [list(t["y"]) for t in drawn[:3]] == [[6.0, 6.5], [7.0, 7.5], []]
     assert list(drawn[7]["y"]) == pytest.approx([0.36, 0.72])
     assert [list(t["y"]) for t in drawn[12:16]] == [[0.0, 36.0]] * 3 + [[]]

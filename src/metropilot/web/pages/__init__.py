@@ -1,4 +1,4 @@
-"""The pages of the console."""
+"""Pages of the console."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def install(app: FastAPI, service: Service) -> None:
 
     Args:
         app: The API.
-        service: What both call.
+        service: The service that API and pages call.
     """
     from nicegui import app as pages
     from nicegui import ui

@@ -13,11 +13,11 @@ from metropilot.web import catalogue
 from metropilot.web.pages.form import (
     DisturbanceForm,
     SectionForm,
-    bounded,
     driver_choice,
     driver_names,
+    number_field,
     other_options,
-    validated,
+    validate,
 )
 from metropilot.web.pages.frame import card, empty, frame, links, number, refresh_while, table
 from metropilot.web.pages.plots import blank, compare_figure, front_figure
@@ -43,7 +43,7 @@ POLL_S = 0.4
 
 
 class ComparePage:
-    """The page's state for one browser."""
+    """State of the page for one browser."""
 
     def __init__(self, service: Service, job: str | None, driver: str | None = None) -> None:
         self.service = service
@@ -59,7 +59,7 @@ class ComparePage:
         self.disturbances = DisturbanceForm()
 
     def build(self) -> None:
-        """Left what is asked, right what came of it."""
+        """Build the fields on the left and the results on the right."""
         with ui.element("div").classes("mp-col"), card("Run"):
             self.form.build()
             drivers = driver_names(self.service)
@@ -69,7 +69,7 @@ class ComparePage:
             self.drivers.props("outlined dense options-dense use-chips")
             self.form.problem.beside("drivers", self.drivers).props('data-test="drivers"')
             self.form.problem.beside("driver", self.drivers)
-            self.seeds = bounded("Seeds of each driver", CompareAsked, "seeds", value=1, step=1)
+            self.seeds = number_field("Seeds of each driver", CompareAsked, "seeds", value=1, step=1)
             self.form.problem.beside("seeds", self.seeds)
             self.disturbances.build(self.form.problem)
             with ui.element("div").classes("mp-row"):
@@ -87,7 +87,7 @@ class ComparePage:
                     empty("Choose drivers and press Compare.")
 
     async def load(self) -> None:
-        """After the page is there: the form of the run it came for, then the section."""
+        """Load the form of the linked run, then the section; runs once the page is connected."""
         wrong = None
         try:
             if self.job:
@@ -101,10 +101,10 @@ class ComparePage:
             self.watch()
 
     def restore(self, row: JobRow) -> None:
-        """Fill the form as a comparison was asked for.
+        """Fill the form with the request of a comparison.
 
         Raises:
-            MetropilotError: It is none, or its line, station or trainset is not here any more.
+            MetropilotError: No comparison, or its line, station or trainset does not exist any more.
         """
         if row.kind != "compare":
             raise Refused(f"the job is a {row.kind}, no comparison", 404, field="id", value=row.id)
@@ -123,23 +123,23 @@ class ComparePage:
         self.options = {"driver": driver, "options": other_options(asked["options"])}
 
     async def load_front(self) -> None:
-        """The front of the section."""
+        """Compute the front of the section."""
         with self.form.problem.watching():
-            self.front = await self.service.front(self.form.planned(None))
+            self.front = await self.service.front(self.form.plan_request(None))
             await self.move_cursor()
 
-    def shown(self) -> list[dict[str, Any]]:
-        """The drives that belong on the front that is shown: those of its section."""
+    def entries_on_front(self) -> list[dict[str, Any]]:
+        """Drives of the section and objective of the front."""
         plain = {"objective": "wheel", "restrictions": []}
-        here = {**plain, **self.form.kept, **self.form.asked(), "time_s": self.driven.get("time_s")}
+        here = {**plain, **self.form.kept, **self.form.values(), "time_s": self.driven.get("time_s")}
         same = all(self.driven.get(name) == value for name, value in here.items())
         return self.entries if same else []
 
     async def move_cursor(self) -> None:
-        """What a second costs where the slider is."""
+        """Update the cursor on the front, at the time of the slider."""
         if self.front is None:
             return
-        self.wanted_s = self.form.asked()["time_s"]
+        self.wanted_s = self.form.values()["time_s"]
         if self.planning:
             return
         self.planning = True
@@ -147,12 +147,12 @@ class ComparePage:
             while (now := self.wanted_s) is not None:
                 self.wanted_s = None
                 with self.form.problem.watching():
-                    self.say_second(now, await self.service.plan(self.form.planned(now)))
+                    self.say_second(now, await self.service.plan(self.form.plan_request(now)))
         finally:
             self.planning = False
 
     def say_second(self, now: float, plan: dict[str, Any]) -> None:
-        """The optimum at a time, and its slope there."""
+        """Show the optimum at a running time, and its slope."""
         energy, second = plan["energy_j"] / J_PER_KWH, plan["second_w"] / 3600
         gap = max(100 * plan["certificate_gap"], 0.001)
         self.words.text = (
@@ -160,17 +160,17 @@ class ComparePage:
             f"The next second saves {second:.0f} Wh, {100 * second / 1000 / energy:.1f} %."
         )
         if self.front is not None:
-            self.front_plot.update_figure(front_figure(self.front, (now, energy), self.shown()))
+            self.front_plot.update_figure(front_figure(self.front, (now, energy), self.entries_on_front()))
 
     async def start(self) -> None:
         """Queue the comparison."""
         with self.form.problem.watching():
-            values = {**self.form.kept, **self.form.asked(), **self.disturbances.asked()}
+            values = {**self.form.kept, **self.form.values(), **self.disturbances.values()}
             drivers = list(self.drivers.value or [])
             values |= {"drivers": drivers, "seeds": self.seeds.value, "driver": (drivers or ["optimal"])[0]}
             if self.form.linked and self.options.get("driver") in drivers:
                 values |= self.options
-            asked = validated(CompareAsked, values)
+            asked = validate(CompareAsked, values)
             self.job = self.service.submit(asked)
             ui.run_javascript(f"history.replaceState(null, '', '/compare?job={self.job}')")
             self.watch()
@@ -182,7 +182,7 @@ class ComparePage:
         refresh_while(lambda: self.going, POLL_S, self.look)
 
     async def look(self) -> None:
-        """How far the job is."""
+        """Show the progress of the job, or its result."""
         try:
             row = self.service.store.job(self.job or "")
         except MetropilotError as error:
@@ -196,18 +196,18 @@ class ComparePage:
         self.going = False
         found = self.service.store.result(row.id) if row.status == "done" else None
         if found is not None:
-            self.entries, self.driven = found["entries"], self.resolved(row.asked)
+            self.entries, self.driven = found["entries"], self.resolve(row.asked)
             await self.show()
 
-    def resolved(self, asked: dict[str, Any]) -> dict[str, Any]:
-        """What was asked for with stations by code and the load named, as the form has them."""
+    def resolve(self, asked: dict[str, Any]) -> dict[str, Any]:
+        """Request with station codes and the name of the load, as in the form."""
         line = catalogue.line(self.service, asked["line"])
         load = asked["load"] or catalogue.trainset_out(self.service, asked["trainset"])["load"]
         codes = {name: line.station(asked[name]).code for name in ("origin", "destination")}
         return {**asked, **codes, "load": load}
 
     async def show(self) -> None:
-        """Table and picture."""
+        """Show table and picture of the comparison."""
         self.result.clear()
         with self.result:
             ends = f"{self.driven['origin']} → {self.driven['destination']}"
@@ -227,7 +227,7 @@ class ComparePage:
 
 
 def compare_table(entries: list[dict[str, Any]]) -> None:
-    """One row a driver; the best of those that met every requirement in each column."""
+    """Show a row for each driver; the best that met every requirement is bold in each column."""
     sound = [e for e in entries if e["successes"] == e["seeds"]]
     best = {}
     for name, *_ in SHOWN:
@@ -257,7 +257,7 @@ def compare_table(entries: list[dict[str, Any]]) -> None:
 
 
 def outcome(entry: dict[str, Any]) -> tuple[str, str]:
-    """How the drives of one driver ended."""
+    """Outcome of the drives of one driver, and its style."""
     if entry["successes"] == entry["seeds"]:
         return ("✓ on time", "mp-pass")
     ended = entry.get("ended", entry["outcomes"])
@@ -266,7 +266,7 @@ def outcome(entry: dict[str, Any]) -> tuple[str, str]:
 
 
 def install(service: Service) -> None:
-    """Add the page."""
+    """Register the page."""
 
     @ui.page("/compare", title="Compare · metropilot")
     async def compare(request: Request, job: str | None = None, driver: str | None = None) -> None:

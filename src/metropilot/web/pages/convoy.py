@@ -1,4 +1,4 @@
-"""Convoy: trainsets virtually coupled, live, with a link that can fail."""
+"""Convoy: live run of virtually coupled trainsets, with faults of the link."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from metropilot.errors import MetropilotError
 from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.pages.drive import checks_table
-from metropilot.web.pages.form import SectionForm, bounded, driver_choice, driver_names, validated
+from metropilot.web.pages.form import SectionForm, driver_choice, driver_names, number_field, validate
 from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, table
-from metropilot.web.pages.plots import convoy_figure, driven_convoy
+from metropilot.web.pages.plots import convoy_figure, driven_convoy_figure
 from metropilot.web.pages.strip import section_strip
 from metropilot.web.refusals import Refused
 from metropilot.web.schemas.requests import ConvoyAsked, NewLink
@@ -41,25 +41,25 @@ READS = (
 
 
 class ConvoyPage:
-    """The page's state for one browser."""
+    """State of the page for one browser."""
 
     def __init__(self, service: Service, run: str | None) -> None:
         self.service = service
         self.link_to = run
         self.run: str | None = None
         self.kept: dict[str, Any] = {}
-        self.form = SectionForm(service, self.section_changed)
+        self.form = SectionForm(service, self.update_section)
 
     def build(self) -> None:
-        """Left what is asked, right what happens."""
+        """Build the fields on the left and the results on the right."""
         with ui.element("div").classes("mp-col"):
             with card("Convoy"):
                 self.form.build()
                 problem = self.form.problem
                 followers = list(FOLLOWERS.ids())
                 with ui.element("div").classes("mp-row"):
-                    self.count = bounded("Trainsets", ConvoyAsked, "trainsets", value=3, step=1)
-                    self.gap = bounded("Desired gap (m)", ConvoyAsked, "gap_m", value=5.92, step=1)
+                    self.count = number_field("Trainsets", ConvoyAsked, "trainsets", value=3, step=1)
+                    self.gap = number_field("Desired gap (m)", ConvoyAsked, "gap_m", value=5.92, step=1)
                 with ui.element("div").classes("mp-row"):
                     self.head = ui.select(driver_names(self.service), value="optimal", label="Head")
                     self.follower = ui.select(followers, value="follow_gap", label="Followers")
@@ -92,13 +92,13 @@ class ConvoyPage:
             self.root.on("mp-result", self.show_result, ["detail"])
 
     def build_link(self) -> None:
-        """Faults to switch on."""
+        """Build the fields of the link."""
         with card("The link", "From each trainset to the one behind it; changes act at once.", late=True):
             self.news = Problem()
             with ui.element("div").classes("mp-row"):
-                self.delay = bounded("Delay (s)", NewLink, "delay_s", value=0.0, step=0.1)
-                self.jitter = bounded("Uneven (s)", NewLink, "jitter_s", value=0.0, step=0.1)
-                self.loss = bounded("Lost (%)", NewLink, "loss", 100.0, value=0, step=5)
+                self.delay = number_field("Delay (s)", NewLink, "delay_s", value=0.0, step=0.1)
+                self.jitter = number_field("Uneven (s)", NewLink, "jitter_s", value=0.0, step=0.1)
+                self.loss = number_field("Lost (%)", NewLink, "loss", 100.0, value=0, step=5)
                 for name, element in (
                     ("delay_s", self.delay),
                     ("jitter_s", self.jitter),
@@ -116,7 +116,7 @@ class ConvoyPage:
                 brake.props('data-test="emergency"')
 
     async def start(self) -> None:
-        """After the page is there: the form of the run it came for, then the section."""
+        """Load the form of the linked run, then the section; runs once the page is connected."""
         row = None
         try:
             if self.link_to:
@@ -136,10 +136,10 @@ class ConvoyPage:
             self.form.problem.label.text = f"{row.id}: {row.status}; {row.words or 'its record was not kept'}"
 
     def restore(self, row: JobRow) -> None:
-        """Fill the form as a convoy was asked for.
+        """Fill the form with the request of a convoy.
 
         Raises:
-            MetropilotError: It is none, or its line, station or trainset is not here any more.
+            MetropilotError: No convoy, or its line, station or trainset does not exist any more.
         """
         asked = row.asked
         if "follower" not in asked:
@@ -155,7 +155,7 @@ class ConvoyPage:
         self.pace.value = pace if pace in PACES else self.pace.value
         self.kept = {name: asked[name] for name in ("start_gap_m", "seed")}
 
-    async def section_changed(self) -> None:
+    async def update_section(self) -> None:
         """Draw the section, with room for the convoy behind its origin."""
         if self.form.section is not None and self.live() is None:
             if not self.form.linked:
@@ -164,7 +164,7 @@ class ConvoyPage:
             self.draw_section()
 
     def draw_section(self) -> None:
-        """The section and room behind it."""
+        """Draw the section and the convoy's room behind it."""
         if self.form.section is None:
             return
         length = catalogue.trainset_out(self.service, self.form.trainset_in.value)["length_m"]
@@ -172,17 +172,17 @@ class ConvoyPage:
         self.strip.content = section_strip(self.form.section, 0.0, count * (length + gap))
 
     def live(self) -> Any:  # noqa: ANN401 (a session or None)
-        """The convoy that is watched, while it goes on."""
+        """Session of the convoy while it runs, else None."""
         session = self.service.sessions.get(self.run or "")
         return session if session is not None and not session.over else None
 
     async def depart(self) -> None:
         """Start a convoy and watch it."""
         with self.form.problem.watching():
-            asked = validated(
+            asked = validate(
                 ConvoyAsked,
                 {
-                    **self.form.asked(),
+                    **self.form.values(),
                     "driver": self.head.value,
                     "trainsets": self.count.value,
                     "follower": self.follower.value,
@@ -202,22 +202,22 @@ class ConvoyPage:
             self.attach(session.id, asked.trainsets)
 
     def link(self) -> dict[str, float]:
-        """The link's fields."""
+        """Fields of the link."""
         loss = (self.loss.value or 0) / 100
         return {"delay_s": self.delay.value or 0.0, "jitter_s": self.jitter.value or 0.0, "loss": loss}
 
     def attach(self, run: str, count: int) -> None:
-        """Let the browser watch."""
+        """Connect the browser to the stream."""
         self.result.clear()
         with self.result:
             ui.label("KPIs of every trainset when all have stopped.").classes("mp-soft")
         ui.run_javascript(f"metropilotConvoy('c{self.root.id}', {run!r}, {self.plot.id}, {count - 1})")
 
     async def ask(self, event: dict[str, Any]) -> None:
-        """Tell the convoy something.
+        """Send the convoy an event.
 
         Raises:
-            MetropilotError: There is none, or it cannot be.
+            MetropilotError: There is no run, or the event is not possible.
         """
         session = self.live()
         if session is None:
@@ -225,18 +225,18 @@ class ConvoyPage:
         await session.ask(event)
 
     async def relink(self) -> None:
-        """Make the link worse, better or silent."""
+        """Send the fields of the link."""
         with self.news.watching():
-            asked = validated(NewLink, {**self.link(), "silent": bool(self.silent.value)}, loss=100.0)
+            asked = validate(NewLink, {**self.link(), "silent": bool(self.silent.value)}, loss=100.0)
             await self.ask({"kind": "link", **asked.model_dump()})
 
     async def brake(self) -> None:
-        """The head makes an emergency brake."""
+        """Apply the emergency brake of the head."""
         with self.news.watching():
             await self.ask({"kind": "emergency"})
 
     async def change_pace(self) -> None:
-        """Faster or slower."""
+        """Send the pace."""
         if (session := self.live()) is not None:
             await session.ask({"kind": "pace", "pace": float(self.pace.value or 1)})
 
@@ -246,7 +246,7 @@ class ConvoyPage:
             await self.ask({"kind": "stop"})
 
     def show_result(self, event: events.GenericEventArguments) -> None:
-        """KPIs with pass and fail."""
+        """Show the result; taken from the session, not from the browser."""
         del event
         session = self.service.sessions.get(self.run or "")
         if session is None or session.summary is None:
@@ -254,7 +254,7 @@ class ConvoyPage:
         self.show_tables(session.id, session.summary)
 
     def show_tables(self, run: str, summary: dict[str, Any]) -> None:
-        """Requirements, KPIs and files of a convoy."""
+        """Show requirements, KPIs and files of a convoy."""
         self.result.clear()
         with self.result:
             checks_table(summary["checks"])
@@ -263,22 +263,22 @@ class ConvoyPage:
             links([(name, f"/api/jobs/{run}/files/{name}") for name in names])
 
     def show_over(self, row: JobRow, found: dict[str, Any]) -> None:
-        """A convoy that an earlier server drove."""
-        self.plot.update_figure(driven_convoy(found))
+        """Show a stored convoy."""
+        self.plot.update_figure(driven_convoy_figure(found))
         self.root.props(f"data-status={row.status}")
         self.status.text = "all stopped"
         self.show_tables(row.id, found)
 
 
 def member_outcome(member: dict[str, Any]) -> tuple[str, str]:
-    """How the run of one trainset ended, and the requirements that it failed."""
+    """Outcome of one trainset with the requirements that it failed, and its style."""
     failed = member.get("failed", ())
     words = ": ".join([member["outcome"].replace("_", " "), *([", ".join(failed)] if failed else [])])
     return (f"✗ {words}", "mp-fail") if failed else (f"✓ {words}", "mp-pass")
 
 
 def members_table(trainsets: list[dict[str, Any]]) -> None:
-    """One row a trainset."""
+    """Show a row for each trainset."""
     rows = [
         (
             "head" if t["number"] == 1 else str(t["number"]),
@@ -315,7 +315,7 @@ def members_table(trainsets: list[dict[str, Any]]) -> None:
 
 
 def install(service: Service) -> None:
-    """Add the page."""
+    """Register the page."""
 
     @ui.page("/convoy", title="Convoy · metropilot")
     async def convoy(request: Request, run: str | None = None) -> None:

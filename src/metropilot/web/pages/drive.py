@@ -1,4 +1,4 @@
-"""Drive: a live run, with timetable updates and manual driving."""
+"""Drive: live run with timetable updates and manual driving."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from metropilot.web.live.session import Session
 from metropilot.web.pages.form import (
     DisturbanceForm,
     SectionForm,
-    bounded,
     driver_choice,
     driver_names,
+    number_field,
     other_options,
-    validated,
+    validate,
 )
 from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, table
-from metropilot.web.pages.plots import driven_run, planned_run, run_figure
+from metropilot.web.pages.plots import drive_figure, plan_figure, run_figure
 from metropilot.web.pages.runs import RunList
 from metropilot.web.pages.strip import line_strip, section_strip
 from metropilot.web.refusals import Refused
@@ -49,15 +49,15 @@ KEYS = (("M", "take"), ("↑ ↓", "10 % more, less"), ("0", "coast"), ("B", "fu
 
 
 class DrivePage:
-    """The page's state for one browser.
+    """State of the page for one browser.
 
     Args:
-        service: The server's work.
+        service: Service of the server.
         run: Id of the live run that a link names.
 
     Attributes:
-        row: That run as it is stored, None if there is none.
-        lost: Why the link could not be followed.
+        row: Stored row of that run, None without a link.
+        lost: Error of a link that cannot be followed.
     """
 
     def __init__(self, service: Service, run: str | None) -> None:
@@ -73,13 +73,13 @@ class DrivePage:
             self.lost = error
         self.run = None if self.row is None else self.row.id
         self.options: dict[str, Any] = {}
-        self.form = SectionForm(service, self.section_changed, self.time_moved)
+        self.form = SectionForm(service, self.update_section, self.update_plan)
         self.disturbances = DisturbanceForm()
         self.wanted_s: float | None = None
         self.planning = False
 
     def build(self) -> None:
-        """Left what is asked, right what happens."""
+        """Build the fields on the left and the results on the right."""
         with ui.element("div").classes("mp-col"):
             with card("Run"):
                 self.form.build()
@@ -113,7 +113,7 @@ class DrivePage:
             with self.root, ui.element("div").classes("mp-stack"):
                 with ui.element("div").classes("mp-row items-center"):
                     ui.label("Live run").classes("mp-h").props("role=heading aria-level=2")
-                    status = ui.label(self.said()).classes("mp-soft")
+                    status = ui.label(self.status_words()).classes("mp-soft")
                     status.props('data-mp="status" aria-live=polite')
                     ui.label("").classes("mp-soft").props('data-mp="pace"')
                     self.resume_button = ui.button("Resume", icon="replay", on_click=self.resume)
@@ -126,17 +126,17 @@ class DrivePage:
                 ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite aria-label="News"')
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
             self.root.on("mp-result", self.show_result, ["detail"])
-            self.root.on("mp-end", self.ended, ["detail"])
+            self.root.on("mp-end", self.show_end, ["detail"])
 
-    def said(self) -> str:
-        """How the run of the link stands."""
+    def status_words(self) -> str:
+        """Status of the linked run."""
         row = self.row
         if row is None:
             return "not departed"
         return f"{row.status}: {row.words}" if row.words else row.status
 
     def lever(self) -> None:
-        """The lever: take it, move it, give it back."""
+        """Build the lever of manual driving."""
         with ui.element("div").classes("mp-row items-center"):
             button = ui.button("Take the lever (M)").props('outline dense no-caps data-mp="take"')
             button.on("click", js_handler="() => metropilot.hand()")
@@ -154,11 +154,13 @@ class DrivePage:
             ui.label("power").style("text-align:right")
 
     def build_news(self) -> None:
-        """New arrival time and temporary speed restriction during the run."""
+        """Build the fields of timetable updates."""
         with card("During the run", "New arrival times and speed restrictions for the driver.", late=True):
             self.news = Problem()
             with ui.element("div").classes("mp-row"):
-                self.arrival = bounded("Arrive after (s)", NewArrival, "scheduled_time_s", value=101, step=1)
+                self.arrival = number_field(
+                    "Arrive after (s)", NewArrival, "scheduled_time_s", value=101, step=1
+                )
                 self.news.beside("scheduled_time_s", self.arrival)
                 ui.button("Tell", on_click=self.tell_arrival).props('outline data-test="tell-arrival"')
             with ui.element("div").classes("mp-row"):
@@ -174,7 +176,7 @@ class DrivePage:
             ui.button("Add speed restriction", on_click=self.restrict).props('outline data-test="restrict"')
 
     async def start(self) -> None:
-        """After the page is there: the form of the run it came for, the section, and that run."""
+        """Load the form of the linked run, its section and its result; runs once the page is connected."""
         try:
             if self.row is not None:
                 self.restore(self.row)
@@ -187,7 +189,7 @@ class DrivePage:
         elif self.row is not None:
             found = self.service.store.result(self.row.id)
             if found is not None:
-                self.plot.update_figure(driven_run(found))
+                self.plot.update_figure(drive_figure(found))
                 self.show_kpis(self.row.id, found)
             if self.row.error is not None:
                 told = self.row.error
@@ -196,10 +198,10 @@ class DrivePage:
             self.departure.show(self.lost)
 
     def restore(self, row: JobRow) -> None:
-        """Fill the form as a run was asked for.
+        """Fill the form with the request of a run.
 
         Raises:
-            InputError: Its line, station or trainset is not here any more.
+            InputError: Its line, station or trainset does not exist any more.
         """
         asked = row.asked
         self.form.restore(asked)
@@ -210,25 +212,25 @@ class DrivePage:
         pace = asked["pace"] if session is None else session.known.pace
         self.pace.value = pace if pace in PACES else self.pace.value
 
-    async def section_changed(self) -> None:
-        """Draw the track anew; a run that is watched keeps its own."""
+    async def update_section(self) -> None:
+        """Draw the new section, except where a live run shows another."""
         form = self.form
         self.map.content = line_strip(form.line, (form.origin_in.value, form.destination_in.value))
         if form.section is not None and (self.live() is None or not self.strip.content):
             self.draw_section(form.section, form.trainset_in.value)
         if self.live() is None and form.section is not None:
             self.arrival.value = form.slider.value
-            await self.time_moved()
+            await self.update_plan()
 
     def draw_section(self, section: dict[str, Any], trainset: str) -> None:
-        """The section with its trainset, and where a restriction could be."""
+        """Draw the section with its trainset and propose the ends of a restriction."""
         length = catalogue.trainset_out(self.service, trainset)["length_m"]
         self.strip.content = section_strip(section, length)
         end = section["length_m"]
         self.from_m.value, self.to_m.value = round(0.55 * end, -1), round(0.7 * end, -1)
 
-    async def time_moved(self) -> None:
-        """Show the plan for the time, while nothing runs; the latest time wins."""
+    async def update_plan(self) -> None:
+        """Show the plan of the latest time of the slider, while no run is live."""
         self.wanted_s = self.form.time_s
         if self.planning or self.live() is not None or self.form.section is None:
             return
@@ -237,19 +239,19 @@ class DrivePage:
             while (now := self.wanted_s) is not None:
                 self.wanted_s = None
                 with self.form.problem.watching():
-                    plan = await self.service.plan(self.form.planned(now))
+                    plan = await self.service.plan(self.form.plan_request(now))
                     if self.live() is None and self.form.section is not None:
-                        self.plot.update_figure(planned_run(self.form.section, plan))
+                        self.plot.update_figure(plan_figure(self.form.section, plan))
                         self.arrival.value = now
         finally:
             self.planning = False
 
     def session(self) -> Session | None:
-        """The run of the page, while the server has it."""
+        """Session of the run of the page, None if the server has none."""
         return self.service.sessions.get(self.run or "")
 
     def live(self) -> Session | None:
-        """The run that is watched, while it goes on."""
+        """Session of the run while it is live, else None."""
         session = self.session()
         return session if session is not None and not session.over else None
 
@@ -258,11 +260,11 @@ class DrivePage:
         with self.departure.watching():
             if self.form.section is None:
                 raise Refused("choose a section first", 422, field="origin")
-            values = {**self.form.kept, **self.form.asked(), **self.disturbances.asked()}
+            values = {**self.form.kept, **self.form.values(), **self.disturbances.values()}
             values |= {"driver": self.driver.value, "pace": float(self.pace.value)}
             if self.form.linked and self.options.get("driver") == self.driver.value:
                 values |= self.options
-            asked = validated(LiveAsked, values)
+            asked = validate(LiveAsked, values)
             before = self.live()
             if before is not None and before.viewers <= 1:
                 await before.stop()
@@ -272,12 +274,12 @@ class DrivePage:
             self.attach(session)
 
     async def resume(self) -> None:
-        """Go on with the run of the page."""
+        """Resume the run of the page."""
         with self.departure.watching():
             self.attach(await self.service.resume_live(self.run or ""))
 
     def attach(self, session: Session) -> None:
-        """Let the browser watch a run."""
+        """Connect the browser to the stream of a run."""
         self.result.clear()
         self.news.clear()
         self.resume_button.set_visibility(False)
@@ -288,15 +290,15 @@ class DrivePage:
 
     @staticmethod
     def scheduled_s(session: Session) -> float | None:
-        """The running time that is in force, whoever sent it."""
+        """Scheduled running time in force, s."""
         known = session.known.scheduled_time_s
         return session.asked["time_s"] if known is None else known
 
     async def ask(self, event: dict[str, Any]) -> None:
-        """Tell the run something.
+        """Send the run an event.
 
         Raises:
-            MetropilotError: There is none, or it cannot be.
+            MetropilotError: There is no run, or the event is not possible.
         """
         session = self.live()
         if session is None:
@@ -304,33 +306,33 @@ class DrivePage:
         await session.ask(event)
 
     async def tell_arrival(self) -> None:
-        """Arrive earlier or later."""
+        """Send the arrival time of the field."""
         with self.news.watching():
             if self.arrival.value is None:
                 raise InputError("a time is needed", field="scheduled_time_s", unit="s")
-            asked = validated(NewArrival, {"scheduled_time_s": self.arrival.value})
+            asked = validate(NewArrival, {"scheduled_time_s": self.arrival.value})
             await self.ask({"kind": "arrival", **asked.model_dump()})
 
     async def shift(self, seconds: float) -> None:
-        """A little earlier or later than it is now."""
+        """Send an arrival time that is shifted from the one in force."""
         session = self.live()
         base = self.arrival.value if session is None else self.scheduled_s(session)
         self.arrival.value = (base or 0) + seconds
         await self.tell_arrival()
 
     async def restrict(self) -> None:
-        """Add a temporary speed restriction."""
+        """Send the temporary speed restriction of the fields."""
         with self.news.watching():
             values = {
                 "from_m": self.from_m.value,
                 "to_m": self.to_m.value,
                 "limit_mps": (self.kmh.value or 0) / KMH_PER_MPS,
             }
-            asked = validated(NewRestriction, values, limit_mps=KMH_PER_MPS)
+            asked = validate(NewRestriction, values, limit_mps=KMH_PER_MPS)
             await self.ask({"kind": "restriction", **asked.model_dump()})
 
     async def change_pace(self) -> None:
-        """Faster or slower, also on the way."""
+        """Send the pace to the live run."""
         pace = float(self.pace.value)
         if (session := self.live()) is not None and session.known.pace != pace:
             await session.ask({"kind": "pace", "pace": pace})
@@ -344,22 +346,22 @@ class DrivePage:
             await session.stop()
 
     def show_result(self, event: events.GenericEventArguments) -> None:
-        """KPIs with pass and fail; taken from the store, not from the browser."""
+        """Show the result; taken from the session, not from the browser."""
         del event
         session = self.session()
         if session is not None and session.summary is not None:
             self.show_kpis(session.id, session.summary)
 
     def show_kpis(self, run: str, found: dict[str, Any]) -> None:
-        """KPIs with pass and fail, and files to take home."""
+        """Show requirements, KPIs and files of a run."""
         self.result.clear()
         with self.result:
             checks_table(found["checks"])
             kpis_table(found["kpis"])
             links([(name, f"/api/jobs/{run}/files/{name}") for name in TAKEN])
 
-    def ended(self, event: events.GenericEventArguments) -> None:
-        """The run is over: offer what can be done next, and say why it failed."""
+    def show_end(self, event: events.GenericEventArguments) -> None:
+        """Show the end of the run: a button to resume it, or the reason of its failure."""
         del event
         session = self.session()
         if session is None:
@@ -370,7 +372,7 @@ class DrivePage:
 
 
 def checks_table(checks: list[dict[str, Any]]) -> None:
-    """The requirements, passed or failed."""
+    """Show the requirements, passed or failed."""
     rows = [
         (
             c["name"],
@@ -384,7 +386,7 @@ def checks_table(checks: list[dict[str, Any]]) -> None:
 
 
 def kpis_table(k: dict[str, Any]) -> None:
-    """The KPIs worth a line."""
+    """Show the main KPIs."""
     objective = "wheel" if k["energy_objective"] == "wheel" else "line"
     rows = (
         ("running time", number(k["running_time_s"], 1, "s"), f"scheduled {k['scheduled_time_s']:g} s"),
@@ -405,7 +407,7 @@ def kpis_table(k: dict[str, Any]) -> None:
 
 
 def install(service: Service) -> None:
-    """Add the page."""
+    """Register the page."""
 
     @ui.page("/", title="Drive · metropilot")
     async def drive(request: Request, run: str | None = None) -> RedirectResponse | None:

@@ -1,4 +1,4 @@
-"""What is to be driven: line, section, trainset, load, time, and what goes differently than planned."""
+"""Forms of a run: line, section, trainset, load, running time, disturbances."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from metropilot.web.service import Service
 
 SLOWEST = 1.6
 COUNTLESS = 2.0**53
-"""A bound this high is no bound to a reader."""
+"""Upper bound from which on a range is shown without it (that of seeds)."""
 POLICIES_SHOWN = 20
 Changed = Callable[[], Awaitable[None]]
 Body = TypeVar("Body", bound=BaseModel)
 
 
-def allowed(kind: type[BaseModel], name: str, scale: float = 1.0) -> str:
-    """Which numbers a field of a request may hold, in words.
+def describe_range(kind: type[BaseModel], name: str, scale: float = 1.0) -> str:
+    """Describe the range of a number field of a request.
 
     Args:
-        kind: The request's body.
-        name: The field.
-        scale: What the reader's unit is of the field's (100 for percent of a share).
+        kind: Type of the request.
+        name: Name of the field.
+        scale: Displayed value over the field's (100 for percent of a share).
     """
     told = kind.model_json_schema()["properties"][name]
     told = told.get("anyOf", [told])[0]
@@ -45,27 +45,27 @@ def allowed(kind: type[BaseModel], name: str, scale: float = 1.0) -> str:
     return f"{least} or more" if high >= COUNTLESS else f"{least} to {most}"
 
 
-def bounded(words: str, kind: type[BaseModel], name: str, scale: float = 1.0, **more: Any) -> ui.number:  # noqa: ANN401
-    """A field for a number that says what is allowed; what is not is refused, never changed.
+def number_field(words: str, kind: type[BaseModel], name: str, scale: float = 1.0, **more: Any) -> ui.number:  # noqa: ANN401
+    """Place a number field that shows its range; a value out of range is refused, not clipped.
 
     Args:
-        words: Its label.
-        kind: The request's body.
-        name: The field there.
-        scale: What the reader's unit is of the field's.
-        more: ``value``, ``step``, ``on_change``.
+        words: Label.
+        kind: Type of the request.
+        name: Name of the field.
+        scale: Displayed value over the field's.
+        more: ``value``, ``step``, ``on_change`` of NiceGUI.
     """
     made = ui.number(words, **more)
-    return made.props(f'outlined dense hint="{allowed(kind, name, scale)}"')
+    return made.props(f'outlined dense hint="{describe_range(kind, name, scale)}"')
 
 
-def validated(kind: type[Body], values: dict[str, Any], **scales: float) -> Body:
-    """A request's body, refused in one line that says what is allowed.
+def validate(kind: type[Body], values: dict[str, Any], **scales: float) -> Body:
+    """Validate a request; a refusal names the allowed range.
 
     Args:
-        kind: The body.
+        kind: Type of the request.
         values: Its fields.
-        scales: What the reader's unit is of a field's, where it is another.
+        scales: Displayed values over those of fields, where not 1.
 
     Raises:
         InputError: A field is not allowed.
@@ -80,24 +80,24 @@ def validated(kind: type[Body], values: dict[str, Any], **scales: float) -> Body
             raise refused from None
         if len(first["loc"]) == 1 and first["type"].startswith(("greater", "less")):
             scale = scales.get(name, 1.0)
-            told = {"value": first["input"] * scale, "allowed": allowed(kind, name, scale)}
+            told = {"value": first["input"] * scale, "allowed": describe_range(kind, name, scale)}
             raise InputError("out of range", field=name, **told) from None
         raise InputError(first["msg"], field=name, value=str(first["input"])) from None
 
 
 class SectionForm:
-    """The fields of a section and its time.
+    """Fields of a section and its running time.
 
     Args:
-        service: The server's work.
-        changed: Called when section, trainset or bounds have changed.
-        moved: Called when only the time has.
+        service: Service of the server.
+        changed: Called when section, trainset or bounds change.
+        moved: Called when only the running time changes.
 
     Attributes:
-        problem: Where it says what is wrong.
-        section: The section as it was last answered.
-        linked: Whether the fields are still those of the run a link named.
-        kept: What that run was asked besides, which has no field: restrictions, the objective, ...
+        problem: Place of its errors.
+        section: The section of the latest answer.
+        linked: True while the fields are those of the linked run.
+        kept: Values of that run without a field here: restrictions, objective, ...
     """
 
     problem: Problem
@@ -114,7 +114,7 @@ class SectionForm:
 
     @property
     def time_s(self) -> float:
-        """The time the slider is at."""
+        """Running time of the slider, s."""
         return float(self.slider.value or 0.0)
 
     def build(self) -> None:
@@ -143,8 +143,8 @@ class SectionForm:
         for name, element in (*fields, ("destination", self.destination_in), ("trainset", self.trainset_in)):
             self.problem.beside(name, element)
 
-    def asked(self) -> dict[str, Any]:
-        """The fields of a request."""
+    def values(self) -> dict[str, Any]:
+        """Values of the fields for a request."""
         restrictions = {name: self.kept[name] for name in ("restrictions",) if name in self.kept}
         return restrictions | {
             "line": self.line_in.value,
@@ -155,20 +155,20 @@ class SectionForm:
             "time_s": self.time_s,
         }
 
-    def planned(self, time_s: float | None) -> PlanAsked:
-        """The plan that belongs to the fields, for a time.
+    def plan_request(self, time_s: float | None) -> PlanAsked:
+        """Plan request of the fields for a running time.
 
         Raises:
             InputError: A field is not allowed.
         """
         kept = {name: self.kept[name] for name in ("objective",) if name in self.kept}
-        return validated(PlanAsked, {**self.asked(), **kept, "time_s": time_s})
+        return validate(PlanAsked, {**self.values(), **kept, "time_s": time_s})
 
     def restore(self, asked: dict[str, Any]) -> None:
-        """Fill the fields as a run was asked for; the page loads afterwards.
+        """Fill the fields with the request of a run; the page loads afterwards.
 
         Raises:
-            InputError: Its line, station or trainset is not here any more.
+            InputError: Its line, station or trainset does not exist any more.
         """
         line = catalogue.line(self.service, asked["line"])
         trainset = catalogue.trainset_out(self.service, asked["trainset"])
@@ -187,13 +187,13 @@ class SectionForm:
         plain = {name: field.get_default() for name, field in DriveAsked.model_fields.items()}
         names_kept = ("restrictions", "arrivals", "objective", "dt_s")
         self.kept = {name: asked[name] for name in names_kept if asked.get(name, plain[name]) != plain[name]}
-        self.kept_words.text = kept_words(self.kept, asked.get("options", {}))
+        self.kept_words.text = describe_hidden(self.kept, asked.get("options", {}))
         self.linked = True
 
     async def load(self) -> None:
-        """Ask for the section and bound the slider by its minimum running time."""
+        """Request the section and bound the slider by its minimum running time."""
         self.problem.clear()
-        asked = {**self.asked(), "time_s": None}
+        asked = {**self.values(), "time_s": None}
         try:
             self.section = await self.service.section(PlanAsked.model_validate(asked))
         except MetropilotError as error:
@@ -224,7 +224,7 @@ class SectionForm:
         )
 
     def _changed_by_hand(self) -> bool:
-        """Whether a change of a field was made by whoever looks at the page."""
+        """Tell whether the user changed a field; if so, forget the linked run."""
         if self._filling:
             return False
         self.linked, self.kept, self.kept_words.text = False, {}, ""
@@ -262,13 +262,13 @@ class SectionForm:
 
 
 def loads(service: Service, trainset: str) -> dict[str, str]:
-    """Loads of a trainset for a list to choose from."""
+    """Options of a list of loads of a trainset."""
     found = catalogue.trainset_out(service, trainset)["loads_kg"]
     return {name: f"{name} · {kg / 1000:.0f} t" for name, kg in found.items()}
 
 
-def kept_words(kept: dict[str, Any], options: dict[str, Any]) -> str:
-    """What a linked run was asked that has no field: the driver's options too, but for its policy."""
+def describe_hidden(kept: dict[str, Any], options: dict[str, Any]) -> str:
+    """Describe the values of a linked run without a field here, with the driver's options but its policy."""
     said = [
         f"{KMH_PER_MPS * r['limit_mps']:.0f} km/h from {r['from_m']:g} to {r['to_m']:g} m"
         + ("" if r["told_s"] is None else f", sent after {r['told_s']:g} s")
@@ -284,7 +284,7 @@ def kept_words(kept: dict[str, Any], options: dict[str, Any]) -> str:
 
 
 class DisturbanceForm:
-    """Disturbances."""
+    """Fields of the disturbance."""
 
     FIELDS = tuple(
         (name, f"{spec.label} ({spec.unit})" if spec.unit else spec.label, spec.step)
@@ -293,43 +293,43 @@ class DisturbanceForm:
     )
 
     def build(self, problem: Problem) -> None:
-        """Place the fields, folded away."""
+        """Place the fields in a closed expansion."""
         self.inputs: dict[str, ui.number] = {}
         self.fold = ui.expansion("Disturbances").props("dense").classes("mp-soft")
         with self.fold, ui.element("div").classes("mp-stack"):
             for name, words, step in self.FIELDS:
-                made = bounded(words, DriveAsked, name, value=self.planned()[name], step=step)
+                made = number_field(words, DriveAsked, name, value=self.defaults()[name], step=step)
                 self.inputs[name] = problem.beside(name, made, self.fold)
             self.ideal = ui.checkbox(run_fields()["ideal"].help.rstrip("."))
 
-    def planned(self) -> dict[str, Any]:
-        """The fields of a run that goes as planned."""
+    def defaults(self) -> dict[str, Any]:
+        """Values of the fields of a run without disturbance."""
         return {
             name: DriveAsked.model_fields[name].get_default()
             for name in (*(name for name, *_ in self.FIELDS), "ideal")
         }
 
-    def asked(self) -> dict[str, Any]:
-        """The fields of a request; an empty one is as planned."""
-        plain = self.planned()
+    def values(self) -> dict[str, Any]:
+        """Values of the fields for a request; an empty field has its default."""
+        plain = self.defaults()
         given = {n: plain[n] if e.value is None else e.value for n, e in self.inputs.items()}
         return {**given, "ideal": self.ideal.value}
 
     def restore(self, asked: dict[str, Any]) -> None:
-        """Fill the fields as a run was asked for, and unfold what is not as planned."""
-        planned = self.planned()
+        """Fill the fields with the request of a run; open the expansion if there is a disturbance."""
+        planned = self.defaults()
         for name, element in self.inputs.items():
             element.value = asked.get(name, planned[name])
         self.ideal.value = asked.get("ideal", planned["ideal"])
-        if self.asked() != planned:
+        if self.values() != planned:
             self.fold.open()
 
 
 def driver_names(service: Service | None = None) -> dict[str, str]:
-    """Drivers for a list to choose from, with what was learned or uploaded here.
+    """Options of a list of drivers, with learned and uploaded policies.
 
     Args:
-        service: Whose learning runs; None: nobody's.
+        service: Service with the policies; None for none.
     """
     found = {row["id"]: row["id"] for row in catalogue.driver_rows()}
     policies = [] if service is None else list(service.policies())[:POLICIES_SHOWN]
@@ -341,7 +341,7 @@ def driver_names(service: Service | None = None) -> dict[str, str]:
 def driver_choice(
     service: Service, select: ui.select, name: str, options: dict[str, Any] | None = None
 ) -> str:
-    """The entry of a list of drivers that a request means; added where the list was too short for it."""
+    """Entry of a list of drivers for a request; added to the list if it is missing."""
     driver, named = named_driver(name)
     policy = ({**(options or {}), **named}).get(POLICY)
     found = f"{driver}:{POLICY}={policy}" if policy else driver
@@ -351,5 +351,5 @@ def driver_choice(
 
 
 def other_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Options of a driver without its policy, which is part of :func:`driver_choice`."""
+    """Options of a driver without its policy, which :func:`driver_choice` shows."""
     return {name: value for name, value in options.items() if name != POLICY}

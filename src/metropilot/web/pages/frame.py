@@ -1,4 +1,4 @@
-"""What every page has: head, navigation, light and dark; and small parts used on several."""
+"""Frame of every page (head, navigation, theme) and small elements shared by pages."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NEXT_THEME = {"auto": "light", "light": "dark", "dark": "auto"}
 
 @contextmanager
 def frame(request: Request, active: str) -> Iterator[None]:
-    """A page: everything inside is its main part. What is under way for it ends with it."""
+    """Place the frame of a page; the body of the context is its main part. Its tasks end with the page."""
     ui.context.client.on_delete(_end_with)
     theme = request.cookies.get(THEME, "auto")
     theme = theme if theme in THEMES else "auto"
@@ -54,7 +54,7 @@ def frame(request: Request, active: str) -> Iterator[None]:
 
 
 def _end_with(client: Client) -> None:
-    """Cancel what a page that was left still waits for: there is nothing any more that it could change."""
+    """Cancel the tasks of a page that was closed."""
     for task in asyncio.all_tasks() - {asyncio.current_task()}:
         for slot in Slot.stacks.get(id(task), ()):
             with suppress(RuntimeError):  # of a slot that is gone already
@@ -63,7 +63,7 @@ def _end_with(client: Client) -> None:
 
 
 def _theme_button(theme: str) -> None:
-    """Steps from the system's choice to light to dark; the browser remembers."""
+    """Place the button of the theme: system, light, dark, kept in a cookie."""
 
     def change() -> None:
         wanted = NEXT_THEME[theme]
@@ -77,7 +77,7 @@ def _theme_button(theme: str) -> None:
 
 @contextmanager
 def card(title: str = "", note: str = "", *, late: bool = False) -> Iterator[None]:
-    """A card with a heading; a late one comes last on a narrow screen."""
+    """Place a card with a heading; a late one comes last on a narrow screen."""
     with (
         ui.element("section").classes("mp-card" + (" mp-late" if late else "")),
         ui.element("div").classes("mp-stack"),
@@ -90,12 +90,12 @@ def card(title: str = "", note: str = "", *, late: bool = False) -> Iterator[Non
 
 
 def heading(text: str) -> ui.label:
-    """A heading of a card."""
+    """Place the heading of a card."""
     return ui.label(text).classes("mp-h").props("role=heading aria-level=2")
 
 
 def reads(items: Sequence[tuple[str, str, str]]) -> None:
-    """Numbers side by side: name, value, and what the browser fills (empty: nothing)."""
+    """Place numbers side by side: name, value, and the key by which the browser fills it (or empty)."""
     with (
         ui.element("div")
         .classes("mp-reads")
@@ -112,7 +112,7 @@ def reads(items: Sequence[tuple[str, str, str]]) -> None:
 def table(
     columns: Sequence[str], rows: Sequence[Sequence[Any]], *, right: Sequence[int] = (), name: str = ""
 ) -> None:
-    """A table of texts; a cell may be (text, class)."""
+    """Place a table of texts; a cell may be (text, class)."""
     with ui.element("div").classes("mp-scroll"), ui.element("table").classes("mp-table") as made:
         if name:
             made.props(f'aria-label="{name}"')
@@ -130,32 +130,32 @@ def table(
 
 
 def empty(words: str) -> ui.label:
-    """What stands where there is nothing yet."""
+    """Place the words of an empty list or result."""
     return ui.label(words).classes("mp-empty w-full")
 
 
 def number(value: float | None, digits: int = 2, unit: str = "") -> str:
-    """A number with its unit, a dash where there is none."""
+    """Format a number with its unit; a dash for None."""
     if value is None:
         return "–"
     return f"{value:.{digits}f}".replace("-", "−") + (f" {unit}" if unit else "")
 
 
 def clock(seconds: float) -> str:
-    """Minutes and seconds, rounded to a tenth before they are parted: never ``39:60.0``."""
+    """Format minutes and seconds; rounding comes first, so that 60.0 s carries over."""
     minutes, tenths = divmod(round(10 * seconds), 600)
     return f"{minutes}:{tenths / 10:04.1f}"
 
 
 def links(items: Sequence[tuple[str, str]]) -> None:
-    """Files to take home."""
+    """Place links to files."""
     with ui.element("div").classes("mp-links"):
         for words, target in items:
             ui.link(words, target, new_tab=True)
 
 
 class Problem:
-    """Where a page says what is wrong: beside the field it is about, or in a line of its own."""
+    """Display of errors: beside the field concerned, or in a separate line."""
 
     def __init__(self) -> None:
         self.fields: dict[str, Any] = {}
@@ -163,20 +163,20 @@ class Problem:
         self.label = ui.label().classes("mp-error").props('role=alert data-test="problem"')
 
     def beside(self, name: str, element: Any, fold: ui.expansion | None = None) -> Any:  # noqa: ANN401 (any field of NiceGUI)
-        """Show errors about a field there; what it is folded into is opened then."""
+        """Show errors of a field at an element, and open its expansion."""
         self.fields[name] = element
         if fold is not None:
             self.folds[name] = fold
         return element
 
     def clear(self) -> None:
-        """Nothing is wrong."""
+        """Remove all errors."""
         self.label.text = ""
         for element in self.fields.values():
             element.props(remove="error error-message")
 
     def show(self, error: MetropilotError) -> None:
-        """What is wrong, where, and what is allowed."""
+        """Show an error with its place and allowed values."""
         told = detail_of(error)
         allowed = f" (allowed: {told['allowed']})" if told["allowed"] else ""
         words = f"{told['message']}{allowed}"
@@ -197,7 +197,7 @@ class Problem:
 
     @contextmanager
     def watching(self) -> Iterator[None]:
-        """Show what goes wrong inside."""
+        """Show an error raised in the body of the context."""
         self.clear()
         try:
             yield
@@ -210,7 +210,7 @@ def _attribute(text: str) -> str:
 
 
 def refresh_while(alive: Callable[[], bool], every_s: float, act: Callable[[], Any]) -> ui.timer:
-    """Call again and again while something goes on."""
+    """Call a function at an interval while a condition holds."""
 
     async def tick() -> None:
         if not alive():

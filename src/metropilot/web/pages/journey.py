@@ -1,4 +1,4 @@
-"""Journey: the whole line, its reserve spread by the optimum."""
+"""Journey: a whole line with the running time reserve spread optimally."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from nicegui import ui
 
 from metropilot.units import J_PER_KWH
 from metropilot.web import catalogue
-from metropilot.web.pages.form import bounded, loads, validated
+from metropilot.web.pages.form import loads, number_field, validate
 from metropilot.web.pages.frame import Problem, card, clock, frame, number, reads, table
 from metropilot.web.pages.plots import blank, journey_figure, sections_figure
 from metropilot.web.pages.strip import line_strip, names
@@ -21,7 +21,7 @@ WAYS = {"timetable": "Keep the timetable", "optimum": "Let the optimum spread th
 
 
 class JourneyPage:
-    """The page's state for one browser."""
+    """State of the page for one browser."""
 
     def __init__(self, service: Service) -> None:
         self.service = service
@@ -29,7 +29,7 @@ class JourneyPage:
         self.timetable_s: float | None = None
 
     def build(self) -> None:
-        """Left what is asked, right the journey."""
+        """Build the fields on the left and the results on the right."""
         lines = {row["id"]: row["name"] for row in catalogue.line_rows(self.service)}
         trainsets = {row["id"]: row["name"] for row in catalogue.trainset_rows(self.service)}
         stops = names(self.line["stops"])
@@ -37,11 +37,11 @@ class JourneyPage:
         with ui.element("div").classes("mp-col"), card("Journey", "Calls at every station on the way."):
             self.problem = Problem()
             fields: dict[str, Any] = {
-                "line": ui.select(lines, value="yizhuang", label="Line", on_change=self.line_changed),
+                "line": ui.select(lines, value="yizhuang", label="Line", on_change=self.update_stations),
                 "origin": ui.select(stops, value=ends[0], label="From"),
                 "destination": ui.select(stops, value=ends[-1], label="To"),
                 "trainset": ui.select(
-                    trainsets, value="dkz32", label="Trainset", on_change=self.trainset_changed
+                    trainsets, value="dkz32", label="Trainset", on_change=self.update_loads
                 ),
                 "load": ui.select(loads(self.service, "dkz32"), label="Load"),
             }
@@ -50,7 +50,7 @@ class JourneyPage:
             for name, element in fields.items():
                 self.problem.beside(name, element.props("outlined dense options-dense"))
             self.way = ui.radio(WAYS, value="optimum").props("dense")
-            self.total = bounded("Whole journey, dwells included (s)", JourneyAsked, "total_s", step=10)
+            self.total = number_field("Whole journey, dwells included (s)", JourneyAsked, "total_s", step=10)
             self.problem.beside("total_s", self.total).props('data-test="total"')
             self.problem.beside("journey", self.total)
             ui.button("Plan", on_click=self.plan).props('unelevated data-test="plan"')
@@ -66,8 +66,8 @@ class JourneyPage:
                 self.bars = ui.plotly(blank(400)).classes("mp-plot")
                 self.rows = ui.element("div").classes("w-full").props('data-test="sections"')
 
-    async def line_changed(self) -> None:
-        """Another line has other stations."""
+    async def update_stations(self) -> None:
+        """Update the stations of the line."""
         self.line = catalogue.line_out(self.service, self.fields["line"].value)
         stops = names(self.line["stops"])
         ends = list(stops)
@@ -76,31 +76,31 @@ class JourneyPage:
         self.total.value = None
         await self.plan()
 
-    def trainset_changed(self) -> None:
-        """Another trainset has other loads."""
+    def update_loads(self) -> None:
+        """Update the loads of the trainset."""
         found = loads(self.service, self.fields["trainset"].value)
         self.fields["load"].set_options(found, value=next(iter(found)))
 
     async def plan(self) -> None:
-        """Plan the journey; without a total, that of the timetable is spread."""
+        """Plan the journey; without a total time, that of the timetable."""
         with self.problem.watching():
             self.status.text = "planning …"
             asked = {name: element.value for name, element in self.fields.items()}
             free = self.way.value == "optimum"
             try:
                 if free and self.total.value is None:
-                    kept = await self.service.journey(validated(JourneyAsked, asked).model_dump())
+                    kept = await self.service.journey(validate(JourneyAsked, asked).model_dump())
                     self.total.value = round(kept["running_time_s"])
                 total = self.total.value if free else None
                 found = await self.service.journey(
-                    validated(JourneyAsked, {**asked, "total_s": total}).model_dump()
+                    validate(JourneyAsked, {**asked, "total_s": total}).model_dump()
                 )
             finally:
                 self.status.text = ""
             self.show(found)
 
     def show(self, found: dict[str, Any]) -> None:
-        """The journey's numbers and pictures."""
+        """Show numbers and pictures of the journey."""
         ends = self.fields["origin"].value, self.fields["destination"].value
         self.map.content = line_strip(self.line, ends)
         energy, planned = found["energy_j"] / J_PER_KWH, found["planned_energy_j"]
@@ -137,7 +137,7 @@ class JourneyPage:
 
 
 def install(service: Service) -> None:
-    """Add the page."""
+    """Register the page."""
 
     @ui.page("/journey", title="Journey · metropilot")
     async def journey(request: Request) -> None:

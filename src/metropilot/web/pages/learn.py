@@ -1,4 +1,4 @@
-"""Learn: start a run, watch its curves, stop and resume it; the studies' tables."""
+"""Learn: start, watch, stop and resume learning runs; tables of the studies."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from nicegui import run, ui
 
 from metropilot.errors import MetropilotError
 from metropilot.web import catalogue
-from metropilot.web.pages.form import bounded, validated
+from metropilot.web.pages.form import number_field, validate
 from metropilot.web.pages.frame import Problem, card, empty, frame, number, refresh_while, table
 from metropilot.web.pages.plots import blank, history_figure
 from metropilot.web.refusals import Refused
@@ -23,7 +23,7 @@ GOING = ("queued", "running")
 
 
 class LearnPage:
-    """The page's state for one browser."""
+    """State of the page for one browser."""
 
     def __init__(self, service: Service, job: str | None) -> None:
         self.service = service
@@ -32,7 +32,7 @@ class LearnPage:
         self.closed = False
 
     def build(self) -> None:
-        """Left what is asked, right the curves."""
+        """Build the fields on the left and the results on the right."""
         self.recipes = {row["driver"]: row for row in catalogue.recipe_rows()}
         with ui.element("div").classes("mp-col"):
             with card("Learn a driver"):
@@ -43,8 +43,8 @@ class LearnPage:
                     ["quick", "paper"], value="quick", label="Budget", on_change=self.say_recipe
                 )
                 self.words = ui.label("").classes("mp-soft")
-                self.steps = bounded("Environment steps", LearnAsked, "steps", step=50_000)
-                self.seed = bounded("Seed", LearnAsked, "seed", value=0, step=1)
+                self.steps = number_field("Environment steps", LearnAsked, "steps", step=50_000)
+                self.seed = number_field("Seed", LearnAsked, "seed", value=0, step=1)
                 self.problem = Problem()
                 fields = (
                     ("driver", self.driver),
@@ -85,7 +85,7 @@ class LearnPage:
         self.look_buttons(None)
 
     def say_recipe(self) -> None:
-        """What a recipe is, and its steps."""
+        """Show the summary of the recipe and its steps."""
         row = self.recipes[self.driver.value]
         self.words.text = f"{row['summary']} ({row['source']}), task {row['task']}"
         self.steps.value = row[f"steps_{self.budget.value}"]
@@ -95,21 +95,21 @@ class LearnPage:
         with self.problem.watching():
             values = {"driver": self.driver.value, "budget": self.budget.value}
             numbers = {"steps": self.steps.value, "seed": self.seed.value}
-            self.job = self.service.submit(validated(LearnAsked, {**values, **numbers}))
+            self.job = self.service.submit(validate(LearnAsked, {**values, **numbers}))
             self.follow()
 
     def follow(self) -> None:
-        """Watch the chosen job."""
+        """Follow the chosen job."""
         ui.run_javascript(f"history.replaceState(null, '', '/learn?job={self.job}')")
         self.seen = None
         self.look_once()
 
     def watch(self) -> None:
-        """Look again and again while the page is open."""
+        """Refresh the page while it is open."""
         refresh_while(lambda: not self.closed, POLL_S, self.look)
 
     async def look(self) -> None:
-        """How far the chosen job is; drawn only when something is new."""
+        """Show the chosen job; read in a thread."""
         if self.job is None:
             return
         found = await run.io_bound(self.known, self.job)
@@ -117,12 +117,12 @@ class LearnPage:
             self.show(*found)
 
     def look_once(self) -> None:
-        """The same, at once."""
+        """Show the chosen job at once."""
         if self.job is not None:
             self.show(*self.known(self.job))
 
     def known(self, job: str) -> tuple[JobRow | None, dict[str, Any]]:
-        """A job and the history of its run."""
+        """Read a job and the history of its learning run."""
         try:
             row = self.service.store.job(job)
             return row, catalogue.history(self.service, row.run) if row.run else {}
@@ -130,7 +130,7 @@ class LearnPage:
             return None, {}
 
     def show(self, row: JobRow | None, columns: dict[str, Any]) -> None:
-        """Status, curves, and the list when something changed."""
+        """Show status, curves and list where something has changed."""
         if row is None:
             self.status.text = "no such job"
             return
@@ -150,7 +150,7 @@ class LearnPage:
         self.fill()
 
     def look_buttons(self, status: str | None) -> None:
-        """What can be done now."""
+        """Enable the buttons that a status allows."""
         self.stop_button.set_enabled(status in GOING)
         self.resume_button.set_enabled(status in {"stopped", "interrupted", "failed"})
 
@@ -161,13 +161,13 @@ class LearnPage:
             self.status.text += " · stops at the next checkpoint"
 
     def resume(self) -> None:
-        """Go on from the checkpoint."""
+        """Resume from the checkpoint."""
         with self.problem.watching():
             self.service.resume(self.job or "")
             self.look_once()
 
     def fill(self) -> None:
-        """The list of runs."""
+        """Fill the list of runs."""
         rows = self.service.store.jobs("learn", 30)
         self.runs.clear()
         with self.runs:
@@ -187,7 +187,7 @@ class LearnPage:
         self.follow()
 
     def studies(self) -> None:
-        """The studies, and a button for each."""
+        """Place the list of studies."""
         rows = catalogue.study_rows(self.service)
         if not rows:
             empty("No study is installed.")
@@ -200,7 +200,7 @@ class LearnPage:
                 go.props(f'aria-label="Show {row["id"]}"')
 
     def show_study(self, key: str) -> None:
-        """A study's table, or a button that makes it."""
+        """Show the table of a study, or its status."""
         self.tables.clear()
         with self.tables, card(key):
             try:
@@ -228,7 +228,7 @@ class LearnPage:
 
 
 def study_table(rows: list[dict[str, Any]]) -> None:
-    """Published, ours with its range, optimum."""
+    """Show published, reproduced and optimal numbers."""
     cells = [
         (
             r["table"],
@@ -249,12 +249,12 @@ def study_table(rows: list[dict[str, Any]]) -> None:
 
 
 def figures(value: float | None) -> str:
-    """A number with four figures."""
+    """Format a number with four significant digits."""
     return number(None) if value is None else f"{value:.4g}".replace("-", "−")
 
 
 def install(service: Service) -> None:
-    """Add the page."""
+    """Register the page."""
 
     @ui.page("/learn", title="Learn · metropilot")
     async def learn(request: Request, job: str | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Lines: the catalogue and uploads, drawn; what is wrong with a file beside its field."""
+"""Lines: drawings of the catalogue and of uploads, and errors of uploaded files."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ WHERE = ("file", "field", "value", "unit", "allowed")
 
 
 class LinesPage:
-    """The page's state for one browser."""
+    """State of the page for one browser."""
 
     def __init__(self, service: Service) -> None:
         self.service = service
 
     def build(self) -> None:
-        """Left the list and the upload, right the line."""
+        """Build the list and the upload on the left and the line on the right."""
         with ui.element("div").classes("mp-col"):
             with card("Lines"):
                 self.list = ui.element("div").classes("mp-stack")
@@ -52,7 +52,7 @@ class LinesPage:
         self.fill()
 
     def fill(self) -> None:
-        """The list, anew."""
+        """Fill the list."""
         self.list.clear()
         with self.list:
             for row in catalogue.line_rows(self.service):
@@ -65,7 +65,7 @@ class LinesPage:
                         forget.props(f'flat dense round aria-label="Remove {row["id"]}"')
 
     def show(self, key: str) -> None:
-        """A line, drawn."""
+        """Draw a line."""
         self.shown.clear()
         with self.shown:
             try:
@@ -118,14 +118,14 @@ class LinesPage:
 
     @staticmethod
     def notes(title: str, texts: list[str]) -> None:
-        """Remarks of a file."""
+        """Show the notes of a file."""
         if texts:
             with card(title):
                 for text in texts:
                     ui.label(text).classes("mp-soft")
 
     async def upload(self, event: events.UploadEventArguments) -> None:
-        """Take a file; say what it is, or what is wrong and where."""
+        """Upload a file; show its kind, or its error."""
         self.upload_in.reset()
         content = await event.file.read()
         try:
@@ -143,7 +143,7 @@ class LinesPage:
             self.show(row.id)
 
     def refuse(self, error: MetropilotError) -> None:
-        """What is wrong with a file: field, value, unit and what is allowed, each in its place."""
+        """Show the error of a file: field, value, unit and allowed values."""
         told = detail_of(error)
         self.said.clear()
         with self.said:
@@ -153,7 +153,7 @@ class LinesPage:
             table(("", ""), rows, name="What is wrong")
 
     def refuse_large(self, most: str) -> None:
-        """A file the browser did not even send."""
+        """Show the error of a file that the browser refused to send."""
         self.said.clear()
         with self.said:
             ui.label(f"not taken: a .toml, .json or .safetensors file of at most {most}").classes("mp-error")
@@ -168,7 +168,7 @@ class LinesPage:
 
 
 def install(service: Service) -> None:
-    """Add the page."""
+    """Register the page."""
 
     @ui.page("/lines", title="Lines · metropilot")
     async def lines(request: Request) -> None:

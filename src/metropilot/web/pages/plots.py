@@ -1,4 +1,4 @@
-"""Interactive pictures: plain Plotly figures in the colours of the printed ones."""
+"""Interactive figures (Plotly) in the colours of the printed ones."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ DASHES = dict(
         strict=True,
     )
 )
-"""The printed line styles as Plotly names them."""
+"""Plotly's names of the printed line styles."""
 SYMBOLS = dict(
     zip(DASHES, ("diamond", "square", "cross", "x", "triangle-up", "circle", "star"), strict=True),
 )
-"""Markers that belong to them, so that drivers of one colour stay apart."""
+"""Markers of the line styles, so that drivers of one colour stay distinct."""
 INK = "#5a6673"
 CONFIG = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
 Figure = dict[str, Any]
@@ -28,7 +28,7 @@ Trace = dict[str, Any]
 
 
 def figure(traces: Sequence[Trace], height: int, **layout: Any) -> Figure:  # noqa: ANN401 (Plotly's layout)
-    """A figure without a background of its own, so that it stands on a light page and on a dark one."""
+    """Make a figure with a transparent background, for light and dark pages."""
     base: dict[str, Any] = {
         "height": height,
         "margin": {"l": 58, "r": 14, "t": 34, "b": 44},
@@ -43,14 +43,14 @@ def figure(traces: Sequence[Trace], height: int, **layout: Any) -> Figure:  # no
 
 
 def blank(height: int, words: str = "computing …") -> Figure:
-    """What stands where a picture will be: its size, and why it is not there yet."""
+    """Make an empty figure of a height, with words."""
     said = {"text": words, "showarrow": False, "xref": "paper", "yref": "paper", "x": 0.5, "y": 0.5}
     hidden = {"visible": False}
     return figure([], height, xaxis=hidden, yaxis=hidden, annotations=[said])
 
 
 def axis(title: str, **more: Any) -> dict[str, Any]:  # noqa: ANN401 (Plotly's axis)
-    """An axis with its unit."""
+    """Make an axis with its unit."""
     return {"title": {"text": title, "standoff": 8}, "zeroline": False, "automargin": True, **more}
 
 
@@ -63,7 +63,7 @@ def line(
     width: float = 2.0,
     **more: Any,  # noqa: ANN401
 ) -> Trace:
-    """A line; ``dash`` and ``shape`` go into its line."""
+    """Make a line trace; ``dash`` and ``shape`` go into its ``line``."""
     style = {"color": colour, "width": width}
     style |= {key: more.pop(key) for key in ("dash", "shape") if key in more}
     return {
@@ -78,12 +78,12 @@ def line(
 
 
 def kmh(speeds: Sequence[float]) -> list[float]:
-    """Speeds for the reader."""
+    """Convert speeds to km/h."""
     return [round(v * KMH_PER_MPS, 3) for v in speeds]
 
 
 def kwh(joules: Sequence[float]) -> list[float]:
-    """Energies for the reader."""
+    """Convert energies to kWh."""
     return [round(j / J_PER_KWH, 5) for j in joules]
 
 
@@ -96,7 +96,7 @@ def stairs(
 
 
 def run_figure() -> Figure:
-    """An empty run: speed with limit, permitted speed and plan; command; energy. Filled by the browser."""
+    """Figure of a live run, filled by the browser: speed, limit, permitted speed, plan; command; energy."""
     below = {"hoverinfo": "skip", "showlegend": False}
     traces = [
         line("speed limit", [], [], BLACK, width=1.4, shape="hv"),
@@ -140,22 +140,22 @@ def run_figure() -> Figure:
     )
 
 
-def planned_run(section: dict[str, Any], plan: dict[str, Any]) -> Figure:
-    """A run before it is driven: the limit and the optimal plan."""
+def plan_figure(section: dict[str, Any], plan: dict[str, Any]) -> Figure:
+    """Figure of a run before departure: the limit and the optimal plan."""
     made = run_figure()
     values: dict[int, tuple[Sequence[float], Sequence[float]]] = {
         0: stairs(section["limit_mps"], section["length_m"], KMH_PER_MPS),
         2: (plan["position_m"], kmh(plan["speed_mps"])),
         7: (plan["position_m"], kwh(plan["energy_wheel_so_far_j"])),
     }
-    return _filled(made, values)
+    return _fill(made, values)
 
 
-def driven_run(driven: dict[str, Any]) -> Figure:
-    """A run that was driven to its end: limit, permitted speed, the optimum for the time it took, the drive.
+def drive_figure(driven: dict[str, Any]) -> Figure:
+    """Figure of a finished run: limit, permitted speed, optimum for the achieved time, drive.
 
     Args:
-        driven: As :class:`metropilot.web.schemas.responses.DriveOut`.
+        driven: Values of :class:`metropilot.web.schemas.responses.DriveOut`.
     """
     columns, plan = driven["columns"], driven["plan"]
     at = columns["position_m"]
@@ -170,18 +170,18 @@ def driven_run(driven: dict[str, Any]) -> Figure:
     if plan is not None:
         values[2] = (plan["position_m"], kmh(plan["speed_mps"]))
         values[7] = (plan["position_m"], kwh(plan["energy_wheel_so_far_j"]))
-    return _filled(run_figure(), values)
+    return _fill(run_figure(), values)
 
 
-def _filled(made: Figure, values: dict[int, tuple[Sequence[float], Sequence[float]]]) -> Figure:
-    """A figure with the curves of some of its traces."""
+def _fill(made: Figure, values: dict[int, tuple[Sequence[float], Sequence[float]]]) -> Figure:
+    """Fill traces of a figure with curves, by number."""
     for index, (x, y) in values.items():
         made["data"][index]["x"], made["data"][index]["y"] = list(x), list(y)
     return made
 
 
 def compare_figure(entries: Sequence[dict[str, Any]]) -> Figure:
-    """Speed over distance and energy over distance of several drivers."""
+    """Figure of speed and energy over distance of several drivers."""
     first = entries[0]["drive"]
     at = first["columns"]["position_m"]
     traces = [line("speed limit", at, kmh(first["columns"]["limit_mps"]), BLACK, width=1.4, shape="hv")]
@@ -213,7 +213,7 @@ def compare_figure(entries: Sequence[dict[str, Any]]) -> Figure:
 def front_figure(
     front: dict[str, Any], cursor: tuple[float, float], entries: Sequence[dict[str, Any]]
 ) -> Figure:
-    """The time-energy front with a cursor (s, kWh), and the drives that were compared."""
+    """Figure of the time-energy front with a cursor (s, kWh) and the compared drives."""
     energy = kwh(front["energy_j"])
     time_s, here = cursor
     traces = [
@@ -262,7 +262,7 @@ def front_figure(
 
 
 def journey_figure(journey: dict[str, Any]) -> Figure:
-    """The train graph: distance over time, stations as lines; energy of each section beside it."""
+    """Train graph: distance over time, with stations as lines and the energy of each section."""
     calls = journey["calls"]
     minutes = [t / 60 for t in journey["time_s"]]
     path = line("trainset", minutes, [s / 1000 for s in journey["position_m"]], BLUE, width=2.4)
@@ -280,7 +280,7 @@ def journey_figure(journey: dict[str, Any]) -> Figure:
 
 
 def sections_figure(journey: dict[str, Any]) -> Figure:
-    """Energy and reserve of every section."""
+    """Figure of energy and reserve of every section."""
     calls = journey["calls"]
     names = [f"{a['station']}–{b['station']}" for a, b in pairwise(calls)]
     energy = kwh([c["energy_j"] for c in calls[1:]])
@@ -301,11 +301,11 @@ def sections_figure(journey: dict[str, Any]) -> Figure:
 
 
 MOST = 6
-"""Trainsets of a convoy that are drawn."""
+"""Largest number of trainsets of a convoy that are drawn."""
 
 
 def convoy_figure() -> Figure:
-    """Gaps, speed differences and speeds over time; filled by the browser."""
+    """Figure of a live convoy, filled by the browser: gaps, speed differences and speeds over time."""
     traces = []
     for kind, where in (("gap", "y"), ("difference", "y2")):
         for k in range(MOST):
@@ -326,8 +326,8 @@ def convoy_figure() -> Figure:
     )
 
 
-def driven_convoy(found: dict[str, Any]) -> Figure:
-    """The same of a convoy that was driven before."""
+def driven_convoy_figure(found: dict[str, Any]) -> Figure:
+    """Figure of a finished convoy."""
     made = convoy_figure()
     for first, name, factor in ((0, "gap_m", 1.0), (MOST, "speed_difference_mps", KMH_PER_MPS)):
         for k, values in enumerate(zip(*found.get(name, ()), strict=True)):
@@ -341,7 +341,7 @@ def driven_convoy(found: dict[str, Any]) -> Figure:
 
 
 def history_figure(columns: dict[str, list[float | None]]) -> Figure:
-    """A learning run over its steps: how many drives from standstill end well, and what they cost."""
+    """Figure of a learning run over its steps: share of successful drives, energy and time error."""
     steps = columns.get("steps", [])
     share = [None if x is None else 100 * x for x in columns.get("evaluation.safe_share", [])]
     marks: Trace = {"mode": "lines+markers"}

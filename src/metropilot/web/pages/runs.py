@@ -1,4 +1,4 @@
-"""The list of live runs: none is lost by leaving its page, and none blocks another unseen."""
+"""List of live runs, by which a run can be found again after its page was left."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ EVERY_S = 2.0
 
 
 class RunList:
-    """Live runs that go on or can be resumed, kept up to date.
+    """Running and resumable live runs, refreshed while the page is open.
 
     Args:
-        service: The server's work.
-        run: The one this page shows.
+        service: Service of the server.
+        run: Id of the run of this page.
     """
 
     def __init__(self, service: Service, run: str | None) -> None:
@@ -37,7 +37,7 @@ class RunList:
         ui.timer(EVERY_S, self.refresh)
 
     def refresh(self) -> None:
-        """Draw the rows again where something has changed, the time alone where nothing else has."""
+        """Draw the rows anew where one has changed, else only the times."""
         found = self.service.live_runs()
         shown = [(row.id, row.status, row.words) for row in found]
         if shown != self.shown:
@@ -51,7 +51,7 @@ class RunList:
             self.words[row.id].text = self.state(row)
 
     def state(self, row: JobRow) -> str:
-        """How a run stands."""
+        """Describe the state of a run."""
         session = self.service.sessions.get(row.id)
         if session is None or session.over:
             return f"{row.status}: {row.words}" if row.words else f"{row.status}; it can be resumed"
@@ -61,7 +61,7 @@ class RunList:
         return f"{clock(known.time_s)} · {f'{known.pace:g} ×' if known.pace else 'waiting'}{watched}{lever}"
 
     def row(self, row: JobRow) -> ui.label:
-        """One run: what it is, how it stands (the label that is returned), what can be done."""
+        """Place the row of a run; return the label of its state."""
         convoy = "follower" in row.asked
         asked, path = row.asked, f"/convoy?run={row.id}" if convoy else f"/?run={row.id}"
         what = f"convoy of {asked['trainsets']}" if convoy else asked["driver"]
@@ -82,7 +82,7 @@ class RunList:
 
     @staticmethod
     def button(words: str, name: str, act: Callable[[], Awaitable[None]]) -> None:
-        """A small button of a row."""
+        """Place a small button of a row."""
         ui.button(words, on_click=act).props(f'flat dense no-caps aria-label="{words} {name}"')
 
     async def stop(self, run: str) -> None:
@@ -91,7 +91,7 @@ class RunList:
             await self.service.session(run).stop()
 
     async def resume(self, run: str, path: str) -> None:
-        """Go on with a run, and open it."""
+        """Resume a run and open it."""
         with self.problem.watching():
             await self.service.resume_live(run)
             ui.navigate.to(path)

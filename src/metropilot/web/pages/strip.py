@@ -1,4 +1,4 @@
-"""The track as SVG: height, gradients, limits, stations. Built as a tree, so that a name is never markup."""
+"""Drawing of the track as SVG: height, gradients, limits, stations. A tree of elements escapes all names."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ NARROW = 46.0
 
 
 def section_strip(section: dict[str, Any], trainset_length_m: float = 0.0, behind_m: float = 0.0) -> str:
-    """A section with a trainset that the browser moves.
+    """Draw a section with a trainset that the browser moves.
 
     Args:
-        section: As :class:`metropilot.web.schemas.responses.SectionOut`.
+        section: Values of :class:`metropilot.web.schemas.responses.SectionOut`.
         trainset_length_m: Drawn to scale, its head at the origin; 0 draws none.
         behind_m: Room for a convoy behind the origin, which the browser draws.
     """
@@ -41,10 +41,10 @@ def section_strip(section: dict[str, Any], trainset_length_m: float = 0.0, behin
 
 
 def line_strip(line: dict[str, Any], chosen: tuple[str, str] | None = None) -> str:
-    """A whole line; the chosen section is marked.
+    """Draw a whole line with the chosen section marked.
 
     Args:
-        line: As :class:`metropilot.web.schemas.responses.LineOut`.
+        line: Values of :class:`metropilot.web.schemas.responses.LineOut`.
         chosen: Codes of origin and destination.
     """
     stops = line["stops"]
@@ -70,7 +70,7 @@ def line_strip(line: dict[str, Any], chosen: tuple[str, str] | None = None) -> s
 
 
 class Frame(NamedTuple):
-    """Where positions lie in the drawing."""
+    """Scale of the drawing: positions along the line to abscissas."""
 
     x0: float
     start_m: float
@@ -86,7 +86,7 @@ class Frame(NamedTuple):
         return self.x0 + self.scale * (position_m - self.start_m)
 
     def edges(self, profile: dict[str, list[float]]) -> list[float]:
-        """Where the pieces of a profile begin and the last one ends, m."""
+        """Begins of the pieces of a profile and the end of the last one, m."""
         return [max(x, self.start_m) for x in profile["from_m"] if x < self.end_m] + [self.end_m]
 
 
@@ -104,7 +104,7 @@ def _root(frame: Frame, height: float) -> Element:
 
 
 def _hill(root: Element, gradient: dict[str, list[float]], frame: Frame, *, numbers: bool = True) -> None:
-    """Height over distance, exaggerated to fill its band; the gradient of each longer piece in permil."""
+    """Draw the height over distance, scaled to its band, with the gradient of each longer piece in permil."""
     edges = frame.edges(gradient)
     values = gradient["value"][: len(edges) - 1]
     heights = [0.0]
@@ -129,7 +129,7 @@ def _hill(root: Element, gradient: dict[str, list[float]], frame: Frame, *, numb
 
 
 def _limits(root: Element, limit: dict[str, list[float]], frame: Frame, *, numbers: bool = True) -> None:
-    """The rail, and below it each limit in km/h where it holds."""
+    """Draw the rail and, below it, each limit in km/h."""
     ends = {"x1": _n(frame.x0), "x2": _n(X1), "y1": _n(RAIL), "y2": _n(RAIL)}
     SubElement(root, "line", {**ends, "class": "rail", "stroke-width": "3"})
     xs = [frame.at(x) for x in frame.edges(limit)]
@@ -166,5 +166,5 @@ def _n(value: float) -> str:
 
 
 def names(stops: Sequence[dict[str, Any]]) -> dict[str, str]:
-    """Stations for a list to choose from."""
+    """Options of a list of stations."""
     return {stop["code"]: f"{stop['code']} · {stop['name']}" for stop in stops}
