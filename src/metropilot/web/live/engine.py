@@ -175,7 +175,7 @@ class Engine:
                 allowed=f"> {self.time_s:.1f} s",
             )
         self._announce(TimetableUpdate(self.time_s, scheduled_time_s=scheduled_s))
-        self.rollout.hear()
+        self.rollout.apply_updates()
         self._plan_anew()
         return self._arrival_words(before_s)
 
@@ -218,7 +218,7 @@ class Engine:
                 allowed=f"{nearest:.0f} m or further" if nearest is not None else "a higher speed",
             )
         self._announce(TimetableUpdate(self.time_s, restriction=restriction))
-        self.rollout.hear()
+        self.rollout.apply_updates()
         self._plan_anew()
         return restriction_words(restriction)
 
