@@ -32,17 +32,15 @@ def one(seeds: int, folder: Path, workers: int) -> dict[str, float]:
     from dataclasses import replace
     from time import perf_counter
 
-    from metropilot.campaign import read_campaign, run_campaign
-    from metropilot.campaign.pools import own_memory_mb
-    from metropilot.campaign.summary import RESULTS_FILE, collect
+    from metropilot.campaign import RESULTS_FILE, collect_parts, peak_memory_mb, read_campaign, run_campaign
 
     kept = folder / COSTS
     if kept.exists():
         return json.loads(kept.read_text())
     campaign, began = replace(read_campaign("large"), seeds=seeds), perf_counter()
     progress = run_campaign(campaign, folder, workers)
-    seconds, memory = perf_counter() - began, own_memory_mb()
-    collect(folder)
+    seconds, memory = perf_counter() - began, peak_memory_mb()
+    collect_parts(folder)
     timings = str(folder / "timings" / "*" / "*.parquet")
     spent, worker = asked(f"SELECT sum(processor_s), max(worker_mb) FROM read_parquet('{timings}')")
     costs = {
@@ -87,10 +85,12 @@ def table(costs: list[dict[str, float]], workers: int, about: dict[str, str]) ->
 
 def growth(folder: Path, parts: int = 8) -> str:
     """The same for one campaign, in the order in which its shards came: an eighth of them after the other."""
-    from metropilot.campaign.store import DONE, TIMINGS, stored_campaign
+    from metropilot.campaign import DONE_FILE, TIMINGS_FOLDER, stored_campaign
 
-    lines = [line.split() for line in (folder / DONE).read_text().splitlines()]
-    shards = [(int(rows), folder / TIMINGS / key / f"{int(k):06d}.parquet") for key, k, rows, *_ in lines]
+    lines = [line.split() for line in (folder / DONE_FILE).read_text().splitlines()]
+    shards = [
+        (int(rows), folder / TIMINGS_FOLDER / key / f"{int(k):06d}.parquet") for key, k, rows, *_ in lines
+    ]
     table = ["| runs so far | processor ms a run, of these | worker MB, so far |", "|---:|---:|---:|"]
     rows, size = 0, -(-len(shards) // parts)
     for first in range(0, len(shards), size):

@@ -18,7 +18,7 @@ from dataclasses import replace
 from typing import Any
 
 from metropilot.learn import AbstractConfig
-from metropilot.studies.chen2023a.learning import (
+from metropilot.studies.chen2023a import (
     BASE_DDPG,
     BASE_PPO,
     FOLDER,
@@ -66,7 +66,7 @@ def program(base: AbstractConfig) -> Callable[[Values], dict[str, Any]]:
     import numpy as np
 
     from metropilot.learn import keep_compiled, learn
-    from metropilot.studies.chen2023a.setting import make_assisted, measured
+    from metropilot.studies.chen2023a import make_assisted, measured
 
     keep_compiled()
     config = sized(base, TUNING_EPISODES, 30)

@@ -28,21 +28,21 @@ def compiled(name: str, batch: int) -> dict[str, float]:
 
     from metropilot import physics
     from metropilot.env import make_task
-    from metropilot.learn import environments
+    from metropilot.learn import Environments, random_actions, reset_environments, step_environments
 
     begun = time.perf_counter()
     task = make_task(name)
     built = time.perf_counter() - begun
     shares = len(jax.devices())
 
-    def one(carry: environments.Environments, key: jax.Array) -> tuple[environments.Environments, jax.Array]:
+    def one(carry: Environments, key: jax.Array) -> tuple[Environments, jax.Array]:
         act_key, step_key = jax.random.split(key)
-        action = environments.random_actions(task, act_key, carry)
-        carry, step = environments.advance(task, step_key, carry, action)
+        action = random_actions(task, act_key, carry)
+        carry, step = step_environments(task, step_key, carry, action)
         return carry, jnp.sum(step.reward) + jnp.sum(step.observation)
 
-    def part(key: jax.Array) -> tuple[environments.Environments, jax.Array]:
-        start = environments.start(task, key, batch // shares)
+    def part(key: jax.Array) -> tuple[Environments, jax.Array]:
+        start = reset_environments(task, key, batch // shares)
         return jax.lax.scan(one, start, jax.random.split(key, STEPS))
 
     whole = jax.pmap(part) if shares > 1 else jax.jit(jax.vmap(part))

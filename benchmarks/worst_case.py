@@ -22,8 +22,8 @@ from tests.protection.search import STEPS as RUN_STEPS
 from tests.protection.search import Field, places
 
 from benchmarks.report import circumstances, written
-from metropilot.convoy.attack import HEADS
-from metropilot.convoy.attack import AttackCampaign as ConvoyCampaign
+from metropilot.convoy import ATTACKED_HEADS
+from metropilot.convoy import AttackCampaign as ConvoyCampaign
 
 POPULATION = 32
 MOST_PLACES = 24
@@ -88,7 +88,7 @@ def in_convoy(guard: str, count: int) -> Callable[[int], Hunter]:
         convoys = Convoys(ConvoyCampaign(guard=guard, count=count))  # pyright: ignore[reportArgumentType]
 
         def hunted(places: int, seed: int) -> tuple[Worst, Worst]:
-            rows = (np.arange(places) + seed) % HEADS
+            rows = (np.arange(places) + seed) % ATTACKED_HEADS
             found = convoys.search(rows, POPULATION, generations, seed)
             return found, convoys.scatter(rows, POPULATION, generations, seed + 1)
 

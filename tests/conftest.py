@@ -42,9 +42,9 @@ checking.install("metropilot")
 # tests start included, and so does the next suite. JAX looks a program up by its instructions, the folder is
 # named by JAX, compiler flags and processor, so that no result can change.
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    from metropilot.learn.compile_cache import made_by, trim_cache
+    from metropilot.learn import compiler_id, trim_cache
 
-    compiled = Path(__file__).parents[1] / ".pytest_cache" / "compiled" / made_by()
+    compiled = Path(__file__).parents[1] / ".pytest_cache" / "compiled" / compiler_id()
     compiled.mkdir(parents=True, exist_ok=True)
     trim_cache(compiled)
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(compiled)

@@ -16,7 +16,7 @@ import pytest
 from tests import commands
 from tools import driver_page, site_nav
 
-from metropilot.convoy.kpis import ConvoyKpis, MemberKpis
+from metropilot.convoy import ConvoyKpis, MemberKpis
 from metropilot.evaluate import Kpis
 from metropilot.sim import COLUMNS
 

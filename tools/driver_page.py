@@ -8,7 +8,7 @@ A test fails when the page and the registries differ.
 import re
 from pathlib import Path
 
-from metropilot.convoy.drivers import FOLLOWERS
+from metropilot.convoy import FOLLOWERS
 from metropilot.drivers import DRIVERS
 
 ROOT = Path(__file__).resolve().parent.parent

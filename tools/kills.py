@@ -75,10 +75,7 @@ def learning(place: Path) -> None:
 
 def campaign(place: Path) -> None:
     """Drive a small campaign, from where its folder left it."""
-    from metropilot.campaign.reading import campaign_from_toml
-    from metropilot.campaign.rows import drive_shard
-    from metropilot.campaign.store import CampaignStore
-    from metropilot.campaign.summary import collect
+    from metropilot.campaign import CampaignStore, campaign_from_toml, collect_parts, drive_shard
 
     told = place / "mine.toml"
     told.write_text(CAMPAIGN)
@@ -88,7 +85,7 @@ def campaign(place: Path) -> None:
     for piece in declared.pieces():
         if piece not in done:
             store.keep(drive_shard(declared.text, piece))
-    collect(place / "out")
+    collect_parts(place / "out")
     (place / "out" / "results.parquet").replace(place / "result")
 
 
@@ -108,8 +105,7 @@ def files(place: Path) -> None:
     import numpy as np
 
     from metropilot.evaluate import write_comparison, write_run
-    from metropilot.learn import PPOConfig, export_onnx
-    from metropilot.learn.run_store import RunStore, write_history
+    from metropilot.learn import PPOConfig, RunStore, export_onnx, write_history
     from metropilot.policy import Policy, PolicySpec, save_policy
     from metropilot.railway import load_line, write_line
 
@@ -136,7 +132,7 @@ def look_at_files(place: Path) -> None:
     """
     import numpy as np
 
-    from metropilot.learn.run_store import RunStore, read_history
+    from metropilot.learn import RunStore, read_history
     from metropilot.policy import load_policy
     from metropilot.railway import load_line
 
@@ -268,9 +264,8 @@ def main() -> None:
     import matplotlib.figure  # noqa: F401
     import onnxruntime  # noqa: F401
 
-    import metropilot.evaluate.gallery
-    import metropilot.evaluate.picture
     import metropilot.learn  # noqa: F401
+    from metropilot.evaluate import draw_speed, front_figure  # noqa: F401
 
     chance = random.Random(told.seed)
     with tempfile.TemporaryDirectory(prefix="metropilot-kills-") as name:

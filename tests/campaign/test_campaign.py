@@ -21,11 +21,11 @@ from metropilot.campaign import (
     shipped_campaigns,
     summarise,
 )
-from metropilot.campaign.declared import draw_disturbance, from_text, request_of, seed_of
+from metropilot.campaign.declared import case_request, draw_disturbance, from_text, seed_of
 from metropilot.campaign.leaderboard import write_leaderboard
 from metropilot.campaign.rows import RESULTS, TIMINGS, Shard, parquet
 from metropilot.campaign.store import CampaignStore
-from metropilot.campaign.summary import collect, median_ranks, share_interval
+from metropilot.campaign.summary import collect_parts, median_ranks, share_interval
 from metropilot.cli import main
 from metropilot.errors import InputError
 from metropilot.evaluate import run_from_toml
@@ -98,7 +98,7 @@ def test_seeds_and_draws_belong_to_the_cell_and_not_to_the_driver_or_the_matrix(
     wider = replace(WIDE, drivers=("manual", *WIDE.drivers), seeds=50)
     assert set(seeds) < {seed_of(wider, wider.case(row)) for row in range(wider.rows)}
     heavy = next(case for case in cases if case.disturbance.name == "heavy")
-    request = request_of(WIDE, heavy, 100.0, 1000.0)
+    request = case_request(WIDE, heavy, 100.0, 1000.0)
     assert 1.0 <= request.disturbance.mass_factor <= 1.2
     assert request.disturbance.lag_s == 0.1
     assert request.disturbance.resistance_factor == 1.0
@@ -114,7 +114,7 @@ def test_a_campaign_travels_as_text():
 def test_a_file_is_read(tmp_path):
     campaign = read_campaign(written(tmp_path, FILE))
     assert campaign.rows == 4
-    request = request_of(campaign, campaign.case(3), 120.0, 1000.0)
+    request = case_request(campaign, campaign.case(3), 120.0, 1000.0)
     assert (request.driver, dict(request.options)) == ("optimal", {"reserve_s": 1})
     assert request.values()["restrictions"] == ["400-600@40@36"]
     assert request.values()["arrivals"] == ["132@24"]
@@ -185,7 +185,7 @@ def test_a_folder_is_gone_on_with_by_more_drivers(tmp_path):
     store = CampaignStore(tmp_path, more)
     assert [piece.driver for piece in store.done()] == ["optimal"]
     store.keep(shard_of(more, more.pieces()[-1]))
-    collect(tmp_path)
+    collect_parts(tmp_path)
     rows = duckdb.sql(f"SELECT row, driver, cell FROM '{tmp_path}/results.parquet'").fetchall()
     held = [row for piece in (more.pieces()[k] for k in (21, -1)) for row in more.shard(piece)]
     assert [row for row, _, _ in rows] == held
@@ -238,7 +238,7 @@ def test_kill_9_at_random_moments_loses_and_doubles_no_row(tmp_path):
     subprocess.run([*program, str(tmp_path / "whole")], check=True)
     assert kills >= 3
     for path in (folder, tmp_path / "whole"):
-        collect(path)
+        collect_parts(path)
         rows = duckdb.sql(f"SELECT row, seed FROM '{path}/results.parquet'").fetchall()
         assert [row for row, _ in rows] == list(range(WIDE.rows))
     same = [(path / "results.parquet").read_bytes() for path in (folder, tmp_path / "whole")]
@@ -250,7 +250,7 @@ def test_any_number_of_workers_gives_the_same_bits(tmp_path):
     for workers in (1, 2):
         progress = run_campaign(SMALL, tmp_path / str(workers), workers)
         assert (progress.rows, progress.driven) == (2, 2)
-        collect(tmp_path / str(workers))
+        collect_parts(tmp_path / str(workers))
     one, two = ((tmp_path / name / "results.parquet").read_bytes() for name in "12")
     assert one == two
     assert run_campaign(SMALL, tmp_path / "2").driven == 0
@@ -278,7 +278,7 @@ def test_the_command_drives_reports_and_says_how_to_drive_the_worst_again(tmp_pa
 
 
 def test_a_driver_that_breaks_down_is_a_failure_and_no_end(tmp_path, monkeypatch):
-    from metropilot.drivers.flat_out import FlatOut
+    from metropilot.drivers import FlatOut
 
     def broken(self, memory, observation):
         raise ZeroDivisionError("nobody home")
@@ -353,5 +353,5 @@ def test_a_ray_worker_killed_midway_changes_nothing(tmp_path):
     run_campaign(campaign, tmp_path / "here", workers=1)
     assert killed
     for name in ("ray", "here"):
-        collect(tmp_path / name)
+        collect_parts(tmp_path / name)
     assert (tmp_path / "ray/results.parquet").read_bytes() == (tmp_path / "here/results.parquet").read_bytes()

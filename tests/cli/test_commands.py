@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from metropilot.cli.app import COMMANDS
-from metropilot.convoy.drivers import FOLLOWERS
+from metropilot.convoy import FOLLOWERS
 from metropilot.drivers import DRIVERS
 from metropilot.sim import COLUMNS
 

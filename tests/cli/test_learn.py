@@ -217,7 +217,7 @@ def test_a_folder_that_holds_a_run_is_not_written_over(learned, program):
 
 
 def test_examples_name_what_there_is():
-    from metropilot.learn.recipes import recipe
+    from metropilot.learn import recipe
 
     for line in import_module("metropilot.cli.learn").EXAMPLES["learn"]:
         words = shlex.split(line)

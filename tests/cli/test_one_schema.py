@@ -7,16 +7,14 @@ import pytest
 from fastapi import FastAPI
 
 from metropilot._schema import field_specs
-from metropilot.campaign.declared import request_of
-from metropilot.campaign.reading import campaign_from_toml
+from metropilot.campaign import campaign_from_toml, case_request
 from metropilot.cli import app
 from metropilot.errors import InputError
 from metropilot.evaluate import RunSpec, run_fields, run_from_toml
 from metropilot.railway import Restriction
 from metropilot.sim import Disturbance, TimetableUpdate
-from metropilot.web.errors import install
-from metropilot.web.schemas.requests import DriveAsked
-from metropilot.web.schemas.requests import request_of as request_of_body
+from metropilot.web import DriveAsked, install
+from metropilot.web import request_of as request_of_body
 
 WHERE = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ"}
 NUMBERS = [name for name, spec in field_specs(Disturbance).items() if spec.range is not None]
@@ -68,7 +66,7 @@ def campaign_file(folder, text):
 def of_campaign(path, scheduled_s=100.0, length_m=1000.0):
     """The only run of a campaign."""
     campaign = campaign_from_toml(path)
-    return request_of(campaign, campaign.case(0), scheduled_s, length_m)
+    return case_request(campaign, campaign.case(0), scheduled_s, length_m)
 
 
 def of_body(values):

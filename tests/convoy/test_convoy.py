@@ -9,7 +9,7 @@ import pytest
 from metropilot.convoy.attack import AttackCampaign, attack
 from metropilot.convoy.drivers import FOLLOWERS
 from metropilot.convoy.kpis import convoy_kpis
-from metropilot.convoy.leaders import Restless, record, restless_speeds
+from metropilot.convoy.leaders import Restless, record_leader, restless_speeds
 from metropilot.convoy.link import Channel, Link, Message, opened, passed_on
 from metropilot.convoy.model import Convoy, held_back
 from metropilot.convoy.rollout import HeadRun, drive_convoy
@@ -29,7 +29,7 @@ def convoy(**changes):
 def commands():
     section, trainset = convoy().leader()
     speeds = restless_speeds(Restless(11.0, 0.5, 0.5, 30.0), np.random.default_rng(0), DT)
-    return record(section, trainset, speeds, DT).command
+    return record_leader(section, trainset, speeds, DT).command
 
 
 def run(follower="follow_gap", emergency_s=float("inf"), **changes):

@@ -11,10 +11,9 @@ from metropilot.drivers.expert.hoa import Hoa
 from metropilot.drivers.expert_learned import Eitop
 from metropilot.drivers.learned import LearnedDriver
 from metropilot.drivers.shipped import PolicyOptions
-from metropilot.env.expert import Rules
+from metropilot.env import ExpertRules
 from metropilot.errors import InputError
-from metropilot.evaluate import kpis_of, make_driver
-from metropilot.evaluate.indices import indices_of
+from metropilot.evaluate import indices_of, kpis_of, make_driver
 from metropilot.policy import shipped_policy
 from metropilot.railway import (
     Actuation,
@@ -137,7 +136,7 @@ def test_the_stop_learns_the_brake(gain):
 
 def test_intervals_end_where_power_is_needed_again():
     run = run_of(("SJZ", "XC"), 190.0)
-    legs = prepared(run, run.section, Rules(), Hoa()).legs
+    legs = prepared(run, run.section, ExpertRules(), Hoa()).legs
     assert [leg.end_m for leg in legs.legs] == [480.0, 2631.0]
     whole = legs.least_s(2631.0, 0.0)
     assert legs.share(legs.legs[0], 0.0, 0.0) == pytest.approx(1.0 - legs.legs[0].after_s / whole)

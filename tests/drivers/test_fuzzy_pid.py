@@ -5,7 +5,7 @@ import pytest
 
 from metropilot.control import CHENG2023_GAINS, CHENG2023_UPPER
 from metropilot.drivers.fuzzy_pid import (
-    ASSUMED,
+    ASSUMED_UNIVERSES,
     DERIVATIVE,
     GRID,
     INTEGRAL,
@@ -13,7 +13,7 @@ from metropilot.drivers.fuzzy_pid import (
     PB,
     PROPORTIONAL,
     TABLES,
-    TUNED,
+    TUNED_FUZZY_PID,
     FuzzyPid,
     FuzzyPidOptions,
     fuzzy_gains,
@@ -76,11 +76,11 @@ def test_the_rules_are_the_textbooks():
 
 
 def test_gains_stay_within_their_limits_and_start_from_the_base():
-    big = ASSUMED._replace(proportional=50.0, integral=50.0, derivative=50.0)
+    big = ASSUMED_UNIVERSES._replace(proportional=50.0, integral=50.0, derivative=50.0)
     for error in np.linspace(-1, 1, 9):
         gains = fuzzy_gains(error, 0.1 * error, big)
         assert all(0 <= g <= u for g, u in zip(gains, CHENG2023_UPPER, strict=True))
-    still = ASSUMED._replace(proportional=0.0, integral=0.0, derivative=0.0)
+    still = ASSUMED_UNIVERSES._replace(proportional=0.0, integral=0.0, derivative=0.0)
     assert fuzzy_gains(0.3, 0.1, still) == pytest.approx(CHENG2023_GAINS)
 
 
@@ -94,6 +94,6 @@ def test_compiled_it_infers_the_same():
 
 
 def test_options():
-    assert FuzzyPid(FuzzyPidOptions(tuned=True)).base.proportional == TUNED["kp"]
+    assert FuzzyPid(FuzzyPidOptions(tuned=True)).base.proportional == TUNED_FUZZY_PID["kp"]
     with pytest.raises(InputError, match="error_mps"):
         FuzzyPidOptions(error_mps=0.0)

@@ -8,24 +8,24 @@ import pytest
 from metropilot.control import CHENG2023_GAINS, CHENG2023_UPPER, Errors
 from metropilot.drivers.neural_pid import (
     SPEED_SCALE_MPS,
-    TUNED,
+    TUNED_NEURAL_PID,
     LearningRates,
     NeuralPid,
     NeuralPidOptions,
     fresh_network,
-    neural_pid,
+    step_neural_pid,
 )
-from metropilot.env.tracking import Tracked
+from metropilot.env import TrackingView
 
 
 def seen(error, command=0.1, speed=10.0):
-    return Tracked(error, 0.0, speed, speed + error, command)
+    return TrackingView(error, 0.0, speed, speed + error, command)
 
 
 def test_it_begins_with_the_gains_it_is_given():
     network = fresh_network(3)._replace(outer=fresh_network(3).outer * np.array([0, 0, 0, 0, 0, 1.0]))
     # only the biases are left: u = 0.1 + kp 0.02 + ki 0.02 + kd 0.02
-    command, _ = neural_pid(network, seen(0.02))
+    command, _ = step_neural_pid(network, seen(0.02))
     assert command == pytest.approx(0.1 + 0.02 * sum(CHENG2023_GAINS))
 
 
@@ -43,10 +43,10 @@ def test_its_weights_move_along_the_gradient_of_the_command():
 
     with jax.enable_x64(True):
         inner, outer = jax.grad(command, (0, 1))(jnp.asarray(network.inner), jnp.asarray(network.outer))
-    given, after = neural_pid(network, first, rates)
+    given, after = step_neural_pid(network, first, rates)
     assert given == pytest.approx(float(command(network.inner, network.outer)), abs=1e-6)
     assert after.inner == pytest.approx(network.inner)  # the first period has nothing to learn from
-    _, moved = neural_pid(after, then, rates)
+    _, moved = step_neural_pid(after, then, rates)
     scale = 0.3 * (0.08 / 0.5) / 0.5
     np.testing.assert_allclose(moved.outer - network.outer, scale * np.asarray(outer), atol=1e-7)
     np.testing.assert_allclose(moved.inner - network.inner, scale * np.asarray(inner), atol=1e-7)
@@ -54,9 +54,9 @@ def test_its_weights_move_along_the_gradient_of_the_command():
 
 def test_momentum_makes_part_of_the_last_change_again():
     rates = LearningRates(0.3, 0.5, 0.5)
-    _, once = neural_pid(fresh_network(1), seen(0.05), rates)
-    _, twice = neural_pid(once, seen(0.08), rates)
-    _, thrice = neural_pid(twice, seen(0.0), rates)
+    _, once = step_neural_pid(fresh_network(1), seen(0.05), rates)
+    _, twice = step_neural_pid(once, seen(0.08), rates)
+    _, thrice = step_neural_pid(twice, seen(0.0), rates)
     np.testing.assert_allclose(thrice.outer - twice.outer, 0.5 * twice.outer_change)
 
 
@@ -66,4 +66,4 @@ def test_seeds_differ_and_repeat():
 
 
 def test_options():
-    assert NeuralPid(NeuralPidOptions(tuned=True)).rates.learning == TUNED["learning_rate"]
+    assert NeuralPid(NeuralPidOptions(tuned=True)).rates.learning == TUNED_NEURAL_PID["learning_rate"]

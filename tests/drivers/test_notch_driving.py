@@ -9,8 +9,7 @@ from metropilot.env import DrivingTask, task_config
 from metropilot.evaluate import kpis_of
 from metropilot.policy import Policy, PolicySpec, save_policy
 from metropilot.railway import load_line, load_trainset
-from metropilot.sim import Outcome, Run, drive
-from metropilot.sim.nominal import simulate_nominal
+from metropilot.sim import Outcome, Run, drive, simulate_nominal
 
 NOTCHES = np.array(load_trainset("lu2023").notches["lu2023"])
 COAST, FULL = 5, 11

@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metropilot.convoy.drivers import FOLLOWERS
+from metropilot.convoy import FOLLOWERS
 from metropilot.drivers import DRIVERS, shipped
 from metropilot.drivers.learned import LearnedDriver
 from metropilot.env import ACTIONS, PolicyInterface, task_config
 from metropilot.errors import InputError
-from metropilot.evaluate import RunSpec, make_driver, run_from_toml
-from metropilot.evaluate.folder import write_run_toml
+from metropilot.evaluate import RunSpec, make_driver, run_from_toml, write_run_toml
 from metropilot.policy import (
     Policy,
     PolicySpec,

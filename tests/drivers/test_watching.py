@@ -10,8 +10,7 @@ from metropilot.evaluate import kpis_of, make_driver
 from metropilot.physics import effort_at, vehicle_arrays
 from metropilot.planning import minimum_running_time
 from metropilot.railway import Actuation, Restriction, load_line, load_trainset
-from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate
-from metropilot.sim.rollout import Rollout
+from metropilot.sim import Disturbance, Outcome, Rollout, Run, TimetableUpdate
 
 LATE = {"delay_s": 0.6, "lag_s": 0.4, "speed_noise_mps": 0.05}
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from metropilot.drivers.learned import LearnedDriver
+from metropilot.drivers import LearnedDriver
 from metropilot.env import (
     Assists,
     DrivingConfig,

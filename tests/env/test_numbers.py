@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from metropilot.drivers.learned import LearnedDriver
+from metropilot.drivers import LearnedDriver
 from metropilot.env import DrivingConfig, DrivingTask, starts
 from metropilot.policy import choose_action, load_driving_policy, network_output, shipped_policy
 from metropilot.railway import load_line, load_trainset

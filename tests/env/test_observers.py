@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from metropilot.env.features import FASTER_MPS, FEATURES, OBSERVERS, SPEED_MPS, FeatureContext
-from metropilot.env.tables import CLIMB, PACES_MPS, PERMITTED
-from metropilot.env.worlds import ASSISTS, domain_sample
-from metropilot.learn.imitation.lessons import DemonstrationGenerator
+from metropilot.env.tables import CLIMB, PACES_MPS, PERMITTED_COLUMN
+from metropilot.env.worlds import DOMAIN_ASSISTS, domain_sample
+from metropilot.learn import DemonstrationGenerator
 from metropilot.physics import davis_n
 
 
@@ -17,7 +17,7 @@ def room(request):
 
 def sight(room, position_m, speed_mps, left_s):
     at, v = np.float64(position_m), np.float64(speed_mps)
-    planned = ASSISTS.planned_mps2(room.rows, 0, room.case.stop_mps2, at)
+    planned = DOMAIN_ASSISTS.planned_mps2(room.rows, 0, room.case.stop_mps2, at)
     case = room.case
     rest = {
         "acceleration_mps2": np.float64(0.0),
@@ -91,7 +91,7 @@ def test_coasting_takes_what_integration_gives(room):
         drag = float(davis_n(vehicle, np.sqrt(2.0 * energy[k])) / vehicle.effective_mass_kg)
         energy[k + 1] = max(energy[k] - (climb[k + 1] - climb[k]) - drag * way[1], 0.5)
     braked = np.sqrt(2.0 * float(seen.stop_mps2) * (length - way) + 1e-6)
-    top = np.minimum(room.rows.ground_at(PERMITTED, 0, seen.position_m + way), braked)
+    top = np.minimum(room.rows.ground_at(PERMITTED_COLUMN, 0, seen.position_m + way), braked)
     speed = np.minimum(np.sqrt(2.0 * energy), top)
     taken = float(np.sum(2.0 * way[1] / (speed[1:] + speed[:-1] + 0.1)))
     spare = float(FEATURES["coasting"](seen)[0]) * 50.0

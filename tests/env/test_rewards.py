@@ -6,13 +6,13 @@ import pytest
 from metropilot.env import ACTIONS, task_config
 from metropilot.env.actions import GainsAction, IncrementAction, NotchAction, NotchForceAction, RegimeAction
 from metropilot.env.features import FeatureContext
-from metropilot.env.rewards import TERMS, Change, Energy, Failure, OnTime, Punctuality
+from metropilot.env.rewards import TERMS, Energy, Failure, OnTime, PeriodChange, Punctuality
 from metropilot.env.tables import SectionRows
 from metropilot.errors import InputError
 from metropilot.physics import effort_at
 
 F = np.float64
-MOVING = Change(
+MOVING = PeriodChange(
     wheel_j=F(7.2e6),
     line_j=F(9e6),
     jerk_mps2=F(0.4),

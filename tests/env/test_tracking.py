@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
-from metropilot.drivers.pid import Pid, PidOptions
-from metropilot.env.tracking import Tracked, compiled, tracking_observation
+from metropilot.drivers import Pid, PidOptions
+from metropilot.env.tracking import TrackingView, compile_course, tracking_observation
 from metropilot.env.tracking_task import (
     TrackingConfig,
     TrackingFacts,
@@ -16,16 +16,16 @@ from metropilot.env.tracking_task import (
     gains_of,
     reward_terms,
 )
-from metropilot.evaluate.tracking import track, track_compiled, tracking_kpis
+from metropilot.evaluate import track_compiled, track_course, tracking_kpis
 from metropilot.sim import Run, drive
-from metropilot.studies.cheng2023 import setting
+from metropilot.studies.cheng2023 import course as cheng2023_course
 
 GAINS = Gains(3.4, 0.3, 0.2)
 
 
 @pytest.fixture(scope="module")
 def course():
-    return setting.course()
+    return cheng2023_course()
 
 
 def fixed(gains):
@@ -67,7 +67,7 @@ def test_gains_span_zero_to_their_upper_limits():
 
 def test_constant_gains_fix_the_sum_of_the_errors(course):
     # Eq. 15 telescopes while nothing is clipped: u = kp e + ki sum(e) + kd (e - e1).
-    record = track(course, fixed(GAINS), Errors(0.0, 0.0))
+    record = track_course(course, fixed(GAINS), Errors(0.0, 0.0))
     free = int(np.argmax(np.abs(record.command) >= 1.0))
     assert free > 60
     error = record.error_mps
@@ -77,9 +77,9 @@ def test_constant_gains_fix_the_sum_of_the_errors(course):
 
 
 def test_the_task_the_scan_and_the_host_drive_the_same_run(course):
-    record = track(course, fixed(GAINS), Errors(0.0, 0.0))
+    record = track_course(course, fixed(GAINS), Errors(0.0, 0.0))
     kpis = tracking_kpis(course, record)
-    single = compiled(course)
+    single = compile_course(course)
     start = Errors(jnp.float32(0.0), jnp.float32(0.0))
     again = jax.jit(lambda: tracking_kpis(single, track_compiled(single, fixed(GAINS), start), jnp))()
     assert again.speed_total_mps == pytest.approx(kpis.speed_total_mps, rel=1e-3)
@@ -135,6 +135,6 @@ def test_too_fast_ends_the_episode(course):
 
 
 def test_observation_is_clipped_and_scaled():
-    found = tracking_observation(Tracked(0.01, -9.0, 10.0, 10.01, 0.5))
+    found = tracking_observation(TrackingView(0.01, -9.0, 10.0, 10.01, 0.5))
     np.testing.assert_allclose(found, [0.5, 0.5, 0.2, -5.0], rtol=1e-6)
     assert found.dtype == np.float32

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from metropilot.evaluate import best, compare, comparison_json, jobs
-from metropilot.evaluate.compare import bootstrap
+from metropilot.evaluate.comparison import bootstrap
 from metropilot.evaluate.folder import write_comparison
 
 

@@ -12,7 +12,7 @@ import pytest
 from metropilot._io import fill_folder, write_json
 from metropilot.errors import InputError
 from metropilot.evaluate import RunSpec, kpis_of, write_run
-from metropilot.learn.run_store import read_history, write_history
+from metropilot.learn import read_history, write_history
 from metropilot.policy import Policy, PolicySpec, load_policy, save_policy
 from metropilot.railway import load_line, write_line
 from metropilot.sim import drive

@@ -9,9 +9,15 @@ import pytest
 
 from metropilot.physics import at_rest, track_arrays, vehicle_arrays
 from metropilot.railway import Restriction
-from metropilot.sim import Disturbance, Outcome, Rollout, TimetableUpdate, drive
-from metropilot.sim.recorder import limit_at
-from metropilot.sim.step import overspeed_in_period
+from metropilot.sim import (
+    Disturbance,
+    Outcome,
+    Rollout,
+    TimetableUpdate,
+    drive,
+    overspeed_in_period,
+    train_limit_at,
+)
 
 
 def test_flat_out_arrives(request_rj):
@@ -90,7 +96,7 @@ def test_overspeed_is_found_between_two_rows(request_rj):
     track = track_arrays(run.section, run.trainset)
     vehicle = vehicle_arrays(run.trainset)
     at = float(track.limit_from_m[np.searchsorted(track.limit_from_m, 1.0) - 1])
-    low, high = limit_at(track, at), limit_at(track, at - 0.01)
+    low, high = train_limit_at(track, at), train_limit_at(track, at - 0.01)
     assert low < high, "the platform's limit begins at the origin"
     before = at_rest(vehicle, position_m=at - 1.0, speed_mps=low + 1.0)
     after = at_rest(vehicle, position_m=at + 1.0, speed_mps=low - 1.0)

@@ -5,13 +5,13 @@ import pytest
 
 from metropilot.errors import InputError
 from metropilot.evaluate.tracking import TrackRecord, tracking_kpis, tracking_score
-from metropilot.evaluate.tracking_tuning import TUNABLE, tune
-from metropilot.studies.cheng2023 import setting
+from metropilot.evaluate.tracking_tuning import TUNABLE, tune_driver
+from metropilot.studies.cheng2023 import course as cheng2023_course
 
 
 @pytest.fixture(scope="module")
 def course():
-    return setting.course()
+    return cheng2023_course()
 
 
 def test_columns_by_hand(course):
@@ -43,13 +43,13 @@ def test_columns_by_hand(course):
 
 
 def test_a_short_search_beats_the_gains_by_hand_and_repeats(course):
-    found = tune("pid", course, seed=1, generations=3)
+    found = tune_driver("pid", course, seed=1, generations=3)
     assert found.evaluations == 160
     assert found.score > -20.0  # by hand: about -48
     assert found.values["ki"] > 1.0
-    assert tune("pid", course, seed=1, generations=3) == found
+    assert tune_driver("pid", course, seed=1, generations=3) == found
     with pytest.raises(InputError, match="fuzzy_pid"):
-        tune("ddpg_pid", course)
+        tune_driver("ddpg_pid", course)
 
 
 @pytest.mark.parametrize("driver", TUNABLE)

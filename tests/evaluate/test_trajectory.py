@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from metropilot.errors import InputError
-from metropilot.sim import COLUMNS, Trajectory, drive
-from metropilot.sim.trajectory import phases
+from metropilot.sim import COLUMNS, Trajectory, drive, phase_names
 
 DESIGN = (
     "time_s, position_m, speed_mps, acceleration_mps2, jerk_mps3, command, traction_n, electric_brake_n, "
@@ -91,5 +90,5 @@ def test_regimes_in_words():
     speed = [10.0, 10.0, 10.0, 10.0, 10.0, 0.0, 0.0]
     accel = [0.50, 0.00, 0.00, -0.1, -0.8, 0.0, 0.3]
     wheel = [90e3, 20e3, -9e3, 0.00, -9e4, 0.0, 6e4]
-    words = phases(np.array(speed), np.array(accel), np.array(wheel), 1e5)
+    words = phase_names(np.array(speed), np.array(accel), np.array(wheel), 1e5)
     assert words.tolist() == ["power", "cruise", "cruise", "coast", "brake", "stand", "power"]

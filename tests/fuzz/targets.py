@@ -130,7 +130,7 @@ def _read_policy(path: Path) -> None:
 
 
 def _read_checkpoint(path: Path) -> None:
-    from metropilot.learn.checkpoint import load_checkpoint
+    from metropilot.learn import load_checkpoint
 
     wanted = {"weights": np.zeros((3, 4), np.float32), "step": np.zeros((), np.int32)}
     state, history, about = load_checkpoint(path, wanted)
@@ -158,13 +158,13 @@ def _read_run(path: Path) -> None:
 
 
 def _read_campaign(path: Path) -> None:
-    from metropilot.campaign.reading import campaign_from_toml
+    from metropilot.campaign import campaign_from_toml
 
     _drivable(campaign_from_toml(path))
 
 
 def _read_stored_campaign(path: Path) -> None:
-    from metropilot.campaign.store import stored_campaign
+    from metropilot.campaign import stored_campaign
 
     _drivable(stored_campaign(path.parent))
 
@@ -179,7 +179,7 @@ def _drivable(campaign) -> None:
 
 
 def _read_done(path: Path) -> None:
-    from metropilot.campaign.store import CampaignStore
+    from metropilot.campaign import CampaignStore
 
     campaign = _campaign()
     store = CampaignStore(path.parent, campaign)
@@ -206,13 +206,12 @@ def _read_trajectory(path: Path) -> None:
 
 
 def _read_record(path: Path) -> None:
-    from metropilot.learn.config_reading import config_to_mapping
-    from metropilot.learn.run_store import INDEX, RunStore, record_of
+    from metropilot.learn import INDEX_FILE, RunStore, config_to_mapping, record_of
 
     record = record_of(path.parent)
     assert record.status in {"running", "interrupted", "done", "failed"}
     store = RunStore(path.parent.parent)
-    (store.root / INDEX).unlink(missing_ok=True)
+    (store.root / INDEX_FILE).unlink(missing_ok=True)
     assert [found.id for found in store.recent()] == [record.id], "the index of runs does not take it"
     assert config_to_mapping(record.configuration())
 

@@ -12,7 +12,7 @@ from tests.fuzz.mutate import damaged
 from tests.fuzz.targets import TARGETS, check
 from tests.railway import samples
 
-from metropilot.campaign.reading import campaign_from_toml
+from metropilot.campaign import campaign_from_toml
 from metropilot.env import task_config
 from metropilot.errors import InputError
 from metropilot.evaluate import RunSpec, make_driver, run_from_toml

@@ -42,12 +42,12 @@ TASK, COUNT = Draws(), 200
 
 @jax.jit
 def advanced(environments, over):
-    return env.advance(TASK, jax.random.key(1), environments, over)
+    return env.step_environments(TASK, jax.random.key(1), environments, over)
 
 
 @pytest.mark.parametrize("ended", [0, 1, 8, 9, 100, 200])
 def test_only_what_ended_is_renewed(ended):
-    before = env.start(TASK, jax.random.key(0), COUNT)
+    before = env.reset_environments(TASK, jax.random.key(0), COUNT)
     over = np.zeros(COUNT, np.int32)
     over[np.random.default_rng(ended).choice(COUNT, ended, replace=False)] = 1
     after, step = advanced(before, jnp.asarray(over))

@@ -9,11 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from metropilot.env import DrivingTask, episode_of, starts, task_config
-from metropilot.env.actions import RegimeAction
-from metropilot.env.features import FeatureContext
-from metropilot.env.tables import SectionRows
-from metropilot.env.worlds import domain_sample
+from metropilot.env import (
+    DrivingTask,
+    FeatureContext,
+    RegimeAction,
+    SectionRows,
+    domain_sample,
+    episode_of,
+    starts,
+    task_config,
+)
 from metropilot.errors import InputError
 from metropilot.learn import TrainingOptions, config_from_mapping
 from metropilot.learn.imitation.closed_loop import WORTH, Begin, ClosedLoop, _Moving, within_worth

@@ -14,8 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from tests.protection.optimiser import Worst, hunt, scatter, share
 
-from metropilot.convoy.attack import EMERGENCY_S, Arena, AttackCampaign, AttackCase
-from metropilot.convoy.link import Quality
+from metropilot.convoy import LONGEST_EMERGENCY_S, AttackArena, AttackCampaign, AttackCase, LinkQuality
 
 HOLD = 5
 LUCK_HOLD = 10
@@ -30,7 +29,7 @@ class Convoys:
     """
 
     def __init__(self, campaign: AttackCampaign) -> None:
-        self.arena = Arena(campaign)
+        self.arena = AttackArena(campaign)
         self.count, self.steps = campaign.count, self.arena.steps
         self.script = -(-self.steps // HOLD)
         self.luck = -(-self.steps // LUCK_HOLD)
@@ -47,12 +46,12 @@ class Convoys:
         scripts = 2.0 * scripts.reshape(n - 1, self.script) - 1.0
         luck = luck.reshape(2, self.luck)
         stop = jnp.sum((self.arena.heads.speed_mps[row] > 0.0).astype(jnp.int32))
-        silent = jnp.where(dials[5] < 0.5, jnp.inf, 4.0 * (dials[5] - 0.5) * EMERGENCY_S)
-        quality = Quality(c.delay_s * dials[2], c.jitter_s * dials[3], c.loss * dials[4], silent)
+        silent = jnp.where(dials[5] < 0.5, jnp.inf, 4.0 * (dials[5] - 0.5) * LONGEST_EMERGENCY_S)
+        quality = LinkQuality(c.delay_s * dials[2], c.jitter_s * dials[3], c.loss * dials[4], silent)
         case = AttackCase(
             row=row,
             period=(dials[0] * 0.95 * stop.astype(jnp.float32)).astype(jnp.int32),
-            emergency_s=EMERGENCY_S * dials[1],
+            emergency_s=LONGEST_EMERGENCY_S * dials[1],
             mass=c.mass[0] + (c.mass[1] - c.mass[0]) * each[0],
             resistance=c.resistance[0] + (c.resistance[1] - c.resistance[0]) * each[1],
             scatter=c.scatter_mps2 * each[2],

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from metropilot.convoy.model import Convoy, members
+from metropilot.convoy import Convoy, convoy_members
 from metropilot.errors import InputError
 from metropilot.physics import Command
 from metropilot.protection import PairBounds, TrainAhead, at_start, separate, spare_gap, supervise
@@ -58,7 +58,7 @@ def test_least_gap_is_never_more_than_the_smallest_on_the_way():
 
 def two(guard="coupled"):
     section, trainset = load_line("yizhuang").section("YZQ", "WHY"), load_trainset("cheng2023")
-    return members(Convoy(section, (trainset, trainset), guard=guard))[1]
+    return convoy_members(Convoy(section, (trainset, trainset), guard=guard))[1]
 
 
 def told(member, gap, speed, age=0.0):

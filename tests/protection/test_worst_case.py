@@ -10,7 +10,7 @@ from tests.protection.convoy_search import Convoys
 from tests.protection.optimiser import hunt, scatter, share
 from tests.protection.search import Field, places
 
-from metropilot.convoy.attack import AttackCampaign
+from metropilot.convoy import AttackCampaign
 
 PLACES, POPULATION, GENERATIONS = 9, 16, 12
 

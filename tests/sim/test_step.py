@@ -11,8 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from metropilot.env import Assists, DrivingConfig, DrivingTask, episode_of, starts
-from metropilot.env.actions import CommandAction
+from metropilot.env import Assists, CommandAction, DrivingConfig, DrivingTask, episode_of, starts
 from metropilot.physics import at_rest, double_precision, to_jax, track_arrays, vehicle_arrays
 from metropilot.railway import Restriction, load_line, load_trainset
 from metropilot.sim import (

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metropilot.env import task_config
-from metropilot.env.rewards import Change, Comfort, OnTime
+from metropilot.env import Comfort, OnTime, PeriodChange, task_config
 from metropilot.learn import PPOConfig
 from metropilot.studies import Order, SeedResult, learn_seeds, learning
 from metropilot.studies.chen2023a import published
@@ -29,7 +28,7 @@ from metropilot.studies.chen2023a.setting import (
     measured,
 )
 from metropilot.studies.chen2023a.study import SIZES, STUDY, reproduce
-from metropilot.studies.page import page, write_figures
+from metropilot.studies.page import study_page, write_figures
 
 CHUNKS = 40
 
@@ -44,11 +43,11 @@ def test_the_registered_task_is_what_the_study_assumes():
 
 
 def change(**given):
-    plain = dict.fromkeys(Change._fields, np.float64(0.0)) | {
+    plain = dict.fromkeys(PeriodChange._fields, np.float64(0.0)) | {
         "ended": np.bool_(False),
         "arrived": np.bool_(False),
     }
-    return Change(**(plain | {name: np.asarray(value) for name, value in given.items()}))
+    return PeriodChange(**(plain | {name: np.asarray(value) for name, value in given.items()}))
 
 
 def test_a_step_costs_its_energy_and_its_change_of_acceleration():
@@ -141,7 +140,7 @@ def test_the_whole_study_from_learning_runs_that_are_there(monkeypatch, tmp_path
 
     monkeypatch.setattr(learning, "learn_seeds", there)
     found = reproduce(Order(tmp_path, "paper"))
-    text = page(STUDY, found)
+    text = study_page(STUDY, found)
     assert found.seeds == 5
     assert len(found.figures) == 5
     write_figures(tmp_path / "figures", replace(found, figures=found.figures[2:3]))
@@ -165,7 +164,7 @@ def test_runs_are_cut_into_whole_chunks_of_about_the_episodes_asked_for():
 def test_a_full_command_arrives_in_time_by_the_assist():
     import jax
 
-    from metropilot.learn.registry import make_learner
+    from metropilot.learn import make_learner
 
     config = PPOConfig(hidden=(4,), initial_bias=1.0, environments=1, rollout=8, minibatches=1)
     task = make_assisted()

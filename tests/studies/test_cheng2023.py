@@ -5,7 +5,7 @@ import pytest
 
 from metropilot.control import Gains
 from metropilot.errors import InputError
-from metropilot.evaluate.tracking import track, tracking_kpis
+from metropilot.evaluate import track_course, tracking_kpis
 from metropilot.physics import davis_n, effort_at
 from metropilot.studies import STUDIES, Order, reproduce
 from metropilot.studies.cheng2023 import setting
@@ -61,7 +61,7 @@ def test_the_bound_of_constant_gains_holds():
     variation, _ = needed()
     what = setting.course()
     for integral in (0.3, 1.5):
-        record = track(what, *pid(Gains(4.0, integral, 0.0)))
+        record = track_course(what, *pid(Gains(4.0, integral, 0.0)))
         found = float(tracking_kpis(what, record).speed_total_mps)
         assert found == pytest.approx(variation / integral, rel=0.3)
 

@@ -9,7 +9,7 @@ import pytest
 from tests.learn.problems import DoubleIntegrator
 
 from metropilot import studies
-from metropilot._registry import Registry, RegistryRow
+from metropilot._registry import RegistryRow
 from metropilot.cli import main
 from metropilot.errors import InputError
 from metropilot.learn import PPOConfig
@@ -40,10 +40,7 @@ SOME = Study("some2020", "Some paper", "Some, A., 2020.", some_report, {"referen
 
 @pytest.fixture
 def registered(monkeypatch):
-    from metropilot.studies import registry
-
-    rows = {"some2020": RegistryRow(SOME, "A study of the tests")}
-    monkeypatch.setattr(registry, "STUDIES", Registry("study", rows))
+    monkeypatch.setattr(STUDIES, "_rows", {"some2020": RegistryRow(SOME, "A study of the tests")})
 
 
 def test_a_row_is_the_median_and_range_of_its_seeds():

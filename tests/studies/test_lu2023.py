@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from metropilot.evaluate import measures
+from metropilot.evaluate import comfort_band_shares
 from metropilot.sim import Trajectory
 from metropilot.studies.lu2023.drives import NotchFront
 from metropilot.studies.lu2023.learning import Converged, converged, faster, meets
@@ -79,6 +79,6 @@ def test_comfort_band_shares():
     columns = {field.name: np.zeros(7) for field in dataclasses.fields(Trajectory)}
     columns["time_s"] = np.array([0.0, 1.0, 3.0, 4.0, 5.0, 7.0, 10.0])
     columns["acceleration_mps2"] = np.array([0.1, 0.5, 0.9, -0.9, 1.7, 2.6, 0.0])
-    shares = measures.comfort_band_shares(Trajectory(**columns))
+    shares = comfort_band_shares(Trajectory(**columns))
     assert list(shares.values()) == pytest.approx([0.1, 0.2, 0.2, 0.0, 0.2, 0.3])
     assert sum(shares.values()) == pytest.approx(1.0)

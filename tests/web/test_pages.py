@@ -9,7 +9,7 @@ from starlette.requests import Request
 
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
-from metropilot.evaluate.style import SERIES, series
+from metropilot.evaluate import SERIES_STYLES, driver_styles
 from metropilot.web.pages.compare import outcome
 from metropilot.web.pages.convoy import member_outcome
 from metropilot.web.pages.form import describe_range, validate
@@ -68,23 +68,23 @@ def test_a_driver_has_one_colour_in_every_picture():
         t["name"]: t["marker"]["color"] for t in front_figure(front, (95.0, 1.0), entries)["data"][2:]
     }
     lines = {t["name"]: t["line"]["color"] for t in compare_figure(entries)["data"] if t["name"] in names}
-    printed = {name: colour for name, (colour, _) in series(names).items()}
+    printed = {name: colour for name, (colour, _) in driver_styles(names).items()}
     assert on_front == lines == printed
-    assert len(set(series(names).values())) == len(names)
+    assert len(set(driver_styles(names).values())) == len(names)
     gaps = [t["line"]["color"] for t in convoy_figure()["data"][:5]]
-    assert gaps == [colour for colour, _ in SERIES[:5]]
+    assert gaps == [colour for colour, _ in SERIES_STYLES[:5]]
 
 
 def test_a_driver_has_one_colour_in_every_comparison():
     usual = ["optimal", "manual", "flat_out", "ppo", "mpc", "pid"]
     every = [*DRIVERS.ids(), "pid:kp=3", "learned:policy=ppo-20260101-120000-ab12"]
-    styles = series(every)
+    styles = driver_styles(every)
     assert len(set(styles.values())) == len(every)
     assert len({styles[name][0] for name in usual}) == len(usual)
-    assert series(every[::-1]) == styles
+    assert driver_styles(every[::-1]) == styles
     for name in every:
-        assert series([name]) == {name: styles[name]}
-        assert series([name, "optimal"])[name] == styles[name]
+        assert driver_styles([name]) == {name: styles[name]}
+        assert driver_styles([name, "optimal"])[name] == styles[name]
     on_front = front_figure(
         {"time_s": [90.0], "energy_j": [1.0], "minimum_running_time_s": 83.0},
         (95.0, 1.0),

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from metropilot.env import PolicyInterface
-from metropilot.env.tables import CURVES, SectionTables, build_tables
+from metropilot.env import PROTECTION_CURVES, PolicyInterface, SectionTables, build_tables
 from metropilot.physics import Track, delay_steps, padded_size, stack, track_arrays, vehicle_arrays
 from metropilot.protection import Bounds, protect
 from metropilot.railway import Restriction, Section, Trainset, load_trainset
@@ -63,12 +62,12 @@ def guard_tables(section: Section, run: Run) -> SectionTables:
     """Protection of a section on the grid of the host loop, and its track; no leading axis."""
     believed = run.scenario.nominal(run.trainset)
     guard = protect(section, believed, declared_bounds(run))
-    curves = [getattr(guard, name) for name in CURVES]
+    curves = [getattr(guard, name) for name in PROTECTION_CURVES]
     none = np.float64(0.0)
     return SectionTables(
         vehicle=vehicle_arrays(believed),
         track=_track(section, believed),
-        protection=guard._replace(**dict.fromkeys(CURVES, none)),
+        protection=guard._replace(**dict.fromkeys(PROTECTION_CURVES, none)),
         ground=np.stack([*curves, np.zeros_like(curves[0])], axis=1),
         to_go=np.zeros((2, 2)),
         minimum_s=none,

@@ -30,10 +30,9 @@ from metropilot.campaign.program import (
     program,
 )
 from metropilot.campaign.rows import FAILED, add_kpis, capture_errors, new_result, peak_memory_mb, prepare_run
-from metropilot.drivers.shipped import AbstractPolicyDriver
+from metropilot.drivers import AbstractPolicyDriver
 from metropilot.errors import Infeasible
-from metropilot.evaluate.optimum import Optimum
-from metropilot.evaluate.run_spec import RunSpec
+from metropilot.evaluate import Optimum, RunSpec
 from metropilot.physics import (
     Forces,
     Track,
@@ -54,11 +53,12 @@ from metropilot.sim import (
     Outcome,
     Run,
     RunState,
+    build_trajectory,
     declared_bounds,
     final_outcome,
     noise_stream,
+    train_limits_at,
 )
-from metropilot.sim.recorder import build_trajectory, limits_at
 
 CURVES = Curves()
 """Energy curves of this worker."""
@@ -216,7 +216,7 @@ def _run_batch(
     """Drive the batch to its end; returns the record, leading axes (steps, runs), and the outcomes."""
     import jax
 
-    from metropilot.learn.compile_cache import keep_compiled
+    from metropilot.learn import keep_compiled
 
     keep_compiled()
     policy = loaded.policy.policy
@@ -319,7 +319,7 @@ def _drive_of(driver_id: str, start: CompiledStart, record: CompiledRow, k: int)
     tracks, told = setting.tracks, own["told"]
     final = tracks[int(told[-1])]
     at, speed = rows["position_m"], rows["speed_mps"]
-    limits = np.where(told > 0, limits_at(tracks[1], at[:-1]), limits_at(tracks[0], at[:-1]))
+    limits = np.where(told > 0, train_limits_at(tracks[1], at[:-1]), train_limits_at(tracks[0], at[:-1]))
     trajectory = build_trajectory(
         setting.vehicle,
         run.dt,
@@ -327,7 +327,7 @@ def _drive_of(driver_id: str, start: CompiledStart, record: CompiledRow, k: int)
         own["acceleration_mps2"],
         Forces(*(force[:last, k] for force in record.forces)),
         own["command"],
-        limit_mps=np.append(limits, limits_at(final, at[-1:])),
+        limit_mps=np.append(limits, train_limits_at(final, at[-1:])),
         permitted_mps=np.append(own["permitted_mps"], own["permitted_mps"][-1]),
     )
     over = float(own["overspeed_mps"].max())

@@ -19,11 +19,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from metropilot._schema import field_specs
-from metropilot.drivers import DRIVERS
-from metropilot.drivers.shipped import AbstractPolicyDriver
-from metropilot.evaluate.driver_options import named_driver
-from metropilot.evaluate.optimum import Objective
-from metropilot.evaluate.run_spec import RunSpec
+from metropilot.drivers import DRIVERS, AbstractPolicyDriver
+from metropilot.evaluate import RunSpec, named_driver
+from metropilot.planning import Objective
 from metropilot.railway import Restriction, load_trainset
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance, TimetableUpdate
 from metropilot.units import KMH_PER_MPS
@@ -245,7 +243,7 @@ def draw_disturbance(disturbance: DisturbanceCase, seed: int) -> dict[str, float
     return found
 
 
-def request_of(campaign: Campaign, case: CampaignCase, scheduled_s: float, length_m: float) -> RunSpec:
+def case_request(campaign: Campaign, case: CampaignCase, scheduled_s: float, length_m: float) -> RunSpec:
     """The request of a row.
 
     Args:

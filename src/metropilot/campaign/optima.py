@@ -12,8 +12,8 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from metropilot.evaluate.optimum import BARELY, OPTIMUM_SPACING_M, Objective, Optimum
-from metropilot.planning import Plan, PlanOptions, minimum_running_time, optimal_plan
+from metropilot.evaluate import OPTIMUM_SPACING_M, OPTIMUM_TOLERANCE, Optimum
+from metropilot.planning import Objective, Plan, PlanOptions, minimum_running_time, optimal_plan
 from metropilot.railway import Section, Trainset
 
 STEP = 0.02
@@ -46,7 +46,7 @@ class EnergyCurve:
         Raises:
             Infeasible: There is no plan.
         """
-        time_s = max(time_s, self.fastest_s * (1.0 + BARELY))
+        time_s = max(time_s, self.fastest_s * (1.0 + OPTIMUM_TOLERANCE))
         share = (time_s / self.fastest_s - 1.0) / STEP
         k = math.floor(share)
         if k < 1:

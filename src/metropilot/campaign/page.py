@@ -50,7 +50,7 @@ POINTS = """
 """
 
 
-def write_report(folder: Path, summary: Mapping[str, Any], about: Mapping[str, str]) -> Path:
+def write_campaign_report(folder: Path, summary: Mapping[str, Any], about: Mapping[str, str]) -> Path:
     """Write ``report.html``, and a folder ``worst/NN`` for each of the worst runs.
 
     Args:
@@ -158,7 +158,7 @@ def _table(rows: Iterable[Mapping[str, Any]], by: Sequence[str]) -> str:
 
 def _pareto(folder: Path, campaign: Campaign) -> str:
     """Energy against time, as inline SVG."""
-    from metropilot.evaluate.style import house_style
+    from metropilot.evaluate import house_style
 
     energy = "energy_wheel_kwh" if campaign.objective == "wheel" else "energy_line_kwh"
     with open_database(folder) as database:
@@ -182,14 +182,14 @@ def pareto_figure(medians: Sequence[Mapping[str, Any]], cloud: Sequence[Mapping[
     """Energy per tonne-kilometre and energy above the optimum, both over running time by the minimum."""
     from matplotlib.figure import Figure
 
-    from metropilot.evaluate.style import GREY, SERIES
+    from metropilot.evaluate import GREY, SERIES_STYLES
 
     figure = Figure(figsize=(10.5, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     drivers = list(dict.fromkeys(row["driver"] for row in medians))
     for k, driver in enumerate(drivers):
-        colour, dashes = SERIES[k % len(SERIES)]
-        marker = "osD^vP*X"[(k // len(SERIES) + k) % 8]
+        colour, dashes = SERIES_STYLES[k % len(SERIES_STYLES)]
+        marker = "osD^vP*X"[(k // len(SERIES_STYLES) + k) % 8]
         points = [row for row in cloud if row["driver"] == driver]
         left.scatter(
             [p["at"] for p in points], [p["used"] for p in points], s=7, alpha=0.3, color=colour, lw=0

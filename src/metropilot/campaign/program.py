@@ -12,11 +12,19 @@ from functools import cache
 from typing import NamedTuple
 
 from metropilot._typing import Array
-from metropilot.drivers.learned import EARLY_S
-from metropilot.env import PolicyInterface
-from metropilot.env.assists import assisted
-from metropilot.env.features import FeatureContext, feature_context, observe
-from metropilot.env.tables import PERMITTED, SectionRows, SectionTables, near_protection, near_track
+from metropilot.drivers import DECISION_EARLY_S
+from metropilot.env import (
+    PERMITTED_COLUMN,
+    FeatureContext,
+    PolicyInterface,
+    SectionRows,
+    SectionTables,
+    apply_assists,
+    feature_context,
+    near_protection,
+    near_track,
+    observe,
+)
 from metropilot.physics import Command, Forces, Vehicle
 from metropilot.policy import Params, PolicySpec, choose_action, network_output
 from metropilot.sim import OutcomeRule, RunParams, RunState, control_period, hold_ended
@@ -204,7 +212,7 @@ def period(
         line_j=after.line_j,
         recovered_j=after.recovered_j,
         command=record.command.share,
-        permitted_mps=guard.ground_at(PERMITTED, place, plant.position_m),
+        permitted_mps=guard.ground_at(PERMITTED_COLUMN, place, plant.position_m),
         overruled=record.intervened,
         told=told,
         overspeed_mps=record.overspeed_mps,
@@ -223,14 +231,14 @@ def _decide(
     output = network_output(spec, params, observe(perception.features, sight), jnp)
     action = choose_action(spec, output, perception.action.allowed(sight, perception.period_s), jnp)
     action = action.astype(before.action.dtype)
-    due = sight.time_s >= before.decided * perception.period_s - EARLY_S
+    due = sight.time_s >= before.decided * perception.period_s - DECISION_EARLY_S
     broken = due & (jnp.all(jnp.isfinite(output)) ^ True)
-    count = ((sight.time_s + EARLY_S) / perception.period_s).astype(jnp.int32) + 1
+    count = ((sight.time_s + DECISION_EARLY_S) / perception.period_s).astype(jnp.int32) + 1
     wanted = perception.action.command(sight, action, perception.period_s)
     action, decided = jnp.where(due, action, before.action), jnp.where(due, count, before.decided)
     wanted = jnp.where(due, wanted.astype(sight.speed_mps.dtype), before.wanted)
     command = perception.action.held(sight, action, wanted)
-    command, stopping = assisted(perception.assists, sight, command, before.stopping, kind.dt)
+    command, stopping = apply_assists(perception.assists, sight, command, before.stopping, kind.dt)
     command = perception.action.settled(sight, command).astype(sight.speed_mps.dtype)
     after = before._replace(command=command, action=action, wanted=wanted, decided=decided, stopping=stopping)
     return after, broken

@@ -14,8 +14,7 @@ from metropilot._schema import field_specs
 from metropilot.campaign.declared import DRAWN, Campaign, DisturbanceCase
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError, renamed
-from metropilot.evaluate import is_file, run_fields
-from metropilot.evaluate.driver_options import make_driver
+from metropilot.evaluate import is_file, make_driver, run_fields
 from metropilot.railway import RESTRICTION_KMH, load_line, load_trainset
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance
 

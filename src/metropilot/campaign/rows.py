@@ -13,15 +13,20 @@ from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any, NamedTuple
 
-from metropilot.campaign.declared import DRAWN, PLANNED, Campaign, CampaignCase, Piece, from_text, request_of
+from metropilot.campaign.declared import (
+    DRAWN,
+    PLANNED,
+    Campaign,
+    CampaignCase,
+    Piece,
+    case_request,
+    from_text,
+)
 from metropilot.errors import Infeasible, MetropilotError
-from metropilot.evaluate.kpis import Kpis, kpis_of
-from metropilot.evaluate.optimum import Optimum, optimum_of
-from metropilot.evaluate.run_spec import RunSpec
+from metropilot.evaluate import Kpis, Optimum, RunSpec, kpis_of, optimum_of
 from metropilot.planning import minimum_running_time
 from metropilot.railway import Section, load_line, load_trainset
-from metropilot.sim import Run
-from metropilot.sim.rollout import Drive, drive
+from metropilot.sim import Drive, Run, drive
 
 WORDS = ("driver", "line", "origin", "destination", "trainset", "load", "time", "disturbance")
 NUMBERS = (
@@ -161,7 +166,7 @@ def prepare_run(campaign: Campaign, case: CampaignCase, result: dict[str, Any]) 
     """Request and run of a row; enters seed, section length and disturbance into its result."""
     section = section_of(case.line, case.origin, case.destination)
     scheduled = scheduled_time(case, section)
-    request = request_of(campaign, case, scheduled, section.length_m)
+    request = case_request(campaign, case, scheduled, section.length_m)
     result |= {"seed": request.seed, "length_m": section.length_m, "scheduled_time_s": scheduled}
     result |= {name: value for name in DRAWN if (value := getattr(request.disturbance, name)) != float("inf")}
     return request, request.run(fastest_s(*case[2:7]))

@@ -27,7 +27,7 @@ def read_campaign(name_or_path: str, drivers: str | None = None) -> Campaign:
         InputError: No such campaign, or something in it cannot be used.
     """
     from metropilot.campaign.reading import campaign_from_toml
-    from metropilot.evaluate.driver_options import make_driver
+    from metropilot.evaluate import make_driver
 
     path = FOLDER / f"{name_or_path}.toml" if name_or_path in shipped_campaigns() else Path(name_or_path)
     if not path.exists():

@@ -18,9 +18,9 @@ from metropilot.campaign.declared import Campaign, Piece, from_text
 from metropilot.campaign.rows import Shard
 from metropilot.errors import InputError
 
-ABOUT, DONE = "campaign.json", "done.txt"
+ABOUT_FILE, DONE_FILE = "campaign.json", "done.txt"
 LINE = re.compile(r"[0-9A-Za-z_.:=-]{1,80} [0-9]{1,9} [0-9]{1,9} [0-9]{1,18} [0-9a-f]+")
-PARTS, TIMINGS = "parts", "timings"
+PARTS_FOLDER, TIMINGS_FOLDER = "parts", "timings"
 
 
 class CampaignStore:
@@ -36,9 +36,9 @@ class CampaignStore:
 
     def __init__(self, folder: Path, campaign: Campaign) -> None:
         self.folder, self.campaign = folder, campaign
-        about = folder / ABOUT
+        about = folder / ABOUT_FILE
         try:
-            for name in (PARTS, TIMINGS):
+            for name in (PARTS_FOLDER, TIMINGS_FOLDER):
                 (folder / name).mkdir(parents=True, exist_ok=True)
             if about.exists():
                 self._check(about)
@@ -66,7 +66,7 @@ class CampaignStore:
 
     def done(self) -> dict[Piece, str]:
         """Shards that are done, each with its checksum: listed, with a file of the listed size."""
-        path, found = self.folder / DONE, {}
+        path, found = self.folder / DONE_FILE, {}
         text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
         lines = text.splitlines(keepends=True)
         pieces = {(key_of(piece.driver), piece.chunk): piece for piece in self.campaign.pieces()}
@@ -84,11 +84,11 @@ class CampaignStore:
 
     def part(self, piece: Piece) -> Path:
         """Path of the results of a shard."""
-        return self.folder / PARTS / key_of(piece.driver) / f"{piece.chunk:06d}.parquet"
+        return self.folder / PARTS_FOLDER / key_of(piece.driver) / f"{piece.chunk:06d}.parquet"
 
     def timing(self, piece: Piece) -> Path:
         """Path of the timings of a shard."""
-        return self.folder / TIMINGS / key_of(piece.driver) / f"{piece.chunk:06d}.parquet"
+        return self.folder / TIMINGS_FOLDER / key_of(piece.driver) / f"{piece.chunk:06d}.parquet"
 
     def keep(self, shard: Shard) -> None:
         """Write a shard, then its line in the list.
@@ -101,7 +101,7 @@ class CampaignStore:
             atomic_write(self.timing(piece), lambda partial: partial.write_bytes(shard.timings))
             atomic_write(self.part(piece), lambda partial: partial.write_bytes(shard.results))
             checksum = sha256(shard.results).hexdigest()[:16]
-            path = self.folder / DONE
+            path = self.folder / DONE_FILE
             torn = _torn(path)
             words = (key_of(piece.driver), piece.chunk, shard.rows, len(shard.results), checksum)
             with path.open("a") as file:
@@ -144,7 +144,7 @@ def stored_campaign(folder: Path) -> Campaign:
         InputError: Not the folder of a campaign.
     """
     try:
-        found = json.loads((folder / ABOUT).read_text())
+        found = json.loads((folder / ABOUT_FILE).read_text())
         campaign = from_text(json.dumps(found["campaign"]))
         known = campaign.rows > 0 and found["digest"] == campaign.digest
         whole = known and len(set(campaign.drivers)) == len(campaign.drivers)

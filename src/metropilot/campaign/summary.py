@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from metropilot._io import atomic_write
 from metropilot.campaign.rows import FAILED, INFEASIBLE
-from metropilot.campaign.store import PARTS, TIMINGS, CampaignStore, stored_campaign
+from metropilot.campaign.store import PARTS_FOLDER, TIMINGS_FOLDER, CampaignStore, stored_campaign
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
@@ -59,8 +59,8 @@ def open_database(folder: Path) -> DuckDBPyConnection:
 
     database = duckdb.connect(config={"memory_limit": "512MB"})
     database.execute(
-        f"CREATE VIEW runs AS SELECT * FROM ({_parts(folder, PARTS)}) AS result "
-        f"LEFT JOIN ({_parts(folder, TIMINGS)}) AS timing USING (row, driver, cell)"
+        f"CREATE VIEW runs AS SELECT * FROM ({_parts(folder, PARTS_FOLDER)}) AS result "
+        f"LEFT JOIN ({_parts(folder, TIMINGS_FOLDER)}) AS timing USING (row, driver, cell)"
     )
     return database
 
@@ -77,13 +77,13 @@ def _parts(folder: Path, kind: str) -> str:
     )
 
 
-def collect(folder: Path) -> None:
+def collect_parts(folder: Path) -> None:
     """Write all parts as one file each: ``results.parquet``, ``timings.parquet``, ordered by row.
 
     Raises:
         InputError: A file cannot be written, or a part cannot be read.
     """
-    for kind, target in ((PARTS, RESULTS_FILE), (TIMINGS, TIMINGS_FILE)):
+    for kind, target in ((PARTS_FOLDER, RESULTS_FILE), (TIMINGS_FOLDER, TIMINGS_FILE)):
         query = f"SELECT * FROM ({_parts(folder, kind)}) ORDER BY row"
         atomic_write(folder / target, lambda partial, query=query: _copy(query, partial))
 

@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from metropilot._io import check_writable
-from metropilot.campaign.declared import Campaign, request_of
+from metropilot.campaign.declared import Campaign, case_request
 from metropilot.campaign.rows import section_of
 from metropilot.errors import MetropilotError
-from metropilot.evaluate.folder import write_run, write_run_toml
-from metropilot.evaluate.kpis import kpis_of
-from metropilot.evaluate.optimum import Optimum, optimum_of
-from metropilot.sim.rollout import Drive, drive
+from metropilot.evaluate import Optimum, kpis_of, optimum_of, write_run, write_run_toml
+from metropilot.sim import Drive, drive
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -60,7 +58,7 @@ def drive_worst(folder: Path, campaign: Campaign, worst: Sequence[Mapping[str, A
         scheduled = row["scheduled_time_s"]
         if case.disturbance.arrival is not None:
             scheduled /= case.disturbance.arrival[0]
-        request = request_of(campaign, case, scheduled, length_m)
+        request = case_request(campaign, case, scheduled, length_m)
         target = folder / WORST / f"{place:02d}"
         check_writable(target)
         picture = ""
@@ -77,7 +75,7 @@ def drive_worst(folder: Path, campaign: Campaign, worst: Sequence[Mapping[str, A
 
 def speed_svg(driven: Drive, optimum: Optimum | None) -> str:
     """The speed of a run over distance, as SVG for a page."""
-    from metropilot.evaluate.style import house_style
+    from metropilot.evaluate import house_style
 
     with house_style():
         text = io.StringIO()
@@ -89,7 +87,7 @@ def speed_figure(driven: Drive, optimum: Optimum | None) -> Figure:
     """Speed over distance with limit, permitted speed, optimum and interventions of protection."""
     from matplotlib.figure import Figure
 
-    from metropilot.evaluate.picture import draw_speed, set_distance
+    from metropilot.evaluate import draw_speed, set_distance
 
     figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
     axes = figure.subplots()

@@ -52,10 +52,14 @@ def campaign_command(
     After an interruption the same command resumes it. Exit code 0: every run was safe, and arrived on time
     where that was possible; 1: not; 2: invalid input.
     """
-    from metropilot.campaign import read_campaign, run_campaign, summarise
-    from metropilot.campaign.leaderboard import write_leaderboard
-    from metropilot.campaign.page import write_report
-    from metropilot.campaign.summary import collect
+    from metropilot.campaign import (
+        collect_parts,
+        read_campaign,
+        run_campaign,
+        summarise,
+        write_campaign_report,
+        write_leaderboard,
+    )
 
     campaign = read_campaign(file, drivers)
     folder = out or Path("campaigns") / Path(file).stem
@@ -65,10 +69,10 @@ def campaign_command(
         )
     began = perf_counter()
     progress = run_campaign(campaign, folder, workers, cluster, _Saying(campaign))
-    collect(folder)
+    collect_parts(folder)
     summary = summarise(folder)
     summary |= sitting(progress, workers, cluster)
-    write_report(folder, summary, circumstances(progress, workers, cluster))
+    write_campaign_report(folder, summary, circumstances(progress, workers, cluster))
     if write_docs is not None:
         write_leaderboard(write_docs, folder, summary, perf_counter() - began, f"metropilot campaign {file}")
     if as_json:

@@ -92,7 +92,7 @@ def drivers_command(
     as_json: opt.Json = False,
 ) -> int:
     """List the drivers, or those of followers in a convoy."""
-    from metropilot.convoy.drivers import FOLLOWERS
+    from metropilot.convoy import FOLLOWERS
     from metropilot.drivers import DRIVERS
 
     registry = FOLLOWERS if followers else DRIVERS

@@ -55,7 +55,7 @@ def drivers(incomplete: str) -> list[str]:
 
 def followers(incomplete: str) -> list[str]:
     """Ids of the drivers of followers."""
-    from metropilot.convoy.drivers import FOLLOWERS
+    from metropilot.convoy import FOLLOWERS
 
     return _matching(FOLLOWERS.ids(), incomplete)
 

@@ -13,8 +13,7 @@ from metropilot.cli.console import console, number, print_json, requirements, ta
 from metropilot.errors import InputError, renamed
 
 if TYPE_CHECKING:
-    from metropilot.convoy.kpis import ConvoyKpis, MemberKpis
-    from metropilot.convoy.request import ConvoyRequest
+    from metropilot.convoy import ConvoyKpis, ConvoyRequest, MemberKpis
 
 EXAMPLES = {
     "convoy": (
@@ -100,8 +99,7 @@ def convoy_command(
 
     Exit code 0: every trainset met every requirement shown; 1: not; 2: invalid input.
     """
-    from metropilot.convoy.link import Link
-    from metropilot.convoy.request import ConvoyRequest
+    from metropilot.convoy import ConvoyRequest, Link
     from metropilot.evaluate import RunSpec
 
     where, options = {"line": line, "origin": origin, "destination": destination}, given.pop("options")
@@ -135,8 +133,7 @@ def _factors(text: str | None) -> tuple[float, ...]:
 def run_and_report(request: ConvoyRequest, out: Path | None, *, as_json: bool) -> int:
     """Drive, print and write; return the exit code."""
     from metropilot._io import check_writable
-    from metropilot.convoy.folder import write_convoy
-    from metropilot.convoy.kpis import convoy_kpis
+    from metropilot.convoy import convoy_kpis, write_convoy
 
     if out is not None:
         check_writable(out)

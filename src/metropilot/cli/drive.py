@@ -40,8 +40,7 @@ def drive_command(
 
     Exit code 0: every requirement shown was met; 1: not; 2: invalid input.
     """
-    from metropilot.evaluate import RunSpec, run_from_toml
-    from metropilot.evaluate.run_spec import in_run_toml
+    from metropilot.evaluate import RunSpec, in_run_toml, run_from_toml
 
     if again is not None:
         if line is not None:

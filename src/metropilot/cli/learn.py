@@ -15,8 +15,7 @@ from metropilot.cli.console import print_json
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
-    from metropilot.learn import RunRecord, RunRequest, RunStore
-    from metropilot.learn.loop import Evaluate
+    from metropilot.learn import PolicyEvaluation, RunRecord, RunRequest, RunStore
 
 INTERRUPTED = 130
 ASKED = "What to learn"
@@ -80,8 +79,7 @@ def learn_command(
     """
     from dataclasses import replace
 
-    from metropilot.learn.config import TeacherConfig
-    from metropilot.learn.recipes import evaluation_of, new_request, resumed_request
+    from metropilot.learn import TeacherConfig, evaluation_of, new_request, resumed_request
 
     if resume is not None:
         new = {"driver": driver, "task": task, "seed": seed, "steps": steps, "budget": budget, "out": out}
@@ -92,7 +90,7 @@ def learn_command(
         request = replace(resumed_request(record), tensorboard=tensorboard)
         return learn_and_report(store, request, record, evaluation_of(request), as_json=as_json)
     if driver is None:
-        from metropilot.learn.recipes import RECIPES
+        from metropilot.learn import RECIPES
 
         raise InputError("missing", field="driver", allowed=", ".join(RECIPES) + ", or --resume RUN")
     budget, seed = budget or "quick", seed or 0
@@ -141,13 +139,13 @@ def setting(text: str) -> tuple[str, Any]:
     return name, value
 
 
-def _check_steps(request: RunRequest, evaluate: Evaluate) -> None:
+def _check_steps(request: RunRequest, evaluate: PolicyEvaluation) -> None:
     """Reject fewer steps than a run can have, and report more steps than requested.
 
     Raises:
         InputError: Fewer steps than every evaluation has after one iteration.
     """
-    from metropilot.learn.loop import make_loop
+    from metropilot.learn import make_loop
 
     loop = make_loop(request.config, request.task, evaluate)
     asked, whole = request.config.steps, loop.learner.iteration_steps
@@ -191,8 +189,7 @@ def new_run(request: RunRequest, out: Path | None) -> tuple[RunStore, RunRecord]
         InputError: The folder cannot be written.
     """
     from metropilot._dirs import runs_folder
-    from metropilot.learn import RunStore
-    from metropilot.learn.train import begin_run
+    from metropilot.learn import RunStore, begin_run
 
     if out is None:
         store = RunStore(runs_folder())
@@ -233,7 +230,7 @@ def report_done(store: RunStore, record: RunRecord, *, as_json: bool) -> int:
 
 
 def learn_and_report(
-    store: RunStore, request: RunRequest, record: RunRecord, evaluate: Evaluate, *, as_json: bool
+    store: RunStore, request: RunRequest, record: RunRecord, evaluate: PolicyEvaluation, *, as_json: bool
 ) -> int:
     """Learn with progress and print the result; return the exit code."""
     from metropilot.cli.learn_report import LearnReport

@@ -66,7 +66,7 @@ def with_run_options(
 
         @wraps(command)
         def called(**given: Any) -> int:  # noqa: ANN401 (what was typed)
-            from metropilot.evaluate.driver_options import named_option
+            from metropilot.evaluate import named_option
 
             if "options" in keys:
                 given["options"] = dict(map(named_option, given["options"] or ()))

@@ -50,7 +50,7 @@ class PlanArguments(NamedTuple):
 
 def run(asked: PlanArguments, section: Section, time_s: float | None) -> int:
     """One run between two stations."""
-    from metropilot.evaluate.gallery import plan_figure
+    from metropilot.evaluate import plan_figure
 
     time_s = time_s if time_s is not None else section.planned_time_s
     if time_s is None:
@@ -136,13 +136,13 @@ def deliver(
     """Write the requested files, then print."""
     written = []
     if asked.out is not None:
-        from metropilot.evaluate.style import save
+        from metropilot.evaluate import save_figure
 
         with fill_folder(asked.out) as scratch:
             write_json(scratch / "plan.json", values)
             if plan is not None:
                 write_profile(scratch / "plan.csv", plan)
-            save(draw(), scratch / "plan")
+            save_figure(draw(), scratch / "plan")
             written = sorted(path.name for path in scratch.iterdir())
     if asked.as_json:
         print_json(values)
@@ -164,7 +164,7 @@ def write_profile(path: Path, plan: Plan) -> None:
 
 def front(asked: PlanArguments, section: Section) -> int:
     """Optimal energy over running time."""
-    from metropilot.evaluate.gallery import front_figure
+    from metropilot.evaluate import front_figure
 
     with working(f"planning {section.name} at twelve running times"):
         found = time_energy_front(section, asked.trainset, options=asked.options)
@@ -266,7 +266,7 @@ def journey(
 def _journey(
     asked: PlanArguments, line: Line, found: JourneyPlan, origin: Station, destination: Station
 ) -> int:
-    from metropilot.evaluate.gallery import plan_figure
+    from metropilot.evaluate import plan_figure
 
     calls = [asdict(call) for call in found.calls]
     values = {

@@ -113,11 +113,11 @@ def _say(line: str) -> None:
 
 def _report(report: StudyReport, folder: Path) -> None:
     """Print the tables."""
-    from metropilot.studies.page import numbers
+    from metropilot.studies import row_numbers
 
     out = console()
     for name, rows in report.tables().items():
-        cells = [(r.case, r.driver, r.kpi, r.unit, *numbers(r)) for r in rows]
+        cells = [(r.case, r.driver, r.kpi, r.unit, *row_numbers(r)) for r in rows]
         columns = ("case", "driver", "KPI", "unit", "published", "ours", "range", "optimum")
         out.print(table(name, columns, cells, right=(4, 5, 6, 7), spare=("range", "unit")))
     heading(out, "Findings", report.remarks)

@@ -68,7 +68,7 @@ def runs_command(
 def tasks_command(as_json: opt.Json = False) -> int:
     """List the tasks that can be learned."""
     from metropilot.env import TASKS
-    from metropilot.learn.recipes import RECIPES
+    from metropilot.learn import RECIPES
 
     used = {name: [key for key in RECIPES if RECIPES.get(key).task == name] for name in TASKS}
     if as_json:

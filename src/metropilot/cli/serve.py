@@ -50,8 +50,7 @@ def serve_command(
     restart interrupts can be resumed.
     """
     try:
-        from metropilot.web import Settings, serve
-        from metropilot.web.settings import data_folder
+        from metropilot.web import Settings, data_folder, serve
 
         import_check()
     except ModuleNotFoundError as error:

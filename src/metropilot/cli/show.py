@@ -46,7 +46,7 @@ def show_command(
     as_json: opt.Json = False,
 ) -> int:
     """Show a line, a trainset, a driver, a policy or a run."""
-    from metropilot.convoy.drivers import FOLLOWERS
+    from metropilot.convoy import FOLLOWERS
     from metropilot.drivers import DRIVERS
     from metropilot.railway import list_lines, list_trainsets, load_line, load_trainset
 
@@ -88,7 +88,7 @@ def run_of_id(what: str) -> tuple[RunRecord, Path] | None:
 def show_run_folder(folder: Path, *, as_json: bool) -> int:
     """Show the folder of a learning run or of a drive."""
     from metropilot.cli.learn import found_run
-    from metropilot.learn.run_store import read_record
+    from metropilot.learn import read_record
 
     if read_record(folder / "run.toml") is None:
         return show_run(folder, as_json=as_json)

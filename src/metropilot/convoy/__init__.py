@@ -1,41 +1,86 @@
 """Virtually coupled trainsets: model, link, environment, followers, rollout, key figures."""
 
+from __future__ import annotations
+
 from typing import TYPE_CHECKING
 
-from metropilot.convoy.drivers import FOLLOWERS, AbstractFollower
-from metropilot.convoy.env import ConvoyTask, ConvoyTaskConfig
-from metropilot.convoy.kpis import ConvoyKpis, MemberKpis, convoy_kpis
-from metropilot.convoy.link import Link
-from metropilot.convoy.model import Convoy
-from metropilot.convoy.request import ConvoyRequest
-from metropilot.convoy.rollout import ConvoyDrive, ConvoyRollout, HeadRun, drive_convoy
+from metropilot._lazy import lazy_door
 
 if TYPE_CHECKING:
+    from metropilot.convoy.attack import (
+        ATTACKED_HEADS,
+        LONGEST_EMERGENCY_S,
+        AttackArena,
+        AttackCampaign,
+        AttackCase,
+    )
+    from metropilot.convoy.drivers import FOLLOWERS, AbstractFollower, register_follower
+    from metropilot.convoy.drivers.learned import AbstractGainFollower, FollowPolicyOptions
+    from metropilot.convoy.env import MAX_PERIODS, ConvoyTask, ConvoyTaskConfig
+    from metropilot.convoy.folder import write_convoy
+    from metropilot.convoy.headway import ConvoyService, needed_gap_m
+    from metropilot.convoy.kpis import ConvoyKpis, MemberKpis, convoy_kpis
+    from metropilot.convoy.leaders import record_leader, reference_speeds
+    from metropilot.convoy.link import Link, LinkQuality
+    from metropilot.convoy.model import GAP_M, Convoy, ConvoyGuard, convoy_members
     from metropilot.convoy.pettingzoo import ConvoyParallelEnv
+    from metropilot.convoy.request import ConvoyRequest
+    from metropilot.convoy.rollout import ConvoyDrive, ConvoyRollout, HeadRun, drive_convoy
+    from metropilot.convoy.stability import speed_gains
 
 __all__ = [
+    "ATTACKED_HEADS",
     "FOLLOWERS",
+    "GAP_M",
+    "LONGEST_EMERGENCY_S",
+    "MAX_PERIODS",
     "AbstractFollower",
+    "AbstractGainFollower",
+    "AttackArena",
+    "AttackCampaign",
+    "AttackCase",
     "Convoy",
     "ConvoyDrive",
+    "ConvoyGuard",
     "ConvoyKpis",
     "ConvoyParallelEnv",
     "ConvoyRequest",
     "ConvoyRollout",
+    "ConvoyService",
     "ConvoyTask",
     "ConvoyTaskConfig",
+    "FollowPolicyOptions",
     "HeadRun",
     "Link",
+    "LinkQuality",
     "MemberKpis",
     "convoy_kpis",
+    "convoy_members",
     "drive_convoy",
+    "needed_gap_m",
+    "record_leader",
+    "reference_speeds",
+    "register_follower",
+    "speed_gains",
+    "write_convoy",
 ]
 
-
-def __getattr__(name: str) -> object:
-    # PettingZoo belongs to the extra ``rl``: it is imported when the environment is asked for.
-    if name == "ConvoyParallelEnv":
-        from metropilot.convoy.pettingzoo import ConvoyParallelEnv
-
-        return ConvoyParallelEnv
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__, __dir__ = lazy_door(
+    __name__,
+    {
+        "attack": ("ATTACKED_HEADS", "AttackArena", "AttackCampaign", "AttackCase", "LONGEST_EMERGENCY_S"),
+        "drivers": ("AbstractFollower", "FOLLOWERS", "register_follower"),
+        "drivers.learned": ("AbstractGainFollower", "FollowPolicyOptions"),
+        "env": ("ConvoyTask", "ConvoyTaskConfig", "MAX_PERIODS"),
+        "folder": ("write_convoy",),
+        "headway": ("ConvoyService", "needed_gap_m"),
+        "kpis": ("ConvoyKpis", "MemberKpis", "convoy_kpis"),
+        "leaders": ("record_leader", "reference_speeds"),
+        "link": ("Link", "LinkQuality"),
+        "model": ("Convoy", "ConvoyGuard", "GAP_M", "convoy_members"),
+        "pettingzoo": ("ConvoyParallelEnv",),
+        "request": ("ConvoyRequest",),
+        "rollout": ("ConvoyDrive", "ConvoyRollout", "HeadRun", "drive_convoy"),
+        "stability": ("speed_gains",),
+    },
+)

@@ -16,8 +16,8 @@ import numpy as np
 from metropilot.convoy.batch import advanced, exchanged, gaps_m, sights, stacked
 from metropilot.convoy.drivers import FOLLOWERS
 from metropilot.convoy.leaders import recordings
-from metropilot.convoy.link import Channel, Message, Quality
-from metropilot.convoy.model import FAR_M, Convoy, Guard, Member, members
+from metropilot.convoy.link import Channel, LinkQuality, Message
+from metropilot.convoy.model import FAR_M, Convoy, ConvoyGuard, Member, convoy_members
 from metropilot.convoy.step import FollowerObservation, MemberState, ahead_of, at_departure
 from metropilot.physics import to_jax
 from metropilot.protection import spare_gap
@@ -27,9 +27,9 @@ from metropilot.sim import true_vehicle
 Array = Any
 HARMFUL = ("full traction", "random", "bang-bang", "stuck", "late brake", "follow_gap")
 """What followers do, each a draw of its own."""
-HEADS = 24
+ATTACKED_HEADS = 24
 LONGEST_S = 34.0
-EMERGENCY_S = 6.0
+LONGEST_EMERGENCY_S = 6.0
 ROWS_S = 120.0
 
 
@@ -60,7 +60,7 @@ class AttackCampaign:
     destination: str = "WHY"
     trainset: str = "cheng2023"
     count: int = 2
-    guard: Guard = "coupled"
+    guard: ConvoyGuard = "coupled"
     mass: tuple[float, float] = (0.8, 1.2)
     resistance: tuple[float, float] = (0.5, 1.5)
     delay_s: float = 0.6
@@ -81,7 +81,7 @@ class AttackCase(NamedTuple):
     mass: Array
     resistance: Array
     scatter: Array
-    quality: Quality
+    quality: LinkQuality
     manner: Array
     share: Array
 
@@ -115,7 +115,7 @@ class Tally(NamedTuple):
         return int((self.gap_min_m < 0.0).sum())
 
 
-class Arena:
+class AttackArena:
     """A campaign ready to run: one compiled program for any number of cases.
 
     Args:
@@ -137,13 +137,13 @@ class Arena:
         )
         self.dt, self.rows = convoy.dt, round(ROWS_S / convoy.dt)
         self.steps = round(LONGEST_S / convoy.dt)
-        rows = members(convoy, np.float32)
+        rows = convoy_members(convoy, np.float32)
         self.members: Member = to_jax(stacked(rows))
         ahead = (None, *rows[:-1])
         first = [at_departure(m, a, self.dt) for m, a in zip(rows, ahead, strict=True)]
         self.first: MemberState = to_jax(stacked(first))
         heads = recordings(
-            *replace(convoy, guard="coupled").leader(), self.dt, HEADS, campaign.seed, self.rows
+            *replace(convoy, guard="coupled").leader(), self.dt, ATTACKED_HEADS, campaign.seed, self.rows
         )
         self.heads = to_jax(stacked(heads))
         self.follower = FOLLOWERS.make("follow_gap")
@@ -175,16 +175,16 @@ class Arena:
         keys = jax.random.split(key, 4)
         u = jax.random.uniform(keys[0], (8,), f32)
         each = jax.random.uniform(keys[1], (3, n), f32)
-        row = jax.random.randint(keys[2], (), 0, HEADS)
+        row = jax.random.randint(keys[2], (), 0, ATTACKED_HEADS)
         stop = jnp.sum((self.heads.speed_mps[row] > 0.0).astype(jnp.int32))
-        silent = jnp.where(u[4] < c.silence, u[5] * 2.0 * EMERGENCY_S, jnp.inf)
-        quality = Quality(c.delay_s * u[1], c.jitter_s * u[2], c.loss * u[3], silent.astype(f32))
+        silent = jnp.where(u[4] < c.silence, u[5] * 2.0 * LONGEST_EMERGENCY_S, jnp.inf)
+        quality = LinkQuality(c.delay_s * u[1], c.jitter_s * u[2], c.loss * u[3], silent.astype(f32))
         corner = jnp.round(each)
         each = jnp.where(u[6] < 0.5, corner, each)
         return AttackCase(
             row=row,
             period=(u[0] * 0.95 * stop.astype(f32)).astype(jnp.int32),
-            emergency_s=EMERGENCY_S * u[7],
+            emergency_s=LONGEST_EMERGENCY_S * u[7],
             mass=c.mass[0] + (c.mass[1] - c.mass[0]) * each[0],
             resistance=c.resistance[0] + (c.resistance[1] - c.resistance[0]) * each[1],
             scatter=c.scatter_mps2 * each[2],
@@ -332,5 +332,5 @@ class Arena:
 
 
 def attack(campaign: AttackCampaign, cases: int, batch: int = 2000) -> Tally:
-    """Run a campaign; see :class:`Arena`."""
-    return Arena(campaign).run(cases, batch)
+    """Run a campaign; see :class:`AttackArena`."""
+    return AttackArena(campaign).run(cases, batch)

@@ -13,16 +13,16 @@ from metropilot.control import Errors, incremental_pid
 from metropilot.convoy.batch import advanced, exchanged, gaps_m, sights, stacked
 from metropilot.convoy.gains import chen2023b_state, gains_of
 from metropilot.convoy.leaders import recordings
-from metropilot.convoy.link import Message, Quality, opened
-from metropilot.convoy.model import CONVOY_PERIOD_S, FAR_M, GAP_M, Convoy, Member, members
+from metropilot.convoy.link import LinkQuality, Message, opened
+from metropilot.convoy.model import CONVOY_PERIOD_S, FAR_M, GAP_M, Convoy, Member, convoy_members
 from metropilot.convoy.step import MemberState, at_departure
-from metropilot.env.interface import AbstractTask, ActionSpace, Transition
+from metropilot.env import AbstractTask, ActionSpace, Transition
 from metropilot.physics import namespace, to_jax
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import true_vehicle
 
 Array = Any
-ROWS = 1200
+MAX_PERIODS = 1200
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class FollowState(NamedTuple):
     row: Array
     period: Array
     mass: Array
-    quality: Quality
+    quality: LinkQuality
     emergency_s: Array
     states: MemberState
     errors: Errors
@@ -129,9 +129,9 @@ class ConvoyTask(AbstractTask):
         for name in config.trainsets:
             trainset = load_trainset(name)
             convoy = Convoy(section, (trainset, trainset), gap_m=config.gap_m, guard="coupled", dt=config.dt)
-            pair = members(replace(convoy), np.float32)
+            pair = convoy_members(replace(convoy), np.float32)
             bare = [member._replace(protection=None) for member in pair]
-            found = recordings(*convoy.leader(), config.dt, config.heads, config.seed, ROWS)
+            found = recordings(*convoy.leader(), config.dt, config.heads, config.seed, MAX_PERIODS)
             pairs += [stacked(bare)] * len(found)
             heads += found
         self.members: Member = to_jax(_rows(pairs))
@@ -162,7 +162,7 @@ class ConvoyTask(AbstractTask):
         off = (u[0] < config.disturbed).astype(f32)
         low, high = config.mass
         mass = 1.0 + off * (low + (high - low) * u[1] - 1.0)
-        quality = Quality(
+        quality = LinkQuality(
             off * config.delay_s * u[2], 0.0 * off, off * config.loss * u[3], jnp.asarray(jnp.inf, f32)
         )
         stop = jnp.sum((self.heads.speed_mps[row] > 0.0).astype(jnp.int32))
@@ -179,13 +179,13 @@ class ConvoyTask(AbstractTask):
         return state, self._observe(state)
 
     def begin(
-        self, row: Array, mass: float = 1.0, quality: Quality | None = None
+        self, row: Array, mass: float = 1.0, quality: LinkQuality | None = None
     ) -> tuple[FollowState, Array]:
         """An undisturbed episode from standstill behind one of the heads."""
         import jax.numpy as jnp
 
         zero, f32 = jnp.zeros((), jnp.float32), jnp.float32
-        quality = quality or Quality(zero, zero, zero, jnp.asarray(jnp.inf, f32))
+        quality = quality or LinkQuality(zero, zero, zero, jnp.asarray(jnp.inf, f32))
         at = jnp.asarray(row, jnp.int32)
         states = self._placed(at, jnp.zeros((), jnp.int32), jnp.zeros((2,), f32))
         state = FollowState(
@@ -212,7 +212,7 @@ class ConvoyTask(AbstractTask):
         share, errors = incremental_pid(
             seen.command, gains_of(action), seen.ahead_mps - seen.speed_mps, state.errors
         )
-        row = jnp.minimum(state.period, ROWS - 1)
+        row = jnp.minimum(state.period, MAX_PERIODS - 1)
         head = self.heads.command[state.row, row]
         alarm = jnp.stack([now >= state.emergency_s, jnp.zeros((), bool)])
         states = advanced(pair, state.states, jnp.stack([head, share]), alarm, now, dt)
@@ -225,7 +225,7 @@ class ConvoyTask(AbstractTask):
         )
         after = self._exchange(after, jax.random.uniform(key, (2, 2), jnp.float32))
         stand = jnp.all(states.plant.speed_mps <= 0.0) & (self._now(after) > 8.0)
-        over = (after.period >= ROWS) | stand
+        over = (after.period >= MAX_PERIODS) | stand
         reward = sum(terms.values(), jnp.zeros((), jnp.float32))
         return after, Transition(self._observe(after), reward, contact, over & ~contact, terms)
 

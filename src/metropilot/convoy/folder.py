@@ -10,7 +10,7 @@ from metropilot._provenance import provenance
 from metropilot.convoy.kpis import ConvoyKpis
 from metropilot.convoy.request import ConvoyRequest
 from metropilot.convoy.rollout import ConvoyDrive
-from metropilot.evaluate.folder import carried
+from metropilot.evaluate import copy_inputs
 from metropilot.units import KMH_PER_MPS
 
 if TYPE_CHECKING:
@@ -33,17 +33,17 @@ def write_convoy(folder: Path, request: ConvoyRequest, drive: ConvoyDrive, kpis:
     Raises:
         InputError: The folder cannot be made or written.
     """
-    from metropilot.evaluate.style import save
+    from metropilot.evaluate import save_figure
 
     with fill_folder(folder) as scratch:
         for k, trajectory in enumerate(drive.trajectories, 1):
             trajectory.write(scratch / f"trajectory-{k}.csv")
         write_json(scratch / "kpis.json", kpis.as_dict())
-        head = carried(scratch, request.head.resolved()).values()
+        head = copy_inputs(scratch, request.head.resolved()).values()
         write_json(
             scratch / "run.json", {"run": {**request.table(), "head": head}, "made_with": provenance()}
         )
-        save(convoy_figure(drive, kpis), scratch / "convoy")
+        save_figure(convoy_figure(drive, kpis), scratch / "convoy")
 
 
 def convoy_figure(drive: ConvoyDrive, kpis: ConvoyKpis) -> Figure:
@@ -53,12 +53,20 @@ def convoy_figure(drive: ConvoyDrive, kpis: ConvoyKpis) -> Figure:
         drive: The run.
         kpis: Its KPIs, for the line under the title.
     """
-    from metropilot.evaluate.style import BLACK, GREY, SERIES, headline, house_style, label, new_panels
+    from metropilot.evaluate import (
+        BLACK,
+        GREY,
+        SERIES_STYLES,
+        add_headline,
+        house_style,
+        label_panel,
+        new_panels,
+    )
 
     with house_style():
         figure, (speed, gap, apart) = new_panels(WIDTH_IN, HEIGHT_IN, (5.0, 4.0, 3.0))
         for k, t in enumerate(drive.trajectories):
-            colour, dashes = (BLACK, "-") if k == 0 else SERIES[(k - 1) % len(SERIES)]
+            colour, dashes = (BLACK, "-") if k == 0 else SERIES_STYLES[(k - 1) % len(SERIES_STYLES)]
             name = f"head ({drive.head})" if k == 0 else f"{k + 1}"
             speed.plot(t.time_s, KMH_PER_MPS * t.speed_mps, color=colour, linestyle=dashes, label=name)
             if k:
@@ -67,8 +75,8 @@ def convoy_figure(drive: ConvoyDrive, kpis: ConvoyKpis) -> Figure:
         gap.axhline(drive.convoy.gap_m, color=GREY, linewidth=0.8, zorder=1)
         gap.axhline(0.0, color="#B00020", linewidth=0.8, zorder=1)
         speed.set_ylabel("speed (km/h)")
-        label(gap, f"gap to the trainset ahead (m); grey: wanted {drive.convoy.gap_m:g} m")
-        label(apart, "speed ahead less own speed (m/s)")
+        label_panel(gap, f"gap to the trainset ahead (m); grey: wanted {drive.convoy.gap_m:g} m")
+        label_panel(apart, "speed ahead less own speed (m/s)")
         apart.set_xlabel("time since departure (s)")
         section = drive.convoy.section
         title = f"{section.origin.name} – {section.destination.name}, {len(drive.trajectories)} trainsets"
@@ -76,5 +84,5 @@ def convoy_figure(drive: ConvoyDrive, kpis: ConvoyKpis) -> Figure:
             f"{drive.follower}, {drive.convoy.guard}: gap {kpis.gap_min_m:.2f} to {kpis.gap_max_m:.2f} m, "
             f"speed difference at most {kpis.speed_difference_max_mps:.2f} m/s, {kpis.contacts} contacts"
         )
-        headline(speed, title, below)
+        add_headline(speed, title, below)
         return figure

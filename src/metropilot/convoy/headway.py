@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metropilot.convoy.model import Convoy, Guard, members
+from metropilot.convoy.model import Convoy, ConvoyGuard, convoy_members
 from metropilot.protection import TrainAhead, at_start, spare_gap
 
 OVERLAP_M = 20.0
 
 
-def needed_gap_m(convoy: Convoy, guard: Guard, speed_mps: float, age_s: float = 0.0) -> float:
+def needed_gap_m(convoy: Convoy, guard: ConvoyGuard, speed_mps: float, age_s: float = 0.0) -> float:
     """Gap, rear to front, that lets the last follower hold a common steady speed without being overruled.
 
     Args:
@@ -21,7 +21,7 @@ def needed_gap_m(convoy: Convoy, guard: Guard, speed_mps: float, age_s: float = 
         speed_mps: Speed of both.
         age_s: Age of the last message.
     """
-    pair = members(replace(convoy, guard=guard))
+    pair = convoy_members(replace(convoy, guard=guard))
     own = pair[-1]
     if own.protection is None:
         return 0.0

@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 
 from metropilot.convoy.rollout import ConvoyDrive
-from metropilot.evaluate import measures
-from metropilot.evaluate.kpis import (
-    JERK,
-    NO_INTERVENTION,
-    NO_OVERSPEED,
-    ON_TIME,
-    STOPS,
+from metropilot.evaluate import (
+    INTERVENTION_CHECK,
+    JERK_CHECK,
+    OVERSPEED_CHECK,
+    STOP_CHECK,
+    TIME_CHECK,
     Check,
     checks,
+    command_variation,
+    max_jerk,
     verdict_words,
 )
 from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M, Outcome
@@ -166,11 +167,11 @@ class ConvoyKpis:
 
 
 WORST: Mapping[str, Callable[[MemberKpis], float]] = {
-    STOPS: lambda m: abs(m.stopping_error_m),
-    ON_TIME: lambda m: abs(m.time_error_s),
-    NO_OVERSPEED: lambda m: m.max_overspeed_mps,
-    NO_INTERVENTION: lambda m: m.interventions,
-    JERK: lambda m: m.max_jerk_mps3,
+    STOP_CHECK: lambda m: abs(m.stopping_error_m),
+    TIME_CHECK: lambda m: abs(m.time_error_s),
+    OVERSPEED_CHECK: lambda m: m.max_overspeed_mps,
+    INTERVENTION_CHECK: lambda m: m.interventions,
+    JERK_CHECK: lambda m: m.max_jerk_mps3,
 }
 """By which measure the worst trainset of a requirement is found."""
 
@@ -255,8 +256,8 @@ def _member(drive: ConvoyDrive, k: int, scheduled_time_s: float, mark_m: float) 
         max_speed_mps=float(t.speed_mps.max()),
         max_acceleration_mps2=float(max(t.acceleration_mps2.max(), 0.0)),
         max_deceleration_mps2=float(max(-t.acceleration_mps2.min(), 0.0)),
-        max_jerk_mps3=measures.max_jerk(t),
+        max_jerk_mps3=max_jerk(t),
         jerk_limit_mps3=limit if np.isfinite(limit) else None,
-        comfort_huang2025=measures.command_variation(t),
+        comfort_huang2025=command_variation(t),
         decision_time_us_median=drive.decision_us[k] if k else None,
     )

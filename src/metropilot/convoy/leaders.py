@@ -54,7 +54,7 @@ class Recording(NamedTuple):
         )
 
 
-def record(section: Section, trainset: Trainset, speeds_mps: ndarray, dt: float) -> Recording:
+def record_leader(section: Section, trainset: Trainset, speeds_mps: ndarray, dt: float) -> Recording:
     """Drive a trainset along speeds over time, as closely as its efforts allow (NumPy).
 
     Args:
@@ -151,5 +151,5 @@ def recordings(
         else:
             habits = Restless(random.uniform(8.0, 20.0), random.uniform(0.4, 0.68), random.uniform(0.4, 1.0))
             speeds = restless_speeds(habits, random, dt)
-        found.append(record(section, trainset, speeds, dt).padded(rows))
+        found.append(record_leader(section, trainset, speeds, dt).padded(rows))
     return found

@@ -41,12 +41,14 @@ class Link:
         if not self.silent_from_s >= 0.0:
             raise InputError("out of range", field="silent_from_s", value=self.silent_from_s, allowed=">= 0")
 
-    def numbers(self, dtype: type = np.float64) -> Quality:
+    def numbers(self, dtype: type = np.float64) -> LinkQuality:
         """The same as plain numbers."""
-        return Quality(dtype(self.delay_s), dtype(self.jitter_s), dtype(self.loss), dtype(self.silent_from_s))
+        return LinkQuality(
+            dtype(self.delay_s), dtype(self.jitter_s), dtype(self.loss), dtype(self.silent_from_s)
+        )
 
 
-class Quality(NamedTuple):
+class LinkQuality(NamedTuple):
     """A :class:`Link` as numbers. All 0-d."""
 
     delay_s: Array
@@ -95,7 +97,7 @@ def opened(first: Message) -> Channel:
     return Channel(sent, np.full(SLOTS, np.inf, np.asarray(first.stamp_s).dtype), first)
 
 
-def passed_on(channel: Channel, quality: Quality, message: Message, luck: Array) -> Channel:
+def passed_on(channel: Channel, quality: LinkQuality, message: Message, luck: Array) -> Channel:
     """Send one message and take in what has arrived by now.
 
     Args:

@@ -8,17 +8,16 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from metropilot.convoy.link import Link, Quality
+from metropilot.convoy.link import Link, LinkQuality
 from metropilot.errors import InputError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
 from metropilot.protection import Bounds, PairBounds, Protection, Separation, protect, separate
 from metropilot.railway import Section, Steps, Trainset
-from metropilot.sim import true_vehicle
-from metropilot.sim.bounds import MASS
+from metropilot.sim import MASS_SCATTER, true_vehicle
 
 Array = Any
-Guard = Literal["coupled", "independent", "moving_block", "none"]
-GUARDS: tuple[Guard, ...] = get_args(Guard)
+ConvoyGuard = Literal["coupled", "independent", "moving_block", "none"]
+GUARDS: tuple[ConvoyGuard, ...] = get_args(ConvoyGuard)
 CONVOY_PERIOD_S = 0.1
 """Control period of a convoy. What a PID on the speed difference leaves of the gap grows with it."""
 GAP_M = 5.92
@@ -65,7 +64,7 @@ class Convoy:
     mass_factors: tuple[float, ...] = ()
     resistance_factors: tuple[float, ...] = ()
     adhesion: tuple[float, ...] = ()
-    mass_bounds: tuple[float, float] = MASS
+    mass_bounds: tuple[float, float] = MASS_SCATTER
     dt: float = CONVOY_PERIOD_S
 
     def __post_init__(self) -> None:
@@ -187,7 +186,7 @@ class Member(NamedTuple):
     protection: Protection | None
     bounds: Separation
     most_mps2: Array
-    link: Quality
+    link: LinkQuality
     length_m: Array
     start_m: Array
     gap_m: Array
@@ -196,7 +195,7 @@ class Member(NamedTuple):
     is_head: Array
 
 
-def members(convoy: Convoy, dtype: type = np.float64) -> tuple[Member, ...]:
+def convoy_members(convoy: Convoy, dtype: type = np.float64) -> tuple[Member, ...]:
     """Every trainset of a convoy as numbers (NumPy), the head first.
 
     Raises:

@@ -14,11 +14,11 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from metropilot.control import Errors, incremental_pid
-from metropilot.convoy.env import ROWS, ConvoyTaskConfig, follow_terms
+from metropilot.convoy.env import MAX_PERIODS, ConvoyTaskConfig, follow_terms
 from metropilot.convoy.gains import STATE, chen2023b_state, gains_of
 from metropilot.convoy.leaders import recordings
-from metropilot.convoy.link import Quality
-from metropilot.convoy.model import Convoy, Member, members
+from metropilot.convoy.link import LinkQuality
+from metropilot.convoy.model import Convoy, Member, convoy_members
 from metropilot.convoy.step import (
     FollowerObservation,
     MemberState,
@@ -69,9 +69,11 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         section = load_line(self.config.line).section(self.config.origin, self.config.destination)
         trainsets = (load_trainset(self.config.trainsets[0]),) * count
         convoy = Convoy(section, trainsets, gap_m=self.config.gap_m, guard="coupled", dt=self.config.dt)
-        rows = members(convoy)
+        rows = convoy_members(convoy)
         self.nominal = rows if protected else tuple(row._replace(protection=None) for row in rows)
-        self.heads = recordings(*convoy.leader(), self.config.dt, self.config.heads, self.config.seed, ROWS)
+        self.heads = recordings(
+            *convoy.leader(), self.config.dt, self.config.heads, self.config.seed, MAX_PERIODS
+        )
         self.possible_agents = [f"trainset_{k + 1}" for k in range(1, count)]
         self.agents: list[str] = []
         low, high = np.full(len(STATE), -OBSERVATION_LIMIT), np.full(len(STATE), OBSERVATION_LIMIT)
@@ -131,7 +133,7 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         if not self.agents:
             raise gymnasium.error.ResetNeeded("call reset before step")
         now, agents = self._now(), self.agents
-        shares = [np.float64(self.head.command[min(self.period, ROWS - 1)])]
+        shares = [np.float64(self.head.command[min(self.period, MAX_PERIODS - 1)])]
         for k, agent in enumerate(agents, 1):
             seen, gains = self.seen[k - 1], gains_of(np.asarray(actions[agent], np.float64))
             closing = seen.ahead_mps - seen.speed_mps
@@ -154,7 +156,7 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
             found["terms"] = {name: float(value) for name, value in terms.items()}
         contact = any(found["gap_m"] < 0.0 for found in infos.values())
         still = all(float(state.plant.speed_mps) <= 0.0 for state in self.states)
-        over = not contact and (self.period >= ROWS or (still and float(self._now()) > STANDS_S))
+        over = not contact and (self.period >= MAX_PERIODS or (still and float(self._now()) > STANDS_S))
         rewards = {agent: float(sum(found["terms"].values())) for agent, found in infos.items()}
         observations = self._observations(seen)
         if contact or over:
@@ -173,7 +175,7 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         low, high = config.mass
         factor = 1.0 + off * (k > 0) * (low + (high - low) * u[0] - 1.0)
         numbers = (off * config.delay_s * u[1], 0.0, off * config.loss * u[2], np.inf)
-        link = Quality(*(np.float64(value) for value in numbers))
+        link = LinkQuality(*(np.float64(value) for value in numbers))
         return own._replace(vehicle=true_vehicle(own.vehicle, mass_factor=np.float64(factor)), link=link)
 
     def _now(self) -> np.float64:

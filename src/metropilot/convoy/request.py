@@ -10,14 +10,12 @@ import numpy as np
 
 from metropilot.convoy.drivers import FOLLOWERS, AbstractFollower
 from metropilot.convoy.link import Link
-from metropilot.convoy.model import GAP_M, Convoy, Guard
+from metropilot.convoy.model import GAP_M, Convoy, ConvoyGuard
 from metropilot.convoy.rollout import ConvoyDrive, HeadRun, drive_convoy
 from metropilot.errors import InputError, renamed
-from metropilot.evaluate import RunSpec
-from metropilot.evaluate.driver_options import make_driver, with_options
+from metropilot.evaluate import RunSpec, make_driver, with_options
 from metropilot.planning import check_running_time, minimum_running_time
-from metropilot.sim import Run
-from metropilot.sim.rollout import drive
+from metropilot.sim import Run, drive
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,7 @@ class ConvoyRequest:
     apart_m: float = 100.0
     uncouple_at_m: float | None = None
     link: Link = field(default_factory=Link)
-    guard: Guard = "coupled"
+    guard: ConvoyGuard = "coupled"
     masses: tuple[float, ...] = ()
     emergency_s: float | None = None
 

@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from metropilot.convoy.drivers import AbstractFollower
 from metropilot.convoy.link import Link
-from metropilot.convoy.model import Convoy, Member, members
+from metropilot.convoy.model import Convoy, Member, convoy_members
 from metropilot.convoy.step import (
     FollowerObservation,
     MemberState,
@@ -26,9 +26,7 @@ from metropilot.convoy.step import (
 )
 from metropilot.physics import Command
 from metropilot.protection import permitted_speed
-from metropilot.sim import Outcome
-from metropilot.sim.recorder import Recorder
-from metropilot.sim.trajectory import Trajectory
+from metropilot.sim import Outcome, Recorder, Trajectory
 
 STAND_S = 3.0
 LONGEST_S = 240.0
@@ -124,7 +122,7 @@ class ConvoyRollout:
 
     def __init__(self, convoy: Convoy, head: HeadRun, follower: AbstractFollower, seed: int) -> None:
         self.convoy, self.head, self.follower, self.dt = convoy, head, follower, convoy.dt
-        self.members = members(convoy)
+        self.members = convoy_members(convoy)
         pairs = zip(self.members, (None, *self.members[:-1]), strict=True)
         self.states = [at_departure(own, ahead, self.dt) for own, ahead in pairs]
         self.memories: list[Any] = [follower.init(m.believed, self.dt) for m in self.members]

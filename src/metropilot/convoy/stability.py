@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from metropilot.convoy.drivers import AbstractFollower
-from metropilot.convoy.leaders import record
+from metropilot.convoy.leaders import record_leader
 from metropilot.convoy.model import Convoy
 from metropilot.convoy.rollout import HeadRun, drive_convoy
 from metropilot.railway import Steps
@@ -62,7 +62,7 @@ def _gains(
     rising = np.minimum(RISE_MPS2 * times, mean_mps)
     phase = 2.0 * np.pi * (times - SETTLE_S) / period_s
     speeds = rising + np.where(begun, swing * np.sin(phase), 0.0)
-    commands = record(*convoy.leader(), np.maximum(speeds, 0.0), dt).command
+    commands = record_leader(*convoy.leader(), np.maximum(speeds, 0.0), dt).command
     drive = drive_convoy(convoy, HeadRun("sine", commands, Outcome.OUT_OF_TIME), follower)
     whole = round(count * period_s / dt)
     rows = slice(times.size - whole, times.size)

@@ -1,107 +1,82 @@
 """Drivers: anything that gives the command, one file each; listing them imports none of those files."""
 
-from metropilot._registry import RegistryRow
-from metropilot.sim.driver import DRIVER_REGISTRY as DRIVERS
+from __future__ import annotations
 
-DRIVERS.add(
+from typing import TYPE_CHECKING
+
+from metropilot._lazy import lazy_door
+
+if TYPE_CHECKING:
+    from metropilot.drivers.ddpg_pid import (
+        GAINS_OBSERVATION,
+        DdpgPid,
+        DdpgPidOptions,
+        load_gains_policy,
+        step_ddpg_pid,
+    )
+    from metropilot.drivers.eitoe import Eitoe, EitoeOptions
+    from metropilot.drivers.flat_out import FlatOut
+    from metropilot.drivers.fuzzy_pid import ASSUMED_UNIVERSES, TUNED_FUZZY_PID, Universes, step_fuzzy_pid
+    from metropilot.drivers.learned import DECISION_EARLY_S, LearnedDriver
+    from metropilot.drivers.neural_pid import (
+        TEXTBOOK_RATES,
+        TUNED_NEURAL_PID,
+        LearningRates,
+        fresh_network,
+        step_neural_pid,
+    )
+    from metropilot.drivers.pid import TUNED_PID, Pid, PidOptions
+    from metropilot.drivers.pid_lu2023 import PidLu2023, PidLu2023Options
+    from metropilot.drivers.registry import DRIVERS
+    from metropilot.drivers.shipped import AbstractPolicyDriver
+
+__all__ = [
+    "ASSUMED_UNIVERSES",
+    "DECISION_EARLY_S",
+    "DRIVERS",
+    "GAINS_OBSERVATION",
+    "TEXTBOOK_RATES",
+    "TUNED_FUZZY_PID",
+    "TUNED_NEURAL_PID",
+    "TUNED_PID",
+    "AbstractPolicyDriver",
+    "DdpgPid",
+    "DdpgPidOptions",
+    "Eitoe",
+    "EitoeOptions",
+    "FlatOut",
+    "LearnedDriver",
+    "LearningRates",
+    "Pid",
+    "PidLu2023",
+    "PidLu2023Options",
+    "PidOptions",
+    "Universes",
+    "fresh_network",
+    "load_gains_policy",
+    "step_ddpg_pid",
+    "step_fuzzy_pid",
+    "step_neural_pid",
+]
+
+__getattr__, __dir__ = lazy_door(
+    __name__,
     {
-        "ddpg_pid": RegistryRow(
-            "metropilot.drivers.ddpg_pid:DdpgPid",
-            "Incremental PID on a speed reference, gains from a policy learned by DDPG",
-            "Cheng23",
+        "ddpg_pid": ("DdpgPid", "DdpgPidOptions", "GAINS_OBSERVATION", "load_gains_policy", "step_ddpg_pid"),
+        "eitoe": ("Eitoe", "EitoeOptions"),
+        "flat_out": ("FlatOut",),
+        "fuzzy_pid": ("ASSUMED_UNIVERSES", "TUNED_FUZZY_PID", "Universes", "step_fuzzy_pid"),
+        "learned": ("DECISION_EARLY_S", "LearnedDriver"),
+        "neural_pid": (
+            "LearningRates",
+            "TEXTBOOK_RATES",
+            "TUNED_NEURAL_PID",
+            "fresh_network",
+            "step_neural_pid",
         ),
-        "dqn": RegistryRow(
-            "metropilot.drivers.shipped:Dqn",
-            "Learned by DQN over twelve notches for lu2023 WHY to WYJ, 118 to 142 s",
-            "Lu23",
-        ),
-        "eitoe": RegistryRow(
-            "metropilot.drivers.eitoe:Eitoe",
-            "Expert system: time window by minimal-time distribution, long coasting, online-learned stop",
-            "Huang25",
-        ),
-        "eitop": RegistryRow(
-            "metropilot.drivers.expert_learned:Eitop",
-            "EITOE with the change of the rate learned by PPO",
-            "Huang25",
-        ),
-        "flat_out": RegistryRow(
-            "metropilot.drivers.flat_out:FlatOut", "As fast as limits, comfort and the trainset allow", "own"
-        ),
-        "fuzzy_pid": RegistryRow(
-            "metropilot.drivers.fuzzy_pid:FuzzyPid",
-            "Incremental PID on a speed reference, gains changed by 7 x 7 fuzzy rules",
-            "Cheng23 (F-PID); textbook rules",
-        ),
-        "generalist": RegistryRow(
-            "metropilot.drivers.shipped:Generalist",
-            "One policy for every line, learned on random sections and trainsets",
-            "own",
-        ),
-        "improved_dqn": RegistryRow(
-            "metropilot.drivers.shipped:ImprovedDqn",
-            "Learned by improved DQN over twelve notches for lu2023 WHY to WYJ, 118 to 142 s",
-            "Lu23",
-        ),
-        "itor": RegistryRow(
-            "metropilot.drivers.expert_learned:Itor",
-            "Expert rules, discrete changes learned by Q-learning in a table",
-            "Yin et al. 2014, compared in Huang25",
-        ),
-        "learned": RegistryRow(
-            "metropilot.drivers.shipped:FromFile",
-            "A learned policy from a file or a learning run (--set policy=PATH or policy=RUN)",
-            "own",
-        ),
-        "manual": RegistryRow(
-            "metropilot.drivers.manual:Manual",
-            "Model of a human driver: notches, reaction time, hysteresis, scatter",
-            "own (Huang25's recorded drives are not public)",
-        ),
-        "mpc": RegistryRow(
-            "metropilot.drivers.mpc:Mpc",
-            "Model-predictive control: a new plan every 3 s, with the estimated plant",
-            "own; convex plan in receding horizon",
-        ),
-        "neural_pid": RegistryRow(
-            "metropilot.drivers.neural_pid:NeuralPid",
-            "Incremental PID on a speed reference, gains from a network that learns online",
-            "Cheng23 (NN-PID); textbook network",
-        ),
-        "optimal": RegistryRow(
-            "metropilot.drivers.optimal:Optimal",
-            "Convex optimal plan in closed loop: follows, re-plans, stops at the point",
-            "own; convex plan",
-        ),
-        "pid": RegistryRow(
-            "metropilot.drivers.pid:Pid", "Incremental PID on a speed reference, fixed gains", "Cheng23"
-        ),
-        "pid_lu2023": RegistryRow(
-            "metropilot.drivers.pid_lu2023:PidLu2023",
-            "PID that tracks the speed curve of improved_dqn",
-            "Lu23",
-        ),
-        "ppo": RegistryRow(
-            "metropilot.drivers.shipped:Ppo",
-            "Learned by PPO for RJ to WYJ, every load, running times up to 130 s",
-            "own, after Chen23a",
-        ),
-        "ppo_scaled": RegistryRow(
-            "metropilot.drivers.shipped:PpoScaled",
-            "Learned by PPO with reward scaling for RJ to WYJ, every load, running times up to 130 s",
-            "own, after Chen23a",
-        ),
-        "stod": RegistryRow(
-            "metropilot.drivers.expert_learned:Stod",
-            "Expert rules, continuous changes learned by DDPG",
-            "Zhou et al. 2020",
-        ),
-        "ston": RegistryRow(
-            "metropilot.drivers.expert_learned:Ston",
-            "Expert rules, continuous changes learned by NAF",
-            "Zhou et al. 2020, compared in Huang25",
-        ),
-    }
+        "pid": ("Pid", "PidOptions", "TUNED_PID"),
+        "pid_lu2023": ("PidLu2023", "PidLu2023Options"),
+        "registry": ("DRIVERS",),
+        "shipped": ("AbstractPolicyDriver",),
+    },
 )
-
-__all__ = ["DRIVERS"]

@@ -10,18 +10,17 @@ from typing import Any, ClassVar, final
 
 from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
-from metropilot.env.tracking import Tracked, tracking_observation
-from metropilot.env.tracking_task import gains_of
+from metropilot.env import TrackingView, gains_of, tracking_observation
 from metropilot.errors import InputError
 from metropilot.policy import GuardedPolicy, load_policy, policy_path, shipped_policy
 from metropilot.sim import Run
 
-OBSERVED = ("speed", "command", "speed_error", "position_error")
+GAINS_OBSERVATION = ("speed", "command", "speed_error", "position_error")
 """Observation entries of the policy, as its file must list them."""
 
 
-def ddpg_pid(
-    policy: Callable[[Any], Any], seen: Tracked, errors: Errors, upper: Gains = CHENG2023_UPPER
+def step_ddpg_pid(
+    policy: Callable[[Any], Any], seen: TrackingView, errors: Errors, upper: Gains = CHENG2023_UPPER
 ) -> tuple[Any, Errors]:
     """One period: the policy's gains (Cheng23 eq. 10), then the incremental law (eqs. 15 and 16).
 
@@ -43,8 +42,8 @@ def load_gains_policy(path: Path) -> GuardedPolicy:
     """
     policy, about = load_policy(path)
     found = about.get("observed")
-    if found != list(OBSERVED):
-        allowed = ", ".join(OBSERVED)
+    if found != list(GAINS_OBSERVATION):
+        allowed = ", ".join(GAINS_OBSERVATION)
         raise InputError("does not see what ddpg_pid does", file=path, field="observed", allowed=allowed)
     if (policy.spec.observation_size, policy.spec.actions, policy.spec.discrete) != (4, 3, False):
         raise InputError("does not set three gains", file=path, field="policy", value=policy.spec.actions)
@@ -96,7 +95,7 @@ class DdpgPid(AbstractTracker):
         del run
         return Errors(0.0, 0.0)
 
-    def control(self, memory: Errors, seen: Tracked) -> tuple[float, Errors]:
+    def control(self, memory: Errors, seen: TrackingView) -> tuple[float, Errors]:
         """One period: the policy's gains, then the law."""
-        command, memory = ddpg_pid(self.policy, seen, memory)
+        command, memory = step_ddpg_pid(self.policy, seen, memory)
         return float(command), memory

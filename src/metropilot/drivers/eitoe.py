@@ -11,11 +11,10 @@ from typing import final
 
 from metropilot.drivers.expert.driving import ExpertMemory, Seen, decide, prepared
 from metropilot.drivers.expert.hoa import GAIN, SETTLED, UNSURE, Hoa
-from metropilot.env.expert import Rules, constant_change
+from metropilot.env import ExpertRules, constant_rate_change
 from metropilot.errors import InputError
 from metropilot.physics import scalars
-from metropilot.sim import Observation, Run
-from metropilot.sim.driver import AbstractDriver
+from metropilot.sim import AbstractDriver, Observation, Run
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class Eitoe(AbstractDriver):
 
     def init(self, run: Run) -> ExpertMemory:
         """Tables of the section, once."""
-        rules = Rules(start_mps2=self.options.start_mps2, intervals=self.options.intervals)
+        rules = ExpertRules(start_mps2=self.options.start_mps2, intervals=self.options.intervals)
         return prepared(run, run.section, rules, self.options.hoa)
 
     def act(self, memory: ExpertMemory, observation: Observation) -> tuple[float, ExpertMemory]:
@@ -69,6 +68,6 @@ class Eitoe(AbstractDriver):
         rules = memory.rules
 
         def change(seen: Seen) -> float:
-            return constant_change(scalars, rules, seen.window, seen.rate_mps2)
+            return constant_rate_change(scalars, rules, seen.window, seen.rate_mps2)
 
         return decide(memory, observation, change)

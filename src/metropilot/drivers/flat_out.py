@@ -24,8 +24,7 @@ from metropilot.control import (
     weakest_gradient,
 )
 from metropilot.railway import Section
-from metropilot.sim import Observation, Run
-from metropilot.sim.driver import AbstractDriver
+from metropilot.sim import AbstractDriver, Observation, Run
 
 
 class FlatOutMemory(NamedTuple):

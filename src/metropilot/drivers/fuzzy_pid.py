@@ -17,7 +17,7 @@ import numpy as np
 
 from metropilot.control import CHENG2023_GAINS, CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
-from metropilot.env.tracking import Tracked
+from metropilot.env import TrackingView
 from metropilot.errors import InputError
 from metropilot.physics import namespace
 from metropilot.sim import Run
@@ -74,9 +74,9 @@ class Universes(NamedTuple):
     derivative: Array
 
 
-ASSUMED = Universes(0.5, 0.1, 1.0, 0.15, 0.1)
+ASSUMED_UNIVERSES = Universes(0.5, 0.1, 1.0, 0.15, 0.1)
 """The textbook's universes scaled to a metro's speed errors: assumed."""
-TUNED: Mapping[str, float] = MappingProxyType(
+TUNED_FUZZY_PID: Mapping[str, float] = MappingProxyType(
     {
         "kp": 4.634,
         "ki": 1.4992,
@@ -152,7 +152,7 @@ def inferred(error: Array, change: Array) -> Array:
 def fuzzy_gains(
     error_mps: Array,
     change_mps: Array,
-    universes: Universes = ASSUMED,
+    universes: Universes = ASSUMED_UNIVERSES,
     base: Gains = CHENG2023_GAINS,
     upper: Gains = CHENG2023_UPPER,
 ) -> Gains:
@@ -171,7 +171,7 @@ def fuzzy_gains(
     return Gains(*(xp.clip(base[k] + moved[k] / 3.0 * spans[k], 0.0, upper[k]) for k in range(3)))
 
 
-def fuzzy_pid(
+def step_fuzzy_pid(
     command: Array, error_mps: Array, errors: Errors, universes: Universes, base: Gains
 ) -> tuple[Array, Errors]:
     """One period: infer the gains, then the incremental law."""
@@ -199,11 +199,11 @@ class FuzzyPidOptions(AbstractTrackingOptions):
     kp: float = CHENG2023_GAINS.proportional
     ki: float = CHENG2023_GAINS.integral
     kd: float = CHENG2023_GAINS.derivative
-    error_mps: float = ASSUMED.error_mps
-    change_mps: float = ASSUMED.change_mps
-    kp_span: float = ASSUMED.proportional
-    ki_span: float = ASSUMED.integral
-    kd_span: float = ASSUMED.derivative
+    error_mps: float = ASSUMED_UNIVERSES.error_mps
+    change_mps: float = ASSUMED_UNIVERSES.change_mps
+    kp_span: float = ASSUMED_UNIVERSES.proportional
+    ki_span: float = ASSUMED_UNIVERSES.integral
+    kd_span: float = ASSUMED_UNIVERSES.derivative
     tuned: bool = False
 
     def __post_init__(self) -> None:
@@ -227,7 +227,7 @@ class FuzzyPid(AbstractTracker):
 
     def __init__(self, options: FuzzyPidOptions | None = None) -> None:
         options = options or FuzzyPidOptions()
-        options = replace(options, **TUNED) if options.tuned else options
+        options = replace(options, **TUNED_FUZZY_PID) if options.tuned else options
         super().__init__(options)
         self.base = Gains(options.kp, options.ki, options.kd)
         self.universes = Universes(
@@ -239,6 +239,6 @@ class FuzzyPid(AbstractTracker):
         del run
         return Errors(0.0, 0.0)
 
-    def control(self, memory: Errors, seen: Tracked) -> tuple[float, Errors]:
+    def control(self, memory: Errors, seen: TrackingView) -> tuple[float, Errors]:
         """One period: rules, then law."""
-        return fuzzy_pid(seen.command, seen.error_mps, memory, self.universes, self.base)
+        return step_fuzzy_pid(seen.command, seen.error_mps, memory, self.universes, self.base)

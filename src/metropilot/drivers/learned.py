@@ -18,20 +18,26 @@ import numpy as np
 from metropilot.control import Adaptation, adapt_trainset
 from metropilot.drivers import watching
 from metropilot.drivers.watching import Watch
-from metropilot.env import PolicyInterface
-from metropilot.env.assists import assisted, ceiling_mps2
-from metropilot.env.features import FeatureContext, feature_context, observe
-from metropilot.env.tables import SectionRows, SectionTables, build_tables
+from metropilot.env import (
+    FeatureContext,
+    PolicyInterface,
+    SectionRows,
+    SectionTables,
+    apply_assists,
+    build_tables,
+    ceiling_mps2,
+    feature_context,
+    observe,
+)
 from metropilot.railway import Section, Trainset
-from metropilot.sim import Observation, Run, declared_bounds
-from metropilot.sim.driver import AbstractDriver
+from metropilot.sim import AbstractDriver, Observation, Run, declared_bounds
 
 PolicyFunction = Callable[..., Any]
 """From an observation, float32 of shape (O,), to an action: float32 of shape (A,), or an integer choice.
 
 Where the action has a filter, the choices it allows, bool of shape (count,), come second.
 """
-EARLY_S = 1e-6
+DECISION_EARLY_S = 1e-6
 
 
 class LearnedMemory(NamedTuple):
@@ -110,12 +116,12 @@ class LearnedDriver(AbstractDriver):
         sight = self._sight(memory, observation)
         perception = self.perception
         action, wanted, decided = memory.action, memory.wanted, memory.decided
-        if observation.time_s >= decided * perception.period_s - EARLY_S:
+        if observation.time_s >= decided * perception.period_s - DECISION_EARLY_S:
             seen = observe(perception.features, sight)
             mask = perception.action.allowed(sight, perception.period_s)
             action = self.policy(seen) if mask is None else self.policy(seen, mask)
             wanted = np.float64(perception.action.command(sight, action, perception.period_s))
-            decided = int((observation.time_s + EARLY_S) / perception.period_s) + 1
+            decided = int((observation.time_s + DECISION_EARLY_S) / perception.period_s) + 1
         command = perception.action.held(sight, action, wanted)
         command, stopping = self._assisted(memory, sight, command)
         command = perception.action.settled(sight, command)
@@ -132,7 +138,7 @@ class LearnedDriver(AbstractDriver):
         """The assists as learned; or with care, where the trainset answers differently than told."""
         assists, watch, dt = self.perception.assists, memory.watch, memory.run.dt
         if watch is None or watch.care is None:
-            return assisted(assists, sight, command, memory.stopping, dt)
+            return apply_assists(assists, sight, command, memory.stopping, dt)
         planned = assists.stop_mps2 * watch.shown.brake or float(sight.stop_mps2)
         stopping, share, ahead = watching.last_braking(watch, planned, bool(memory.stopping))
         if stopping or sight.left_s < sight.to_go_s:

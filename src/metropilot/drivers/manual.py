@@ -46,8 +46,7 @@ from metropilot.control import (
 )
 from metropilot.physics import effort_at
 from metropilot.railway import Section
-from metropilot.sim import Observation, Run
-from metropilot.sim.driver import AbstractDriver
+from metropilot.sim import AbstractDriver, Observation, Run
 
 TRACTION_NOTCH = 0.25
 BRAKE_NOTCH = 0.05

@@ -18,8 +18,7 @@ from typing import ClassVar, final
 
 from metropilot.drivers.optimal import FollowingMemory, Optimal, OptimalOptions
 from metropilot.planning import Objective
-from metropilot.sim import Observation, Run
-from metropilot.sim.driver import AbstractDriver
+from metropilot.sim import AbstractDriver, Observation, Run
 
 
 @dataclass(frozen=True)

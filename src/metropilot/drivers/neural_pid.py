@@ -17,7 +17,7 @@ import numpy as np
 
 from metropilot.control import CHENG2023_GAINS, CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
-from metropilot.env.tracking import Tracked
+from metropilot.env import TrackingView
 from metropilot.errors import InputError
 from metropilot.physics import namespace
 from metropilot.sim import Run
@@ -41,8 +41,8 @@ class LearningRates(NamedTuple):
     error_scale_mps: Array
 
 
-TEXTBOOK = LearningRates(0.28, 0.04, 1.0)
-TUNED: Mapping[str, float] = MappingProxyType(
+TEXTBOOK_RATES = LearningRates(0.28, 0.04, 1.0)
+TUNED_NEURAL_PID: Mapping[str, float] = MappingProxyType(
     {
         "kp": 4.835,
         "ki": 1.3242,
@@ -97,8 +97,11 @@ def fresh_network(seed: int, base: Gains = CHENG2023_GAINS, upper: Gains = CHENG
     )
 
 
-def neural_pid(
-    network: Network, seen: Tracked, rates: LearningRates = TEXTBOOK, upper: Gains = CHENG2023_UPPER
+def step_neural_pid(
+    network: Network,
+    seen: TrackingView,
+    rates: LearningRates = TEXTBOOK_RATES,
+    upper: Gains = CHENG2023_UPPER,
 ) -> tuple[Array, Network]:
     """One period: learn from the error that the last command led to, set the gains, apply the law.
 
@@ -162,9 +165,9 @@ class NeuralPidOptions(AbstractTrackingOptions):
     kp: float = CHENG2023_GAINS.proportional
     ki: float = CHENG2023_GAINS.integral
     kd: float = CHENG2023_GAINS.derivative
-    learning_rate: float = TEXTBOOK.learning
-    momentum: float = TEXTBOOK.momentum
-    error_mps: float = TEXTBOOK.error_scale_mps
+    learning_rate: float = TEXTBOOK_RATES.learning
+    momentum: float = TEXTBOOK_RATES.momentum
+    error_mps: float = TEXTBOOK_RATES.error_scale_mps
     tuned: bool = False
 
     def __post_init__(self) -> None:
@@ -187,7 +190,7 @@ class NeuralPid(AbstractTracker):
 
     def __init__(self, options: NeuralPidOptions | None = None) -> None:
         options = options or NeuralPidOptions()
-        options = replace(options, **TUNED) if options.tuned else options
+        options = replace(options, **TUNED_NEURAL_PID) if options.tuned else options
         super().__init__(options)
         self.base = Gains(options.kp, options.ki, options.kd)
         self.rates = LearningRates(options.learning_rate, options.momentum, options.error_mps)
@@ -196,6 +199,6 @@ class NeuralPid(AbstractTracker):
         """Random weights from the run's seed."""
         return fresh_network(run.seed, self.base)
 
-    def control(self, memory: Network, seen: Tracked) -> tuple[float, Network]:
+    def control(self, memory: Network, seen: TrackingView) -> tuple[float, Network]:
         """One period: learn, set the gains, apply the law."""
-        return neural_pid(memory, seen, self.rates)
+        return step_neural_pid(memory, seen, self.rates)

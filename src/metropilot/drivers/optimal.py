@@ -49,8 +49,7 @@ from metropilot.planning import (
 )
 from metropilot.protection import Memory, Protection, at_start, protect
 from metropilot.railway import Section, Trainset
-from metropilot.sim import Observation, Run, declared_bounds
-from metropilot.sim.driver import AbstractDriver
+from metropilot.sim import AbstractDriver, Observation, Run, declared_bounds
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from typing import ClassVar, final
 
 from metropilot.control import CHENG2023_GAINS, Errors, Gains, incremental_pid
 from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
-from metropilot.env.tracking import Tracked
+from metropilot.env import TrackingView
 from metropilot.sim import Run
 
-TUNED: Mapping[str, float] = MappingProxyType({"kp": 4.986, "ki": 1.4996, "kd": 0.1019})
+TUNED_PID: Mapping[str, float] = MappingProxyType({"kp": 4.986, "ki": 1.4996, "kd": 0.1019})
 """Found on the base scenario of Cheng23 by differential evolution, 1200 runs
 (:func:`metropilot.evaluate.tracking_tuning.tune`)."""
 
@@ -47,7 +47,7 @@ class Pid(AbstractTracker):
 
     def __init__(self, options: PidOptions | None = None) -> None:
         options = options or PidOptions()
-        options = replace(options, **TUNED) if options.tuned else options
+        options = replace(options, **TUNED_PID) if options.tuned else options
         super().__init__(options)
         self.gains = Gains(options.kp, options.ki, options.kd)
 
@@ -56,6 +56,6 @@ class Pid(AbstractTracker):
         del run
         return Errors(0.0, 0.0)
 
-    def control(self, memory: Errors, seen: Tracked) -> tuple[float, Errors]:
+    def control(self, memory: Errors, seen: TrackingView) -> tuple[float, Errors]:
         """One period of the law."""
         return incremental_pid(seen.command, self.gains, seen.error_mps, memory)

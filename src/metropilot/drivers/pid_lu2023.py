@@ -8,10 +8,9 @@ from typing import Any, ClassVar, final
 from metropilot.control import CHENG2023_GAINS, Errors, Gains, incremental_pid
 from metropilot.drivers.shipped import ImprovedDqn, PolicyOptions
 from metropilot.drivers.tracking import PERIOD_S, AbstractTracker, AbstractTrackingOptions, TrackingMemory
-from metropilot.env.tracking import Tracked
+from metropilot.env import TrackingView
 from metropilot.planning import TimedReference, sampled_profile
-from metropilot.sim import Run
-from metropilot.sim.nominal import simulate_nominal
+from metropilot.sim import Run, simulate_nominal
 
 
 @final
@@ -65,7 +64,7 @@ class PidLu2023(AbstractTracker):
         del run
         return Errors(0.0, 0.0)
 
-    def control(self, memory: Errors, seen: Tracked) -> tuple[float, Errors]:
+    def control(self, memory: Errors, seen: TrackingView) -> tuple[float, Errors]:
         """One period of the law."""
         return incremental_pid(seen.command, self.gains, seen.error_mps, memory)
 

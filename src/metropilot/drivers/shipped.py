@@ -15,8 +15,7 @@ from typing import ClassVar, final
 from metropilot.drivers.learned import LearnedDriver, LearnedMemory
 from metropilot.errors import InputError
 from metropilot.policy import LoadedPolicy, load_driving_policy, shipped_policy
-from metropilot.sim import Observation, Run
-from metropilot.sim.driver import AbstractDriver
+from metropilot.sim import AbstractDriver, Observation, Run
 
 
 @dataclass(frozen=True)

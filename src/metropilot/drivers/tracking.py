@@ -32,7 +32,7 @@ from metropilot.control import (
     stop_command,
     update_estimate,
 )
-from metropilot.env.tracking import Tracked
+from metropilot.env import TrackingView
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays
 from metropilot.planning import (
@@ -46,8 +46,7 @@ from metropilot.planning import (
 )
 from metropilot.protection import Memory, Protection, at_start, protect
 from metropilot.railway import Section
-from metropilot.sim import Observation, Run, declared_bounds
-from metropilot.sim.driver import AbstractDriver
+from metropilot.sim import AbstractDriver, Observation, Run, declared_bounds
 
 Kind = Literal["trapezoid", "s_curve", "optimal"]
 KINDS: tuple[Kind, ...] = ("trapezoid", "s_curve", "optimal")
@@ -139,7 +138,7 @@ class AbstractTracker(AbstractDriver):
         """The controller's memory at the start of a run."""
 
     @abstractmethod
-    def control(self, memory: Any, seen: Tracked) -> tuple[float, Any]:  # noqa: ANN401
+    def control(self, memory: Any, seen: TrackingView) -> tuple[float, Any]:  # noqa: ANN401
         """The command in [-1, 1] for this period, and the memory to bring next time."""
 
     def init(self, run: Run) -> TrackingMemory:
@@ -177,7 +176,7 @@ class AbstractTracker(AbstractDriver):
         memory = self._informed(replace(memory, belief=belief), observation)
         ahead = look_ahead(memory.model, belief)
         place, speed, _ = memory.reference.at(observation.time_s - memory.clock_s + ahead.seconds)
-        seen = Tracked(
+        seen = TrackingView(
             speed - ahead.speed_mps, place - ahead.position_m, ahead.speed_mps, speed, memory.command
         )
         wanted, controller = self.control(memory.controller, seen)

@@ -1,37 +1,274 @@
 """The driving problem as a functional environment: features, actions, rewards, assists."""
 
-from metropilot.env.action_kinds import ACTIONS
-from metropilot.env.actions import AbstractAction
-from metropilot.env.assists import Assists
-from metropilot.env.config import DrivingConfig
-from metropilot.env.driving import DriveState, DrivingTask, episode_of, starts
-from metropilot.env.features import FEATURES, OBSERVERS
-from metropilot.env.interface import AbstractTask, ActionSpace, Transition
-from metropilot.env.policy_interface import PolicyInterface
-from metropilot.env.randomization import DisturbanceDistribution, StartDistribution
-from metropilot.env.registry import TASKS, make_task, task_config
-from metropilot.env.rewards import TERMS, AbstractTerm
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from metropilot._lazy import lazy_door
+
+if TYPE_CHECKING:
+    from metropilot.env.action_kinds import ACTIONS
+    from metropilot.env.actions import (
+        AbstractAction,
+        CommandAction,
+        GainsAction,
+        IncrementAction,
+        NotchAction,
+        NotchForceAction,
+        RegimeAction,
+    )
+    from metropilot.env.assists import Assists, apply_assists, ceiling_mps2, stop_options
+    from metropilot.env.config import DrivingConfig
+    from metropilot.env.driving import DriveState, DrivingTask, episode_of, starts
+    from metropilot.env.expert import (
+        EXPERT_RELEASE_SHARE,
+        EXPERT_SEGMENTS,
+        ExpertRules,
+        ExpertStretch,
+        ExpertWindow,
+        coasting_time,
+        constant_rate_change,
+        expert_safe_speed,
+        expert_state,
+        expert_window,
+        next_expert_rate,
+    )
+    from metropilot.env.expert_action import ExpertAction, ExpertChoiceAction
+    from metropilot.env.features import FEATURES, OBSERVERS, FeatureContext, feature_context, observe
+    from metropilot.env.interface import AbstractTask, ActionSpace, TaskState, Transition
+    from metropilot.env.optima import Optima, cached_optima, optima_of
+    from metropilot.env.policy_interface import PolicyInterface
+    from metropilot.env.randomization import DisturbanceDistribution, StartDistribution
+    from metropilot.env.registry import TASKS, make_task, task_config
+    from metropilot.env.rewards import (
+        TERMS,
+        AbstractTerm,
+        AccelerationComfort,
+        Comfort,
+        EffortEnergy,
+        Energy,
+        Failure,
+        Intervention,
+        LineEnergy,
+        Moving,
+        OnTime,
+        Overspeed,
+        PeriodChange,
+        Punctuality,
+        Seconds,
+        StopError,
+        StopWindow,
+    )
+    from metropilot.env.tables import (
+        PERMITTED_COLUMN,
+        PROTECTION_CURVES,
+        SPEED_STEP_MPS,
+        SectionRows,
+        SectionTables,
+        build_tables,
+        near_protection,
+        near_track,
+    )
+    from metropilot.env.to_go import to_go_table
+    from metropilot.env.tracking import (
+        ReferenceCourse,
+        TrackingView,
+        TrackState,
+        advance_tracking,
+        compile_course,
+        course_of,
+        start_tracking,
+        tracking_observation,
+        tracking_view,
+    )
+    from metropilot.env.tracking_task import TrackingConfig, TrackingRewards, TrackingTask, gains_of
+    from metropilot.env.worlds import (
+        DOMAIN_ASSISTS,
+        DOMAIN_OBSERVER,
+        DomainRandomization,
+        DomainSample,
+        domain_sample,
+    )
 
 __all__ = [
     "ACTIONS",
+    "DOMAIN_ASSISTS",
+    "DOMAIN_OBSERVER",
+    "EXPERT_RELEASE_SHARE",
+    "EXPERT_SEGMENTS",
     "FEATURES",
     "OBSERVERS",
+    "PERMITTED_COLUMN",
+    "PROTECTION_CURVES",
+    "SPEED_STEP_MPS",
     "TASKS",
     "TERMS",
     "AbstractAction",
     "AbstractTask",
     "AbstractTerm",
+    "AccelerationComfort",
     "ActionSpace",
     "Assists",
+    "Comfort",
+    "CommandAction",
     "DisturbanceDistribution",
+    "DomainRandomization",
+    "DomainSample",
     "DriveState",
     "DrivingConfig",
     "DrivingTask",
+    "EffortEnergy",
+    "Energy",
+    "ExpertAction",
+    "ExpertChoiceAction",
+    "ExpertRules",
+    "ExpertStretch",
+    "ExpertWindow",
+    "Failure",
+    "FeatureContext",
+    "GainsAction",
+    "IncrementAction",
+    "Intervention",
+    "LineEnergy",
+    "Moving",
+    "NotchAction",
+    "NotchForceAction",
+    "OnTime",
+    "Optima",
+    "Overspeed",
+    "PeriodChange",
     "PolicyInterface",
+    "Punctuality",
+    "ReferenceCourse",
+    "RegimeAction",
+    "Seconds",
+    "SectionRows",
+    "SectionTables",
     "StartDistribution",
+    "StopError",
+    "StopWindow",
+    "TaskState",
+    "TrackState",
+    "TrackingConfig",
+    "TrackingRewards",
+    "TrackingTask",
+    "TrackingView",
     "Transition",
+    "advance_tracking",
+    "apply_assists",
+    "build_tables",
+    "cached_optima",
+    "ceiling_mps2",
+    "coasting_time",
+    "compile_course",
+    "constant_rate_change",
+    "course_of",
+    "domain_sample",
     "episode_of",
+    "expert_safe_speed",
+    "expert_state",
+    "expert_window",
+    "feature_context",
+    "gains_of",
     "make_task",
+    "near_protection",
+    "near_track",
+    "next_expert_rate",
+    "observe",
+    "optima_of",
+    "start_tracking",
     "starts",
+    "stop_options",
     "task_config",
+    "to_go_table",
+    "tracking_observation",
+    "tracking_view",
 ]
+
+__getattr__, __dir__ = lazy_door(
+    __name__,
+    {
+        "action_kinds": ("ACTIONS",),
+        "actions": (
+            "AbstractAction",
+            "CommandAction",
+            "GainsAction",
+            "IncrementAction",
+            "NotchAction",
+            "NotchForceAction",
+            "RegimeAction",
+        ),
+        "assists": ("Assists", "apply_assists", "ceiling_mps2", "stop_options"),
+        "config": ("DrivingConfig",),
+        "driving": ("DriveState", "DrivingTask", "episode_of", "starts"),
+        "expert": (
+            "EXPERT_RELEASE_SHARE",
+            "EXPERT_SEGMENTS",
+            "ExpertRules",
+            "ExpertStretch",
+            "ExpertWindow",
+            "coasting_time",
+            "constant_rate_change",
+            "expert_safe_speed",
+            "expert_state",
+            "expert_window",
+            "next_expert_rate",
+        ),
+        "expert_action": ("ExpertAction", "ExpertChoiceAction"),
+        "features": ("FEATURES", "FeatureContext", "OBSERVERS", "feature_context", "observe"),
+        "interface": ("AbstractTask", "ActionSpace", "TaskState", "Transition"),
+        "optima": ("Optima", "cached_optima", "optima_of"),
+        "policy_interface": ("PolicyInterface",),
+        "randomization": ("DisturbanceDistribution", "StartDistribution"),
+        "registry": ("TASKS", "make_task", "task_config"),
+        "rewards": (
+            "AbstractTerm",
+            "AccelerationComfort",
+            "Comfort",
+            "EffortEnergy",
+            "Energy",
+            "Failure",
+            "Intervention",
+            "LineEnergy",
+            "Moving",
+            "OnTime",
+            "Overspeed",
+            "PeriodChange",
+            "Punctuality",
+            "Seconds",
+            "StopError",
+            "StopWindow",
+            "TERMS",
+        ),
+        "tables": (
+            "PERMITTED_COLUMN",
+            "PROTECTION_CURVES",
+            "SPEED_STEP_MPS",
+            "SectionRows",
+            "SectionTables",
+            "build_tables",
+            "near_protection",
+            "near_track",
+        ),
+        "to_go": ("to_go_table",),
+        "tracking": (
+            "ReferenceCourse",
+            "TrackState",
+            "TrackingView",
+            "advance_tracking",
+            "compile_course",
+            "course_of",
+            "start_tracking",
+            "tracking_observation",
+            "tracking_view",
+        ),
+        "tracking_task": ("TrackingConfig", "TrackingRewards", "TrackingTask", "gains_of"),
+        "worlds": (
+            "DOMAIN_ASSISTS",
+            "DOMAIN_OBSERVER",
+            "DomainRandomization",
+            "DomainSample",
+            "domain_sample",
+        ),
+    },
+)

@@ -25,7 +25,7 @@ from metropilot.control import (
     stop_deceleration,
 )
 from metropilot.env.features import FeatureContext
-from metropilot.env.tables import LEAST_STOP_MPS2, PERMITTED, STOP_USE, SectionRows
+from metropilot.env.tables import LEAST_STOP_MPS2, PERMITTED_COLUMN, STOP_USE, SectionRows
 from metropilot.errors import InputError
 from metropilot.physics import command_for_effort, effort_at, resistance_and_gradient
 
@@ -156,7 +156,7 @@ def share_for(needs: EffortLimits, wanted_mps2: Array) -> Array:
     return command_for_effort(wanted_mps2 + needs.drag_mps2, needs.traction_mps2, needs.brake_mps2)
 
 
-def assisted(
+def apply_assists(
     assists: Assists, sight: FeatureContext, command: Array, stopping: Array, dt: float
 ) -> tuple[Array, Array]:
     """The command after the assists, and whether the last braking is on.
@@ -193,7 +193,7 @@ def ceiling_at(assists: Assists, rows: SectionRows, case: Array, position_m: Arr
     """The speed to keep under at a position, m/s."""
     if assists.late:
         return rows.follow_at(case, position_m)
-    return rows.ground_at(PERMITTED, case, position_m)
+    return rows.ground_at(PERMITTED_COLUMN, case, position_m)
 
 
 def ceiling_mps2(assists: Assists, sight: FeatureContext, dt: float) -> Array:

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from metropilot.env.assists import assisted
+from metropilot.env.assists import apply_assists
 from metropilot.env.config import DrivingConfig
 from metropilot.env.features import FeatureContext, feature_context, observe
 from metropilot.env.interface import AbstractTask, ActionSpace, Transition
 from metropilot.env.randomization import DRAWN_PLANT, NOMINAL, StartDistribution, draw
-from metropilot.env.rewards import Change
-from metropilot.env.tables import PERMITTED, SectionRows, near_protection
+from metropilot.env.rewards import PeriodChange
+from metropilot.env.tables import PERMITTED_COLUMN, SectionRows, near_protection
 from metropilot.physics import Command, Forces, State, delay_steps
 from metropilot.protection import Memory
 from metropilot.sim import (
@@ -186,7 +186,7 @@ class DrivingTask(AbstractTask):
         error = plant.position_m - self.rows.case(state.start.case).length_m
         terminated = after.outcome != RUNNING
         truncated = (after.decisions >= config.most_decisions) & ~terminated
-        change = Change(
+        change = PeriodChange(
             wheel_j=plant.traction_j - state.plant.traction_j,
             line_j=plant.line_j - state.plant.line_j,
             jerk_mps2=after.jerk_mps2 - state.jerk_mps2,
@@ -268,7 +268,7 @@ class DrivingTask(AbstractTask):
 
         def decide(_: None, __: RunState) -> tuple[Command, tuple[Array, Array]]:
             wanted = config.action.held(sight, *decided)
-            command, stopping = assisted(config.assists, sight, wanted, state.stopping, config.dt)
+            command, stopping = apply_assists(config.assists, sight, wanted, state.stopping, config.dt)
             command = config.action.settled(sight, command)
             if config.periods > 1:  # an episode that ends within a decision waits for the next one
                 command = jnp.where(state.outcome == RUNNING, command, -jnp.ones_like(command))
@@ -299,7 +299,7 @@ class DrivingTask(AbstractTask):
         chance, place, speed = shares[0], shares[1], shares[2]
         length = self.rows.case(start.case).length_m
         position = 0.9 * length * place
-        permitted = self.rows.ground_at(PERMITTED, start.case, position)
+        permitted = self.rows.ground_at(PERMITTED_COLUMN, start.case, position)
         stops = jnp.sqrt(2.0 * 0.7 * self.rows.case(start.case).stop_mps2 * (length - position))
         speed = speed * jnp.maximum(jnp.minimum(permitted - 1.0, stops), 0.0)
         to_go = self.rows.to_go_s(start.case, length - position, length, speed)

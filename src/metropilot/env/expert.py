@@ -19,7 +19,7 @@ from metropilot.errors import InputError
 
 Array = Any
 
-SEGMENTS = 16
+EXPERT_SEGMENTS = 16
 SLOWEST_MPS = 0.5
 """A trainset that coasts slower than this counts as going this fast: far too late for any timetable."""
 LEAST_S = 0.1
@@ -27,13 +27,13 @@ SURE = 0.2
 """Least share of the largest change that a trainset outside its window makes back into it."""
 GENTLE_MPS2 = 0.5
 """Braking of a trainset that is early even if it coasts."""
-RELEASE_SHARE = 0.5
+EXPERT_RELEASE_SHARE = 0.5
 """Jerk at which the last brake is let go, over the trainset's limit."""
 OBSERVED = 7
 
 
 @dataclass(frozen=True)
-class Rules:
+class ExpertRules:
     """The expert's constants.
 
     Attributes:
@@ -71,8 +71,8 @@ class Rules:
                 )
 
 
-class Stretch(NamedTuple):
-    """What lies between here and the end of the interval, at :data:`SEGMENTS` + 1 even nodes.
+class ExpertStretch(NamedTuple):
+    """What lies between here and the end of the interval, at :data:`EXPERT_SEGMENTS` + 1 even nodes.
 
     Attributes:
         left_m: Distance to its end.
@@ -87,7 +87,7 @@ class Stretch(NamedTuple):
     end_mps: Array
 
 
-class Window(NamedTuple):
+class ExpertWindow(NamedTuple):
     """Where a trainset is between too slow and too fast (Huang25 eq. 14). Speeds are means to the end.
 
     Attributes:
@@ -105,12 +105,12 @@ class Window(NamedTuple):
     late_s: Array
 
 
-def coasting_s(
+def coasting_time(
     xp: Any,  # noqa: ANN401 (a module)
     davis: Sequence[Array],
     brake_mps2: Array,
     speed_mps: Array,
-    stretch: Stretch,
+    stretch: ExpertStretch,
 ) -> Array:
     """Time to the end of a stretch: coast, and brake at a constant rate as late as that allows, s.
 
@@ -124,14 +124,14 @@ def coasting_s(
         speed_mps: Speed now.
         stretch: What lies ahead.
     """
-    ds = xp.maximum(stretch.left_m, 1e-3) / SEGMENTS
+    ds = xp.maximum(stretch.left_m, 1e-3) / EXPERT_SEGMENTS
     least = 0.5 * SLOWEST_MPS * SLOWEST_MPS
     end = 0.5 * stretch.end_mps * stretch.end_mps
     v = xp.maximum(speed_mps, SLOWEST_MPS)
     e, total, over = 0.5 * v * v, 0.0 * v, v < 0.0
-    for k in range(SEGMENTS):
+    for k in range(EXPERT_SEGMENTS):
         pull = davis[0] + v * (davis[1] + v * davis[2]) + (stretch.climb[k + 1] - stretch.climb[k]) / ds
-        behind = (SEGMENTS - 1 - k) * ds
+        behind = (EXPERT_SEGMENTS - 1 - k) * ds
         after = e - pull * ds
         s = xp.clip((end + brake_mps2 * (behind + ds) - e) / xp.maximum(brake_mps2 - pull, 0.05), 0.0, ds)
         meets = after >= end + brake_mps2 * behind
@@ -145,21 +145,21 @@ def coasting_s(
     return total
 
 
-def window_of(
+def expert_window(
     xp: Any,  # noqa: ANN401 (a module)
-    rules: Rules,
+    rules: ExpertRules,
     left_m: Array,
     coasting: Array,
     time_left_s: Array,
     share: Array = 1.0,
-) -> Window:
+) -> ExpertWindow:
     """The speed window (Huang25 eq. 14, Algorithm 1).
 
     Args:
         xp: Array namespace.
         rules: The expert's constants.
         left_m: ``d_k``, distance to the end of the interval.
-        coasting: Time to there if it coasts, from :func:`coasting_s`.
+        coasting: Time to there if it coasts, from :func:`coasting_time`.
         time_left_s: ``Tr``, reserved time to the destination.
         share: ``tau_k / tau_D``, least time to the end of the interval over that to the destination.
     """
@@ -167,10 +167,12 @@ def window_of(
     late, on_time, early = (
         xp.maximum((time_left_s + t) * share, LEAST_S) for t in (rules.tolerance_s, 0.0, -rules.tolerance_s)
     )
-    return Window(left_m / coasting, left_m / late, left_m / on_time, left_m / early, coasting - on_time)
+    return ExpertWindow(
+        left_m / coasting, left_m / late, left_m / on_time, left_m / early, coasting - on_time
+    )
 
 
-def constant_change(xp: Any, rules: Rules, window: Window, rate_mps2: Array) -> Array:  # noqa: ANN401
+def constant_rate_change(xp: Any, rules: ExpertRules, window: ExpertWindow, rate_mps2: Array) -> Array:  # noqa: ANN401
     """EITOE's change of the rate in an interval: up while too slow, down while too fast (eqs. 15 and 16).
 
     Inside the window, which the paper leaves open, a trainset under traction goes on until it would come
@@ -181,10 +183,10 @@ def constant_change(xp: Any, rules: Rules, window: Window, rate_mps2: Array) -> 
     return xp.where(up, rules.change_mps2, -rules.change_mps2)
 
 
-def next_rate(
+def next_expert_rate(
     xp: Any,  # noqa: ANN401 (a module)
     most_mps2: Array,
-    window: Window,
+    window: ExpertWindow,
     rate_mps2: Array,
     change_mps2: Array,
     top_mps2: Array,
@@ -198,7 +200,7 @@ def next_rate(
     Args:
         xp: Array namespace.
         most_mps2: Largest change of the rate in this period.
-        window: From :func:`window_of`.
+        window: From :func:`expert_window`.
         rate_mps2: The rate now.
         change_mps2: Wanted change.
         top_mps2: Largest rate here.
@@ -215,9 +217,9 @@ def next_rate(
     return xp.where(slows, braked, xp.where(rate_mps2 < 0.0, eased, pulled))
 
 
-def features(
+def expert_state(
     xp: Any,  # noqa: ANN401 (a module)
-    window: Window,
+    window: ExpertWindow,
     speed_mps: Array,
     left_m: Array,
     time_left_s: Array,
@@ -237,9 +239,9 @@ def features(
     ]
 
 
-def safe_speed(
+def expert_safe_speed(
     xp: Any,  # noqa: ANN401 (a module)
-    rules: Rules,
+    rules: ExpertRules,
     brake_mps2: Array,
     lower_mps: Array,
     left_m: Array,

@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 
 from metropilot.env.actions import AbstractAction
-from metropilot.env.expert import Rules
+from metropilot.env.expert import ExpertRules
 from metropilot.env.expert_view import expert_command
 from metropilot.env.features import FeatureContext
 from metropilot.env.interface import ActionSpace
@@ -35,9 +35,9 @@ class AbstractExpertAction(AbstractAction):
     interval_s: float = 0.2
 
     @property
-    def rules(self) -> Rules:
+    def rules(self) -> ExpertRules:
         """The expert's constants."""
-        return Rules(self.start_mps2, self.change_mps2, self.interval_s, SURE_S)
+        return ExpertRules(self.start_mps2, self.change_mps2, self.interval_s, SURE_S)
 
     @abstractmethod
     def change(self, action: Array) -> Array:

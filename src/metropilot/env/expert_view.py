@@ -12,18 +12,18 @@ from typing import Any, NamedTuple
 from metropilot.control import AT_ONCE_MPS3
 from metropilot.env.assists import needs_of
 from metropilot.env.expert import (
-    RELEASE_SHARE,
-    SEGMENTS,
-    Rules,
-    Stretch,
-    Window,
-    coasting_s,
-    features,
-    next_rate,
-    window_of,
+    EXPERT_RELEASE_SHARE,
+    EXPERT_SEGMENTS,
+    ExpertRules,
+    ExpertStretch,
+    ExpertWindow,
+    coasting_time,
+    expert_state,
+    expert_window,
+    next_expert_rate,
 )
 from metropilot.env.features import FeatureContext
-from metropilot.env.tables import CLIMB, PERMITTED
+from metropilot.env.tables import CLIMB, PERMITTED_COLUMN
 from metropilot.physics import command_for_effort
 
 Array = Any
@@ -45,7 +45,7 @@ class View(NamedTuple):
         time_left_s: Time left, less what letting go of the last brake takes.
     """
 
-    window: Window
+    window: ExpertWindow
     rate_mps2: Array
     drag_mps2: Array
     traction_mps2: Array
@@ -53,7 +53,7 @@ class View(NamedTuple):
     time_left_s: Array
 
 
-def view_of(sight: FeatureContext, rules: Rules) -> View:
+def view_of(sight: FeatureContext, rules: ExpertRules) -> View:
     """The window of the destination, and what turns rates into commands."""
     xp, vehicle, v = sight.xp, sight.vehicle, sight.speed_mps
     mass = vehicle.effective_mass_kg
@@ -63,21 +63,21 @@ def view_of(sight: FeatureContext, rules: Rules) -> View:
     pulling = xp.maximum(sight.acceleration_mps2, 0.0)
     coasts_at = v + pulling * (vehicle.delay_s + vehicle.lag_s + 0.5 * pulling / jerk)
     left = xp.maximum(sight.left_m, 1e-3)
-    at = sight.position_m + left / SEGMENTS * xp.arange(SEGMENTS + 1, dtype=left.dtype)
+    at = sight.position_m + left / EXPERT_SEGMENTS * xp.arange(EXPERT_SEGMENTS + 1, dtype=left.dtype)
     climb = sight.rows.ground_at(CLIMB, sight.case, at)
-    cap = xp.maximum(sight.rows.ground_at(PERMITTED, sight.case, at) - MARGIN_MPS, 0.0)
-    stretch = Stretch(left, climb, 0.5 * cap * cap, 0.0)
+    cap = xp.maximum(sight.rows.ground_at(PERMITTED_COLUMN, sight.case, at) - MARGIN_MPS, 0.0)
+    stretch = ExpertStretch(left, climb, 0.5 * cap * cap, 0.0)
     davis = [vehicle.davis_n[k] / mass for k in range(3)]
-    coasting = coasting_s(xp, davis, rules.brake_mps2, coasts_at, stretch)
-    time_left = sight.left_s - RELEASE_SHARE * rules.brake_mps2 / (RELEASE * jerk)
-    window = window_of(xp, rules, left, coasting, time_left)
+    coasting = coasting_time(xp, davis, rules.brake_mps2, coasts_at, stretch)
+    time_left = sight.left_s - EXPERT_RELEASE_SHARE * rules.brake_mps2 / (RELEASE * jerk)
+    window = expert_window(xp, rules, left, coasting, time_left)
     return View(window, rate, drag, traction, brake, time_left)
 
 
 def expert_features(sight: FeatureContext) -> Sequence[Array]:
     """The state of Huang25 eq. 19, the rate, and where in its window the trainset is."""
-    view = view_of(sight, Rules())
-    return features(
+    view = view_of(sight, ExpertRules())
+    return expert_state(
         sight.xp,
         view.window,
         sight.speed_mps,
@@ -88,10 +88,10 @@ def expert_features(sight: FeatureContext) -> Sequence[Array]:
     )
 
 
-def expert_command(sight: FeatureContext, rules: Rules, change: Array, period_s: float) -> Array:
+def expert_command(sight: FeatureContext, rules: ExpertRules, change: Array, period_s: float) -> Array:
     """The command after a change of the rate, which the rules bound."""
     view, part = view_of(sight, rules), period_s / rules.interval_s
     top = sight.xp.minimum(rules.start_mps2 + view.drag_mps2, view.traction_mps2)
     most = rules.change_mps2 * part
-    rate = next_rate(sight.xp, most, view.window, view.rate_mps2, change * most, top)
+    rate = next_expert_rate(sight.xp, most, view.window, view.rate_mps2, change * most, top)
     return command_for_effort(rate, view.traction_mps2, view.brake_mps2)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from metropilot.env.tables import CLIMB, PACES_MPS, PERMITTED, SectionRows, SectionTables, near_track
+from metropilot.env.tables import CLIMB, PACES_MPS, PERMITTED_COLUMN, SectionRows, SectionTables, near_track
 from metropilot.physics import Track, Vehicle, davis_n, effort_at
 from metropilot.protection import Rates as Guaranteed
 
@@ -100,7 +100,7 @@ class FeatureContext(NamedTuple):
     @property
     def permitted_mps(self) -> Array:
         """Permitted speed here."""
-        return self.rows.ground_at(PERMITTED, self.case, self.position_m)
+        return self.rows.ground_at(PERMITTED_COLUMN, self.case, self.position_m)
 
 
 def feature_context(  # noqa: PLR0913 (the state of a run, field by field)
@@ -226,7 +226,7 @@ def permitted_far(sight: FeatureContext) -> Sequence[Array]:
 
 def _permitted_at(sight: FeatureContext, ahead_m: Sequence[float]) -> Sequence[Array]:
     at = sight.position_m + _down(sight, ahead_m)
-    return list(sight.rows.ground_at(PERMITTED, sight.case, at) / SPEED_MPS)
+    return list(sight.rows.ground_at(PERMITTED_COLUMN, sight.case, at) / SPEED_MPS)
 
 
 def _down(sight: FeatureContext, values: Sequence[float] | np.ndarray) -> Array:
@@ -303,7 +303,7 @@ def _coasted(sight: FeatureContext, v: Array) -> tuple[Array, Array]:
     climb = (climb - climb[:1]) * (vehicle.mass_kg / vehicle.effective_mass_kg)
     rise = climb[1:] - climb[:-1]
     braked = xp.sqrt(2.0 * sight.stop_mps2 * (length - way) + 1e-6)
-    top = xp.minimum(sight.rows.ground_at(PERMITTED, sight.case, at), braked)
+    top = xp.minimum(sight.rows.ground_at(PERMITTED_COLUMN, sight.case, at), braked)
     sums, start = xp.asarray(UP_TO, v.dtype), 0.5 * v * v
     energy = xp.maximum(start - climb, SLOWEST_J)
     for _ in range(COAST_PASSES):

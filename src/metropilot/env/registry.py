@@ -13,7 +13,7 @@ from metropilot.env.config import REWARDS, DrivingConfig
 from metropilot.env.driving import DrivingTask
 from metropilot.env.randomization import DisturbanceDistribution
 from metropilot.env.rewards import StopError
-from metropilot.env.worlds import ASSISTS, OBSERVER, DomainRandomization, domain_sample
+from metropilot.env.worlds import DOMAIN_ASSISTS, DOMAIN_OBSERVER, DomainRandomization, domain_sample
 from metropilot.railway import Section, Trainset, load_line, load_trainset
 
 
@@ -78,8 +78,8 @@ def _worlds() -> DrivingConfig:
         tuple(world.trainset for world in worlds),
         DisturbanceDistribution(time_ratio=(1.05, 1.4)),
         ideal=False,
-        observer=OBSERVER,
-        assists=ASSISTS,
+        observer=DOMAIN_OBSERVER,
+        assists=DOMAIN_ASSISTS,
         dt=0.2,
         periods=2,
         most_decisions=3000,

@@ -14,7 +14,7 @@ from metropilot.units import J_PER_KWH
 Array = Any
 
 
-class Change(NamedTuple):
+class PeriodChange(NamedTuple):
     """What happened in one decision. All 0-d.
 
     Attributes:
@@ -60,7 +60,7 @@ class AbstractTerm(ABC):
     name: ClassVar[str]
 
     @abstractmethod
-    def value(self, change: Change) -> Array:
+    def value(self, change: PeriodChange) -> Array:
         """What one decision earns. Shape ()."""
 
 
@@ -76,7 +76,7 @@ class Energy(AbstractTerm):
     name = "energy"
     per_kwh: float = 1.0
 
-    def value(self, change: Change) -> Array:
+    def value(self, change: PeriodChange) -> Array:
         """Minus the energy used (Chen23a eq. 16, first term)."""
         return -self.per_kwh / J_PER_KWH * change.wheel_j
 
@@ -93,7 +93,7 @@ class LineEnergy(AbstractTerm):
     name = "line_energy"
     per_kwh: float = 1.0
 
-    def value(self, change: Change) -> Array:
+    def value(self, change: PeriodChange) -> Array:
         """Minus the energy used."""
         return -self.per_kwh / J_PER_KWH * change.line_j
 
@@ -110,7 +110,7 @@ class Comfort(AbstractTerm):
     name = "comfort"
     weight: float = 0.1
 
-    def value(self, change: Change) -> Array:
+    def value(self, change: PeriodChange) -> Array:
         """Minus the change of acceleration, up or down."""
         return -self.weight * change.jerk_mps2
 
@@ -129,7 +129,7 @@ class OnTime(AbstractTerm):
     bonus: float = 100.0
     allowed_s: float = 8.0
 
-    def value(self, change: Change) -> Array:
+    def value(self, change: PeriodChange) -> Array:
         """Plus or minus the sum, at the end only."""
         xp = namespace(change.late_s)
         won = change.arrived & (xp.abs(change.late_s) <= self.allowed_s)
@@ -152,7 +152,7 @@ class Punctuality(AbstractTerm):
     early: float = 1.0
     soft_s: float = 1.0
 
-    def value(self, change: Change) -> Array:
+    def value(self, change: PeriodChange) -> Array:
         """Huber's function of the deviation, at an arrival only."""
         xp = namespace(change.late_s)
         off = xp.abs(change.late_s)
@@ -175,7 +175,7 @@ class StopError(AbstractTerm):
     per_m: float = 1.0
     most: float = 20.0
 
-    def value(self, change: Change) -> Array:
+    def value(self, change: PeriodChange) -> Array:
         """Minus the size of the error, at the end only."""
         xp = namespace(change.error_m)
         price = xp.minimum(self.per_m * xp.abs(change.error_m), self.most)
@@ -196,7 +196,7 @@ class Failure(AbstractTerm):
     price: float = 10.0
     per_m: float = 0.02
 
-    def value(self, change: Change) -> Array:
+    def value(self, change: PeriodChange) -> Array:
         """The price, at the end only."""
         xp = namespace(change.error_m)
         price = self.price + self.per_m * xp.abs(change.error_m)
@@ -215,7 +215,7 @@ class Intervention(AbstractTerm):
     name = "intervention"
     per_s: float = 1.0
 
-    def value(self, change: Change) -> Array:
+    def value(self, change: PeriodChange) -> Array:
         """Minus the seconds."""
         return -self.per_s * change.overruled * change.seconds
 
@@ -232,7 +232,7 @@ class Overspeed(AbstractTerm):
     name = "overspeed"
     per_m: float = 1.0
 
-    def value(self, change: Change) -> Array:
+    def value(self, change: PeriodChange) -> Array:
         """Minus the excess."""
         return -self.per_m * change.overspeed_mps * change.seconds
 
@@ -249,7 +249,7 @@ class Seconds(AbstractTerm):
     name = "seconds"
     per_s: float = 0.1
 
-    def value(self, change: Change) -> Array:
+    def value(self, change: PeriodChange) -> Array:
         """Minus the time."""
         return -self.per_s * change.seconds
 
@@ -266,7 +266,7 @@ class EffortEnergy(AbstractTerm):
     name = "effort_energy"
     per_j: float = 1e-5
 
-    def value(self, change: Change) -> Array:
+    def value(self, change: PeriodChange) -> Array:
         """Minus the work, traction and braking alike."""
         return -self.per_j * (change.wheel_j + change.braked_j)
 
@@ -285,7 +285,7 @@ class StopWindow(AbstractTerm):
     bonus: float = 1000.0
     within_m: float = 0.3
 
-    def value(self, change: Change) -> Array:
+    def value(self, change: PeriodChange) -> Array:
         """Plus or minus the sum, at the end only."""
         xp = namespace(change.error_m)
         won = change.arrived & (xp.abs(change.error_m) <= self.within_m)
@@ -312,7 +312,7 @@ class AccelerationComfort(AbstractTerm):
     jump_mps2: float = 0.4
     jump_price: float = 10.0
 
-    def value(self, change: Change) -> Array:
+    def value(self, change: PeriodChange) -> Array:
         """P less the size of the acceleration, -P beyond the limit, -L after a jump up."""
         xp = namespace(change.acceleration_mps2)
         size = xp.abs(change.acceleration_mps2)
@@ -334,7 +334,7 @@ class Moving(AbstractTerm):
     name = "moving"
     bonus: float = 0.01
 
-    def value(self, change: Change) -> Array:
+    def value(self, change: PeriodChange) -> Array:
         """The sum where the speed is above zero."""
         xp = namespace(change.speed_mps)
         return xp.where(change.speed_mps > 0.0, self.bonus, 0.0 * change.speed_mps)

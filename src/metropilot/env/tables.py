@@ -32,8 +32,8 @@ class SectionTables(NamedTuple):
         vehicle: Trainset as the driver knows it.
         track: Section.
         protection: Its protection; the curves are in ``ground``.
-        ground: At protection's nodes: its ``CURVES``, and the climb from the origin (gradient and curves,
-            J/kg). Shape (C, N, 6).
+        ground: At protection's nodes: its ``PROTECTION_CURVES``, and the climb from the origin (gradient and
+            curves, J/kg). Shape (C, N, 6).
         to_go: Flat-out time to the stop, see :class:`metropilot.env.to_go.ToGo`. Shape (C, R, V).
         minimum_s: Minimum running time. Shape (C,).
         length_m: Distance to the stop. Shape (C,).
@@ -69,9 +69,9 @@ PACES_MPS = (3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, 17.0, 19.5, 22.5, 26.5, 32.0)
 """Speeds that the time to go is tabled for."""
 SLOWEST_MPS = 0.3
 """Least sum of the speeds at two nodes that a tabled time counts with."""
-CURVES = ("emergency", "service", "permitted_mps", "pull_mps2", "usual_pull_mps2")
+PROTECTION_CURVES = ("emergency", "service", "permitted_mps", "pull_mps2", "usual_pull_mps2")
 """Protection's curves in ``Tables.ground``, in this order; the climb comes last."""
-PERMITTED, CLIMB = 2, 5
+PERMITTED_COLUMN, CLIMB = 2, 5
 
 
 def build_tables(
@@ -93,7 +93,7 @@ def build_tables(
     vehicles, tracks, protections, grounds, tables, lengths, stops, brakings = zip(*rows, strict=True)
     nodes = max(ground.shape[0] for ground in grounds)
     ahead = np.arange(max(_look_ahead(protection) for protection in protections), dtype=np.int32)
-    small = [p._replace(**dict.fromkeys(CURVES, 0.0)) for p in protections]
+    small = [p._replace(**dict.fromkeys(PROTECTION_CURVES, 0.0)) for p in protections]
     stacked = _stack_protection(small, ahead)
     whole = SectionTables(
         vehicle=stack(vehicles),
@@ -130,7 +130,7 @@ def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float
     gradient, curve, _ = felt_slopes(vehicle, track, at)
     weight = (vehicle.gravity_mps2 * gradient + curve) * spacing_m
     climb = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]))])
-    ground = np.stack([*(getattr(protection, name)[:used] for name in CURVES), climb], axis=1)
+    ground = np.stack([*(getattr(protection, name)[:used] for name in PROTECTION_CURVES), climb], axis=1)
     table = to_go_table(vehicle, track).time_s
     pull = weight / spacing_m * float(vehicle.mass_kg) / float(vehicle.effective_mass_kg)
     work = _stop_work(vehicle, at, pull, section.length_m)
@@ -224,7 +224,7 @@ def _widest(tables: Sequence[np.ndarray]) -> int:
 def _padded(ground: np.ndarray, size: int) -> np.ndarray:
     """Beyond the map nothing may move: zero curves, the rest as at its end."""
     extra = np.repeat(ground[-1:], size - ground.shape[0], axis=0)
-    extra[:, : PERMITTED + 1] = 0.0
+    extra[:, : PERMITTED_COLUMN + 1] = 0.0
     return np.concatenate([ground, extra])
 
 
@@ -367,7 +367,7 @@ def near_protection(rows: SectionRows, protection: Protection, case: Array, posi
     window = rows.ground[case, node + xp.arange(count)]
     return protection._replace(
         start_m=protection.start_m + node.astype(window.dtype) * rows.spacing_m,
-        **{name: window[:, column] for column, name in enumerate(CURVES)},
+        **{name: window[:, column] for column, name in enumerate(PROTECTION_CURVES)},
         ahead=xp.asarray(rows.ahead),
         slots=xp.zeros(rows.slots, window.dtype),
     )

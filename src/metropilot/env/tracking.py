@@ -57,7 +57,7 @@ class ReferenceCourse(NamedTuple):
         return int(self.position_m.shape[0]) - 1
 
 
-class Tracked(NamedTuple):
+class TrackingView(NamedTuple):
     """What a controller is given each period.
 
     Attributes:
@@ -121,7 +121,7 @@ def course_of(
     )
 
 
-def compiled(course: ReferenceCourse) -> ReferenceCourse:
+def compile_course(course: ReferenceCourse) -> ReferenceCourse:
     """The course in JAX, single precision."""
     import jax
 
@@ -131,7 +131,7 @@ def compiled(course: ReferenceCourse) -> ReferenceCourse:
     return to_jax(single)
 
 
-def standing() -> TrackState:
+def start_tracking() -> TrackState:
     """At rest at the origin (NumPy)."""
     zero = np.float64(0.0)
     forces = Forces(zero, zero, zero, zero, zero)
@@ -152,11 +152,11 @@ def standing() -> TrackState:
     return TrackState(plant, zero, Errors(zero, zero), np.int64(0))
 
 
-def seen(course: ReferenceCourse, state: TrackState) -> Tracked:
+def tracking_view(course: ReferenceCourse, state: TrackState) -> TrackingView:
     """What the controller sees at the start of a period."""
     plant, k = state.plant, state.period
     reference = course.speed_mps[k]
-    return Tracked(
+    return TrackingView(
         reference - plant.speed_mps,
         course.position_m[k] - plant.position_m,
         plant.speed_mps,
@@ -165,7 +165,9 @@ def seen(course: ReferenceCourse, state: TrackState) -> Tracked:
     )
 
 
-def advance(course: ReferenceCourse, state: TrackState, command: Array, errors: Errors) -> TrackState:
+def advance_tracking(
+    course: ReferenceCourse, state: TrackState, command: Array, errors: Errors
+) -> TrackState:
     """One control period under a command, without protection (Cheng23 eqs. 1 to 3)."""
     params = RunParams(
         vehicle=course.vehicle,
@@ -186,7 +188,7 @@ def advance(course: ReferenceCourse, state: TrackState, command: Array, errors: 
     return TrackState(run.plant, command, errors, state.period + 1)
 
 
-def tracking_observation(given: Tracked) -> Array:
+def tracking_observation(given: TrackingView) -> Array:
     """What DDPG-PID sees: speed, command, speed error, position error, scaled. Shape (4,). Cheng23 eq. 7."""
     xp = namespace(given.error_mps)
     xp = np if xp.__name__ == "scalars" else xp

@@ -12,11 +12,11 @@ from metropilot.env.interface import AbstractTask, ActionSpace, Transition
 from metropilot.env.tracking import (
     ReferenceCourse,
     TrackState,
-    advance,
-    compiled,
-    seen,
-    standing,
+    advance_tracking,
+    compile_course,
+    start_tracking,
     tracking_observation,
+    tracking_view,
 )
 from metropilot.errors import InputError
 from metropilot.physics import davis_n, effort_at
@@ -145,7 +145,7 @@ class TrackingTask(AbstractTask):
         self.longest = max(course.periods for course in config.courses)
         import jax
 
-        padded = [compiled(_padded(course, self.longest)) for course in config.courses]
+        padded = [compile_course(_padded(course, self.longest)) for course in config.courses]
         self.courses: ReferenceCourse = jax.tree.map(lambda *leaves: jax.numpy.stack(leaves), *padded)
 
     def course(self, index: Array) -> ReferenceCourse:
@@ -160,11 +160,13 @@ class TrackingTask(AbstractTask):
         import jax.numpy as jnp
 
         course = self.course(index)
-        rest = standing()
+        rest = start_tracking()
         loop: TrackState = jax.tree.map(
             lambda x: jnp.asarray(x, jnp.int32 if np.asarray(x).dtype.kind == "i" else jnp.float32), rest
         )
-        return TrackingState(loop, jnp.asarray(index, jnp.int32)), tracking_observation(seen(course, loop))
+        return TrackingState(loop, jnp.asarray(index, jnp.int32)), tracking_observation(
+            tracking_view(course, loop)
+        )
 
     def reset(self, key: Array) -> tuple[TrackingState, Array]:
         """An episode on a course drawn at random, from standstill or from near the reference on the way."""
@@ -192,7 +194,7 @@ class TrackingTask(AbstractTask):
         moving = TrackState(plant, command, Errors(error, error), k)
         on_the_way = jax.random.uniform(share) < config.on_the_way
         loop = jax.tree.map(lambda a, b: jnp.where(on_the_way, a, b), moving, state.loop)
-        return TrackingState(loop, state.course), tracking_observation(seen(course, loop))
+        return TrackingState(loop, state.course), tracking_observation(tracking_view(course, loop))
 
     def step(self, key: Array, state: TrackingState, action: Array) -> tuple[TrackingState, Transition]:
         """One control period with the gains that an action stands for."""
@@ -200,12 +202,12 @@ class TrackingTask(AbstractTask):
 
         del key
         config, course = self.config, self.course(state.course)
-        given = seen(course, state.loop)
+        given = tracking_view(course, state.loop)
         command, errors = incremental_pid(
             given.command, gains_of(action, config.upper), given.error_mps, state.loop.errors
         )
-        loop = advance(course, state.loop, command, errors)
-        after, plant, before = seen(course, loop), loop.plant, state.loop.plant
+        loop = advance_tracking(course, state.loop, command, errors)
+        after, plant, before = tracking_view(course, loop), loop.plant, state.loop.plant
         unsafe = plant.speed_mps > config.limit_mps
         late = loop.period >= course.end
         over = late & ((plant.speed_mps <= 0) | (loop.period >= self.longest))

@@ -16,8 +16,8 @@ from metropilot.env.config import DrivingConfig
 from metropilot.railway import Actuation, Davis, EffortCurve, SafeBraking, Section, Station, Steps, Trainset
 from metropilot.units import KMH_PER_MPS
 
-OBSERVER = "line"
-ASSISTS = Assists(margin_mps=0.05, stop_use=0.99, release=0.95, late=True)
+DOMAIN_OBSERVER = "line"
+DOMAIN_ASSISTS = Assists(margin_mps=0.05, stop_use=0.99, release=0.95, late=True)
 """Closer to the limits than the standard: what a driver may not use, the optimum uses."""
 GRAVITY_MPS2 = 9.81
 STEEPEST_PERMIL = (6.0, 14.0, 28.0, 40.0)

@@ -1,41 +1,218 @@
 """Drives measured: the host loop, trajectories, KPIs, comparisons, pictures and the folder of a run."""
 
-from metropilot.evaluate.compare import Entry, Interval, Job, best, compare, jobs
-from metropilot.evaluate.driver_options import make_driver, option_defaults
-from metropilot.evaluate.folder import (
-    comparison_json,
-    write_comparison,
-    write_run,
-)
-from metropilot.evaluate.kpis import Check, Kpis, checks, kpis_of, outcome_words, verdict
-from metropilot.evaluate.optimum import Objective, Optimum, optimum_of
-from metropilot.evaluate.run_spec import POLICY, RunSpec, is_file, key_type, run_fields, run_from_toml
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from metropilot._lazy import lazy_door
+
+if TYPE_CHECKING:
+    from metropilot.evaluate.comparison import Entry, Interval, Job, best, compare, jobs
+    from metropilot.evaluate.driver_options import (
+        make_driver,
+        named_driver,
+        named_option,
+        option_defaults,
+        with_options,
+    )
+    from metropilot.evaluate.folder import (
+        comparison_json,
+        copy_inputs,
+        write_comparison,
+        write_run,
+        write_run_toml,
+    )
+    from metropilot.evaluate.gallery import front_figure, plan_figure
+    from metropilot.evaluate.indices import Indices, indices_of
+    from metropilot.evaluate.kpis import (
+        INTERVENTION_CHECK,
+        JERK_CHECK,
+        OVERSPEED_CHECK,
+        STOP_CHECK,
+        TIME_CHECK,
+        Check,
+        Kpis,
+        checks,
+        kpis_of,
+        outcome_words,
+        verdict,
+        verdict_words,
+    )
+    from metropilot.evaluate.measures import comfort_band_shares, command_variation, max_jerk
+    from metropilot.evaluate.optimum import OPTIMUM_SPACING_M, OPTIMUM_TOLERANCE, Optimum, optimum_of
+    from metropilot.evaluate.picture import draw_speed, set_distance
+    from metropilot.evaluate.run_spec import (
+        POLICY,
+        RunSpec,
+        in_run_toml,
+        is_file,
+        key_type,
+        run_fields,
+        run_from_toml,
+    )
+    from metropilot.evaluate.style import (
+        BLACK,
+        BLUE,
+        GREEN,
+        GREY,
+        ORANGE,
+        SERIES_STYLES,
+        SKY,
+        VERMILION,
+        add_headline,
+        driver_styles,
+        house_style,
+        label_panel,
+        new_panels,
+        save_figure,
+    )
+    from metropilot.evaluate.tracking import (
+        JERK_WINDOW_S,
+        TrackingController,
+        TrackingKpis,
+        TrackRecord,
+        track_compiled,
+        track_course,
+        tracking_kpis,
+        tracking_score,
+    )
+    from metropilot.evaluate.tracking_tuning import TUNABLE, tune_driver
 
 __all__ = [
+    "BLACK",
+    "BLUE",
+    "GREEN",
+    "GREY",
+    "INTERVENTION_CHECK",
+    "JERK_CHECK",
+    "JERK_WINDOW_S",
+    "OPTIMUM_SPACING_M",
+    "OPTIMUM_TOLERANCE",
+    "ORANGE",
+    "OVERSPEED_CHECK",
     "POLICY",
+    "SERIES_STYLES",
+    "SKY",
+    "STOP_CHECK",
+    "TIME_CHECK",
+    "TUNABLE",
+    "VERMILION",
     "Check",
     "Entry",
+    "Indices",
     "Interval",
     "Job",
     "Kpis",
-    "Objective",
     "Optimum",
     "RunSpec",
+    "TrackRecord",
+    "TrackingController",
+    "TrackingKpis",
+    "add_headline",
     "best",
     "checks",
+    "comfort_band_shares",
+    "command_variation",
     "compare",
     "comparison_json",
+    "copy_inputs",
+    "draw_speed",
+    "driver_styles",
+    "front_figure",
+    "house_style",
+    "in_run_toml",
+    "indices_of",
     "is_file",
     "jobs",
     "key_type",
     "kpis_of",
+    "label_panel",
     "make_driver",
+    "max_jerk",
+    "named_driver",
+    "named_option",
+    "new_panels",
     "optimum_of",
     "option_defaults",
     "outcome_words",
+    "plan_figure",
     "run_fields",
     "run_from_toml",
+    "save_figure",
+    "set_distance",
+    "track_compiled",
+    "track_course",
+    "tracking_kpis",
+    "tracking_score",
+    "tune_driver",
     "verdict",
+    "verdict_words",
+    "with_options",
     "write_comparison",
     "write_run",
+    "write_run_toml",
 ]
+
+__getattr__, __dir__ = lazy_door(
+    __name__,
+    {
+        "comparison": ("Entry", "Interval", "Job", "best", "compare", "jobs"),
+        "driver_options": ("make_driver", "named_driver", "named_option", "option_defaults", "with_options"),
+        "folder": ("comparison_json", "copy_inputs", "write_comparison", "write_run", "write_run_toml"),
+        "gallery": ("front_figure", "plan_figure"),
+        "indices": ("Indices", "indices_of"),
+        "kpis": (
+            "Check",
+            "INTERVENTION_CHECK",
+            "JERK_CHECK",
+            "Kpis",
+            "OVERSPEED_CHECK",
+            "STOP_CHECK",
+            "TIME_CHECK",
+            "checks",
+            "kpis_of",
+            "outcome_words",
+            "verdict",
+            "verdict_words",
+        ),
+        "measures": ("comfort_band_shares", "command_variation", "max_jerk"),
+        "optimum": ("OPTIMUM_SPACING_M", "OPTIMUM_TOLERANCE", "Optimum", "optimum_of"),
+        "picture": ("draw_speed", "set_distance"),
+        "run_spec": (
+            "POLICY",
+            "RunSpec",
+            "in_run_toml",
+            "is_file",
+            "key_type",
+            "run_fields",
+            "run_from_toml",
+        ),
+        "style": (
+            "BLACK",
+            "BLUE",
+            "GREEN",
+            "GREY",
+            "ORANGE",
+            "SERIES_STYLES",
+            "SKY",
+            "VERMILION",
+            "add_headline",
+            "driver_styles",
+            "house_style",
+            "label_panel",
+            "new_panels",
+            "save_figure",
+        ),
+        "tracking": (
+            "JERK_WINDOW_S",
+            "TrackRecord",
+            "TrackingController",
+            "TrackingKpis",
+            "track_compiled",
+            "track_course",
+            "tracking_kpis",
+            "tracking_score",
+        ),
+        "tracking_tuning": ("TUNABLE", "tune_driver"),
+    },
+)

@@ -10,12 +10,12 @@ from typing import Any
 
 from metropilot._io import fill_folder, write_json
 from metropilot._provenance import provenance
-from metropilot.evaluate.compare import Entry
+from metropilot.evaluate.comparison import Entry
 from metropilot.evaluate.kpis import Kpis
 from metropilot.evaluate.optimum import Optimum
 from metropilot.evaluate.run_spec import FILES, POLICY, RunSpec, is_file
 from metropilot.policy import policy_path
-from metropilot.sim.rollout import Drive
+from metropilot.sim import Drive
 
 
 def write_run(folder: Path, request: RunSpec, drive: Drive, kpis: Kpis, optimum: Optimum | None) -> None:
@@ -32,12 +32,12 @@ def write_run(folder: Path, request: RunSpec, drive: Drive, kpis: Kpis, optimum:
         InputError: The folder cannot be made or written.
     """
     from metropilot.evaluate.picture import profile_figure
-    from metropilot.evaluate.style import save
+    from metropilot.evaluate.style import save_figure
 
     with fill_folder(folder) as scratch:
         drive.trajectory.write(scratch / "trajectory.csv")
         write_json(scratch / "kpis.json", kpis.as_dict())
-        save(profile_figure(drive, kpis, optimum), scratch / "profile")
+        save_figure(profile_figure(drive, kpis, optimum), scratch / "profile")
         write_run_toml(scratch, request)
 
 
@@ -53,11 +53,11 @@ def write_comparison(folder: Path, request: RunSpec, entries: Sequence[Entry]) -
         InputError: The folder cannot be made or written.
     """
     from metropilot.evaluate.gallery import comparison_figure
-    from metropilot.evaluate.style import save
+    from metropilot.evaluate.style import save_figure
 
     with fill_folder(folder) as scratch:
         write_json(scratch / "comparison.json", comparison_json(request, entries))
-        save(comparison_figure(entries), scratch / "comparison")
+        save_figure(comparison_figure(entries), scratch / "comparison")
         write_run_toml(scratch, request)
 
 
@@ -81,12 +81,12 @@ def write_run_toml(folder: Path, request: RunSpec) -> None:
     """Write `run.toml` and, beside it, the line, trainset and policy files it was read from."""
     import tomli_w
 
-    table = {"run": carried(folder, request.resolved()).values(), "made_with": provenance()}
+    table = {"run": copy_inputs(folder, request.resolved()).values(), "made_with": provenance()}
     head = "# Drive it again: metropilot drive --from run.toml\n\n"
     (folder / "run.toml").write_text(head + tomli_w.dumps(table), encoding="utf-8")
 
 
-def carried(folder: Path, request: RunSpec) -> RunSpec:
+def copy_inputs(folder: Path, request: RunSpec) -> RunSpec:
     """The same request with the line, trainset and policy files copied into a folder and named there."""
     for kind in FILES:
         source = Path(getattr(request, kind))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metropilot.evaluate.compare import Entry
+from metropilot.evaluate.comparison import Entry
 from metropilot.evaluate.picture import (
     draw_gradient,
     draw_limits,
@@ -21,11 +21,11 @@ from metropilot.evaluate.style import (
     GREY,
     ORANGE,
     VERMILION,
-    headline,
+    add_headline,
+    driver_styles,
     house_style,
-    label,
+    label_panel,
     new_panels,
-    series,
 )
 from metropilot.planning import Call, Front, Plan
 from metropilot.railway import Section, Trainset
@@ -48,7 +48,7 @@ def comparison_figure(entries: Sequence[Entry]) -> Figure:
         draw_limits(speed, first.section, first.trainset)
         if entries[0].optimum is not None:
             draw_plan(speed, entries[0].optimum.plan, f"optimum for the time of {entries[0].driver}")
-        styles = series([entry.driver for entry in entries])
+        styles = driver_styles([entry.driver for entry in entries])
         for entry in entries:
             look = dict(zip(("color", "ls"), styles[entry.driver], strict=True))
             t = entry.drives[0].trajectory
@@ -62,14 +62,14 @@ def comparison_figure(entries: Sequence[Entry]) -> Figure:
         draw_stations(speed, first.section)
         draw_gradient(gradient, first.section)
         energy.set_ylabel("energy (kWh)")
-        label(energy, "traction energy at the wheel")
+        label_panel(energy, "traction energy at the wheel")
         energy.set_ylim(0, (1.1 + 0.1 * len(entries)) * energy.get_ylim()[1])
         energy.legend(loc="upper left", borderaxespad=0.2, labelspacing=0.3)
         furthest = max(float(e.drives[0].trajectory.position_m[-1]) for e in entries)
         set_distance(energy, first.section, furthest)
         section, trainset = first.section, first.run.trainset
         title = f"{section.origin.name} – {section.destination.name}, {section.length_m:.0f} m"
-        headline(speed, title, f"{trainset.id} {trainset.load}, scheduled {first.scheduled_time_s:g} s")
+        add_headline(speed, title, f"{trainset.id} {trainset.load}, scheduled {first.scheduled_time_s:g} s")
         return figure
 
 
@@ -123,7 +123,7 @@ def front_figure(section: Section, front: Front, planned: Plan | None, words: st
             "traction energy at the wheel (kWh)" if objective == "wheel" else "net energy at the line (kWh)"
         )
         title = f"{section.origin.name} – {section.destination.name}, {section.length_m:.0f} m"
-        headline(axes, title, f"{words}: what a running time costs, and what one more second saves")
+        add_headline(axes, title, f"{words}: what a running time costs, and what one more second saves")
         return figure
 
 
@@ -165,12 +165,12 @@ def plan_figure(section: Section, trainset: Trainset, plan: Plan, calls: Sequenc
         energy.plot(plan.position_m, used, color=BLUE)
         energy.set_ylim(0, None)
         energy.set_ylabel("energy (kWh)")
-        label(energy, "traction energy at the wheel")
+        label_panel(energy, "traction energy at the wheel")
         set_distance(energy, section, section.length_m)
         title = f"{section.origin.name} – {section.destination.name}, {section.length_m:.0f} m"
         energy_kwh = plan.energy_j / J_PER_KWH
         below = (
             f"{trainset.id} {trainset.load}, {energy_kwh:.2f} kWh in {plan.running_time_s:.1f} s of running"
         )
-        headline(speed, title, below)
+        add_headline(speed, title, below)
         return figure

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from metropilot.evaluate import measures
-from metropilot.evaluate.optimum import Objective, Optimum
-from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M, Outcome
-from metropilot.sim.rollout import Drive
+from metropilot.evaluate.optimum import Optimum
+from metropilot.planning import Objective
+from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M, Drive, Outcome
 from metropilot.units import J_PER_KWH, KMH_PER_MPS
 
 ROUNDING = 1e-6
@@ -240,8 +240,8 @@ class Judged(Protocol):
         ...
 
 
-STOPS, ON_TIME, NO_OVERSPEED = "stops at the mark", "on time", "no overspeed"
-NO_INTERVENTION, JERK = "no intervention", "jerk"
+STOP_CHECK, TIME_CHECK, OVERSPEED_CHECK = "stops at the mark", "on time", "no overspeed"
+INTERVENTION_CHECK, JERK_CHECK = "no intervention", "jerk"
 
 
 def checks(kpis: Judged) -> tuple[Check, ...]:
@@ -252,23 +252,26 @@ def checks(kpis: Judged) -> tuple[Check, ...]:
     smooth = limit is None or jerk <= limit * (1 + ROUNDING) + ROUNDING
     return (
         Check(
-            STOPS,
+            STOP_CHECK,
             f"{stop:+.3f} m",
             f"within {STOP_TOLERANCE_M:g} m",
             arrived and abs(stop) <= STOP_TOLERANCE_M,
         ),
         Check(
-            ON_TIME, f"{late:+.2f} s", f"within {PUNCTUALITY_S:g} s", arrived and abs(late) <= PUNCTUALITY_S
+            TIME_CHECK,
+            f"{late:+.2f} s",
+            f"within {PUNCTUALITY_S:g} s",
+            arrived and abs(late) <= PUNCTUALITY_S,
         ),
         Check(
-            NO_OVERSPEED,
+            OVERSPEED_CHECK,
             f"{KMH_PER_MPS * kpis.max_overspeed_mps:.2f} km/h",
             "0 km/h",
             kpis.outcome != Outcome.OVERSPEED.value,
         ),
-        Check(NO_INTERVENTION, str(kpis.interventions), "0", kpis.interventions == 0),
+        Check(INTERVENTION_CHECK, str(kpis.interventions), "0", kpis.interventions == 0),
         Check(
-            JERK,
+            JERK_CHECK,
             f"{jerk:.2f} m/s³" if smooth or round(jerk, 2) > (limit or 0.0) else f"{jerk:.7g} m/s³",
             "no limit" if limit is None else f"at most {limit:g} m/s³",
             smooth,
@@ -286,7 +289,7 @@ def outcome_words(kpis: Kpis) -> str:
     said = kpis.outcome.replace("_", " ")
     if said == "arrived" and not kpis.punctual:
         said = "early" if kpis.time_error_s < 0 else "late"
-    beside = {NO_INTERVENTION: "intervention", JERK: "jerk"}
+    beside = {INTERVENTION_CHECK: "intervention", JERK_CHECK: "jerk"}
     return ", ".join([said, *(word for name, word in beside.items() if name in kpis.failed)])
 
 
@@ -299,11 +302,11 @@ def verdict_words(kpis: Judged, required: Sequence[Check]) -> str:
     if kpis.outcome == Outcome.ARRIVED.value:
         ended = (
             f"arrived {abs(late):.1f} s {'early' if late < 0 else 'late'}"
-            if ON_TIME in failed
+            if TIME_CHECK in failed
             else "arrived on time"
         )
     count = kpis.interventions
-    beside = [f"{count} intervention{'s' if count > 1 else ''}"] if NO_INTERVENTION in failed else []
-    beside += [f"jerk {failed[JERK]}"] if JERK in failed else []
+    beside = [f"{count} intervention{'s' if count > 1 else ''}"] if INTERVENTION_CHECK in failed else []
+    beside += [f"jerk {failed[JERK_CHECK]}"] if JERK_CHECK in failed else []
     joint = ", but " if ended == "arrived on time" else ", "
     return ended + (joint + ", ".join(beside) if beside else "")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metropilot.sim.trajectory import COAST, STAND, Trajectory
+from metropilot.sim import COASTING, STANDSTILL, Trajectory
 
 CHENG2023_WINDOW_S = 2.0
 COMFORT_BANDS = (
@@ -54,14 +54,14 @@ def stopping_jerk(trajectory: Trajectory) -> float:
 
 def regime_switches(trajectory: Trajectory) -> int:
     """How often the driving regime (power, cruise, coast, brake) changes while the trainset moves."""
-    moving = trajectory.phase[trajectory.phase != STAND]
+    moving = trajectory.phase[trajectory.phase != STANDSTILL]
     return int((moving[1:] != moving[:-1]).sum())
 
 
 def coasting_distance_m(trajectory: Trajectory) -> float:
     """Distance covered without effort, m (Huang25 reports it for every method)."""
     moved = np.diff(trajectory.position_m)
-    return float(moved[trajectory.phase[:-1] == COAST].sum())
+    return float(moved[trajectory.phase[:-1] == COASTING].sum())
 
 
 def motion_energy_jpkg(trajectory: Trajectory) -> float:

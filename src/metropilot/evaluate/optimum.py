@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from metropilot.errors import Infeasible
-from metropilot.planning import Plan, PlanOptions, minimum_running_time, optimal_plan
-from metropilot.sim import Outcome
-from metropilot.sim.rollout import Drive
+from metropilot.planning import Objective, Plan, PlanOptions, minimum_running_time, optimal_plan
+from metropilot.sim import Drive, Outcome
 
-Objective = Literal["wheel", "line"]
-BARELY = 1e-4
+OPTIMUM_TOLERANCE = 1e-4
 OPTIMUM_SPACING_M = 5.0
 
 
@@ -41,7 +39,7 @@ def optimum_of(drive: Drive, objective: Objective = "wheel") -> Optimum | None:
     try:
         fastest = minimum_running_time(drive.section, drive.trainset)
         wanted = drive.running_time_s if drive.outcome is Outcome.ARRIVED else drive.scheduled_time_s
-        wanted = max(wanted, fastest * (1.0 + BARELY))
+        wanted = max(wanted, fastest * (1.0 + OPTIMUM_TOLERANCE))
         return Optimum(optimal_plan(drive.section, drive.trainset, wanted, options), fastest)
     except Infeasible:
         return None

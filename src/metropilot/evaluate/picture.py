@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot.evaluate.kpis import JERK, Kpis
+from metropilot.evaluate.kpis import JERK_CHECK, Kpis
 from metropilot.evaluate.optimum import Optimum
 from metropilot.evaluate.style import (
     BLACK,
@@ -19,15 +19,15 @@ from metropilot.evaluate.style import (
     PALE,
     SKY,
     VERMILION,
-    headline,
+    add_headline,
     house_style,
-    label,
+    label_panel,
     new_panels,
 )
 from metropilot.physics import restrictive_profile
 from metropilot.planning import Plan
 from metropilot.railway import Section, Trainset
-from metropilot.sim.rollout import Drive
+from metropilot.sim import Drive
 from metropilot.units import J_PER_KWH, KMH_PER_MPS
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def profile_figure(drive: Drive, kpis: Kpis, optimum: Optimum | None) -> Figure:
         draw_command(command, drive)
         draw_energy(energy, drive, optimum)
         set_distance(energy, drive.section, float(drive.trajectory.position_m[-1]))
-        headline(speed, title(drive), subtitle(kpis))
+        add_headline(speed, title(drive), subtitle(kpis))
         return figure
 
 
@@ -84,7 +84,7 @@ def subtitle(kpis: Kpis) -> str:
         words.append(f"optimum {kpis.optimality_gap_percent:+.1f} %".replace("-", "−"))
     if kpis.interventions:
         words.append(f"{kpis.interventions} intervention{'s' if kpis.interventions > 1 else ''}")
-    if JERK in kpis.failed:
+    if JERK_CHECK in kpis.failed:
         words.append(f"jerk {kpis.max_jerk_mps3:.1f} m/s³")
     return " · ".join(words)
 
@@ -195,7 +195,7 @@ def draw_gradient(axes: Axes, section: Section) -> None:
                 fontsize=7,
                 color="#404040",
             )
-    label(axes, "gradient (‰), uphill above the line")
+    label_panel(axes, "gradient (‰), uphill above the line")
 
 
 def draw_command(axes: Axes, drive: Drive) -> None:
@@ -208,7 +208,7 @@ def draw_command(axes: Axes, drive: Drive) -> None:
     axes.axhline(0, color="#404040", lw=0.6)
     axes.set_ylim(-1.12, 1.12)
     axes.set_yticks([-1, 0, 1], ["brake", "coast", "power"])
-    label(axes, "command, share of the effort available")
+    label_panel(axes, "command, share of the effort available")
 
 
 def draw_energy(axes: Axes, drive: Drive, optimum: Optimum | None) -> None:

@@ -16,8 +16,7 @@ from metropilot._schema import FieldSpec, check_fields, declared, field_specs
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError, renamed
 from metropilot.evaluate.driver_options import make_driver, named_driver, option_defaults
-from metropilot.evaluate.optimum import Objective
-from metropilot.planning import LONGEST_RATIO, check_running_time, minimum_running_time
+from metropilot.planning import LONGEST_RATIO, Objective, check_running_time, minimum_running_time
 from metropilot.policy import policy_path
 from metropilot.railway import Restriction, Section, Trainset, load_line, load_trainset
 from metropilot.sim import CONTROL_PERIOD_S, AbstractDriver, Disturbance, Run, TimetableUpdate

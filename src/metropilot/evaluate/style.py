@@ -27,7 +27,7 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
     "#CC79A7",
 )
 GREY, PALE, FAINT = "#6B6B6B", "#D9D9D9", "#EFEFEF"
-SERIES = (
+SERIES_STYLES = (
     (BLUE, "-"),
     (VERMILION, (0, (6, 2))),
     (GREEN, (0, (6, 2, 1, 2))),
@@ -42,22 +42,24 @@ USUAL = ("optimal", "manual", "flat_out", "ppo", "mpc", "pid", "learned")
 """Drivers that are compared most: one colour of the palette each."""
 
 
-def series(drivers: Sequence[str]) -> dict[str, tuple[str, Any]]:
+def driver_styles(drivers: Sequence[str]) -> dict[str, tuple[str, Any]]:
     """A colour and a line style for each driver, the same in every picture; no two drivers share both.
 
     A registered driver has its own; past the palette's end the colours come again, in other line styles. One
     named with its options (``pid:kp=3``) has what its name decides, and gives way only where another such
     driver of the picture has that already.
     """
-    styles = [dashes for _, dashes in SERIES]
-    count = len(SERIES)
+    styles = [dashes for _, dashes in SERIES_STYLES]
+    count = len(SERIES_STYLES)
     places = {name: k for k, name in enumerate(dict.fromkeys((*USUAL, *DRIVERS.ids())))}
     taken = {name: places[name] for name in drivers if name in places}
     free = max(count**2 - len(places), 1)
     for name in sorted(set(drivers) - set(taken)):
         wanted = [len(places) + (crc32(name.encode()) + k) % free for k in range(free)]
         taken[name] = next((k for k in wanted if k not in taken.values()), wanted[0])
-    return {name: (SERIES[k % count][0], styles[(k + k // count) % count]) for name, k in taken.items()}
+    return {
+        name: (SERIES_STYLES[k % count][0], styles[(k + k // count) % count]) for name, k in taken.items()
+    }
 
 
 SETTINGS: Any = {
@@ -137,19 +139,19 @@ def new_panels(width_in: float, height_in: float, heights: Sequence[float]) -> t
     return figure, panels
 
 
-def save(figure: Figure, stem: Path) -> None:
+def save_figure(figure: Figure, stem: Path) -> None:
     """Write ``stem.svg`` and ``stem.png``, the same bytes for the same figure."""
     with house_style():
         figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None, "Creator": "metropilot"})
         figure.savefig(stem.with_suffix(".png"), dpi=200, metadata={"Software": "metropilot"})
 
 
-def label(axes: Axes, text: str) -> None:
+def label_panel(axes: Axes, text: str) -> None:
     """What a panel shows, set flat above it, where it reads without turning the head."""
     axes.set_title(text, loc="left", fontsize=8, color="#404040", pad=3)
 
 
-def headline(axes: Axes, title: str, below: str) -> None:
+def add_headline(axes: Axes, title: str, below: str) -> None:
     """Title, a line below it, and the legend as a third line, all flush with the left edge of the axes."""
     handles, _ = axes.get_legend_handles_labels()
     room = 15 if len(handles) > 1 else 0

@@ -7,13 +7,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from metropilot.env.tracking import ReferenceCourse, Tracked, TrackState, advance, seen, standing
+from metropilot.env import (
+    ReferenceCourse,
+    TrackingView,
+    TrackState,
+    advance_tracking,
+    start_tracking,
+    tracking_view,
+)
 from metropilot.units import J_PER_KWH
 
 Array = Any
 Memory = Any
 Namespace = Any
-Control = Callable[[Any, Tracked], tuple[Any, Any]]
+TrackingController = Callable[[Any, TrackingView], tuple[Any, Any]]
 """A controller: its memory and what it is given, to a command and its next memory."""
 JERK_WINDOW_S = 2.0
 
@@ -72,7 +79,7 @@ class TrackingKpis(NamedTuple):
     end_mps: Array
 
 
-def track(course: ReferenceCourse, control: Control, memory: Memory) -> TrackRecord:
+def track_course(course: ReferenceCourse, control: TrackingController, memory: Memory) -> TrackRecord:
     """Let a controller track a course, in NumPy float64.
 
     Args:
@@ -80,21 +87,21 @@ def track(course: ReferenceCourse, control: Control, memory: Memory) -> TrackRec
         control: The controller.
         memory: Its memory at the start.
     """
-    state, rows = standing(), []
+    state, rows = start_tracking(), []
     for _ in range(course.periods):
         state, memory, row = _period(course, control, state, memory)
         rows.append(row)
     return TrackRecord(*(np.asarray(column, np.float64) for column in zip(*rows, strict=True)))
 
 
-def track_compiled(course: ReferenceCourse, control: Control, memory: Memory) -> TrackRecord:
+def track_compiled(course: ReferenceCourse, control: TrackingController, memory: Memory) -> TrackRecord:
     """The same as one compiled scan; the course is of :func:`metropilot.env.tracking.compiled`."""
     import jax
     import jax.numpy as jnp
 
     start: TrackState = jax.tree.map(
         lambda x: jnp.asarray(x, jnp.int32 if np.asarray(x).dtype.kind == "i" else jnp.float32),
-        standing(),
+        start_tracking(),
     )
 
     def one(carry: tuple[TrackState, Any], _: None) -> tuple[tuple[TrackState, Any], TrackRecord]:
@@ -105,11 +112,11 @@ def track_compiled(course: ReferenceCourse, control: Control, memory: Memory) ->
 
 
 def _period(
-    course: ReferenceCourse, control: Control, state: TrackState, memory: Memory
+    course: ReferenceCourse, control: TrackingController, state: TrackState, memory: Memory
 ) -> tuple[TrackState, Memory, TrackRecord]:
-    given = seen(course, state)
+    given = tracking_view(course, state)
     command, memory = control(memory, given)
-    after = advance(course, state, command, state.errors)
+    after = advance_tracking(course, state, command, state.errors)
     row = TrackRecord(
         time_s=state.period.astype(course.dt.dtype) * course.dt,
         reference_mps=given.reference_mps,

@@ -16,11 +16,10 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
-from metropilot.drivers.fuzzy_pid import Universes, fuzzy_pid
-from metropilot.drivers.neural_pid import LearningRates, fresh_network, neural_pid
-from metropilot.env.tracking import ReferenceCourse, compiled
+from metropilot.drivers import LearningRates, Universes, fresh_network, step_fuzzy_pid, step_neural_pid
+from metropilot.env import ReferenceCourse, compile_course
 from metropilot.errors import InputError
-from metropilot.evaluate.tracking import Control, track_compiled, tracking_kpis, tracking_score
+from metropilot.evaluate.tracking import TrackingController, track_compiled, tracking_kpis, tracking_score
 
 Array = Any
 POPULATION = 40
@@ -45,7 +44,7 @@ class Tunable:
     low: tuple[float, ...]
     high: tuple[float, ...]
     logarithmic: tuple[bool, ...]
-    controllers: Callable[[Array], list[tuple[Control, Any]]]
+    controllers: Callable[[Array], list[tuple[TrackingController, Any]]]
 
     def values(self, unit: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
         """Parameters from numbers in [0, 1]; the last axis is the parameter's."""
@@ -75,27 +74,27 @@ def _gains(values: Array) -> Gains:
     return Gains(values[0], values[1], values[2])
 
 
-def _pid(values: Array) -> list[tuple[Control, Any]]:
+def _pid(values: Array) -> list[tuple[TrackingController, Any]]:
     def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
         return incremental_pid(seen.command, _gains(values), seen.error_mps, memory)
 
     return [(control, Errors(0.0, 0.0))]
 
 
-def _fuzzy(values: Array) -> list[tuple[Control, Any]]:
+def _fuzzy(values: Array) -> list[tuple[TrackingController, Any]]:
     universes = Universes(*(values[k] for k in range(3, 8)))
 
     def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
-        return fuzzy_pid(seen.command, seen.error_mps, memory, universes, _gains(values))
+        return step_fuzzy_pid(seen.command, seen.error_mps, memory, universes, _gains(values))
 
     return [(control, Errors(0.0, 0.0))]
 
 
-def _neural(values: Array) -> list[tuple[Control, Any]]:
+def _neural(values: Array) -> list[tuple[TrackingController, Any]]:
     rates = LearningRates(values[3], values[4], values[5])
 
     def control(memory: Any, seen: Any) -> tuple[Any, Any]:  # noqa: ANN401 (arrays)
-        return neural_pid(memory, seen, rates)
+        return step_neural_pid(memory, seen, rates)
 
     return [(control, fresh_network(seed, _gains(values))) for seed in NETWORK_SEEDS]
 
@@ -124,7 +123,7 @@ TUNABLE: Mapping[str, Tunable] = MappingProxyType(
 """What can be tuned, within the paper's upper limits of the gains."""
 
 
-def tune(driver: str, course: ReferenceCourse, seed: int = 0, generations: int = GENERATIONS) -> Tuned:
+def tune_driver(driver: str, course: ReferenceCourse, seed: int = 0, generations: int = GENERATIONS) -> Tuned:
     """Search a driver's parameters on a course.
 
     Args:
@@ -142,7 +141,7 @@ def tune(driver: str, course: ReferenceCourse, seed: int = 0, generations: int =
 
     if driver not in TUNABLE:
         raise InputError("cannot be tuned", field="driver", value=driver, allowed=", ".join(TUNABLE))
-    tunable, single = TUNABLE[driver], compiled(course)
+    tunable, single = TUNABLE[driver], compile_course(course)
 
     def score(values: Array) -> Array:
         found = []

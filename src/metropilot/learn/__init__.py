@@ -1,15 +1,14 @@
-"""Drivers that learn: DQN, PPO, DDPG, SAC, NAF and tabular Q-learning, each run one compiled program.
-
-The door is lazy: reading a policy or listing runs does not import JAX.
-"""
+"""Drivers that learn: DQN, PPO, DDPG, SAC, NAF and tabular Q-learning, each run one compiled program."""
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from metropilot._lazy import lazy_door
 
 if TYPE_CHECKING:
-    from metropilot.learn.compile_cache import keep_compiled
+    from metropilot.learn.checkpoint import load_checkpoint
+    from metropilot.learn.compile_cache import compiler_id, keep_compiled, trim_cache
     from metropilot.learn.config import (
         CONFIGS,
         DDPGConfig,
@@ -18,14 +17,46 @@ if TYPE_CHECKING:
         PPOConfig,
         SACConfig,
         TabularConfig,
+        TeacherConfig,
     )
     from metropilot.learn.config_base import AbstractConfig
     from metropilot.learn.config_reading import config_from_mapping, config_to_mapping
+    from metropilot.learn.environments import (
+        Environments,
+        random_actions,
+        reset_environments,
+        step_environments,
+    )
     from metropilot.learn.export import ExportReport, export_onnx
-    from metropilot.learn.loop import Loop, LoopState, default_evaluation, learn, make_loop
+    from metropilot.learn.imitation.lessons import DemonstrationGenerator
+    from metropilot.learn.imitation.pupil import pupil_spec
+    from metropilot.learn.loop import Loop, LoopState, PolicyEvaluation, default_evaluation, learn, make_loop
     from metropilot.learn.policy_evaluation import DrivingEvaluation
-    from metropilot.learn.recipes import RECIPES, Recipe, evaluation_of, new_request, recipe, resumed_request
-    from metropilot.learn.run_store import RunRecord, RunStore, read_history, write_history
+    from metropilot.learn.recipes import (
+        PPO_BASE,
+        RECIPES,
+        REPLAY_BASE,
+        REPLAY_QUICK,
+        TABLE_BASE,
+        Recipe,
+        evaluation_of,
+        new_request,
+        recipe,
+        resumed_request,
+    )
+    from metropilot.learn.registry import make_learner
+    from metropilot.learn.run_store import (
+        CHECKPOINT_FILE,
+        HISTORY_FILE,
+        INDEX_FILE,
+        RECORD_FILE,
+        RunRecord,
+        RunStore,
+        read_history,
+        read_record,
+        record_of,
+        write_history,
+    )
     from metropilot.learn.schedules import Schedule
     from metropilot.learn.train import (
         RunRequest,
@@ -38,17 +69,28 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "CHECKPOINT_FILE",
     "CONFIGS",
+    "HISTORY_FILE",
+    "INDEX_FILE",
+    "PPO_BASE",
     "RECIPES",
+    "RECORD_FILE",
+    "REPLAY_BASE",
+    "REPLAY_QUICK",
+    "TABLE_BASE",
     "AbstractConfig",
     "DDPGConfig",
     "DQNConfig",
+    "DemonstrationGenerator",
     "DrivingEvaluation",
+    "Environments",
     "ExportReport",
     "Loop",
     "LoopState",
     "NAFConfig",
     "PPOConfig",
+    "PolicyEvaluation",
     "Recipe",
     "RunRecord",
     "RunRequest",
@@ -56,10 +98,12 @@ __all__ = [
     "SACConfig",
     "Schedule",
     "TabularConfig",
+    "TeacherConfig",
     "TrainingOptions",
     "TrainingProgress",
     "TrainingResult",
     "begin_run",
+    "compiler_id",
     "config_from_mapping",
     "config_to_mapping",
     "default_evaluation",
@@ -69,51 +113,80 @@ __all__ = [
     "learn",
     "learn_in_chunks",
     "learn_run",
+    "load_checkpoint",
+    "make_learner",
     "make_loop",
     "new_request",
+    "pupil_spec",
+    "random_actions",
     "read_history",
+    "read_record",
     "recipe",
+    "record_of",
+    "reset_environments",
     "resumed_request",
+    "step_environments",
+    "trim_cache",
     "write_history",
 ]
 
-_HOME = {
-    "AbstractConfig": "config_base",
-    "DrivingEvaluation": "policy_evaluation",
-    "ExportReport": "export",
-    "TrainingResult": "train",
-    "Loop": "loop",
-    "LoopState": "loop",
-    "TrainingProgress": "train",
-    "RECIPES": "recipes",
-    "Recipe": "recipes",
-    "RunRecord": "run_store",
-    "RunRequest": "train",
-    "RunStore": "run_store",
-    "Schedule": "schedules",
-    "TrainingOptions": "train",
-    "begin_run": "train",
-    "config_from_mapping": "config_reading",
-    "config_to_mapping": "config_reading",
-    "default_evaluation": "loop",
-    "evaluation_of": "recipes",
-    "export_onnx": "export",
-    "keep_compiled": "compile_cache",
-    "learn": "loop",
-    "learn_in_chunks": "train",
-    "learn_run": "train",
-    "make_loop": "loop",
-    "new_request": "recipes",
-    "read_history": "run_store",
-    "recipe": "recipes",
-    "resumed_request": "recipes",
-    "write_history": "run_store",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Import a name from its private file on first use (PEP 562)."""
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = _HOME.get(name, "config")
-    return getattr(import_module(home if "." in home else f"{__name__}.{home}"), name)
+__getattr__, __dir__ = lazy_door(
+    __name__,
+    {
+        "checkpoint": ("load_checkpoint",),
+        "compile_cache": ("compiler_id", "keep_compiled", "trim_cache"),
+        "config": (
+            "CONFIGS",
+            "DDPGConfig",
+            "DQNConfig",
+            "NAFConfig",
+            "PPOConfig",
+            "SACConfig",
+            "TabularConfig",
+            "TeacherConfig",
+        ),
+        "config_base": ("AbstractConfig",),
+        "config_reading": ("config_from_mapping", "config_to_mapping"),
+        "environments": ("Environments", "random_actions", "reset_environments", "step_environments"),
+        "export": ("ExportReport", "export_onnx"),
+        "imitation.lessons": ("DemonstrationGenerator",),
+        "imitation.pupil": ("pupil_spec",),
+        "loop": ("Loop", "LoopState", "PolicyEvaluation", "default_evaluation", "learn", "make_loop"),
+        "policy_evaluation": ("DrivingEvaluation",),
+        "recipes": (
+            "PPO_BASE",
+            "RECIPES",
+            "REPLAY_BASE",
+            "REPLAY_QUICK",
+            "Recipe",
+            "TABLE_BASE",
+            "evaluation_of",
+            "new_request",
+            "recipe",
+            "resumed_request",
+        ),
+        "registry": ("make_learner",),
+        "run_store": (
+            "CHECKPOINT_FILE",
+            "HISTORY_FILE",
+            "INDEX_FILE",
+            "RECORD_FILE",
+            "RunRecord",
+            "RunStore",
+            "read_history",
+            "read_record",
+            "record_of",
+            "write_history",
+        ),
+        "schedules": ("Schedule",),
+        "train": (
+            "RunRequest",
+            "TrainingOptions",
+            "TrainingProgress",
+            "TrainingResult",
+            "begin_run",
+            "learn_in_chunks",
+            "learn_run",
+        ),
+    },
+)

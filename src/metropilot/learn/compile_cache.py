@@ -38,7 +38,7 @@ def keep_compiled() -> Path | None:
     chosen = jax.config.values["jax_compilation_cache_dir"]
     if chosen:
         return Path(chosen)
-    folder = (Path(told) if told else cache_folder() / "compiled") / made_by()
+    folder = (Path(told) if told else cache_folder() / "compiled") / compiler_id()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -63,7 +63,7 @@ def trim_cache(folder: Path) -> None:
         return
 
 
-def made_by() -> str:
+def compiler_id() -> str:
     """Folder name for compiled programs, of all they depend on: versions, processor, compiler flags."""
     flags = "\n".join([_processor(), os.environ.get("XLA_FLAGS", ""), platform.machine()])
     digest = hashlib.sha256(flags.encode()).hexdigest()[:12]

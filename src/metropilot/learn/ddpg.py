@@ -11,7 +11,8 @@ from typing import Any, final
 import jax
 import jax.numpy as jnp
 
-from metropilot.env.interface import AbstractTask, Array
+from metropilot._typing import Array
+from metropilot.env import AbstractTask
 from metropilot.learn.config import DDPGConfig
 from metropilot.learn.learner import needs_continuous
 from metropilot.learn.losses import ddpg as losses

@@ -10,7 +10,8 @@ from typing import Any, final
 import jax
 import jax.numpy as jnp
 
-from metropilot.env.interface import AbstractTask, Array
+from metropilot._typing import Array
+from metropilot.env import AbstractTask
 from metropilot.learn.config import DQNConfig
 from metropilot.learn.distributions import masked
 from metropilot.learn.environments import random_choices

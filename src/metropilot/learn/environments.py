@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from metropilot.env.interface import AbstractTask, Array, TaskState
+from metropilot._typing import Array
+from metropilot.env import AbstractTask, TaskState
 
 RENEWED = 8
 """At least so many environments are reset together."""
@@ -67,7 +68,7 @@ class Step(NamedTuple):
     finished: Finished
 
 
-def start(task: AbstractTask, key: Array, count: int) -> Environments:
+def reset_environments(task: AbstractTask, key: Array, count: int) -> Environments:
     """Reset ``count`` environments, each from its own key."""
     state, observation = jax.vmap(task.reset)(jax.random.split(key, count))
     shapes = jax.eval_shape(
@@ -108,7 +109,7 @@ def masks(task: AbstractTask, state: TaskState) -> Array | None:
     return jax.vmap(task.allowed)(state)
 
 
-def advance(
+def step_environments(
     task: AbstractTask, key: Array, environments: Environments, action: Array
 ) -> tuple[Environments, Step]:
     """Step every environment, then reset those whose episode ended.
@@ -184,7 +185,7 @@ def evaluate(task: AbstractTask, act: Any, key: Array, episodes: int, steps: int
         ``return``, ``length``, ``terminated`` (share that ended by itself), ``term.NAME`` each; all of shape
         ().
     """
-    begin = start(task, key, episodes)
+    begin = reset_environments(task, key, episodes)
 
     def one(carry: tuple[Environments, Array, Array], k: Array) -> tuple[Any, None]:
         now, alive, ended = carry

@@ -7,7 +7,8 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax.numpy as jnp
 
-from metropilot.env.interface import AbstractTask, Array
+from metropilot._typing import Array
+from metropilot.env import AbstractTask
 from metropilot.errors import InputError
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.environments import Finished

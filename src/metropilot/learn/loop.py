@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from metropilot.env.interface import AbstractTask, Array
+from metropilot._typing import Array
+from metropilot.env import AbstractTask
 from metropilot.learn import environments as env
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.learner import AbstractLearner, LearnerState
@@ -23,7 +24,7 @@ from metropilot.learn.registry import make_learner
 from metropilot.policy import Params, Policy, act
 
 # What evaluates a policy: its parameters and a key in; numbers of shape () out, among them "score".
-Evaluate = Callable[[Params, Array], dict[str, Array]]
+PolicyEvaluation = Callable[[Params, Array], dict[str, Array]]
 Row = dict[str, Array]
 
 jax.tree_util.register_dataclass(Policy, data_fields=["params"], meta_fields=["spec"])
@@ -58,7 +59,7 @@ class Loop(NamedTuple):
     """
 
     learner: AbstractLearner[Any]
-    evaluate: Evaluate
+    evaluate: PolicyEvaluation
     iterations: int
     chunks: int
 
@@ -114,7 +115,7 @@ def _summary(finished: env.Finished) -> Row:
     return row | {f"term.{name}": value / count for name, value in total.terms.items()}
 
 
-def make_loop(config: AbstractConfig, task: AbstractTask, evaluate: Evaluate | None = None) -> Loop:
+def make_loop(config: AbstractConfig, task: AbstractTask, evaluate: PolicyEvaluation | None = None) -> Loop:
     """A run ready to begin.
 
     Args:
@@ -131,7 +132,7 @@ def make_loop(config: AbstractConfig, task: AbstractTask, evaluate: Evaluate | N
     return Loop(learner, evaluate or default_evaluation(learner), iterations, config.evaluations)
 
 
-def default_evaluation(learner: AbstractLearner[Any]) -> Evaluate:
+def default_evaluation(learner: AbstractLearner[Any]) -> PolicyEvaluation:
     """Whole episodes of the policy without exploration; ``score`` is their mean return."""
     config = learner.config
 
@@ -144,7 +145,7 @@ def default_evaluation(learner: AbstractLearner[Any]) -> Evaluate:
 
 
 def learn(
-    config: AbstractConfig, task: AbstractTask, key: Array, evaluate: Evaluate | None = None
+    config: AbstractConfig, task: AbstractTask, key: Array, evaluate: PolicyEvaluation | None = None
 ) -> tuple[Policy, Row]:
     """Learn a policy: one pure function of a key.
 

@@ -10,7 +10,8 @@ from typing import Any, final
 import jax
 import jax.numpy as jnp
 
-from metropilot.env.interface import AbstractTask, Array
+from metropilot._typing import Array
+from metropilot.env import AbstractTask
 from metropilot.learn.config import NAFConfig
 from metropilot.learn.learner import needs_continuous
 from metropilot.learn.losses import naf as losses

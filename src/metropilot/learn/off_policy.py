@@ -14,7 +14,8 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
-from metropilot.env.interface import AbstractTask, Array
+from metropilot._typing import Array
+from metropilot.env import AbstractTask
 from metropilot.learn import environments as env
 from metropilot.learn import replay
 from metropilot.learn.config_base import AbstractReplayConfig
@@ -177,7 +178,7 @@ class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]
         make = replay.prioritised_init if self.prioritised else replay.ring_init
         state = ReplayState(
             self.fresh(net_key),
-            env.start(self.task, env_key, count),
+            env.reset_environments(self.task, env_key, count),
             make(config.buffer_size, self.layout.width),
             jnp.zeros((config.n_step, count, self.raw.width), jnp.float32),
             jnp.zeros((count, self.actions), jnp.float32),
@@ -232,7 +233,7 @@ class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]
         act_key, env_key = jax.random.split(key)
         before = state.environments
         action, noise = act(before, state.noise, act_key)
-        environments, step = env.advance(self.task, env_key, before, action)
+        environments, step = env.step_environments(self.task, env_key, before, action)
         done = jnp.logical_or(step.terminated, step.truncated)
         fields = {
             "observation": before.observation,

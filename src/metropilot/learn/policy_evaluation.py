@@ -14,8 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from metropilot.env import DrivingTask, episode_of, starts
-from metropilot.env.optima import Optima, cached_optima
+from metropilot.env import DrivingTask, Optima, cached_optima, episode_of, starts
 from metropilot.policy import Params, PolicySpec, act
 from metropilot.sim import CODES, PUNCTUALITY_S, Episode, Outcome
 from metropilot.units import J_PER_KWH

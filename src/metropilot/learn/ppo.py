@@ -13,7 +13,8 @@ from typing import Any, NamedTuple, final
 import jax
 import jax.numpy as jnp
 
-from metropilot.env.interface import AbstractTask, Array
+from metropilot._typing import Array
+from metropilot.env import AbstractTask
 from metropilot.learn import environments as env
 from metropilot.learn.config import PPOConfig
 from metropilot.learn.distributions import (
@@ -116,7 +117,7 @@ class PPO(AbstractLearner[PPOConfig]):
         if self.continuous:
             log_std = jnp.log(jnp.float32(config.initial_std) - value_at(config.min_std, 0.0))
             params["policy.log_std"] = jnp.full((self.actions,), log_std)
-        environments = env.start(self.task, env_key, config.environments)
+        environments = env.reset_environments(self.task, env_key, config.environments)
         observed = moments_init(self.task.observation_size)
         scale = return_scale_init(config.environments)
         return PPOState(params, adam_init(params), environments, observed, scale, key)
@@ -170,7 +171,7 @@ class PPO(AbstractLearner[PPOConfig]):
                 params, now.observation, mask, drawn[0], floor
             )
             given = jnp.clip(action, -1.0, 1.0) if self.continuous else action
-            after, step = env.advance(self.task, drawn[1], now, given)
+            after, step = env.step_environments(self.task, drawn[1], now, given)
             return after, Experience(now.observation, action, log_prob, mask, step)
 
         keys = jax.random.split(step_key, self.config.rollout)

@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from metropilot._registry import Registry, RegistryRow, did_you_mean
-from metropilot.env import DrivingConfig, task_config
-from metropilot.env.actions import NotchAction
+from metropilot.env import DrivingConfig, NotchAction, task_config
 from metropilot.errors import InputError
 from metropilot.learn.config import (
     DDPGConfig,
@@ -28,7 +27,7 @@ from metropilot.policy import load_policy, shipped_policy
 
 if TYPE_CHECKING:
     from metropilot.env import DrivingTask
-    from metropilot.learn.loop import Evaluate
+    from metropilot.learn.loop import PolicyEvaluation
     from metropilot.learn.run_store import RunRecord
     from metropilot.learn.train import RunRequest
 
@@ -51,7 +50,7 @@ class Recipe:
     paper: AbstractConfig
     quick: AbstractConfig
     changes: Callable[[DrivingConfig], DrivingConfig] | None = None
-    evaluation: Callable[[AbstractConfig, DrivingTask], Evaluate] | None = None
+    evaluation: Callable[[AbstractConfig, DrivingTask], PolicyEvaluation] | None = None
 
     @property
     def algorithm(self) -> str:
@@ -137,7 +136,7 @@ def _request(driver: str, config: AbstractConfig, task: str, seed: int, command:
     return RunRequest(config, made, task, seed, driver=driver, perception=perception, command=command)
 
 
-def evaluation_of(request: RunRequest) -> Evaluate:
+def evaluation_of(request: RunRequest) -> PolicyEvaluation:
     """The early evaluation of a run: drives of its task from standstill.
 
     Raises:
@@ -210,7 +209,7 @@ PPO_BASE = PPOConfig(
     evaluations=10,
 )
 PPO_QUICK = {"steps": 4_000_000, "evaluations": 8}
-REPLAY: dict[str, Any] = {
+REPLAY_BASE: dict[str, Any] = {
     "steps": 400_000,
     "environments": 32,
     "updates": 16,
@@ -244,9 +243,9 @@ PPO_SCALED_RECIPE = Recipe(
     replace(PPO_BASE, reward_scaling=True),
     replace(PPO_BASE, reward_scaling=True, **PPO_QUICK),
 )
-DDPG_RECIPE = Recipe("drive", DDPGConfig(**REPLAY), DDPGConfig(**{**REPLAY, **REPLAY_QUICK}))
-SAC_RECIPE = Recipe("drive", SACConfig(**REPLAY), SACConfig(**{**REPLAY, **REPLAY_QUICK}))
-NAF_RECIPE = Recipe("drive", NAFConfig(**REPLAY), NAFConfig(**{**REPLAY, **REPLAY_QUICK}))
+DDPG_RECIPE = Recipe("drive", DDPGConfig(**REPLAY_BASE), DDPGConfig(**{**REPLAY_BASE, **REPLAY_QUICK}))
+SAC_RECIPE = Recipe("drive", SACConfig(**REPLAY_BASE), SACConfig(**{**REPLAY_BASE, **REPLAY_QUICK}))
+NAF_RECIPE = Recipe("drive", NAFConfig(**REPLAY_BASE), NAFConfig(**{**REPLAY_BASE, **REPLAY_QUICK}))
 TABULAR_RECIPE = Recipe(
     "drive_notches", TABLE_BASE, replace(TABLE_BASE, steps=4_000_000, evaluations=8), changes=_coarse
 )

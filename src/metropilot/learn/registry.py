@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from metropilot.env.interface import AbstractTask
+from metropilot.env import AbstractTask
 from metropilot.learn.config import (
     DDPGConfig,
     DQNConfig,

@@ -29,8 +29,8 @@ from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.config_reading import config_from_mapping, config_to_mapping
 
 Status = Literal["running", "interrupted", "done", "failed"]
-INDEX = "index.sqlite"
-RECORD, HISTORY, CHECKPOINT = "run.toml", "history.parquet", "checkpoint.safetensors"
+INDEX_FILE = "index.sqlite"
+RECORD_FILE, HISTORY_FILE, CHECKPOINT_FILE = "run.toml", "history.parquet", "checkpoint.safetensors"
 """Files of a run's folder, beside its policy."""
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS runs (
@@ -189,7 +189,7 @@ class RunStore:
 
         table = {name: value for name, value in asdict(record).items() if value is not None}
         text = tomli_w.dumps(table).encode()
-        atomic_write(self.folder(record.id) / RECORD, lambda partial: partial.write_bytes(text))
+        atomic_write(self.folder(record.id) / RECORD_FILE, lambda partial: partial.write_bytes(text))
         if self.indexed:
             with self._index() as database:
                 _insert(database, record)
@@ -244,9 +244,11 @@ class RunStore:
 
     def rebuild(self) -> int:
         """Make the index anew from the folders; returns how many runs there are."""
-        for name in (INDEX, f"{INDEX}-wal", f"{INDEX}-shm"):
+        for name in (INDEX_FILE, f"{INDEX_FILE}-wal", f"{INDEX_FILE}-shm"):
             (self.root / name).unlink(missing_ok=True)
-        records = [record for path in sorted(self.root.glob(f"*/{RECORD}")) if (record := read_record(path))]
+        records = [
+            record for path in sorted(self.root.glob(f"*/{RECORD_FILE}")) if (record := read_record(path))
+        ]
         with self._connect() as database:
             for record in records:
                 _insert(database, record)
@@ -267,7 +269,7 @@ class RunStore:
     @contextmanager
     def _index(self) -> Iterator[sqlite3.Connection]:
         """The index in a transaction; rebuilt if it is missing or damaged."""
-        if not (self.root / INDEX).exists():
+        if not (self.root / INDEX_FILE).exists():
             self.rebuild()
         with ExitStack() as stack:
             try:
@@ -279,7 +281,7 @@ class RunStore:
 
     @contextmanager
     def _connect(self) -> Iterator[sqlite3.Connection]:
-        with open_database(self.root / INDEX) as database:
+        with open_database(self.root / INDEX_FILE) as database:
             (version,) = database.execute("PRAGMA user_version").fetchone()
             tables = database.execute("SELECT name FROM sqlite_master WHERE name = 'runs'").fetchall()
             if tables and version != SCHEMA_VERSION:
@@ -302,7 +304,7 @@ def record_of(folder: Path) -> RunRecord:
     Raises:
         InputError: It is not one.
     """
-    record = read_record(folder / RECORD)
+    record = read_record(folder / RECORD_FILE)
     if record is None:
         raise InputError("not the folder of a learning run", file=folder, allowed="see `metropilot runs`")
     return record

@@ -7,7 +7,8 @@ from typing import Any, final
 import jax
 import jax.numpy as jnp
 
-from metropilot.env.interface import AbstractTask, Array
+from metropilot._typing import Array
+from metropilot.env import AbstractTask
 from metropilot.learn.config import SACConfig
 from metropilot.learn.ddpg import subset
 from metropilot.learn.distributions import squashed_sample

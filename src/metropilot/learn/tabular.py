@@ -7,7 +7,8 @@ from typing import NamedTuple, final
 import jax
 import jax.numpy as jnp
 
-from metropilot.env.interface import AbstractTask, Array
+from metropilot._typing import Array
+from metropilot.env import AbstractTask
 from metropilot.errors import InputError
 from metropilot.learn import environments as env
 from metropilot.learn.config import TabularConfig
@@ -68,7 +69,7 @@ class TabularQ(AbstractLearner[TabularConfig]):
             "policy.low": jnp.asarray(self.low, jnp.float32),
             "policy.high": jnp.asarray(self.high, jnp.float32),
         }
-        return TabularState(params, env.start(self.task, env_key, self.config.environments), key)
+        return TabularState(params, env.reset_environments(self.task, env_key, self.config.environments), key)
 
     def iterate(self, state: TabularState, progress: Array) -> tuple[TabularState, LearnerReport]:
         """``rollout`` steps of every environment, each learned from at once."""
@@ -82,7 +83,7 @@ class TabularQ(AbstractLearner[TabularConfig]):
             cell = self._cells(now.params, now.environments.observation)
             mask = env.masks(self.task, now.environments.state)
             choice = self._choose(table[cell], mask, choice_key, epsilon)
-            environments, step = env.advance(self.task, env_key, now.environments, choice)
+            environments, step = env.step_environments(self.task, env_key, now.environments, choice)
             after = masked(table[self._cells(now.params, step.observation)], step.mask)
             value = jnp.where(step.terminated, 0.0, self.config.gamma * jnp.max(after, axis=-1))
             reward = step.reward * self.config.reward_factor

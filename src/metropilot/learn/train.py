@@ -13,16 +13,15 @@ import jax
 import numpy as np
 
 from metropilot._io import hold_lock
-from metropilot.env import DrivingTask, PolicyInterface
-from metropilot.env.interface import AbstractTask
+from metropilot.env import AbstractTask, DrivingTask, PolicyInterface
 from metropilot.errors import InputError
 from metropilot.learn.checkpoint import load_checkpoint, save_checkpoint
 from metropilot.learn.compile_cache import keep_compiled
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.config_base import AbstractConfig
 from metropilot.learn.config_reading import config_to_mapping
-from metropilot.learn.loop import Evaluate, make_loop
-from metropilot.learn.run_store import CHECKPOINT, HISTORY, RunRecord, RunStore, write_history
+from metropilot.learn.loop import PolicyEvaluation, make_loop
+from metropilot.learn.run_store import CHECKPOINT_FILE, HISTORY_FILE, RunRecord, RunStore, write_history
 from metropilot.learn.tensorboard import EventWriter
 from metropilot.policy import POLICY_FILE, Policy, save_policy
 
@@ -86,7 +85,7 @@ class TrainingOptions:
         about: Plain values that must be the same to go on (which task, which section).
     """
 
-    evaluate: Evaluate | None = None
+    evaluate: PolicyEvaluation | None = None
     on_progress: Callable[[TrainingProgress], object] | None = None
     checkpoint: Path | None = None
     every: int = 1
@@ -314,7 +313,7 @@ def _learn(
         if given.on_progress:
             given.on_progress(now)
 
-    checkpoint = folder / CHECKPOINT
+    checkpoint = folder / CHECKPOINT_FILE
     whole = replace(given, on_progress=progress, checkpoint=checkpoint, resume=resume, about=about)
     try:
         learned = _learned(request, whole)
@@ -328,7 +327,7 @@ def _learn(
     finally:
         if events:
             events.close()
-    write_history(folder / HISTORY, learned.history)
+    write_history(folder / HISTORY_FILE, learned.history)
     finite = learned.score if math.isfinite(learned.score) else None
     steps = int(learned.history["steps"][-1])
     kpis = kpis_kept(learned.history, request.config.keep)

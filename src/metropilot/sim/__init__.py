@@ -1,6 +1,6 @@
 """One control period after another: a run, its disturbance, the host loop, its outcome and trajectory."""
 
-from metropilot.sim.bounds import declared_bounds
+from metropilot.sim.bounds import MASS_SCATTER, declared_bounds
 from metropilot.sim.disturbance import NOISE_CUT, Disturbance, TimetableUpdate
 from metropilot.sim.driver import DRIVER_REGISTRY, AbstractDriver, register
 from metropilot.sim.mismatch import true_vehicle
@@ -14,15 +14,9 @@ from metropilot.sim.outcome import (
     OutcomeRule,
     final_outcome,
 )
+from metropilot.sim.recorder import Recorder, build_trajectory, train_limit_at, train_limits_at
 from metropilot.sim.rollout import Drive, Moment, Rollout, drive
-from metropilot.sim.run import (
-    CONTROL_PERIOD_S,
-    PUNCTUALITY_S,
-    STOP_TOLERANCE_M,
-    Observation,
-    Outcome,
-    Run,
-)
+from metropilot.sim.run import CONTROL_PERIOD_S, PUNCTUALITY_S, STOP_TOLERANCE_M, Observation, Outcome, Run
 from metropilot.sim.step import (
     PeriodRecord,
     RunParams,
@@ -32,21 +26,25 @@ from metropilot.sim.step import (
     hold_ended,
     measured_speed,
     noise_stream,
+    overspeed_in_period,
     running_time,
 )
-from metropilot.sim.trajectory import COLUMNS, PHASES, Trajectory
+from metropilot.sim.trajectory import COASTING, COLUMNS, PHASES, STANDSTILL, Trajectory, phase_names
 
 __all__ = [
+    "COASTING",
     "CODES",
     "COLUMNS",
     "CONTROL_PERIOD_S",
     "DRIVER_REGISTRY",
+    "MASS_SCATTER",
     "NEVER_ENDS",
     "NOISE_CUT",
     "OVERSPEED_MPS",
     "PHASES",
     "PUNCTUALITY_S",
     "RUNNING",
+    "STANDSTILL",
     "STOP_TOLERANCE_M",
     "AbstractDriver",
     "Disturbance",
@@ -58,12 +56,14 @@ __all__ = [
     "Outcome",
     "OutcomeRule",
     "PeriodRecord",
+    "Recorder",
     "Rollout",
     "Run",
     "RunParams",
     "RunState",
     "TimetableUpdate",
     "Trajectory",
+    "build_trajectory",
     "control_period",
     "declared_bounds",
     "drive",
@@ -72,8 +72,12 @@ __all__ = [
     "hold_ended",
     "measured_speed",
     "noise_stream",
+    "overspeed_in_period",
+    "phase_names",
     "register",
     "running_time",
     "simulate_nominal",
+    "train_limit_at",
+    "train_limits_at",
     "true_vehicle",
 ]

@@ -12,7 +12,7 @@ from metropilot.railway import Trainset
 from metropilot.sim.disturbance import NOISE_CUT
 from metropilot.sim.run import Run
 
-MASS = (0.9, 1.1)
+MASS_SCATTER = (0.9, 1.1)
 """Scatter of the mass about the load aboard, which the trainset weighs; a larger disturbance widens it."""
 
 
@@ -36,7 +36,7 @@ def declared_bounds(run: Run) -> Bounds:
     if np.isfinite(scenario.adhesion) or scenario.brake_factor < 1.0:
         share = min(share, _braking_share(run))
     return replace(
-        bounds, mass=_widen(MASS, scenario.mass_factor), resistance=resistance, service_share=share
+        bounds, mass=_widen(MASS_SCATTER, scenario.mass_factor), resistance=resistance, service_share=share
     )
 
 

@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from metropilot.physics import Forces, State, Track, Vehicle
 from metropilot.sim.step import PeriodRecord
-from metropilot.sim.trajectory import Trajectory, phases
+from metropilot.sim.trajectory import Trajectory, phase_names
 
 
 @dataclass
@@ -43,7 +43,7 @@ class Recorder:
         self.states.append(after)
         self.commands.append(float(record.command.share))
         self.permitted.append(permitted_mps)
-        self.limits.append(limit_at(track, float(before.position_m)))
+        self.limits.append(train_limit_at(track, float(before.position_m)))
         self.overspeed_mps = max(self.overspeed_mps, float(record.overspeed_mps))
 
     def trajectory(self, track: Track, permitted_mps: float) -> Trajectory:
@@ -62,7 +62,7 @@ class Recorder:
             np.array([state.acceleration_mps2 for state in self.states]),
             Forces(*(np.array([getattr(s.forces, name) for s in self.states]) for name in Forces._fields)),
             np.array(self.commands),
-            limit_mps=np.append(self.limits, limit_at(track, float(rows[-1].position_m))),
+            limit_mps=np.append(self.limits, train_limit_at(track, float(rows[-1].position_m))),
             permitted_mps=np.append(self.permitted, permitted_mps),
         )
 
@@ -116,17 +116,17 @@ def build_trajectory(
         permitted_mps=permitted_mps,
         energy_wheel_j=rows["traction_j"],
         energy_line_j=rows["line_j"],
-        phase=phases(speed, accel, wheel, float(vehicle.effective_mass_kg)),
+        phase=phase_names(speed, accel, wheel, float(vehicle.effective_mass_kg)),
     )
 
 
-def limit_at(track: Track, position_m: float) -> float:
+def train_limit_at(track: Track, position_m: float) -> float:
     """Most restrictive speed limit for the trainset's head at one position, m/s."""
     index = np.searchsorted(track.limit_from_m, position_m, side="right") - 1
     return float(track.limit_mps[max(int(index), 0)])
 
 
-def limits_at(track: Track, position_m: ndarray) -> ndarray:
-    """:func:`limit_at` for many positions."""
+def train_limits_at(track: Track, position_m: ndarray) -> ndarray:
+    """:func:`train_limit_at` for many positions."""
     index = np.searchsorted(track.limit_from_m, position_m, side="right") - 1
     return track.limit_mps[np.maximum(index, 0)]

@@ -13,8 +13,8 @@ from numpy import ndarray
 
 from metropilot.errors import InputError
 
-POWER, CRUISE, COAST, BRAKE, STAND = "power", "cruise", "coast", "brake", "stand"
-PHASES = (POWER, CRUISE, COAST, BRAKE, STAND)
+POWER, CRUISE, COASTING, BRAKE, STANDSTILL = "power", "cruise", "coast", "brake", "stand"
+PHASES = (POWER, CRUISE, COASTING, BRAKE, STANDSTILL)
 COAST_MPS2 = 0.01
 """Wheel force per effective mass below which a row counts as coasting."""
 CRUISE_MPS2 = 0.03
@@ -120,7 +120,7 @@ class Trajectory:
 COLUMNS = tuple(f.name for f in fields(Trajectory))
 
 
-def phases(
+def phase_names(
     speed_mps: Float[ndarray, " rows"],
     acceleration_mps2: Float[ndarray, " rows"],
     wheel_n: Float[ndarray, " rows"],
@@ -141,5 +141,5 @@ def phases(
     effort = wheel_n / effective_mass_kg
     words = np.where(effort > 0, POWER, BRAKE)
     words = np.where(np.abs(acceleration_mps2) < CRUISE_MPS2, CRUISE, words)
-    words = np.where(np.abs(effort) < COAST_MPS2, COAST, words)
-    return np.where((speed_mps <= 0) & (acceleration_mps2 <= 0), STAND, words)
+    words = np.where(np.abs(effort) < COAST_MPS2, COASTING, words)
+    return np.where((speed_mps <= 0) & (acceleration_mps2 <= 0), STANDSTILL, words)

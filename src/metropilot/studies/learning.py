@@ -15,7 +15,7 @@ from metropilot._processes import ONE_THREAD, environment, own_core
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
-    from metropilot.env.interface import AbstractTask
+    from metropilot.env import AbstractTask
     from metropilot.learn import AbstractConfig, RunRecord
     from metropilot.policy import Policy
 
@@ -110,10 +110,9 @@ def is_done(job: LearnJob, folder: Path) -> bool:
 
 def _record(job: LearnJob, folder: Path) -> RunRecord | None:
     """Record of a job's run; None if there is none, or if its seed, configuration or task differ."""
-    from metropilot.learn import config_to_mapping
-    from metropilot.learn.run_store import RECORD, read_record
+    from metropilot.learn import RECORD_FILE, config_to_mapping, read_record
 
-    record = read_record(folder / job.run_id / RECORD)
+    record = read_record(folder / job.run_id / RECORD_FILE)
     if record is None:
         return None
     plain = config_to_mapping(job.config)
@@ -126,15 +125,14 @@ def _record(job: LearnJob, folder: Path) -> RunRecord | None:
 def _learn(job: LearnJob, folder: Path) -> str:
     """Do one run in a worker process; return a line about it."""
     from metropilot.env import DrivingTask
-    from metropilot.learn import RunRequest, RunStore, TrainingOptions, begin_run, learn_run
-    from metropilot.learn.run_store import CHECKPOINT
+    from metropilot.learn import CHECKPOINT_FILE, RunRequest, RunStore, TrainingOptions, begin_run, learn_run
 
     if current_process().name != "MainProcess":
         own_core()
     task, store = job.task(), RunStore(folder, indexed=False)
     perception = task.config.perception if isinstance(task, DrivingTask) else None
     request = RunRequest(job.config, task, job.name, job.seed, job.about, perception=perception)
-    checkpoint = store.folder(job.run_id) / CHECKPOINT
+    checkpoint = store.folder(job.run_id) / CHECKPOINT_FILE
     if _record(job, folder) is None:
         checkpoint.unlink(missing_ok=True)
         begin_run(store, request, job.run_id)
@@ -146,12 +144,11 @@ def _learn(job: LearnJob, folder: Path) -> str:
 
 def _read(job: LearnJob, folder: Path) -> SeedResult:
     """Read a finished run from its folder."""
-    from metropilot.learn import read_history
-    from metropilot.learn.run_store import HISTORY, record_of
+    from metropilot.learn import HISTORY_FILE, read_history, record_of
     from metropilot.policy import load_policy
 
     place = folder / job.run_id
     record, (policy, _) = record_of(place), load_policy(place / "policy.safetensors")
     score = float("-inf") if record.score is None else record.score
-    history = read_history(place / HISTORY)
+    history = read_history(place / HISTORY_FILE)
     return SeedResult(job, policy, score, history, record.seconds, record.compile_seconds)

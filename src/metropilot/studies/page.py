@@ -27,7 +27,7 @@ def number(value: float | None) -> str:
     return f"{value:.{digits}f}"
 
 
-def numbers(row: ReportRow) -> tuple[str, str, str, str]:
+def row_numbers(row: ReportRow) -> tuple[str, str, str, str]:
     """Format the published value, ours, the range and the optimum."""
     return number(row.published), number(row.ours), span(row), number(row.optimum)
 
@@ -39,7 +39,7 @@ def span(row: ReportRow) -> str:
     return f"{number(row.low)} … {number(row.high)}"
 
 
-def page(study: Study, report: StudyReport) -> str:
+def study_page(study: Study, report: StudyReport) -> str:
     """Render the page as Markdown; its figures are in a folder with the study's id beside it."""
     command = f"metropilot reproduce {study.id} --budget {report.budget}"
     about = "; ".join(f"{name}: {value}" for name, value in report.circumstances.items())
@@ -68,7 +68,7 @@ def _table(rows: list[ReportRow]) -> list[str]:
         case = "" if row.case == before[0] else row.case
         driver = "" if (row.case, row.driver) == before else f"`{row.driver}`"
         before = (row.case, row.driver)
-        cells = (case, driver, row.kpi, row.unit, *numbers(row))
+        cells = (case, driver, row.kpi, row.unit, *row_numbers(row))
         lines.append("| " + " | ".join(re.sub(r"([|])", r"\\\1", cell) for cell in cells) + " |")
     return lines
 
@@ -81,13 +81,13 @@ def write_figures(folder: Path, report: StudyReport) -> None:
     """
     from matplotlib import pyplot as plt
 
-    from metropilot.evaluate.style import house_style, save
+    from metropilot.evaluate import house_style, save_figure
 
     with fill_folder(folder) as scratch:
         for figure in report.figures:
             with house_style():
                 drawing = figure.draw()
-                save(drawing, scratch / figure.name)
+                save_figure(drawing, scratch / figure.name)
                 plt.close(drawing)
 
 
@@ -100,7 +100,7 @@ def write_report(folder: Path, study: Study, report: StudyReport) -> None:
     write_figures(folder / study.id, report)
     with fill_folder(folder) as scratch:
         (scratch / "report.json").write_text(to_json(report.as_dict()) + "\n")
-        (scratch / f"{study.id}.md").write_text(page(study, report))
+        (scratch / f"{study.id}.md").write_text(study_page(study, report))
 
 
 def write_docs(folder: Path, study: Study, report: StudyReport) -> None:
@@ -113,4 +113,4 @@ def write_docs(folder: Path, study: Study, report: StudyReport) -> None:
     for drawing in (folder / study.id).glob("*.svg"):
         drawing.unlink()
     with fill_folder(folder) as scratch:
-        (scratch / f"{study.id}.md").write_text(page(study, report))
+        (scratch / f"{study.id}.md").write_text(study_page(study, report))

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from metropilot._lazy import lazy_door
 
 if TYPE_CHECKING:
+    from metropilot.web.errors import install
+    from metropilot.web.schemas.requests import DriveAsked, request_of
     from metropilot.web.server import make_api, make_app, serve
-    from metropilot.web.settings import Settings
+    from metropilot.web.settings import Settings, data_folder
 
-__all__ = ["Settings", "make_api", "make_app", "serve"]
+__all__ = ["DriveAsked", "Settings", "data_folder", "install", "make_api", "make_app", "request_of", "serve"]
 
-_HOME = {"Settings": "settings", "make_api": "server", "make_app": "server", "serve": "server"}
-
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401 (whatever the name stands for)
-    """Import a name from its private file on first use (PEP 562)."""
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+__getattr__, __dir__ = lazy_door(
+    __name__,
+    {
+        "errors": ("install",),
+        "schemas.requests": ("DriveAsked", "request_of"),
+        "server": ("make_api", "make_app", "serve"),
+        "settings": ("Settings", "data_folder"),
+    },
+)

@@ -196,7 +196,7 @@ def task_rows() -> list[dict[str, Any]]:
 
 def recipe_rows() -> list[dict[str, Any]]:
     """Learning recipes of drivers, with their sources and steps."""
-    from metropilot.learn.recipes import RECIPES
+    from metropilot.learn import RECIPES
 
     return [
         {

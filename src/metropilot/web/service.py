@@ -31,7 +31,7 @@ from metropilot.web.store import OVER, JobRow, JobStore, UploadRow
 from metropilot.web.work import drives, learning, plans, studying
 
 if TYPE_CHECKING:
-    from metropilot.convoy.request import ConvoyRequest
+    from metropilot.convoy import ConvoyRequest
 
 SUFFIXES = (".toml", ".json", ".safetensors")
 SAVE_STEPS = 25
@@ -299,7 +299,7 @@ class Service:
 
     @staticmethod
     def _check_learning(asked: LearnAsked) -> None:
-        from metropilot.learn.recipes import recipe
+        from metropilot.learn import recipe
 
         row = recipe(asked.driver)
         row.configuration(asked.budget, **learning.recipe_fields(asked.model_dump()))
@@ -400,8 +400,7 @@ class Service:
         return request
 
     def _convoy(self, asked: ConvoyAsked) -> ConvoyRequest:
-        from metropilot.convoy.link import Link
-        from metropilot.convoy.request import ConvoyRequest
+        from metropilot.convoy import ConvoyRequest, Link
 
         names = (
             "line",

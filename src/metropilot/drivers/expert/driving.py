@@ -28,7 +28,14 @@ from metropilot.control import (
 from metropilot.drivers.expert.ground import STEP_M, ExpertTrack, build_up_s, ground_of, lead_s, share_of
 from metropilot.drivers.expert.hoa import Hoa, felt, stop_share
 from metropilot.drivers.expert.legs import Leg, Legs, legs_of
-from metropilot.env.expert import RELEASE_SHARE, Rules, Window, coasting_s, next_rate, window_of
+from metropilot.env import (
+    EXPERT_RELEASE_SHARE,
+    ExpertRules,
+    ExpertWindow,
+    coasting_time,
+    expert_window,
+    next_expert_rate,
+)
 from metropilot.physics import scalars
 from metropilot.railway import Section
 from metropilot.sim import Observation, Run
@@ -60,7 +67,7 @@ class Seen(NamedTuple):
         traction_mps2: Largest traction.
     """
 
-    window: Window
+    window: ExpertWindow
     speed_mps: float
     left_m: float
     time_left_s: float
@@ -92,7 +99,7 @@ class ExpertMemory(NamedTuple):
 
     run: Run
     section: Section
-    rules: Rules
+    rules: ExpertRules
     model: Model
     ceiling: Ceiling
     ground: ExpertTrack
@@ -103,7 +110,7 @@ class ExpertMemory(NamedTuple):
     before_mps2: float = 0.0
 
 
-def prepared(run: Run, section: Section, rules: Rules, hoa: Hoa) -> ExpertMemory:
+def prepared(run: Run, section: Section, rules: ExpertRules, hoa: Hoa) -> ExpertMemory:
     """Everything about a section that does not change on the way.
 
     Args:
@@ -170,8 +177,8 @@ def _seen(memory: ExpertMemory, observation: Observation, ahead: PredictedState,
     time_left = observation.scheduled_time_s - observation.time_s - ahead.seconds - _release_s(leg, curve)
     coasts_at = v + a * (lead_s(memory.model) - ahead.seconds + build_up_s(ground, a))
     stretch = ground.stretch(x, leg.end_m, leg.end_mps)
-    coasting = coasting_s(scalars, ground.davis, curve.deceleration_mps2, coasts_at, stretch)
-    window = window_of(scalars, rules, stretch.left_m, coasting, time_left, share)
+    coasting = coasting_time(scalars, ground.davis, curve.deceleration_mps2, coasts_at, stretch)
+    window = expert_window(scalars, rules, stretch.left_m, coasting, time_left, share)
     top = min(rules.start_mps2 + ahead.resistance_mps2, ahead.traction_mps2)
     if len(legs.legs) > 1 and time_left > TIGHT * legs.least_s(ground.length_m - x, v):
         top = min(top, _for_lower_limits(memory, ahead, coasts_at))
@@ -200,13 +207,13 @@ def _release_s(leg: Leg, curve: StopCurve) -> float:
     """Time that letting go of the last brake takes more than stopping at once."""
     if leg.end_mps > 0.0 or curve.release_jerk_mps3 > 1e3:
         return 0.0
-    return RELEASE_SHARE * curve.deceleration_mps2 / curve.release_jerk_mps3
+    return EXPERT_RELEASE_SHARE * curve.deceleration_mps2 / curve.release_jerk_mps3
 
 
 def _rate(memory: ExpertMemory, seen: Seen, change: float) -> float:
     """The rate after the period's share of a change."""
     rules, part = memory.rules, memory.actuation.dt / memory.rules.interval_s
-    return next_rate(
+    return next_expert_rate(
         scalars,
         rules.change_mps2 * part,
         seen.window,

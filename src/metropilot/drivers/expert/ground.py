@@ -16,7 +16,7 @@ from metropilot.control import (
     lead_command,
     predict_motion,
 )
-from metropilot.env.expert import SEGMENTS, Rules, Stretch, safe_speed
+from metropilot.env import EXPERT_SEGMENTS, ExpertRules, ExpertStretch, expert_safe_speed
 from metropilot.physics import command_for_effort, effort_at, felt_slopes
 
 STEP_M = 4.0
@@ -86,14 +86,16 @@ class ExpertTrack(NamedTuple):
         a, b, c = self.davis
         return a + speed_mps * (b + speed_mps * c) + slope
 
-    def stretch(self, position_m: float, end_m: float, end_mps: float) -> Stretch:
+    def stretch(self, position_m: float, end_m: float, end_mps: float) -> ExpertStretch:
         """Summarise the track between a position and the end of an interval."""
         left = max(end_m - position_m, 1e-3)
-        ds = left / SEGMENTS
-        at = [position_m + k * ds for k in range(SEGMENTS + 1)]
+        ds = left / EXPERT_SEGMENTS
+        at = [position_m + k * ds for k in range(EXPERT_SEGMENTS + 1)]
         climb, safe = self.climb_jpkg, self.safe_mps
         caps = [_between(safe, x / STEP_M) for x in at]
-        return Stretch(left, [_between(climb, x / STEP_M) for x in at], [0.5 * v * v for v in caps], end_mps)
+        return ExpertStretch(
+            left, [_between(climb, x / STEP_M) for x in at], [0.5 * v * v for v in caps], end_mps
+        )
 
     def ahead(
         self, actuation: CommandActuation, state: tuple[float, float, float], brake_gain: float
@@ -129,7 +131,7 @@ def share_of(actuation: CommandActuation, ahead: PredictedState, effort_mps2: fl
     return lead_command(share, ahead.share, actuation.keep)
 
 
-def ground_of(model: Model, ceiling: Ceiling, rules: Rules) -> ExpertTrack:
+def ground_of(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTrack:
     """Tables of a section for a trainset.
 
     Args:
@@ -173,7 +175,7 @@ def drops(model: Model) -> list[tuple[float, float]]:
     return [(float(begins[k]), float(limits[k])) for k in np.flatnonzero(inside) if limits[k] < limits[k - 1]]
 
 
-def _safe(model: Model, ceiling: Ceiling, rules: Rules, at: np.ndarray) -> np.ndarray:
+def _safe(model: Model, ceiling: Ceiling, rules: ExpertRules, at: np.ndarray) -> np.ndarray:
     """The safe speed at every position: eqs. 17 and 18 for every lower limit ahead, under the ceiling."""
     begins, limits = np.asarray(model.track.limit_from_m), np.asarray(model.track.limit_mps)
     here = limits[np.clip(np.searchsorted(begins, at, side="right") - 1, 0, limits.size - 1)]
@@ -182,7 +184,7 @@ def _safe(model: Model, ceiling: Ceiling, rules: Rules, at: np.ndarray) -> np.nd
         most = float(model.vehicle.max_deceleration_mps2)
         kept = min(lower, ceiling.at(place)) - UNDER_MPS
         begins = place - lower * lead_s(model)
-        before = safe_speed(np, rules, FOR_LIMITS * most, kept / rules.safe_share, begins - at, here)
+        before = expert_safe_speed(np, rules, FOR_LIMITS * most, kept / rules.safe_share, begins - at, here)
         safe = np.where(at < place, np.minimum(safe, before), safe)
     return safe
 

@@ -16,9 +16,7 @@ import numpy as np
 
 from metropilot.control import Model
 from metropilot.drivers.expert.ground import STEP_M, ExpertTrack, drops
-from metropilot.env.expert import Rules, coasting_s
-from metropilot.env.tables import SPEED_STEP_MPS
-from metropilot.env.to_go import to_go_table
+from metropilot.env import SPEED_STEP_MPS, ExpertRules, coasting_time, to_go_table
 from metropilot.physics import scalars
 
 SLACK_MPS = 0.3
@@ -80,7 +78,7 @@ class Legs(NamedTuple):
         return max(1.0 - leg.after_s / max(whole, leg.after_s + 1e-3), 1e-3)
 
 
-def legs_of(model: Model, ground: ExpertTrack, rules: Rules) -> Legs:
+def legs_of(model: Model, ground: ExpertTrack, rules: ExpertRules) -> Legs:
     """The intervals of a section for a trainset that keeps the expert's acceleration.
 
     Args:
@@ -104,10 +102,10 @@ def legs_of(model: Model, ground: ExpertTrack, rules: Rules) -> Legs:
     return whole._replace(legs=(*legs, Leg(length, 0.0, 0.0)))
 
 
-def _needs_power(ground: ExpertTrack, leg: Leg, rules: Rules) -> bool:
+def _needs_power(ground: ExpertTrack, leg: Leg, rules: ExpertRules) -> bool:
     """Tell if a trainset that coasts on from the end of an interval comes to the stop far too late."""
     stretch = ground.stretch(leg.end_m, ground.length_m, 0.0)
-    return coasting_s(scalars, ground.davis, rules.brake_mps2, leg.end_mps, stretch) > SLOW * leg.after_s
+    return coasting_time(scalars, ground.davis, rules.brake_mps2, leg.end_mps, stretch) > SLOW * leg.after_s
 
 
 def _nodes(length_m: float) -> np.ndarray:

@@ -11,13 +11,11 @@ import numpy as np
 from metropilot.drivers.expert.driving import ExpertMemory, Seen, decide, prepared
 from metropilot.drivers.expert.hoa import SETTLED, Hoa
 from metropilot.drivers.shipped import PolicyOptions
-from metropilot.env.expert import features
-from metropilot.env.expert_action import ExpertAction, ExpertChoiceAction
+from metropilot.env import ExpertAction, ExpertChoiceAction, expert_state
 from metropilot.errors import InputError
 from metropilot.physics import scalars
 from metropilot.policy import LoadedPolicy, load_driving_policy, shipped_policy
-from metropilot.sim import Observation, Run
-from metropilot.sim.driver import AbstractDriver
+from metropilot.sim import AbstractDriver, Observation, Run
 
 EARLY_S = 1e-6
 
@@ -93,7 +91,7 @@ class AbstractExpertPolicyDriver(AbstractDriver):
 
     def _asked(self, seen: Seen) -> float:
         """Evaluate the policy: a change of the rate, as a share of the largest."""
-        observed = features(
+        observed = expert_state(
             scalars,
             seen.window,
             seen.speed_mps,

@@ -23,7 +23,7 @@ from metropilot.env.interface import Transition
 from metropilot.env.randomization import StartDistribution
 from metropilot.env.registry import TASKS, make_task
 from metropilot.errors import InputError
-from metropilot.sim.outcome import CODES, RUNNING
+from metropilot.sim import CODES, RUNNING
 
 Array = Any
 OBSERVATION_LIMIT = 100.0

@@ -24,10 +24,17 @@ from metropilot.control import (
     build_up,
     curve_for,
 )
-from metropilot.env.actions import RegimeAction
-from metropilot.env.assists import Assists, assisted, stop_options
-from metropilot.env.features import feature_context, observe
-from metropilot.env.tables import SectionRows, SectionTables, near_track
+from metropilot.env import (
+    Assists,
+    RegimeAction,
+    SectionRows,
+    SectionTables,
+    apply_assists,
+    feature_context,
+    near_track,
+    observe,
+    stop_options,
+)
 from metropilot.physics import Command, at_rest, to_jax
 from metropilot.policy import Params
 from metropilot.sim import (
@@ -222,7 +229,7 @@ class ClosedLoop:
             command = self.action.command(sight, action, dt) + LEAK * (soft - jax.lax.stop_gradient(soft))
             # the station stop is counted in closed form below
             under = replace(self.assists, stop=False)
-            command, _ = assisted(under, sight, jnp.clip(command, -1.0, 1.0), jnp.zeros((), bool), dt)
+            command, _ = apply_assists(under, sight, jnp.clip(command, -1.0, 1.0), jnp.zeros((), bool), dt)
             return Command(command, jnp.zeros((), bool)), None
 
         params_of_run = RunParams(

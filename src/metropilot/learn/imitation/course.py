@@ -18,10 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from metropilot.env import DrivingTask
-from metropilot.env.actions import RegimeAction
-from metropilot.env.tables import SectionRows
-from metropilot.env.worlds import DomainRandomization, domain_sample
+from metropilot.env import DomainRandomization, DrivingTask, RegimeAction, SectionRows, domain_sample
 from metropilot.errors import InputError
 from metropilot.learn.compile_cache import keep_compiled
 from metropilot.learn.config import TeacherConfig

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from metropilot._tensors import read_tensors, write_tensors
-from metropilot.env.worlds import domain_sample
+from metropilot.env import domain_sample
 from metropilot.errors import InputError, MetropilotError
 from metropilot.learn.imitation.lessons import Demonstrations, collect_demonstrations, joined
 

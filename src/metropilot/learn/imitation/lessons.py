@@ -11,15 +11,23 @@ from jaxtyping import Float
 from numpy import ndarray
 from numpy.random import Generator
 
-from metropilot.env.features import FEATURES, OBSERVERS, FeatureContext
-from metropilot.env.tables import PERMITTED, SectionRows, build_tables
-from metropilot.env.worlds import ASSISTS, OBSERVER, DomainSample
+from metropilot.env import (
+    DOMAIN_ASSISTS,
+    DOMAIN_OBSERVER,
+    FEATURES,
+    OBSERVERS,
+    PERMITTED_COLUMN,
+    DomainSample,
+    FeatureContext,
+    SectionRows,
+    build_tables,
+)
 from metropilot.errors import MetropilotError
 from metropilot.physics import effort_at
 from metropilot.planning import Plan, PlanOptions, plan_arrays
 from metropilot.sim import Run, declared_bounds
 
-FEATURE_NAMES = OBSERVERS[OBSERVER]
+FEATURE_NAMES = OBSERVERS[DOMAIN_OBSERVER]
 SPACING_M = 4.0
 WINDOW_M = 10.0
 LATE_W = 500.0
@@ -65,14 +73,14 @@ class DemonstrationGenerator:
         self.length_m = float(self.case.length_m)
         self.scheduled_s = scheduled_ratio * float(self.case.minimum_s)
         self._at = np.arange(0.0, self.length_m + SPACING_M, SPACING_M)
-        cap = self.rows.ground_at(PERMITTED, 0, self._at) - BELOW_PERMITTED_MPS
+        cap = self.rows.ground_at(PERMITTED_COLUMN, 0, self._at) - BELOW_PERMITTED_MPS
         self._cap = np.maximum(cap, 0.5)
 
     def most_mps(self, position_m: float) -> float:
         """Speed that is still permitted at a position, and from which the last braking still stops."""
-        permitted = float(self.rows.ground_at(PERMITTED, 0, np.array(position_m)))
+        permitted = float(self.rows.ground_at(PERMITTED_COLUMN, 0, np.array(position_m)))
         work, _ = self.rows.stop_at(0, np.array(position_m))
-        stops = float(np.sqrt(2.0 * SAFE_SHARE * ASSISTS.stop_use * max(float(work), 0.0)))
+        stops = float(np.sqrt(2.0 * SAFE_SHARE * DOMAIN_ASSISTS.stop_use * max(float(work), 0.0)))
         return max(min(permitted - BELOW_PERMITTED_MPS - 0.05, stops), SLOWEST_MPS)
 
     def plan(self, left_s: float, start_m: float = 0.0, start_mps: float = 0.0) -> Plan:
@@ -89,7 +97,7 @@ class DemonstrationGenerator:
             late_w=LATE_W,
             cap_m=self._at,
             cap_mps=self._cap,
-            deceleration_mps2=ASSISTS.stop_use * float(self.case.vehicle.max_deceleration_mps2),
+            deceleration_mps2=DOMAIN_ASSISTS.stop_use * float(self.case.vehicle.max_deceleration_mps2),
         )
         return plan_arrays(self.case.vehicle, self.case.track, left_s, options)
 
@@ -103,7 +111,7 @@ class DemonstrationGenerator:
             track=case.track,
             length_m=case.length_m,
             load=case.load,
-            stop_mps2=ASSISTS.planned_mps2(self.rows, 0, case.stop_mps2, position_m),
+            stop_mps2=DOMAIN_ASSISTS.planned_mps2(self.rows, 0, case.stop_mps2, position_m),
             rates=case.protection.rates,
             time_s=time_s,
             position_m=position_m,

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot.env.actions import RegimeAction
+from metropilot.env import RegimeAction
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.networks import MLP
 from metropilot.learn.optimiser import AdamState, adam_init, adam_step

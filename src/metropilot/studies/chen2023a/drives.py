@@ -18,7 +18,7 @@ from metropilot.studies.report import ReportRow
 from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:
-    from metropilot.env.optima import Optima
+    from metropilot.env import Optima
 
 Values = Float[ndarray, " chunks"]
 

@@ -127,7 +127,7 @@ def _measure(panel: Panel) -> Draw:
     """Return a function that draws one measure of one learner."""
 
     def draw(axes: Axes, mine: Sequence[DriveCourse], grid: np.ndarray) -> None:
-        from metropilot.evaluate.style import BLUE, GREY, ORANGE
+        from metropilot.evaluate import BLUE, GREY, ORANGE
 
         for kind, colour, width in (("learning", ORANGE, 0.9), ("driving", BLUE, 1.3)):
             values = [getattr(one, kind)[panel.name] for one in mine]
@@ -149,7 +149,7 @@ def _measure(panel: Panel) -> Draw:
 
 def _loss(axes: Axes, mine: Sequence[DriveCourse], grid: np.ndarray) -> None:
     """Draw the loss of one learner on a symmetric logarithmic axis."""
-    from metropilot.evaluate.style import BLUE
+    from metropilot.evaluate import BLUE
 
     values = [one.loss for one in mine]
     _band(axes, mine, values, grid, (BLUE, 1.0, 0.25))

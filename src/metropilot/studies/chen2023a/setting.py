@@ -7,14 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 from metropilot.env import (
     Assists,
+    Comfort,
+    CommandAction,
     DisturbanceDistribution,
     DrivingConfig,
     DrivingTask,
+    Energy,
+    Failure,
+    OnTime,
     episode_of,
     starts,
 )
-from metropilot.env.actions import CommandAction
-from metropilot.env.rewards import Comfort, Energy, Failure, OnTime
 from metropilot.errors import InputError
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import CODES, Outcome, OutcomeRule
@@ -23,8 +26,7 @@ from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:
     from metropilot.env import AbstractTask
-    from metropilot.learn import AbstractConfig
-    from metropilot.learn.loop import Evaluate
+    from metropilot.learn import AbstractConfig, PolicyEvaluation
     from metropilot.policy import Params
 
     Array = Any
@@ -74,7 +76,7 @@ def make_unassisted() -> DrivingTask:
     return DrivingTask(replace(task_config(), assists=Assists(stop=False), outcomes=rule))
 
 
-def measured(config: AbstractConfig, task: AbstractTask) -> Evaluate:
+def measured(config: AbstractConfig, task: AbstractTask) -> PolicyEvaluation:
     """Return the evaluation of a policy: one deterministic run from standstill without exploration.
 
     Args:
@@ -92,7 +94,7 @@ def measured(config: AbstractConfig, task: AbstractTask) -> Evaluate:
     import jax
     import jax.numpy as jnp
 
-    from metropilot.learn.registry import make_learner
+    from metropilot.learn import make_learner
     from metropilot.policy import act
 
     if not isinstance(task, DrivingTask):

@@ -11,13 +11,17 @@ from pathlib import Path
 import numpy as np
 
 from metropilot._io import load_or_compute
-from metropilot.convoy.attack import Arena, AttackCampaign
-from metropilot.convoy.drivers import AbstractFollower
-from metropilot.convoy.drivers.learned import AbstractGainFollower
-from metropilot.convoy.headway import ConvoyService, needed_gap_m
-from metropilot.convoy.model import GAP_M
-from metropilot.convoy.rollout import drive_convoy
-from metropilot.convoy.stability import speed_gains
+from metropilot.convoy import (
+    GAP_M,
+    AbstractFollower,
+    AbstractGainFollower,
+    AttackArena,
+    AttackCampaign,
+    ConvoyService,
+    drive_convoy,
+    needed_gap_m,
+    speed_gains,
+)
 from metropilot.studies.chen2023b.setting import head_run, pair
 from metropilot.studies.report import ReportRow
 from metropilot.units import KMH_PER_MPS
@@ -124,12 +128,12 @@ def campaign_rows(budget: str, folder: Path) -> list[ReportRow]:
 
 def _attacked(campaign: AttackCampaign, cases: int, folder: Path) -> list[list[float]]:
     """Contacts and smallest gap of every part of a campaign."""
-    arena: list[Arena] = []
+    arena: list[AttackArena] = []
     sitting = min(SITTING, cases)
 
     def attacked(k: int) -> list[float]:
         if not arena:
-            arena.append(Arena(campaign))
+            arena.append(AttackArena(campaign))
         tally = arena[0].run(sitting, BATCH, first=k * sitting // BATCH)
         return [float(tally.contacts), float(tally.gap_min_m.min())]
 

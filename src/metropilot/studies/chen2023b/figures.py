@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from metropilot.convoy.rollout import ConvoyDrive
-from metropilot.evaluate.style import BLACK, GREY, SERIES
+from metropilot.convoy import ConvoyDrive
+from metropilot.evaluate import BLACK, GREY, SERIES_STYLES
 from metropilot.studies.chen2023b.published import PUBLISHED
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def _panels(count: int, height: float, **options: Any) -> tuple[Drawing, Any]:  
 def learning(histories: Histories, columns: Mapping[str, str], label: str) -> Drawing:
     """Draw a column of the history over environment steps: one panel per algorithm, one line per seed."""
     figure, axes = _panels(len(histories), 5.0, sharex=True)
-    for (name, runs), panel, (colour, _) in zip(histories.items(), axes, SERIES, strict=False):
+    for (name, runs), panel, (colour, _) in zip(histories.items(), axes, SERIES_STYLES, strict=False):
         for run in runs:
             panel.plot(run["steps"], run[columns[name]], color=colour, linewidth=0.9)
         panel.set_title(name, loc="left", fontsize=9)
@@ -40,7 +40,7 @@ def profiles(drive: ConvoyDrive) -> Drawing:
     figure, axes = _panels(1, 3.6)
     for k, t in enumerate(drive.trajectories):
         name = "trainset 1 (head)" if k == 0 else f"trainset {k + 1} ({drive.follower})"
-        colour, dashes = (BLACK, "-") if k == 0 else (SERIES[0][0], (0, (6, 2)))
+        colour, dashes = (BLACK, "-") if k == 0 else (SERIES_STYLES[0][0], (0, (6, 2)))
         axes.plot(t.time_s, t.speed_mps, color=colour, linestyle=dashes, label=name)
     axes.set(xlabel="time (s)", ylabel="speed (m/s)")
     axes.legend()
@@ -51,7 +51,7 @@ def gaps(drives: Mapping[str, ConvoyDrive]) -> Drawing:
     """Draw the gaps over time and the published band."""
     figure, axes = _panels(1, 4.2)
     axes.axhspan(PUBLISHED["gap_min_m"], PUBLISHED["gap_max_m"], color="#EDEDED", zorder=0)
-    for (name, drive), (colour, dashes) in zip(drives.items(), SERIES, strict=False):
+    for (name, drive), (colour, dashes) in zip(drives.items(), SERIES_STYLES, strict=False):
         axes.plot(drive.time_s, drive.gap_m[:, 0], color=colour, linestyle=dashes, label=name)
     axes.set(xlabel="time (s)", ylabel="gap (m)")
     axes.legend(ncols=3)
@@ -64,7 +64,7 @@ def differences(drives: Mapping[str, ConvoyDrive]) -> Drawing:
     bound = PUBLISHED["speed_difference_max_mps"]
     for level in (-bound, bound):
         axes.axhline(level, color=GREY, linewidth=0.8)
-    for (name, drive), (colour, dashes) in zip(drives.items(), SERIES, strict=False):
+    for (name, drive), (colour, dashes) in zip(drives.items(), SERIES_STYLES, strict=False):
         apart = drive.speed_difference_mps[:, 0]
         axes.plot(drive.time_s, apart, color=colour, linestyle=dashes, label=name)
     axes.set(xlabel="time (s)", ylabel="speed ahead less own speed (m/s)")
@@ -75,7 +75,7 @@ def differences(drives: Mapping[str, ConvoyDrive]) -> Drawing:
 def stability(gains: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Drawing:
     """Draw the ratio of the last trainset's speed amplitude to the head's over the oscillation period."""
     figure, axes = _panels(1, 4.0)
-    for (name, (periods, values)), (colour, dashes) in zip(gains.items(), SERIES, strict=False):
+    for (name, (periods, values)), (colour, dashes) in zip(gains.items(), SERIES_STYLES, strict=False):
         axes.plot(
             periods, values[:, -1], color=colour, linestyle=dashes, marker="o", markersize=3, label=name
         )

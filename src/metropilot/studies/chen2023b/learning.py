@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from metropilot.convoy.env import ConvoyTask, ConvoyTaskConfig
+from metropilot.convoy import ConvoyTask, ConvoyTaskConfig
 from metropilot.studies.learning import LearnJob
 
 if TYPE_CHECKING:
-    from metropilot.env.interface import AbstractTask
+    from metropilot.env import AbstractTask
     from metropilot.learn import AbstractConfig
 
 NAMES = {"sac": "sac_pid", "ddpg": "ddpg_pid_follow"}
@@ -66,8 +66,8 @@ def evaluation(algorithm: str, budget: str, made: AbstractTask) -> Callable[[Any
     import jax
     import jax.numpy as jnp
 
-    from metropilot.convoy.env import ROWS
-    from metropilot.learn.registry import make_learner
+    from metropilot.convoy import MAX_PERIODS
+    from metropilot.learn import make_learner
     from metropilot.policy import act
 
     if not isinstance(made, ConvoyTask):
@@ -95,7 +95,7 @@ def evaluation(algorithm: str, budget: str, made: AbstractTask) -> Callable[[Any
 
         none = jnp.zeros((heads,), jnp.float32)
         begin = (state, seen, jnp.ones((heads,), bool), none, none, none)
-        last, _ = jax.lax.scan(one, begin, jnp.arange(ROWS, dtype=jnp.uint32))
+        last, _ = jax.lax.scan(one, begin, jnp.arange(MAX_PERIODS, dtype=jnp.uint32))
         worst, apart, total = (jnp.mean(values) for values in last[3:])
         score = -worst - 0.2 * apart
         return {"score": score, "gap_error_m": worst, "speed_difference_mps": apart, "return": total}

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from metropilot.convoy.leaders import record, reference_speeds
-from metropilot.convoy.link import Link
-from metropilot.convoy.model import Convoy, Guard
-from metropilot.convoy.rollout import HeadRun
+from metropilot.convoy import Convoy, ConvoyGuard, HeadRun, Link, record_leader, reference_speeds
 from metropilot.planning import ReferenceShape, reference_for_time
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Outcome
@@ -20,7 +17,7 @@ ROUGH = Link(delay_s=0.3, loss=0.1)
 MASSES = (1.0, 1.2, 0.8, 1.2, 0.8, 1.2, 0.8, 1.2)
 
 
-def pair(count: int = 2, *, rough: bool = False, guard: Guard = "coupled") -> Convoy:
+def pair(count: int = 2, *, rough: bool = False, guard: ConvoyGuard = "coupled") -> Convoy:
     """The paper's convoy or a longer one; ``rough``: masses ±20 %, messages 0.3 s late, 10 % lost."""
     section = load_line(LINE).section(ORIGIN, DESTINATION)
     masses = MASSES[:count] if rough else ()
@@ -36,5 +33,5 @@ def head_run(count: int = 2, emergency_s: float = float("inf")) -> HeadRun:
     fastest = min(float(section.limit_mps.at(400.0)) - 0.8, 20.0)
     time_s = max(TIME_S, SHAPE.time_s(section.length_m, fastest) + 0.5)
     reference = reference_for_time(section.length_m, time_s, SHAPE, fastest)
-    commands = record(section, trainset, reference_speeds(reference, convoy.dt), convoy.dt).command
+    commands = record_leader(section, trainset, reference_speeds(reference, convoy.dt), convoy.dt).command
     return HeadRun("S-curve", commands, Outcome.ARRIVED, emergency_s)

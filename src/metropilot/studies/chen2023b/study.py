@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metropilot.convoy.drivers import FOLLOWERS, AbstractFollower
-from metropilot.convoy.drivers.learned import FollowPolicyOptions
-from metropilot.convoy.rollout import ConvoyDrive, drive_convoy
+from metropilot.convoy import FOLLOWERS, AbstractFollower, ConvoyDrive, FollowPolicyOptions, drive_convoy
 from metropilot.errors import InputError
 from metropilot.studies.chen2023b import figures
 from metropilot.studies.chen2023b.beyond import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from metropilot.convoy.model import GAP_M
+from metropilot.convoy import GAP_M
 from metropilot.studies.chen2023b.beyond import CONTACTS
 from metropilot.studies.chen2023b.published import PUBLISHED
 from metropilot.studies.report import ReportRow

@@ -9,15 +9,22 @@ from typing import Any
 import numpy as np
 
 from metropilot.control import CHENG2023_GAINS, Errors, Gains, incremental_pid
-from metropilot.drivers.ddpg_pid import ddpg_pid
-from metropilot.drivers.fuzzy_pid import ASSUMED, Universes, fuzzy_pid
-from metropilot.drivers.neural_pid import TEXTBOOK, LearningRates, fresh_network, neural_pid
-from metropilot.evaluate.tracking import Control, TrackingKpis
+from metropilot.drivers import (
+    ASSUMED_UNIVERSES,
+    TEXTBOOK_RATES,
+    LearningRates,
+    Universes,
+    fresh_network,
+    step_ddpg_pid,
+    step_fuzzy_pid,
+    step_neural_pid,
+)
+from metropilot.evaluate import TrackingController, TrackingKpis
 from metropilot.studies.cheng2023.published import KPIS, TABLE_1, TABLE_3, TABLE_4
 from metropilot.studies.cheng2023.setting import NAMES, optimal_kwh
 from metropilot.studies.report import ReportRow
 
-Start = tuple[Control, Any]
+Start = tuple[TrackingController, Any]
 """A controller and its memory at the start."""
 NO_ERRORS = Errors(0.0, 0.0)
 
@@ -50,7 +57,7 @@ def fuzzy(gains: Gains, universes: Universes) -> Start:
     """PID with gains changed by fuzzy rules."""
 
     def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
-        return fuzzy_pid(seen.command, seen.error_mps, memory, universes, gains)
+        return step_fuzzy_pid(seen.command, seen.error_mps, memory, universes, gains)
 
     return control, NO_ERRORS
 
@@ -59,7 +66,7 @@ def neural(gains: Gains, rates: LearningRates, seed: int) -> Start:
     """PID with gains from a network that learns online."""
 
     def control(memory: Any, seen: Any) -> tuple[Any, Any]:  # noqa: ANN401 (arrays)
-        return neural_pid(memory, seen, rates)
+        return step_neural_pid(memory, seen, rates)
 
     return control, fresh_network(seed, gains)
 
@@ -68,7 +75,7 @@ def learned(policy: Callable[[Any], Any]) -> Start:
     """PID with gains from a policy."""
 
     def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
-        return ddpg_pid(policy, seen, memory)
+        return step_ddpg_pid(policy, seen, memory)
 
     return control, NO_ERRORS
 
@@ -88,9 +95,9 @@ def contestants(
     return (
         Contestant("pid", "pid", lambda seed: pid(by_hand)),  # noqa: ARG005 (nothing random)
         Contestant("pid tuned", "", lambda seed: pid(_gains(p))),  # noqa: ARG005 (nothing random)
-        Contestant("fuzzy_pid", "fuzzy_pid", lambda seed: fuzzy(by_hand, ASSUMED)),  # noqa: ARG005
+        Contestant("fuzzy_pid", "fuzzy_pid", lambda seed: fuzzy(by_hand, ASSUMED_UNIVERSES)),  # noqa: ARG005
         Contestant("fuzzy_pid tuned", "", lambda seed: fuzzy(_gains(f), universes)),  # noqa: ARG005
-        Contestant("neural_pid", "neural_pid", lambda seed: neural(by_hand, TEXTBOOK, seed)),
+        Contestant("neural_pid", "neural_pid", lambda seed: neural(by_hand, TEXTBOOK_RATES, seed)),
         Contestant("neural_pid tuned", "", lambda seed: neural(_gains(n), rates, seed)),
         Contestant("ddpg_pid", "ddpg_pid", lambda seed: learned(policies[seed])),
     )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metropilot.evaluate.tracking import TrackRecord
+from metropilot.evaluate import TrackRecord
 from metropilot.studies.cheng2023.setting import NAMES
 from metropilot.studies.report import Figure
 

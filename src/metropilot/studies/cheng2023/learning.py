@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from metropilot.control import Errors
-from metropilot.env.tracking_task import TrackingConfig, TrackingRewards, TrackingTask
+from metropilot.env import TrackingConfig, TrackingRewards, TrackingTask
 from metropilot.studies.cheng2023.setting import course
 from metropilot.studies.learning import LearnJob
 
 if TYPE_CHECKING:
-    from metropilot.env.interface import AbstractTask
+    from metropilot.env import AbstractTask
     from metropilot.learn import DDPGConfig
 
 REWARDS = TrackingRewards(
@@ -59,9 +59,9 @@ def evaluation(made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
     import jax
     import jax.numpy as jnp
 
-    from metropilot.drivers.ddpg_pid import ddpg_pid
-    from metropilot.evaluate.tracking import track_compiled, tracking_kpis, tracking_score
-    from metropilot.learn.registry import make_learner
+    from metropilot.drivers import step_ddpg_pid
+    from metropilot.evaluate import track_compiled, tracking_kpis, tracking_score
+    from metropilot.learn import make_learner
     from metropilot.policy import act
 
     if not isinstance(made, TrackingTask):
@@ -72,7 +72,7 @@ def evaluation(made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
         del key
 
         def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
-            return ddpg_pid(lambda observation: act(spec, params, observation), seen, memory)
+            return step_ddpg_pid(lambda observation: act(spec, params, observation), seen, memory)
 
         start = Errors(jnp.float32(0.0), jnp.float32(0.0))
         kpis = tracking_kpis(single, track_compiled(single, control, start), jnp)

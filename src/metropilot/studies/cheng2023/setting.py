@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from metropilot.env.tracking import ReferenceCourse, course_of
+from metropilot.env import ReferenceCourse, course_of
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import (

@@ -15,8 +15,8 @@ import numpy as np
 
 from metropilot._provenance import circumstances
 from metropilot.control import Errors
-from metropilot.drivers.ddpg_pid import OBSERVED, DdpgPid, DdpgPidOptions, ddpg_pid
-from metropilot.evaluate.tracking import track, tracking_kpis
+from metropilot.drivers import GAINS_OBSERVATION, DdpgPid, DdpgPidOptions, step_ddpg_pid
+from metropilot.evaluate import track_course, tracking_kpis
 from metropilot.policy import Policy, save_policy, shipped_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, Run, drive
@@ -32,7 +32,7 @@ def overruled(policy: Policy) -> int:
     """Count the interventions of protection with a policy as driver of the Yizhuang line."""
     with TemporaryDirectory() as folder:
         place = Path(folder, "policy.safetensors")
-        save_policy(place, policy, {"observed": list(OBSERVED)})
+        save_policy(place, policy, {"observed": list(GAINS_OBSERVATION)})
         driver, line, trainset = (
             DdpgPid(DdpgPidOptions(policy=str(place))),
             load_line("yizhuang"),
@@ -58,12 +58,12 @@ def ship(folder: Path, target: Path) -> SeedResult:
     results = learn_seeds(jobs(range(SEEDS)), folder)
     chosen = min(results, key=lambda result: (overruled(result.policy), -result.score))
     what = course()
-    record = track(what, lambda held, seen: ddpg_pid(chosen.policy, seen, held), Errors(0.0, 0.0))
+    record = track_course(what, lambda held, seen: step_ddpg_pid(chosen.policy, seen, held), Errors(0.0, 0.0))
     kpis = tracking_kpis(what, record)._asdict()
     from metropilot.learn import config_to_mapping
 
     about = {
-        "observed": list(OBSERVED),
+        "observed": list(GAINS_OBSERVATION),
         "task": {"name": "cheng2023", "reference": "s_curve", "rewards": repr(REWARDS)},
         "algorithm": config().algorithm,
         "config": config_to_mapping(config()),

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from metropilot.evaluate.tracking import TrackingKpis, TrackRecord, track, tracking_kpis
+from metropilot.evaluate import TrackingKpis, TrackRecord, track_course, tracking_kpis
 from metropilot.studies.cheng2023 import drives as table
 from metropilot.studies.cheng2023.drives import Contestant, contestants
 from metropilot.studies.cheng2023.figures import figures
@@ -55,13 +55,12 @@ def reproduce(order: Order) -> StudyReport:
 def _made(order: Order) -> tuple[dict[int, Callable[[Any], Any]], Mapping[str, Mapping[str, float]]]:
     """Load or learn one policy per seed and the tuned parameters."""
     if order.budget == "quick":
-        from metropilot.drivers import fuzzy_pid, neural_pid, pid
-        from metropilot.drivers.ddpg_pid import load_gains_policy
+        from metropilot.drivers import TUNED_FUZZY_PID, TUNED_NEURAL_PID, TUNED_PID, load_gains_policy
         from metropilot.policy import shipped_policy
 
-        tuned = {"pid": pid.TUNED, "fuzzy_pid": fuzzy_pid.TUNED, "neural_pid": neural_pid.TUNED}
+        tuned = {"pid": TUNED_PID, "fuzzy_pid": TUNED_FUZZY_PID, "neural_pid": TUNED_NEURAL_PID}
         return {0: load_gains_policy(shipped_policy("ddpg_pid"))}, tuned
-    from metropilot.evaluate.tracking_tuning import TUNABLE, tune
+    from metropilot.evaluate import TUNABLE, tune_driver
     from metropilot.studies.cheng2023.learning import SEEDS, jobs
     from metropilot.studies.learning import learn_seeds
 
@@ -69,7 +68,7 @@ def _made(order: Order) -> tuple[dict[int, Callable[[Any], Any]], Mapping[str, M
     results = learn_seeds(jobs(seeds), order.folder, order.processes, order.say)
     tuned = {}
     for driver in TUNABLE:
-        tuned[driver] = tune(driver, course()).values
+        tuned[driver] = tune_driver(driver, course()).values
         order.say(f"{driver} tuned")
     return {result.job.seed: result.policy for result in results}, tuned
 
@@ -83,7 +82,7 @@ def _raced(
     for scenario in SCENARIOS:
         what = course(kind, scenario)
         for one in everybody:
-            tracks = [track(what, *one.of_seed(seed)) for seed in seeds]
+            tracks = [track_course(what, *one.of_seed(seed)) for seed in seeds]
             kpis = [tracking_kpis(what, record) for record in tracks]
             totals = np.array([float(k.speed_total_mps) for k in kpis])
             measured[one.driver, scenario] = kpis
@@ -99,7 +98,7 @@ def _elsewhere(everybody: tuple[Contestant, ...], seeds: tuple[int, ...], kind: 
             continue
         what = course(other)
         for one in everybody:
-            kpis = [tracking_kpis(what, track(what, *one.of_seed(seed))) for seed in seeds]
+            kpis = [tracking_kpis(what, track_course(what, *one.of_seed(seed))) for seed in seeds]
             for field, words, unit in (
                 ("speed_total_mps", "total speed error", "m/s"),
                 ("position_total_m", "total position error", "m"),

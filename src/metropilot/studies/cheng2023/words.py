@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from metropilot.evaluate.tracking import JERK_WINDOW_S
+from metropilot.evaluate import JERK_WINDOW_S
 from metropilot.physics import davis_n, effort_at
 from metropilot.studies.cheng2023.drives import Measured, median
 from metropilot.studies.cheng2023.published import KPIS, TABLE_1, TABLE_3, TABLE_4

@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from metropilot.drivers.eitoe import Eitoe, EitoeOptions
-from metropilot.evaluate import kpis_of
-from metropilot.evaluate.indices import indices_of
+from metropilot.drivers import Eitoe, EitoeOptions
+from metropilot.evaluate import indices_of, kpis_of
 from metropilot.physics import bodies_at, consist, multibody_step, substeps, track_arrays
 from metropilot.railway import Actuation
 from metropilot.sim import Disturbance, Drive, Rollout, Run, drive

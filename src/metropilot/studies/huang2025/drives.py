@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from metropilot.errors import Infeasible
-from metropilot.evaluate import Kpis, kpis_of, make_driver
-from metropilot.evaluate.indices import Indices, indices_of
+from metropilot.evaluate import Indices, Kpis, indices_of, kpis_of, make_driver
 from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
 from metropilot.sim import AbstractDriver, Drive, drive
 from metropilot.studies.huang2025.published import (

@@ -9,8 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from metropilot.learn import RECIPES, DDPGConfig, NAFConfig, Recipe, Schedule
-from metropilot.learn.recipes import PPO_BASE, REPLAY, REPLAY_QUICK, TABLE_BASE
+from metropilot.learn import (
+    PPO_BASE,
+    RECIPES,
+    REPLAY_BASE,
+    REPLAY_QUICK,
+    TABLE_BASE,
+    DDPGConfig,
+    NAFConfig,
+    Recipe,
+    Schedule,
+)
 from metropilot.studies.huang2025.published import LEARNED
 from metropilot.studies.huang2025.setting import gentle
 from metropilot.studies.learning import LearnJob, SeedResult
@@ -20,8 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from metropilot.env import DrivingTask
-    from metropilot.learn import AbstractConfig
-    from metropilot.learn.loop import Evaluate
+    from metropilot.learn import AbstractConfig, PolicyEvaluation
 
 COMMAND = "metropilot reproduce huang2025 --budget paper"
 TIMES_S = (95.0, 101.0, 115.0)
@@ -55,7 +63,7 @@ ITOR_BASE = replace(
 """Of the expert policies' features the table uses distance, speed, rate and the lateness under coasting."""
 ITOR_RECIPE = Recipe("huang2025_choices", ITOR_BASE, replace(ITOR_BASE, steps=2_000_000, evaluations=8))
 STO: dict[str, Any] = {
-    **REPLAY,
+    **REPLAY_BASE,
     "steps": 160_000,
     "updates": 8,
     "batch_size": 128,
@@ -74,7 +82,7 @@ def make_task(driver: str) -> DrivingTask:
     return RECIPES.get(driver).make_task()
 
 
-def watched(config: AbstractConfig, driver: str, task: Any) -> Evaluate:  # noqa: ANN401 (a driving task)
+def watched(config: AbstractConfig, driver: str, task: Any) -> PolicyEvaluation:  # noqa: ANN401 (a driving task)
     """Return the evaluation of a policy: the recipe's own rule, and Ie and time of case 1.
 
     Args:
@@ -86,8 +94,7 @@ def watched(config: AbstractConfig, driver: str, task: Any) -> Evaluate:  # noqa
     import jax.numpy as jnp
 
     from metropilot.env import starts
-    from metropilot.learn.policy_evaluation import DrivingEvaluation
-    from metropilot.learn.registry import make_learner
+    from metropilot.learn import DrivingEvaluation, make_learner
     from metropilot.policy import act
     from metropilot.sim import running_time
 

@@ -4,9 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from metropilot.env import AbstractAction, Assists, DisturbanceDistribution, DrivingConfig
-from metropilot.env.expert_action import ExpertAction, ExpertChoiceAction
-from metropilot.env.rewards import Comfort, Energy, Failure, Intervention, Punctuality
+from metropilot.env import (
+    AbstractAction,
+    Assists,
+    Comfort,
+    DisturbanceDistribution,
+    DrivingConfig,
+    Energy,
+    ExpertAction,
+    ExpertChoiceAction,
+    Failure,
+    Intervention,
+    Punctuality,
+)
 from metropilot.railway import Actuation, Restriction, Section, Trainset, load_line, load_trainset
 from metropilot.sim import Disturbance, Run, TimetableUpdate
 from metropilot.studies.huang2025.published import EITOP, PublishedCase

@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot.drivers.learned import LearnedDriver
-from metropilot.drivers.pid_lu2023 import PidLu2023, PidLu2023Options
-from metropilot.evaluate import Kpis, kpis_of, measures
+from metropilot.drivers import LearnedDriver, PidLu2023, PidLu2023Options
+from metropilot.evaluate import Kpis, comfort_band_shares, kpis_of
 from metropilot.planning import NotchOptions, PlanOptions, notch_plan, optimal_plan
 from metropilot.policy import load_driving_policy, shipped_policy
 from metropilot.railway import load_line, load_trainset
@@ -168,6 +167,6 @@ def arrival_rows(table: str, found: NotchRun, *, published: bool = True) -> Iter
     yield row(f"most switches of regime in {SPAN_M:.0f} m", "", switches_over(found.drive))
     yield row("changes of command", "", command_changes(found.drive))
     yield row("r.m.s. acceleration", "m/s²", k.rms_acceleration_mps2)
-    for words, share in measures.comfort_band_shares(found.drive.trajectory).items():
+    for words, share in comfort_band_shares(found.drive.trajectory).items():
         if share > 0.0:
             yield row(f"time {words} (ISO 2631, its Table 1)", "%", 100.0 * share)

@@ -56,7 +56,7 @@ def drive_plans(plans: tuple[PlanCase, ...], config: AbstractConfig, task: Any) 
     import jax
     import jax.numpy as jnp
 
-    from metropilot.learn.registry import make_learner
+    from metropilot.learn import make_learner
     from metropilot.policy import act
     from metropilot.sim import CODES, Outcome
 
@@ -103,8 +103,7 @@ def evaluate_plans(config: AbstractConfig, task: Any) -> Callable[..., Any]:  # 
 
     It adds the KPIs that are evaluated for every recipe.
     """
-    from metropilot.learn import DrivingEvaluation
-    from metropilot.learn.registry import make_learner
+    from metropilot.learn import DrivingEvaluation, make_learner
 
     rule = DrivingEvaluation(task, make_learner(config, task).spec)
     plans = drive_plans(PLANS, config, task)

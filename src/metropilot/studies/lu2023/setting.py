@@ -4,9 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from metropilot.env import DisturbanceDistribution, DrivingConfig, DrivingTask
-from metropilot.env.actions import NotchForceAction
-from metropilot.env.rewards import AccelerationComfort, EffortEnergy, Moving, OnTime, StopWindow
+from metropilot.env import (
+    AccelerationComfort,
+    DisturbanceDistribution,
+    DrivingConfig,
+    DrivingTask,
+    EffortEnergy,
+    Moving,
+    NotchForceAction,
+    OnTime,
+    StopWindow,
+)
 from metropilot.railway import load_line, load_trainset
 from metropilot.studies.lu2023.published import PlanCase
 

@@ -5,11 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from metropilot.convoy.folder import write_convoy
-from metropilot.convoy.kpis import convoy_kpis
-from metropilot.convoy.link import Link
-from metropilot.convoy.request import ConvoyRequest
-from metropilot.convoy.rollout import ConvoyRollout
+from metropilot.convoy import ConvoyRequest, ConvoyRollout, Link, convoy_kpis, write_convoy
 from metropilot.errors import InputError
 from metropilot.protection import LEVELS
 from metropilot.web.work.plain import numbers, station, window

@@ -7,7 +7,7 @@ from typing import Any
 from fastapi import Request
 from nicegui import events, ui
 
-from metropilot.convoy.drivers import FOLLOWERS
+from metropilot.convoy import FOLLOWERS
 from metropilot.errors import MetropilotError
 from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue

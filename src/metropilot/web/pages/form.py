@@ -10,8 +10,7 @@ from nicegui import ui
 from pydantic import BaseModel, ValidationError
 
 from metropilot.errors import InputError, MetropilotError
-from metropilot.evaluate import POLICY, run_fields
-from metropilot.evaluate.driver_options import named_driver
+from metropilot.evaluate import POLICY, named_driver, run_fields
 from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.pages.frame import Problem, number

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-from metropilot.evaluate.style import BLACK, BLUE, GREEN, GREY, ORANGE, SERIES, SKY, VERMILION, series
+from metropilot.evaluate import BLACK, BLUE, GREEN, GREY, ORANGE, SERIES_STYLES, SKY, VERMILION, driver_styles
 from metropilot.units import J_PER_KWH, KMH_PER_MPS
 
 DASHES = dict(
     zip(
-        (dashes for _, dashes in SERIES),
+        (dashes for _, dashes in SERIES_STYLES),
         ("solid", "dash", "dashdot", "dot", "longdashdot", "longdash", "2px,6px"),
         strict=True,
     )
@@ -192,7 +192,7 @@ def compare_figure(entries: Sequence[dict[str, Any]]) -> Figure:
         work = kwh(plan["energy_wheel_so_far_j"])
         below = {"yaxis": "y2", "showlegend": False, "opacity": 0.65}
         traces.append(line("plan's energy", where, work, SKY, width=6.0, **below))
-    styles = series([entry["driver"] for entry in entries])
+    styles = driver_styles([entry["driver"] for entry in entries])
     for entry in entries:
         columns, name = entry["drive"]["columns"], entry["driver"]
         colour, dashes = styles[name]
@@ -228,7 +228,7 @@ def front_figure(
             "showlegend": False,
         },
     ]
-    styles = series([entry["driver"] for entry in entries])
+    styles = driver_styles([entry["driver"] for entry in entries])
     for entry in entries:
         kpis = entry["drive"]["kpis"]
         if kpis["outcome"] != "arrived":
@@ -309,11 +309,11 @@ def convoy_figure() -> Figure:
     traces = []
     for kind, where in (("gap", "y"), ("difference", "y2")):
         for k in range(MOST):
-            colour, dashes = SERIES[k % len(SERIES)]
+            colour, dashes = SERIES_STYLES[k % len(SERIES_STYLES)]
             style: Trace = {"dash": DASHES[dashes], "yaxis": where, "showlegend": False}
             traces.append(line(f"{kind} {k + 1} to {k + 2}", [], [], colour, **style))
     for k in range(MOST):
-        colour, dashes = (BLACK, "-") if k == 0 else SERIES[(k - 1) % len(SERIES)]
+        colour, dashes = (BLACK, "-") if k == 0 else SERIES_STYLES[(k - 1) % len(SERIES_STYLES)]
         style = {"dash": DASHES[dashes], "yaxis": "y3", "showlegend": k < 3}
         traces.append(line("head" if k == 0 else f"trainset {k + 1}", [], [], colour, **style))
     return figure(

@@ -11,8 +11,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from metropilot._schema import field_specs
 from metropilot.errors import InputError
-from metropilot.evaluate import POLICY, RunSpec, run_fields
-from metropilot.evaluate.driver_options import named_driver
+from metropilot.evaluate import POLICY, RunSpec, named_driver, run_fields
 from metropilot.railway import Restriction
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance, TimetableUpdate
 

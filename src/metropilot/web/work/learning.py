@@ -27,9 +27,16 @@ def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> di
     """
     store = JobStore(Path(root))
     store.update(job, status="running", words="compiling")
-    from metropilot.learn import RunStore, TrainingOptions, TrainingProgress, learn_run
-    from metropilot.learn.recipes import evaluation_of, new_request, resumed_request
-    from metropilot.learn.train import begin_run
+    from metropilot.learn import (
+        RunStore,
+        TrainingOptions,
+        TrainingProgress,
+        begin_run,
+        evaluation_of,
+        learn_run,
+        new_request,
+        resumed_request,
+    )
 
     runs = RunStore(Path(root) / "runs")
     if run is not None:

@@ -13,7 +13,7 @@ from numpy import ndarray
 from metropilot.evaluate.kpis import Kpis, kpis_of
 from metropilot.evaluate.optimum import Optimum, optimum_of
 from metropilot.evaluate.run_spec import RunSpec
-from metropilot.sim.rollout import Drive, drive
+from metropilot.sim import Drive, drive
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000

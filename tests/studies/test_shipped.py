@@ -4,10 +4,7 @@ import jax
 import pytest
 
 from metropilot.env import PolicyInterface
-from metropilot.learn import RECIPES, config_from_mapping
-from metropilot.learn.config import TeacherConfig
-from metropilot.learn.imitation.pupil import pupil_spec
-from metropilot.learn.registry import make_learner
+from metropilot.learn import RECIPES, TeacherConfig, config_from_mapping, make_learner, pupil_spec
 from metropilot.policy import load_policy, shipped_policy
 from metropilot.studies import STUDIES
 from metropilot.studies.chen2023b import learning as chen2023b
