@@ -13,7 +13,7 @@ from metropilot.errors import InputError
 from metropilot.evaluate import RunSpec, run_fields, run_from_toml
 from metropilot.railway import Restriction
 from metropilot.sim import Disturbance, TimetableUpdate
-from metropilot.web import DriveAsked, install
+from metropilot.web import DriveIn, install
 from metropilot.web import request_of as request_of_body
 
 WHERE = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ"}
@@ -23,7 +23,7 @@ GIVEN = [(name, value, Disturbance(**{name: value})) for name, value in VALUES.i
 LIMIT = Restriction(400.0, 600.0, 40.0 / 3.6)
 
 
-class Told(Exception):
+class Caught(Exception):
     """The run that a command would drive."""
 
 
@@ -32,11 +32,11 @@ def from_command_line(monkeypatch):
     """The run that `metropilot drive` makes of its options."""
 
     def tell(spec, *_, **__):
-        raise Told(spec)
+        raise Caught(spec)
 
     def read(*options):
         monkeypatch.setattr("metropilot.cli.drive.run_and_report", tell)
-        with pytest.raises(Told) as told:
+        with pytest.raises(Caught) as told:
             app._run(["drive", *WHERE.values(), *options])
         return told.value.args[0]
 
@@ -71,7 +71,7 @@ def of_campaign(path, scheduled_s=100.0, length_m=1000.0):
 
 def of_body(values):
     """The run that the HTTP API makes of a body."""
-    return request_of_body(DriveAsked.model_validate(WHERE | values), lambda _, key: key)
+    return request_of_body(DriveIn.model_validate(WHERE | values), lambda _, key: key)
 
 
 @pytest.mark.parametrize(("name", "value", "disturbance"), GIVEN, ids=VALUES)
@@ -146,7 +146,7 @@ def answered(values):
     install(server)
 
     @server.post("/drive")
-    def drive(asked: DriveAsked) -> None:
+    def drive(asked: DriveIn) -> None:
         """Take a body."""
 
     async def post():

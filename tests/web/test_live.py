@@ -11,7 +11,7 @@ from tests.web.program import Server
 
 from metropilot.web import Settings
 from metropilot.web.refusals import Refused
-from metropilot.web.schemas.requests import LiveAsked
+from metropilot.web.schemas.requests import LiveIn
 from metropilot.web.service import Service
 
 SECTION = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ", "time_s": 101}
@@ -160,7 +160,7 @@ def watch_now(server, live):
 def test_what_nobody_watches_is_stopped_and_can_be_resumed(tmp_path, monkeypatch):
     async def story():
         service = Service(Settings(data=tmp_path, live_runs=1))
-        asked = LiveAsked.model_validate({**SECTION, "pace": 0})
+        asked = LiveIn.model_validate({**SECTION, "pace": 0})
         left = await service.go_live(asked)
         with pytest.raises(Refused, match=f"stop one of {left.id}"):
             await service.go_live(asked)

@@ -12,7 +12,7 @@ from metropilot.evaluate import option_defaults
 from metropilot.policy import shipped_policy
 from metropilot.railway import load_line, load_trainset, write_line, write_trainset
 from metropilot.web import Settings
-from metropilot.web.schemas.requests import DriveAsked
+from metropilot.web.schemas.requests import DriveIn
 from metropilot.web.server import make_api
 from metropilot.web.service import Service
 
@@ -118,15 +118,15 @@ def test_a_policy_that_is_none_of_the_drivers_is_refused_at_once(service, driver
 
 
 def test_a_learning_run_and_an_upload_drive_by_their_ids(service):
-    asked = DriveAsked(**SECTION, driver="learned", options={"policy": RUN})
+    asked = DriveIn(**SECTION, driver="learned", options={"policy": RUN})
     request = service.request(asked)
     assert request.options == {"policy": str(service.root / "runs" / RUN / "policy.safetensors")}
-    assert service.request(DriveAsked(**SECTION, driver=f"learned:policy={RUN}")) == request
+    assert service.request(DriveIn(**SECTION, driver=f"learned:policy={RUN}")) == request
     assert request.make_driver().loaded.about
     (service.root / "uploads").mkdir()
     shutil.copyfile(shipped_policy("ppo"), service.root / "uploads" / "x.safetensors")
     row = service.store.add_upload("policy", "mine.safetensors", "x.safetensors")
-    driver = service.request(DriveAsked(**SECTION, driver=f"learned:policy={row.id}")).make_driver()
+    driver = service.request(DriveIn(**SECTION, driver=f"learned:policy={row.id}")).make_driver()
     assert driver.loaded.about
     with pytest.raises(InputError, match="no such policy"):
-        service.request(DriveAsked(**SECTION, driver="learned:policy=another"))
+        service.request(DriveIn(**SECTION, driver="learned:policy=another"))

@@ -15,17 +15,17 @@ from metropilot.web.pages.convoy import member_outcome
 from metropilot.web.pages.form import describe_range, validate
 from metropilot.web.pages.frame import frame
 from metropilot.web.pages.plots import compare_figure, convoy_figure, driven_convoy_figure, front_figure
-from metropilot.web.schemas.requests import ConvoyAsked, DriveAsked, JourneyAsked, LearnAsked, NewLink
+from metropilot.web.schemas.requests import ConvoyIn, DriveIn, JourneyIn, LearnIn, NewLink
 
 
 @pytest.mark.parametrize(
     ("kind", "name", "scale", "words"),
     [
-        (DriveAsked, "mass_factor", 1.0, "0.5 to 2"),
-        (DriveAsked, "seed", 1.0, "0 or more"),
-        (LearnAsked, "steps", 1.0, "1 000 to 50 000 000"),
-        (LearnAsked, "seed", 1.0, "0 to below 2 147 483 648"),
-        (JourneyAsked, "total_s", 1.0, "above 0 to 36 000"),
+        (DriveIn, "mass_factor", 1.0, "0.5 to 2"),
+        (DriveIn, "seed", 1.0, "0 or more"),
+        (LearnIn, "steps", 1.0, "1 000 to 50 000 000"),
+        (LearnIn, "seed", 1.0, "0 to below 2 147 483 648"),
+        (JourneyIn, "total_s", 1.0, "above 0 to 36 000"),
         (NewLink, "loss", 100.0, "0 to 100"),
     ],
 )
@@ -36,8 +36,8 @@ def test_a_field_says_what_its_request_allows(kind, name, scale, words):
 @pytest.mark.parametrize(
     ("kind", "values", "scales", "told"),
     [
-        (DriveAsked, {"mass_factor": 0}, {}, ("mass_factor", 0, "0.5 to 2")),
-        (ConvoyAsked, {"trainsets": 1}, {}, ("trainsets", 1, "2 to 6")),
+        (DriveIn, {"mass_factor": 0}, {}, ("mass_factor", 0, "0.5 to 2")),
+        (ConvoyIn, {"trainsets": 1}, {}, ("trainsets", 1, "2 to 6")),
         (NewLink, {"loss": 1.2}, {"loss": 100.0}, ("loss", 120, "0 to 100")),
     ],
 )
@@ -51,7 +51,7 @@ def test_what_is_not_allowed_is_refused_in_one_line(kind, values, scales, told):
 
 def test_half_a_trainset_is_refused():
     with pytest.raises(InputError, match="trainsets"):
-        validate(ConvoyAsked, {"trainsets": 2.5})
+        validate(ConvoyIn, {"trainsets": 2.5})
 
 
 def entry(name):

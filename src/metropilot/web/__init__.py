@@ -8,17 +8,17 @@ from metropilot._lazy import lazy_door
 
 if TYPE_CHECKING:
     from metropilot.web.errors import install
-    from metropilot.web.schemas.requests import DriveAsked, request_of
+    from metropilot.web.schemas.requests import DriveIn, request_of
     from metropilot.web.server import make_api, make_app, serve
     from metropilot.web.settings import Settings, data_folder
 
-__all__ = ["DriveAsked", "Settings", "data_folder", "install", "make_api", "make_app", "request_of", "serve"]
+__all__ = ["DriveIn", "Settings", "data_folder", "install", "make_api", "make_app", "request_of", "serve"]
 
 __getattr__, __dir__ = lazy_door(
     __name__,
     {
         "errors": ("install",),
-        "schemas.requests": ("DriveAsked", "request_of"),
+        "schemas.requests": ("DriveIn", "request_of"),
         "server": ("make_api", "make_app", "serve"),
         "settings": ("Settings", "data_folder"),
     },

@@ -16,14 +16,14 @@ from metropilot.web.live.session import Session, Spare, start_spare
 from metropilot.web.pools import Pools, explain
 from metropilot.web.refusals import Refused, detail_of
 from metropilot.web.schemas.requests import (
-    CompareAsked,
-    ConvoyAsked,
-    DriveAsked,
-    LearnAsked,
-    LiveAsked,
-    PlanAsked,
-    SectionAsked,
-    StudyAsked,
+    CompareIn,
+    ConvoyIn,
+    DriveIn,
+    LearnIn,
+    LiveIn,
+    PlanIn,
+    SectionIn,
+    StudyIn,
 )
 from metropilot.web.schemas.requests import request_of as resolve
 from metropilot.web.settings import Settings
@@ -109,14 +109,14 @@ class Service:
             raise InputError("no such policy", field=f"options.{POLICY}", value=key, allowed=allowed)
         return found
 
-    def request(self, asked: SectionAsked) -> RunSpec:
+    def request(self, asked: SectionIn) -> RunSpec:
         """Resolve a request to a run.
 
         Raises:
             InputError: A name is unknown, or a number is not allowed.
         """
         values = asked.model_dump(exclude={"drivers", "seeds", "pace"})
-        return resolve(DriveAsked.model_validate(values), self.path)
+        return resolve(DriveIn.model_validate(values), self.path)
 
     async def upload(self, name: str, content: bytes) -> tuple[UploadRow, dict[str, Any]]:
         """Take a line, trainset or policy file.
@@ -158,15 +158,15 @@ class Service:
         raise Refused("no such upload", 404, field="id", value=upload)
 
     # ------------------------------------------------------------------------------------------ answers
-    async def section(self, asked: SectionAsked) -> dict[str, Any]:
+    async def section(self, asked: SectionIn) -> dict[str, Any]:
         """A section and its minimum running time."""
         return await self.pools.answer(plans.section_of, self.request(asked))
 
-    async def plan(self, asked: PlanAsked) -> dict[str, Any]:
+    async def plan(self, asked: PlanIn) -> dict[str, Any]:
         """The optimal plan."""
         return await self.pools.answer(plans.plan_of, self.request(asked))
 
-    async def front(self, asked: PlanAsked) -> dict[str, Any]:
+    async def front(self, asked: PlanIn) -> dict[str, Any]:
         """The time-energy front."""
         return await self.pools.answer(plans.front_of, self.request(asked))
 
@@ -176,7 +176,7 @@ class Service:
         return await self.pools.answer(plans.journey_of, {**asked, **names})
 
     # ------------------------------------------------------------------------------------------ jobs
-    def submit(self, asked: DriveAsked | CompareAsked | LearnAsked | StudyAsked) -> str:
+    def submit(self, asked: DriveIn | CompareIn | LearnIn | StudyIn) -> str:
         """Queue a job; return its id.
 
         Raises:
@@ -185,10 +185,10 @@ class Service:
         """
         if self.store.waiting() >= self.settings.queued_jobs:
             raise Refused("too many jobs wait", 429)
-        if isinstance(asked, LearnAsked):
+        if isinstance(asked, LearnIn):
             self._check_learning(asked)
             kind = "learn"
-        elif isinstance(asked, StudyAsked):
+        elif isinstance(asked, StudyIn):
             from metropilot.studies import STUDIES
 
             STUDIES.get(asked.study)
@@ -196,11 +196,11 @@ class Service:
         else:
             request = self.request(asked)
             request.run()
-            if isinstance(asked, CompareAsked):
+            if isinstance(asked, CompareIn):
                 self._drivers_of(asked)
             else:
                 self._check_driver(request)
-            kind = "compare" if isinstance(asked, CompareAsked) else "drive"
+            kind = "compare" if isinstance(asked, CompareIn) else "drive"
         job = self.store.new_job(kind, asked.model_dump())
         self._schedule(job, kind, asked.model_dump(), None)
         return job
@@ -240,11 +240,11 @@ class Service:
         elif kind == "study":
             future = self.pools.submit(kind, studying.study_job, root, job, asked)
         elif kind == "compare":
-            body = CompareAsked.model_validate(asked)
+            body = CompareIn.model_validate(asked)
             what = (self.request(body), self._drivers_of(body), body.seeds)
             future = self.pools.submit(kind, drives.compare_job, root, job, *what)
         else:
-            request = self.request(DriveAsked.model_validate(asked))
+            request = self.request(DriveIn.model_validate(asked))
             future = self.pools.submit(kind, drives.drive_job, root, job, request)
         self.futures[job] = future
         future.add_done_callback(lambda done: self._store_result(job, kind, done))
@@ -283,7 +283,7 @@ class Service:
             told = {"value": error.value, "unit": error.unit, "allowed": error.allowed}
             raise InputError(error.message, field=f"options.{POLICY}", **told) from None
 
-    def _drivers_of(self, asked: CompareAsked) -> dict[str, str]:
+    def _drivers_of(self, asked: CompareIn) -> dict[str, str]:
         """Drivers of a comparison for :func:`metropilot.evaluate.compare`, by name.
 
         Raises:
@@ -298,7 +298,7 @@ class Service:
         return found
 
     @staticmethod
-    def _check_learning(asked: LearnAsked) -> None:
+    def _check_learning(asked: LearnIn) -> None:
         from metropilot.learn import recipe
 
         row = recipe(asked.driver)
@@ -318,7 +318,7 @@ class Service:
             runs.update(record, status="interrupted")
 
     # ------------------------------------------------------------------------------------------ live runs
-    async def go_live(self, asked: LiveAsked | ConvoyAsked, job: str | None = None) -> Session:
+    async def go_live(self, asked: LiveIn | ConvoyIn, job: str | None = None) -> Session:
         """Start a live run, or resume one that was interrupted.
 
         Raises:
@@ -330,7 +330,7 @@ class Service:
         if len(running) >= self.settings.live_runs:
             words = f"at most {self.settings.live_runs} live runs at once; stop one of {', '.join(running)}"
             raise Refused(words, 429)
-        convoy = isinstance(asked, ConvoyAsked)
+        convoy = isinstance(asked, ConvoyIn)
         request: Any = self._convoy(asked) if convoy else self._run(asked)
         order: dict[str, Any] = {
             "request": request,
@@ -363,7 +363,7 @@ class Service:
         row = self.store.job(job)
         if row.kind != "live" or row.status not in RESUMABLE:
             raise Refused(f"a {row.kind} that is {row.status} cannot be resumed", 409, field="id", value=job)
-        kind = ConvoyAsked if "follower" in row.asked else LiveAsked
+        kind = ConvoyIn if "follower" in row.asked else LiveIn
         return await self.go_live(kind.model_validate(row.asked), job)
 
     def live_run(self, job: str) -> JobRow:
@@ -393,13 +393,13 @@ class Service:
                 words = f"no viewer for {ABANDONED_S:g} s; it can be resumed"
                 self.store.update(session.id, words=words)
 
-    def _run(self, asked: LiveAsked) -> RunSpec:
+    def _run(self, asked: LiveIn) -> RunSpec:
         request = self.request(asked)
         request.run()
         self._check_driver(request)
         return request
 
-    def _convoy(self, asked: ConvoyAsked) -> ConvoyRequest:
+    def _convoy(self, asked: ConvoyIn) -> ConvoyRequest:
         from metropilot.convoy import ConvoyRequest, Link
 
         names = (
@@ -413,7 +413,7 @@ class Service:
             "driver",
             "seed",
         )
-        head = self._run(LiveAsked.model_validate(asked.model_dump(include=set(names))))
+        head = self._run(LiveIn.model_validate(asked.model_dump(include=set(names))))
         made = ConvoyRequest(
             head=head,
             count=asked.trainsets,

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, UploadFile
 
 from metropilot.web import catalogue
-from metropilot.web.schemas.responses import DriverOut, LineOut, LineRow, TrainsetOut, Uploaded
+from metropilot.web.schemas.responses import DriverOut, LineOut, LineRow, TrainsetOut, UploadOut
 from metropilot.web.service import Service
 
 Key = Annotated[str, Path(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
@@ -42,7 +42,7 @@ def routes(service: Service) -> APIRouter:
         """Every driver, with its options and their defaults."""
         return catalogue.driver_rows()
 
-    @router.post("/uploads", response_model=Uploaded, status_code=201)
+    @router.post("/uploads", response_model=UploadOut, status_code=201)
     async def upload(file: UploadFile) -> dict[str, Any]:
         """Upload a line or trainset (metropilot's TOML, TTOBench's JSON) or a policy (safetensors).
 

@@ -10,7 +10,7 @@ from fastapi.responses import FileResponse, Response
 from metropilot.web import catalogue
 from metropilot.web.api.catalogue import Key
 from metropilot.web.refusals import Refused
-from metropilot.web.schemas.requests import CompareAsked, DriveAsked, LearnAsked, StudyAsked
+from metropilot.web.schemas.requests import CompareIn, DriveIn, LearnIn, StudyIn
 from metropilot.web.schemas.responses import (
     CompareOut,
     DriveOut,
@@ -35,22 +35,22 @@ def routes(service: Service) -> APIRouter:
     router = APIRouter(tags=["jobs"])
 
     @router.post("/jobs/drive", response_model=JobOut, status_code=202)
-    def drive(asked: DriveAsked) -> JobRow:
+    def drive(asked: DriveIn) -> JobRow:
         """Drive one run."""
         return service.store.job(service.submit(asked))
 
     @router.post("/jobs/compare", response_model=JobOut, status_code=202)
-    def compare(asked: CompareAsked) -> JobRow:
+    def compare(asked: CompareIn) -> JobRow:
         """Drive the same run with several drivers and seeds."""
         return service.store.job(service.submit(asked))
 
     @router.post("/jobs/learn", response_model=JobOut, status_code=202)
-    def learn(asked: LearnAsked) -> JobRow:
+    def learn(asked: LearnIn) -> JobRow:
         """Learn a driver."""
         return service.store.job(service.submit(asked))
 
     @router.post("/jobs/study", response_model=JobOut, status_code=202)
-    def study(asked: StudyAsked) -> JobRow:
+    def study(asked: StudyIn) -> JobRow:
         """Reproduce a study."""
         return service.store.job(service.submit(asked))
 

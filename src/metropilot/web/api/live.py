@@ -12,16 +12,16 @@ from fastapi.responses import StreamingResponse
 from metropilot.web.api.catalogue import Key
 from metropilot.web.live.session import Session
 from metropilot.web.schemas.requests import (
-    Asked,
-    ConvoyAsked,
+    ConvoyIn,
     Lever,
-    LiveAsked,
+    LiveIn,
     NewArrival,
     NewLink,
     NewRestriction,
     Pace,
+    RequestBody,
 )
-from metropilot.web.schemas.responses import LiveOut, Told
+from metropilot.web.schemas.responses import EventOut, LiveOut
 from metropilot.web.service import Service
 
 STREAM: dict[int | str, dict[str, Any]] = {
@@ -60,29 +60,29 @@ def routes(service: Service) -> APIRouter:
     """Make the routes of live runs and live convoys."""
     router = APIRouter(tags=["live"])
 
-    async def tell(live_id: str, kind: str, asked: Asked) -> dict[str, Any]:
+    async def tell(live_id: str, kind: str, asked: RequestBody) -> dict[str, Any]:
         at = await service.session(live_id).ask({"kind": kind, **asked.model_dump()})
         return {"id": live_id, "at_s": at}
 
     @router.post("/live", response_model=LiveOut, status_code=201)
-    async def start(asked: LiveAsked) -> dict[str, Any]:
+    async def start(asked: LiveIn) -> dict[str, Any]:
         """Start a live run."""
         return live_out(await service.go_live(asked))
 
     @router.post("/convoys", response_model=LiveOut, status_code=201)
-    async def convoy(asked: ConvoyAsked) -> dict[str, Any]:
+    async def convoy(asked: ConvoyIn) -> dict[str, Any]:
         """Start a live convoy; watched, paced and stopped like any live run."""
         return live_out(await service.go_live(asked))
 
-    @router.post("/live/{live_id}/link", response_model=Told)
+    @router.post("/live/{live_id}/link", response_model=EventOut)
     async def link(live_id: Key, asked: NewLink) -> dict[str, Any]:
         """Change delay, jitter and loss of the link of a convoy, or silence it."""
         return await tell(live_id, "link", asked)
 
-    @router.post("/live/{live_id}/emergency", response_model=Told)
+    @router.post("/live/{live_id}/emergency", response_model=EventOut)
     async def emergency(live_id: Key) -> dict[str, Any]:
         """Let the head of a convoy make an emergency brake."""
-        return await tell(live_id, "emergency", Asked())
+        return await tell(live_id, "emergency", RequestBody())
 
     @router.get("/live", response_model=list[LiveOut])
     async def runs() -> list[dict[str, Any]]:
@@ -106,17 +106,17 @@ def routes(service: Service) -> APIRouter:
         headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
         return StreamingResponse(body, media_type="text/event-stream", headers=headers)
 
-    @router.post("/live/{live_id}/arrival", response_model=Told)
+    @router.post("/live/{live_id}/arrival", response_model=EventOut)
     async def arrival(live_id: Key, asked: NewArrival) -> dict[str, Any]:
         """Send the driver a new arrival time."""
         return await tell(live_id, "arrival", asked)
 
-    @router.post("/live/{live_id}/restriction", response_model=Told)
+    @router.post("/live/{live_id}/restriction", response_model=EventOut)
     async def restriction(live_id: Key, asked: NewRestriction) -> dict[str, Any]:
         """Add a temporary speed restriction on the track ahead."""
         return await tell(live_id, "restriction", asked)
 
-    @router.post("/live/{live_id}/lever", response_model=Told)
+    @router.post("/live/{live_id}/lever", response_model=EventOut)
     async def lever(live_id: Key, asked: Lever) -> dict[str, Any]:
         """Drive manually under protection; without renewal within 3 s the driver takes over.
 
@@ -124,12 +124,12 @@ def routes(service: Service) -> APIRouter:
         """
         return await tell(live_id, "lever", asked)
 
-    @router.post("/live/{live_id}/pace", response_model=Told)
+    @router.post("/live/{live_id}/pace", response_model=EventOut)
     async def pace(live_id: Key, asked: Pace) -> dict[str, Any]:
         """Change the pace of the run: 1 is real time, 0 pauses it."""
         return await tell(live_id, "pace", asked)
 
-    @router.post("/live/{live_id}/stop", response_model=Told)
+    @router.post("/live/{live_id}/stop", response_model=EventOut)
     async def stop(live_id: Key) -> dict[str, Any]:
         """End a live run; it can be resumed."""
         return {"id": live_id, "at_s": await service.session(live_id).stop()}

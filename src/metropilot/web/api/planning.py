@@ -6,7 +6,7 @@ from typing import Any
 
 from fastapi import APIRouter
 
-from metropilot.web.schemas.requests import JourneyAsked, PlanAsked, SectionAsked
+from metropilot.web.schemas.requests import JourneyIn, PlanIn, SectionIn
 from metropilot.web.schemas.responses import FrontOut, JourneyOut, PlanOut, SectionOut
 from metropilot.web.service import Service
 
@@ -16,22 +16,22 @@ def routes(service: Service) -> APIRouter:
     router = APIRouter(tags=["planning"])
 
     @router.post("/section", response_model=SectionOut)
-    async def section(asked: SectionAsked) -> dict[str, Any]:
+    async def section(asked: SectionIn) -> dict[str, Any]:
         """A section for a trainset, with the minimum running time."""
         return await service.section(asked)
 
     @router.post("/plan", response_model=PlanOut)
-    async def plan(asked: PlanAsked) -> dict[str, Any]:
+    async def plan(asked: PlanIn) -> dict[str, Any]:
         """The energy-optimal plan with its certificate."""
         return await service.plan(asked)
 
     @router.post("/front", response_model=FrontOut)
-    async def front(asked: PlanAsked) -> dict[str, Any]:
+    async def front(asked: PlanIn) -> dict[str, Any]:
         """Optimal energy from 1.02 to 1.6 of the minimum running time; ``time_s`` is not used."""
         return await service.front(asked)
 
     @router.post("/journey", response_model=JourneyOut)
-    async def journey(asked: JourneyAsked) -> dict[str, Any]:
+    async def journey(asked: JourneyIn) -> dict[str, Any]:
         """A journey that calls at every station; with ``total_s`` its reserve is spread optimally."""
         return await service.journey(asked.model_dump())
 

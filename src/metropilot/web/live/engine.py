@@ -277,6 +277,8 @@ class Engine:
         section, trainset = rollout.section, rollout.run.trainset
         track = track_arrays(section, trainset)
         at = np.append(np.arange(0.0, section.length_m, PERMITTED_STEP_M), section.length_m)
+        guard = rollout.params.protection
+        assert guard is not None  # a rollout is always supervised; only compiled runs may go without
         inside = (track.limit_from_m < section.length_m) & np.isfinite(track.limit_from_m)
         drawn = compared = None
         if plan is not None:
@@ -316,7 +318,7 @@ class Engine:
             ],
             "permitted": {
                 "position_m": numbers(at, 2),
-                "speed_mps": numbers(permitted_speed(rollout.params.protection, at), 4),
+                "speed_mps": numbers(permitted_speed(guard, at), 4),
             },
             "plan": drawn,
             "reference": compared,

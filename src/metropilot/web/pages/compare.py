@@ -22,7 +22,7 @@ from metropilot.web.pages.form import (
 from metropilot.web.pages.frame import card, empty, frame, links, number, refresh_while, table
 from metropilot.web.pages.plots import blank, compare_figure, front_figure
 from metropilot.web.refusals import Refused
-from metropilot.web.schemas.requests import CompareAsked
+from metropilot.web.schemas.requests import CompareIn
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 
@@ -69,7 +69,7 @@ class ComparePage:
             self.drivers.props("outlined dense options-dense use-chips")
             self.form.problem.beside("drivers", self.drivers).props('data-test="drivers"')
             self.form.problem.beside("driver", self.drivers)
-            self.seeds = number_field("Seeds of each driver", CompareAsked, "seeds", value=1, step=1)
+            self.seeds = number_field("Seeds of each driver", CompareIn, "seeds", value=1, step=1)
             self.form.problem.beside("seeds", self.seeds)
             self.disturbances.build(self.form.problem)
             with ui.element("div").classes("mp-row"):
@@ -170,7 +170,7 @@ class ComparePage:
             values |= {"drivers": drivers, "seeds": self.seeds.value, "driver": (drivers or ["optimal"])[0]}
             if self.form.linked and self.options.get("driver") in drivers:
                 values |= self.options
-            asked = validate(CompareAsked, values)
+            asked = validate(CompareIn, values)
             self.job = self.service.submit(asked)
             ui.run_javascript(f"history.replaceState(null, '', '/compare?job={self.job}')")
             self.watch()

@@ -17,7 +17,7 @@ from metropilot.web.pages.frame import Problem, card, frame, links, number, read
 from metropilot.web.pages.plots import convoy_figure, driven_convoy_figure
 from metropilot.web.pages.strip import section_strip
 from metropilot.web.refusals import Refused
-from metropilot.web.schemas.requests import ConvoyAsked, NewLink
+from metropilot.web.schemas.requests import ConvoyIn, NewLink
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 
@@ -58,8 +58,8 @@ class ConvoyPage:
                 problem = self.form.problem
                 followers = list(FOLLOWERS.ids())
                 with ui.element("div").classes("mp-row"):
-                    self.count = number_field("Trainsets", ConvoyAsked, "trainsets", value=3, step=1)
-                    self.gap = number_field("Desired gap (m)", ConvoyAsked, "gap_m", value=5.92, step=1)
+                    self.count = number_field("Trainsets", ConvoyIn, "trainsets", value=3, step=1)
+                    self.gap = number_field("Desired gap (m)", ConvoyIn, "gap_m", value=5.92, step=1)
                 with ui.element("div").classes("mp-row"):
                     self.head = ui.select(driver_names(self.service), value="optimal", label="Head")
                     self.follower = ui.select(followers, value="follow_gap", label="Followers")
@@ -180,7 +180,7 @@ class ConvoyPage:
         """Start a convoy and watch it."""
         with self.form.problem.watching():
             asked = validate(
-                ConvoyAsked,
+                ConvoyIn,
                 {
                     **self.form.values(),
                     "driver": self.head.value,

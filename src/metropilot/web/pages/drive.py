@@ -27,7 +27,7 @@ from metropilot.web.pages.plots import drive_figure, plan_figure, run_figure
 from metropilot.web.pages.runs import RunList
 from metropilot.web.pages.strip import line_strip, section_strip
 from metropilot.web.refusals import Refused
-from metropilot.web.schemas.requests import LiveAsked, NewArrival, NewRestriction
+from metropilot.web.schemas.requests import LiveIn, NewArrival, NewRestriction
 from metropilot.web.service import RESUMABLE, Service
 from metropilot.web.store import JobRow
 
@@ -264,7 +264,7 @@ class DrivePage:
             values |= {"driver": self.driver.value, "pace": float(self.pace.value)}
             if self.form.linked and self.options.get("driver") == self.driver.value:
                 values |= self.options
-            asked = validate(LiveAsked, values)
+            asked = validate(LiveIn, values)
             before = self.live()
             if before is not None and before.viewers <= 1:
                 await before.stop()

@@ -15,7 +15,7 @@ from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.pages.frame import Problem, number
 from metropilot.web.pages.strip import names
-from metropilot.web.schemas.requests import DriveAsked, PlanAsked
+from metropilot.web.schemas.requests import DriveIn, PlanIn
 from metropilot.web.service import Service
 
 SLOWEST = 1.6
@@ -154,14 +154,14 @@ class SectionForm:
             "time_s": self.time_s,
         }
 
-    def plan_request(self, time_s: float | None) -> PlanAsked:
+    def plan_request(self, time_s: float | None) -> PlanIn:
         """Plan request of the fields for a running time.
 
         Raises:
             InputError: A field is not allowed.
         """
         kept = {name: self.kept[name] for name in ("objective",) if name in self.kept}
-        return validate(PlanAsked, {**self.values(), **kept, "time_s": time_s})
+        return validate(PlanIn, {**self.values(), **kept, "time_s": time_s})
 
     def restore(self, asked: dict[str, Any]) -> None:
         """Fill the fields with the request of a run; the page loads afterwards.
@@ -183,7 +183,7 @@ class SectionForm:
         )
         self._filling = False
         self._restored_s = asked["time_s"]
-        plain = {name: field.get_default() for name, field in DriveAsked.model_fields.items()}
+        plain = {name: field.get_default() for name, field in DriveIn.model_fields.items()}
         names_kept = ("restrictions", "arrivals", "objective", "dt_s")
         self.kept = {name: asked[name] for name in names_kept if asked.get(name, plain[name]) != plain[name]}
         self.kept_words.text = describe_hidden(self.kept, asked.get("options", {}))
@@ -194,7 +194,7 @@ class SectionForm:
         self.problem.clear()
         asked = {**self.values(), "time_s": None}
         try:
-            self.section = await self.service.section(PlanAsked.model_validate(asked))
+            self.section = await self.service.section(PlanIn.model_validate(asked))
         except MetropilotError as error:
             self.section = None
             self.problem.show(error)
@@ -297,14 +297,14 @@ class DisturbanceForm:
         self.fold = ui.expansion("Disturbances").props("dense").classes("mp-soft")
         with self.fold, ui.element("div").classes("mp-stack"):
             for name, words, step in self.FIELDS:
-                made = number_field(words, DriveAsked, name, value=self.defaults()[name], step=step)
+                made = number_field(words, DriveIn, name, value=self.defaults()[name], step=step)
                 self.inputs[name] = problem.beside(name, made, self.fold)
             self.ideal = ui.checkbox(run_fields()["ideal"].help.rstrip("."))
 
     def defaults(self) -> dict[str, Any]:
         """Values of the fields of a run without disturbance."""
         return {
-            name: DriveAsked.model_fields[name].get_default()
+            name: DriveIn.model_fields[name].get_default()
             for name in (*(name for name, *_ in self.FIELDS), "ideal")
         }
 

@@ -14,7 +14,7 @@ from metropilot.web.pages.form import loads, number_field, validate
 from metropilot.web.pages.frame import Problem, card, clock, frame, number, reads, table
 from metropilot.web.pages.plots import blank, journey_figure, sections_figure
 from metropilot.web.pages.strip import line_strip, names
-from metropilot.web.schemas.requests import JourneyAsked
+from metropilot.web.schemas.requests import JourneyIn
 from metropilot.web.service import Service
 
 WAYS = {"timetable": "Keep the timetable", "optimum": "Let the optimum spread the reserve"}
@@ -50,7 +50,7 @@ class JourneyPage:
             for name, element in fields.items():
                 self.problem.beside(name, element.props("outlined dense options-dense"))
             self.way = ui.radio(WAYS, value="optimum").props("dense")
-            self.total = number_field("Whole journey, dwells included (s)", JourneyAsked, "total_s", step=10)
+            self.total = number_field("Whole journey, dwells included (s)", JourneyIn, "total_s", step=10)
             self.problem.beside("total_s", self.total).props('data-test="total"')
             self.problem.beside("journey", self.total)
             ui.button("Plan", on_click=self.plan).props('unelevated data-test="plan"')
@@ -89,11 +89,11 @@ class JourneyPage:
             free = self.way.value == "optimum"
             try:
                 if free and self.total.value is None:
-                    kept = await self.service.journey(validate(JourneyAsked, asked).model_dump())
+                    kept = await self.service.journey(validate(JourneyIn, asked).model_dump())
                     self.total.value = round(kept["running_time_s"])
                 total = self.total.value if free else None
                 found = await self.service.journey(
-                    validate(JourneyAsked, {**asked, "total_s": total}).model_dump()
+                    validate(JourneyIn, {**asked, "total_s": total}).model_dump()
                 )
             finally:
                 self.status.text = ""

@@ -14,7 +14,7 @@ from metropilot.web.pages.form import number_field, validate
 from metropilot.web.pages.frame import Problem, card, empty, frame, number, refresh_while, table
 from metropilot.web.pages.plots import blank, history_figure
 from metropilot.web.refusals import Refused
-from metropilot.web.schemas.requests import LearnAsked, StudyAsked
+from metropilot.web.schemas.requests import LearnIn, StudyIn
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 
@@ -43,8 +43,8 @@ class LearnPage:
                     ["quick", "paper"], value="quick", label="Budget", on_change=self.say_recipe
                 )
                 self.words = ui.label("").classes("mp-soft")
-                self.steps = number_field("Environment steps", LearnAsked, "steps", step=50_000)
-                self.seed = number_field("Seed", LearnAsked, "seed", value=0, step=1)
+                self.steps = number_field("Environment steps", LearnIn, "steps", step=50_000)
+                self.seed = number_field("Seed", LearnIn, "seed", value=0, step=1)
                 self.problem = Problem()
                 fields = (
                     ("driver", self.driver),
@@ -95,7 +95,7 @@ class LearnPage:
         with self.problem.watching():
             values = {"driver": self.driver.value, "budget": self.budget.value}
             numbers = {"steps": self.steps.value, "seed": self.seed.value}
-            self.job = self.service.submit(validate(LearnAsked, {**values, **numbers}))
+            self.job = self.service.submit(validate(LearnIn, {**values, **numbers}))
             self.follow()
 
     def follow(self) -> None:
@@ -223,7 +223,7 @@ class LearnPage:
     def reproduce(self, key: str) -> None:
         """Queue a study."""
         with self.problem.watching():
-            self.service.submit(StudyAsked(study=key))
+            self.service.submit(StudyIn(study=key))
             self.show_study(key)
 
 

@@ -32,7 +32,7 @@ Speed = Annotated[float, Field(gt=0, le=150, description="m/s")]
 Option = bool | int | float | Id
 
 
-class Asked(BaseModel):
+class RequestBody(BaseModel):
     """Base of request bodies; refuses unknown fields and numbers that are not finite."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -81,10 +81,10 @@ def _number_fields() -> dict[str, Any]:
     return found
 
 
-DisturbanceAsked = create_model("DisturbanceAsked", __base__=Asked, **_number_fields())
+DisturbanceIn = create_model("DisturbanceIn", __base__=RequestBody, **_number_fields())
 
 
-class RestrictionAsked(Asked):
+class RestrictionIn(RequestBody):
     """A temporary speed restriction, sent ``told_s`` after departure, or known before it."""
 
     from_m: Metres
@@ -105,14 +105,14 @@ class RestrictionAsked(Asked):
         return Restriction(self.from_m, self.to_m, self.limit_mps)
 
 
-class ArrivalAsked(Asked):
+class ArrivalIn(RequestBody):
     """A new scheduled running time, sent ``told_s`` after departure."""
 
     scheduled_time_s: Seconds
     told_s: Annotated[float, Field(ge=0, le=36_000)]
 
 
-class SectionAsked(Asked):
+class SectionIn(RequestBody):
     """A section, its trainset and its restrictions."""
 
     line: Id = "yizhuang"
@@ -120,27 +120,27 @@ class SectionAsked(Asked):
     destination: StationKey = "WYJ"
     trainset: Id = "dkz32"
     load: Annotated[str, Field(max_length=32)] | None = None
-    restrictions: Annotated[list[RestrictionAsked], Field(max_length=20)] = []
+    restrictions: Annotated[list[RestrictionIn], Field(max_length=20)] = []
 
 
-class PlanAsked(SectionAsked):
+class PlanIn(SectionIn):
     """A plan: the scheduled running time and the energy objective."""
 
     time_s: Annotated[float, Checked("time_s")] | None = None
     objective: Annotated[str, Checked("objective")] = "wheel"
 
 
-class DriveAsked(PlanAsked, DisturbanceAsked):
+class DriveIn(PlanIn, DisturbanceIn):
     """A run: the plan's fields, the driver, the disturbance and timetable updates."""
 
     driver: DriverName = "optimal"
     options: dict[Word, Option] = {}
-    arrivals: Annotated[list[ArrivalAsked], Field(max_length=20)] = []
+    arrivals: Annotated[list[ArrivalIn], Field(max_length=20)] = []
     dt_s: Annotated[float, Checked("dt_s")] = CONTROL_PERIOD_S
     seed: Annotated[int, Field(ge=0, lt=2**53)] = 0
 
 
-class CompareAsked(DriveAsked):
+class CompareIn(DriveIn):
     """Several drivers on one run."""
 
     drivers: Annotated[list[DriverName], Field(min_length=1, max_length=12)] = [
@@ -151,7 +151,7 @@ class CompareAsked(DriveAsked):
     seeds: Annotated[int, Field(ge=1, le=50)] = 1
 
 
-class JourneyAsked(Asked):
+class JourneyIn(RequestBody):
     """A journey that calls at every station; with ``total_s`` its reserve is spread optimally."""
 
     line: Id = "yizhuang"
@@ -163,7 +163,7 @@ class JourneyAsked(Asked):
     objective: Literal["wheel", "line"] = "wheel"
 
 
-class LearnAsked(Asked):
+class LearnIn(RequestBody):
     """A learning run of a recipe; null stands for the recipe's own value."""
 
     driver: Id = "ppo"
@@ -174,20 +174,20 @@ class LearnAsked(Asked):
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
 
 
-class StudyAsked(Asked):
+class StudyIn(RequestBody):
     """A study to reproduce; ``quick`` takes about two minutes, ``paper`` an hour."""
 
     study: Id
     budget: Literal["quick", "paper"] = "quick"
 
 
-class LiveAsked(DriveAsked):
+class LiveIn(DriveIn):
     """A live run and its pace: 1 is real time, 0 pauses it."""
 
     pace: Annotated[float, Field(ge=0, le=100)] = 1.0
 
 
-class ConvoyAsked(SectionAsked):
+class ConvoyIn(SectionIn):
     """A live convoy: the head's run, the followers and the link between them."""
 
     time_s: Seconds | None = None
@@ -204,7 +204,7 @@ class ConvoyAsked(SectionAsked):
     pace: Annotated[float, Field(ge=0, le=20)] = 1.0
 
 
-class NewLink(Asked):
+class NewLink(RequestBody):
     """New delay, jitter and loss of the link of a convoy."""
 
     delay_s: Annotated[float, Field(ge=0, le=2)] = 0.0
@@ -213,13 +213,13 @@ class NewLink(Asked):
     silent: bool = False
 
 
-class NewArrival(Asked):
+class NewArrival(RequestBody):
     """A new scheduled running time, sent now."""
 
     scheduled_time_s: Seconds
 
 
-class NewRestriction(Asked):
+class NewRestriction(RequestBody):
     """A temporary speed restriction ahead, sent now."""
 
     from_m: Metres
@@ -227,7 +227,7 @@ class NewRestriction(Asked):
     limit_mps: Speed
 
 
-class Lever(Asked):
+class Lever(RequestBody):
     """Manual driving: a share of the effort, null to return the lever to the driver. Renew it within 3 s.
 
     The lever has one holder at a time, named here. Another holder is refused (409) unless ``take_over``
@@ -239,13 +239,13 @@ class Lever(Asked):
     take_over: bool = False
 
 
-class Pace(Asked):
+class Pace(RequestBody):
     """Pace of a live run: 1 is real time, 0 pauses it."""
 
     pace: Annotated[float, Field(ge=0, le=100)]
 
 
-def request_of(asked: DriveAsked, path: Callable[[str, str], str]) -> RunSpec:
+def request_of(asked: DriveIn, path: Callable[[str, str], str]) -> RunSpec:
     """Convert to a run of :mod:`metropilot.evaluate`.
 
     Args:

@@ -90,7 +90,7 @@ class DriverOut(BaseModel):
     options: dict[str, Any]
 
 
-class Uploaded(BaseModel):
+class UploadOut(BaseModel):
     """Kind and name of an uploaded file."""
 
     kind: Literal["line", "trainset", "policy"]
@@ -244,7 +244,7 @@ class LiveOut(BaseModel):
     error: dict[str, Any] | None
 
 
-class Told(BaseModel):
+class EventOut(BaseModel):
     """Confirmation of an event of a live run, with its time since departure."""
 
     id: str

@@ -22,7 +22,7 @@ def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> di
     Args:
         root: Folder of the server's data.
         job: Id of the job.
-        asked: Fields of :class:`metropilot.web.schemas.requests.LearnAsked`.
+        asked: Fields of :class:`metropilot.web.schemas.requests.LearnIn`.
         run: Id of the learning run to resume.
     """
     store = JobStore(Path(root))

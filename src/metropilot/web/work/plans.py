@@ -102,7 +102,7 @@ def journey_of(asked: dict[str, Any]) -> dict[str, Any]:
     """A journey that calls at every station.
 
     Args:
-        asked: Fields of :class:`metropilot.web.schemas.requests.JourneyAsked`, names of files resolved.
+        asked: Fields of :class:`metropilot.web.schemas.requests.JourneyIn`, names of files resolved.
     """
     line, trainset = load_line(asked["line"]), load_trainset(asked["trainset"], asked["load"])
     origin = line.station(asked["origin"]) if asked["origin"] else line.stations[0]
