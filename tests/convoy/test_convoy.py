@@ -10,8 +10,8 @@ from metropilot.convoy.attack import AttackCampaign, attack
 from metropilot.convoy.drivers import FOLLOWERS
 from metropilot.convoy.kpis import convoy_kpis
 from metropilot.convoy.leaders import Restless, record_leader, restless_speeds
-from metropilot.convoy.link import Channel, Link, Message, opened, passed_on
-from metropilot.convoy.model import Convoy, held_back
+from metropilot.convoy.link import Channel, Link, Message, open_channel, transmit
+from metropilot.convoy.model import Convoy, extend_limits
 from metropilot.convoy.rollout import HeadRun, drive_convoy
 from metropilot.errors import InputError
 from metropilot.railway import load_line, load_trainset
@@ -134,7 +134,7 @@ def test_a_convoy_couples_and_uncouples_on_the_move():
 
 def test_a_limit_holds_until_the_last_trainset_has_cleared_it():
     section = load_line("yizhuang").section("RJ", "WYJ")
-    longer = held_back(section, 200.0)
+    longer = extend_limits(section, 200.0)
     at = np.linspace(-300.0, 1500.0, 400)
     assert (longer.limit_mps.at(at) <= section.limit_mps.at(at)).all()
     assert longer.limit_mps.at(250.0) == section.limit_mps.at(60.0) < section.limit_mps.at(250.0)
@@ -143,14 +143,14 @@ def test_a_limit_holds_until_the_last_trainset_has_cleared_it():
 def test_messages_come_late_in_order_and_never_when_lost():
     first = Message(*map(np.float64, (0.0, 1.0, 2.0, 0.0, 0.0, 0.0)))
     late, lost = Link(delay_s=0.4).numbers(), Link(loss=1.0).numbers()
-    channel: Channel = opened(first)
+    channel: Channel = open_channel(first)
     ages = []
     for k in range(1, 8):
         now = np.float64(0.2 * k)
-        channel = passed_on(channel, late, first._replace(stamp_s=now), np.array([0.5, 0.0]))
+        channel = transmit(channel, late, first._replace(stamp_s=now), np.array([0.5, 0.0]))
         ages.append(now - channel.heard.stamp_s)
     assert ages[2:] == pytest.approx([0.4] * 5)
-    after = passed_on(opened(first), lost, first._replace(stamp_s=np.float64(1.0)), np.array([0.5, 0.0]))
+    after = transmit(open_channel(first), lost, first._replace(stamp_s=np.float64(1.0)), np.array([0.5, 0.0]))
     assert after.heard.stamp_s == 0.0
 
 

@@ -64,7 +64,7 @@ class Convoys:
             shares = jnp.concatenate([last[:1], scripts[:, k // HOLD]])
             return jnp.broadcast_to(luck[:, k // LUCK_HOLD], (n, 2)), lambda _: (shares, memory)
 
-        return -self.arena.attacked(case, chosen)[0]
+        return -self.arena.run_case(case, chosen)[0]
 
     def over(self, rows: np.ndarray) -> Any:
         """Value of every attack (P, population, D) behind these heads."""

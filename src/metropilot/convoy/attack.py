@@ -1,8 +1,8 @@
-"""Trying to make a convoy collide: emergency brakes of the head, bad links, drivers that mean harm.
+"""Robustness tests of convoy protection: emergency brakes of the head, bad links, adversarial drivers.
 
-Every case is a convoy under way at a gap its protection accepts. Within seconds the head makes an emergency
-brake; everybody runs on until all stand. Masses, resistance, link and the followers' commands are drawn anew
-for each case, within what is declared. JAX, in single precision.
+Every case is a convoy in motion at a gap its protection accepts. Within seconds the head makes an emergency
+brake; the case ends when all stand. Masses, resistance, link and the commands of the followers are drawn for
+each case within the declared bounds. JAX, in single precision.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from metropilot.convoy.batch import advanced, exchanged, gaps_m, sights, stacked
+from metropilot._typing import Array
+from metropilot.convoy.batch import advance_members, exchange_messages, gaps_m, observe_members, stack_rows
 from metropilot.convoy.drivers import FOLLOWERS
 from metropilot.convoy.leaders import recordings
 from metropilot.convoy.link import Channel, LinkQuality, Message
@@ -24,9 +25,8 @@ from metropilot.protection import spare_gap
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import true_vehicle
 
-Array = Any
 HARMFUL = ("full traction", "random", "bang-bang", "stuck", "late brake", "follow_gap")
-"""What followers do, each a draw of its own."""
+"""Behaviours of followers; each follower of a case draws one."""
 ATTACKED_HEADS = 24
 LONGEST_S = 34.0
 LONGEST_EMERGENCY_S = 6.0
@@ -35,7 +35,7 @@ ROWS_S = 120.0
 
 @dataclass(frozen=True)
 class AttackCampaign:
-    """What is attacked.
+    """Convoy and ranges of a campaign of attacks.
 
     Attributes:
         line: Line.
@@ -43,16 +43,16 @@ class AttackCampaign:
         destination: Station of arrival.
         trainset: Trainset, all alike but for their masses.
         count: Trainsets of a convoy.
-        guard: What protection relies on.
-        mass: Range of true over believed mass.
-        resistance: Range of true over believed Davis resistance.
+        guard: Assumption of protection.
+        mass: Range of true over nominal mass.
+        resistance: Range of true over nominal Davis resistance.
         delay_s: Largest delay of messages.
         jitter_s: Largest jitter.
         loss: Largest share of lost messages.
         silence: Share of cases in which the link falls silent at some moment.
-        scatter_mps2: How much less than its rate an emergency brake may give.
+        scatter_mps2: Largest shortfall of an emergency brake below its rate.
         dt: Control period.
-        seed: Of everything random.
+        seed: Seed of all random draws.
     """
 
     line: str = "yizhuang"
@@ -73,7 +73,7 @@ class AttackCampaign:
 
 
 class AttackCase(NamedTuple):
-    """One attack, as drawn. Leading axis N where it is of each trainset."""
+    """One attack. Fields of each trainset have the leading axis N."""
 
     row: Array
     period: Array
@@ -87,20 +87,20 @@ class AttackCase(NamedTuple):
 
 
 Choice = tuple[Array, Callable[[FollowerObservation], tuple[Array, Array]]]
-"""Luck of every link, shape (N, 2), and what followers ask for given what they see, with their memory."""
+"""Random numbers of every link, shape (N, 2), and the function from observations to commands and memory."""
 Chosen = Callable[[Array, Array, Array], Choice]
-"""The choice in a period, given its number, the followers' memory and what they asked for last."""
+"""The choice in a period, given its number, the memory and the last requested commands of the followers."""
 
 
 class Tally(NamedTuple):
-    """What came of some cases.
+    """Results of a number of cases.
 
     Attributes:
         gap_min_m: Smallest gap of each case. Shape (cases,).
         start_gap_m: Gap that the first follower began with. Shape (cases,).
         speed_mps: Speed at the beginning. Shape (cases,).
         emergencies: Emergency brakes of followers in each. Shape (cases,).
-        standing: Whether all stood at the end. Shape (cases,).
+        standing: True where all stood at the end. Shape (cases,).
     """
 
     gap_min_m: np.ndarray
@@ -119,7 +119,7 @@ class AttackArena:
     """A campaign ready to run: one compiled program for any number of cases.
 
     Args:
-        campaign: What is attacked.
+        campaign: The campaign.
     """
 
     def __init__(self, campaign: AttackCampaign) -> None:
@@ -138,26 +138,26 @@ class AttackArena:
         self.dt, self.rows = convoy.dt, round(ROWS_S / convoy.dt)
         self.steps = round(LONGEST_S / convoy.dt)
         rows = convoy_members(convoy, np.float32)
-        self.members: Member = to_jax(stacked(rows))
+        self.members: Member = to_jax(stack_rows(rows))
         ahead = (None, *rows[:-1])
         first = [at_departure(m, a, self.dt) for m, a in zip(rows, ahead, strict=True)]
-        self.first: MemberState = to_jax(stacked(first))
+        self.first: MemberState = to_jax(stack_rows(first))
         heads = recordings(
             *replace(convoy, guard="coupled").leader(), self.dt, ATTACKED_HEADS, campaign.seed, self.rows
         )
-        self.heads = to_jax(stacked(heads))
+        self.heads = to_jax(stack_rows(heads))
         self.follower = FOLLOWERS.make("follow_gap")
         memory = [self.follower.init(m.believed, self.dt) for m in rows]
-        self.memory = to_jax(stacked(memory))
+        self.memory = to_jax(stack_rows(memory))
         self._run = jax.jit(jax.vmap(self._case))
 
     def run(self, cases: int, batch: int = 2000, first: int = 0) -> Tally:
-        """Attack so many times.
+        """Run a number of cases.
 
         Args:
-            cases: How many cases; rounded up to whole batches.
-            batch: Cases side by side.
-            first: Number of the first batch: every batch has cases of its own.
+            cases: Number of cases, rounded up to whole batches.
+            batch: Cases in one batch.
+            first: Number of the first batch; batches with other numbers have other cases.
         """
         import jax
 
@@ -167,7 +167,7 @@ class AttackArena:
             found.append([np.asarray(values) for values in self._run(keys)])
         return Tally(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
-    def _drawn(self, key: Array) -> AttackCase:
+    def _draw(self, key: Array) -> AttackCase:
         import jax
         import jax.numpy as jnp
 
@@ -194,7 +194,7 @@ class AttackArena:
         )
 
     def _actual(self, case: AttackCase) -> Member:
-        """The convoy as it really is in this case."""
+        """The true plants of this case."""
         import jax.numpy as jnp
 
         m = self.members
@@ -207,8 +207,8 @@ class AttackArena:
         )
         return m._replace(vehicle=vehicle, link=case.quality, most_mps2=m.most_mps2 - weaker)
 
-    def _placed(self, convoy: Member, case: AttackCase) -> MemberState:
-        """Under way behind the head, each as near as its protection accepts, and no nearer than wanted."""
+    def _place(self, convoy: Member, case: AttackCase) -> MemberState:
+        """States in motion behind the head, at the desired gap or the one that protection needs if larger."""
         import jax
         import jax.numpy as jnp
 
@@ -266,30 +266,30 @@ class AttackArena:
         return behind(convoy.gap_m + jnp.maximum(-spare, 0.0) + 0.01)
 
     def _case(self, key: Array) -> tuple[Array, ...]:
-        """One attack drawn at random, from beginning to end."""
+        """Draw one attack and run it."""
         import jax
         import jax.numpy as jnp
 
-        case = self._drawn(jax.random.fold_in(key, 0))
+        case = self._draw(jax.random.fold_in(key, 0))
 
         def chosen(k: Array, memory: Array, last: Array) -> Choice:
             draw = jax.random.uniform(jax.random.fold_in(key, k + 1), (self.campaign.count, 4), jnp.float32)
             return draw[:, :2], lambda seen: self._shares(case, seen, memory, last, draw)
 
-        return self.attacked(case, chosen)
+        return self.run_case(case, chosen)
 
-    def attacked(self, case: AttackCase, chosen: Chosen) -> tuple[Array, ...]:
-        """One attack from beginning to end (JAX); returns the fields of :class:`Tally`, 0-d.
+    def run_case(self, case: AttackCase, chosen: Chosen) -> tuple[Array, ...]:
+        """Run one attack to its end (JAX); returns the fields of :class:`Tally`, 0-d.
 
         Args:
             case: The attack.
-            chosen: What luck the link has and what followers ask for, period after period.
+            chosen: Random numbers of the link and commands of the followers in each period.
         """
         import jax
         import jax.numpy as jnp
 
         convoy = self._actual(case)
-        states = self._placed(convoy, case)
+        states = self._place(convoy, case)
         dt = jnp.float32(self.dt)
         start, speed = gaps_m(convoy, states)[0], states.plant.speed_mps[0]
 
@@ -297,12 +297,12 @@ class AttackArena:
             states, memory, last, least = carry
             now = k.astype(jnp.float32) * dt
             luck, shares_of = chosen(k, memory, last)
-            states = exchanged(convoy, states, now, dt, luck)
-            shares, memory = shares_of(sights(convoy, states, now, dt))
+            states = exchange_messages(convoy, states, now, dt, luck)
+            shares, memory = shares_of(observe_members(convoy, states, now, dt))
             head = self.heads.command[case.row, jnp.minimum(case.period + k, self.rows - 1)]
             wanted = jnp.where(convoy.is_head, head, shares)
             alarm = convoy.is_head & (now >= case.emergency_s)
-            states = advanced(convoy, states, wanted, alarm, now, dt)
+            states = advance_members(convoy, states, wanted, alarm, now, dt)
             return (states, memory, wanted, jnp.minimum(least, jnp.min(gaps_m(convoy, states)))), None
 
         begin = (states, self.memory, case.share, jnp.float32(jnp.inf))
@@ -318,7 +318,7 @@ class AttackArena:
         last: Array,
         draw: Array,
     ) -> tuple[Array, Array]:
-        """What each driver asks for, by its manner."""
+        """Commands of the followers, by their behaviour."""
         import jax
         import jax.numpy as jnp
 

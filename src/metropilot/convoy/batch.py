@@ -1,4 +1,4 @@
-"""A whole convoy as one compiled program: every trainset a row, messages handed down the rows (JAX)."""
+"""Compiled convoy: one row per trainset, messages pass from row to row (JAX)."""
 
 from __future__ import annotations
 
@@ -7,18 +7,25 @@ from typing import Any
 
 import numpy as np
 
+from metropilot._typing import Array
 from metropilot.convoy.link import Message
 from metropilot.convoy.model import FAR_M, Member
-from metropilot.convoy.step import FollowerObservation, MemberState, drive_period, heard, needed, sight, told
+from metropilot.convoy.step import (
+    UNLIMITED_MPS,
+    FollowerObservation,
+    MemberState,
+    drive_period,
+    make_message,
+    observe_member,
+    receive_message,
+    update_needed_gap,
+)
 from metropilot.physics import Command, stack
 from metropilot.protection import Protection, permitted_speed
 
-Array = Any
-UNLIMITED_MPS = 1e3
 
-
-def stacked(rows: Sequence[Any]) -> Any:  # noqa: ANN401 (a tree of tuples)
-    """Members or states of a convoy with a leading axis (NumPy), padded to common sizes."""
+def stack_rows(rows: Sequence[Any]) -> Any:  # noqa: ANN401 (a tree of tuples)
+    """Stack members or states of a convoy along a leading axis (NumPy), padded to common sizes."""
     first = rows[0]
     if first is None:
         return None
@@ -36,12 +43,12 @@ def stacked(rows: Sequence[Any]) -> Any:  # noqa: ANN401 (a tree of tuples)
 
 
 def _columns(rows: Sequence[Any]) -> Any:  # noqa: ANN401 (a tree of tuples)
-    columns = [stacked(column) for column in zip(*rows, strict=True)]
+    columns = [stack_rows(column) for column in zip(*rows, strict=True)]
     return type(rows[0])(*columns) if hasattr(rows[0], "_fields") else tuple(columns)
 
 
 def _protections(rows: Sequence[Protection | None]) -> Protection | None:
-    """Protections of one size: where a map ends, nothing may move."""
+    """Stack protections, padded to one size; beyond the end of its map the permitted speed is 0."""
     found = [row for row in rows if row is not None]
     if not found:
         return None
@@ -49,12 +56,12 @@ def _protections(rows: Sequence[Protection | None]) -> Protection | None:
     slots = max((row.slots for row in found), key=len)
     size = max(row.emergency.size for row in found) + ahead.size
 
-    def widened(row: Protection) -> Protection:
+    def widen(row: Protection) -> Protection:
         zero = {n: _wide(getattr(row, n), size, 0.0) for n in ("emergency", "service", "permitted_mps")}
         last = {n: _wide(getattr(row, n), size, None) for n in ("pull_mps2", "usual_pull_mps2")}
         return row._replace(vehicle=(), ahead=ahead, slots=slots, **zero, **last)
 
-    plain = stacked([tuple(widened(row)) for row in found])
+    plain = stack_rows([tuple(widen(row)) for row in found])
     return Protection(*plain)._replace(vehicle=stack([row.vehicle for row in found]))
 
 
@@ -63,20 +70,22 @@ def _wide(values: np.ndarray, size: int, fill: float | None) -> np.ndarray:
     return np.concatenate([values, extra])
 
 
-def exchanged(members: Member, states: MemberState, now_s: Array, dt: Array, luck: Array) -> MemberState:
-    """Everybody tells the one behind, and hears what the link delivers; the head hears of nobody.
+def exchange_messages(
+    members: Member, states: MemberState, now_s: Array, dt: Array, luck: Array
+) -> MemberState:
+    """Send a message from each trainset to the one behind; the head receives a trainset far ahead.
 
     Args:
         members: Leading axis N.
         states: Leading axis N.
         now_s: Time.
         dt: Control period.
-        luck: Shape (N, 2), see :func:`metropilot.convoy.link.passed_on`.
+        luck: Random numbers, shape (N, 2), see :func:`metropilot.convoy.link.transmit`.
     """
     import jax
     import jax.numpy as jnp
 
-    messages = jax.vmap(told, (0, 0, None))(members, states, now_s)
+    messages = jax.vmap(make_message, (0, 0, None))(members, states, now_s)
     nobody = Message(now_s, jnp.full_like(now_s, FAR_M), *(jnp.zeros_like(now_s),) * 4)
     down = Message(
         *(
@@ -84,14 +93,14 @@ def exchanged(members: Member, states: MemberState, now_s: Array, dt: Array, luc
             for none, values in zip(nobody, messages, strict=True)
         )
     )
-    states = jax.vmap(heard)(members, states, down, luck)
+    states = jax.vmap(receive_message)(members, states, down, luck)
     if members.protection is None:
         return states
-    return jax.vmap(needed, (0, 0, None, None))(members, states, now_s, dt)
+    return jax.vmap(update_needed_gap, (0, 0, None, None))(members, states, now_s, dt)
 
 
-def sights(members: Member, states: MemberState, now_s: Array, dt: Array) -> FollowerObservation:
-    """What every driver sees. Leading axis N."""
+def observe_members(members: Member, states: MemberState, now_s: Array, dt: Array) -> FollowerObservation:
+    """Observations of all drivers. Leading axis N."""
     import jax
     import jax.numpy as jnp
 
@@ -99,19 +108,19 @@ def sights(members: Member, states: MemberState, now_s: Array, dt: Array) -> Fol
         permitted = jnp.full_like(states.plant.position_m, UNLIMITED_MPS)
     else:
         permitted = jax.vmap(permitted_speed)(members.protection, states.plant.position_m)
-    return jax.vmap(sight, (0, 0, None, None, 0))(members, states, now_s, dt, permitted)
+    return jax.vmap(observe_member, (0, 0, None, None, 0))(members, states, now_s, dt, permitted)
 
 
-def advanced(
+def advance_members(
     members: Member, states: MemberState, shares: Array, emergency: Array, now_s: Array, dt: Array
 ) -> MemberState:
-    """Everybody is supervised and moves for one period.
+    """Advance all trainsets by one control period, under protection.
 
     Args:
         members: Leading axis N.
         states: Leading axis N.
-        shares: What drivers ask for. Shape (N,).
-        emergency: Who asks for the emergency brake. Shape (N,).
+        shares: Commands of the drivers. Shape (N,).
+        emergency: True where a driver demands the emergency brake. Shape (N,).
         now_s: Time.
         dt: Control period.
     """

@@ -1,19 +1,20 @@
-"""Following as a task to learn: gains of a PID on the speed difference, behind recorded heads (Chen23b)."""
+"""Learning task of a follower: gains of a PID on the speed difference, behind recorded heads (Chen23b)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from metropilot._typing import Array
 from metropilot.control import Errors, incremental_pid
-from metropilot.convoy.batch import advanced, exchanged, gaps_m, sights, stacked
+from metropilot.convoy.batch import advance_members, exchange_messages, gaps_m, observe_members, stack_rows
 from metropilot.convoy.gains import chen2023b_state, gains_of
 from metropilot.convoy.leaders import recordings
-from metropilot.convoy.link import LinkQuality, Message, opened
+from metropilot.convoy.link import LinkQuality, Message, open_channel
 from metropilot.convoy.model import CONVOY_PERIOD_S, FAR_M, GAP_M, Convoy, Member, convoy_members
 from metropilot.convoy.step import MemberState, at_departure
 from metropilot.env import AbstractTask, ActionSpace, Transition
@@ -21,33 +22,32 @@ from metropilot.physics import namespace, to_jax
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import true_vehicle
 
-Array = Any
 MAX_PERIODS = 1200
 
 
 @dataclass(frozen=True)
 class ConvoyTaskConfig:
-    """What is learned behind whom.
+    """Plant, reward and disturbances of :class:`ConvoyTask`.
 
     Attributes:
         line: Line.
         origin: Station of departure.
         destination: Station of arrival.
-        trainsets: Whose pairs; ``ID`` or ``ID:LOAD``.
-        heads: Recorded heads of each.
+        trainsets: Trainsets, ``ID`` or ``ID:LOAD``; each forms a pair of its own.
+        heads: Number of recorded heads of each.
         gap_m: Desired gap.
-        eta_speed: Chen23b's eta_1, 1/(m/s).
-        eta_gap: And eta_2, 1/m.
-        contact: C: what a contact costs.
-        effort: What a unit of change of the command costs (0 in the paper).
-        disturbed: Share of episodes with another mass, resistance and link than nominal.
-        mass: Range of the follower's mass factor in those.
+        eta_speed: eta_1 of Chen23b, 1/(m/s).
+        eta_gap: eta_2 of Chen23b, 1/m.
+        contact: C of Chen23b: cost of a contact.
+        effort: Cost of a unit of change of the command (0 in the paper).
+        disturbed: Share of episodes with another mass and link than nominal.
+        mass: Range of the mass factor of the follower in those.
         delay_s: Largest delay of messages in those.
         loss: Largest share of lost messages in those.
-        on_the_way: Share of episodes that begin somewhere on the way.
+        on_the_way: Share of episodes that begin between the stations.
         emergency: Share of episodes in which the head makes an emergency brake.
         dt: Control period, s.
-        seed: Of the heads.
+        seed: Seed of the heads.
     """
 
     line: str = "yizhuang"
@@ -73,13 +73,13 @@ class ConvoyTaskConfig:
 def follow_terms(
     config: ConvoyTaskConfig, gap_m: Array, apart_mps: Array, change: Array, wanted_m: Array
 ) -> Mapping[str, Array]:
-    """Chen23b eqs. 18 and 19, the gap counted from the wanted one (NumPy and JAX).
+    """Reward terms of Chen23b eqs. 18 and 19, with the gap error from the desired gap (NumPy and JAX).
 
     Args:
         config: Weights.
         gap_m: Gap, rear to front.
         apart_mps: Speed ahead less own speed.
-        change: Of the command.
+        change: Change of the command.
         wanted_m: Desired gap.
     """
     xp = namespace(gap_m, apart_mps, change)
@@ -92,17 +92,17 @@ def follow_terms(
 
 
 class FollowState(NamedTuple):
-    """Where an episode is.
+    """State of an episode.
 
     Attributes:
-        row: Which pair and head.
+        row: Index of pair and head.
         period: Periods since the head's departure.
-        mass: The follower's mass factor.
-        quality: Of the link.
-        emergency_s: When the head makes an emergency brake (infinite: never).
-        states: Of both trainsets. Leading axis 2.
-        errors: Of the PID.
-        contact: Whether they have touched.
+        mass: Mass factor of the follower.
+        quality: Quality of the link.
+        emergency_s: Time at which the head makes an emergency brake (infinite: never).
+        states: States of both trainsets. Leading axis 2.
+        errors: Errors of the PID.
+        contact: True after a contact.
     """
 
     row: Array
@@ -116,10 +116,10 @@ class FollowState(NamedTuple):
 
 
 class ConvoyTask(AbstractTask):
-    """One follower behind a recorded head; actions are its PID's gains. No protection, as published.
+    """One follower behind a recorded head; actions are the gains of its PID. No protection, as published.
 
     Args:
-        config: What is learned behind whom.
+        config: Plant, reward and disturbances.
     """
 
     def __init__(self, config: ConvoyTaskConfig) -> None:
@@ -132,17 +132,17 @@ class ConvoyTask(AbstractTask):
             pair = convoy_members(replace(convoy), np.float32)
             bare = [member._replace(protection=None) for member in pair]
             found = recordings(*convoy.leader(), config.dt, config.heads, config.seed, MAX_PERIODS)
-            pairs += [stacked(bare)] * len(found)
+            pairs += [stack_rows(bare)] * len(found)
             heads += found
         self.members: Member = to_jax(_rows(pairs))
-        self.heads = to_jax(stacked(heads))
+        self.heads = to_jax(stack_rows(heads))
         first = [at_departure(m, None, config.dt) for m in bare]
-        self.fresh: MemberState = to_jax(stacked(first))
+        self.fresh: MemberState = to_jax(stack_rows(first))
         self.count = len(heads)
 
     @cached_property
     def observation_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Chen23b's six numbers."""
+        """The six state variables of Chen23b."""
         return 6
 
     @property
@@ -151,7 +151,7 @@ class ConvoyTask(AbstractTask):
         return ActionSpace(size=3)
 
     def reset(self, key: Array) -> tuple[FollowState, Array]:
-        """A new episode: which head, what is disturbed, and where it begins."""
+        """Begin an episode with a random head, disturbance and starting position."""
         import jax
         import jax.numpy as jnp
 
@@ -170,7 +170,7 @@ class ConvoyTask(AbstractTask):
         period = jnp.where(way, (u[5] * 0.9 * stop).astype(jnp.int32), 0)
         begins = jnp.where(u[6] < config.emergency, period * config.dt + 1.0 + 30.0 * u[7], jnp.inf)
         aside = jax.random.normal(keys[2], (2,), f32) * jnp.where(way, 1.0, 0.0)
-        states = self._placed(row, period, aside)
+        states = self._place(row, period, aside)
         zero = jnp.zeros((), f32)
         state = FollowState(
             row, period, mass, quality, begins.astype(f32), states, Errors(zero, zero), jnp.zeros((), bool)
@@ -181,13 +181,13 @@ class ConvoyTask(AbstractTask):
     def begin(
         self, row: Array, mass: float = 1.0, quality: LinkQuality | None = None
     ) -> tuple[FollowState, Array]:
-        """An undisturbed episode from standstill behind one of the heads."""
+        """Begin an undisturbed episode from standstill behind one of the heads."""
         import jax.numpy as jnp
 
         zero, f32 = jnp.zeros((), jnp.float32), jnp.float32
         quality = quality or LinkQuality(zero, zero, zero, jnp.asarray(jnp.inf, f32))
         at = jnp.asarray(row, jnp.int32)
-        states = self._placed(at, jnp.zeros((), jnp.int32), jnp.zeros((2,), f32))
+        states = self._place(at, jnp.zeros((), jnp.int32), jnp.zeros((2,), f32))
         state = FollowState(
             row=at,
             period=jnp.zeros((), jnp.int32),
@@ -202,20 +202,20 @@ class ConvoyTask(AbstractTask):
         return state, self._observe(state)
 
     def step(self, key: Array, state: FollowState, action: Array) -> tuple[FollowState, Transition]:
-        """One period: gains, PID, both trainsets move, then messages."""
+        """Apply the gains for one control period, then exchange messages."""
         import jax
         import jax.numpy as jnp
 
         config = self.config
         pair, now, dt = self._pair(state), self._now(state), jnp.float32(config.dt)
-        seen = jax.tree.map(lambda x: x[1], sights(pair, state.states, now, dt))
+        seen = jax.tree.map(lambda x: x[1], observe_members(pair, state.states, now, dt))
         share, errors = incremental_pid(
             seen.command, gains_of(action), seen.ahead_mps - seen.speed_mps, state.errors
         )
         row = jnp.minimum(state.period, MAX_PERIODS - 1)
         head = self.heads.command[state.row, row]
         alarm = jnp.stack([now >= state.emergency_s, jnp.zeros((), bool)])
-        states = advanced(pair, state.states, jnp.stack([head, share]), alarm, now, dt)
+        states = advance_members(pair, state.states, jnp.stack([head, share]), alarm, now, dt)
         gap = gaps_m(pair, states)[0]
         apart = states.plant.speed_mps[0] - states.plant.speed_mps[1]
         terms = follow_terms(config, gap, apart, share - seen.command, config.gap_m)
@@ -244,8 +244,8 @@ class ConvoyTask(AbstractTask):
         quality = jax.tree.map(lambda x: jnp.stack([x, x]), state.quality)
         return pair._replace(vehicle=true_vehicle(pair.vehicle, mass_factor=mass), link=quality)
 
-    def _placed(self, row: Array, period: Array, aside: Array) -> MemberState:
-        """Both trainsets as the head's recording says, the follower a little aside in gap and speed."""
+    def _place(self, row: Array, period: Array, aside: Array) -> MemberState:
+        """States of both trainsets from the recording, the follower with an offset in gap and speed."""
         import jax
         import jax.numpy as jnp
 
@@ -268,7 +268,7 @@ class ConvoyTask(AbstractTask):
         nobody = Message(now, zero + FAR_M, zero, zero, zero, zero)
         ahead = Message(now, x - length, v, a, share, zero)
         first = jax.tree.map(lambda p, q: jnp.stack([p, q]), nobody, ahead)
-        template = jax.tree.map(jnp.asarray, opened(Message(*(np.float32(0.0),) * 6)))
+        template = jax.tree.map(jnp.asarray, open_channel(Message(*(np.float32(0.0),) * 6)))
         channel = jax.tree.map(lambda t: jnp.stack([t, t]), template)._replace(heard=first)
         both = jnp.stack([share, share])
         return self.fresh._replace(plant=plant, channel=channel, wanted=both, command=both)
@@ -277,21 +277,23 @@ class ConvoyTask(AbstractTask):
         import jax.numpy as jnp
 
         dt = jnp.float32(self.config.dt)
-        return state._replace(states=exchanged(self._pair(state), state.states, self._now(state), dt, luck))
+        return state._replace(
+            states=exchange_messages(self._pair(state), state.states, self._now(state), dt, luck)
+        )
 
     def _observe(self, state: FollowState) -> Array:
-        """Chen23b's state of the follower. Shape (6,)."""
+        """The state of Chen23b eq. 16 of the follower. Shape (6,)."""
         import jax
         import jax.numpy as jnp
 
-        seen = sights(self._pair(state), state.states, self._now(state), jnp.float32(self.config.dt))
+        seen = observe_members(self._pair(state), state.states, self._now(state), jnp.float32(self.config.dt))
         return chen2023b_state(jax.tree.map(lambda x: x[1], seen))
 
 
 def _rows(pairs: list[Member]) -> Member:
-    """Pairs of different trainsets with one more leading axis, padded alike."""
+    """Stack pairs of different trainsets along one more leading axis, padded to common sizes."""
     import jax
 
     flat = [jax.tree.map(lambda x, k=k: x[k], pair) for pair in pairs for k in range(2)]
-    whole = stacked(flat)
+    whole = stack_rows(flat)
     return jax.tree.map(lambda x: x.reshape(len(pairs), 2, *x.shape[1:]), whole)

@@ -1,4 +1,4 @@
-"""The folder a convoy's run leaves behind."""
+"""Folder of results of a convoy."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ WIDTH_IN, HEIGHT_IN = 8.4, 7.0
 def write_convoy(folder: Path, request: ConvoyRequest, drive: ConvoyDrive, kpis: ConvoyKpis) -> None:
     """Write `trajectory-N.csv` of each trainset, `kpis.json`, `run.json`, `convoy.svg` and `convoy.png`.
 
-    Beside `run.json` lie the line, trainset and policy files that it names.
+    Also copies the line, trainset and policy files that `run.json` names.
 
     Args:
-        folder: Where to; made if it is not there.
-        request: What was asked for.
-        drive: What came of it.
+        folder: Folder; created if missing.
+        request: Request of the run.
+        drive: The run.
         kpis: Its KPIs.
 
     Raises:

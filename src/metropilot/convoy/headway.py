@@ -1,4 +1,4 @@
-"""What running close together gains: the gap that protection needs, headway, trainsets per hour."""
+"""Capacity of convoys: the gap that protection needs, headway, trainsets per hour."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ OVERLAP_M = 20.0
 
 
 def needed_gap_m(convoy: Convoy, guard: ConvoyGuard, speed_mps: float, age_s: float = 0.0) -> float:
-    """Gap, rear to front, that lets the last follower hold a common steady speed without being overruled.
+    """Smallest gap, rear to front, at which protection does not intervene at a common steady speed.
 
     Args:
-        convoy: Whose protection.
-        guard: What it relies on.
+        convoy: The convoy; its last pair is considered.
+        guard: Assumption of protection.
         speed_mps: Speed of both.
         age_s: Age of the last message.
     """
@@ -34,13 +34,13 @@ def needed_gap_m(convoy: Convoy, guard: ConvoyGuard, speed_mps: float, age_s: fl
 
 @dataclass(frozen=True)
 class ConvoyService:
-    """What runs on a line: convoys of alike trainsets under a moving block.
+    """Service on a line: convoys of identical trainsets under a moving block.
 
     Attributes:
         count: Trainsets of a convoy; 1: no convoys.
-        length_m: Of one trainset.
+        length_m: Length of one trainset.
         inside_m: Gap inside a convoy.
-        apart_m: Gap between convoys at the line's speed.
+        apart_m: Gap between convoys at the speed on the line.
         speed_mps: Speed on the line.
         rate_mps2: Acceleration and deceleration in service.
         dwell_s: Time at a platform.

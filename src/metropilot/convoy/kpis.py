@@ -27,31 +27,31 @@ from metropilot.units import J_PER_KWH
 OVERSPEED_MPS = 1e-6
 CONTACT, NO_CONTACT = "contact", "no contact"
 NAMED = 3
-"""So many trainsets that failed are named in a headline."""
+"""Largest number of failed trainsets that a headline names."""
 
 
 @dataclass(frozen=True)
 class MemberKpis:
-    """What is known of one trainset of a convoy when the run is over.
+    """KPIs of one trainset of a convoy.
 
     Attributes:
         number: 1 is the head.
-        driver: Who drove it.
-        outcome: Of its own run, judged by its own mark; ``contact`` if it touched the trainset ahead.
+        driver: Id of its driver.
+        outcome: Outcome of its own run at its own mark; ``contact`` if it touched the trainset ahead.
         mass_kg: True mass.
-        running_time_s: Until its last stand.
+        running_time_s: Running time until its last standstill.
         time_error_s: Running time minus scheduled time; positive is late.
         stopping_error_m: Position of its front less its own mark; positive is beyond it. The head's mark is
             the stop; a follower's is where it stands at the wanted gap from a trainset ahead at its mark.
         energy_wheel_kwh: Traction energy at the wheel.
-        energy_regenerated_kwh: Given back to the line.
-        energy_line_kwh: Net at the line.
+        energy_regenerated_kwh: Energy returned to the line.
+        energy_line_kwh: Net energy at the line.
         gap_min_m: Smallest gap to the trainset ahead; None for the head.
-        gap_max_m: Largest.
-        gap_end_m: At the end.
+        gap_max_m: Largest gap; None for the head.
+        gap_end_m: Gap at the end; None for the head.
         speed_difference_max_mps: Largest speed difference to the trainset ahead; None for the head.
-        interventions: Spells in which protection overruled the driver.
-        emergency_brakes: How many of them came to the emergency brake.
+        interventions: Number of interventions of protection.
+        emergency_brakes: Number of those that used the emergency brake.
         max_overspeed_mps: Largest excess over the limit.
         max_speed_mps: Highest speed.
         max_acceleration_mps2: Largest acceleration.
@@ -89,7 +89,7 @@ class MemberKpis:
 
     @property
     def checks(self) -> tuple[Check, ...]:
-        """The requirements of a run, and that it touched nobody."""
+        """The requirements of a run, and that there was no contact."""
         gap = "–" if self.gap_min_m is None else f"{self.gap_min_m:.2f} m"
         return (*checks(self), Check(NO_CONTACT, gap, "> 0 m", self.outcome != CONTACT))
 
@@ -100,7 +100,7 @@ class MemberKpis:
 
     @property
     def verdict(self) -> str:
-        """How its run ended, in words that name every requirement it failed."""
+        """Outcome in words that name every requirement that is not met."""
         return verdict_words(self, self.checks)
 
 
@@ -109,15 +109,15 @@ class ConvoyKpis:
     """KPIs of a convoy.
 
     Attributes:
-        outcome: ``contact`` or ``overspeed`` if any trainset was so; else the outcome of the first, from the
-            head on, that did not arrive; ``arrived`` if all did.
-        punctual: Whether the head arrived within 3 s of the scheduled time.
+        outcome: ``contact`` or ``overspeed`` if that is the outcome of any trainset; else the outcome of the
+            first, from the head on, that did not arrive; ``arrived`` if all did.
+        punctual: True if the head arrived within 3 s of the scheduled time.
         scheduled_time_s: Scheduled running time.
         gap_min_m: Smallest gap of all pairs.
         gap_max_m: Largest gap of all pairs.
         speed_difference_max_mps: Largest speed difference of all pairs.
         contacts: Pairs that touched.
-        trainsets: Of each, the head first.
+        trainsets: KPIs of each trainset, the head first.
     """
 
     outcome: str
@@ -141,17 +141,17 @@ class ConvoyKpis:
 
     @property
     def success(self) -> bool:
-        """Whether every trainset met every requirement: what headline and exit code say."""
+        """True if every trainset met every requirement; decides headline and exit code."""
         return not any(member.failed for member in self.trainsets)
 
     @property
     def checks(self) -> tuple[Check, ...]:
-        """The requirements, each with the trainset that came off worst; passed where all passed."""
+        """The requirements, each with the value of the worst trainset; passed if all trainsets passed."""
         return tuple(self._worst(name) for name in (*WORST, NO_CONTACT))
 
     @property
     def verdict(self) -> str:
-        """How the run ended, in words that name the trainsets that failed, and in what."""
+        """Outcome in words that name the trainsets that failed, and their requirements."""
         bad = [f"trainset {m.number} {m.verdict}" for m in self.trainsets if m.failed]
         more = [f"{len(bad) - NAMED} more failed"] if len(bad) > NAMED else []
         return "; ".join(bad[:NAMED] + more) or "arrived safely and on time"
@@ -173,7 +173,7 @@ WORST: Mapping[str, Callable[[MemberKpis], float]] = {
     INTERVENTION_CHECK: lambda m: m.interventions,
     JERK_CHECK: lambda m: m.max_jerk_mps3,
 }
-"""By which measure the worst trainset of a requirement is found."""
+"""Measure by which the worst trainset of a requirement is found."""
 
 
 def convoy_kpis(drive: ConvoyDrive, scheduled_time_s: float) -> ConvoyKpis:
@@ -202,7 +202,7 @@ def convoy_kpis(drive: ConvoyDrive, scheduled_time_s: float) -> ConvoyKpis:
 
 
 def _marks(drive: ConvoyDrive) -> list[float]:
-    """Where each trainset's front is to stand."""
+    """Target position of the front of each trainset."""
     convoy, marks = drive.convoy, [drive.convoy.section.length_m]
     for k, ahead in enumerate(convoy.trainsets[:-1], 1):
         uncoupled = float(drive.trajectories[k].position_m[-1]) >= convoy.uncouple_at_m + convoy.starts_m[k]
@@ -210,7 +210,7 @@ def _marks(drive: ConvoyDrive) -> list[float]:
     return marks
 
 
-def _ended(drive: ConvoyDrive, k: int, error_m: float) -> str:
+def _member_outcome(drive: ConvoyDrive, k: int, error_m: float) -> str:
     """Outcome of one trainset."""
     if k and bool((drive.gap_m[:, k - 1] < 0).any()):
         return CONTACT
@@ -238,7 +238,7 @@ def _member(drive: ConvoyDrive, k: int, scheduled_time_s: float, mark_m: float) 
     return MemberKpis(
         number=k + 1,
         driver=drive.follower if k else drive.head,
-        outcome=_ended(drive, k, error),
+        outcome=_member_outcome(drive, k, error),
         mass_kg=mass,
         running_time_s=stands,
         time_error_s=stands - scheduled_time_s,

@@ -1,4 +1,4 @@
-"""How heads of convoys run in tasks and campaigns: recorded commands, from S-curves to restless drivers."""
+"""Recorded runs of heads of convoys for tasks and campaigns: S-curves and random speed changes."""
 
 from __future__ import annotations
 
@@ -22,10 +22,8 @@ from metropilot.physics import (
 from metropilot.planning import Reference, ReferenceShape, peak_speed, reference_for_time
 from metropilot.railway import Section, Trainset
 
-PULL_PER_S = 0.3
-
 FASTEST_MPS = 20.0
-"""No head to learn behind cruises faster."""
+"""Highest cruising speed of a recorded head."""
 
 
 class Recording(NamedTuple):
@@ -43,8 +41,8 @@ class Recording(NamedTuple):
     speed_mps: Float[ndarray, " rows"]
     acceleration_mps2: Float[ndarray, " rows"]
 
-    def padded(self, rows: int) -> Recording:
-        """The same, standing on until it has so many rows."""
+    def pad(self, rows: int) -> Recording:
+        """Extend to a number of rows at standstill with full brake, or cut to it."""
         extra = rows - self.command.size
         if extra < 0:
             return Recording(*(values[:rows] for values in self))
@@ -55,12 +53,12 @@ class Recording(NamedTuple):
 
 
 def record_leader(section: Section, trainset: Trainset, speeds_mps: ndarray, dt: float) -> Recording:
-    """Drive a trainset along speeds over time, as closely as its efforts allow (NumPy).
+    """Drive a trainset along a speed profile over time, within its efforts (NumPy).
 
     Args:
         section: Section.
         trainset: Trainset.
-        speeds_mps: Speed wanted at the end of each period. Shape (T,).
+        speeds_mps: Desired speed at the end of each period. Shape (T,).
         dt: Control period.
     """
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
@@ -78,20 +76,20 @@ def record_leader(section: Section, trainset: Trainset, speeds_mps: ndarray, dt:
 
 
 def reference_speeds(reference: Reference, dt: float, after_s: float = 5.0) -> ndarray:
-    """Speeds of a reference at the end of each period, and standing a while."""
+    """Speeds of a reference at the end of each period, followed by standstill."""
     count = int(np.ceil((reference.duration_s + after_s) / dt))
     return reference.at(dt * np.arange(1, count + 1))[1]
 
 
 @dataclass(frozen=True)
 class Restless:
-    """A head that changes its mind: random speeds, reached with random rates under a jerk limit.
+    """Head with random target speeds, approached at random rates under a jerk limit.
 
     Attributes:
         fastest_mps: Highest speed.
         rate_mps2: Largest acceleration and deceleration.
         jerk_mps3: Largest change of acceleration.
-        seconds: Before it stops.
+        seconds: Time until it brakes to a stop.
     """
 
     fastest_mps: float = 18.0
@@ -101,7 +99,7 @@ class Restless:
 
 
 def restless_speeds(habits: Restless, random: np.random.Generator, dt: float) -> ndarray:
-    """Speeds at the end of each period of a restless head, ending at a stand."""
+    """Draw the speeds of a restless head at the end of each period, until standstill."""
     speed, rate, target, until = 0.0, 0.0, 0.6 * habits.fastest_mps, 15.0
     most, found, time = habits.rate_mps2, [], 0.0
     while time < habits.seconds or speed > 0.0:
@@ -128,14 +126,14 @@ def restless_speeds(habits: Restless, random: np.random.Generator, dt: float) ->
 def recordings(
     section: Section, trainset: Trainset, dt: float, count: int, seed: int, rows: int = 1200
 ) -> list[Recording]:
-    """Heads to learn behind: a third S-curves of different times, the rest restless ones.
+    """Record heads: a third are S-curves of different running times, the rest restless heads.
 
     Args:
         section: Section.
-        trainset: Trainset as the head drives it.
+        trainset: Trainset of the head, with its limits.
         dt: Control period.
-        count: How many.
-        seed: Of what is random.
+        count: Number of heads.
+        seed: Seed of all random draws.
         rows: Rows of each.
     """
     random, found = np.random.default_rng(seed), []
@@ -151,5 +149,5 @@ def recordings(
         else:
             habits = Restless(random.uniform(8.0, 20.0), random.uniform(0.4, 0.68), random.uniform(0.4, 1.0))
             speeds = restless_speeds(habits, random, dt)
-        found.append(record_leader(section, trainset, speeds, dt).padded(rows))
+        found.append(record_leader(section, trainset, speeds, dt).pad(rows))
     return found

@@ -1,30 +1,30 @@
-"""The link from one trainset to the one behind it: messages that come late, unevenly, or not at all."""
+"""Radio link from a trainset to the one behind it: messages with delay, jitter and loss."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from metropilot._typing import Array
 from metropilot.errors import InputError
 from metropilot.physics import namespace
 
-Array = Any
 SLOTS = 32
-"""Messages that can be on their way at once: one a control period."""
+"""Largest number of messages in flight: one per control period."""
 EARLY_S = 1e-4
 
 
 @dataclass(frozen=True)
 class Link:
-    """How good the link is. Messages are sent once a control period.
+    """Quality of the link. Messages are sent once per control period.
 
     Attributes:
-        delay_s: Time every message takes.
-        jitter_s: Largest time on top of it, evenly distributed.
+        delay_s: Constant delay of every message.
+        jitter_s: Largest additional delay, uniformly distributed.
         loss: Share of messages that never arrive.
-        silent_from_s: From then on nothing arrives any more (infinite: never).
+        silent_from_s: Time from which all messages are lost (infinite: never).
     """
 
     delay_s: float = 0.0
@@ -42,7 +42,7 @@ class Link:
             raise InputError("out of range", field="silent_from_s", value=self.silent_from_s, allowed=">= 0")
 
     def numbers(self, dtype: type = np.float64) -> LinkQuality:
-        """The same as plain numbers."""
+        """The link as numbers."""
         return LinkQuality(
             dtype(self.delay_s), dtype(self.jitter_s), dtype(self.loss), dtype(self.silent_from_s)
         )
@@ -58,10 +58,10 @@ class LinkQuality(NamedTuple):
 
 
 class Message(NamedTuple):
-    """What a trainset tells the one behind it. All of one shape.
+    """Message of a trainset to the one behind it. All of one shape.
 
     Attributes:
-        stamp_s: When it was measured.
+        stamp_s: Time of measurement.
         rear_m: Position of the rear.
         speed_mps: Speed.
         acceleration_mps2: Acceleration over the period before.
@@ -81,9 +81,9 @@ class Channel(NamedTuple):
     """One direction of the link, on its receiving side.
 
     Attributes:
-        sent: Messages on their way, newest first. Shape (SLOTS,) each.
-        due_s: When each arrives; infinite: never. Shape (SLOTS,).
-        heard: The newest that has arrived. Shape () each.
+        sent: Messages in flight, newest first. Shape (SLOTS,) each.
+        due_s: Arrival time of each; infinite: never. Shape (SLOTS,).
+        heard: The newest message that has arrived. Shape () each.
     """
 
     sent: Message
@@ -91,20 +91,20 @@ class Channel(NamedTuple):
     heard: Message
 
 
-def opened(first: Message) -> Channel:
-    """A channel that has delivered one message, and nothing since (NumPy; shapes ())."""
+def open_channel(first: Message) -> Channel:
+    """Make a channel that has delivered one message (NumPy; shapes ())."""
     sent = Message(*(np.repeat(np.asarray(value)[None], SLOTS, axis=0) for value in first))
     return Channel(sent, np.full(SLOTS, np.inf, np.asarray(first.stamp_s).dtype), first)
 
 
-def passed_on(channel: Channel, quality: LinkQuality, message: Message, luck: Array) -> Channel:
-    """Send one message and take in what has arrived by now.
+def transmit(channel: Channel, quality: LinkQuality, message: Message, luck: Array) -> Channel:
+    """Send one message and receive what has arrived by now.
 
     Args:
         channel: The channel.
-        quality: Of the link.
-        message: Measured now.
-        luck: Two numbers from [0, 1): whether this message is lost, and its share of the jitter. Shape (2,).
+        quality: Quality of the link.
+        message: Message with measurements of now.
+        luck: Two random numbers from [0, 1): for the loss and for the jitter of this message. Shape (2,).
     """
     xp = namespace(channel.due_s, message.stamp_s, luck)
     now = message.stamp_s

@@ -1,13 +1,14 @@
-"""A convoy as declared, and each of its trainsets as numbers: one row a trainset, the head first."""
+"""Declaration of a convoy, and its trainsets as arrays: one row per trainset, the head first."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
+from metropilot._typing import Array
 from metropilot.convoy.link import Link, LinkQuality
 from metropilot.errors import InputError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
@@ -15,41 +16,40 @@ from metropilot.protection import Bounds, PairBounds, Protection, Separation, pr
 from metropilot.railway import Section, Steps, Trainset
 from metropilot.sim import MASS_SCATTER, true_vehicle
 
-Array = Any
 ConvoyGuard = Literal["coupled", "independent", "moving_block", "none"]
 GUARDS: tuple[ConvoyGuard, ...] = get_args(ConvoyGuard)
 CONVOY_PERIOD_S = 0.1
-"""Control period of a convoy. What a PID on the speed difference leaves of the gap grows with it."""
+"""Control period of a convoy. The gap error that a PID on the speed difference leaves grows with it."""
 GAP_M = 5.92
 """Chen23b table 1: initial gap."""
 HEAD_MPS2, TAIL_MPS2, STEP_MPS2 = 0.8, 1.15, 0.35
-"""Brakes of a coupled convoy, head to tail: each trainset's is controlled to a little more than that of the
-one ahead, so that everybody can brake harder than whoever is ahead. Declared, not published."""
+"""Brake rates of a coupled convoy at head and tail, and largest step between trainsets. Each rate is above
+that of the trainset ahead, so that every trainset can brake harder than the one ahead. Our choice."""
 MOST_TRAINSETS = 16
 FAR_M = 1e6
 LEADER_SHARE = 0.85
-"""Share of its own brake and of 1 m/s2 that the head uses in service, so that the others can follow."""
+"""Share of its brake and of 1 m/s^2 that the head uses in service, so that the others can follow."""
 
 
 @dataclass(frozen=True)
 class Convoy:
-    """What runs together, how close, and what is declared of it.
+    """Declaration of a convoy: trainsets, gaps, link, assumption of protection, and plant mismatch.
 
     Attributes:
-        section: Where.
-        trainsets: Head first, each with its load, as drivers know them.
+        section: Section.
+        trainsets: Nominal trainsets with their loads, head first.
         gap_m: Desired gap, rear of one to front of the next.
-        start_gap_m: Gap at departure; None: the wanted one.
+        start_gap_m: Gap at departure; None: the desired one.
         apart_m: Desired gap once uncoupled.
-        uncouple_at_m: Where the head begins to uncouple (infinite: nowhere).
-        link: From each trainset to the next.
-        guard: What protection may rely on: ``coupled`` (brakes controlled to rates that rise along the
-            convoy), ``independent`` (nobody's brake is stronger than declared, gradients included),
-            ``moving_block`` (the trainset ahead may stand at once), ``none``.
-        mass_factors: True over believed mass of each; empty: all 1.
-        resistance_factors: True over believed Davis resistance of each; empty: all 1.
-        adhesion: Largest wheel force over weight of each; empty: the trainset's own.
-        mass_bounds: Masses over the believed ones that protection is told to expect at least.
+        uncouple_at_m: Position at which the head begins to uncouple (infinite: nowhere).
+        link: Link from each trainset to the next.
+        guard: Assumption of protection: ``coupled`` (brakes controlled to rates that rise along the
+            convoy), ``independent`` (no brake is stronger than declared, gradients included),
+            ``moving_block`` (the trainset ahead may stop instantly), ``none``.
+        mass_factors: True over nominal mass of each; empty: all 1.
+        resistance_factors: True over nominal Davis resistance of each; empty: all 1.
+        adhesion: Largest wheel force over weight of each; empty: that of the trainset.
+        mass_bounds: Mass factors that protection allows for at least.
         dt: Control period, s.
     """
 
@@ -112,7 +112,7 @@ class Convoy:
 
     @property
     def starts_m(self) -> tuple[float, ...]:
-        """Where each trainset's front is at departure, the head at 0."""
+        """Position of the front of each trainset at departure, the head at 0."""
         found = [0.0]
         for trainset in self.trainsets[:-1]:
             found.append(found[-1] - trainset.length_m - self.first_gap_m)
@@ -120,7 +120,7 @@ class Convoy:
 
     @property
     def rates_mps2(self) -> tuple[float, ...]:
-        """Deceleration that each trainset's brakes are controlled to; infinite where they are not."""
+        """Rate to which the brakes of each trainset are controlled; infinite where they are not."""
         count = len(self.trainsets)
         if self.guard != "coupled":
             return (float("inf"),) * count
@@ -128,13 +128,16 @@ class Convoy:
         return tuple(HEAD_MPS2 + step * k for k in range(count))
 
     def leader(self) -> tuple[Section, Trainset]:
-        """Section and trainset as the head's driver must take them.
+        """Section and trainset for the driver of the head.
 
-        A limit holds until the last trainset's tail has cleared it. Coupled, the head accelerates and brakes
-        less than it could, so that the others can follow.
+        A limit holds until the tail of the last trainset has cleared it. In a coupled convoy the head uses
+        only a part of its efforts, so that the others can follow.
         """
         behind = -self.starts_m[-1] + self.trainsets[-1].length_m - self.trainsets[0].length_m
-        section, head = held_back(self.section, behind if self.guard == "coupled" else 0.0), self.trainsets[0]
+        section, head = (
+            extend_limits(self.section, behind if self.guard == "coupled" else 0.0),
+            self.trainsets[0],
+        )
         if self.guard != "coupled":
             return section, head
         rate = self.rates_mps2[0]
@@ -151,8 +154,8 @@ class Convoy:
         )
 
 
-def held_back(section: Section, extra_m: float) -> Section:
-    """The section with every limit holding for so much longer."""
+def extend_limits(section: Section, extra_m: float) -> Section:
+    """Extend every speed limit of a section forwards by a distance."""
     limit = section.limit_mps
     edges = np.unique(np.concatenate([limit.from_m, limit.from_m + extra_m]))
     first = np.maximum(np.searchsorted(limit.from_m, edges - extra_m, side="right") - 1, 0)
@@ -162,22 +165,22 @@ def held_back(section: Section, extra_m: float) -> Section:
 
 
 class Member(NamedTuple):
-    """One trainset of a convoy. Fields are 0-d unless they are tuples of arrays.
+    """One trainset of a convoy as arrays. Fields are 0-d unless they are tuples of arrays.
 
     Attributes:
-        vehicle: As it really is.
-        believed: As drivers know it.
-        track: The section as it feels it.
+        vehicle: True plant.
+        believed: Nominal plant.
+        track: Track under it.
         protection: Its protection; None: it has none.
-        bounds: What is declared of the trainset ahead and of its own emergency brake.
-        most_mps2: What its brakes are controlled to.
+        bounds: Bounds on the trainset ahead and on its own emergency brake.
+        most_mps2: Rate to which its brakes are controlled.
         link: The link from the trainset ahead.
         length_m: Length.
-        start_m: Where its front is at departure.
+        start_m: Position of its front at departure.
         gap_m: Desired gap to the trainset ahead.
-        apart_m: The same once uncoupled.
-        uncouple_at_m: Where its front is when the head begins to uncouple.
-        is_head: Whether nobody is ahead.
+        apart_m: Desired gap once uncoupled.
+        uncouple_at_m: Position of its front from which the uncoupled gap is desired.
+        is_head: True for the head.
     """
 
     vehicle: Vehicle
@@ -196,7 +199,7 @@ class Member(NamedTuple):
 
 
 def convoy_members(convoy: Convoy, dtype: type = np.float64) -> tuple[Member, ...]:
-    """Every trainset of a convoy as numbers (NumPy), the head first.
+    """Make the arrays of every trainset of a convoy (NumPy), the head first.
 
     Raises:
         InputError: A trainset's emergency brake does not hold it on the section.
@@ -209,7 +212,7 @@ def _member(convoy: Convoy, k: int, before_m: float, dtype: type) -> Member:
     trainset, rates = convoy.trainsets[k], convoy.rates_mps2
     section = convoy.leader()[0] if k == 0 else convoy.section
     vehicle, believed = _actual(convoy, k, dtype), vehicle_arrays(trainset, dtype)
-    bounds = declared(convoy, k)
+    bounds = member_bounds(convoy, k)
     guard = None
     if convoy.guard != "none":
         guard = protect(section, trainset, bounds, dtype=dtype, before_m=before_m)
@@ -237,7 +240,7 @@ def _factor(values: Sequence[float], k: int) -> float:
 
 
 def _actual(convoy: Convoy, k: int, dtype: type) -> Vehicle:
-    """The trainset as it really is: mass, resistance and adhesion of this very run."""
+    """The true plant of a trainset: mass, resistance and adhesion of this run."""
     vehicle = true_vehicle(
         vehicle_arrays(convoy.trainsets[k], dtype),
         mass_factor=dtype(_factor(convoy.mass_factors, k)),
@@ -249,8 +252,8 @@ def _actual(convoy: Convoy, k: int, dtype: type) -> Vehicle:
     return vehicle
 
 
-def declared(convoy: Convoy, k: int) -> Bounds:
-    """What protection is told to expect of one trainset."""
+def member_bounds(convoy: Convoy, k: int) -> Bounds:
+    """Deviations from the nominal plant of one trainset that protection allows for."""
     trainset, rate = convoy.trainsets[k], convoy.rates_mps2[k]
     usual = Bounds.of(trainset, convoy.dt)
     mass, drag = _factor(convoy.mass_factors, k), _factor(convoy.resistance_factors, k)
@@ -264,7 +267,7 @@ def declared(convoy: Convoy, k: int) -> Bounds:
 
 
 def pair_bounds(convoy: Convoy, k: int) -> PairBounds:
-    """What is declared of the trainset ahead of number ``k``."""
+    """Bounds on the braking of the trainset ahead of number ``k``."""
     if k == 0 or convoy.guard in {"moving_block", "none"}:
         return PairBounds()
     ahead = convoy.trainsets[k - 1]
@@ -275,7 +278,7 @@ def pair_bounds(convoy: Convoy, k: int) -> PairBounds:
 
 
 def strongest_mps2(section: Section, trainset: Trainset) -> float:
-    """The hardest a trainset can brake anywhere: either brake, on the steepest climb, with all resistance."""
+    """Largest deceleration of a trainset: the stronger brake, on the steepest climb, with all resistance."""
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
     climb = 1e-3 * float(section.gradient_permil.value.max())
     curve = float(track.slope[:, 1].max())
@@ -290,7 +293,7 @@ def strongest_mps2(section: Section, trainset: Trainset) -> float:
 
 
 def _all_brakes(vehicle: Vehicle) -> float:
-    """Every brake at once on the lightest trainset within the bounds, m/s^2."""
+    """Deceleration under all brakes at once with the smallest mass within the bounds, m/s^2."""
     from metropilot.physics import effort_at
 
     strongest = float(np.max(effort_at(vehicle, np.linspace(0.0, float(vehicle.max_speed_mps), 64)).brake_n))

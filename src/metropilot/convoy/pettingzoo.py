@@ -20,41 +20,41 @@ from metropilot.convoy.leaders import recordings
 from metropilot.convoy.link import LinkQuality
 from metropilot.convoy.model import Convoy, Member, convoy_members
 from metropilot.convoy.step import (
+    UNLIMITED_MPS,
     FollowerObservation,
     MemberState,
     at_departure,
     drive_period,
-    heard,
-    needed,
-    sight,
-    told,
+    make_message,
+    observe_member,
+    receive_message,
+    update_needed_gap,
 )
 from metropilot.physics import Command
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import true_vehicle
 
 OBSERVATION_LIMIT = 100.0
-UNLIMITED_MPS = 1e3
 STANDS_S = 8.0
 
 
 class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
-    """A convoy from standstill to standstill; all agents live and end together.
+    """A convoy from standstill to standstill; episodes end for all agents at once.
 
-    It ends terminated where two trainsets touch, truncated where all stand or the recording is over.
+    An episode terminates on a contact; it is truncated when all stand or at the end of the recording.
 
     Args:
-        config: What is learned behind whom; of ``trainsets`` the first runs, and every episode begins at the
-            station (``on_the_way`` is not used).
+        config: Plant, reward and disturbances; only the first of ``trainsets`` is used, and every episode
+            begins at the station (``on_the_way`` is not used).
         count: Trainsets, the head included.
-        protected: Whether protection watches the followers; as published it does not.
-        render_mode: None: there is nothing to look at while it drives.
+        protected: True for followers under protection; as published they have none.
+        render_mode: Must be None: there is no rendering.
 
     Raises:
         InputError: Unknown line, station or trainset, or a number of trainsets out of range.
     """
 
-    metadata = {"name": "metropilot_convoy_v0", "render_modes": []}  # noqa: RUF012 (PettingZoo's way)
+    metadata = {"name": "metropilot_convoy_v0", "render_modes": []}  # noqa: RUF012 (API of PettingZoo)
 
     def __init__(
         self,
@@ -87,7 +87,7 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         self.random = np.random.default_rng(self.config.seed)
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """Chen23b's six numbers, scaled."""
+        """The six state variables of Chen23b, scaled."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
@@ -97,10 +97,10 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
-        """A new episode: which head, which masses and links.
+        """Begin an episode with a random head, masses and links.
 
         Args:
-            seed: Of this and the coming episodes; None: go on drawing.
+            seed: Seed of this and the following episodes; None: continue the random stream.
             options: ``head``: number of the recorded head; everything else is ignored.
         """
         if seed is not None:
@@ -109,7 +109,7 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         row = int(draw.integers(len(self.heads)))
         self.head = self.heads[int((options or {}).get("head", row)) % len(self.heads)]
         off = float(draw.random() < config.disturbed)
-        self.members = tuple(self._drawn(k, own, off) for k, own in enumerate(self.nominal))
+        self.members = tuple(self._draw(k, own, off) for k, own in enumerate(self.nominal))
         late = draw.random() < config.emergency
         self.emergency_s = 1.0 + self.config.dt * self.head.command.size * draw.random() if late else np.inf
         ahead = (None, *self.members[:-1])
@@ -129,7 +129,7 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """One control period: gains, PIDs, every trainset moves, then messages."""
+        """Apply the gains for one control period, then exchange messages."""
         if not self.agents:
             raise gymnasium.error.ResetNeeded("call reset before step")
         now, agents = self._now(), self.agents
@@ -169,8 +169,8 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
             infos,
         )
 
-    def _drawn(self, k: int, own: Member, off: float) -> Member:
-        """A trainset as it is in this episode; the head is nominal."""
+    def _draw(self, k: int, own: Member, off: float) -> Member:
+        """Draw mass and link of a trainset for this episode; the head is nominal."""
         config, u = self.config, self.random.random(3)
         low, high = config.mass
         factor = 1.0 + off * (k > 0) * (low + (high - low) * u[0] - 1.0)
@@ -185,14 +185,14 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         return np.float64(self.config.dt)
 
     def _listen(self) -> list[FollowerObservation]:
-        """Messages go down the convoy; what every follower sees then."""
+        """Exchange messages along the convoy; returns the observations of the followers."""
         now, dt, before = self._now(), self._dt(), list(self.states)
         self.seen: list[FollowerObservation] = []
         for k in range(1, len(self.members)):
-            own, message = self.members[k], told(self.members[k - 1], before[k - 1], now)
-            state = heard(own, before[k], message, self.random.random(2))
-            self.states[k] = needed(own, state, now, dt)
-            self.seen.append(sight(own, self.states[k], now, dt, np.float64(UNLIMITED_MPS)))
+            own, message = self.members[k], make_message(self.members[k - 1], before[k - 1], now)
+            state = receive_message(own, before[k], message, self.random.random(2))
+            self.states[k] = update_needed_gap(own, state, now, dt)
+            self.seen.append(observe_member(own, self.states[k], now, dt, np.float64(UNLIMITED_MPS)))
         return self.seen
 
     def _observations(self, seen: list[FollowerObservation]) -> dict[str, np.ndarray]:
@@ -202,7 +202,7 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         }
 
     def _info(self, k: int) -> dict[str, Any]:
-        """True gap and speed difference of a follower, and what reached its trainset."""
+        """True gap and speed difference of a follower, and the command after protection."""
         ahead: MemberState = self.states[k - 1]
         own = self.states[k]
         rear = ahead.plant.position_m - self.members[k - 1].length_m

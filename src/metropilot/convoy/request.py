@@ -1,4 +1,4 @@
-"""A convoy as a user asks for it: the head's run, and what follows it."""
+"""Request of a convoy: the run of the head, and its followers."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from metropilot.sim import Run, drive
 
 @dataclass(frozen=True)
 class ConvoyRequest:
-    """Everything that decides a convoy's run.
+    """All inputs of the run of a convoy.
 
     Attributes:
-        head: The head's run: line, stations, time, trainset and load, its driver, period and seed. Its
-            switches of the scenario (mass, resistance, news) are not used.
-        count: Trainsets.
-        follower: Id of the followers' driver.
+        head: Run of the head: line, stations, time, trainset and load, driver, period and seed. Its
+            disturbance is not used.
+        count: Number of trainsets.
+        follower: Id of the driver of the followers.
         options: Its options.
         gap_m: Desired gap.
-        start_gap_m: Gap at departure; None: the wanted one.
+        start_gap_m: Gap at departure; None: the desired one.
         apart_m: Desired gap once uncoupled.
-        uncouple_at_m: Where the head begins to uncouple; None: nowhere.
-        link: From each trainset to the next.
-        guard: What protection relies on.
+        uncouple_at_m: Position at which the head begins to uncouple; None: nowhere.
+        link: Link from each trainset to the next.
+        guard: Assumption of protection.
         masses: True over nominal mass of each trainset; empty: all 1.
-        emergency_s: When the head makes an emergency brake; None: never.
+        emergency_s: Time at which the head makes an emergency brake; None: never.
     """
 
     head: RunSpec
@@ -72,7 +72,7 @@ class ConvoyRequest:
             return self._convoy()
 
     def _convoy(self) -> Convoy:
-        """The same, its complaints in the words of a convoy."""
+        """Make the convoy; errors name the fields of :class:`Convoy`."""
         return Convoy(
             section=self.head.section(),
             trainsets=(self.head.loaded(),) * self.count,
@@ -87,7 +87,7 @@ class ConvoyRequest:
         )
 
     def run(self, convoy: Convoy) -> Run:
-        """The head's run: limits hold until the last trainset has cleared them.
+        """The run of the head; limits hold until the last trainset has cleared them.
 
         Raises:
             Infeasible: The time is below the convoy's minimum running time, which the message names.
@@ -103,7 +103,7 @@ class ConvoyRequest:
         return Run(section, trainset, time_s, dt=self.head.dt_s, seed=self.head.seed)
 
     def head_run(self, convoy: Convoy) -> HeadRun:
-        """The head alone, driven by its driver.
+        """Drive the head alone.
 
         Raises:
             InputError: No such driver, no such option.
@@ -115,7 +115,7 @@ class ConvoyRequest:
         return HeadRun(self.head.driver, commands, found.outcome, late)
 
     def make_follower(self) -> AbstractFollower:
-        """The followers' driver.
+        """Make the driver of the followers.
 
         Raises:
             InputError: No such follower, or no such option of it.
@@ -127,14 +127,14 @@ class ConvoyRequest:
         """Drive the head, then the convoy behind it.
 
         Args:
-            convoy: If it was made before.
-            follower: If it was made before.
+            convoy: The convoy, if it exists already.
+            follower: The driver of the followers, if it exists already.
         """
         convoy, follower = convoy or self.convoy(), follower or self.make_follower()
         return drive_convoy(convoy, self.head_run(convoy), follower, self.head.seed)
 
     def table(self) -> dict[str, Any]:
-        """The request as plain values; what is None or infinite is left out."""
+        """The request as plain values, without those that are None or infinite."""
         values = {k: v for k, v in asdict(replace(self, head=self.head.resolved())).items() if v is not None}
         values["head"] = {k: v for k, v in values["head"].items() if v is not None}
         values["link"] = {k: v for k, v in values["link"].items() if np.isfinite(v)}

@@ -1,4 +1,4 @@
-"""The host loop of a convoy: a head driven by any driver, followers behind it, in NumPy float64."""
+"""Host loop of a convoy: recorded commands of a head and followers behind it, in NumPy float64."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from metropilot.convoy.drivers import AbstractFollower
 from metropilot.convoy.link import Link
 from metropilot.convoy.model import Convoy, Member, convoy_members
 from metropilot.convoy.step import (
+    UNLIMITED_MPS,
     FollowerObservation,
     MemberState,
     at_departure,
     drive_period,
-    heard,
-    needed,
-    sight,
-    told,
+    make_message,
+    observe_member,
+    receive_message,
+    update_needed_gap,
 )
 from metropilot.physics import Command
 from metropilot.protection import permitted_speed
@@ -30,27 +31,26 @@ from metropilot.sim import Outcome, Recorder, Trajectory
 
 STAND_S = 3.0
 LONGEST_S = 240.0
-UNLIMITED_MPS = 1e3
 
 
 @dataclass(frozen=True, eq=False)
 class ConvoyDrive:
-    """A convoy as it ran.
+    """Record of the run of a convoy.
 
     Attributes:
-        convoy: What ran.
+        convoy: The convoy.
         head: Id of the head's driver.
         follower: Id of the followers' driver.
-        trajectories: Row by row, the head first.
+        trajectories: Trajectory of each trainset, the head first.
         gap_m: True gaps, rear of one to front of the next, after each period. Shape (T, N - 1).
         speed_difference_mps: Speed ahead less own speed. Shape (T, N - 1).
-        time_s: Of the rows of both. Shape (T,).
-        outcome: How the head's run ended.
-        interventions: Spells in which protection overruled each trainset. Shape (N,).
-        emergencies: How many of them came to the emergency brake. Shape (N,).
+        time_s: Time of the rows of both. Shape (T,).
+        outcome: Outcome of the run of the head.
+        interventions: Number of interventions of each protection. Shape (N,).
+        emergencies: Number of those that used the emergency brake. Shape (N,).
         overspeed_mps: Largest excess over the limit of each. Shape (N,).
         decision_us: Median time of a decision of each follower, microseconds. Shape (N,), 0 for the head.
-        recovered_j: Energy given back to the line by each. Shape (N,).
+        recovered_j: Energy returned to the line by each. Shape (N,).
     """
 
     convoy: Convoy
@@ -75,13 +75,13 @@ class ConvoyDrive:
 
 @dataclass(frozen=True)
 class HeadRun:
-    """What the head does.
+    """Commands of the head.
 
     Attributes:
-        driver: Who drove it.
+        driver: Id of its driver.
         commands: Command of each period; afterwards it holds its brakes. Shape (T,).
-        emergency_s: When it makes an emergency brake (infinite: never).
-        outcome: How its run ended if it does not.
+        emergency_s: Time at which it makes an emergency brake (infinite: never).
+        outcome: Outcome of its run without emergency brake.
     """
 
     driver: str
@@ -94,10 +94,10 @@ def drive_convoy(convoy: Convoy, head: HeadRun, follower: AbstractFollower, seed
     """Run a convoy until all stand.
 
     Args:
-        convoy: What runs.
-        head: What its head does.
-        follower: Who drives the others, each with a memory of its own.
-        seed: Of the link's luck.
+        convoy: The convoy.
+        head: Run of its head.
+        follower: Driver of the others, each with a memory of its own.
+        seed: Seed of delays and losses of the links.
     """
     rollout = ConvoyRollout(convoy, head, follower, seed)
     while not rollout.over:
@@ -107,17 +107,17 @@ def drive_convoy(convoy: Convoy, head: HeadRun, follower: AbstractFollower, seed
 
 @final
 class ConvoyRollout:
-    """A convoy on its way, one control period at a time: what :func:`drive_convoy` loops over.
+    """Stepwise run of a convoy, one control period at a time, as :func:`drive_convoy` uses it.
 
     Args:
-        convoy: What runs.
-        head: What its head does.
-        follower: Who drives the others, each with a memory of its own.
-        seed: Of the link's luck.
+        convoy: The convoy.
+        head: Run of its head.
+        follower: Driver of the others, each with a memory of its own.
+        seed: Seed of delays and losses of the links.
 
     Attributes:
-        states: Of every trainset, the head first.
-        over: Whether all have stood a while.
+        states: State of every trainset, the head first.
+        over: True at the end of the run: all have stood for ``STAND_S``.
     """
 
     def __init__(self, convoy: Convoy, head: HeadRun, follower: AbstractFollower, seed: int) -> None:
@@ -140,7 +140,7 @@ class ConvoyRollout:
         return self.period * self.dt
 
     def advance(self) -> tuple[float, list[float], list[float]]:
-        """One control period; time, gaps and speed differences after it."""
+        """Run one control period; returns time, gaps and speed differences after it."""
         now = np.float64(self.time_s)
         self.listen(now)
         self.move(now, self.period)
@@ -154,30 +154,30 @@ class ConvoyRollout:
         return self.rows[-1]
 
     def relink(self, link: Link) -> None:
-        """From now on every link is as good as this one; what is on its way stays so."""
+        """Change the quality of all links from now on; messages in flight are kept."""
         self.members = tuple(m._replace(link=link.numbers()) for m in self.members)
 
     def brake_head(self) -> None:
-        """Let the head make an emergency brake from now on."""
+        """Demand the emergency brake of the head from now on."""
         self.head = replace(self.head, emergency_s=min(self.head.emergency_s, self.time_s))
 
     def listen(self, now: np.float64) -> None:
-        """Messages go down the convoy."""
+        """Exchange messages along the convoy."""
         before = list(self.states)
         for k in range(1, len(self.members)):
-            message = told(self.members[k - 1], before[k - 1], now)
-            state = heard(self.members[k], before[k], message, self.random.random(2))
-            self.states[k] = needed(self.members[k], state, now, np.float64(self.dt))
+            message = make_message(self.members[k - 1], before[k - 1], now)
+            state = receive_message(self.members[k], before[k], message, self.random.random(2))
+            self.states[k] = update_needed_gap(self.members[k], state, now, np.float64(self.dt))
 
     def move(self, now: np.float64, period: int) -> None:
-        """Everybody decides, is supervised and moves."""
+        """Advance all trainsets by one control period."""
         self.states = [
-            self.moved_one(k, own, state, now, period)
+            self.move_one(k, own, state, now, period)
             for k, (own, state) in enumerate(zip(self.members, self.states, strict=True))
         ]
 
-    def moved_one(self, k: int, own: Member, state: MemberState, now: np.float64, period: int) -> MemberState:
-        """One trainset's period."""
+    def move_one(self, k: int, own: Member, state: MemberState, now: np.float64, period: int) -> MemberState:
+        """Advance one trainset by one control period."""
         permitted = UNLIMITED_MPS
         if own.protection is not None:
             permitted = float(permitted_speed(own.protection, float(state.plant.position_m)))
@@ -186,20 +186,22 @@ class ConvoyRollout:
             share = float(self.head.commands[period]) if running else -1.0
             command = Command(np.float64(share), bool(now >= self.head.emergency_s))
         else:
-            command = Command(self.decided(k, sight(own, state, now, self.dt, np.float64(permitted))), False)
+            command = Command(
+                self.decide(k, observe_member(own, state, now, self.dt, np.float64(permitted))), False
+            )
         after, record = drive_period(own, state, command, now, np.float64(self.dt))
         self.recorders[k].add(own.track, after.plant, record, permitted)
         return after
 
-    def decided(self, k: int, seen: FollowerObservation) -> np.float64:
-        """What a follower asks for."""
+    def decide(self, k: int, seen: FollowerObservation) -> np.float64:
+        """The command of a follower; records the decision time."""
         began = perf_counter_ns()
         share, self.memories[k] = self.follower.act(self.memories[k], seen)
         self.decision_us[k].append((perf_counter_ns() - began) / 1e3)
         return np.float64(share)
 
     def note(self, time_s: float) -> None:
-        """Gaps and speed differences after the period."""
+        """Record gaps and speed differences after the period."""
         front = [float(s.plant.position_m) for s in self.states]
         speed = [float(s.plant.speed_mps) for s in self.states]
         rear = [x - float(m.length_m) for x, m in zip(front, self.members, strict=True)]
@@ -209,7 +211,7 @@ class ConvoyRollout:
         )
 
     def result(self) -> ConvoyDrive:
-        """What came of it."""
+        """The record of the run."""
         time_s, gap, apart = zip(*self.rows, strict=True)
         watched = [s.watched for s in self.states]
         stopped = np.isfinite(self.head.emergency_s)

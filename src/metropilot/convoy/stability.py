@@ -1,4 +1,4 @@
-"""String stability: how a disturbance of the head's speed grows or fades along a convoy."""
+"""String stability: amplification of a disturbance of the speed of the head along a convoy."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ def speed_gains(
     mean_mps: float = 12.0,
     swing_mps2: float = 0.15,
 ) -> Float[ndarray, "periods trainsets"]:
-    """Amplitude of each trainset's speed over the head's, the head's acceleration swinging as a sine.
+    """Amplitude of the speed of each trainset over that of the head, which accelerates as a sine.
 
-    On level, endless track; amplitudes by correlation over whole periods once settled. A convoy is string
-    stable for a period where no trainset swings more than the one ahead.
+    On a long level track; amplitudes by correlation over whole periods after a settling time. A convoy is
+    string stable at a period if no amplitude exceeds that of the trainset ahead.
 
     Args:
-        convoy: The convoy; its section is levelled and lengthened.
-        follower: Who drives the followers.
-        periods_s: Periods of the swing.
+        convoy: The convoy; its section is replaced by a long level one.
+        follower: Driver of the followers.
+        periods_s: Periods of the sine.
         mean_mps: Mean speed.
-        swing_mps2: Amplitude of the head's acceleration.
+        swing_mps2: Amplitude of the acceleration of the head.
     """
     level = replace(
         convoy.section,
@@ -53,7 +53,7 @@ def speed_gains(
 def _gains(
     convoy: Convoy, follower: AbstractFollower, period_s: float, mean_mps: float, swing_mps2: float
 ) -> ndarray:
-    """One period's gains, the head's own included (1)."""
+    """Gains at one period; the first, of the head, is 1."""
     dt = convoy.dt
     count = max(int(np.ceil(40.0 / period_s)), 2)
     times = dt * np.arange(1, int((SETTLE_S + count * period_s) / dt) + 1)

@@ -1,35 +1,36 @@
-"""One control period of one trainset of a convoy: hear, be supervised, move. NumPy and JAX alike."""
+"""One control period of one trainset of a convoy: message, protection, motion. NumPy and JAX."""
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple, no_type_check
 
-from metropilot.convoy.link import Channel, Message, opened, passed_on
+from metropilot._typing import Array
+from metropilot.convoy.link import Channel, Message, open_channel, transmit
 from metropilot.convoy.model import FAR_M, Member
 from metropilot.physics import Command, State, at_rest, delay_steps, namespace
 from metropilot.protection import Memory as Watched
 from metropilot.protection import TrainAhead, at_start, spare_gap
 from metropilot.sim import NEVER_ENDS, PeriodRecord, RunParams, control_period, first_state
 
-Array = Any
+UNLIMITED_MPS = 1e3
+"""Permitted speed of a trainset without protection."""
 SPARE_M, SPARE_SHARE, SILENT_S = 0.2, 0.1, 0.4
-"""What a follower keeps beyond the gap that protection needs: distance, command, time without a message where
-the link loses some."""
+"""Margins beyond the gap that protection needs: distance, command, and age of messages on a lossy link."""
 FADING_MPS, LONG_M, FADING_S = 0.1, 10.0, 2.0
-"""How fast it forgets that it needed more: slowly, but what is beyond a long gap soon."""
+"""Decay of the needed gap: a constant rate, and a time constant for what exceeds a long gap."""
 
 
 class MemberState(NamedTuple):
-    """Where one trainset of a convoy is.
+    """State of one trainset of a convoy.
 
     Attributes:
         plant: State of the plant.
         watched: Protection's memory; None: no protection.
         channel: Link from the trainset ahead.
-        wanted: Command its driver asked for last.
-        command: Command that reached it last.
-        emergency: Whether its emergency brake was demanded last.
-        needed_gap_m: Gap that protection needs behind the trainset ahead: the most of late, fading.
+        wanted: Last command of its driver.
+        command: Last command after protection.
+        emergency: True if the emergency brake was demanded last.
+        needed_gap_m: Gap that protection needs behind the trainset ahead: recent maximum, decaying.
     """
 
     plant: State
@@ -42,22 +43,22 @@ class MemberState(NamedTuple):
 
 
 class FollowerObservation(NamedTuple):
-    """What a follower sees, the trainset ahead brought forward from its last message. All 0-d but the tuples.
+    """Observation of a follower; the trainset ahead is extrapolated from its last message. Mostly 0-d.
 
     Attributes:
         time_s: Time since departure.
         position_m: Own front.
         speed_mps: Own speed.
         acceleration_mps2: Own acceleration over the last period.
-        command: Own last command, as protection let it pass.
-        vehicle: The trainset as its driver knows it.
+        command: Own last command, after protection.
+        vehicle: Nominal plant.
         track: The section.
-        gap_m: Gap to the trainset ahead, as it should be by now.
-        wanted_gap_m: Gap wanted now, or what protection needs if that is more.
-        ahead_mps: Speed of the trainset ahead, as it should be by now.
-        ahead_mps2: Its acceleration as last heard.
+        gap_m: Extrapolated gap to the trainset ahead.
+        wanted_gap_m: Desired gap, or the gap that protection needs if that is larger.
+        ahead_mps: Extrapolated speed of the trainset ahead.
+        ahead_mps2: Its acceleration in the last message.
         age_s: Age of the last message.
-        alarm: 1 if the trainset ahead said that its emergency brake was on, else 0.
+        alarm: 1 if the trainset ahead reported an emergency brake, else 0.
         permitted_mps: Speed that protection permits for line limits.
         period_s: Control period.
     """
@@ -84,8 +85,8 @@ def pipeline_slots(vehicle: Any, dt: float) -> int:  # noqa: ANN401 (a vehicle)
     return delay_steps(float(vehicle.delay_s), dt)
 
 
-def told(member: Member, state: MemberState, now_s: Array) -> Message:
-    """The message a trainset sends now."""
+def make_message(member: Member, state: MemberState, now_s: Array) -> Message:
+    """Make the message that a trainset sends now."""
     plant = state.plant
     xp = namespace(plant.position_m, now_s)
     return Message(
@@ -101,13 +102,13 @@ def told(member: Member, state: MemberState, now_s: Array) -> Message:
 def at_departure(
     member: Member, ahead: Member | None, dt: float, position_m: float | None = None, speed_mps: float = 0.0
 ) -> MemberState:
-    """A trainset about to depart, or under way at the same steady speed as the one ahead (NumPy).
+    """State of a trainset at departure, or at the same steady speed as the one ahead (NumPy).
 
     Args:
         member: The trainset.
         ahead: The one ahead; None for the head.
         dt: Control period.
-        position_m: Where its front is; None: where it departs.
+        position_m: Position of its front; None: that at departure.
         speed_mps: Speed of both.
     """
     at = float(member.start_m) if position_m is None else position_m
@@ -120,16 +121,16 @@ def at_departure(
     zero = kind(0.0)
     first = Message(zero, rear, kind(0.0 if ahead is None else speed_mps), zero, zero, zero)
     watched = None if member.protection is None else at_start(member.protection)
-    return MemberState(plant, watched, opened(first), zero, zero, member.is_head & False, zero)
+    return MemberState(plant, watched, open_channel(first), zero, zero, member.is_head & False, zero)
 
 
-def heard(member: Member, state: MemberState, message: Message, luck: Array) -> MemberState:
-    """Take in what the link delivers, the trainset ahead having sent ``message`` now."""
-    return state._replace(channel=passed_on(state.channel, member.link, message, luck))
+def receive_message(member: Member, state: MemberState, message: Message, luck: Array) -> MemberState:
+    """Send ``message`` of the trainset ahead over the link and receive what has arrived."""
+    return state._replace(channel=transmit(state.channel, member.link, message, luck))
 
 
 def ahead_of(member: Member, state: MemberState, now_s: Array) -> TrainAhead:
-    """The trainset ahead as protection is told of it."""
+    """Last message of the trainset ahead, for protection."""
     message = state.channel.heard
     return TrainAhead(
         rear_m=message.rear_m,
@@ -141,8 +142,8 @@ def ahead_of(member: Member, state: MemberState, now_s: Array) -> TrainAhead:
 
 
 @no_type_check
-def needed(member: Member, state: MemberState, now_s: Array, period_s: Array) -> MemberState:
-    """Note the gap that protection needs for the last command to pass again: up at once, down slowly."""
+def update_needed_gap(member: Member, state: MemberState, now_s: Array, period_s: Array) -> MemberState:
+    """Update the gap that protection needs to pass the last command again: rises at once, decays slowly."""
     if member.protection is None:
         return state
     plant, ahead = state.plant, ahead_of(member, state, now_s)
@@ -158,10 +159,10 @@ def needed(member: Member, state: MemberState, now_s: Array, period_s: Array) ->
 
 
 @no_type_check
-def sight(
+def observe_member(
     member: Member, state: MemberState, now_s: Array, period_s: Array, permitted_mps: Array
 ) -> FollowerObservation:
-    """What the driver of a trainset sees; for the head, a trainset far ahead."""
+    """Observation of the driver of a trainset; for the head, with a trainset far ahead."""
     plant, message = state.plant, state.channel.heard
     xp = namespace(plant.position_m, message.rear_m)
     age = now_s - message.stamp_s

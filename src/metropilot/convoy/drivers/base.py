@@ -1,4 +1,4 @@
-"""What a follower is: two functions over the array namespace, and a row in the registry."""
+"""Interface of followers: two functions over the array namespace, and a row in the registry."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
 from metropilot._registry import Registry
+from metropilot._typing import Scalar
 from metropilot.convoy.step import FollowerObservation
 from metropilot.physics import Vehicle
 
 Memory = Any
-Scalar = Any
 
 
 class AbstractFollower(ABC):
-    """Whatever drives a trainset behind another. Written once: the host loop and compiled campaigns run it.
+    """Driver of a trainset behind another; the host loop and compiled campaigns run the same code.
 
     Attributes:
         id: Name in the registry and on the command line.
@@ -29,16 +29,16 @@ class AbstractFollower(ABC):
 
     @abstractmethod
     def init(self, vehicle: Vehicle, period_s: float) -> Memory:
-        """Prepare for a run: a tuple of NumPy numbers.
+        """Make the memory at the start of a run: a tuple of NumPy numbers.
 
         Args:
-            vehicle: The own trainset as its driver knows it.
+            vehicle: Nominal plant of the own trainset.
             period_s: Control period.
         """
 
     @abstractmethod
-    def act(self, memory: Memory, sight: FollowerObservation) -> tuple[Scalar, Memory]:
-        """The command in [-1, 1] for the coming period, and the memory to bring next time."""
+    def act(self, memory: Memory, observation: FollowerObservation) -> tuple[Scalar, Memory]:
+        """Choose the command in [-1, 1] for the coming period; also returns the next memory."""
 
 
 FOLLOWER_REGISTRY: Registry[type[AbstractFollower]] = Registry("follower", field="driver")
@@ -46,6 +46,6 @@ FOLLOWER_REGISTRY: Registry[type[AbstractFollower]] = Registry("follower", field
 
 
 def register_follower(follower: type[AbstractFollower]) -> type[AbstractFollower]:
-    """Add a follower of one's own to the registry (class decorator)."""
+    """Add a follower to the registry (class decorator)."""
     FOLLOWER_REGISTRY.register(follower)
     return follower

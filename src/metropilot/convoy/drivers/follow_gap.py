@@ -3,33 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, final, no_type_check
+from typing import NamedTuple, final, no_type_check
 
 import numpy as np
 
+from metropilot._typing import Scalar
 from metropilot.convoy.drivers.base import AbstractFollower
 from metropilot.convoy.drivers.motion import command_for
 from metropilot.convoy.step import FollowerObservation
 from metropilot.errors import InputError
 from metropilot.physics import Vehicle, namespace
 
-Scalar = Any
 LATE = 0.35
-"""Bandwidth times the age of messages: what comes late must not be answered quickly."""
+"""Largest product of bandwidth and age of messages, for stability with delayed messages."""
 FORGET = 0.995
 OPENING_MPS, CLOSING_MPS2 = 3.0, 0.35
-"""How fast a long gap is opened, and the deceleration that a run up to the trainset ahead is planned with."""
+"""Largest speed at which a gap is opened, and deceleration with which closing a long gap is planned."""
 
 
 @dataclass(frozen=True)
 class FollowGapOptions:
-    """How the gap is held.
+    """Options of :class:`FollowGap`.
 
     Attributes:
-        time_gap_s: Added to the wanted gap times the own speed; 0: constant gap.
-        bandwidth_per_s: How quickly an error of the gap decays; 0: 2, or 0.9 where commands act late.
-        damping: Of that decay.
-        feedforward: Share of the acceleration ahead taken over.
+        time_gap_s: Time gap; its product with the own speed is added to the desired gap; 0: constant gap.
+        bandwidth_per_s: Bandwidth of the gap control; 0: 2, or 0.9 with dead time, lag or jerk limit.
+        damping: Damping ratio of the gap control.
+        feedforward: Share of the acceleration of the trainset ahead that is fed forward.
     """
 
     time_gap_s: float = 0.0
@@ -50,11 +50,11 @@ class FollowGapOptions:
 
 
 class GapMemory(NamedTuple):
-    """What the driver knows of its trainset and of the link. All 0-d.
+    """Bandwidth for the trainset, and age of messages. All 0-d.
 
     Attributes:
-        bandwidth_per_s: How quickly this trainset can be made to hold a gap.
-        age_s: How old messages get: the most of late, fading.
+        bandwidth_per_s: Bandwidth of the gap control for this trainset.
+        age_s: Largest recent age of messages, with exponential forgetting.
     """
 
     bandwidth_per_s: Scalar
@@ -63,7 +63,10 @@ class GapMemory(NamedTuple):
 
 @final
 class FollowGap(AbstractFollower):
-    """Acceleration ahead, speed difference, gap error; a long gap is closed at a speed that can be lost."""
+    """Linear control on acceleration ahead, speed difference and gap error.
+
+    A long gap is closed no faster than ``CLOSING_MPS2`` can brake.
+    """
 
     id = "follow_gap"
 
@@ -78,17 +81,19 @@ class FollowGap(AbstractFollower):
         return GapMemory(kind(chosen), kind(0.0))
 
     @no_type_check
-    def act(self, memory: GapMemory, sight: FollowerObservation) -> tuple[Scalar, GapMemory]:
-        """One period of the law; late messages make it slower and take less of the acceleration ahead."""
+    def act(self, memory: GapMemory, observation: FollowerObservation) -> tuple[Scalar, GapMemory]:
+        """Evaluate the law; late messages reduce bandwidth and feedforward."""
         options = self.options
-        xp = namespace(sight.position_m, sight.gap_m)
-        age = xp.maximum(sight.age_s, FORGET * memory.age_s)
+        xp = namespace(observation.position_m, observation.gap_m)
+        age = xp.maximum(observation.age_s, FORGET * memory.age_s)
         rate = xp.minimum(memory.bandwidth_per_s, LATE / xp.maximum(age, 1e-3))
-        error = sight.gap_m - sight.wanted_gap_m - options.time_gap_s * sight.speed_mps
+        error = observation.gap_m - observation.wanted_gap_m - options.time_gap_s * observation.speed_mps
         gain = 2.0 * options.damping * rate
         linear = rate / (2.0 * options.damping) * error
-        braked = (xp.maximum(2.0 * CLOSING_MPS2 * error, 0.0)) ** 0.5
-        faster = xp.maximum(xp.minimum(linear, braked), -OPENING_MPS)
+        braking = (xp.maximum(2.0 * CLOSING_MPS2 * error, 0.0)) ** 0.5
+        faster = xp.maximum(xp.minimum(linear, braking), -OPENING_MPS)
         taken = options.feedforward * xp.maximum(1.0 - gain * age, 0.0)
-        wanted = taken * sight.ahead_mps2 + gain * (sight.ahead_mps + faster - sight.speed_mps)
-        return command_for(sight, wanted), memory._replace(age_s=age)
+        wanted = taken * observation.ahead_mps2 + gain * (
+            observation.ahead_mps + faster - observation.speed_mps
+        )
+        return command_for(observation, wanted), memory._replace(age_s=age)

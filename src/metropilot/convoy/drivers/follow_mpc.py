@@ -1,9 +1,9 @@
-"""The model-predictive follower: the next seconds as a small box-constrained quadratic programme.
+"""Model-predictive follower: a small box-constrained quadratic programme over the next seconds.
 
-Over the horizon the acceleration ahead dies away; the own accelerations are chosen within what brakes,
-traction and jerk allow, to keep gap error, speed difference and changes of acceleration small. The Hessian
-never changes, so a fixed number of accelerated projected gradient steps (Nesterov 1983) solves it, in NumPy
-and compiled alike.
+Over the horizon the acceleration of the trainset ahead decays; the own accelerations minimise gap error,
+speed difference and changes of acceleration within the limits of brakes, traction and jerk. The Hessian is
+constant, so a fixed number of accelerated projected gradient steps (Nesterov 1983) solves it, in NumPy and
+compiled.
 """
 
 from __future__ import annotations
@@ -15,29 +15,29 @@ from typing import Any, NamedTuple, final, no_type_check
 import numpy as np
 from numpy import ndarray
 
+from metropilot._typing import Scalar
 from metropilot.convoy.drivers.base import AbstractFollower
 from metropilot.convoy.drivers.motion import command_for, reachable
 from metropilot.convoy.step import FollowerObservation
 from metropilot.errors import InputError
 from metropilot.physics import Vehicle, namespace, scalars
 
-Scalar = Any
 HORIZON = 15
 STEPS = 30
 HARSH_MPS2 = 1e3
 FURTHEST_M = 30.0
-"""A longer gap error is taken for this much: closing up goes on at a speed that can still be lost."""
+"""Largest gap error in the programme, so that a long gap is closed at a speed that can still be braked."""
 
 
 @dataclass(frozen=True)
 class FollowMpcOptions:
-    """What the programme weighs.
+    """Weights of the programme.
 
     Attributes:
         gap: Weight of the squared gap error, 1/m^2.
         speed: Weight of the squared speed difference, 1/(m/s)^2.
         change: Weight of the squared change of acceleration between periods, 1/(m/s^2)^2.
-        fading: Share of the acceleration ahead that is left one period later.
+        fading: Share of the acceleration ahead that remains one period later.
     """
 
     gap: float = 1.0
@@ -53,7 +53,7 @@ class FollowMpcOptions:
 
 
 class MpcMemory(NamedTuple):
-    """Accelerations planned last, m/s^2. Shape (HORIZON,)."""
+    """Accelerations of the last plan, m/s^2. Shape (HORIZON,)."""
 
     plan: Any
 
@@ -68,7 +68,7 @@ class Matrices(NamedTuple):
 
 @final
 class FollowMpc(AbstractFollower):
-    """Looks three seconds ahead and obeys what brakes, traction and jerk allow."""
+    """Model-predictive control over 15 periods within the limits of brakes, traction and jerk."""
 
     id = "follow_mpc"
 
@@ -76,33 +76,35 @@ class FollowMpc(AbstractFollower):
         self.options = options or FollowMpcOptions()
 
     def init(self, vehicle: Vehicle, period_s: float) -> MpcMemory:
-        """Nothing planned yet."""
+        """Start from a plan of zeros."""
         del period_s
         return MpcMemory(np.zeros(HORIZON, np.asarray(vehicle.mass_kg).dtype))
 
     @no_type_check
-    def act(self, memory: MpcMemory, sight: FollowerObservation) -> tuple[Scalar, MpcMemory]:
-        """Solve the programme, do its first move."""
-        xp = namespace(sight.position_m, sight.gap_m)
+    def act(self, memory: MpcMemory, observation: FollowerObservation) -> tuple[Scalar, MpcMemory]:
+        """Solve the programme and apply its first acceleration."""
+        xp = namespace(observation.position_m, observation.gap_m)
         join = np if xp is scalars else xp
-        programme = matrices(self.options, float(sight.period_s))
-        error = xp.clip(sight.gap_m - sight.wanted_gap_m, -FURTHEST_M, FURTHEST_M)
-        closing = sight.ahead_mps - sight.speed_mps
-        start = join.stack([error, closing, sight.ahead_mps2, sight.acceleration_mps2])
-        low, high = reachable(sight)
-        room = xp.minimum(sight.vehicle.jerk_mps3, HARSH_MPS2) * sight.period_s
+        programme = matrices(self.options, float(observation.period_s))
+        error = xp.clip(observation.gap_m - observation.wanted_gap_m, -FURTHEST_M, FURTHEST_M)
+        closing = observation.ahead_mps - observation.speed_mps
+        start = join.stack([error, closing, observation.ahead_mps2, observation.acceleration_mps2])
+        low, high = reachable(observation)
+        room = xp.minimum(observation.vehicle.jerk_mps3, HARSH_MPS2) * observation.period_s
         reach = room * join.arange(1, HORIZON + 1)
-        lowest = join.maximum(low, sight.acceleration_mps2 - reach)
-        highest = join.maximum(join.minimum(high, sight.acceleration_mps2 + reach), lowest)
+        lowest = join.maximum(low, observation.acceleration_mps2 - reach)
+        highest = join.maximum(join.minimum(high, observation.acceleration_mps2 + reach), lowest)
         kind = memory.plan.dtype
-        plan = solved(programme, start.astype(kind), memory.plan, lowest.astype(kind), highest.astype(kind))
+        plan = solve_box_qp(
+            programme, start.astype(kind), memory.plan, lowest.astype(kind), highest.astype(kind)
+        )
         later = join.concatenate([plan[1:], plan[-1:]])
-        return command_for(sight, plan[0]), MpcMemory(later)
+        return command_for(observation, plan[0]), MpcMemory(later)
 
 
 @lru_cache
 def matrices(options: FollowMpcOptions, period_s: float) -> Matrices:
-    """Hessian, gradient and curvature of the programme, from the exact motion over held accelerations.
+    """Hessian, gradient and curvature of the programme, for piecewise constant accelerations.
 
     The start is gap error, speed difference, acceleration ahead and own acceleration.
     """
@@ -124,8 +126,8 @@ def matrices(options: FollowMpcOptions, period_s: float) -> Matrices:
 
 
 @no_type_check
-def solved(programme: Matrices, start: Any, guess: Any, lowest: Any, highest: Any) -> Any:  # noqa: ANN401
-    """The accelerations, after a fixed number of steps from the last plan. Shape (HORIZON,)."""
+def solve_box_qp(programme: Matrices, start: Any, guess: Any, lowest: Any, highest: Any) -> Any:  # noqa: ANN401
+    """Solve the programme by a fixed number of steps from the last plan. Shape (HORIZON,)."""
     xp = namespace(guess, start)
     kind = guess.dtype
     hessian, pull = programme.hessian.astype(kind), programme.gradient.astype(kind) @ start

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, final, no_type_check
+from typing import final, no_type_check
 
 import numpy as np
 
+from metropilot._typing import Scalar
 from metropilot.control import Errors, Gains, incremental_pid
 from metropilot.convoy.drivers.base import AbstractFollower
 from metropilot.convoy.drivers.motion import waits
@@ -14,8 +15,6 @@ from metropilot.convoy.gains import GAIN_HIGH, GAIN_LOW
 from metropilot.convoy.step import FollowerObservation
 from metropilot.errors import InputError
 from metropilot.physics import Vehicle, namespace
-
-Scalar = Any
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class FollowPidOptions:
 
 @final
 class FollowPid(AbstractFollower):
-    """Incremental PID on the speed difference; the gap itself is not looked at."""
+    """Incremental PID on the speed difference; the gap is not fed back."""
 
     id = "follow_pid"
 
@@ -49,24 +48,28 @@ class FollowPid(AbstractFollower):
         self.options = options or FollowPidOptions()
 
     def init(self, vehicle: Vehicle, period_s: float) -> Errors:
-        """No errors yet."""
+        """Start with zero errors."""
         del period_s
         zero = np.asarray(vehicle.mass_kg).dtype.type(0.0)
         return Errors(zero, zero)
 
-    def act(self, memory: Errors, sight: FollowerObservation) -> tuple[Scalar, Errors]:
-        """One period of the law."""
+    def act(self, memory: Errors, observation: FollowerObservation) -> tuple[Scalar, Errors]:
+        """Evaluate the law with fixed gains."""
         options = self.options
-        return pid_step(sight, Gains(options.proportional, options.integral, options.derivative), memory)
+        return pid_step(
+            observation, Gains(options.proportional, options.integral, options.derivative), memory
+        )
 
 
 @no_type_check
-def pid_step(sight: FollowerObservation, gains: Gains, errors: Errors) -> tuple[Scalar, Errors]:
-    """The law from the command that protection let pass last; held where all stand.
+def pid_step(observation: FollowerObservation, gains: Gains, errors: Errors) -> tuple[Scalar, Errors]:
+    """Evaluate the PID on the last command that protection passed; hold the command at standstill.
 
     The speed difference is the trainset ahead's less the own one: with Chen23b's own sign (eq. 10) the loop
     would be unstable.
     """
-    xp = namespace(sight.position_m, sight.gap_m)
-    share, errors = incremental_pid(sight.command, gains, sight.ahead_mps - sight.speed_mps, errors)
-    return xp.where(waits(sight), 0.0 * share, share), errors
+    xp = namespace(observation.position_m, observation.gap_m)
+    share, errors = incremental_pid(
+        observation.command, gains, observation.ahead_mps - observation.speed_mps, errors
+    )
+    return xp.where(waits(observation), 0.0 * share, share), errors

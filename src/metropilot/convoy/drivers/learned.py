@@ -1,13 +1,14 @@
-"""Followers whose PID gains a policy sets (Chen23b), read from one checked file each."""
+"""Followers with a PID whose gains a policy sets (Chen23b), each policy from one checked file."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, final, no_type_check
+from typing import final, no_type_check
 
 import numpy as np
 
+from metropilot._typing import Scalar
 from metropilot.control import Errors
 from metropilot.convoy.drivers.base import AbstractFollower
 from metropilot.convoy.drivers.follow_pid import pid_step
@@ -18,12 +19,10 @@ from metropilot.physics import Vehicle, namespace, scalars
 from metropilot.policy import Policy, load_policy, policy_path, shipped_policy
 from metropilot.policy import act as policy_act
 
-Scalar = Any
-
 
 @dataclass(frozen=True)
 class FollowPolicyOptions:
-    """Which policy sets the gains.
+    """Policy that sets the gains.
 
     Attributes:
         policy: A policy file, or the folder or id of a learning run; empty: the one shipped with the driver.
@@ -36,7 +35,7 @@ class AbstractGainFollower(AbstractFollower):
     """PID on the speed difference whose gains a policy sets anew in every period.
 
     Args:
-        options: Which policy.
+        options: Policy.
     """
 
     def __init__(self, options: FollowPolicyOptions | None = None) -> None:
@@ -44,7 +43,7 @@ class AbstractGainFollower(AbstractFollower):
 
     @cached_property
     def policy(self) -> Policy:
-        """The policy, checked to take Chen23b's state and to give three gains.
+        """The policy; it must take the state of Chen23b and return three gains.
 
         Raises:
             InputError: The file cannot be used.
@@ -64,31 +63,31 @@ class AbstractGainFollower(AbstractFollower):
         return policy
 
     def init(self, vehicle: Vehicle, period_s: float) -> Errors:
-        """Read the policy; no errors yet."""
+        """Read the policy; start with zero errors."""
         del period_s
         _ = self.policy
         zero = np.asarray(vehicle.mass_kg).dtype.type(0.0)
         return Errors(zero, zero)
 
     @no_type_check
-    def act(self, memory: Errors, sight: FollowerObservation) -> tuple[Scalar, Errors]:
-        """Gains from the policy, then one period of the PID."""
-        xp = namespace(sight.position_m, sight.gap_m)
+    def act(self, memory: Errors, observation: FollowerObservation) -> tuple[Scalar, Errors]:
+        """Set the gains by the policy and evaluate the PID."""
+        xp = namespace(observation.position_m, observation.gap_m)
         xp = np if xp is scalars else xp
         policy = self.policy
-        action = policy_act(policy.spec, policy.params, chen2023b_state(sight), None, xp)
-        return pid_step(sight, gains_of(action), memory)
+        action = policy_act(policy.spec, policy.params, chen2023b_state(observation), None, xp)
+        return pid_step(observation, gains_of(action), memory)
 
 
 @final
 class DdpgPidFollow(AbstractGainFollower):
-    """The follower that Chen23b compares with: gains by a policy that DDPG learned."""
+    """Baseline of Chen23b: gains by a policy trained with DDPG."""
 
     id = "ddpg_pid_follow"
 
 
 @final
 class SacPid(AbstractGainFollower):
-    """Chen23b's follower: gains by a policy that soft actor-critic learned."""
+    """Follower of Chen23b: gains by a policy trained with soft actor-critic."""
 
     id = "sac_pid"
