@@ -20,7 +20,9 @@ from metropilot.web.settings import Settings
 from metropilot.web.work.setup import begin
 
 BUSY = 16
+"""Direct answers that may wait for the one worker; more are refused (429)."""
 BEHIND = 4
+"""Niceness of jobs, so that direct answers and live runs get the processor first."""
 
 
 def warm() -> None:

@@ -28,19 +28,21 @@ from metropilot.web.schemas.requests import (
 from metropilot.web.schemas.requests import request_of as resolve
 from metropilot.web.settings import Settings
 from metropilot.web.store import OVER, JobRow, JobStore, UploadRow
-from metropilot.web.work import drives, learning, plans, studying
+from metropilot.web.work import drives, learning, plans
 
 if TYPE_CHECKING:
     from metropilot.convoy import ConvoyRequest
 
 SUFFIXES = (".toml", ".json", ".safetensors")
 SAVE_STEPS = 25
+"""Control periods between two writes of a live run's progress; at most these are lost with the server."""
 ABANDONED_S = 120.0
 """Time without viewers or requests after which a live run is stopped; it can be resumed."""
 RESUMABLE = ("interrupted", "stopped")
 LISTED = 6
 """Number of live runs to resume that are listed, the newest first."""
 FORGET = 50
+"""Ended live runs kept in memory with their events, for viewers that come back."""
 
 
 class Service:
@@ -238,7 +240,7 @@ class Service:
         if kind == "learn":
             future = self.pools.submit(kind, learning.learn_job, root, job, asked, run)
         elif kind == "study":
-            future = self.pools.submit(kind, studying.study_job, root, job, asked)
+            future = self.pools.submit(kind, learning.study_job, root, job, asked)
         elif kind == "compare":
             body = CompareIn.model_validate(asked)
             what = (self.request(body), self._drivers_of(body), body.seeds)

@@ -10,6 +10,7 @@ from metropilot.errors import InputError
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 TOKEN_LENGTH = 16
+"""Shortest token."""
 
 
 def data_folder() -> Path:

@@ -32,9 +32,12 @@ COLUMNS = (*Moment._fields, "plan_energy_wheel_j", "step")
 NOBODY = "api"
 """Holder of the lever where a request names none."""
 LATE_W = 500.0
+"""Energy of a second of delay, W: a plan that cannot meet its time arrives late rather than not at all."""
 SHORT = ("driver", "success", "kpis", "checks")
 PERMITTED_STEP_M = 5.0
+"""Resolution of the permitted speed that is drawn."""
 NEAREST_STEP_M = 5.0
+"""Resolution of the nearest possible begin of a restriction that a refusal names."""
 Event = dict[str, Any]
 
 

@@ -21,7 +21,9 @@ from metropilot.web.pools import explain
 from metropilot.web.refusals import FIELDS, Refused, detail_of
 
 ANSWER_S = 10.0
+"""Longest wait for the process of a run: for its start, an answer, its end."""
 KEEP_ALIVE_S = 15.0
+"""Interval of comments in a quiet stream; proxies close connections that are silent for 30 to 60 s."""
 SHOWN = ("scene", "rows", "event", "result", "error")
 DIED = "the process of the run ended before the run did, most likely of too little memory"
 

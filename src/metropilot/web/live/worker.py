@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     AnyEngine = Engine | ConvoyEngine
 
 FLUSH_S = 0.1
+"""Shortest interval between two messages with rows; viewers see no difference below it."""
 MOST_STEPS = 40
+"""Control periods simulated at most before events are read again, so that a high pace stays responsive."""
 GIVEN_UP_S = 0.5
 """Lag behind the clock above which the clock is set back, so that a run does not race to catch up."""
 GIVE_BACK = {"kind": "lever", "share": None, "take_over": True}

@@ -1,4 +1,4 @@
-"""Learning jobs: runs of the run store that report progress, stop at a checkpoint and can be resumed."""
+"""Learning and study jobs: they report progress and can be resumed; learning stops at a checkpoint."""
 
 from __future__ import annotations
 
@@ -65,3 +65,25 @@ def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> di
     except KeyboardInterrupt:
         return {"run": record.id, "stopped": True}
     return {"run": record.id, "stopped": False, "score": record.score, "seconds": learned.seconds}
+
+
+def study_job(root: str, job: str, asked: dict[str, Any]) -> dict[str, Any]:
+    """Reproduce a study in a folder that a later job can resume; return its report as plain values."""
+    store = JobStore(Path(root))
+    store.update(job, status="running", words="beginning")
+    from metropilot import studies
+
+    study = studies.STUDIES.get(asked["study"])
+    folder = Path(root) / "studies" / f"{asked['study']}-{asked['budget']}"
+    said = 0
+
+    def say(line: str) -> None:
+        nonlocal said
+        said += 1
+        store.update(job, words=str(line)[:200], progress=1.0 - 1.0 / (1.0 + 0.2 * said))
+
+    budget = studies.check_budget(asked["budget"])
+    order = studies.Order(folder=folder / "runs", budget=budget, processes=1, say=say)
+    report = studies.reproduce(asked["study"], order)
+    studies.write_report(folder, study, report)
+    return report.as_dict()

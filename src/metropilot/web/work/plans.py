@@ -26,6 +26,7 @@ from metropilot.railway import Line, Trainset, import_file, load_line, load_trai
 from metropilot.web.work.plain import numbers, station, window
 
 BARELY = 1.0 + 1e-4
+"""Shortest planned running time over the minimum one, at which the program has hardly any interior."""
 LONGEST_M = 200_000.0
 SUFFIX = ".safetensors"
 """Ending of the file name of a policy."""
