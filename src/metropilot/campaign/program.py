@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from metropilot._typing import Array
 from metropilot.drivers import DECISION_EARLY_S
@@ -27,6 +27,7 @@ from metropilot.env import (
 )
 from metropilot.physics import Command, Forces, Vehicle
 from metropilot.policy import Params, PolicySpec, choose_action, network_output
+from metropilot.protection import Memory
 from metropilot.sim import OutcomeRule, RunParams, RunState, control_period, hold_ended
 
 RULE = OutcomeRule()
@@ -195,10 +196,11 @@ def period(
         return Command(going.command, jnp.zeros((), bool)), (going, broken)
 
     run, (going, broken), record = control_period(params, before.run, before, decide, rule=RULE, noise=noise)
-    older = jnp.arange(run.supervision.recent.shape[0]) >= given.slots - 1
-    recent = jnp.where(older, -1.0, run.supervision.recent)
+    supervision = cast("Memory", run.supervision)
+    older = jnp.arange(supervision.recent.shape[0]) >= given.slots - 1
+    recent = jnp.where(older, -1.0, supervision.recent)
     run = run._replace(
-        supervision=run.supervision._replace(recent=recent), outcome=jnp.where(broken, BROKEN, run.outcome)
+        supervision=supervision._replace(recent=recent), outcome=jnp.where(broken, BROKEN, run.outcome)
     )
     going = hold_ended(before.run, going._replace(run=run), before)
     after = run.plant

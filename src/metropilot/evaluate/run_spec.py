@@ -16,8 +16,7 @@ from metropilot._schema import FieldSpec, check_fields, declared, field_specs
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError, renamed
 from metropilot.evaluate.driver_options import make_driver, named_driver, option_defaults
-from metropilot.planning import LONGEST_RATIO, Objective, check_running_time, minimum_running_time
-from metropilot.policy import policy_path
+from metropilot.planning import LONGEST_RATIO, Objective, check_running_time
 from metropilot.railway import Restriction, Section, Trainset, load_line, load_trainset
 from metropilot.sim import CONTROL_PERIOD_S, AbstractDriver, Disturbance, Run, TimetableUpdate
 from metropilot.units import KINDS
@@ -170,6 +169,9 @@ class RunSpec:
                     open_section.check_restriction(update.restriction)
         disturbance = replace(self.disturbance, updates=updates)
         run = Run(section, trainset, time_s, disturbance, self.dt_s, self.seed)
+        # Listing the options of a command needs no solver.
+        from metropilot.planning import minimum_running_time
+
         fastest = fastest_s or minimum_running_time(open_section, trainset)
         check_running_time(time_s, fastest)
         for update in updates:
@@ -335,6 +337,8 @@ def run_from_toml(path: Path) -> RunSpec:
     places: dict[str, Any] = {k: str(path.parent / v) for k in FILES if is_file(v := getattr(spec, k))}
     policy = spec.options.get(POLICY)
     if isinstance(policy, str) and policy:
+        from metropilot.policy import policy_path
+
         near = path.parent / policy
         meant = near if near.exists() else policy_path(policy)
         places["options"] = {**spec.options, POLICY: str(meant if meant.exists() else near)}

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from metropilot.planning.optimal import (
         START_STRETCH_M,
         Front,
-        Objective,
         Plan,
         PlanOptions,
         fastest_time,
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
         ramped_acceleration,
         time_energy_front,
     )
+    from metropilot.planning.prices import Objective
     from metropilot.planning.references import (
         Reference,
         ReferenceShape,
@@ -115,7 +115,6 @@ __getattr__, __dir__ = lazy_door(
         "notches": ("NotchOptions", "NotchPlan", "notch_plan"),
         "optimal": (
             "Front",
-            "Objective",
             "Plan",
             "PlanOptions",
             "START_STRETCH_M",
@@ -129,6 +128,7 @@ __getattr__, __dir__ = lazy_door(
             "ramped_acceleration",
             "time_energy_front",
         ),
+        "prices": ("Objective",),
         "references": ("Reference", "ReferenceShape", "peak_speed", "reference", "reference_for_time"),
         "timed_reference": (
             "ReferenceTrack",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -18,11 +17,10 @@ from metropilot.planning.effort_table import Specific, specific
 from metropilot.planning.fastest import braked_energy, fastest_profile, relaxed_cap, times
 from metropilot.planning.follow_map import follow_map
 from metropilot.planning.mesh import Mesh, build_mesh
-from metropilot.planning.prices import cost_per_metre, is_mapped, prices_at
+from metropilot.planning.prices import Objective, cost_per_metre, is_mapped, prices_at
 from metropilot.railway import Section, Trainset
 from metropilot.units import J_PER_KWH
 
-Objective = Literal["wheel", "line"]
 PASSES = 6
 DUAL_TOLERANCE = 5e-5
 """Relative change of the dual value below which the linearisation has settled."""

@@ -9,7 +9,7 @@ treated the same way, with the upper concave hull.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +18,8 @@ from numpy import ndarray
 from metropilot.physics import Vehicle, map_value
 from metropilot.planning.effort_table import Specific
 
+Objective = Literal["wheel", "line"]
+"""Energy that a plan makes least: at the wheel, or at the line less what is recovered."""
 SHARES = 11
 
 

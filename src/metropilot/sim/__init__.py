@@ -1,35 +1,49 @@
 """One control period after another: a run, its disturbance, the host loop, its outcome and trajectory."""
 
-from metropilot.sim.bounds import MASS_SCATTER, declared_bounds
-from metropilot.sim.disturbance import NOISE_CUT, Disturbance, TimetableUpdate
-from metropilot.sim.driver import DRIVER_REGISTRY, AbstractDriver, register
-from metropilot.sim.mismatch import true_vehicle
-from metropilot.sim.nominal import NominalDrive, simulate_nominal
-from metropilot.sim.outcome import (
-    CODES,
-    NEVER_ENDS,
-    OVERSPEED_MPS,
-    RUNNING,
-    Episode,
-    OutcomeRule,
-    final_outcome,
-)
-from metropilot.sim.recorder import Recorder, build_trajectory, train_limit_at, train_limits_at
-from metropilot.sim.rollout import Drive, Moment, Rollout, drive
-from metropilot.sim.run import CONTROL_PERIOD_S, PUNCTUALITY_S, STOP_TOLERANCE_M, Observation, Outcome, Run
-from metropilot.sim.step import (
-    PeriodRecord,
-    RunParams,
-    RunState,
-    control_period,
-    first_state,
-    hold_ended,
-    measured_speed,
-    noise_stream,
-    overspeed_in_period,
-    running_time,
-)
-from metropilot.sim.trajectory import COASTING, COLUMNS, PHASES, STANDSTILL, Trajectory, phase_names
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from metropilot._lazy import lazy_door
+
+if TYPE_CHECKING:
+    from metropilot.sim.bounds import MASS_SCATTER, declared_bounds
+    from metropilot.sim.disturbance import NOISE_CUT, Disturbance, TimetableUpdate
+    from metropilot.sim.driver import DRIVER_REGISTRY, AbstractDriver, register
+    from metropilot.sim.mismatch import true_vehicle
+    from metropilot.sim.nominal import NominalDrive, simulate_nominal
+    from metropilot.sim.outcome import (
+        CODES,
+        NEVER_ENDS,
+        OVERSPEED_MPS,
+        RUNNING,
+        Episode,
+        OutcomeRule,
+        final_outcome,
+    )
+    from metropilot.sim.recorder import Recorder, build_trajectory, train_limit_at, train_limits_at
+    from metropilot.sim.rollout import Drive, Moment, Rollout, drive
+    from metropilot.sim.run import (
+        CONTROL_PERIOD_S,
+        PUNCTUALITY_S,
+        STOP_TOLERANCE_M,
+        Observation,
+        Outcome,
+        Run,
+    )
+    from metropilot.sim.step import (
+        PeriodRecord,
+        RunParams,
+        RunState,
+        control_period,
+        first_state,
+        hold_ended,
+        measured_speed,
+        noise_stream,
+        overspeed_in_period,
+        running_time,
+    )
+    from metropilot.sim.trajectory import COASTING, COLUMNS, PHASES, STANDSTILL, Trajectory, phase_names
 
 __all__ = [
     "COASTING",
@@ -81,3 +95,39 @@ __all__ = [
     "train_limits_at",
     "true_vehicle",
 ]
+
+__getattr__, __dir__ = lazy_door(
+    __name__,
+    {
+        "bounds": ("MASS_SCATTER", "declared_bounds"),
+        "disturbance": ("Disturbance", "NOISE_CUT", "TimetableUpdate"),
+        "driver": ("AbstractDriver", "DRIVER_REGISTRY", "register"),
+        "mismatch": ("true_vehicle",),
+        "nominal": ("NominalDrive", "simulate_nominal"),
+        "outcome": (
+            "CODES",
+            "Episode",
+            "NEVER_ENDS",
+            "OVERSPEED_MPS",
+            "OutcomeRule",
+            "RUNNING",
+            "final_outcome",
+        ),
+        "recorder": ("Recorder", "build_trajectory", "train_limit_at", "train_limits_at"),
+        "rollout": ("Drive", "Moment", "Rollout", "drive"),
+        "run": ("CONTROL_PERIOD_S", "Observation", "Outcome", "PUNCTUALITY_S", "Run", "STOP_TOLERANCE_M"),
+        "step": (
+            "PeriodRecord",
+            "RunParams",
+            "RunState",
+            "control_period",
+            "first_state",
+            "hold_ended",
+            "measured_speed",
+            "noise_stream",
+            "overspeed_in_period",
+            "running_time",
+        ),
+        "trajectory": ("COASTING", "COLUMNS", "PHASES", "STANDSTILL", "Trajectory", "phase_names"),
+    },
+)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from time import perf_counter_ns
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, cast, final
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from metropilot.physics import Command, at_rest, delay_steps, track_arrays, vehicle_arrays
-from metropilot.protection import at_start, permitted_speed, protect
+from metropilot.protection import Protection, Verdict, at_start, permitted_speed, protect
 from metropilot.railway import Section, Trainset
 from metropilot.sim.bounds import declared_bounds
 from metropilot.sim.disturbance import TimetableUpdate
@@ -150,7 +150,7 @@ class Rollout:
             dt=run.dt,
         )
         plant = at_rest(vehicle, delay_steps=delay_steps(float(vehicle.delay_s), run.dt))
-        self.state = first_state(plant, at_start(self.params.protection))
+        self.state = first_state(plant, at_start(self.protection))
         self.recorder = Recorder(vehicle, run.dt, plant)
         self.decision_us: list[float] = []
         self.overruled: list[bool] = []
@@ -197,7 +197,7 @@ class Rollout:
         self.overruled.append(bool(record.intervened))
         self.recorder.add(params.track, self.state.plant, record, self.permitted_mps)
         self.wanted, self.command = record.wanted.share, float(record.command.share)
-        self.level = int(record.verdict.level)
+        self.level = int(cast("Verdict", record.verdict).level)
         if self.state.outcome != RUNNING:
             self.outcome = CODES[self.state.outcome]
         return self.moment()
@@ -267,9 +267,14 @@ class Rollout:
             if update.restriction is not None:
                 self.enter(self.section.restricted(update.restriction))
 
+    @property
+    def protection(self) -> Protection:
+        """Protection under the restrictions in force; every rollout is supervised."""
+        return cast("Protection", self.params.protection)
+
     def permitted(self) -> float:
         """Permitted speed at the trainset's position, m/s."""
-        return float(permitted_speed(self.params.protection, float(self.state.plant.position_m)))
+        return float(permitted_speed(self.protection, float(self.state.plant.position_m)))
 
 
 def observation_of(params: RunParams, state: RunState, section: Section, permitted_mps: float) -> Observation:

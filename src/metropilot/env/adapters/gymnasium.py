@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import jax
@@ -23,6 +23,7 @@ from metropilot.env.interface import Transition
 from metropilot.env.randomization import StartDistribution
 from metropilot.env.registry import TASKS, make_task
 from metropilot.errors import InputError
+from metropilot.protection import Memory
 from metropilot.sim import CODES, RUNNING
 
 Array = Any
@@ -146,7 +147,7 @@ class DriveEnv(gymnasium.Env[np.ndarray, Any]):
             "position_m": float(plant.position_m),
             "speed_mps": float(plant.speed_mps),
             "energy_wheel_j": float(plant.traction_j),
-            "interventions": int(state.run.supervision.interventions),
+            "interventions": int(cast("Memory", state.run.supervision).interventions),
             "outcome": "running" if outcome == RUNNING else CODES[outcome].value,
         }
 
