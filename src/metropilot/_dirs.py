@@ -19,9 +19,9 @@ def cache_folder() -> Path:
 
 
 def _home(kind: str) -> Path:
-    told = os.environ.get(HOME)
-    if told:
-        return Path(told).expanduser() / kind
+    home = os.environ.get(HOME)
+    if home:
+        return Path(home).expanduser() / kind
     from platformdirs import user_cache_path, user_data_path
 
     return user_cache_path("metropilot") if kind == "cache" else user_data_path("metropilot") / kind

@@ -32,7 +32,7 @@ def versions(packages: Sequence[str]) -> dict[str, str]:
 def provenance() -> dict[str, str]:
     """Versions behind a drive, and the commit where there is one."""
     found = versions(DRIVING)
-    return found | ({"commit": told} if (told := commit()) else {})
+    return found | ({"commit": known} if (known := commit()) else {})
 
 
 def circumstances() -> dict[str, str]:

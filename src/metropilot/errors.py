@@ -80,11 +80,11 @@ def _cut(text: str) -> str:
 
 
 @contextmanager
-def renamed(names: Mapping[str, str], file: object = None) -> Iterator[None]:
-    """Complaints inside name their field as whoever asked wrote it.
+def rename_fields(names: Mapping[str, str], file: object = None) -> Iterator[None]:
+    """Rename the fields of errors raised inside to the names the user wrote.
 
     Args:
-        names: From a field's name inside to its name outside; complaints of other fields, and those of a
+        names: From a field's name inside to its name outside; errors of other fields, and those of a
             file of their own, pass as they are.
         file: The file in which the outer names stand.
     """

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from metropilot.drivers.eitoe import Eitoe, EitoeOptions
-from metropilot.drivers.expert.driving import prepared
+from metropilot.drivers.expert.driving import prepare_expert
 from metropilot.drivers.expert.hoa import Hoa
 from metropilot.drivers.expert_learned import Eitop
 from metropilot.drivers.learned import LearnedDriver
@@ -136,7 +136,7 @@ def test_the_stop_learns_the_brake(gain):
 
 def test_intervals_end_where_power_is_needed_again():
     run = run_of(("SJZ", "XC"), 190.0)
-    legs = prepared(run, run.section, ExpertRules(), Hoa()).legs
+    legs = prepare_expert(run, run.section, ExpertRules(), Hoa()).legs
     assert [leg.end_m for leg in legs.legs] == [480.0, 2631.0]
     whole = legs.least_s(2631.0, 0.0)
     assert legs.share(legs.legs[0], 0.0, 0.0) == pytest.approx(1.0 - legs.legs[0].after_s / whole)

@@ -17,7 +17,7 @@ from metropilot.drivers.fuzzy_pid import (
     FuzzyPid,
     FuzzyPidOptions,
     fuzzy_gains,
-    inferred,
+    infer,
     memberships,
 )
 from metropilot.errors import InputError
@@ -58,13 +58,13 @@ def test_memberships_by_hand():
 )
 def test_inference_agrees_with_the_slow_one(point):
     expected = [slow_inference(*point, table) for table in (PROPORTIONAL, INTEGRAL, DERIVATIVE)]
-    np.testing.assert_allclose(inferred(*point), expected, atol=1e-9)
+    np.testing.assert_allclose(infer(*point), expected, atol=1e-9)
 
 
 def test_a_single_rule_answers_with_the_centroid_of_its_set():
     # Both wholly big: kp by NB, ki by PB, kd by PB. The centroid of the S-shaped end is 2 + 5/12 by
     # integration; 61 points with the last one whole give 0.03 more.
-    np.testing.assert_allclose(inferred(3.0, 3.0), [-2.445, 2.445, 2.445], atol=2e-3)
+    np.testing.assert_allclose(infer(3.0, 3.0), [-2.445, 2.445, 2.445], atol=2e-3)
 
 
 def test_the_rules_are_the_textbooks():
@@ -89,8 +89,8 @@ def test_compiled_it_infers_the_same():
     import jax.numpy as jnp
 
     points = np.random.default_rng(0).uniform(-3, 3, (50, 2))
-    found = jax.jit(jax.vmap(inferred))(*jnp.asarray(points, jnp.float32).T)
-    np.testing.assert_allclose(found, [inferred(*p) for p in points], atol=1e-4)
+    found = jax.jit(jax.vmap(infer))(*jnp.asarray(points, jnp.float32).T)
+    np.testing.assert_allclose(found, [infer(*p) for p in points], atol=1e-4)
 
 
 def test_options():

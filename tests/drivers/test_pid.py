@@ -13,7 +13,7 @@ from metropilot.planning import (
     ReferenceTrack,
     reference_for_time,
     reference_under_for_time,
-    sampled,
+    sample_reference,
 )
 from metropilot.railway import Restriction, load_line, load_trainset
 from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate, drive
@@ -99,6 +99,6 @@ def test_where_nothing_binds_it_is_the_trapezoid_drawn_by_hand():
     ground = ReferenceTrack(vehicle_arrays(trainset), track_arrays(line, trainset))
     shape = ReferenceShape(0.5, 0.5)
     found = reference_under_for_time(ground, shape, 130.0, 0.2)
-    by_hand = sampled(reference_for_time(line.length_m, 130.0, shape, 20.0), 0.2)
+    by_hand = sample_reference(reference_for_time(line.length_m, 130.0, shape, 20.0), 0.2)
     assert np.abs(found.speed_mps - by_hand.speed_mps).max() < 0.01
     assert np.abs(found.position_m - by_hand.position_m).max() < 0.2

@@ -26,7 +26,7 @@ def asked_after(cost, steps=200):
     step = jax.jit(lambda n: learner.improve(n, batch, jax.random.key(2), jnp.float32(0.0))[0])
     for _ in range(steps):
         networks = step(networks)
-    return float(jnp.abs(learner.asked_of(networks.params, observation)).mean())
+    return float(jnp.abs(learner.pre_tanh(networks.params, observation)).mean())
 
 
 def test_the_price_brings_a_saturated_actor_back():

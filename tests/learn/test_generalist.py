@@ -22,10 +22,14 @@ from metropilot.env import (
 from metropilot.errors import InputError
 from metropilot.learn import TrainingOptions, config_from_mapping
 from metropilot.learn.imitation.closed_loop import WORTH, Begin, ClosedLoop, _Moving, within_worth
-from metropilot.learn.imitation.course import teach_in_parts
-from metropilot.learn.imitation.gather import Gathering, gather_shard, gathered
-from metropilot.learn.imitation.lessons import DemonstrationGenerator, collect_demonstrations
-from metropilot.learn.imitation.pupil import labels, learned, new_pupil, pupil_spec
+from metropilot.learn.imitation.demonstration_files import (
+    DemonstrationSet,
+    collect_shard,
+    load_demonstrations,
+)
+from metropilot.learn.imitation.demonstrations import DemonstrationGenerator, collect_demonstrations
+from metropilot.learn.imitation.train_state import apply_gradient, imitation_spec, labels, new_train_state
+from metropilot.learn.imitation.training import train_in_parts
 from metropilot.physics import at_rest, to_jax, vehicle_arrays
 from metropilot.policy import act
 from metropilot.railway import load_trainset
@@ -158,9 +162,9 @@ def test_the_lean_loop_costs_what_the_real_task_costs(few_worlds):
 
 
 def test_lessons_are_gathered_once_and_read_again(tmp_path):
-    gathering = Gathering(7, 2, 2, 5, tmp_path)
-    gather_shard(gathering, 0)
-    lessons, numbers = gathered(gathering)
+    gathering = DemonstrationSet(7, 2, 2, 5, tmp_path)
+    collect_shard(gathering, 0)
+    lessons, numbers = load_demonstrations(gathering)
     again = collect_demonstrations(domain_sample(7, 0), np.random.default_rng([7, 1 << 32]), 2, 5)
     mine = lessons.observations[: again.observations.shape[0]]
     assert (mine == again.observations).all()
@@ -168,16 +172,16 @@ def test_lessons_are_gathered_once_and_read_again(tmp_path):
     assert lessons.begins.shape == (numbers.size, 7)
     gathering.path(0).write_bytes(b"PK\x03\x04 cut short")
     with pytest.raises(InputError, match="demonstrations are missing or damaged"):
-        gathered(gathering)
+        load_demonstrations(gathering)
 
 
 def test_a_gradient_that_is_not_finite_changes_nothing():
     config = config_from_mapping("teacher", {"hidden": [4]})
-    pupil = new_pupil(config, 0, np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32))
+    pupil = new_train_state(config, 0, np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32))
     slope = {name: jnp.full_like(value, jnp.nan) for name, value in pupil.params.items()}
-    after = learned(pupil, slope, jnp.float32(1e-3), 0.5)
+    after = apply_gradient(pupil, slope, jnp.float32(1e-3), 0.5)
     assert all((after.params[name] == value).all() for name, value in pupil.params.items())
-    seen = act(pupil_spec(config, 3), pupil.params, jnp.zeros(3))
+    seen = act(imitation_spec(config, 3), pupil.params, jnp.zeros(3))
     assert seen.shape == (1,)
 
 
@@ -209,7 +213,7 @@ def test_a_course_that_was_stopped_ends_the_same(few_worlds, tmp_path, monkeypat
         del key
         return {"score": -jnp.abs(params["policy.0.bias"]).sum()}
 
-    whole = teach_in_parts(config, task, 1, TrainingOptions(evaluate))
+    whole = train_in_parts(config, task, 1, TrainingOptions(evaluate))
 
     def stop(progress):
         if progress.chunk == 5:
@@ -217,22 +221,22 @@ def test_a_course_that_was_stopped_ends_the_same(few_worlds, tmp_path, monkeypat
 
     path = tmp_path / "checkpoint.safetensors"
     with pytest.raises(Enough):
-        teach_in_parts(config, task, 1, TrainingOptions(evaluate, stop, path))
+        train_in_parts(config, task, 1, TrainingOptions(evaluate, stop, path))
     assert list(tmp_path.glob("lessons/*.safetensors"))
-    again = teach_in_parts(config, task, 1, TrainingOptions(evaluate, None, path, resume=True))
+    again = train_in_parts(config, task, 1, TrainingOptions(evaluate, None, path, resume=True))
     for name, value in whole.policy.params.items():
         assert (again.policy.params[name] == value).all(), name
     assert again.history["steps"].tolist() == [0, 0, 0, 0, 9600, 19200]
     assert not list(tmp_path.glob("lessons/*"))
     other = replace(config, batch_size=32)
     with pytest.raises(InputError, match="batch_size"):
-        teach_in_parts(other, task, 1, TrainingOptions(evaluate, None, path, resume=True))
+        train_in_parts(other, task, 1, TrainingOptions(evaluate, None, path, resume=True))
 
 
 def test_the_teacher_knows_only_worlds():
     config = config_from_mapping("teacher", TINY)
     with pytest.raises(InputError, match="demonstrations exist only for random sections"):
-        teach_in_parts(config, DrivingTask(task_config("drive")), 0, TrainingOptions())
+        train_in_parts(config, DrivingTask(task_config("drive")), 0, TrainingOptions())
 
 
 def test_what_is_shipped_says_where_it_comes_from():

@@ -11,7 +11,7 @@ from metropilot.learn.distributions import (
     floored_std,
     gaussian_entropy,
     gaussian_log_prob,
-    masked,
+    mask_values,
     squashed_sample,
 )
 from metropilot.learn.losses import ddpg, dqn, naf, ppo, sac, tabular
@@ -97,7 +97,7 @@ def test_ppo_losses():
     # (1.5 - 1 - ln 1.5 + 0.5 - 1 - ln 0.5) / 2 = (0.0945349 + 0.1931472) / 2 = 0.1438410
     assert_close(ppo.divergence(new, old), 0.143841)
     # mean 2, deviation 1
-    assert_close(ppo.normalised(f(1, 3)), [-1.0, 1.0])
+    assert_close(ppo.normalise_advantage(f(1, 3)), [-1.0, 1.0])
 
 
 def test_ddpg_losses():
@@ -165,6 +165,6 @@ def test_categorical():
     assert_close(categorical_log_prob(logits, jnp.asarray(1)), np.log(0.75))
     assert_close(categorical_entropy(logits), 0.5623351)
     # The first is forbidden: the second is certain, and nothing is left to be uncertain about.
-    only = masked(logits, jnp.asarray([False, True]))
+    only = mask_values(logits, jnp.asarray([False, True]))
     assert_close(categorical_log_prob(only, jnp.asarray(1)), 0.0)
     assert_close(categorical_entropy(only), 0.0)

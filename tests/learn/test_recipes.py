@@ -65,10 +65,10 @@ def drives(safe, gap, late, error=None):
 
 
 def test_arrivals_come_first_then_energy_and_time():
-    from metropilot.learn.policy_evaluation import judged
+    from metropilot.learn.policy_evaluation import score_drives
 
     # 3 safe drives; costs 0.02 + 0.01, 0.04 + 0, (0 + 0.02, a gap below zero counts as none): mean 0.03
-    found = judged(drives([True] * 3, [0.02, 0.04, -0.01], [1.0, 0.0, -2.0], [0.0, -0.1, 0.05]))
+    found = score_drives(drives([True] * 3, [0.02, 0.04, -0.01], [1.0, 0.0, -2.0], [0.0, -0.1, 0.05]))
     assert float(found["score"]) == pytest.approx(3.0 - 0.03)
     assert float(found["safe_share"]) == 1.0
     assert float(found["gap_percent"]) == pytest.approx(100 * 0.05 / 3)
@@ -76,11 +76,11 @@ def test_arrivals_come_first_then_energy_and_time():
     assert float(found["stop_error_worst_m"]) == pytest.approx(0.1)
     assert float(found["energy_wheel_kwh"]) == pytest.approx(10.0)
     # Two safe drives at the optimum are worth less than three wasteful ones.
-    wasteful = judged(drives([True] * 3, [9.0] * 3, [2.9] * 3))
-    thrifty = judged(drives([True, True, False], [0.0] * 3, [0.0] * 3))
+    wasteful = score_drives(drives([True] * 3, [9.0] * 3, [2.9] * 3))
+    thrifty = score_drives(drives([True, True, False], [0.0] * 3, [0.0] * 3))
     assert float(wasteful["score"]) == pytest.approx(2.0)
     assert float(wasteful["score"]) > float(thrifty["score"]) == pytest.approx(2.0 - 1 / 3)
-    none = judged(drives([False] * 2, [0.5] * 2, [0.0] * 2))
+    none = score_drives(drives([False] * 2, [0.5] * 2, [0.0] * 2))
     assert float(none["score"]) == -1.0
     assert np.isnan(float(none["gap_percent"]))
 

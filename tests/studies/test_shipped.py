@@ -4,7 +4,7 @@ import jax
 import pytest
 
 from metropilot.env import PolicyInterface
-from metropilot.learn import RECIPES, TeacherConfig, config_from_mapping, make_learner, pupil_spec
+from metropilot.learn import RECIPES, TeacherConfig, config_from_mapping, make_learner
 from metropilot.policy import load_policy, shipped_policy
 from metropilot.studies import STUDIES
 from metropilot.studies.chen2023b import learning as chen2023b
@@ -26,7 +26,7 @@ def declared(about):
 def spec_of(config, task):
     """The network that a learner would make for a task."""
     if isinstance(config, TeacherConfig):
-        return pupil_spec(config, task.observation_size)
+        return imitation_spec(config, task.observation_size)
     return make_learner(config, task).spec
 
 

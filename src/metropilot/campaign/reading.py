@@ -13,7 +13,7 @@ from metropilot._io import read_text
 from metropilot._schema import field_specs
 from metropilot.campaign.declared import DRAWN, Campaign, DisturbanceCase
 from metropilot.drivers import DRIVERS
-from metropilot.errors import InputError, renamed
+from metropilot.errors import InputError, rename_fields
 from metropilot.evaluate import is_file, make_driver, run_fields
 from metropilot.railway import RESTRICTION_KMH, load_line, load_trainset
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance
@@ -89,7 +89,7 @@ def campaign_from_toml(path: Path) -> Campaign:
         found = _File.model_validate(values)
     except ValidationError as error:
         raise _input_error(path, error) from None
-    with renamed({"dt_s": "dt_s"}, path):
+    with rename_fields({"dt_s": "dt_s"}, path):
         run_fields()["dt_s"].check("dt_s", found.dt_s)
     names = [item.name for item in found.disturbance]
     if len(set(names)) < len(names):

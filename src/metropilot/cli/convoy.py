@@ -10,7 +10,7 @@ import typer
 from metropilot.cli import complete
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, number, print_json, requirements, table, working
-from metropilot.errors import InputError, renamed
+from metropilot.errors import InputError, rename_fields
 
 if TYPE_CHECKING:
     from metropilot.convoy import ConvoyKpis, ConvoyRequest, MemberKpis
@@ -103,7 +103,7 @@ def convoy_command(
     from metropilot.evaluate import RunSpec
 
     where, options = {"line": line, "origin": origin, "destination": destination}, given.pop("options")
-    with renamed(OPTIONS):
+    with rename_fields(OPTIONS):
         request = ConvoyRequest(
             head=RunSpec.from_values({**where, "driver": head, **given}),
             count=trainsets,

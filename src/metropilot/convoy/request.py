@@ -12,7 +12,7 @@ from metropilot.convoy.drivers import FOLLOWERS, AbstractFollower
 from metropilot.convoy.link import Link
 from metropilot.convoy.model import GAP_M, Convoy, ConvoyGuard
 from metropilot.convoy.rollout import ConvoyDrive, HeadRun, drive_convoy
-from metropilot.errors import InputError, renamed
+from metropilot.errors import InputError, rename_fields
 from metropilot.evaluate import RunSpec, make_driver, with_options
 from metropilot.planning import check_running_time, minimum_running_time
 from metropilot.sim import Run, drive
@@ -68,7 +68,7 @@ class ConvoyRequest:
             raise InputError(
                 "number of trainsets out of range", field="trainsets", value=self.count, allowed="2 to 16"
             )
-        with renamed({"mass": "masses"}):
+        with rename_fields({"mass": "masses"}):
             return self._convoy()
 
     def _convoy(self) -> Convoy:
@@ -120,7 +120,7 @@ class ConvoyRequest:
         Raises:
             InputError: No such follower, or no such option of it.
         """
-        with renamed({"driver": "follower"}):
+        with rename_fields({"driver": "follower"}):
             return with_options(FOLLOWERS.get(self.follower), self.options)
 
     def drive(self, convoy: Convoy | None = None, follower: AbstractFollower | None = None) -> ConvoyDrive:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
-from metropilot.drivers.expert.driving import ExpertMemory, Seen, decide, prepared
+from metropilot.drivers.expert.driving import ExpertMemory, RateInputs, decide, prepare_expert
 from metropilot.drivers.expert.hoa import GAIN, SETTLED, UNSURE, Hoa
 from metropilot.env import ExpertRules, constant_rate_change
 from metropilot.errors import InputError
@@ -61,13 +61,13 @@ class Eitoe(AbstractDriver):
     def init(self, run: Run) -> ExpertMemory:
         """Tables of the section, once."""
         rules = ExpertRules(start_mps2=self.options.start_mps2, intervals=self.options.intervals)
-        return prepared(run, run.section, rules, self.options.hoa)
+        return prepare_expert(run, run.section, rules, self.options.hoa)
 
     def act(self, memory: ExpertMemory, observation: Observation) -> tuple[float, ExpertMemory]:
         """One decision by the rules; the change of the rate is the constant of eqs. 15 and 16."""
         rules = memory.rules
 
-        def change(seen: Seen) -> float:
+        def change(seen: RateInputs) -> float:
             return constant_rate_change(scalars, rules, seen.window, seen.rate_mps2)
 
         return decide(memory, observation, change)

@@ -70,7 +70,7 @@ class FlatOut(AbstractDriver):
 
     def act(self, memory: FlatOutMemory, observation: Observation) -> tuple[float, FlatOutMemory]:
         """Full speed until the final braking has to begin, then stop."""
-        memory = self._informed(memory, observation)
+        memory = self._follow_updates(memory, observation)
         model = memory.model
         belief = update_estimate(
             model,
@@ -97,7 +97,7 @@ class FlatOut(AbstractDriver):
             return stop_command(model, belief, target, curve).share, comfortable
         return min(share_for(belief, ahead, wanted), traction_limit(belief, ahead, memory.ceiling)), 0.0
 
-    def _informed(self, memory: FlatOutMemory, observation: Observation) -> FlatOutMemory:
+    def _follow_updates(self, memory: FlatOutMemory, observation: Observation) -> FlatOutMemory:
         """Take note of a restriction announced on the way."""
         if observation.section is memory.section:
             return memory

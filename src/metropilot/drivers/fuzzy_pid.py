@@ -132,7 +132,7 @@ SHAPES = memberships(GRID[:, None]).T
 _RULES = np.array([[[row == k for k in range(7)] for row in np.ravel(table)] for table in TABLES])
 
 
-def inferred(error: Array, change: Array) -> Array:
+def infer(error: Array, change: Array) -> Array:
     """Moves of the three gains between -3 and 3: minimum, maximum, centroid.
 
     Args:
@@ -165,7 +165,7 @@ def fuzzy_gains(
         base: Gains that the rules move.
         upper: Upper limits of the gains; the lower are 0.
     """
-    moved = inferred(3.0 * error_mps / universes.error_mps, 3.0 * change_mps / universes.change_mps)
+    moved = infer(3.0 * error_mps / universes.error_mps, 3.0 * change_mps / universes.change_mps)
     xp = _xp(moved)
     spans = universes[2:]
     return Gains(*(xp.clip(base[k] + moved[k] / 3.0 * spans[k], 0.0, upper[k]) for k in range(3)))

@@ -2,9 +2,8 @@
 
 The policy is any function from an observation to an action; :class:`metropilot.policy.Policy` is one. What it
 sees and what its action means is a :class:`metropilot.env.PolicyInterface`, and the same functions as in the
-task
-read it. A policy decides once in its decision period; the assists act at the run's own control period. Where
-the trainset answers differently than told, :mod:`metropilot.drivers.watching` says what is done about it.
+task read it. A policy decides once in its decision period; the assists act at the run's own control period.
+Under plant mismatch :mod:`metropilot.drivers.watching` takes over part of the work.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ class LearnedMemory(NamedTuple):
     Attributes:
         run: The run.
         section: The section as last announced.
-        told: Tables of the section and the nominal trainset.
+        nominal: Tables of the section and the nominal trainset.
         rows: Tables the policy sees: the nominal ones, or those of the estimated trainset.
         case: The one row of that.
         command: Last command.
@@ -59,7 +58,7 @@ class LearnedMemory(NamedTuple):
 
     run: Run
     section: Section
-    told: SectionTables
+    nominal: SectionTables
     rows: SectionRows
     case: SectionTables
     command: np.float64
@@ -72,7 +71,7 @@ class LearnedMemory(NamedTuple):
 
 @final
 class LearnedDriver(AbstractDriver):
-    """Drives as it learned to.
+    """Driver that follows a learned policy.
 
     Args:
         policy: From an observation to an action.
@@ -87,13 +86,13 @@ class LearnedDriver(AbstractDriver):
 
     def init(self, run: Run) -> LearnedMemory:
         """Build the tables the policy sees."""
-        told = self._tables(run, run.section, run.scenario.nominal(run.trainset))
-        rows, zero = SectionRows(told, jax=False), np.float64(0.0)
+        nominal = self._tables(run, run.section, run.scenario.nominal(run.trainset))
+        rows, zero = SectionRows(nominal, jax=False), np.float64(0.0)
         watch = watching.first_watch(run) if self.perception.assists.stop else None
         return LearnedMemory(
             run=run,
             section=run.section,
-            told=told,
+            nominal=nominal,
             rows=rows,
             case=rows.case(0),
             command=zero,
@@ -105,15 +104,15 @@ class LearnedDriver(AbstractDriver):
         )
 
     def act(self, memory: LearnedMemory, observation: Observation) -> tuple[float, LearnedMemory]:
-        """Decide if it is time to, then what the assists make of the decision."""
+        """Decide if it is time to, then apply the assists."""
         if observation.section is not memory.section:
-            memory = self._moved(memory, observation.section)
+            memory = self._set_section(memory, observation.section)
         if memory.watch is not None:
             watch = watching.update_watch(memory.watch, memory.run, observation)
             memory = memory._replace(watch=watch)
             if watching.outdated(watch, observation.time_s) and not memory.stopping:
-                memory = self._adapted(memory, watch, observation.time_s)
-        sight = self._sight(memory, observation)
+                memory = self._adapt_tables(memory, watch, observation.time_s)
+        sight = self._context(memory, observation)
         perception = self.perception
         action, wanted, decided = memory.action, memory.wanted, memory.decided
         if observation.time_s >= decided * perception.period_s - DECISION_EARLY_S:
@@ -123,7 +122,7 @@ class LearnedDriver(AbstractDriver):
             wanted = np.float64(perception.action.command(sight, action, perception.period_s))
             decided = int((observation.time_s + DECISION_EARLY_S) / perception.period_s) + 1
         command = perception.action.held(sight, action, wanted)
-        command, stopping = self._assisted(memory, sight, command)
+        command, stopping = self._apply_assists(memory, sight, command)
         command = perception.action.settled(sight, command)
         if memory.watch is not None:
             share, watch = watching.limit_by_protection(memory.watch, observation, float(command))
@@ -134,19 +133,19 @@ class LearnedDriver(AbstractDriver):
         )
         return float(command), memory
 
-    def _assisted(self, memory: LearnedMemory, sight: FeatureContext, command: Any) -> tuple[Any, Any]:  # noqa: ANN401
-        """The assists as learned; or with care, where the trainset answers differently than told."""
+    def _apply_assists(self, memory: LearnedMemory, sight: FeatureContext, command: Any) -> tuple[Any, Any]:  # noqa: ANN401
+        """Apply the assists as learned, or the careful ones under plant mismatch."""
         assists, watch, dt = self.perception.assists, memory.watch, memory.run.dt
         if watch is None or watch.care is None:
             return apply_assists(assists, sight, command, memory.stopping, dt)
         planned = assists.stop_mps2 * watch.shown.brake or float(sight.stop_mps2)
-        stopping, share, ahead = watching.last_braking(watch, planned, bool(memory.stopping))
+        stopping, share, ahead = watching.station_stop_braking(watch, planned, bool(memory.stopping))
         if stopping or sight.left_s < sight.to_go_s:
             command = np.float64(share if stopping else 1.0)
         if assists.ceiling:
             near = replace(assists, margin_mps=watching.MARGIN_MPS)
             most = float(ceiling_mps2(near, sight, dt))
-            command = np.float64(watching.eased(watch, ahead, float(command), most))
+            command = np.float64(watching.limit_to_ceiling(watch, ahead, float(command), most))
         return command, np.bool_(stopping)
 
     def _tables(self, run: Run, section: Section, trainset: Trainset) -> SectionTables:
@@ -156,32 +155,32 @@ class LearnedDriver(AbstractDriver):
         )
         return tables._replace(load=np.array([trainset.mass_kg / self.perception.mean_mass_kg]))
 
-    def _moved(self, memory: LearnedMemory, section: Section) -> LearnedMemory:
-        """The section with a restriction that has just been announced."""
-        told = self._tables(memory.run, section, memory.run.scenario.nominal(memory.run.trainset))
-        memory = memory._replace(section=section, told=told, rows=SectionRows(told, jax=False))
+    def _set_section(self, memory: LearnedMemory, section: Section) -> LearnedMemory:
+        """Change to a section with a restriction that has just been announced."""
+        nominal = self._tables(memory.run, section, memory.run.scenario.nominal(memory.run.trainset))
+        memory = memory._replace(section=section, nominal=nominal, rows=SectionRows(nominal, jax=False))
         if memory.watch is not None:
             watch = watching.set_section(memory.watch, memory.run, section)
             memory = memory._replace(watch=watch)
             if watch.adapted != Adaptation():
-                return self._adapted(memory, watch, watch.adapted_at_s)
+                return self._adapt_tables(memory, watch, watch.adapted_at_s)
         return memory._replace(case=memory.rows.case(0))
 
-    def _adapted(self, memory: LearnedMemory, watch: Watch, time_s: float) -> LearnedMemory:
-        """Tables of the trainset as it has shown itself, under protection as it is for the one told."""
-        told, shown = memory.told, watch.shown
+    def _adapt_tables(self, memory: LearnedMemory, watch: Watch, time_s: float) -> LearnedMemory:
+        """Build tables of the estimated trainset, under protection of the nominal one."""
+        nominal, shown = memory.nominal, watch.shown
         trainset = adapt_trainset(memory.run.scenario.nominal(memory.run.trainset), shown)
         tables = self._tables(memory.run, memory.section, trainset)
-        size = told.braked.shape[1]
+        size = nominal.braked.shape[1]
         braked = np.pad(tables.braked, ((0, 0), (0, size), (0, 0)), "edge")[:, :size]
-        braked[..., 1] = np.minimum(braked[..., 1], told.braked[..., 1])
+        braked[..., 1] = np.minimum(braked[..., 1], nominal.braked[..., 1])
         rows = SectionRows(
-            tables._replace(ground=told.ground, protection=told.protection, braked=braked), jax=False
+            tables._replace(ground=nominal.ground, protection=nominal.protection, braked=braked), jax=False
         )
         watch = watch._replace(adapted=shown, adapted_at_s=time_s)
         return memory._replace(rows=rows, case=rows.case(0), watch=watch)
 
-    def _sight(self, memory: LearnedMemory, observation: Observation) -> FeatureContext:
+    def _context(self, memory: LearnedMemory, observation: Observation) -> FeatureContext:
         """Features' context: the state as it is, or as it will be when its command begins to act."""
         case, watch = memory.case, memory.watch
         time, x, v, a = observation[:4]

@@ -124,12 +124,12 @@ class Manual(AbstractDriver):
 
     def init(self, run: Run) -> ManualMemory:
         """Draw the habits and think the run through."""
-        habits = drawn_habits(run.seed)
-        return _prepared(run, run.section, run.scheduled_time_s, habits)
+        habits = draw_habits(run.seed)
+        return _begin(run, run.section, run.scheduled_time_s, habits)
 
     def act(self, memory: ManualMemory, observation: Observation) -> tuple[float, ManualMemory]:
         """Look, decide, and move the lever when the hand is there."""
-        memory = _informed(memory, observation)
+        memory = _follow_updates(memory, observation)
         belief = update_estimate(
             memory.model,
             memory.belief,
@@ -137,15 +137,15 @@ class Manual(AbstractDriver):
             observation.speed_mps,
             observation.acceleration_mps2,
         )
-        intent = _looked_at_the_clock(memory, belief, observation)
-        wanted, intent = _decided(memory._replace(belief=belief, intent=intent))
-        lever = _moved(memory.lever, wanted, observation.time_s, memory.habits, intent)
+        intent = _review_timing(memory, belief, observation)
+        wanted, intent = _decide(memory._replace(belief=belief, intent=intent))
+        lever = _move_lever(memory.lever, wanted, observation.time_s, memory.habits, intent)
         memory = memory._replace(belief=record_command(belief, lever.share), intent=intent, lever=lever)
         return lever.share, memory
 
 
-def drawn_habits(seed: int) -> Habits:
-    """The habits of a driver; ranges assumed (see the module)."""
+def draw_habits(seed: int) -> Habits:
+    """Draw the habits of a driver; ranges assumed (see the module)."""
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
     return Habits(
         reaction_s=float(random.uniform(0.4, 0.8)),
@@ -158,7 +158,7 @@ def drawn_habits(seed: int) -> Habits:
     )
 
 
-def _prepared(run: Run, section: Section, scheduled_s: float, habits: Habits) -> ManualMemory:
+def _begin(run: Run, section: Section, scheduled_s: float, habits: Habits) -> ManualMemory:
     model = model_of(run, section)
     ceiling = ceiling_of(run, section, HUMAN_MARGIN_MPS)
     habits = habits._replace(deceleration_mps2=min(habits.deceleration_mps2, _at_hand_mps2(model)))
@@ -198,18 +198,18 @@ def _overhead_s(model: Model, habits: Habits, *, standing: bool) -> float:
     return start + habits.deceleration_mps2 * build
 
 
-def _informed(memory: ManualMemory, observation: Observation) -> ManualMemory:
+def _follow_updates(memory: ManualMemory, observation: Observation) -> ManualMemory:
     """Take note of a new timetable or a restriction."""
     same_time = observation.scheduled_time_s == memory.scheduled_time_s
     if same_time and observation.section is memory.section:
         return memory
-    fresh = _prepared(memory.run, observation.section, observation.scheduled_time_s, memory.habits)
+    fresh = _begin(memory.run, observation.section, observation.scheduled_time_s, memory.habits)
     intent = memory.intent._replace(looks_at_s=0.0)
     return fresh._replace(belief=memory.belief, lever=memory.lever, intent=intent)
 
 
-def _looked_at_the_clock(memory: ManualMemory, belief: StateEstimate, observation: Observation) -> Intent:
-    """Every few seconds: is the cruising speed still right, and from where may I coast?"""
+def _review_timing(memory: ManualMemory, belief: StateEstimate, observation: Observation) -> Intent:
+    """Adapt the cruising speed and the coasting point to the time left, every few seconds."""
     intent, now = memory.intent, observation.time_s
     if intent.braking or now < intent.looks_at_s:
         return intent
@@ -228,12 +228,12 @@ def _looked_at_the_clock(memory: ManualMemory, belief: StateEstimate, observatio
     return intent._replace(cruise_mps=cruise, coast_from_m=coast, looks_at_s=now + LOOK_AGAIN_S)
 
 
-def _decided(memory: ManualMemory) -> tuple[float, Intent]:
+def _decide(memory: ManualMemory) -> tuple[float, Intent]:
     """Choose the lever position and the intention behind it."""
     model, belief, intent, curve = memory.model, memory.belief, memory.intent, memory.curve
     target = memory.section.length_m + memory.habits.aim_m
     if intent.braking:
-        return _notched(stop_command(model, belief, target, curve).share), intent
+        return _to_notch(stop_command(model, belief, target, curve).share), intent
     ahead = look_ahead(model, belief)
     hand_s = max(memory.habits.reaction_s, model.dt)
     early_m = ahead.speed_mps * (hand_s + memory.habits.onset_s)
@@ -241,15 +241,15 @@ def _decided(memory: ManualMemory) -> tuple[float, Intent]:
         ahead.speed_mps, ahead.acceleration_mps2, target - ahead.position_m - early_m, curve
     )
     if required >= curve.deceleration_mps2:
-        return _notched(stop_command(model, belief, target, curve).share), intent._replace(braking=True)
+        return _to_notch(stop_command(model, belief, target, curve).share), intent._replace(braking=True)
     sooner = ahead._replace(position_m=ahead.position_m + ahead.speed_mps * hand_s)
     limited = ceiling_acceleration(model, sooner, memory.ceiling, math.inf, curve)
     if limited < -0.05:
-        return _notched(min(share_for(belief, ahead, limited), 0.0)), intent._replace(powering=False)
-    return _held(memory, ahead, limited)
+        return _to_notch(min(share_for(belief, ahead, limited), 0.0)), intent._replace(powering=False)
+    return _hold_speed(memory, ahead, limited)
 
 
-def _held(memory: ManualMemory, ahead: PredictedState, limited_mps2: float) -> tuple[float, Intent]:
+def _hold_speed(memory: ManualMemory, ahead: PredictedState, limited_mps2: float) -> tuple[float, Intent]:
     """Power below the band, coast above it, brake gently well above it."""
     intent, band = memory.intent, memory.habits.band_mps
     if ahead.position_m >= intent.coast_from_m:
@@ -264,20 +264,20 @@ def _held(memory: ManualMemory, ahead: PredictedState, limited_mps2: float) -> t
     full = share_for(memory.belief, ahead, limited_mps2)
     share = full if missing > 6.0 * band else min(full, HOLD_NOTCH)
     share = min(share, traction_limit(memory.belief, ahead, memory.ceiling))
-    return _notched(share), intent._replace(powering=True)
+    return _to_notch(share), intent._replace(powering=True)
 
 
-def _notched(share: float) -> float:
-    """The notch at or below a traction share, or nearest to a braking share."""
+def _to_notch(share: float) -> float:
+    """Round to the notch at or below a traction share, or nearest to a braking share."""
     if share > 0:
         return TRACTION_NOTCH * math.floor(share / TRACTION_NOTCH + 1e-9)
     return BRAKE_NOTCH * round(share / BRAKE_NOTCH)
 
 
-def _moved(
+def _move_lever(
     lever: LeverPosition, wanted: float, now_s: float, habits: Habits, intent: Intent
 ) -> LeverPosition:
-    """The lever a period later: a change of mind takes a reaction time, half of it while braking."""
+    """Move the lever for a period: a new wanted position takes a reaction time, half of it while braking."""
     if now_s >= lever.moves_at_s - 1e-9:
         lever = LeverPosition(lever.wanted, lever.wanted)
     if wanted != lever.share and math.isinf(lever.moves_at_s):

@@ -2,7 +2,7 @@
 
 Following, estimation, stopping and manners towards protection are those of the driver ``optimal``; what
 differs is when it plans and what it believes. A plan of the data sheet that is followed well is not departed
-from, and yet is the wrong plan where mass or resistance are not as told: so the rest of the run is planned
+from, and yet is the wrong plan where mass or resistance are not nominal: so the rest of the run is planned
 again at a fixed period, from the measured state, over the time that is left, with traction gain, brake gain
 and resistance factor as the observer has them by then. That the brake is controlled to a rate at any load,
 which the data sheet says, is believed: a wrong mass need not make anybody brake early.
@@ -28,7 +28,7 @@ class MpcOptions:
     Attributes:
         objective: Energy the plan saves: ``wheel`` or ``line``.
         period_s: Time between two plans; news and departures from the plan call for one at once.
-        brake_use: Share of the braking force planned with where commands act late or the mass is not as told.
+        brake_use: Share of the braking force planned with where commands act late or the mass is not nominal.
         reserve_s: Time before the scheduled one at which the plan arrives.
         spacing_m: Mesh of the plan.
     """
@@ -59,7 +59,7 @@ class Mpc(AbstractDriver):
         )
 
     def init(self, run: Run) -> FollowingMemory:
-        """Plan the whole section for the trainset as it is told."""
+        """Plan the whole section for the nominal plant."""
         return self.follower.init(run)
 
     def act(self, memory: FollowingMemory, observation: Observation) -> tuple[float, FollowingMemory]:

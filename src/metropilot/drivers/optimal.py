@@ -70,7 +70,7 @@ class OptimalOptions:
         late_release_share: The same where commands act late: what the lag keeps of the brake comes on top.
         brake_use: Share of the braking force that plan and stop count on; the rest is for corrections.
         careful_brake_use: The same where commands act late, the brake has no force to spare, or the trainset
-            answers differently than told.
+            departs from the nominal plant.
         handover_m: Distance from the stop at which the stop's own law takes over from the plan.
         alarm: Factor on the planned deceleration: a stop that needs more is given to the stop's own law at
             once.
@@ -153,7 +153,7 @@ EARLY_S = 1e-6
 WATCHED_SHARE = 0.5
 """Below this share of the planned deceleration the stop is not near enough to ask what the brake can give."""
 SURPRISE = 0.05
-"""A traction gain this far from 1 says that the mass is not what the driver was told."""
+"""A traction gain this far from 1 says that the mass is not nominal."""
 
 
 class Optimal(AbstractDriver):
@@ -211,7 +211,7 @@ class Optimal(AbstractDriver):
         if memory.braking and stands_short(memory):
             memory = replace(memory, braking=False)
         if self._departs(memory, observation):
-            memory = self._replanned(memory, observation)
+            memory = self._replan(memory, observation)
         target = float(memory.model.track.length_m)
         stop = stop_command(memory.model, belief, target, memory.curve)
         available = self._available(memory, stop)
@@ -313,8 +313,8 @@ class Optimal(AbstractDriver):
             or bool((learned > self.options.learned_band).any())
         )
 
-    def _replanned(self, memory: FollowingMemory, observation: Observation) -> FollowingMemory:
-        """A plan from the state as it is, with the trainset as it has shown itself."""
+    def _replan(self, memory: FollowingMemory, observation: Observation) -> FollowingMemory:
+        """Make a plan from the current state, with the estimated plant."""
         model, belief = memory.model, memory.belief
         guard, room = memory.guard, memory.room
         if observation.section is not memory.section:
@@ -335,7 +335,7 @@ class Optimal(AbstractDriver):
         )
         use = self._brake_use(model.vehicle, adapted, room)
         vehicle = adapt_vehicle(model.vehicle, adapted._replace(brake=adapted.brake * use))
-        told = replace(
+        updated = replace(
             memory,
             model=model,
             guard=guard,
@@ -349,8 +349,8 @@ class Optimal(AbstractDriver):
         try:
             plan = _plan(vehicle, model.track, left, options, memory.plan)
         except SolverError:
-            return told
-        return replace(told, plan=plan, clock_s=clock_s, curve=self._curve(model, plan, room))
+            return updated
+        return replace(updated, plan=plan, clock_s=clock_s, curve=self._curve(model, plan, room))
 
     def _adaptation(self, belief: StateEstimate) -> Adaptation:
         """Plant to plan with: the estimated one, with a brake no stronger than nominal."""

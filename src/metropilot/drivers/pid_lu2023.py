@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, final
+from typing import ClassVar, final
 
-from metropilot.control import CHENG2023_GAINS, Errors, Gains, incremental_pid
+from metropilot.control import CHENG2023_GAINS, Errors, Gains, Headroom, Model, incremental_pid
 from metropilot.drivers.shipped import ImprovedDqn, PolicyOptions
 from metropilot.drivers.tracking import PERIOD_S, AbstractTracker, AbstractTrackingOptions, TrackingMemory
 from metropilot.env import TrackingView
@@ -68,8 +68,10 @@ class PidLu2023(AbstractTracker):
         """One period of the law."""
         return incremental_pid(seen.command, self.gains, seen.error_mps, memory)
 
-    def _laid(self, model: Any, room: Any, left_s: float, start_m: float, start_mps: float) -> TimedReference:  # noqa: ANN401
+    def _lay_reference(
+        self, model: Model, room: Headroom, left_s: float, start_m: float, start_mps: float
+    ) -> TimedReference:
         """The learned curve from the origin; elsewhere an S-curve."""
         if self.curve is not None and start_m <= 0.0:
             return self.curve
-        return super()._laid(model, room, left_s, start_m, start_mps)
+        return super()._lay_reference(model, room, left_s, start_m, start_mps)

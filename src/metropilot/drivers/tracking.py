@@ -154,7 +154,7 @@ class AbstractTracker(AbstractDriver):
             watched=at_start(guard),
             room=room,
             belief=initial_estimate(model),
-            reference=self._laid(model, room, run.scheduled_time_s, 0.0, 0.0),
+            reference=self._lay_reference(model, room, run.scheduled_time_s, 0.0, 0.0),
             clock_s=0.0,
             controller=self.fresh(run),
             command=0.0,
@@ -173,7 +173,7 @@ class AbstractTracker(AbstractDriver):
         )
         if memory.overruled:
             belief = belief._replace(bank=memory.belief.bank, best=memory.belief.best)
-        memory = self._informed(replace(memory, belief=belief), observation)
+        memory = self._follow_updates(replace(memory, belief=belief), observation)
         ahead = look_ahead(memory.model, belief)
         place, speed, _ = memory.reference.at(observation.time_s - memory.clock_s + ahead.seconds)
         seen = TrackingView(
@@ -211,7 +211,7 @@ class AbstractTracker(AbstractDriver):
             return memory
         return replace(memory, stop=curve._replace(deceleration_mps2=min(max(required, 0.1), ALARM * rate)))
 
-    def _informed(self, memory: TrackingMemory, observation: Observation) -> TrackingMemory:
+    def _follow_updates(self, memory: TrackingMemory, observation: Observation) -> TrackingMemory:
         """Lay the reference anew after news, or where the trainset is far from it."""
         section, model, guard, room = memory.section, memory.model, memory.guard, memory.room
         news = observation.scheduled_time_s != memory.scheduled_s or observation.section is not section
@@ -231,7 +231,7 @@ class AbstractTracker(AbstractDriver):
             )
             guard, room = self._limits(memory.run, section, model)
         left = max(observation.scheduled_time_s - observation.time_s, 1.0)
-        reference = self._laid(model, room, left, memory.belief.position_m, memory.belief.speed_mps)
+        reference = self._lay_reference(model, room, left, memory.belief.position_m, memory.belief.speed_mps)
         return replace(
             memory,
             section=section,
@@ -250,7 +250,7 @@ class AbstractTracker(AbstractDriver):
         guard = protect(section, run.scenario.nominal(run.trainset), bounds)
         return guard, headroom_of(model, guard, bounds, CAP_MARGIN_MPS)
 
-    def _laid(
+    def _lay_reference(
         self, model: Model, room: Headroom, left_s: float, start_m: float, start_mps: float
     ) -> TimedReference:
         """The reference from a state to the stop in the time left."""

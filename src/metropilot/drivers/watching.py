@@ -1,12 +1,12 @@
 """Plant mismatch under a learned policy: look ahead, replan the tables, and keep clear of protection.
 
-A policy and its assists see the trainset as told and the state as it is. That is right as long as both are: a
-command that acts late, a heavier trainset or a stronger resistance makes their last braking too late and
-their ceiling too high. So every run is watched by the estimator of :mod:`metropilot.control.estimator`. As
+A policy and its assists see the nominal plant and the current state. Under plant mismatch (a command that
+acts late, a heavier trainset, a stronger resistance) their station-stop braking begins too late and their
+ceiling is too high. So every run is watched by the estimator of :mod:`metropilot.control.estimator`. As
 long as protection's bounds hold neither dead time nor lag, and the estimator finds nothing, nothing of it is
 acted upon, and the drive is the policy's own to the last bit. With a dead time or lag, in the bounds or
 found, or efforts that are off by more than ``LEAST`` and by more than doubt allows, the policy sees the state
-in which its command begins to act and the trainset as it has shown itself, the last braking follows the law
+in which its command begins to act and the estimated plant, the station-stop braking follows the law
 of :mod:`metropilot.control.stopping`, and the ceiling is that of :mod:`metropilot.control.headroom`.
 """
 
@@ -41,7 +41,7 @@ from metropilot.railway import Section
 from metropilot.sim import Observation, Run, declared_bounds
 
 LEAST = 0.04
-"""Efforts this near to what was told are as told."""
+"""Efforts this near to nominal count as nominal."""
 LEAST_RESISTANCE = 0.2
 """The same for resistance, which is a small part of what moves a trainset."""
 SURE = 3.0
@@ -49,9 +49,9 @@ SURE = 3.0
 PATIENCE_S = 3.0
 """Least time between two adaptations to what was learned."""
 CAREFUL_USE = 0.97
-"""Share of the policy's own last braking that is planned with."""
+"""Share of the policy's own station-stop deceleration that is planned with."""
 BEGIN = 0.97
-"""The last braking begins where it needs this share of the deceleration planned."""
+"""The station-stop braking begins where it needs this share of the deceleration planned."""
 LET_GO = 0.75
 """Below this share of it the braking was too early, and the policy drives on..."""
 LET_GO_M = 60.0
@@ -87,7 +87,7 @@ class Watch(NamedTuple):
     """Estimate of the plant during a run.
 
     Attributes:
-        model: Trainset and section as told.
+        model: Nominal trainset and section.
         belief: Estimate of the state and of the plant.
         care: Protection kept alongside; None as long as nothing departs from the nominal plant and nothing is
             late.
@@ -103,7 +103,7 @@ class Watch(NamedTuple):
 
     @property
     def shown(self) -> Adaptation:
-        """The trainset as it has shown itself; a brake that turns out stronger counts for no more."""
+        """Estimated plant; a brake stronger than nominal counts as nominal."""
         belief = self.belief
         return Adaptation(belief.traction_gain, min(belief.brake_gain, 1.0), belief.resistance_factor)
 
@@ -139,7 +139,7 @@ def update_watch(watch: Watch, run: Run, observation: Observation) -> Watch:
 
 
 def set_section(watch: Watch, run: Run, section: Section) -> Watch:
-    """The same on a section with a restriction that has just been announced."""
+    """Change to a section with a restriction that has just been announced."""
     trainset = run.scenario.nominal(run.trainset)
     watch = watch._replace(model=watch.model._replace(track=track_arrays(section, trainset)))
     if watch.care is None:
@@ -153,12 +153,12 @@ def record_decision(watch: Watch, share: float) -> Watch:
 
 
 def answers_late(declared: Bounds) -> bool:
-    """Tell if protection is told of a dead time or a lag of the service actuation."""
+    """Tell if protection's bounds hold a dead time or a lag of the service actuation."""
     return declared.delay_s > 0.0 or declared.lag_s > 0.0
 
 
 def stop_options(watch: Watch) -> StopOptions:
-    """Constants of the station stop, soft where protection is told of late commands."""
+    """Constants of the station stop, soft where protection's bounds hold late commands."""
     late = watch.care is not None and watch.care.room.late_s > 0.0
     return LATE_STOP if late else CAREFUL_STOP
 
@@ -182,12 +182,12 @@ def outdated(watch: Watch, time_s: float) -> bool:
 
 
 def predicted_state(watch: Watch) -> PredictedState:
-    """The state in which a command given now begins to act."""
+    """State in which a command given now begins to act."""
     return look_ahead(watch.model, watch.belief)
 
 
-def eased(watch: Watch, ahead: PredictedState, share: float, most_mps2: float) -> float:
-    """The command that stays under the ceiling.
+def limit_to_ceiling(watch: Watch, ahead: PredictedState, share: float, most_mps2: float) -> float:
+    """Limit a command to stay under the ceiling.
 
     Args:
         watch: Estimate of the plant.
@@ -201,12 +201,14 @@ def eased(watch: Watch, ahead: PredictedState, share: float, most_mps2: float) -
     return min(share, share_for(watch.belief, ahead, most))
 
 
-def last_braking(watch: Watch, planned_mps2: float, stopping: bool) -> tuple[bool, float, PredictedState]:
+def station_stop_braking(
+    watch: Watch, planned_mps2: float, stopping: bool
+) -> tuple[bool, float, PredictedState]:
     """Decide on the station-stop braking: True if it is on, its command, and the state in which that acts.
 
     Args:
         watch: Estimate of the plant.
-        planned_mps2: Deceleration the policy's last braking is planned with.
+        planned_mps2: Deceleration the policy's station-stop braking is planned with.
         stopping: True if it was on.
     """
     model, rate = watch.model, CAREFUL_USE * planned_mps2
@@ -223,7 +225,7 @@ def last_braking(watch: Watch, planned_mps2: float, stopping: bool) -> tuple[boo
 
 
 def limit_by_protection(watch: Watch, observation: Observation, share: float) -> tuple[float, Watch]:
-    """The largest command up to this one that protection lets pass."""
+    """Limit a command to the largest that protection lets pass."""
     if watch.care is None:
         return share, watch
     care = watch.care
@@ -233,7 +235,7 @@ def limit_by_protection(watch: Watch, observation: Observation, share: float) ->
 
 
 def _care(watch: Watch, run: Run, section: Section) -> Care:
-    """Protection as it is on a section, with the commands that are on their way."""
+    """Set up protection on a section, with the commands that are on their way."""
     bounds, belief = declared_bounds(run), watch.belief
     guard = protect(section, run.scenario.nominal(run.trainset), bounds)
     watched = at_start(guard)

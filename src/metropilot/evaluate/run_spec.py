@@ -14,7 +14,7 @@ from typing import Any, get_args, get_type_hints
 from metropilot._io import read_text
 from metropilot._schema import FieldSpec, check_fields, declared, field_specs
 from metropilot.drivers import DRIVERS
-from metropilot.errors import InputError, renamed
+from metropilot.errors import InputError, rename_fields
 from metropilot.evaluate.driver_options import make_driver, named_driver, option_defaults
 from metropilot.planning import LONGEST_RATIO, Objective, check_running_time
 from metropilot.railway import Restriction, Section, Trainset, load_line, load_trainset
@@ -137,7 +137,7 @@ class RunSpec:
     def section(self) -> Section:
         """The section with every restriction known before departure."""
         section = line_section = self.open_section()
-        with renamed({"restriction": "restrictions"}):
+        with rename_fields({"restriction": "restrictions"}):
             for restriction in self.restrictions:
                 section = section.restricted(line_section.check_restriction(restriction))
         return section
@@ -163,7 +163,7 @@ class RunSpec:
             words = f"the line plans no running time for {section.name}; give one"
             raise InputError(words, field="time_s", allowed="> 0 s")
         updates = tuple(sorted(self.disturbance.updates, key=lambda update: update.at_s))
-        with renamed({"restriction": "restrictions"}):
+        with rename_fields({"restriction": "restrictions"}):
             for update in updates:
                 if update.restriction is not None:
                     open_section.check_restriction(update.restriction)
@@ -272,7 +272,7 @@ def parse_restriction(text: str) -> Restriction | TimetableUpdate:
             allowed="FROM-TO@KMH or FROM-TO@KMH@T, e.g. 400-600@40 or 400-600@40@30 (m, m, km/h, s)",
         )
     start, end, kmh = (float(x) for x in match.groups()[:3])
-    with renamed({"restriction": "restrictions"}):
+    with rename_fields({"restriction": "restrictions"}):
         restriction = Restriction(start, end, SPEED_UNIT.to_si(kmh))
     return restriction if match[4] is None else TimetableUpdate(float(match[4]), restriction=restriction)
 
@@ -347,4 +347,4 @@ def run_from_toml(path: Path) -> RunSpec:
 
 def in_run_toml(path: Path, *keys: str) -> AbstractContextManager[None]:
     """Complaints about a run that was read from this `run.toml` name the file and the key in it."""
-    return renamed({key: f"run.{key}" for key in (*run_fields(), *keys)} | {"set": "run.options"}, path)
+    return rename_fields({key: f"run.{key}" for key in (*run_fields(), *keys)} | {"set": "run.options"}, path)

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
         step_environments,
     )
     from metropilot.learn.export import ExportReport, export_onnx
-    from metropilot.learn.imitation.lessons import DemonstrationGenerator
-    from metropilot.learn.imitation.pupil import pupil_spec
+    from metropilot.learn.imitation.demonstrations import DemonstrationGenerator
+    from metropilot.learn.imitation.train_state import imitation_spec
     from metropilot.learn.loop import Loop, LoopState, PolicyEvaluation, default_evaluation, learn, make_loop
     from metropilot.learn.policy_evaluation import DrivingEvaluation
     from metropilot.learn.recipes import (
@@ -109,6 +109,7 @@ __all__ = [
     "default_evaluation",
     "evaluation_of",
     "export_onnx",
+    "imitation_spec",
     "keep_compiled",
     "learn",
     "learn_in_chunks",
@@ -117,7 +118,6 @@ __all__ = [
     "make_learner",
     "make_loop",
     "new_request",
-    "pupil_spec",
     "random_actions",
     "read_history",
     "read_record",
@@ -149,8 +149,8 @@ __getattr__, __dir__ = lazy_door(
         "config_reading": ("config_from_mapping", "config_to_mapping"),
         "environments": ("Environments", "random_actions", "reset_environments", "step_environments"),
         "export": ("ExportReport", "export_onnx"),
-        "imitation.lessons": ("DemonstrationGenerator",),
-        "imitation.pupil": ("pupil_spec",),
+        "imitation.demonstrations": ("DemonstrationGenerator",),
+        "imitation.train_state": ("imitation_spec",),
         "loop": ("Loop", "LoopState", "PolicyEvaluation", "default_evaluation", "learn", "make_loop"),
         "policy_evaluation": ("DrivingEvaluation",),
         "recipes": (

@@ -32,13 +32,13 @@ def keep_compiled() -> Path | None:
     """
     import jax
 
-    told = os.environ.get(SWITCH, "")
-    if told.lower() in OFF - {""}:
+    setting = os.environ.get(SWITCH, "")
+    if setting.lower() in OFF - {""}:
         return None
     chosen = jax.config.values["jax_compilation_cache_dir"]
     if chosen:
         return Path(chosen)
-    folder = (Path(told) if told else cache_folder() / "compiled") / compiler_id()
+    folder = (Path(setting) if setting else cache_folder() / "compiled") / compiler_id()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:

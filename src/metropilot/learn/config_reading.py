@@ -66,7 +66,7 @@ def _read(key: str, value: Any, hints: Mapping[str, Any]) -> Any:
         raise InputError(f"unknown key, the nearest is {near!r}", field=str(key))
     if not _countable(value):
         raise InputError("out of range", field=key, allowed=f"whole numbers below {LARGEST:.0e}")
-    return _typed(key, value, hints[key])
+    return _convert(key, value, hints[key])
 
 
 def _countable(value: Any) -> bool:
@@ -81,13 +81,13 @@ def _countable(value: Any) -> bool:
     return True
 
 
-def _typed(key: str, value: Any, hint: Any) -> Any:
+def _convert(key: str, value: Any, hint: Any) -> Any:
     """A value if it is of the type, lists as tuples and whole numbers as floats where such are wanted."""
     if hint == Scheduled:
         return read_schedule(key, value)
     if get_origin(hint) is tuple:
         items = value if isinstance(value, list | tuple) else [value]
-        return tuple(_typed(key, item, get_args(hint)[0]) for item in items)
+        return tuple(_convert(key, item, get_args(hint)[0]) for item in items)
     if get_origin(hint) is Literal:
         kind, fits = "one of " + ", ".join(get_args(hint)), value in get_args(hint)
     elif hint is bool:

@@ -66,9 +66,9 @@ class DDPG(AbstractReplayLearner[DDPGConfig]):
 
     def actions_of(self, params: Params, observation: Array) -> Array:
         """The actor's actions. Shape (B, A)."""
-        return jnp.tanh(self.asked_of(params, observation))
+        return jnp.tanh(self.pre_tanh(params, observation))
 
-    def asked_of(self, params: Params, observation: Array) -> Array:
+    def pre_tanh(self, params: Params, observation: Array) -> Array:
         """Output of the actor before tanh. Shape (B, A)."""
         return jax.vmap(lambda x: self.actor.apply(params, "policy", x))(observation)
 
@@ -111,7 +111,7 @@ class DDPG(AbstractReplayLearner[DDPGConfig]):
             return losses.critic_loss(value, wanted), value
 
         def actor_loss(actor: Params, critic: Params) -> Array:
-            asked = self.asked_of(actor, batch.observation)
+            asked = self.pre_tanh(actor, batch.observation)
             loss = losses.actor_loss(self.values(critic, batch.observation, jnp.tanh(asked)))
             return loss + config.saturation_cost * jnp.mean(asked**2) if config.saturation_cost else loss
 

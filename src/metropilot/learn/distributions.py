@@ -67,7 +67,7 @@ def squashed_sample(draw: Array, mean: Array, log_std: Array) -> tuple[Array, Ar
     return jnp.tanh(raw), gaussian_log_prob(raw, mean, std) - jnp.sum(change)
 
 
-def masked(values: Array, mask: Array | None) -> Array:
+def mask_values(values: Array, mask: Array | None) -> Array:
     """Values (logits, action values) with those of forbidden choices at a very low number.
 
     Args:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from metropilot._typing import Array
 from metropilot.env import AbstractTask
 from metropilot.learn.config import DQNConfig
-from metropilot.learn.distributions import masked
+from metropilot.learn.distributions import mask_values
 from metropilot.learn.environments import random_choices
 from metropilot.learn.learner import needs_choices
 from metropilot.learn.losses import dqn as losses
@@ -77,7 +77,7 @@ class DQN(AbstractReplayLearner[DQNConfig]):
         """Epsilon-greedy among the allowed choices."""
         coin_key, choice_key = jax.random.split(key)
         values = self.values(params, observation)
-        best = jnp.argmax(masked(values, mask), axis=-1).astype(jnp.int32)
+        best = jnp.argmax(mask_values(values, mask), axis=-1).astype(jnp.int32)
         epsilon = value_at(self.config.epsilon, progress)
         curious = jax.random.uniform(coin_key, best.shape, jnp.float32) < epsilon
         return jnp.where(curious, random_choices(choice_key, values.shape, mask), best), noise

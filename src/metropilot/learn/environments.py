@@ -142,11 +142,11 @@ def step_environments(
     fresh = (returned, length, terms)
     fresh = jax.tree.map(lambda x: jnp.where(done, jnp.zeros_like(x), x), fresh)
 
-    state, observation = _renewed(task, reset_key, done, (state, observation))
+    state, observation = _renew(task, reset_key, done, (state, observation))
     return Environments(state, observation, *fresh), step
 
 
-def _renewed(task: AbstractTask, key: Array, done: Array, now: tuple[TaskState, Array]) -> tuple[Any, Any]:
+def _renew(task: AbstractTask, key: Array, done: Array, now: tuple[TaskState, Array]) -> tuple[Any, Any]:
     """States and observations with a fresh episode wherever one ended.
 
     Few of many environments end in one step, and a new episode costs as much as a step: so many are begun at

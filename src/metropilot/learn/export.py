@@ -83,8 +83,8 @@ def export_onnx(
     if policy.spec.output == "table":
         raise InputError("a table has no ONNX graph", field="policy", value=policy.spec.output)
     model = build(onnx, policy)
-    told = {name: json.dumps(value, sort_keys=True) for name, value in (about or {}).items()}
-    onnx.helper.set_model_props(model, told)
+    entries = {name: json.dumps(value, sort_keys=True) for name, value in (about or {}).items()}
+    onnx.helper.set_model_props(model, entries)
     text = model.SerializeToString()
     session = _session(runtime, text)
     parity = _parity(policy, session, probes, seed)

@@ -89,8 +89,8 @@ class DrivingEvaluation:
         self.curves = _curves(optima)
 
     def __call__(self, params: Params, key: Array) -> dict[str, Array]:
-        """The KPIs of a policy's drives; see :func:`judged`."""
-        return judged(self.drive(params, key))
+        """The KPIs of a policy's drives; see :func:`score_drives`."""
+        return score_drives(self.drive(params, key))
 
     def drive(self, params: Params, key: Array) -> EvaluationRuns:
         """Drive every start of the grid to its end."""
@@ -133,13 +133,13 @@ class DrivingEvaluation:
         """From standstill, disturbed as the task disturbs."""
         grid = self.grid
         drawn = jax.vmap(self.task.draw)(jax.random.split(key, grid.case.size))
-        told = starts(grid.case.tolist(), grid.scheduled_s.tolist())
+        at_rest = starts(grid.case.tolist(), grid.scheduled_s.tolist())
         names = ("case", "scheduled_s", "position_m", "speed_mps", "time_s")
-        news = told.scheduled_s + drawn.news_s - drawn.scheduled_s
-        return drawn._replace(news_s=news, **{name: getattr(told, name) for name in names})
+        news = at_rest.scheduled_s + drawn.news_s - drawn.scheduled_s
+        return drawn._replace(news_s=news, **{name: getattr(at_rest, name) for name in names})
 
 
-def judged(drives: EvaluationRuns) -> dict[str, Array]:
+def score_drives(drives: EvaluationRuns) -> dict[str, Array]:
     """KPIs of drives, each of shape (); ``score`` is what the rule compares, the higher the better.
 
     The score is the number of safe drives minus the mean cost of all, which is at most one: no saving ever

@@ -23,7 +23,7 @@ from metropilot.learn.distributions import (
     floored_std,
     gaussian_entropy,
     gaussian_log_prob,
-    masked,
+    mask_values,
 )
 from metropilot.learn.learner import AbstractLearner, LearnerReport, observation_entries
 from metropilot.learn.losses import ppo as losses
@@ -194,7 +194,7 @@ class PPO(AbstractLearner[PPOConfig]):
             std = floored_std(params["policy.log_std"], floor)
             action = output + std * draw
             return action, gaussian_log_prob(action, output, std)
-        logits = masked(output, mask)
+        logits = mask_values(output, mask)
         choice = jnp.argmax(logits + draw).astype(jnp.int32)
         return choice, categorical_log_prob(logits, choice)
 
@@ -211,7 +211,7 @@ class PPO(AbstractLearner[PPOConfig]):
         if self.continuous:
             std = floored_std(params["policy.log_std"], floor)
             return gaussian_log_prob(action, output, std), gaussian_entropy(std)
-        logits = masked(output, mask)
+        logits = mask_values(output, mask)
         return categorical_log_prob(logits, action[0].astype(jnp.int32)), categorical_entropy(logits)
 
     def _value(self, params: Params, observation: Array) -> Array:
@@ -249,7 +249,7 @@ class PPO(AbstractLearner[PPOConfig]):
         old = fields["log_prob"][:, 0]
         advantage = fields["advantage"][:, 0]
         if config.normalise_advantages:
-            advantage = losses.normalised(advantage)
+            advantage = losses.normalise_advantage(advantage)
         policy_loss = losses.policy_loss(log_prob, old, advantage, value_at(config.clip, progress))
         value_loss = losses.value_loss(value, fields["target"][:, 0])
         bonus = jnp.mean(entropy)

@@ -100,7 +100,7 @@ def new_request(
     task: str | None = None,
     seed: int = 0,
     command: str = "",
-    **told: Any,
+    **settings: Any,
 ) -> RunRequest:
     """Request of a new run of a recipe, for :func:`metropilot.learn.train.learn_run`.
 
@@ -110,13 +110,13 @@ def new_request(
         task: Another registered task than the recipe's.
         seed: Of everything random.
         command: The command line that asks for it.
-        told: Fields of the learner's configuration to set, as plain values.
+        settings: Fields of the learner's configuration to set, as plain values.
 
     Raises:
         InputError: No such driver, budget, task or field, or a value out of range.
     """
     row = recipe(driver)
-    return _request(driver, row.configuration(budget, **told), task or row.task, seed, command)
+    return _request(driver, row.configuration(budget, **settings), task or row.task, seed, command)
 
 
 def resumed_request(record: RunRecord) -> RunRequest:
@@ -143,8 +143,8 @@ def evaluation_of(request: RunRequest) -> PolicyEvaluation:
         InputError: The learner does not take this kind of action, or not this task.
     """
     from metropilot.env import DrivingTask
-    from metropilot.learn.imitation.course import only_worlds
-    from metropilot.learn.imitation.pupil import pupil_spec
+    from metropilot.learn.imitation.train_state import imitation_spec
+    from metropilot.learn.imitation.training import require_random_sections
     from metropilot.learn.policy_evaluation import DrivingEvaluation
     from metropilot.learn.registry import make_learner
 
@@ -155,8 +155,8 @@ def evaluation_of(request: RunRequest) -> PolicyEvaluation:
     if row is not None and row.evaluation is not None and request.name == row.task:
         return row.evaluation(request.config, task)
     if isinstance(request.config, TeacherConfig):
-        only_worlds(task)
-        return DrivingEvaluation(task, pupil_spec(request.config, task.observation_size))
+        require_random_sections(task)
+        return DrivingEvaluation(task, imitation_spec(request.config, task.observation_size))
     return DrivingEvaluation(task, make_learner(request.config, task).spec)
 
 
@@ -177,8 +177,12 @@ def _learned_by(driver: str) -> str:
     path = shipped_policy(driver)
     if not (driver.isidentifier() and path.is_file()):
         return ""
-    told = load_policy(path)[1].get("provenance")
-    return f", it is learned by: {told['command']}" if isinstance(told, dict) and "command" in told else ""
+    provenance = load_policy(path)[1].get("provenance")
+    return (
+        f", it is learned by: {provenance['command']}"
+        if isinstance(provenance, dict) and "command" in provenance
+        else ""
+    )
 
 
 def _coarse(config: DrivingConfig) -> DrivingConfig:

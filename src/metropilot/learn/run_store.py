@@ -230,7 +230,7 @@ class RunStore:
             InputError: None does, or several.
         """
         if not self.indexed:
-            return settled(self, record_of(self.folder(run_id)))
+            return settle_status(self, record_of(self.folder(run_id)))
         self._settle()
         found = self._select("WHERE substr(id, 1, ?) = ? ORDER BY id LIMIT 6", (len(run_id), run_id))
         exact = [record for record in found if record.id == run_id]
@@ -257,7 +257,7 @@ class RunStore:
     def _settle(self) -> None:
         """Find the runs whose process is gone."""
         for record in self._select("WHERE status = 'running'", ()):
-            settled(self, record)
+            settle_status(self, record)
 
     def _select(self, rest: str, values: tuple[Any, ...]) -> list[RunRecord]:
         if not self.root.is_dir():
@@ -291,7 +291,7 @@ class RunStore:
             yield database
 
 
-def settled(store: RunStore, record: RunRecord) -> RunRecord:
+def settle_status(store: RunStore, record: RunRecord) -> RunRecord:
     """The record, its status put right if it is running no more."""
     if record.status != "running" or is_locked(store.folder(record.id)):
         return record

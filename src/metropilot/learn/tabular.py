@@ -12,7 +12,7 @@ from metropilot.env import AbstractTask
 from metropilot.errors import InputError
 from metropilot.learn import environments as env
 from metropilot.learn.config import TabularConfig
-from metropilot.learn.distributions import masked
+from metropilot.learn.distributions import mask_values
 from metropilot.learn.learner import AbstractLearner, LearnerReport, needs_choices
 from metropilot.learn.losses import tabular as losses
 from metropilot.learn.schedules import value_at
@@ -84,7 +84,7 @@ class TabularQ(AbstractLearner[TabularConfig]):
             mask = env.masks(self.task, now.environments.state)
             choice = self._choose(table[cell], mask, choice_key, epsilon)
             environments, step = env.step_environments(self.task, env_key, now.environments, choice)
-            after = masked(table[self._cells(now.params, step.observation)], step.mask)
+            after = mask_values(table[self._cells(now.params, step.observation)], step.mask)
             value = jnp.where(step.terminated, 0.0, self.config.gamma * jnp.max(after, axis=-1))
             reward = step.reward * self.config.reward_factor
             error = losses.td_error(table, cell, choice, reward, value)
@@ -108,7 +108,7 @@ class TabularQ(AbstractLearner[TabularConfig]):
     def _choose(self, values: Array, mask: Array | None, key: Array, epsilon: Array | float) -> Array:
         """Epsilon-greedy among the allowed choices. Values of shape (N, count); result of shape (N,)."""
         coin_key, choice_key = jax.random.split(key)
-        best = jnp.argmax(masked(values, mask), axis=-1).astype(jnp.int32)
+        best = jnp.argmax(mask_values(values, mask), axis=-1).astype(jnp.int32)
         curious = jax.random.uniform(coin_key, best.shape, jnp.float32) < epsilon
         return jnp.where(curious, env.random_choices(choice_key, values.shape, mask), best)
 

@@ -316,7 +316,7 @@ def _learn(
     checkpoint = folder / CHECKPOINT_FILE
     whole = replace(given, on_progress=progress, checkpoint=checkpoint, resume=resume, about=about)
     try:
-        learned = _learned(request, whole)
+        learned = _run_learner(request, whole)
     except InputError:
         store.save(before)
         raise
@@ -345,12 +345,12 @@ def _learn(
     return record, learned
 
 
-def _learned(request: RunRequest, options: TrainingOptions) -> TrainingResult:
-    """By the learner, or by the teacher."""
+def _run_learner(request: RunRequest, options: TrainingOptions) -> TrainingResult:
+    """Run the learner, or the imitation of the optimal plan."""
     if isinstance(request.config, TeacherConfig) and isinstance(request.task, DrivingTask):
-        from metropilot.learn.imitation.course import teach_in_parts
+        from metropilot.learn.imitation.training import train_in_parts
 
-        return teach_in_parts(request.config, request.task, request.seed, options)
+        return train_in_parts(request.config, request.task, request.seed, options)
     return learn_in_chunks(request.config, request.task, request.seed, options)
 
 

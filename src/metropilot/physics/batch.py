@@ -54,17 +54,17 @@ def stack(trees: Sequence[Tree]) -> Tree:
     columns = {}
     for name in trees[0]._fields:
         values = [getattr(tree, name) for tree in trees]
-        columns[name] = stack(values) if isinstance(values[0], tuple) else _stacked(name, values)
+        columns[name] = stack(values) if isinstance(values[0], tuple) else _stack(name, values)
     return trees[0]._replace(**columns)
 
 
-def _stacked(name: str, values: Sequence[Array]) -> np.ndarray:
+def _stack(name: str, values: Sequence[Array]) -> np.ndarray:
     arrays = [np.asarray(value) for value in values]
     shape = tuple(max(sizes) for sizes in zip(*(a.shape for a in arrays), strict=True))
-    return np.stack([_padded(a, shape, name in BREAKS) for a in arrays])
+    return np.stack([_pad(a, shape, name in BREAKS) for a in arrays])
 
 
-def _padded(array: np.ndarray, shape: tuple[int, ...], is_break: bool) -> np.ndarray:
+def _pad(array: np.ndarray, shape: tuple[int, ...], is_break: bool) -> np.ndarray:
     if array.shape == shape:
         return array
     extra = [(0, wanted - have) for wanted, have in zip(shape, array.shape, strict=True)]
@@ -132,7 +132,7 @@ def rollout(
 
 
 @cache
-def _compiled(integrator: str, record: Record | None) -> Callable[..., tuple[State, Any]]:
+def _compile(integrator: str, record: Record | None) -> Callable[..., tuple[State, Any]]:
     import jax
 
     def one(vehicle: Vehicle, track: Track, state: State, commands: Array, dt: Scalar) -> tuple[State, Any]:
@@ -168,7 +168,7 @@ def rollout_batch(
     import jax.numpy as jnp
 
     commands = jnp.asarray(commands)
-    return _compiled(integrator, record)(vehicles, tracks, states, commands, jnp.asarray(dt, commands.dtype))
+    return _compile(integrator, record)(vehicles, tracks, states, commands, jnp.asarray(dt, commands.dtype))
 
 
 def spread(tree: Any) -> Any:

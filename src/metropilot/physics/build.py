@@ -79,8 +79,8 @@ def vehicle_arrays(trainset: Trainset, dtype: type = np.float64, pieces: int | N
         "emergency_delay_s": safe.reaction_s,
         "efficiency_speed_mps": speeds,
         "efficiency_share": shares,
-        "efficiency_traction": _resampled(motoring, speeds, shares),
-        "efficiency_braking": _resampled(braking, speeds, shares),
+        "efficiency_traction": _resample(motoring, speeds, shares),
+        "efficiency_braking": _resample(braking, speeds, shares),
         "receptivity": trainset.receptivity,
         "auxiliary_w": trainset.auxiliary_w,
     }
@@ -94,7 +94,7 @@ def emergency_jerk_mps3(safe: SafeBraking) -> float:
     return min(safe.emergency_jerk_mps3, safe.emergency_deceleration_mps2 / safe.buildup_s)
 
 
-def _resampled(efficiency: Efficiency, speeds: ndarray, shares: ndarray) -> ndarray:
+def _resample(efficiency: Efficiency, speeds: ndarray, shares: ndarray) -> ndarray:
     """A bilinear map on a finer grid that contains its own: no value changes."""
     rows = np.stack([np.interp(shares, efficiency.effort_share, row) for row in efficiency.value])
     return np.stack([np.interp(speeds, efficiency.speed_mps, column) for column in rows.T], axis=1)
@@ -141,15 +141,15 @@ def _slopes(section: Section, trainset: Trainset) -> tuple[ndarray, ndarray]:
     slopes = np.stack(
         [
             gradient.at(nodes) / 1000.0,
-            _held(curve_at, curve_value, nodes),
-            _held(tunnel_at, tunnel_value, nodes),
+            _hold_values(curve_at, curve_value, nodes),
+            _hold_values(tunnel_at, tunnel_value, nodes),
         ],
         axis=1,
     )
     return nodes, slopes
 
 
-def _held(starts: ndarray, values: ndarray, at: ndarray) -> ndarray:
+def _hold_values(starts: ndarray, values: ndarray, at: ndarray) -> ndarray:
     if starts.size == 0:
         return np.zeros(at.shape)
     index = np.searchsorted(starts, at, side="right") - 1

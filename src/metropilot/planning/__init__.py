@@ -47,7 +47,7 @@ if TYPE_CHECKING:
         TimedReference,
         reference_under,
         reference_under_for_time,
-        sampled,
+        sample_reference,
         sampled_profile,
     )
 
@@ -90,7 +90,7 @@ __all__ = [
     "reference_for_time",
     "reference_under",
     "reference_under_for_time",
-    "sampled",
+    "sample_reference",
     "sampled_profile",
     "specific",
     "stated_s",
@@ -135,7 +135,7 @@ __getattr__, __dir__ = lazy_door(
             "TimedReference",
             "reference_under",
             "reference_under_for_time",
-            "sampled",
+            "sample_reference",
             "sampled_profile",
         ),
     },

@@ -303,14 +303,14 @@ def _equalities(p: Programme, rows: ConstraintRows, at: dict[str, ndarray]) -> N
         -a - p.mesh.slope_mps2,
         n,
     )
-    nodes = _pinned(p)
+    nodes = _pinned_nodes(p)
     speeds = np.zeros(nodes.size)
     speeds[0], speeds[-1] = p.start_mps, p.end_mps
     rows.add([(e[nodes], 1.0)], 0.5 * speeds**2, nodes.size)
     rows.add([(v[nodes], 1.0)], speeds, nodes.size)
 
 
-def _pinned(p: Programme) -> ndarray:
+def _pinned_nodes(p: Programme) -> ndarray:
     """The ends and the stops: nodes whose speed is given (a cone there would have no interior)."""
     stops = p.mesh.stop[p.cap_mps[p.mesh.stop] == 0.0]
     return np.unique(np.concatenate([[0], stops, [p.mesh.length_m.size]])).astype(int)
@@ -426,7 +426,7 @@ def _not_before(
     slope = np.zeros(energy.size)
     slope[1:][part] += share[part] / speed[1:][part]
     slope[:-1][part] += share[part] / speed[:-1][part]
-    slope[_pinned(p)] = 0.0
+    slope[_pinned_nodes(p)] = 0.0
     seconds = float(np.sum((2 * p.mesh.length_m / total)[part]) - slope @ energy)
     nodes = np.arange(bound.first, bound.last + 1)
     return [(at["E"][nodes], -slope[nodes]), (waits, -1.0)], seconds - float(bound.low_s or 0.0)
@@ -436,7 +436,7 @@ def _cone_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray]) -> No
     """``v^2 <= 2 E`` at the nodes and ``t (v + v') >= 2 ds`` on the segments."""
     ds, e, v, t = p.mesh.length_m, at["E"], at["v"], at["t"]
     n = ds.size
-    free = np.setdiff1d(np.arange(n + 1), _pinned(p))
+    free = np.setdiff1d(np.arange(n + 1), _pinned_nodes(p))
     rows.add_cones([[(e[free], -1.0)], [(e[free], -1.0)], [(v[free], -1.0)]], [0.5, -0.5, 0.0], free.size)
     rows.add_cones(
         [[(t, -1.0), (v[1:], -1.0), (v[:-1], -1.0)], [(t, -1.0), (v[1:], 1.0), (v[:-1], 1.0)], []],

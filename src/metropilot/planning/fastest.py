@@ -20,7 +20,7 @@ NEARLY_FULL = 0.98
 
 
 def stated_s(minimum_s: float) -> float:
-    """A minimum running time as a user is told it: rounded up, so that asking for it is enough."""
+    """Minimum running time to show to a user: rounded up, so that asking for it is enough."""
     return math.ceil(100.0 * minimum_s) / 100.0
 
 
@@ -78,7 +78,7 @@ def fastest_profile(
     return _sweep(table, mesh, back, end=False)
 
 
-def braked_energy(table: Specific, mesh: Mesh, start_mps: float) -> Float[ndarray, " nodes"]:
+def braking_energy(table: Specific, mesh: Mesh, start_mps: float) -> Float[ndarray, " nodes"]:
     """``v^2/2`` at each node when (nearly) full braking begins at the start, J/kg."""
     energy = np.zeros(mesh.node_m.size)
     energy[0] = 0.5 * start_mps**2
@@ -94,7 +94,7 @@ def braked_energy(table: Specific, mesh: Mesh, start_mps: float) -> Float[ndarra
 
 def relaxed_cap(table: Specific, mesh: Mesh, start_mps: float) -> Float[ndarray, " nodes"]:
     """The caps, lifted to what (nearly) full braking from the start leaves where no brake could meet them."""
-    return np.maximum(mesh.cap_mps, np.sqrt(2 * braked_energy(table, mesh, start_mps)))
+    return np.maximum(mesh.cap_mps, np.sqrt(2 * braking_energy(table, mesh, start_mps)))
 
 
 def _index(table: Specific, speed: float) -> int:

@@ -183,7 +183,7 @@ class _Problem:
         self.table = specific(vehicle)
         self.mass_kg = self.table.mass_kg
         self.options = options
-        self.notches = _checked(notches_n, self.table) / self.mass_kg
+        self.notches = _check(notches_n, self.table) / self.mass_kg
         mesh = build_mesh(vehicle, track, np.array([0.0, float(track.length_m)]), options.spacing_m)
         self.mesh = mesh
         # the last segments become one: there the brake is continuous
@@ -206,16 +206,14 @@ class _Problem:
         for k in range(count - 1):
             energy = cap[k] * share**2
             rate, force = self.rates(k, energy)
-            lower[k], way[k], time_s[k] = self._reached(k, energy[:, None], rate, cap[k + 1])
+            lower[k], way[k], time_s[k] = self._reach(k, energy[:, None], rate, cap[k + 1])
             work[k] = self._work(force, mesh.length_m[k])
         return Moves(cap, share, lower, way, time_s, work)
 
     def _work(self, force: ndarray, length_m: float) -> ndarray:
         return (np.maximum(force, 0.0) + self.options.brake_weight * np.maximum(-force, 0.0)) * length_m
 
-    def _reached(
-        self, k: int, energy: ndarray, rate: ndarray, cap: float
-    ) -> tuple[ndarray, ndarray, ndarray]:
+    def _reach(self, k: int, energy: ndarray, rate: ndarray, cap: float) -> tuple[ndarray, ndarray, ndarray]:
         """Node below, share of the way in energy to the next, and time; infinite where not allowed."""
         length = self.mesh.length_m[k]
         after = energy + rate * length
@@ -291,7 +289,7 @@ class _Problem:
         for k in range(self.last):
             here = np.array([energy[-1]])
             rate, force = self.rates(k, here)
-            lower, way, taken = self._reached(k, here[:, None], rate, cap[k + 1])
+            lower, way, taken = self._reach(k, here[:, None], rate, cap[k + 1])
             later = values[k + 1]
             cost = (
                 later[lower] + (later[lower + 1] - later[lower]) * way + self._work(force, mesh.length_m[k])
@@ -326,7 +324,7 @@ class _Problem:
         )
 
 
-def _checked(notches_n: Sequence[float], table: Specific) -> ndarray:
+def _check(notches_n: Sequence[float], table: Specific) -> ndarray:
     """The notches, increasing, none stronger than the brakes.
 
     Raises:

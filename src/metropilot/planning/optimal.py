@@ -14,7 +14,7 @@ from metropilot.errors import Infeasible, InputError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
 from metropilot.planning.cone_program import Answer, Programme, TimeBound, solve, tangent
 from metropilot.planning.effort_table import Specific, specific
-from metropilot.planning.fastest import braked_energy, fastest_profile, relaxed_cap, times
+from metropilot.planning.fastest import braking_energy, fastest_profile, relaxed_cap, times
 from metropilot.planning.follow_map import follow_map
 from metropilot.planning.mesh import Mesh, build_mesh
 from metropilot.planning.prices import Objective, cost_per_metre, is_mapped, prices_at
@@ -215,7 +215,7 @@ def _check_stop(table: Specific, mesh: Mesh, options: PlanOptions) -> None:
     Raises:
         Infeasible: Full braking from the start does not do.
     """
-    left = float(braked_energy(table, mesh, options.start_mps)[-1])
+    left = float(braking_energy(table, mesh, options.start_mps)[-1])
     if left > 0.5 * options.end_mps**2 + 1e-9:
         raise Infeasible(
             f"the brakes cannot bring it below {math.sqrt(2 * left):.1f} m/s before the destination",

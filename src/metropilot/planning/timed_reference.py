@@ -89,7 +89,7 @@ class ReferenceTrack:
             )
 
 
-def sampled(reference: Reference, period_s: float) -> TimedReference:
+def sample_reference(reference: Reference, period_s: float) -> TimedReference:
     """A reference drawn by hand at equal steps of time."""
     count = int(np.ceil(reference.duration_s / period_s - 1e-9)) + 2
     x, v, a = reference.at(np.arange(count) * period_s)
@@ -205,10 +205,10 @@ def _ground(ground: ReferenceTrack, shape: ReferenceShape) -> tuple[ndarray, nda
         float(vehicle.mass_kg) * (float(vehicle.gravity_mps2) * felt[:, 0] + felt[:, 1])
         + felt[:, 2] * np.minimum(cap, 20.0) ** 2
     ) / table.mass_kg
-    return at, _narrowed(cap, at, _window_s(shape)), slope, table
+    return at, _narrow(cap, at, _window_s(shape)), slope, table
 
 
-def _narrowed(cap: ndarray, at: ndarray, window_s: float) -> ndarray:
+def _narrow(cap: ndarray, at: ndarray, window_s: float) -> ndarray:
     """A cap that the average over the window still keeps: the lowest within the way of one window."""
     if window_s <= 0:
         return cap

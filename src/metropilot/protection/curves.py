@@ -107,11 +107,11 @@ def _protect(
     arrays = {
         "start_m": field.node_m[0],
         "spacing_m": spacing_m,
-        "emergency": _padded(emergency, size, 0.0),
-        "service": _padded(service, size, 0.0),
-        "pull_mps2": _padded(pull, size, pull[-1]),
-        "usual_pull_mps2": _padded(usual_pull, size, usual_pull[-1]),
-        "permitted_mps": _padded(permitted, size, 0.0),
+        "emergency": _pad(emergency, size, 0.0),
+        "service": _pad(service, size, 0.0),
+        "pull_mps2": _pad(pull, size, pull[-1]),
+        "usual_pull_mps2": _pad(usual_pull, size, usual_pull[-1]),
+        "permitted_mps": _pad(permitted, size, 0.0),
         "slots": np.zeros(delay_steps(bounds.delay_s, bounds.dt_s) + 1),
     }
     return Protection(
@@ -222,7 +222,7 @@ def _permitted_curve(
 ) -> ndarray:
     """Highest speed at each node that any plant within the bounds can hold without being overruled."""
     count = emergency.size
-    windows = sliding_window_view(_padded(emergency, count + ahead, 0.0), ahead)[:count]
+    windows = sliding_window_view(_pad(emergency, count + ahead, 0.0), ahead)[:count]
     distance = (field.node_m[1] - field.node_m[0]) * np.arange(ahead)
     weight = np.maximum(bounds.mass[0] * field.weight_n, bounds.mass[1] * field.weight_n)
 
@@ -234,7 +234,7 @@ def _permitted_curve(
     return -sliding_max(-np.append(speed[:-1], 0.0), 1, 2)[:count]
 
 
-def _padded(values: ndarray, size: int, fill: float) -> ndarray:
+def _pad(values: ndarray, size: int, fill: float) -> ndarray:
     return np.concatenate([values, np.full(size - values.size, fill)])
 
 

@@ -205,7 +205,7 @@ def leader_motion(ahead: TrainAhead) -> Braking:
 
 @no_type_check
 def least_gap(ahead: TrainAhead, position_m: Scalar, following: Braking) -> Scalar:
-    """The smallest gap on the way to a stand if both brake: the leader at its hardest, the follower as told.
+    """Smallest gap on the way to standstill if both brake: leader at its hardest, follower nominally.
 
     While a brake builds up the gap is looked at on a grid, and what it can dip in between is taken off; from
     then on it is a parabola until one of them stands, and shrinks only while the follower still moves.

@@ -74,12 +74,12 @@ def supervise(
         share=kept,
         acceleration_mps2=acceleration_mps2,
         emergency=emergency,
-        level=_counted(level),
-        interventions=memory.interventions + _counted(overruled & (memory.level == 0)),
-        emergencies=memory.emergencies + _counted(emergency & (memory.emergency ^ True)),
-        invalid=memory.invalid + _counted(valid ^ True),
+        level=_as_count(level),
+        interventions=memory.interventions + _as_count(overruled & (memory.level == 0)),
+        emergencies=memory.emergencies + _as_count(emergency & (memory.emergency ^ True)),
+        invalid=memory.invalid + _as_count(valid ^ True),
     )
-    permitted = _between(protection.permitted_mps, check.node, check.way)
+    permitted = _interpolate(protection.permitted_mps, check.node, check.way)
     verdict = Verdict(after.level, permitted, (2.0 * check.energy(protection.emergency)) ** 0.5, valid)
     return Command(share, emergency), after, verdict
 
@@ -141,7 +141,7 @@ class CommandCheck:
 
     def energy(self, curve: Array) -> Scalar:
         """A curve at this position, m^2/s^2."""
-        return _between(curve, self.node, self.way)
+        return _interpolate(curve, self.node, self.way)
 
     def emergency(self, share: Scalar, margin_mps: Scalar) -> Scalar:
         """True if the emergency brake decided one period from now is in time, whatever the plant."""
@@ -202,7 +202,7 @@ def permitted_speed(protection: Protection, position_m: Array) -> Array:
     Whoever holds a speed at or under it is not overruled. Whoever still accelerates by ``a`` must stay lower
     by ``a * reaction_s`` and what the emergency brake needs to undo ``a``; see :func:`approach_margin`.
     """
-    return _between(protection.permitted_mps, *on_grid(protection, position_m))
+    return _interpolate(protection.permitted_mps, *on_grid(protection, position_m))
 
 
 def spare_gap(
@@ -248,7 +248,7 @@ def on_grid(protection: Protection, position_m: Array) -> tuple[Array, Array]:
     return (int(whole) if xp is scalars else whole.astype(np.int32)), share
 
 
-def _between(values: Array, node: Array, share: Array) -> Array:
+def _interpolate(values: Array, node: Array, share: Array) -> Array:
     return values[node] + (values[node + 1] - values[node]) * share
 
 
@@ -264,5 +264,5 @@ def _slice(values: Array, first: Scalar, size: int) -> Array:
     return jax.lax.dynamic_slice_in_dim(values, first, size)
 
 
-def _counted(value: Scalar) -> Scalar:
+def _as_count(value: Scalar) -> Scalar:
     return value.astype(np.int32) if hasattr(value, "astype") else np.int32(value)

@@ -42,12 +42,12 @@ def import_file(path: str | Path) -> Line | Trainset | Journey:
     path = Path(path)
     text = _text(path)
     if path.suffix.lower() == ".json":
-        return read_ttobench(Node(_parsed(path, text, _json, "JSON"), path), path.stem)
+        return read_ttobench(Node(_parse(path, text, _json, "JSON"), path), path.stem)
     return _read_toml(text, path)
 
 
 def _read_toml(text: str, file: object) -> Line | Trainset | Journey:
-    root = Node(_parsed(file, text, tomllib.loads, "TOML"), file)
+    root = Node(_parse(file, text, tomllib.loads, "TOML"), file)
     kind = root.text("kind", allowed=", ".join(_READERS))
     if kind not in _READERS:
         raise root.fail(f"unknown kind{nearest(kind, list(_READERS))}", "kind", kind, ", ".join(_READERS))
@@ -74,7 +74,7 @@ def _json(text: str) -> object:
     return found
 
 
-def _parsed(file: object, text: str, parse: Callable[[str], object], name: str) -> dict[str, Any]:
+def _parse(file: object, text: str, parse: Callable[[str], object], name: str) -> dict[str, Any]:
     try:
         data = parse(text)
     except (ValueError, RecursionError) as error:

@@ -301,7 +301,7 @@ def find_station(line: Line, key: str) -> Station:
     raise InputError(problem, file=line.id, field="station", value=key, allowed=listed)
 
 
-def _planned(line: Line, start: int, end: int) -> float | None:
+def _planned_time_s(line: Line, start: int, end: int) -> float | None:
     low, high = min(start, end), max(start, end)
     table = line.planned_forward_s if end > start else (line.planned_backward_s or line.planned_forward_s)
     return float(table[low]) if table and high - low == 1 else None
@@ -342,7 +342,7 @@ def cut_section(line: Line, start: Station, end: Station) -> Section:
         gradient_permil=gradient,
         curves=curves,
         tunnels=tunnels,
-        planned_time_s=_planned(line, index[start.code], index[end.code]),
+        planned_time_s=_planned_time_s(line, index[start.code], index[end.code]),
     )
 
 

@@ -11,7 +11,7 @@ from numpy import ndarray
 from metropilot.errors import InputError
 
 
-def _frozen(values: object) -> ndarray:
+def _freeze(values: object) -> ndarray:
     array = np.array(values, dtype=np.float64)
     array.setflags(write=False)
     return array
@@ -32,8 +32,8 @@ class Steps:
     value: Float[ndarray, " pieces"]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "from_m", _frozen(self.from_m))
-        object.__setattr__(self, "value", _frozen(self.value))
+        object.__setattr__(self, "from_m", _freeze(self.from_m))
+        object.__setattr__(self, "value", _freeze(self.value))
         if self.from_m.ndim != 1 or self.from_m.shape != self.value.shape or self.from_m.size == 0:
             raise InputError("a profile needs one position for each value", allowed="at least one piece")
         if not (np.isfinite(self.from_m).all() and np.isfinite(self.value).all()):

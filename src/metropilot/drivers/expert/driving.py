@@ -25,8 +25,8 @@ from metropilot.control import (
     curve_for,
     model_of,
 )
-from metropilot.drivers.expert.ground import STEP_M, ExpertTrack, build_up_s, ground_of, lead_s, share_of
-from metropilot.drivers.expert.hoa import Hoa, felt, stop_share
+from metropilot.drivers.expert.ground import STEP_M, ExpertTrack, build_up_s, expert_track, lead_s, share_of
+from metropilot.drivers.expert.hoa import Hoa, stop_share, update_gain
 from metropilot.drivers.expert.legs import Leg, Legs, legs_of
 from metropilot.env import (
     EXPERT_RELEASE_SHARE,
@@ -54,7 +54,7 @@ TIGHT = 1.03
 """Time left over the least time below which no time is given away for a lower limit ahead."""
 
 
-class Seen(NamedTuple):
+class RateInputs(NamedTuple):
     """Inputs to a choice of the change of the rate.
 
     Attributes:
@@ -76,7 +76,7 @@ class Seen(NamedTuple):
     traction_mps2: float
 
 
-Change = Callable[[Seen], float]
+Change = Callable[[RateInputs], float]
 """The wanted change of the rate in an interval, m/s^2."""
 
 
@@ -110,8 +110,8 @@ class ExpertMemory(NamedTuple):
     before_mps2: float = 0.0
 
 
-def prepared(run: Run, section: Section, rules: ExpertRules, hoa: Hoa) -> ExpertMemory:
-    """Everything about a section that does not change on the way.
+def prepare_expert(run: Run, section: Section, rules: ExpertRules, hoa: Hoa) -> ExpertMemory:
+    """Prepare all that does not change on the way over a section.
 
     Args:
         run: The run.
@@ -121,7 +121,7 @@ def prepared(run: Run, section: Section, rules: ExpertRules, hoa: Hoa) -> Expert
     """
     model = model_of(run, section)
     ceiling = ceiling_of(run, section, MARGIN_MPS)
-    ground = ground_of(model, ceiling, rules)
+    ground = expert_track(model, ceiling, rules)
     return ExpertMemory(
         run=run,
         section=section,
@@ -136,19 +136,19 @@ def prepared(run: Run, section: Section, rules: ExpertRules, hoa: Hoa) -> Expert
 
 
 def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tuple[float, ExpertMemory]:
-    """One decision.
+    """Decide on the command of one period.
 
     Args:
-        memory: From :func:`prepared`, or the decision before.
+        memory: From :func:`prepare_expert`, or the decision before.
         observation: Measurements of this period.
         change: Chooses the change of the rate.
     """
     if observation.section is not memory.section:
-        fresh = prepared(memory.run, observation.section, memory.rules, memory.hoa)
+        fresh = prepare_expert(memory.run, observation.section, memory.rules, memory.hoa)
         memory = fresh._replace(actuation=memory.actuation, rate_mps2=memory.rate_mps2)
     ground, actuation = memory.ground, memory.actuation
     state = (observation.position_m, observation.speed_mps, observation.acceleration_mps2)
-    hoa = felt(memory.hoa, ground, actuation, state, memory.before_mps2)
+    hoa = update_gain(memory.hoa, ground, actuation, state, memory.before_mps2)
     ahead = ground.ahead(actuation, state, hoa.gain)
     brake, downhill = ground.brake(ahead.speed_mps), ground.downhill(ahead.position_m)
     plan = hoa.plan_mps2(brake, downhill, ground.most_mps2)
@@ -156,7 +156,7 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
     share, braking = stop_share(hoa, ground, actuation, ahead, curve)
     rate = 0.0
     if not braking:
-        seen = _seen(memory, observation, ahead, curve)
+        seen = _rate_inputs(memory, observation, ahead, curve)
         rate = _rate(memory, seen, change(seen))
         share = share_of(actuation, ahead, _kept_safe(memory, observation, ahead, rate))
     memory = memory._replace(
@@ -168,8 +168,10 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
     return share, memory
 
 
-def _seen(memory: ExpertMemory, observation: Observation, ahead: PredictedState, curve: StopCurve) -> Seen:
-    """The window where a command given now begins to act."""
+def _rate_inputs(
+    memory: ExpertMemory, observation: Observation, ahead: PredictedState, curve: StopCurve
+) -> RateInputs:
+    """Speed window where a command given now begins to act, and the rates around it."""
     rules, ground, legs = memory.rules, memory.ground, memory.legs
     x, v, a = ahead.position_m, ahead.speed_mps, max(ahead.acceleration_mps2, 0.0)
     leg = legs.leg(x) if rules.intervals else legs.legs[-1]
@@ -182,7 +184,9 @@ def _seen(memory: ExpertMemory, observation: Observation, ahead: PredictedState,
     top = min(rules.start_mps2 + ahead.resistance_mps2, ahead.traction_mps2)
     if len(legs.legs) > 1 and time_left > TIGHT * legs.least_s(ground.length_m - x, v):
         top = min(top, _for_lower_limits(memory, ahead, coasts_at))
-    return Seen(window, v, stretch.left_m, time_left * share, memory.rate_mps2, top, ahead.traction_mps2)
+    return RateInputs(
+        window, v, stretch.left_m, time_left * share, memory.rate_mps2, top, ahead.traction_mps2
+    )
 
 
 def _for_lower_limits(memory: ExpertMemory, ahead: PredictedState, speed_mps: float) -> float:
@@ -210,7 +214,7 @@ def _release_s(leg: Leg, curve: StopCurve) -> float:
     return EXPERT_RELEASE_SHARE * curve.deceleration_mps2 / curve.release_jerk_mps3
 
 
-def _rate(memory: ExpertMemory, seen: Seen, change: float) -> float:
+def _rate(memory: ExpertMemory, seen: RateInputs, change: float) -> float:
     """The rate after the period's share of a change."""
     rules, part = memory.rules, memory.actuation.dt / memory.rules.interval_s
     return next_expert_rate(

@@ -56,15 +56,15 @@ class ExpertTrack(NamedTuple):
 
     def climb(self, position_m: float) -> float:
         """Work of gradients and curves from the origin, J/kg."""
-        return _between(self.climb_jpkg, position_m / STEP_M)
+        return _interpolate(self.climb_jpkg, position_m / STEP_M)
 
     def downhill(self, position_m: float) -> float:
         """Loss of station-stop deceleration to gradients and curves from a position, m/s^2; at most 0."""
-        return _between(self.downhill_mps2, position_m / STEP_M)
+        return _interpolate(self.downhill_mps2, position_m / STEP_M)
 
     def safe(self, position_m: float) -> float:
         """Speed to stay under, m/s."""
-        return _between(self.safe_mps, position_m / STEP_M)
+        return _interpolate(self.safe_mps, position_m / STEP_M)
 
     def lowest(self, position_m: float, way_m: float) -> float:
         """The lowest speed to stay under from a position over a little way, m/s."""
@@ -73,11 +73,11 @@ class ExpertTrack(NamedTuple):
 
     def traction(self, speed_mps: float) -> float:
         """Largest traction, m/s^2."""
-        return _between(self.traction_mps2, speed_mps / SPEED_STEP_MPS)
+        return _interpolate(self.traction_mps2, speed_mps / SPEED_STEP_MPS)
 
     def brake(self, speed_mps: float) -> float:
         """Full service brake, m/s^2."""
-        return _between(self.brake_mps2, speed_mps / SPEED_STEP_MPS)
+        return _interpolate(self.brake_mps2, speed_mps / SPEED_STEP_MPS)
 
     def drag(self, position_m: float, speed_mps: float) -> float:
         """Resistance and gradient, m/s^2."""
@@ -92,9 +92,9 @@ class ExpertTrack(NamedTuple):
         ds = left / EXPERT_SEGMENTS
         at = [position_m + k * ds for k in range(EXPERT_SEGMENTS + 1)]
         climb, safe = self.climb_jpkg, self.safe_mps
-        caps = [_between(safe, x / STEP_M) for x in at]
+        caps = [_interpolate(safe, x / STEP_M) for x in at]
         return ExpertStretch(
-            left, [_between(climb, x / STEP_M) for x in at], [0.5 * v * v for v in caps], end_mps
+            left, [_interpolate(climb, x / STEP_M) for x in at], [0.5 * v * v for v in caps], end_mps
         )
 
     def ahead(
@@ -131,7 +131,7 @@ def share_of(actuation: CommandActuation, ahead: PredictedState, effort_mps2: fl
     return lead_command(share, ahead.share, actuation.keep)
 
 
-def ground_of(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTrack:
+def expert_track(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTrack:
     """Tables of a section for a trainset.
 
     Args:
@@ -189,7 +189,7 @@ def _safe(model: Model, ceiling: Ceiling, rules: ExpertRules, at: np.ndarray) ->
     return safe
 
 
-def _between(values: list[float], steps: float) -> float:
+def _interpolate(values: list[float], steps: float) -> float:
     """A table at a place between its entries, held beyond its ends."""
     if steps <= 0.0:
         return values[0]

@@ -53,7 +53,7 @@ class Hoa(NamedTuple):
     """Knowledge of the brake, and progress of this stop.
 
     Attributes:
-        gain: Actual over believed braking force.
+        gain: Actual over nominal braking force.
         sigma: Its standard deviation.
         braking: True while the station-stop braking is on.
         passed: Balises passed.
@@ -81,14 +81,14 @@ class Hoa(NamedTuple):
         return Hoa(self.gain, max(self.sigma, SETTLED))
 
 
-def felt(
+def update_gain(
     hoa: Hoa,
     ground: ExpertTrack,
     actuation: CommandActuation,
     state: tuple[float, float, float],
     before_mps2: float,
 ) -> Hoa:
-    """The gain after one control period.
+    """Update the gain after one control period.
 
     Args:
         hoa: Knowledge before the period.
@@ -133,7 +133,7 @@ def _at_balise(hoa: Hoa, ground: ExpertTrack, x: float, v: float, work: tuple[fl
 def stop_share(
     hoa: Hoa, ground: ExpertTrack, actuation: CommandActuation, ahead: PredictedState, curve: StopCurve
 ) -> tuple[float, bool]:
-    """The command of the last braking, and whether it is on.
+    """Choose the command of the station-stop braking; False beside it if it is not on.
 
     Args:
         hoa: Knowledge of the brake.

@@ -8,7 +8,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from metropilot.drivers.expert.driving import ExpertMemory, Seen, decide, prepared
+from metropilot.drivers.expert.driving import ExpertMemory, RateInputs, decide, prepare_expert
 from metropilot.drivers.expert.hoa import SETTLED, Hoa
 from metropilot.drivers.shipped import PolicyOptions
 from metropilot.env import ExpertAction, ExpertChoiceAction, expert_state
@@ -72,24 +72,24 @@ class AbstractExpertPolicyDriver(AbstractDriver):
 
     def init(self, run: Run) -> PolicyMemory:
         """Read the policy, and build the tables of the section."""
-        return PolicyMemory(prepared(run, run.section, self._action.rules, Hoa(sigma=SETTLED)))
+        return PolicyMemory(prepare_expert(run, run.section, self._action.rules, Hoa(sigma=SETTLED)))
 
     def act(self, memory: PolicyMemory, observation: Observation) -> tuple[float, PolicyMemory]:
         """One decision of the expert; the policy is asked once in its own period."""
         period, chosen = self.loaded.perception.period_s, memory.change
         decided = memory.decided
 
-        def change(seen: Seen) -> float:
+        def change(seen: RateInputs) -> float:
             nonlocal chosen, decided
             if observation.time_s >= decided * period - EARLY_S:
-                chosen = self._asked(seen)
+                chosen = self._evaluate(seen)
                 decided = int((observation.time_s + EARLY_S) / period) + 1
             return chosen * self._action.change_mps2
 
         share, expert = decide(memory.expert, observation, change)
         return share, PolicyMemory(expert, decided, chosen)
 
-    def _asked(self, seen: Seen) -> float:
+    def _evaluate(self, seen: RateInputs) -> float:
         """Evaluate the policy: a change of the rate, as a share of the largest."""
         observed = expert_state(
             scalars,

@@ -1,1 +1,1 @@
-"""One driver for every line: lessons from the optimal plan, imitation, drives in closed loop."""
+"""Imitation of the optimal plan on random sections, then tuning in closed loop: the generalist driver."""

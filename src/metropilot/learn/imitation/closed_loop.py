@@ -62,7 +62,7 @@ class Begin(NamedTuple):
     """Start of a drive and the optimum it is compared with. All 0-d, or one entry a drive.
 
     Attributes:
-        case: Row of the world.
+        case: Row of the section.
         position_m: Initial position.
         speed_mps: Initial speed.
         time_s: Time already used.
@@ -161,7 +161,7 @@ within_worth.defvjp(_forth, _back)
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """The drives of a set of worlds.
+    """Drives on a set of sections.
 
     Attributes:
         rows: Their tables.

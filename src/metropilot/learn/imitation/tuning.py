@@ -17,8 +17,8 @@ from numpy.random import Generator
 
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.imitation.closed_loop import Begin, ClosedLoop
-from metropilot.learn.imitation.lessons import Demonstrations
-from metropilot.learn.imitation.pupil import TrainState, imitation_loss, labels, learned
+from metropilot.learn.imitation.demonstrations import Demonstrations
+from metropilot.learn.imitation.train_state import TrainState, apply_gradient, imitation_loss, labels
 from metropilot.policy import Params, PolicySpec, network_output
 
 Array = Any
@@ -42,8 +42,8 @@ class TuningRuns:
     """Starts of drives, by length.
 
     Attributes:
-        case: Row of the world in the tables. Shape (K,).
-        begins: See :class:`~metropilot.learn.imitation.lessons.Demonstrations`. Shape (K, 7).
+        case: Row of the section in the tables. Shape (K,).
+        begins: See :class:`~metropilot.learn.imitation.demonstrations.Demonstrations`. Shape (K, 7).
         lengths: Entries of each length in ``DECISIONS``.
     """
 
@@ -87,13 +87,13 @@ def batch_of(drives: TuningRuns, random: Generator, decisions: int) -> tuple[int
     return DECISIONS[k], Begin(begin.case, *(np.asarray(v, np.float32) for v in begin[1:]))
 
 
-def bill(
+def excess_cost(
     loop: ClosedLoop, spec: PolicySpec, params: Params, begin: Begin, decisions: int, late: float
 ) -> Array:
     """Cost of one drive above the optimum, as a share of it; lateness at its price and more.
 
     Args:
-        loop: The worlds.
+        loop: Closed loop over the sections.
         spec: Layout of the policy's parameters.
         params: Of the policy.
         begin: The drive.
@@ -120,9 +120,9 @@ class Tuning:
     Args:
         config: Configuration.
         spec: Layout of the policy's parameters.
-        loop: The worlds.
+        loop: Closed loop over the sections.
         drives: Starts of drives.
-        lessons: Demonstrations still imitated beside.
+        demonstrations: Demonstrations still imitated beside.
     """
 
     def __init__(
@@ -131,33 +131,35 @@ class Tuning:
         spec: PolicySpec,
         loop: ClosedLoop,
         drives: TuningRuns,
-        lessons: Demonstrations,
+        demonstrations: Demonstrations,
     ) -> None:
         self.config = config
         self.spec = spec
         self.loop = loop
         self.drives = drives
-        self.observations = lessons.observations
-        self.wanted = labels(loop.action, lessons.commands)
+        self.observations = demonstrations.observations
+        self.wanted = labels(loop.action, demonstrations.commands)
         self._steps: dict[int, Step] = {}
 
-    def step(self, pupil: TrainState, random: Generator, rate: float) -> tuple[TrainState, float]:
+    def step(self, train_state: TrainState, random: Generator, rate: float) -> tuple[TrainState, float]:
         """One step; the policy after it, and what its drives cost above the optimum, as a share."""
         decisions, begin = batch_of(self.drives, random, self.config.decisions)
         rows = random.integers(0, self.wanted.size, self.config.batch_size)
         step = self._steps.setdefault(decisions, jax.jit(partial(self._step, decisions)))
-        pupil, cost = step(pupil, jnp.float32(rate), begin, self.observations[rows], self.wanted[rows])
-        return pupil, float(cost)
+        train_state, cost = step(
+            train_state, jnp.float32(rate), begin, self.observations[rows], self.wanted[rows]
+        )
+        return train_state, float(cost)
 
     def _step(
-        self, decisions: int, pupil: TrainState, rate: Array, begin: Begin, seen: Array, wanted: Array
+        self, decisions: int, train_state: TrainState, rate: Array, begin: Begin, seen: Array, wanted: Array
     ) -> tuple[TrainState, Array]:
         config, spec = self.config, self.spec
 
         def loss(params: Params) -> tuple[Array, Array]:
-            one = partial(bill, self.loop, spec, params, decisions=decisions, late=config.late_per_s)
+            one = partial(excess_cost, self.loop, spec, params, decisions=decisions, late=config.late_per_s)
             cost = jnp.mean(jax.vmap(lambda b: one(begin=b))(begin))
             return cost + config.imitation_weight * imitation_loss(spec, params, seen, wanted), cost
 
-        (_, cost), gradient = jax.value_and_grad(loss, has_aux=True)(pupil.params)
-        return learned(pupil, gradient, rate, config.max_gradient_norm), cost
+        (_, cost), gradient = jax.value_and_grad(loss, has_aux=True)(train_state.params)
+        return apply_gradient(train_state, gradient, rate, config.max_gradient_norm), cost

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from metropilot.learn.distributions import masked
+from metropilot.learn.distributions import mask_values
 
 
 def td_target(
@@ -30,7 +30,7 @@ def td_target(
         judge: Action values of the target network there.
         mask: Choices allowed at the next state (Lu23's filter), None: all.
     """
-    choice = jnp.argmax(masked(chooser, mask), axis=-1)
+    choice = jnp.argmax(mask_values(chooser, mask), axis=-1)
     value = jnp.take_along_axis(judge, choice[:, None], axis=-1)[:, 0]
     return jax.lax.stop_gradient(reward + discount * value)
 

@@ -68,6 +68,6 @@ def divergence(
     return jnp.mean(jnp.exp(log_ratio) - 1.0 - log_ratio)
 
 
-def normalised(advantage: Float[jax.Array, " B"]) -> Float[jax.Array, " B"]:
+def normalise_advantage(advantage: Float[jax.Array, " B"]) -> Float[jax.Array, " B"]:
     """Advantages with mean zero and deviation one over the minibatch."""
     return (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + 1e-8)

@@ -47,7 +47,7 @@ def export_ttobench(thing: Line | Trainset | Journey, path: str | Path) -> tuple
     return tuple(lost)
 
 
-def _merged(thing: Line | Trainset | Journey, document: dict[str, Any], **metadata: str) -> dict[str, Any]:
+def _merge(thing: Line | Trainset | Journey, document: dict[str, Any], **metadata: str) -> dict[str, Any]:
     """The document with metadata in front and what the source file had beyond it."""
     extra = dict(thing.extra)
     rest = extra.pop("metadata", {})
@@ -91,7 +91,7 @@ def _line(line: Line) -> tuple[dict[str, Any], list[str]]:
     lost = [] if plain else ["stations.code", "stations.name"]
     lost += ["name"] if line.name != line.id else []
     lost += [n for n in ("planned_forward_s", "planned_backward_s", "dwell_s", "notes") if getattr(line, n)]
-    return _merged(line, document), lost
+    return _merge(line, document), lost
 
 
 def _radius(bend: float) -> float | str:
@@ -109,7 +109,7 @@ def _journey(journey: Journey) -> tuple[dict[str, Any], list[str]]:
     units = {column.name: {"length": "m", "time": "s", "speed": of}[column.kind] for column in TIMING_COLUMNS}
     document = {"timing points": {"units": units, "values": values}}
     track = {"associated track": journey.line_id} if journey.line_id else {}
-    return _merged(journey, document, **track), ["notes"] if journey.notes else []
+    return _merge(journey, document, **track), ["notes"] if journey.notes else []
 
 
 def _scalar(value: float, kind: str, wish: str) -> dict[str, Any]:
@@ -174,7 +174,7 @@ def _trainset(trainset: Trainset) -> tuple[dict[str, Any], list[str]]:
     if t.tunnel_n_per_mps2:
         units = {"cross section": "m^2", "coefficient": "N/(m/s)^2"}
         document["tunnel resistance"] = {"units": units, "values": [list(row) for row in t.tunnel_n_per_mps2]}
-    return _merged(t, document), _lost(t)
+    return _merge(t, document), _lost(t)
 
 
 def _lost(t: Trainset) -> list[str]:

@@ -19,7 +19,7 @@ from metropilot.planning import (
     plan_arrays,
     reference,
     reference_under,
-    sampled,
+    sample_reference,
     sampled_profile,
 )
 from metropilot.railway import Section, Steps, Trainset, load_line, load_trainset
@@ -94,7 +94,7 @@ def reference_of(kind: str, speed: str = "base") -> TimedReference:
         raise InputError("unknown reference", field="reference", value=kind, allowed=", ".join(REFERENCES))
     cruise = CRUISE_MPS[speed]
     if kind == "drawn":
-        return sampled(reference(LENGTH_M, cruise, SHAPE), DT_S)
+        return sample_reference(reference(LENGTH_M, cruise, SHAPE), DT_S)
     vehicle, track = vehicle_arrays(trainset()), track_arrays(section(), trainset())
     if kind == "optimal":
         time_s = reference_of("s_curve", speed).duration_s

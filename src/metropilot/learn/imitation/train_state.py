@@ -38,7 +38,7 @@ class TrainState(NamedTuple):
     adam: AdamState
 
 
-def pupil_spec(config: TeacherConfig, observation_size: int) -> PolicySpec:
+def imitation_spec(config: TeacherConfig, observation_size: int) -> PolicySpec:
     """Layout of the policy's parameters."""
     return PolicySpec(
         output="clip",
@@ -51,7 +51,7 @@ def pupil_spec(config: TeacherConfig, observation_size: int) -> PolicySpec:
     )
 
 
-def new_pupil(config: TeacherConfig, seed: int, observations: Float[ndarray, "n o"]) -> TrainState:
+def new_train_state(config: TeacherConfig, seed: int, observations: Float[ndarray, "n o"]) -> TrainState:
     """A policy that has learned nothing but how observations scatter."""
     size = observations.shape[1]
     network = MLP((size, *config.hidden, 1), config.activation, config.initialiser)
@@ -64,14 +64,14 @@ def new_pupil(config: TeacherConfig, seed: int, observations: Float[ndarray, "n 
     return TrainState(params | known, adam)
 
 
-def rested(pupil: TrainState) -> TrainState:
+def reset_optimiser(train_state: TrainState) -> TrainState:
     """The policy without its optimiser's memory: another loss has gradients of another size.
 
     With the moments of the imitation, whose gradients are small, the first steps in closed loop would be many
     times too long.
     """
-    moving = {name: value for name, value in pupil.params.items() if name not in STATISTICS}
-    return TrainState(pupil.params, adam_init(moving))
+    moving = {name: value for name, value in train_state.params.items() if name not in STATISTICS}
+    return TrainState(train_state.params, adam_init(moving))
 
 
 def labels(action: RegimeAction, commands: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
@@ -90,11 +90,13 @@ def imitation_loss(spec: PolicySpec, params: Params, observations: Array, wanted
     return jnp.mean(jnp.where(off < NEAR, off * off / (2.0 * NEAR), off - NEAR / 2.0))
 
 
-def learned(pupil: TrainState, gradient: Params, rate: Array, max_norm: float | None) -> TrainState:
+def apply_gradient(
+    train_state: TrainState, gradient: Params, rate: Array, max_norm: float | None
+) -> TrainState:
     """One step against a gradient; the statistics stay, and so does everything if it is not finite."""
-    moving = {name: value for name, value in pupil.params.items() if name not in STATISTICS}
+    moving = {name: value for name, value in train_state.params.items() if name not in STATISTICS}
     slope = {name: gradient[name] for name in moving}
     fine = jnp.all(jnp.stack([jnp.isfinite(value).all() for value in slope.values()]))
-    moved, adam = adam_step(moving, slope, pupil.adam, rate, max_norm)
-    after = TrainState(pupil.params | moved, adam)
-    return jax.tree.map(lambda new, old: jnp.where(fine, new, old), after, pupil)
+    moved, adam = adam_step(moving, slope, train_state.adam, rate, max_norm)
+    after = TrainState(train_state.params | moved, adam)
+    return jax.tree.map(lambda new, old: jnp.where(fine, new, old), after, train_state)

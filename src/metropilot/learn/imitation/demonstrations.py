@@ -1,4 +1,4 @@
-"""Lessons: what the optimal plan does from a state, for states on its way and beside it."""
+"""Demonstrations of the optimal plan, for states on its way and beside it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SPREAD_MPS, SPREAD_SHARE, SPREAD_S = 1.8, 0.045, 1.5
 """Scatter of states about the plan: speed, time left as a share, and time left besides."""
 SLOWEST_MPS = 0.3
 SAFE_SHARE = 0.97
-"""Share of the last braking's rate from which a disturbed state may still have to stop."""
+"""Share of the station-stop deceleration from which a disturbed state may still have to stop."""
 
 
 class Demonstrations(NamedTuple):
@@ -58,16 +58,18 @@ class Demonstrations(NamedTuple):
 
 
 class DemonstrationGenerator:
-    """One world with its tables: observes states in it, and asks the plan.
+    """Observations and optimal plans on one random section.
 
     Args:
-        world: Sampled line and trainset.
+        sample: Section and trainset.
         scheduled_ratio: Scheduled time over the minimum.
     """
 
-    def __init__(self, world: DomainSample, scheduled_ratio: float) -> None:
-        run = Run(world.section, world.trainset, scheduled_time_s=1.0)
-        tables = build_tables([(world.section, world.trainset, declared_bounds(run))], SPACING_M, np.float64)
+    def __init__(self, sample: DomainSample, scheduled_ratio: float) -> None:
+        run = Run(sample.section, sample.trainset, scheduled_time_s=1.0)
+        tables = build_tables(
+            [(sample.section, sample.trainset, declared_bounds(run))], SPACING_M, np.float64
+        )
         self.rows = SectionRows(tables, jax=False)
         self.case = self.rows.case(0)
         self.length_m = float(self.case.length_m)
@@ -77,7 +79,7 @@ class DemonstrationGenerator:
         self._cap = np.maximum(cap, 0.5)
 
     def most_mps(self, position_m: float) -> float:
-        """Speed that is still permitted at a position, and from which the last braking still stops."""
+        """Largest permitted speed at a position from which the station-stop braking still stops."""
         permitted = float(self.rows.ground_at(PERMITTED_COLUMN, 0, np.array(position_m)))
         work, _ = self.rows.stop_at(0, np.array(position_m))
         stops = float(np.sqrt(2.0 * SAFE_SHARE * DOMAIN_ASSISTS.stop_use * max(float(work), 0.0)))
@@ -152,7 +154,7 @@ class DemonstrationGenerator:
         return np.clip(share + (1.0 - share) * hard, -1.0, 1.0)
 
     def along(self, plan: Plan, begun_s: float, random: Generator, states: int) -> Demonstrations:
-        """Lessons at random times of a plan that begins at a time since departure."""
+        """Demonstrations at random times of a plan that begins at a time since departure."""
         at = random.uniform(0.0, 0.995 * plan.running_time_s, states)
         x = np.interp(at, plan.time_s, plan.position_m)
         v = np.sqrt(np.maximum(np.interp(x, plan.position_m, plan.speed_mps**2), 0.0))
@@ -170,30 +172,32 @@ class DemonstrationGenerator:
         return Demonstrations(self.observed(begun_s + at, x, v), commands, np.array([begin]))
 
 
-def collect_demonstrations(world: DomainSample, random: Generator, plans: int, states: int) -> Demonstrations:
-    """Lessons along the optimal plan of a world, and along plans from disturbed states beside it.
+def collect_demonstrations(
+    sample: DomainSample, random: Generator, plans: int, states: int
+) -> Demonstrations:
+    """Collect demonstrations along the optimal plan of a section, and along plans from states beside it.
 
     Args:
-        world: Sampled line and trainset.
+        sample: Section and trainset.
         random: Source of the scheduled time and the disturbances.
         plans: Number of plans.
         states: States along each.
 
     Raises:
-        MetropilotError: The world cannot be driven.
+        MetropilotError: The section cannot be driven.
     """
     low, high = TIME_RATIO
-    room = DemonstrationGenerator(world, low + (high - low) * float(random.beta(1.1, 2.0)))
+    room = DemonstrationGenerator(sample, low + (high - low) * float(random.beta(1.1, 2.0)))
     first = room.plan(room.scheduled_s)
     found = [room.along(first, 0.0, random, states)]
     for _ in range(plans - 1):
         with suppress(MetropilotError):  # no plan from there: too fast to stop, or stalled
             found.append(_beside(room, first, random, states))
-    return joined(found)
+    return concatenate_demonstrations(found)
 
 
 def _beside(room: DemonstrationGenerator, plan: Plan, random: Generator, states: int) -> Demonstrations:
-    """Lessons along the plan from a state beside another plan."""
+    """Demonstrations along the plan from a state beside another plan."""
     moment = float(random.uniform(0.0, 0.92 * plan.running_time_s))
     x = float(np.interp(moment, plan.time_s, plan.position_m))
     v = float(np.sqrt(np.interp(x, plan.position_m, plan.speed_mps**2)))
@@ -203,8 +207,8 @@ def _beside(room: DemonstrationGenerator, plan: Plan, random: Generator, states:
     return room.along(room.plan(left, x, v), room.scheduled_s - left, random, states)
 
 
-def joined(lessons: Sequence[Demonstrations]) -> Demonstrations:
+def concatenate_demonstrations(demonstrations: Sequence[Demonstrations]) -> Demonstrations:
     """All of them as one; states that are not finite are left out."""
-    whole = Demonstrations(*(np.concatenate(part) for part in zip(*lessons, strict=True)))
+    whole = Demonstrations(*(np.concatenate(part) for part in zip(*demonstrations, strict=True)))
     fit = np.isfinite(whole.observations).all(axis=1) & np.isfinite(whole.commands)
     return Demonstrations(whole.observations[fit], whole.commands[fit], whole.begins)
