@@ -25,7 +25,7 @@ from metropilot.studies.chen2023a import (
     TRIALS,
     TUNING_EPISODES,
     TUNING_SEEDS,
-    sized,
+    set_length,
     trials,
 )
 
@@ -66,12 +66,12 @@ def program(base: AbstractConfig) -> Callable[[Values], dict[str, Any]]:
     import numpy as np
 
     from metropilot.learn import keep_compiled, learn
-    from metropilot.studies.chen2023a import make_assisted, measured
+    from metropilot.studies.chen2023a import make_assisted, make_evaluation
 
     keep_compiled()
-    config = sized(base, TUNING_EPISODES, 30)
+    config = set_length(base, TUNING_EPISODES, 30)
     task = make_assisted()
-    evaluate = measured(config, task)
+    evaluate = make_evaluation(config, task)
     keys = jax.vmap(jax.random.key)(np.array(TUNING_SEEDS, np.uint32))
 
     def run(values: dict[str, Any]) -> dict[str, Any]:

@@ -14,18 +14,18 @@ from metropilot.studies.chen2023a.drives import (
     TIME,
     DriveCourse,
     band,
-    converged_at,
     course,
+    find_convergence,
     paper_rows,
 )
-from metropilot.studies.chen2023a.learning import LEARNERS, ablations, jobs, sized
+from metropilot.studies.chen2023a.learning import LEARNERS, ablations, jobs, set_length
 from metropilot.studies.chen2023a.setting import (
     ALLOWED_S,
     COMFORT,
     DECISION_S,
     REWARDS,
     make_assisted,
-    measured,
+    make_evaluation,
 )
 from metropilot.studies.chen2023a.study import SIZES, STUDY, reproduce
 from metropilot.studies.page import study_page, write_figures
@@ -97,7 +97,7 @@ def curve(at: int, *, time_s: float = 86.0, back: tuple[int, ...] = ()) -> Drive
     ],
 )
 def test_converged_is_in_time_and_near_the_final_return_from_then_on(one, at):
-    assert converged_at(one.episodes, one.driving["running_time_s"], one.driving["return"]) == at
+    assert find_convergence(one.episodes, one.driving["running_time_s"], one.driving["return"]) == at
 
 
 def test_a_band_is_taken_at_the_same_number_of_episodes():
@@ -156,7 +156,7 @@ def test_the_whole_study_from_learning_runs_that_are_there(monkeypatch, tmp_path
 def test_runs_are_cut_into_whole_chunks_of_about_the_episodes_asked_for():
     for config in (*LEARNERS.values(), *ablations().values()):
         for size in SIZES.values():
-            told = sized(config, size.episodes, size.chunks)
+            told = set_length(config, size.episodes, size.chunks)
             assert told.steps == pytest.approx(85 * size.episodes, rel=0.1)
             assert told.evaluations == pytest.approx(size.chunks, rel=0.35)
 
@@ -170,7 +170,7 @@ def test_a_full_command_arrives_in_time_by_the_assist():
     task = make_assisted()
     params = make_learner(config, task).actor.init("policy", jax.random.key(0))
     params = {name: value if name.endswith("bias") else 0.0 * value for name, value in params.items()}
-    measures = jax.jit(measured(config, task))(params, jax.random.key(0))
+    measures = jax.jit(make_evaluation(config, task))(params, jax.random.key(0))
     run = {name: float(value) for name, value in measures.items()}
     assert run["arrived"] == 1.0
     assert 70.0 < run["running_time_s"] < 80.0

@@ -9,8 +9,8 @@ from metropilot.evaluate import track_course, tracking_kpis
 from metropilot.physics import davis_n, effort_at
 from metropilot.studies import STUDIES, Order, reproduce
 from metropilot.studies.cheng2023 import setting
-from metropilot.studies.cheng2023.drives import pid
-from metropilot.studies.cheng2023.words import needed
+from metropilot.studies.cheng2023.drives import pid_control
+from metropilot.studies.cheng2023.words import command_variation
 
 TOTAL, PLACE = "total speed error", "total position error"
 
@@ -58,10 +58,10 @@ def test_the_page_says_who_wins(report):
 
 def test_the_bound_of_constant_gains_holds():
     # Sum of the errors: how much the command rises and falls over ki, less what overlaps.
-    variation, _ = needed()
+    variation, _ = command_variation()
     what = setting.course()
     for integral in (0.3, 1.5):
-        record = track_course(what, *pid(Gains(4.0, integral, 0.0)))
+        record = track_course(what, *pid_control(Gains(4.0, integral, 0.0)))
         found = float(tracking_kpis(what, record).speed_total_mps)
         assert found == pytest.approx(variation / integral, rel=0.3)
 

@@ -28,7 +28,10 @@ def drawing():
 
 def some_report(order):
     row = ReportRow("Table 5", "120 s", "dqn", "energy", "kWh", published=17.05, optimum=12.4)
-    rows = [row.measured([13.0, 12.9, 13.4]), ReportRow("Table 5", "120 s", "dqn", "switches", "", ours=4.0)]
+    rows = [
+        row.with_values([13.0, 12.9, 13.4]),
+        ReportRow("Table 5", "120 s", "dqn", "switches", "", ours=4.0),
+    ]
     figure = Figure("reward", "Reward over episodes (its fig. 6).", drawing)
     return StudyReport(
         "some2020", "Some paper", order.budget, 3, 0.0, rows, [figure], ["A sentence."], ["Another."]
@@ -44,14 +47,14 @@ def registered(monkeypatch):
 
 
 def test_a_row_is_the_median_and_range_of_its_seeds():
-    row = ReportRow("t", "c", "d", "k", "u").measured([3.0, 1.0, 10.0])
+    row = ReportRow("t", "c", "d", "k", "u").with_values([3.0, 1.0, 10.0])
     assert (row.ours, row.low, row.high) == (3.0, 1.0, 10.0)
 
 
 @pytest.mark.parametrize("values", [[], [1.0, np.nan], [np.inf]])
 def test_a_row_that_was_not_measured_is_refused(values):
     with pytest.raises(InputError, match="not measured"):
-        ReportRow("t", "c", "d", "k", "u").measured(values)
+        ReportRow("t", "c", "d", "k", "u").with_values(values)
 
 
 def test_reproduce_writes_report_page_and_figures(registered, tmp_path, capsys):

@@ -11,7 +11,7 @@ from metropilot.studies.huang2025.drives import (
     ABOVE_DEAD,
     EvaluatedRun,
     LeastIndex,
-    drivers_of,
+    make_drivers,
     rows_of,
 )
 from metropilot.studies.huang2025.learning import job
@@ -33,10 +33,10 @@ def test_cases_are_runs():
 
 def test_published_percentages_are_those_of_the_text():
     # EITOP saves another 4.3 % of what EITOE has left: 0.651 * 0.957 = 0.623
-    assert BY_ID["101"].said("eitop", "Ie against manual") == pytest.approx(
+    assert BY_ID["101"].published_value("eitop", "Ie against manual") == pytest.approx(
         100 * (0.651 * 0.957 - 1), abs=0.05
     )
-    assert BY_ID["101"].said("manual", IE) is None
+    assert BY_ID["101"].published_value("manual", IE) is None
 
 
 def test_comfort_limits():
@@ -65,8 +65,8 @@ def test_rows_of_a_drive():
 
 
 def test_seeds_of_the_drivers():
-    assert len(drivers_of("manual", {}, range(10))) == 10
-    assert len(drivers_of("eitoe", {}, range(10))) == 1
+    assert len(make_drivers("manual", {}, range(10))) == 10
+    assert len(make_drivers("eitoe", {}, range(10))) == 1
 
 
 def test_every_learner_has_a_job_of_both_budgets():

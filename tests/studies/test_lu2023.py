@@ -8,7 +8,7 @@ import pytest
 from metropilot.evaluate import comfort_band_shares
 from metropilot.sim import Trajectory
 from metropilot.studies.lu2023.drives import NotchFront
-from metropilot.studies.lu2023.learning import Converged, converged, faster, meets
+from metropilot.studies.lu2023.learning import Convergence, find_convergence, meet_demands, speed_up
 from metropilot.studies.lu2023.published import EPISODES, FASTER_PERCENT, PLANS, plan_case
 
 FRONT = NotchFront(np.array([116.0, 120.0, 124.0]), 3.6e6 * np.array([13.4, 12.5, 11.8]))
@@ -36,29 +36,31 @@ def history(**changes):
     ],
 )
 def test_what_counts(changes, good):
-    assert meets(history(**changes), "120", 120.0, FRONT).tolist() == [good] * 8
+    assert meet_demands(history(**changes), "120", 120.0, FRONT).tolist() == [good] * 8
 
 
 def test_the_first_policy_to_ship_and_three_in_a_row():
     found = history()
     good = np.array([0, 1, 1, 0, 1, 1, 1, 0], bool)
     # the second evaluation: 2 times 30 episodes
-    assert converged(found, good) == Converged(60.0, True)
+    assert find_convergence(found, good) == Convergence(60.0, True)
     # the first of the three is the fifth evaluation
-    assert converged(found, good, 3) == Converged(150.0, True)
-    assert converged(found, np.array([1, 1, 0] * 3, bool)[:8], 3) == Converged(240.0, False)
-    assert converged(found, np.zeros(8, bool)) == Converged(240.0, False)
+    assert find_convergence(found, good, 3) == Convergence(150.0, True)
+    assert find_convergence(found, np.array([1, 1, 0] * 3, bool)[:8], 3) == Convergence(240.0, False)
+    assert find_convergence(found, np.zeros(8, bool)) == Convergence(240.0, False)
 
 
 def test_faster_is_the_papers_measure():
-    slow, fast = ([Converged(n, True)] * 5 for n in (EPISODES["120", "dqn"], EPISODES["120", "improved_dqn"]))
-    found = faster(slow, fast)
+    slow, fast = (
+        [Convergence(n, True)] * 5 for n in (EPISODES["120", "dqn"], EPISODES["120", "improved_dqn"])
+    )
+    found = speed_up(slow, fast)
     assert found.percent == pytest.approx(37.5)
     assert int(found.percent) == FASTER_PERCENT
     assert (found.low, found.high) == pytest.approx((37.5, 37.5))
     rng = np.random.default_rng(1)
-    a, b = ([Converged(float(n), True) for n in rng.uniform(low, 2 * low, 10)] for low in (800, 600))
-    spread = faster(a, b)
+    a, b = ([Convergence(float(n), True) for n in rng.uniform(low, 2 * low, 10)] for low in (800, 600))
+    spread = speed_up(a, b)
     assert spread.low < spread.percent < spread.high
 
 

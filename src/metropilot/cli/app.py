@@ -12,7 +12,7 @@ from typing import Annotated, NoReturn
 import typer
 
 import metropilot
-from metropilot.cli.complete import asked_words
+from metropilot.cli.complete import words_to_complete
 from metropilot.errors import InputError, MetropilotError
 
 SUMMARY = "Compute, learn, compare and explain how a metro train should be driven, against the optimum."
@@ -83,7 +83,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 
 def _run(arguments: list[str]) -> int:
     """Build and run the requested command only."""
-    words = arguments or asked_words()
+    words = arguments or words_to_complete()
     wanted = next((word for word in words if not word.startswith("-")), None)
     app = typer.Typer(
         name="metropilot",

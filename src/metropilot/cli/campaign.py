@@ -71,7 +71,7 @@ def campaign_command(
     progress = run_campaign(campaign, folder, workers, cluster, _Saying(campaign))
     collect_parts(folder)
     summary = summarise(folder)
-    summary |= sitting(progress, workers, cluster)
+    summary |= call_summary(progress, workers, cluster)
     write_campaign_report(folder, summary, circumstances(progress, workers, cluster))
     if write_docs is not None:
         write_leaderboard(write_docs, folder, summary, perf_counter() - began, f"metropilot campaign {file}")
@@ -103,7 +103,7 @@ class _Saying:
         )
 
 
-def sitting(progress: CampaignProgress, workers: int, cluster: str | None) -> dict[str, Any]:
+def call_summary(progress: CampaignProgress, workers: int, cluster: str | None) -> dict[str, Any]:
     """Runs and time of this call, for the JSON."""
     rate = progress.driven / progress.seconds if progress.driven else None
     values = {"driven": progress.driven, "seconds": progress.seconds, "runs_per_s": rate, "workers": workers}

@@ -11,7 +11,7 @@ VARIABLE = "_METROPILOT_COMPLETE"
 """Environment variable that a shell's completion script sets."""
 
 
-def asked_words() -> list[str]:
+def words_to_complete() -> list[str]:
     """Words of the command line under completion, without the program's name."""
     if VARIABLE not in os.environ:
         return []
@@ -60,7 +60,7 @@ def followers(incomplete: str) -> list[str]:
     return _matching(FOLLOWERS.ids(), incomplete)
 
 
-def shown(incomplete: str) -> list[str]:
+def showable(incomplete: str) -> list[str]:
     """Ids of everything that `metropilot show` accepts."""
     kinds = (lines, trainsets, drivers, followers)
     return list(dict.fromkeys(key for kind in kinds for key in kind(incomplete)))

@@ -63,7 +63,7 @@ def table(
 
     shown = [[printable(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
     cells = [[name, *(row[k] for row in shown)] for k, name in enumerate(columns)]
-    kept, widths, tight = _fitted(columns, cells, spare)
+    kept, widths, tight = _fit_columns(columns, cells, spare)
     made = Table(
         title=title or None,
         title_justify="left",
@@ -84,7 +84,7 @@ def table(
     return made
 
 
-def _fitted(
+def _fit_columns(
     columns: Sequence[str], cells: Sequence[Sequence[Any]], spare: Sequence[str]
 ) -> tuple[list[int], list[int], bool]:
     """Columns that fit the output, their widths, and if the padding is reduced."""
@@ -103,13 +103,13 @@ def _fitted(
         for tight, between in ((False, 3 * len(kept) - 1), (True, 2 * len(kept))):
             free = room - between - sum(words[k] for k in kept)
             if free >= 0 and (tight or sum(full[k] for k in kept) + between <= room or not leave):
-                return kept, _widened(free, [words[k] for k in kept], [full[k] for k in kept]), tight
+                return kept, _widen(free, [words[k] for k in kept], [full[k] for k in kept]), tight
         if not leave:
             return kept, [words[k] for k in kept], True
         kept.remove(leave.pop(0))
 
 
-def _widened(free: int, least: Sequence[int], full: Sequence[int]) -> list[int]:
+def _widen(free: int, least: Sequence[int], full: Sequence[int]) -> list[int]:
     """Widen from the least to the full widths, always the narrowest column first."""
     widths = list(least)
     while free > 0 and (short := [k for k, width in enumerate(widths) if width < full[k]]):

@@ -47,7 +47,7 @@ def export_command(
 
     if to not in FORMATS:
         raise InputError("unknown format", field="to", value=to, allowed=", ".join(FORMATS))
-    name, file = policy_named(what)
+    name, file = find_policy(what)
     path = out or Path(f"{name}.{to}")
     with working(f"writing {path}"):
         report = export_onnx(file.policy, path, about=file.about)
@@ -65,13 +65,13 @@ def export_command(
     return 0
 
 
-def policy_named(what: str) -> tuple[str, PolicyFile]:
+def find_policy(what: str) -> tuple[str, PolicyFile]:
     """Find the policy of a driver's id, a run or a file, and a short name for it.
 
     Raises:
         InputError: There is no such policy.
     """
-    from metropilot.cli.learn import found_run
+    from metropilot.cli.learn import find_run
     from metropilot.cli.show_learned import read_policy
     from metropilot.drivers import DRIVERS
     from metropilot.policy import policy_path, shipped_policy
@@ -84,5 +84,5 @@ def policy_named(what: str) -> tuple[str, PolicyFile]:
         raise InputError(words, field="export", value=what, allowed="a learned driver")
     if path.is_file() or path.suffix == ".safetensors":
         return path.stem, read_policy(path)
-    store, record = found_run(what)
+    store, record = find_run(what)
     return record.id, read_policy(policy_path(store.folder(record.id)))

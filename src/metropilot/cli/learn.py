@@ -83,8 +83,8 @@ def learn_command(
 
     if resume is not None:
         new = {"driver": driver, "task": task, "seed": seed, "steps": steps, "budget": budget, "out": out}
-        store, record = found_run(resume)
-        _nothing_new(new | {"set": settings or None}, record)
+        store, record = find_run(resume)
+        _check_unchanged(new | {"set": settings or None}, record)
         if record.status == "done":
             return report_done(store, record, as_json=as_json)
         request = replace(resumed_request(record), tensorboard=tensorboard)
@@ -96,20 +96,22 @@ def learn_command(
     budget, seed = budget or "quick", seed or 0
     if not 0 <= seed < 2**31:
         raise InputError("out of range", field="seed", value=seed, allowed="0 to 2^31 - 1")
-    told = dict(map(setting, settings or ())) | ({} if steps is None else {"steps": steps})
-    command = shlex.join(["metropilot", "learn", driver, *_asked(task, budget, steps, seed, settings)])
+    told = dict(map(parse_setting, settings or ())) | ({} if steps is None else {"steps": steps})
+    command = shlex.join(
+        ["metropilot", "learn", driver, *_given_options(task, budget, steps, seed, settings)]
+    )
     request = new_request(driver, budget=budget, task=task, seed=seed, command=command, **told)
     request = replace(request, tensorboard=tensorboard)
     if out is not None:
-        _free(out)
+        _check_free(out)
     evaluate = evaluation_of(request)
     if "steps" in told and not isinstance(request.config, TeacherConfig):
         _check_steps(request, evaluate)
-    store, record = new_run(request, out)
+    store, record = create_run(request, out)
     return learn_and_report(store, request, record, evaluate, as_json=as_json)
 
 
-def _asked(
+def _given_options(
     task: str | None, budget: str, steps: int | None, seed: int, settings: list[str] | None
 ) -> list[str]:
     """Options that were given and that change the learned policy."""
@@ -118,7 +120,7 @@ def _asked(
     return words + [word for text in settings or () for word in ("--set", text)]
 
 
-def setting(text: str) -> tuple[str, Any]:
+def parse_setting(text: str) -> tuple[str, Any]:
     """Parse ``KEY=VALUE``, the value as in TOML; text needs no quotes, a list no brackets.
 
     Raises:
@@ -158,7 +160,7 @@ def _check_steps(request: RunRequest, evaluate: PolicyEvaluation) -> None:
         sys.stderr.write(f"metropilot: --steps {asked} is rounded up to {loop.steps}: {what}\n")
 
 
-def _nothing_new(new: dict[str, Any], record: RunRecord) -> None:
+def _check_unchanged(new: dict[str, Any], record: RunRecord) -> None:
     """Reject options that differ from those of the resumed run.
 
     Raises:
@@ -171,7 +173,7 @@ def _nothing_new(new: dict[str, Any], record: RunRecord) -> None:
             raise InputError(words, field=name, value=str(value), allowed="only --resume RUN")
 
 
-def _free(out: Path) -> None:
+def _check_free(out: Path) -> None:
     """Reject a folder that already holds a run.
 
     Raises:
@@ -182,7 +184,7 @@ def _free(out: Path) -> None:
         raise InputError(words, file=out, field="out", allowed=allowed)
 
 
-def new_run(request: RunRequest, out: Path | None) -> tuple[RunStore, RunRecord]:
+def create_run(request: RunRequest, out: Path | None) -> tuple[RunStore, RunRecord]:
     """Create a run's folder and record.
 
     Raises:
@@ -199,7 +201,7 @@ def new_run(request: RunRequest, out: Path | None) -> tuple[RunStore, RunRecord]
     return store, begin_run(store, request, out.name)
 
 
-def found_run(text: str) -> tuple[RunStore, RunRecord]:
+def find_run(text: str) -> tuple[RunStore, RunRecord]:
     """Find a run by its folder or by the beginning of its id.
 
     Raises:
@@ -219,11 +221,11 @@ def found_run(text: str) -> tuple[RunStore, RunRecord]:
 
 def report_done(store: RunStore, record: RunRecord, *, as_json: bool) -> int:
     """Print the result of a run; return the exit code."""
-    from metropilot.cli.learn_report import learned_json, report_learned
+    from metropilot.cli.learn_report import report_learned, run_as_json
 
     folder = store.folder(record.id)
     if as_json:
-        print_json(learned_json(record, folder))
+        print_json(run_as_json(record, folder))
     else:
         report_learned(record, folder)
     return 0
@@ -239,8 +241,8 @@ def learn_and_report(
     folder = store.folder(record.id)
     with LearnReport(request, folder, quiet=as_json) as report:
         try:
-            sitting = TrainingOptions(evaluate=evaluate, on_progress=report.progress)
-            record, _ = learn_run(store, request, sitting, record.id)
+            options = TrainingOptions(evaluate=evaluate, on_progress=report.progress)
+            record, _ = learn_run(store, request, options, record.id)
         except KeyboardInterrupt:
             report.close()
             done, again = f"{report.steps:,} steps".replace(",", " "), shlex.quote(str(folder))

@@ -130,7 +130,7 @@ def kpi_rows(kpis: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     ]
 
 
-def learned_json(record: RunRecord, folder: Path) -> dict[str, Any]:
+def run_as_json(record: RunRecord, folder: Path) -> dict[str, Any]:
     """A run as plain values."""
     from dataclasses import asdict
 

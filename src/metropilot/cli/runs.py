@@ -34,13 +34,13 @@ def runs_command(
 ) -> int:
     """List the learning runs, the newest first."""
     from metropilot._dirs import runs_folder
-    from metropilot.cli.learn_report import clock, figure, learned_json
+    from metropilot.cli.learn_report import clock, figure, run_as_json
     from metropilot.learn import RunStore
 
     store = RunStore(folder or runs_folder())
     found = store.find(" ".join(words or ()), most)
     if as_json:
-        print_json([learned_json(record, store.folder(record.id)) for record in found])
+        print_json([run_as_json(record, store.folder(record.id)) for record in found])
         return 0
     rows = [
         (

@@ -39,7 +39,7 @@ def show_command(
         str,
         typer.Argument(
             metavar="ID|PATH",
-            autocompletion=complete.shown,
+            autocompletion=complete.showable,
             help="Line, trainset, driver, follower, file, run or its folder.",
         ),
     ],
@@ -61,7 +61,7 @@ def show_command(
         return show_run_folder(Path(what), as_json=as_json)
     if Path(what).exists():
         return show_file(Path(what), as_json=as_json)
-    if (found := run_of_id(what)) is not None:
+    if (found := find_user_run(what)) is not None:
         return show_learning_run(*found, as_json=as_json)
     known = (*list_lines(), *list_trainsets(), *DRIVERS.ids(), *FOLLOWERS.ids())
     raise InputError(
@@ -72,7 +72,7 @@ def show_command(
     )
 
 
-def run_of_id(what: str) -> tuple[RunRecord, Path] | None:
+def find_user_run(what: str) -> tuple[RunRecord, Path] | None:
     """Find the user's learning run by its id or the beginning of its id, and its folder."""
     from metropilot._dirs import runs_folder
     from metropilot.learn import RunStore
@@ -87,12 +87,12 @@ def run_of_id(what: str) -> tuple[RunRecord, Path] | None:
 
 def show_run_folder(folder: Path, *, as_json: bool) -> int:
     """Show the folder of a learning run or of a drive."""
-    from metropilot.cli.learn import found_run
+    from metropilot.cli.learn import find_run
     from metropilot.learn import read_record
 
     if read_record(folder / "run.toml") is None:
         return show_run(folder, as_json=as_json)
-    store, record = found_run(str(folder))
+    store, record = find_run(str(folder))
     return show_learning_run(record, store.folder(record.id), as_json=as_json)
 
 

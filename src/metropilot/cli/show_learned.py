@@ -44,10 +44,10 @@ def read_policy(path: Path) -> PolicyFile:
 
 def show_learning_run(record: RunRecord, folder: Path, *, as_json: bool) -> int:
     """Show task, configuration and results of a learning run."""
-    from metropilot.cli.learn_report import clock, kpi_rows, learned_json
+    from metropilot.cli.learn_report import clock, kpi_rows, run_as_json
 
     if as_json:
-        print_json(learned_json(record, folder))
+        print_json(run_as_json(record, folder))
         return 0
     out = console()
     told = [

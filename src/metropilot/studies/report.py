@@ -42,7 +42,7 @@ class ReportRow:
     high: float | None = None
     optimum: float | None = None
 
-    def measured(self, values: Iterable[float]) -> ReportRow:
+    def with_values(self, values: Iterable[float]) -> ReportRow:
         """The same row with the median and range of one value per seed.
 
         Raises:

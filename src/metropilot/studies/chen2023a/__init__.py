@@ -14,10 +14,10 @@ if TYPE_CHECKING:
         TRIALS,
         TUNING_EPISODES,
         TUNING_SEEDS,
-        sized,
+        set_length,
         trials,
     )
-    from metropilot.studies.chen2023a.setting import make_assisted, measured
+    from metropilot.studies.chen2023a.setting import make_assisted, make_evaluation
 
 __all__ = [
     "BASE_DDPG",
@@ -27,8 +27,8 @@ __all__ = [
     "TUNING_EPISODES",
     "TUNING_SEEDS",
     "make_assisted",
-    "measured",
-    "sized",
+    "make_evaluation",
+    "set_length",
     "trials",
 ]
 
@@ -42,12 +42,12 @@ __getattr__, __dir__ = lazy_door(
             "TRIALS",
             "TUNING_EPISODES",
             "TUNING_SEEDS",
-            "sized",
+            "set_length",
             "trials",
         ),
         "setting": (
             "make_assisted",
-            "measured",
+            "make_evaluation",
         ),
     },
 )

@@ -66,7 +66,7 @@ def course(result: SeedResult) -> DriveCourse:
     return DriveCourse(np.cumsum(history["episodes"]), history["loss"], learning, driving)
 
 
-def converged_at(episodes: Values, running_time_s: Values, returned: Values) -> float | None:
+def find_convergence(episodes: Values, running_time_s: Values, returned: Values) -> float | None:
     """Episodes after which a run has converged; None: never.
 
     Converged: from then on, in 95 % of the chunks, the running time is at most 88 s and the return within
@@ -158,7 +158,7 @@ def reward_rows(courses: Courses) -> Iterator[ReportRow]:
     """Convergence of each learner: share of seeds, episodes, final return."""
     for case, kind in KINDS:
         for name, mine in courses.items():
-            at = convergences(mine, kind)
+            at = find_convergences(mine, kind)
             said = case == LEARNING
             share = ReportRow(
                 REWARD,
@@ -168,27 +168,27 @@ def reward_rows(courses: Courses) -> Iterator[ReportRow]:
                 "",
                 published.CONVERGED[name] if said else None,
             )
-            yield share.measured([float(np.mean([a is not None for a in at]))])
+            yield share.with_values([float(np.mean([a is not None for a in at]))])
             when = published.CONVERGED_AT.get(name) if said else None
             row = ReportRow(REWARD, case, name, "episodes to converge (of those that did)", "episodes", when)
-            yield row.measured(there) if (there := [a for a in at if a is not None]) else row
+            yield row.with_values(there) if (there := [a for a in at if a is not None]) else row
             returns = [final(getattr(one, kind)["return"]) for one in mine]
-            yield ReportRow(REWARD, case, name, "final return", "").measured(returns)
+            yield ReportRow(REWARD, case, name, "final return", "").with_values(returns)
 
 
-def convergences(mine: Sequence[DriveCourse], kind: str) -> list[float | None]:
+def find_convergences(mine: Sequence[DriveCourse], kind: str) -> list[float | None]:
     """Number of episodes to convergence for each seed; None: not converged."""
     parts = [(one.episodes, getattr(one, kind)) for one in mine]
-    return [converged_at(episodes, part["running_time_s"], part["return"]) for episodes, part in parts]
+    return [find_convergence(episodes, part["running_time_s"], part["return"]) for episodes, part in parts]
 
 
 def loss_rows(courses: Courses) -> Iterator[ReportRow]:
     """Size of the loss at the beginning and at the end of learning."""
     for name, mine in courses.items():
         row = ReportRow(LOSS, "first tenth of the learning", name, "median size of the loss", "")
-        yield row.measured([_loss(one, 0) for one in mine])
+        yield row.with_values([_loss(one, 0) for one in mine])
         row = ReportRow(LOSS, "last tenth of the learning", name, "median size of the loss", "")
-        yield row.measured([_loss(one, 1) for one in mine])
+        yield row.with_values([_loss(one, 1) for one in mine])
 
 
 def _loss(one: DriveCourse, end: int) -> float:
@@ -202,12 +202,14 @@ def time_rows(courses: Courses) -> Iterator[ReportRow]:
     for case, kind in KINDS:
         for name, mine in courses.items():
             times = [final(getattr(one, kind)["running_time_s"]) for one in mine]
-            yield ReportRow(TIME, case, name, "final running time", "s").measured(times)
+            yield ReportRow(TIME, case, name, "final running time", "s").with_values(times)
             said = "share of chunks after 4000 episodes within 88 s"
-            yield ReportRow(TIME, case, name, said, "").measured([_kept(one, kind) for one in mine])
+            yield ReportRow(TIME, case, name, said, "").with_values(
+                [_share_in_time(one, kind) for one in mine]
+            )
 
 
-def _kept(one: DriveCourse, kind: str) -> float:
+def _share_in_time(one: DriveCourse, kind: str) -> float:
     """Share of the chunks after 4000 episodes (or half of a shorter run) within the threshold."""
     late = one.episodes > min(AFTER, 0.5 * float(one.episodes[-1]))
     return float(np.mean(getattr(one, kind)["running_time_s"][late] <= published.THRESHOLD_S))
@@ -222,12 +224,12 @@ def energy_rows(courses: Courses, least: Bound) -> Iterator[ReportRow]:
         known = [(e, b) for e, b in zip(used, best, strict=True) if b is not None]
         optimum = float(np.median([b for _, b in known])) if known else None
         row = ReportRow(ENERGY, DRIVING, name, "final energy", "kWh", optimum=optimum)
-        yield row.measured(used) if used else row
+        yield row.with_values(used) if used else row
         row = ReportRow(ENERGY, DRIVING, name, "above the optimum in the same running time", "%")
-        yield row.measured([100.0 * (e / b - 1.0) for e, b in known]) if known else row
+        yield row.with_values([100.0 * (e / b - 1.0) for e, b in known]) if known else row
     for name, mine in courses.items():
         row = ReportRow(ENERGY, LEARNING, name, "final energy", "kWh")
-        yield row.measured([final(one.learning["energy_kwh"]) for one in mine])
+        yield row.with_values([final(one.learning["energy_kwh"]) for one in mine])
 
 
 def impact_rows(courses: Courses) -> Iterator[ReportRow]:
@@ -235,7 +237,7 @@ def impact_rows(courses: Courses) -> Iterator[ReportRow]:
     for case, kind in KINDS:
         for name, mine in courses.items():
             values = [final(getattr(one, kind)["impact_mps3"]) for one in mine]
-            yield ReportRow(IMPACT, case, name, "final mean impact rate", "m/s³").measured(values)
+            yield ReportRow(IMPACT, case, name, "final mean impact rate", "m/s³").with_values(values)
 
 
 def order_rows(courses: Courses) -> Iterator[ReportRow]:
@@ -252,28 +254,28 @@ def order_rows(courses: Courses) -> Iterator[ReportRow]:
             )
             for name in courses:
                 said = order.index(name) + 1.0 if case == LEARNING and name in order else None
-                yield ReportRow(ORDER, case, name, words, "", said).measured([ours.index(name) + 1.0])
+                yield ReportRow(ORDER, case, name, words, "", said).with_values([ours.index(name) + 1.0])
 
 
 def stop_rows(courses: Courses) -> Iterator[ReportRow]:
     """Final stopping error."""
     for name, mine in courses.items():
         errors = [final(one.driving["stopping_error_m"]) for one in mine]
-        yield ReportRow(STOP, DRIVING, name, "final stopping error", "m").measured(errors)
+        yield ReportRow(STOP, DRIVING, name, "final stopping error", "m").with_values(errors)
 
 
 def outcome_rows(table: str, courses: Courses) -> Iterator[ReportRow]:
     """Convergence, final return and running time of learners or variants beyond the paper."""
     for case, mine in courses.items():
         driver = "ddpg" if "ddpg" in case else "ppo_scaled" if "scaled" in case else "ppo"
-        at = convergences(mine, "learning")
+        at = find_convergences(mine, "learning")
         share = ReportRow(table, case, driver, "share of seeds converged", "")
-        yield share.measured([float(np.mean([a is not None for a in at]))])
+        yield share.with_values([float(np.mean([a is not None for a in at]))])
         if there := [a for a in at if a is not None]:
             yield ReportRow(
                 table, case, driver, "episodes to converge (of those that did)", "episodes"
-            ).measured(there)
+            ).with_values(there)
         returns = [final(one.driving["return"]) for one in mine]
-        yield ReportRow(table, case, driver, "final return of the policy itself", "").measured(returns)
+        yield ReportRow(table, case, driver, "final return of the policy itself", "").with_values(returns)
         times = [final(one.driving["running_time_s"]) for one in mine]
-        yield ReportRow(table, case, driver, "final running time", "s").measured(times)
+        yield ReportRow(table, case, driver, "final running time", "s").with_values(times)

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from metropilot.learn import DDPGConfig, PPOConfig
-from metropilot.studies.chen2023a.setting import make_assisted, make_unassisted, measured
+from metropilot.studies.chen2023a.setting import make_assisted, make_evaluation, make_unassisted
 from metropilot.studies.learning import LearnJob
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def trials(learner: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
-def tuned(learner: str, base: AbstractConfig) -> AbstractConfig:
+def tuned_config(learner: str, base: AbstractConfig) -> AbstractConfig:
     """Configuration of a learner with the best settings of its trials."""
     found = trials(learner)
     return replace(base, **max(found, key=lambda one: one["mean"])["settings"]) if found else base
@@ -57,9 +57,9 @@ def tuned(learner: str, base: AbstractConfig) -> AbstractConfig:
 
 LEARNERS: Mapping[str, AbstractConfig] = MappingProxyType(
     {
-        "ppo": tuned("ppo", BASE_PPO),
-        "ppo_scaled": tuned("ppo_scaled", replace(BASE_PPO, reward_scaling=True)),
-        "ddpg": tuned("ddpg", BASE_DDPG),
+        "ppo": tuned_config("ppo", BASE_PPO),
+        "ppo_scaled": tuned_config("ppo_scaled", replace(BASE_PPO, reward_scaling=True)),
+        "ddpg": tuned_config("ddpg", BASE_DDPG),
     }
 )
 """Configurations with the tuned settings."""
@@ -86,7 +86,7 @@ def ablations() -> dict[str, AbstractConfig]:
     return found
 
 
-def sized(config: AbstractConfig, episodes: int, chunks: int) -> AbstractConfig:
+def set_length(config: AbstractConfig, episodes: int, chunks: int) -> AbstractConfig:
     """Set a learner's steps for about ``episodes`` episodes and about ``chunks`` evaluations."""
     a_time = config.environments * (
         config.rollout if isinstance(config, PPOConfig) else getattr(config, "collect", 1)
@@ -108,7 +108,7 @@ def jobs(
             config=config,
             task=task,
             seed=seed,
-            evaluation=partial(measured, config),
+            evaluation=partial(make_evaluation, config),
             about={"task": task.__name__, "setting": SETTING},
         )
         for name, config in configs.items()

@@ -25,11 +25,10 @@ from metropilot.studies.chen2023a.published import PRESCRIBED_S, THRESHOLD_S
 from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:
+    from metropilot._typing import Array
     from metropilot.env import AbstractTask
     from metropilot.learn import AbstractConfig, PolicyEvaluation
     from metropilot.policy import Params
-
-    Array = Any
 
 REWARDS = (
     Energy(),
@@ -76,7 +75,7 @@ def make_unassisted() -> DrivingTask:
     return DrivingTask(replace(task_config(), assists=Assists(stop=False), outcomes=rule))
 
 
-def measured(config: AbstractConfig, task: AbstractTask) -> PolicyEvaluation:
+def make_evaluation(config: AbstractConfig, task: AbstractTask) -> PolicyEvaluation:
     """Return the evaluation of a policy: one deterministic run from standstill without exploration.
 
     Args:

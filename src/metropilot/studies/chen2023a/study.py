@@ -86,10 +86,10 @@ def _courses(
 ) -> dict[str, list[DriveCourse]]:
     """Learn every configuration with every seed; return the courses by name."""
     from metropilot.studies.chen2023a.drives import course
-    from metropilot.studies.chen2023a.learning import jobs, sized
+    from metropilot.studies.chen2023a.learning import jobs, set_length
     from metropilot.studies.learning import learn_seeds
 
-    wanted = {name: sized(config, *length) for name, config in configs.items()}
+    wanted = {name: set_length(config, *length) for name, config in configs.items()}
     todo = jobs(wanted, seeds, assisted=assisted, prefix=prefix)
     results = learn_seeds(todo, order.folder, order.processes, order.say)
     count = len(seeds)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metropilot.studies.chen2023a.drives import convergences, final
+from metropilot.studies.chen2023a.drives import final, find_convergences
 from metropilot.studies.chen2023a.learning import (
     DECISIONS,
     FIRST_COMMAND,
@@ -79,7 +79,7 @@ def remarks(learned: Courses, changed: Courses) -> list[str]:
         learned: Courses of the three learners.
         changed: Courses of the ablations; may be empty.
     """
-    found = [_converged(name, mine) for name, mine in learned.items()]
+    found = [_convergence_remark(name, mine) for name, mine in learned.items()]
     found.append(_lags(learned))
     found.append(_order(learned))
     if changed:
@@ -87,9 +87,9 @@ def remarks(learned: Courses, changed: Courses) -> list[str]:
     return found
 
 
-def _converged(name: str, mine: Sequence[DriveCourse]) -> str:
+def _convergence_remark(name: str, mine: Sequence[DriveCourse]) -> str:
     """Convergence of one learner beside the paper's claim."""
-    at = [a for a in convergences(mine, "learning") if a is not None]
+    at = [a for a in find_convergences(mine, "learning") if a is not None]
     said = f"around episode {CONVERGED_AT[name]:,.0f}" if name in CONVERGED_AT else f"not by {PPO_EPISODES:,}"
     when = f"; median {np.median(at):,.0f} episodes" if at else ""
     times = [final(one.driving["running_time_s"]) for one in mine]
@@ -105,7 +105,9 @@ def _lags(learned: Courses) -> str:
     share, late = {}, {}
     for name in ("ppo", "ppo_scaled"):
         mine = learned[name]
-        share[name] = [float(np.mean([at is not None for at in convergences(mine, kind)])) for kind in KINDS]
+        share[name] = [
+            float(np.mean([at is not None for at in find_convergences(mine, kind)])) for kind in KINDS
+        ]
         late[name] = float(np.median([final(one.driving["running_time_s"]) for one in mine]))
     numbers = ", ".join(
         f"{NAMES[name]} converges on {100 * share[name][0]:.0f} % of the seeds with exploration and on "

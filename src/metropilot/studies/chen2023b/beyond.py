@@ -61,17 +61,17 @@ def rough_rows(
                 continue
             about = {"follower": _identity(follower), "count": count}
             path = folder / PARTS / f"disturbed-{name}-{count}.json"
-            values = load_or_compute(path, about, partial(_rough, follower, count))
+            values = load_or_compute(path, about, partial(_drive_disturbed, follower, count))
             case = f"{count} trainsets, masses ±20 %, delay 0.3 s, loss 10 %"
             kpis = ("contacts", ""), ("smallest gap", "m"), ("largest gap", "m"), ("interventions", "")
             rows += [
-                ReportRow(TABLE + "the same policy, disturbed", case, name, *kpi).measured([value])
+                ReportRow(TABLE + "the same policy, disturbed", case, name, *kpi).with_values([value])
                 for kpi, value in zip(kpis, values, strict=True)
             ]
     return rows
 
 
-def _rough(follower: AbstractFollower, count: int) -> list[float]:
+def _drive_disturbed(follower: AbstractFollower, count: int) -> list[float]:
     """Contacts, smallest and largest gap, interventions of one disturbed run."""
     drive = drive_convoy(pair(count, rough=True), head_run(count), follower)
     gap = drive.gap_m
@@ -107,7 +107,7 @@ def stability_rows(gains: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> list[R
             name,
             "largest gain of speed from one trainset to the next",
             "",
-        ).measured([float((values[:, 1:] / values[:, :-1]).max())])
+        ).with_values([float((values[:, 1:] / values[:, :-1]).max())])
         for name, (times, values) in gains.items()
     ]
 
@@ -116,22 +116,22 @@ def campaign_rows(budget: str, folder: Path) -> list[ReportRow]:
     """Rows of the campaign: emergency brakes of the head, adversarial followers; stored in parts."""
     rows = []
     for count, guard, cases in CAMPAIGNS[budget]:
-        found = _attacked(AttackCampaign(count=count, guard=guard), cases, folder)
+        found = _attack(AttackCampaign(count=count, guard=guard), cases, folder)
         case = f"{count} trainsets, {cases:,} emergency brakes of the head"
         table, who = TABLE + "trying to make them collide", f"protection {guard}"
         rows += [
-            ReportRow(table, case, who, CONTACTS, "").measured([float(sum(each[0] for each in found))]),
-            ReportRow(table, case, who, "smallest gap", "m").measured([min(each[1] for each in found)]),
+            ReportRow(table, case, who, CONTACTS, "").with_values([float(sum(each[0] for each in found))]),
+            ReportRow(table, case, who, "smallest gap", "m").with_values([min(each[1] for each in found)]),
         ]
     return rows
 
 
-def _attacked(campaign: AttackCampaign, cases: int, folder: Path) -> list[list[float]]:
+def _attack(campaign: AttackCampaign, cases: int, folder: Path) -> list[list[float]]:
     """Contacts and smallest gap of every part of a campaign."""
     arena: list[AttackArena] = []
     sitting = min(SITTING, cases)
 
-    def attacked(k: int) -> list[float]:
+    def attack(k: int) -> list[float]:
         if not arena:
             arena.append(AttackArena(campaign))
         tally = arena[0].run(sitting, BATCH, first=k * sitting // BATCH)
@@ -141,7 +141,7 @@ def _attacked(campaign: AttackCampaign, cases: int, folder: Path) -> list[list[f
     for k in range(cases // sitting):
         about = {"campaign": asdict(campaign), "sitting": k, "cases": sitting, "batch": BATCH}
         path = folder / PARTS / f"campaign-{campaign.guard}-{campaign.count}-{k}.json"
-        found.append(load_or_compute(path, about, partial(attacked, k)))
+        found.append(load_or_compute(path, about, partial(attack, k)))
     return found
 
 
@@ -153,7 +153,7 @@ def capacity_rows() -> list[ReportRow]:
     for guard in ("moving_block", "independent", "coupled"):
         gap = needed_gap_m(single, guard, SPEED_MPS)
         case, who = "steady 60 km/h, level link", f"protection {guard}"
-        rows.append(ReportRow(TABLE + "gap that protection needs", case, who, "gap", "m").measured([gap]))
+        rows.append(ReportRow(TABLE + "gap that protection needs", case, who, "gap", "m").with_values([gap]))
     for count in (1, 2, 4, 8):
         convoy = pair(max(count, 2))
         inside = max(GAP_M, needed_gap_m(convoy, "coupled", SPEED_MPS))
@@ -163,5 +163,5 @@ def capacity_rows() -> list[ReportRow]:
             ("plain line, 60 km/h", service.line_per_h),
             ("platform as long as a convoy, 30 s dwell", service.platform_per_h),
         ):
-            rows.append(ReportRow(table, case, who, "trainsets", "1/h").measured([value]))
+            rows.append(ReportRow(table, case, who, "trainsets", "1/h").with_values([value]))
     return rows

@@ -54,14 +54,14 @@ def jobs(algorithm: str, budget: str, eta: str, seeds: range) -> list[LearnJob]:
             config(algorithm, budget),
             partial(task, eta),
             seed,
-            partial(evaluation, algorithm, budget),
+            partial(make_evaluation, algorithm, budget),
             {"eta": eta},
         )
         for seed in seeds
     ]
 
 
-def evaluation(algorithm: str, budget: str, made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
+def make_evaluation(algorithm: str, budget: str, made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
     """Return the evaluation of a policy: the largest gap errors of undisturbed runs behind every head."""
     import jax
     import jax.numpy as jnp

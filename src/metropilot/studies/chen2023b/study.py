@@ -38,10 +38,10 @@ CASE = "2 trainsets, YZQ–WHY"
 def reproduce(order: Order) -> StudyReport:
     """Reproduce figures 3 to 9 and beyond; quick: figures 7 to 9 with the shipped policies."""
     seeds = order.choose_seeds(quick=1, paper=5)
-    runs = {} if _shipped(order) else _learned(order, seeds)
+    runs = {} if _uses_shipped(order) else _learn(order, seeds)
     drivers = _drivers(order, runs)
     order.say("driving")
-    drives = {name: [_driven(each) for each in each_seed] for name, each_seed in drivers.items()}
+    drives = {name: [_drive(each) for each in each_seed] for name, each_seed in drivers.items()}
     rows = [row for name, each in drives.items() for row in _rows(name, each)]
     rows += _learning_rows(runs, order.budget)
     first = {name: each[0] for name, each in drivers.items()}
@@ -62,11 +62,11 @@ def reproduce(order: Order) -> StudyReport:
         rows=rows,
         figures=_figures(runs, shown, gains),
         deviations=DEVIATIONS,
-        remarks=[*_missing(runs, seeds), *remarks(rows)],
+        remarks=[*_missing_seeds(runs, seeds), *remarks(rows)],
     )
 
 
-def _learned(order: Order, seeds: range) -> dict[str, list[SeedResult]]:
+def _learn(order: Order, seeds: range) -> dict[str, list[SeedResult]]:
     """Do the learning runs of all seeds, or read those that the folder already holds."""
     from metropilot.studies.learning import is_done, learn_seeds
 
@@ -81,7 +81,7 @@ def _learned(order: Order, seeds: range) -> dict[str, list[SeedResult]]:
     return runs
 
 
-def _missing(runs: dict[str, list[SeedResult]], seeds: range) -> list[str]:
+def _missing_seeds(runs: dict[str, list[SeedResult]], seeds: range) -> list[str]:
     """Remark on the seeds behind the numbers; empty if none is missing."""
     if all(len(each) == len(seeds) for each in runs.values()):
         return []
@@ -92,7 +92,7 @@ def _missing(runs: dict[str, list[SeedResult]], seeds: range) -> list[str]:
     return [f"Of {len(seeds)} learning runs each these were done when the page was written: {there}."]
 
 
-def _shipped(order: Order) -> bool:
+def _uses_shipped(order: Order) -> bool:
     """True if the shipped policies drive: in the quick study with its own eta."""
     return order.budget == "quick" and order.options["eta"] == "soft"
 
@@ -101,12 +101,14 @@ def _drivers(order: Order, runs: dict[str, list[SeedResult]]) -> dict[str, list[
     """Make every follower: learned ones as shipped or one per seed, the others once."""
     made: dict[str, list[AbstractFollower]] = {}
     for algorithm, name in NAMES.items():
-        paths = [""] if _shipped(order) else [str(order.folder / run.job.run_id) for run in runs[algorithm]]
+        paths = (
+            [""] if _uses_shipped(order) else [str(order.folder / run.job.run_id) for run in runs[algorithm]]
+        )
         made[name] = [FOLLOWERS.make(name, options=FollowPolicyOptions(path)) for path in paths]
     return made | {name: [FOLLOWERS.make(name)] for name in SIMPLE}
 
 
-def _driven(follower: AbstractFollower) -> ConvoyDrive:
+def _drive(follower: AbstractFollower) -> ConvoyDrive:
     return drive_convoy(pair(), head_run(), follower)
 
 
@@ -121,12 +123,12 @@ def _rows(name: str, drives: Sequence[ConvoyDrive]) -> list[ReportRow]:
     for key, measured in values.items():
         published = PUBLISHED[key] if name == "sac_pid" else None
         rows.append(
-            ReportRow("Figs. 7 to 9", CASE, name, *WORDS[key], published=published).measured(measured)
+            ReportRow("Figs. 7 to 9", CASE, name, *WORDS[key], published=published).with_values(measured)
         )
     overruled = [float(sum(drive.interventions)) for drive in drives]
     return [
         *rows,
-        ReportRow("Figs. 7 to 9", CASE, name, "interventions of protection", "").measured(overruled),
+        ReportRow("Figs. 7 to 9", CASE, name, "interventions of protection", "").with_values(overruled),
     ]
 
 
@@ -136,15 +138,17 @@ def _learning_rows(runs: dict[str, list[SeedResult]], budget: str) -> list[Repor
     for algorithm, each in runs.items():
         name, table = NAMES[algorithm], "Figs. 3 to 6"
         rows += [
-            ReportRow(table, budget, name, "mean largest gap error behind 24 heads", "m").measured(
+            ReportRow(table, budget, name, "mean largest gap error behind 24 heads", "m").with_values(
                 float(np.nanmin(run.history["evaluation.gap_error_m"])) for run in each
             ),
-            ReportRow(table, budget, name, FIRST_RETURN, "").measured(_returns(run)[0] for run in each),
-            ReportRow(table, budget, name, LAST_RETURN, "").measured(_returns(run)[1] for run in each),
-            ReportRow(table, budget, name, "learning time, one core", "s").measured(
+            ReportRow(table, budget, name, FIRST_RETURN, "").with_values(_returns(run)[0] for run in each),
+            ReportRow(table, budget, name, LAST_RETURN, "").with_values(_returns(run)[1] for run in each),
+            ReportRow(table, budget, name, "learning time, one core", "s").with_values(
                 run.seconds for run in each
             ),
-            ReportRow(table, budget, name, "compilation", "s").measured(run.compile_seconds for run in each),
+            ReportRow(table, budget, name, "compilation", "s").with_values(
+                run.compile_seconds for run in each
+            ),
         ]
     return rows
 

@@ -72,7 +72,7 @@ def remarks(rows: Sequence[ReportRow]) -> list[str]:
             f"{_text(gap['follow_gap'])} without learning."
         ),
         _ddpg(gap, value),
-        *_attacked(rows),
+        *_campaign_remarks(rows),
     ]
 
 
@@ -103,7 +103,7 @@ def _ddpg(gap: Mapping[str, tuple[float, float]], value: Found) -> str:
     return f"{said}; its return {word} from {first:.1f} to {last:.1f} during learning. In the paper it fails."
 
 
-def _attacked(rows: Sequence[ReportRow]) -> list[str]:
+def _campaign_remarks(rows: Sequence[ReportRow]) -> list[str]:
     """Finding of the campaign with and without protection."""
     found = [row for row in rows if row.kpi == CONTACTS]
     guarded = [row for row in found if row.driver != "protection none"]

@@ -30,7 +30,7 @@ NO_ERRORS = Errors(0.0, 0.0)
 
 
 @dataclass(frozen=True)
-class Contestant:
+class ComparedController:
     """One controller of the comparison.
 
     Attributes:
@@ -44,7 +44,7 @@ class Contestant:
     of_seed: Callable[[int], Start]
 
 
-def pid(gains: Gains) -> Start:
+def pid_control(gains: Gains) -> Start:
     """PID with fixed gains."""
 
     def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
@@ -53,7 +53,7 @@ def pid(gains: Gains) -> Start:
     return control, NO_ERRORS
 
 
-def fuzzy(gains: Gains, universes: Universes) -> Start:
+def fuzzy_control(gains: Gains, universes: Universes) -> Start:
     """PID with gains changed by fuzzy rules."""
 
     def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
@@ -62,7 +62,7 @@ def fuzzy(gains: Gains, universes: Universes) -> Start:
     return control, NO_ERRORS
 
 
-def neural(gains: Gains, rates: LearningRates, seed: int) -> Start:
+def neural_control(gains: Gains, rates: LearningRates, seed: int) -> Start:
     """PID with gains from a network that learns online."""
 
     def control(memory: Any, seen: Any) -> tuple[Any, Any]:  # noqa: ANN401 (arrays)
@@ -71,7 +71,7 @@ def neural(gains: Gains, rates: LearningRates, seed: int) -> Start:
     return control, fresh_network(seed, gains)
 
 
-def learned(policy: Callable[[Any], Any]) -> Start:
+def policy_control(policy: Callable[[Any], Any]) -> Start:
     """PID with gains from a policy."""
 
     def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
@@ -80,9 +80,9 @@ def learned(policy: Callable[[Any], Any]) -> Start:
     return control, NO_ERRORS
 
 
-def contestants(
+def compared_controllers(
     tuned: Mapping[str, Mapping[str, float]], policies: Mapping[int, Callable[[Any], Any]]
-) -> tuple[Contestant, ...]:
+) -> tuple[ComparedController, ...]:
     """Controllers of the comparison.
 
     Args:
@@ -93,13 +93,15 @@ def contestants(
     universes = Universes(f["error_mps"], f["change_mps"], f["kp_span"], f["ki_span"], f["kd_span"])
     rates = LearningRates(n["learning_rate"], n["momentum"], n["error_mps"])
     return (
-        Contestant("pid", "pid", lambda seed: pid(by_hand)),  # noqa: ARG005 (nothing random)
-        Contestant("pid tuned", "", lambda seed: pid(_gains(p))),  # noqa: ARG005 (nothing random)
-        Contestant("fuzzy_pid", "fuzzy_pid", lambda seed: fuzzy(by_hand, ASSUMED_UNIVERSES)),  # noqa: ARG005
-        Contestant("fuzzy_pid tuned", "", lambda seed: fuzzy(_gains(f), universes)),  # noqa: ARG005
-        Contestant("neural_pid", "neural_pid", lambda seed: neural(by_hand, TEXTBOOK_RATES, seed)),
-        Contestant("neural_pid tuned", "", lambda seed: neural(_gains(n), rates, seed)),
-        Contestant("ddpg_pid", "ddpg_pid", lambda seed: learned(policies[seed])),
+        ComparedController("pid", "pid", lambda seed: pid_control(by_hand)),  # noqa: ARG005 (nothing random)
+        ComparedController("pid tuned", "", lambda seed: pid_control(_gains(p))),  # noqa: ARG005 (nothing random)
+        ComparedController("fuzzy_pid", "fuzzy_pid", lambda seed: fuzzy_control(by_hand, ASSUMED_UNIVERSES)),  # noqa: ARG005
+        ComparedController("fuzzy_pid tuned", "", lambda seed: fuzzy_control(_gains(f), universes)),  # noqa: ARG005
+        ComparedController(
+            "neural_pid", "neural_pid", lambda seed: neural_control(by_hand, TEXTBOOK_RATES, seed)
+        ),
+        ComparedController("neural_pid tuned", "", lambda seed: neural_control(_gains(n), rates, seed)),
+        ComparedController("ddpg_pid", "ddpg_pid", lambda seed: policy_control(policies[seed])),
     )
 
 
@@ -134,7 +136,7 @@ def table_1(measured: Measured, published: Mapping[str, str]) -> list[ReportRow]
         numbers = TABLE_1.get(whose, (None,) * len(KPIS))
         for (field, words, unit), number in zip(KPIS, numbers, strict=True):
             row = ReportRow("Table 1", NAMES[1], driver, words, unit, number, optimum=optimum(field, 1))
-            rows.append(row.measured(values(measured[driver, 1], field)))
+            rows.append(row.with_values(values(measured[driver, 1], field)))
     return rows
 
 
@@ -147,7 +149,7 @@ def table_3(measured: Measured) -> list[ReportRow]:
                 given = number if driver == "ddpg_pid" else None
                 row = ReportRow("Table 3", NAMES[scenario], driver, words, unit, given)
                 row = replace(row, optimum=optimum(field, scenario))
-                rows.append(row.measured(values(measured[driver, scenario], field)))
+                rows.append(row.with_values(values(measured[driver, scenario], field)))
     return rows
 
 
@@ -166,7 +168,7 @@ def table_4(measured: Measured) -> list[ReportRow]:
                 each = values(found, field)
                 if field.endswith(("total_mps", "total_m")):
                     each = [v / float(k.periods) for v, k in zip(each, found, strict=True)]
-                rows.append(row.measured(each))
+                rows.append(row.with_values(each))
     return rows
 
 
@@ -197,5 +199,5 @@ def margins(measured: Measured) -> list[ReportRow]:
                 "%",
                 published.get((field, other)),
             )
-            rows.append(row.measured(100.0 * (1.0 - value / against) for value in values(ours, field)))
+            rows.append(row.with_values(100.0 * (1.0 - value / against) for value in values(ours, field)))
     return rows

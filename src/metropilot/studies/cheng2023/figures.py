@@ -18,7 +18,7 @@ Records = Mapping[tuple[str, int], TrackRecord]
 """A record for each driver and scenario."""
 
 
-def _counted(record: TrackRecord) -> np.ndarray:
+def _counted_mask(record: TrackRecord) -> np.ndarray:
     return np.asarray(record.counted, bool)
 
 
@@ -30,7 +30,7 @@ def errors_figure(records: Records, field: str, label: str) -> Drawing:
     for (driver, scenario), record in records.items():
         if scenario != 1:
             continue
-        keep = _counted(record)
+        keep = _counted_mask(record)
         wide = driver == "ddpg_pid"
         axes.plot(
             record.time_s[keep],
@@ -55,7 +55,7 @@ def profiles_figure(records: Records, scenarios: tuple[int, ...], over: str) -> 
     )
     for scenario in scenarios:
         record = records["ddpg_pid", scenario]
-        keep = _counted(record)
+        keep = _counted_mask(record)
         at = getattr(record, over)[keep]
         (line,) = speeds.plot(at, record.speed_mps[keep], label=NAMES[scenario])
         speeds.plot(at, record.reference_mps[keep], color="0.3", linewidth=0.7, linestyle=":")

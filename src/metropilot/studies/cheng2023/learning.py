@@ -54,7 +54,7 @@ def task() -> TrackingTask:
     return TrackingTask(TrackingConfig((course(),), rewards=REWARDS))
 
 
-def evaluation(made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
+def make_evaluation(made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
     """Return the evaluation of a policy: ``tracking_score`` of the base scenario from standstill."""
     import jax
     import jax.numpy as jnp
@@ -85,4 +85,4 @@ def evaluation(made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
 def jobs(seeds: Iterable[int]) -> list[LearnJob]:
     """Learning runs of the study, one per seed."""
     about = {"rewards": repr(REWARDS)}
-    return [LearnJob(JOB, config(), task, seed, evaluation, about) for seed in seeds]
+    return [LearnJob(JOB, config(), task, seed, make_evaluation, about) for seed in seeds]

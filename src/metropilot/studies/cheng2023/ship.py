@@ -28,7 +28,7 @@ SECTIONS = (("JHL", "CQN"), ("XHM", "JG"), ("RJ", "WYJ"))
 UNKNOWN = Disturbance(resistance_factor=1.5, delay_s=0.6, lag_s=0.4, speed_noise_mps=0.05)
 
 
-def overruled(policy: Policy) -> int:
+def count_interventions(policy: Policy) -> int:
     """Count the interventions of protection with a policy as driver of the Yizhuang line."""
     with TemporaryDirectory() as folder:
         place = Path(folder, "policy.safetensors")
@@ -56,7 +56,7 @@ def ship(folder: Path, target: Path) -> SeedResult:
         target: File of the policy.
     """
     results = learn_seeds(jobs(range(SEEDS)), folder)
-    chosen = min(results, key=lambda result: (overruled(result.policy), -result.score))
+    chosen = min(results, key=lambda result: (count_interventions(result.policy), -result.score))
     what = course()
     record = track_course(what, lambda held, seen: step_ddpg_pid(chosen.policy, seen, held), Errors(0.0, 0.0))
     kpis = tracking_kpis(what, record)._asdict()

@@ -9,7 +9,7 @@ import numpy as np
 
 from metropilot.evaluate import TrackingKpis, TrackRecord, track_course, tracking_kpis
 from metropilot.studies.cheng2023 import drives as table
-from metropilot.studies.cheng2023.drives import Contestant, contestants
+from metropilot.studies.cheng2023.drives import ComparedController, compared_controllers
 from metropilot.studies.cheng2023.figures import figures
 from metropilot.studies.cheng2023.published import CITATION
 from metropilot.studies.cheng2023.setting import REFERENCES, SCENARIOS, course
@@ -28,17 +28,17 @@ def reproduce(order: Order) -> StudyReport:
         order: Its option ``reference`` selects the tracked reference (without new learning).
     """
     kind = order.options["reference"]
-    policies, tuned = _made(order)
-    everybody = contestants(tuned, policies)
-    measured, records = _raced(everybody, kind, tuple(policies))
-    published = {c.driver: c.published if kind == "s_curve" else "" for c in everybody}
+    policies, tuned = _load_or_learn(order)
+    controllers = compared_controllers(tuned, policies)
+    measured, records = _track_all(controllers, kind, tuple(policies))
+    published = {c.driver: c.published if kind == "s_curve" else "" for c in controllers}
     found: list[ReportRow] = [
         *table.table_1(measured, published),
         *table.table_3(measured),
         *table.table_4(measured),
     ]
-    found += [*table.margins(measured), *_elsewhere(everybody, tuple(policies), kind)]
-    order.say(f"{len(everybody)} drivers tracked {len(SCENARIOS)} scenarios")
+    found += [*table.margins(measured), *_other_reference_rows(controllers, tuple(policies), kind)]
+    order.say(f"{len(controllers)} drivers tracked {len(SCENARIOS)} scenarios")
     return StudyReport(
         study="cheng2023",
         title=STUDY.title,
@@ -52,7 +52,7 @@ def reproduce(order: Order) -> StudyReport:
     )
 
 
-def _made(order: Order) -> tuple[dict[int, Callable[[Any], Any]], Mapping[str, Mapping[str, float]]]:
+def _load_or_learn(order: Order) -> tuple[dict[int, Callable[[Any], Any]], Mapping[str, Mapping[str, float]]]:
     """Load or learn one policy per seed and the tuned parameters."""
     if order.budget == "quick":
         from metropilot.drivers import TUNED_FUZZY_PID, TUNED_NEURAL_PID, TUNED_PID, load_gains_policy
@@ -73,15 +73,15 @@ def _made(order: Order) -> tuple[dict[int, Callable[[Any], Any]], Mapping[str, M
     return {result.job.seed: result.policy for result in results}, tuned
 
 
-def _raced(
-    everybody: tuple[Contestant, ...], kind: str, seeds: tuple[int, ...]
+def _track_all(
+    controllers: tuple[ComparedController, ...], kind: str, seeds: tuple[int, ...]
 ) -> tuple[dict[tuple[str, int], list[TrackingKpis]], dict[tuple[str, int], TrackRecord]]:
     """Track every scenario with every driver and seed; return KPIs, and the record of the median seed."""
     measured: dict[tuple[str, int], list[TrackingKpis]] = {}
     records: dict[tuple[str, int], TrackRecord] = {}
     for scenario in SCENARIOS:
         what = course(kind, scenario)
-        for one in everybody:
+        for one in controllers:
             tracks = [track_course(what, *one.of_seed(seed)) for seed in seeds]
             kpis = [tracking_kpis(what, record) for record in tracks]
             totals = np.array([float(k.speed_total_mps) for k in kpis])
@@ -90,14 +90,16 @@ def _raced(
     return measured, records
 
 
-def _elsewhere(everybody: tuple[Contestant, ...], seeds: tuple[int, ...], kind: str) -> list[ReportRow]:
+def _other_reference_rows(
+    controllers: tuple[ComparedController, ...], seeds: tuple[int, ...], kind: str
+) -> list[ReportRow]:
     """Rows of the base scenario on every other reference: totals, parking, jerk."""
     found = []
     for other in REFERENCES:
         if other == kind:
             continue
         what = course(other)
-        for one in everybody:
+        for one in controllers:
             kpis = [tracking_kpis(what, track_course(what, *one.of_seed(seed))) for seed in seeds]
             for field, words, unit in (
                 ("speed_total_mps", "total speed error", "m/s"),
@@ -108,7 +110,7 @@ def _elsewhere(everybody: tuple[Contestant, ...], seeds: tuple[int, ...], kind: 
                 row = ReportRow(
                     "Other references (beyond the paper)", REFERENCES[other], one.driver, words, unit
                 )
-                found.append(row.measured(table.values(kpis, field)))
+                found.append(row.with_values(table.values(kpis, field)))
     return found
 
 

@@ -60,7 +60,7 @@ DEVIATIONS = (
 )
 
 
-def missed(measured: Measured, kind: str) -> list[str]:
+def find_shortfalls(measured: Measured, kind: str) -> list[str]:
     """List the results of DDPG-PID that are worse than the published ones by more than rounding."""
     if kind != "s_curve":
         return []
@@ -70,13 +70,13 @@ def missed(measured: Measured, kind: str) -> list[str]:
         ("table 3", TABLE_3, (2, 3)),
     ):
         for scenario in scenarios:
-            found += _missed(measured, name, scenario, printed[scenario], average=False)
+            found += _shortfalls(measured, name, scenario, printed[scenario], average=False)
     for scenario in (4, 5):
-        found += _missed(measured, "table 4", scenario, TABLE_4[scenario], average=True)
+        found += _shortfalls(measured, "table 4", scenario, TABLE_4[scenario], average=True)
     return found
 
 
-def _missed(
+def _shortfalls(
     measured: Measured, name: str, scenario: int, printed: tuple[float, ...], *, average: bool
 ) -> list[str]:
     found = []
@@ -94,7 +94,7 @@ def _missed(
 
 
 @cache
-def needed() -> tuple[float, float]:
+def command_variation() -> tuple[float, float]:
     """Total variation and absolute sum of the command that the base reference requires."""
     what = course()
     speed = what.speed_mps[: int(what.end) + 1]
@@ -112,7 +112,7 @@ def remarks(measured: Measured, kind: str, tuned: Mapping[str, Mapping[str, floa
     """Findings as sentences, from the medians over the seeds."""
     found = [_against_tuned(measured, tuned["pid"])]
     if kind == "s_curve":
-        short = missed(measured, kind)
+        short = find_shortfalls(measured, kind)
         found += [_why(measured), _jerk()]
         found.append("Worse than the published numbers: " + ("; ".join(short) if short else "none") + ".")
     return tuple(found)
@@ -135,7 +135,7 @@ def _against_tuned(measured: Measured, gains: Mapping[str, float]) -> str:
 def _why(measured: Measured) -> str:
     """Bounds on the errors that follow from eq. 15."""
     fixed, against = (median(measured[driver, 1], "speed_total_mps") for driver in ("pid", "pid tuned"))
-    variation, size = needed()
+    variation, size = command_variation()
     return (
         "The reason: with constant gains the command of eq. 15 is ki times the sum of the errors, so "
         "the reference itself determines the totals. The command it needs has a total variation of "

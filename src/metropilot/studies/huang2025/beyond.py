@@ -14,7 +14,7 @@ from metropilot.evaluate import indices_of, kpis_of
 from metropilot.physics import bodies_at, consist, multibody_step, substeps, track_arrays
 from metropilot.railway import Actuation
 from metropilot.sim import Disturbance, Drive, Rollout, Run, drive
-from metropilot.studies.huang2025.drives import ABOVE, LeastIndex, drivers_of
+from metropilot.studies.huang2025.drives import ABOVE, LeastIndex, make_drivers
 from metropilot.studies.huang2025.published import BEYOND, BY_ID, EXPERTS
 from metropilot.studies.huang2025.setting import DELAY_S, LAG_S, run_of
 from metropilot.studies.report import ReportRow
@@ -67,24 +67,26 @@ def _plants(run: Run) -> dict[str, Run]:
 def _drives(run: Run, driver: str, policies: Mapping[str, Sequence[Path]]) -> list[Drive]:
     """Drive a run once per policy (at most ``SEEDS``), each with its own seed."""
     few = {name: list(paths)[:SEEDS] for name, paths in policies.items()}
-    return [drive(replace(run, seed=k), one) for k, one in enumerate(drivers_of(driver, few, range(1)))]
+    return [drive(replace(run, seed=k), one) for k, one in enumerate(make_drivers(driver, few, range(1)))]
 
 
 def _rows(
     table: str, case: str, driver: str, drives: Sequence[Drive], *, gap: bool = False
 ) -> Iterator[ReportRow]:
     place = (table, case, driver)
-    yield ReportRow(*place, "Is, It and Ip met", "").measured([float(indices_of(one).met) for one in drives])
-    yield ReportRow(*place, "time error", "s").measured(
+    yield ReportRow(*place, "Is, It and Ip met", "").with_values(
+        [float(indices_of(one).met) for one in drives]
+    )
+    yield ReportRow(*place, "time error", "s").with_values(
         [one.running_time_s - one.scheduled_time_s for one in drives]
     )
-    yield ReportRow(*place, "stopping error", "m").measured(
+    yield ReportRow(*place, "stopping error", "m").with_values(
         [abs(kpis_of(one, None).stopping_error_m) for one in drives]
     )
     if gap:
         least = LeastIndex(drives, driver)
-        yield ReportRow(*place, ABOVE, "%").measured([least.above_percent(one) for one in drives])
-    yield ReportRow(*place, "interventions of protection", "").measured(
+        yield ReportRow(*place, ABOVE, "%").with_values([least.above_percent(one) for one in drives])
+    yield ReportRow(*place, "interventions of protection", "").with_values(
         [float(one.interventions) for one in drives]
     )
 
@@ -146,19 +148,19 @@ def stop_rows(found: list[Stops]) -> Iterator[ReportRow]:
             f"brake {100 * (one.gain - 1):+.0f} %, 101 s" if one.gain != 1.0 else "brake as believed, 101 s"
         )
         place = (f"{BEYOND}: station stops that learn the brake", case, "eitoe")
-        yield ReportRow(*place, "first stop: stopping error", "m").measured([abs(one.error_m[0])])
-        yield ReportRow(*place, f"stop {len(one.error_m)}: stopping error", "m").measured(
+        yield ReportRow(*place, "first stop: stopping error", "m").with_values([abs(one.error_m[0])])
+        yield ReportRow(*place, f"stop {len(one.error_m)}: stopping error", "m").with_values(
             [abs(one.error_m[-1])]
         )
-        yield ReportRow(*place, "all stops: stopping error", "m").measured(np.abs(one.error_m))
-        yield ReportRow(*place, "gain learned at the first stop", "", optimum=one.gain).measured(
+        yield ReportRow(*place, "all stops: stopping error", "m").with_values(np.abs(one.error_m))
+        yield ReportRow(*place, "gain learned at the first stop", "", optimum=one.gain).with_values(
             one.learned[:1]
         )
-        yield ReportRow(*place, "running time", "s").measured(one.time_s)
-        yield ReportRow(*place, "interventions of protection", "").measured([float(one.interventions)])
+        yield ReportRow(*place, "running time", "s").with_values(one.time_s)
+        yield ReportRow(*place, "interventions of protection", "").with_values([float(one.interventions)])
 
 
-class Apart(NamedTuple):
+class VehicleDeviation(NamedTuple):
     """Deviation of six coupled vehicles from one body under the same efforts.
 
     Attributes:
@@ -172,7 +174,7 @@ class Apart(NamedTuple):
     coupler_n: float
 
 
-def apart(found: Drive) -> Apart:
+def measure_deviation(found: Drive) -> VehicleDeviation:
     """Apply a drive's efforts to the vehicles in open loop."""
     t, trainset = found.trajectory, found.trainset
     cars, track = consist(trainset), track_arrays(found.section, trainset)
@@ -186,13 +188,13 @@ def apart(found: Drive) -> Apart:
         speed = max(speed, abs(float(bodies.speed_mps[0]) - float(t.speed_mps[k + 1])))
         if t.speed_mps[k + 1] > 0.0:
             force = max(force, float(np.abs(bodies.coupler_n).max()))
-    return Apart(speed, float(bodies.position_m) - float(t.position_m[-1]), force)
+    return VehicleDeviation(speed, float(bodies.position_m) - float(t.position_m[-1]), force)
 
 
 def vehicle_rows(found: Drive, case: str) -> Iterator[ReportRow]:
     """Rows of the vehicle deviations."""
-    one = apart(found)
+    one = measure_deviation(found)
     place = (f"{BEYOND}: the same efforts on six vehicles with couplers (eq. 3)", case, found.driver)
-    yield ReportRow(*place, "largest difference of speed", "m/s").measured([one.speed_mps])
-    yield ReportRow(*place, "difference of the place at the stop", "m").measured([abs(one.place_m)])
-    yield ReportRow(*place, "largest coupler force", "kN").measured([one.coupler_n / 1e3])
+    yield ReportRow(*place, "largest difference of speed", "m/s").with_values([one.speed_mps])
+    yield ReportRow(*place, "difference of the place at the stop", "m").with_values([abs(one.place_m)])
+    yield ReportRow(*place, "largest coupler force", "kN").with_values([one.coupler_n / 1e3])

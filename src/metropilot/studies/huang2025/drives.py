@@ -56,18 +56,18 @@ class EvaluatedRun:
         return [kpis_of(one, None) for one in self.drives]
 
 
-def drivers_of(driver: str, policies: Mapping[str, Sequence[Path]], seeds: range) -> list[AbstractDriver]:
+def make_drivers(driver: str, policies: Mapping[str, Sequence[Path]], seeds: range) -> list[AbstractDriver]:
     """Make one driver per seed: manual drives differ by seed, learned ones by policy, an expert has one."""
     if driver in policies:
         return [make_driver(driver, {"policy": str(path)}) for path in policies[driver]]
     return [make_driver(driver) for _ in (seeds if driver == MANUAL else range(1))]
 
 
-def driven(
+def drive_case(
     case: PublishedCase, driver: str, policies: Mapping[str, Sequence[Path]], seeds: range
 ) -> EvaluatedRun:
     """Drive a case with every seed or policy."""
-    who = drivers_of(driver, policies, seeds)
+    who = make_drivers(driver, policies, seeds)
     return EvaluatedRun(case, driver, [drive(run_of(case, seed), one) for seed, one in enumerate(who)])
 
 
@@ -111,9 +111,9 @@ def rows_of(found: EvaluatedRun, manual: EvaluatedRun | None) -> Iterator[Report
     indices, kpis = found.indices, found.kpis
 
     def row(kpi: str, unit: str, values: Sequence[float], optimum: float | None = None) -> ReportRow:
-        return ReportRow(*place, kpi, unit, published=case.said(driver, kpi), optimum=optimum).measured(
-            values
-        )
+        return ReportRow(
+            *place, kpi, unit, published=case.published_value(driver, kpi), optimum=optimum
+        ).with_values(values)
 
     yield row("Is, safe", "", [float(i.safe) for i in indices])
     yield row("It, on time", "", [float(i.on_time) for i in indices])
@@ -187,7 +187,9 @@ def news_rows(found: EvaluatedRun) -> Iterator[ReportRow]:
     if told is None:
         return
     place = (case.table, case.name, driver)
-    yield ReportRow(*place, EARLIEST, "s").measured([earliest_s(one, driver, told) for one in found.drives])
+    yield ReportRow(*place, EARLIEST, "s").with_values(
+        [earliest_s(one, driver, told) for one in found.drives]
+    )
     above = [above_left_percent(one, driver, told) for one in found.drives]
     if np.isfinite(above).all():
-        yield ReportRow(*place, LEFT, "%").measured(above)
+        yield ReportRow(*place, LEFT, "%").with_values(above)

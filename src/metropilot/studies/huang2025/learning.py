@@ -82,7 +82,7 @@ def make_task(driver: str) -> DrivingTask:
     return RECIPES.get(driver).make_task()
 
 
-def watched(config: AbstractConfig, driver: str, task: Any) -> PolicyEvaluation:  # noqa: ANN401 (a driving task)
+def make_evaluation(config: AbstractConfig, driver: str, task: Any) -> PolicyEvaluation:  # noqa: ANN401 (a driving task)
     """Return the evaluation of a policy: the recipe's own rule, and Ie and time of case 1.
 
     Args:
@@ -130,11 +130,11 @@ def job(driver: str, seed: int, budget: str) -> LearnJob:
     told = {"steps": SIZES[budget][driver], "evaluations": EVALUATIONS if budget == "paper" else 6}
     config = RECIPES.get(driver).configuration("paper", **told)
     name = driver if budget == "paper" else f"quick-{driver}"
-    evaluation = partial(watched, config, driver)
+    evaluation = partial(make_evaluation, config, driver)
     return LearnJob(name, config, partial(make_task, driver), seed, evaluation, {"driver": driver})
 
 
-def keep(folder: Path, result: SeedResult) -> Path:
+def write_policy(folder: Path, result: SeedResult) -> Path:
     """Write the policy of a learning run with the metadata that a driver requires."""
     from metropilot._provenance import circumstances
     from metropilot.learn import config_to_mapping

@@ -28,7 +28,7 @@ EXPERTS = (EITOE, EITOP)
 
 
 @dataclass(frozen=True)
-class Restricted:
+class PublishedRestriction:
     """A temporary speed restriction.
 
     Attributes:
@@ -69,10 +69,10 @@ class PublishedCase:
     drivers: tuple[str, ...]
     told_s: float | None = None
     news_s: float | None = None
-    restricted: Restricted | None = None
+    restricted: PublishedRestriction | None = None
     published: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
-    def said(self, driver: str, kpi: str) -> float | None:
+    def published_value(self, driver: str, kpi: str) -> float | None:
         """Published value; None where the paper prints none."""
         return self.published.get(driver, {}).get(kpi)
 
@@ -168,7 +168,7 @@ CASES: tuple[PublishedCase, ...] = (
         scheduled_s=115.0,
         drivers=EXPERTS,
         told_s=30.0,
-        restricted=Restricted(700.0, 900.0, 40.0 / KMH_PER_MPS),
+        restricted=PublishedRestriction(700.0, 900.0, 40.0 / KMH_PER_MPS),
     ),
     PublishedCase(
         id="restricted-101",
@@ -179,7 +179,7 @@ CASES: tuple[PublishedCase, ...] = (
         scheduled_s=101.0,
         drivers=EXPERTS,
         told_s=30.0,
-        restricted=Restricted(700.0, 900.0, 40.0 / KMH_PER_MPS),
+        restricted=PublishedRestriction(700.0, 900.0, 40.0 / KMH_PER_MPS),
     ),
     PublishedCase(
         id="sjz",

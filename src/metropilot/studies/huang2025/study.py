@@ -11,7 +11,7 @@ from metropilot.studies.huang2025.beyond import GAINS, beyond_rows, repeated_sto
 from metropilot.studies.huang2025.drives import (
     EvaluatedRun,
     decision_row,
-    driven,
+    drive_case,
     news_rows,
     rows_of,
 )
@@ -58,7 +58,7 @@ def reproduce(order: Order) -> StudyReport:
     found: Found = {}
     for case in CASES:
         for driver in case.drivers:
-            found[case.id, driver] = driven(case, driver, policies, range(MANUAL_SEEDS))
+            found[case.id, driver] = drive_case(case, driver, policies, range(MANUAL_SEEDS))
         order.say(f"{case.name} driven")
     stops = [repeated_stops(gain) for gain in GAINS]
     rows = _rows(found)
@@ -73,13 +73,13 @@ def reproduce(order: Order) -> StudyReport:
 
 def _policies(folder: Path, results: Sequence[SeedResult], *, paper: bool) -> Mapping[str, Sequence[Path]]:
     """Policy files by driver: the shipped ones, or one per seed of the learning runs."""
-    from metropilot.studies.huang2025.learning import keep
+    from metropilot.studies.huang2025.learning import write_policy
 
     if not paper:
         return {d: [shipped_policy(d)] for d in LEARNED}
     found: dict[str, list[Path]] = {}
     for result in results:
-        found.setdefault(str(result.job.about["driver"]), []).append(keep(folder, result))
+        found.setdefault(str(result.job.about["driver"]), []).append(write_policy(folder, result))
     return found
 
 
@@ -104,7 +104,7 @@ def _whole(found: Found) -> list[ReportRow]:
         first, second = found["sjz", driver].drives, found["xc", driver].drives
         times = [a.running_time_s + b.running_time_s for a, b in zip(first, second, strict=True)]
         place = ReportRow(TABLE4, "SJZ to XHM, 298 s", driver, "running time", "s", published=said[driver])
-        rows.append(place.measured(times))
+        rows.append(place.with_values(times))
     return rows
 
 
@@ -126,10 +126,10 @@ def _learning_rows(results: Sequence[SeedResult]) -> list[ReportRow]:
                 factor * float(r.history[f"evaluation.{column}"][k]) for r, k in zip(mine, best, strict=True)
             ]
             rows.append(
-                ReportRow(LEARNING, "policy kept", driver, kpi, unit, published=said).measured(values)
+                ReportRow(LEARNING, "policy kept", driver, kpi, unit, published=said).with_values(values)
             )
         seconds = [r.seconds for r in mine]
-        rows.append(ReportRow(LEARNING, "policy kept", driver, "time to learn", "s").measured(seconds))
+        rows.append(ReportRow(LEARNING, "policy kept", driver, "time to learn", "s").with_values(seconds))
     return rows
 
 

@@ -88,12 +88,12 @@ def _value(rows: Sequence[ReportRow], case: str, driver: str, kpi: str) -> Repor
     return next((r for r in rows if (r.case, r.driver, r.kpi) == (name, driver, kpi)), None)
 
 
-def _said(rows: Sequence[ReportRow], case: str, driver: str, kpi: str, digits: int = 1) -> str:
+def _text(rows: Sequence[ReportRow], case: str, driver: str, kpi: str, digits: int = 1) -> str:
     row = _value(rows, case, driver, kpi)
     return "–" if row is None or row.ours is None else f"{row.ours:.{digits}f}"
 
 
-def _ranged(rows: Sequence[ReportRow], case: str, driver: str, kpi: str) -> str:
+def _percent_range(rows: Sequence[ReportRow], case: str, driver: str, kpi: str) -> str:
     row = _value(rows, case, driver, kpi)
     if row is None or row.ours is None or row.high is None:
         return "–"
@@ -107,16 +107,16 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
         rows: All rows of the study.
         budget: quick or paper.
     """
-    peak, ie, coast = (_said(rows, "101", EITOE, kpi, d) for kpi, d in ((TOP, 2), (IE, 1), (COAST, 0)))
-    over = {case: _ranged(rows, case, EITOP, ABOVE) for case in COMPARED}
+    peak, ie, coast = (_text(rows, "101", EITOE, kpi, d) for kpi, d in ((TOP, 2), (IE, 1), (COAST, 0)))
+    over = {case: _percent_range(rows, case, EITOP, ABOVE) for case in COMPARED}
     found = [
-        _met(rows),
+        _missed_indices(rows),
         (
             f"EITOE drives case 1 with {ie} J/kg and {peak} m/s at most (published 380 and 19.49) and "
             f"coasts {coast} m (published 899.78)."
         ),
         (
-            f"EITOP: {_said(rows, '101', EITOP, IE)} J/kg (published 364), {_share(rows, '101')} against "
+            f"EITOP: {_text(rows, '101', EITOP, IE)} J/kg (published 364), {_share(rows, '101')} against "
             "EITOE (published -4.3 %)."
         ),
         (
@@ -130,14 +130,14 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
             f"{_arrivals(rows)}."
         ),
         (
-            f"Compared with the model `manual` EITOE saves {_saved(rows, EITOE)} of Ie and EITOP "
-            f"{_saved(rows, EITOP)} at 101 s (published 34.9 and 37.7 %): the model knows timetable "
+            f"Compared with the model `manual` EITOE saves {_saving(rows, EITOE)} of Ie and EITOP "
+            f"{_saving(rows, EITOP)} at 101 s (published 34.9 and 37.7 %): the model knows timetable "
             "and route and coasts, with far less than the 584 J/kg that the published percentages "
             "imply."
         ),
         (
             "The published order of comfort is not reproduced: Ic of EITOP is "
-            f"{_said(rows, '101', EITOP, IC, 2)}, of EITOE {_said(rows, '101', EITOE, IC, 2)}; it "
+            f"{_text(rows, '101', EITOP, IC, 2)}, of EITOE {_text(rows, '101', EITOE, IC, 2)}; it "
             "accelerates harder."
         ),
     ]
@@ -146,7 +146,7 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
     return found
 
 
-def _met(rows: Sequence[ReportRow]) -> str:
+def _missed_indices(rows: Sequence[ReportRow]) -> str:
     """Finding on the three indices: those missed, by driver."""
     kpis = ("Is, safe", "It, on time", "Ip, parked")
     missed = [
@@ -178,7 +178,7 @@ def _share(rows: Sequence[ReportRow], case: str) -> str:
     return f"{100.0 * (mine.ours / other.ours - 1.0):+.1f} %"
 
 
-def _saved(rows: Sequence[ReportRow], driver: str) -> str:
+def _saving(rows: Sequence[ReportRow], driver: str) -> str:
     row = _value(rows, "101", driver, RELATIVE)
     return "–" if row is None or row.ours is None else f"{-row.ours:.1f} %"
 

@@ -99,25 +99,25 @@ def policy_file(name: str) -> Path:
     return POLICIES / f"{name}.safetensors"
 
 
-def learned_driver(path: Path) -> LearnedDriver:
+def load_driver(path: Path) -> LearnedDriver:
     """Load a policy file as a driver."""
     loaded = load_driving_policy(path)
     return LearnedDriver(loaded.policy, loaded.perception)
 
 
-def driven(plan: PlanCase, name: str, driver: AbstractDriver) -> NotchRun:
+def drive_plan(plan: PlanCase, name: str, driver: AbstractDriver) -> NotchRun:
     """Drive a plan on the host."""
     run = Run(load_line(plan.line).section("WHY", "WYJ"), load_trainset(TRAINSET), plan.scheduled_s)
     found = drive(run, driver)
     return NotchRun(plan, name, found, kpis_of(found, None))
 
 
-def tracked(plan: PlanCase, path: Path) -> NotchRun:
+def track_policy(plan: PlanCase, path: Path) -> NotchRun:
     """Track the curve of a policy with the paper's PID."""
-    return driven(plan, "pid_lu2023", PidLu2023(PidLu2023Options(policy=str(path))))
+    return drive_plan(plan, "pid_lu2023", PidLu2023(PidLu2023Options(policy=str(path))))
 
 
-def shipped_for(plan_id: str) -> Path:
+def shipped_policy_of(plan_id: str) -> Path:
     """Path of the shipped network of a plan; without one, and for ``all``, of the network for all plans."""
     own = policy_file(f"improved_dqn-{plan_id}")
     return own if own.is_file() else shipped_policy("improved_dqn")

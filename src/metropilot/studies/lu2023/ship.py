@@ -49,7 +49,7 @@ def _shortfall(result: SeedResult, plans: Sequence[PlanCase]) -> float:
 COMMAND = "metropilot reproduce lu2023 --budget paper"
 
 
-def keep_policy(path: Path, result: SeedResult, plans: Sequence[PlanCase], command: str = COMMAND) -> None:
+def write_policy(path: Path, result: SeedResult, plans: Sequence[PlanCase], command: str = COMMAND) -> None:
     """Write a policy with its perception, so that every policy driver can load it."""
     from metropilot._provenance import circumstances
     from metropilot.policy import save_policy

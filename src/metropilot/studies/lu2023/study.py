@@ -10,11 +10,11 @@ from metropilot.studies.learning import learn_seeds
 from metropilot.studies.lu2023.drives import (
     NotchRun,
     arrival_rows,
-    driven,
-    learned_driver,
+    drive_plan,
+    load_driver,
     notch_front,
-    shipped_for,
-    tracked,
+    shipped_policy_of,
+    track_policy,
 )
 from metropilot.studies.lu2023.figures import figures_of
 from metropilot.studies.lu2023.published import (
@@ -28,14 +28,14 @@ from metropilot.studies.lu2023.published import (
     TABLE,
     plan_case,
 )
-from metropilot.studies.lu2023.ship import best_of, keep_policy
+from metropilot.studies.lu2023.ship import best_of, write_policy
 from metropilot.studies.lu2023.words import DEVIATIONS, remarks
 from metropilot.studies.report import ReportRow, StudyReport
 from metropilot.studies.study import Study
 
 if TYPE_CHECKING:
     from metropilot.studies.learning import SeedResult
-    from metropilot.studies.lu2023.learning import Converged
+    from metropilot.studies.lu2023.learning import Convergence
     from metropilot.studies.study import Order
 
 QUICK_STEPS = 8_000
@@ -113,61 +113,61 @@ def _drives(
 
     def path(plan_id: str, driver: str = "improved_dqn") -> Path:
         if not paper:
-            return shipped_for(plan_id)
+            return shipped_policy_of(plan_id)
         kept = folder / f"{driver}-{plan_id}.safetensors"
         cases = PLANS if plan_id == "all" else (plan_case(plan_id),)
-        keep_policy(kept, best_of(named[f"{driver}-{plan_id}"], cases), cases)
+        write_policy(kept, best_of(named[f"{driver}-{plan_id}"], cases), cases)
         return kept
 
     if paper:
         path("all", "dqn")
     drives = []
     for plan in PLANS:
-        drives.append(driven(plan, "improved_dqn", learned_driver(path(plan.id))))
+        drives.append(drive_plan(plan, "improved_dqn", load_driver(path(plan.id))))
         if plan.id == "130":
-            drives.append(tracked(plan, path(plan.id)))
-    one = learned_driver(path("all"))
-    return drives, [driven(plan, "improved_dqn", one) for plan in PLANS]
+            drives.append(track_policy(plan, path(plan.id)))
+    one = load_driver(path("all"))
+    return drives, [drive_plan(plan, "improved_dqn", one) for plan in PLANS]
 
 
-def _converged(results: Sequence[SeedResult], plan_id: str, in_a_row: int = 1) -> list[Converged]:
-    from metropilot.studies.lu2023.learning import converged, meets
+def _convergences(results: Sequence[SeedResult], plan_id: str, in_a_row: int = 1) -> list[Convergence]:
+    from metropilot.studies.lu2023.learning import find_convergence, meet_demands
 
     plan = plan_case(plan_id)
     front = notch_front(plan)
-    good = [meets(r.history, plan.id, plan.scheduled_s, front) for r in results]
-    return [converged(r.history, met, in_a_row) for r, met in zip(results, good, strict=True)]
+    good = [meet_demands(r.history, plan.id, plan.scheduled_s, front) for r in results]
+    return [find_convergence(r.history, met, in_a_row) for r, met in zip(results, good, strict=True)]
 
 
 def _episode_rows(table: str, plan_id: str, driver: str, results: Sequence[SeedResult]) -> list[ReportRow]:
     from metropilot.studies.lu2023.learning import STEADY
 
-    found, steady = _converged(results, plan_id), _converged(results, plan_id, STEADY)
+    found, steady = _convergences(results, plan_id), _convergences(results, plan_id, STEADY)
     case, published = plan_case(plan_id).name, EPISODES.get((plan_id, driver))
     row = ReportRow(table, case, driver, "episodes to convergence", "", published=published)
     share, kept = (100.0 * sum(run.converged for run in runs) / len(runs) for runs in (found, steady))
     return [
-        row.measured([run.episodes for run in found]),
+        row.with_values([run.episodes for run in found]),
         ReportRow(table, case, driver, "runs that converged", "%", ours=share),
         ReportRow(table, case, driver, "runs that were steady", "%", ours=kept),
     ]
 
 
 def _convergence(runs: Runs) -> list[ReportRow]:
-    from metropilot.studies.lu2023.learning import STEADY, faster
+    from metropilot.studies.lu2023.learning import STEADY, speed_up
 
     rows: list[ReportRow] = []
     for plan_id, learners in runs.items():
-        found = {driver: _converged(results, plan_id) for driver, results in learners.items()}
+        found = {driver: _convergences(results, plan_id) for driver, results in learners.items()}
         for driver, results in learners.items():
             rows += _episode_rows(CONVERGENCE, plan_id, driver, results)
-        gain = faster(found["dqn"], found["improved_dqn"])
+        gain = speed_up(found["dqn"], found["improved_dqn"])
         said = FASTER_PERCENT if plan_id == "120" else None
         kpi = "converges faster than DQN (range: 95 % interval)"
         place = (CONVERGENCE, plan_case(plan_id).name, "improved_dqn", kpi, "%")
         rows.append(ReportRow(*place, published=said, ours=gain.percent, low=gain.low, high=gain.high))
-        steady = {driver: _converged(results, plan_id, STEADY) for driver, results in learners.items()}
-        gain = faster(steady["dqn"], steady["improved_dqn"])
+        steady = {driver: _convergences(results, plan_id, STEADY) for driver, results in learners.items()}
+        gain = speed_up(steady["dqn"], steady["improved_dqn"])
         place = (*place[:3], f"is steady faster than DQN, {STEADY} evaluations in a row (the same)", "%")
         rows.append(ReportRow(*place, ours=gain.percent, low=gain.low, high=gain.high))
     return rows
@@ -191,7 +191,7 @@ def _short(runs: Runs) -> list[ReportRow]:
             row = ReportRow(
                 "Short learning", plan_case(plan_id).name, driver, f"return after {QUICK_STEPS} steps", ""
             )
-            rows.append(row.measured([r.score for r in results]))
+            rows.append(row.with_values([r.score for r in results]))
     return rows
 
 
