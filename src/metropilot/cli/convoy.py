@@ -171,7 +171,7 @@ def report(request: ConvoyRequest, kpis: ConvoyKpis) -> None:
         *("trainset", "driver", "outcome", "time s", "stop m", "gap m", "speed diff. m/s"),
         *("wheel kWh", "line kWh", "jerk m/s³", "interventions"),
     )
-    spare = ("line kWh", "wheel kWh", "speed diff. m/s", "time s", "outcome")
+    spare = ("line kWh", "wheel kWh", "speed diff. m/s", "time s", "outcome", "stop m")
     rows = map(_row, kpis.trainsets)
     out.print(table("", columns, rows, right=range(3, len(columns)), spare=spare))
 

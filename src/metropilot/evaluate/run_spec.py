@@ -16,7 +16,7 @@ from metropilot._schema import FieldSpec, check_fields, declared, field_specs
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError, rename_fields
 from metropilot.evaluate.driver_options import make_driver, named_driver, option_defaults
-from metropilot.planning import LONGEST_RATIO, Objective, check_running_time
+from metropilot.planning import Objective
 from metropilot.railway import Restriction, Section, Trainset, load_line, load_trainset
 from metropilot.sim import CONTROL_PERIOD_S, AbstractDriver, Disturbance, Run, TimetableUpdate
 from metropilot.units import KINDS
@@ -170,7 +170,8 @@ class RunSpec:
         disturbance = replace(self.disturbance, updates=updates)
         run = Run(section, trainset, time_s, disturbance, self.dt_s, self.seed)
         # Listing the options of a command needs no solver.
-        from metropilot.planning import minimum_running_time
+        # planning loads the solver; options are declared without it
+        from metropilot.planning import LONGEST_RATIO, check_running_time, minimum_running_time
 
         fastest = fastest_s or minimum_running_time(open_section, trainset)
         check_running_time(time_s, fastest)

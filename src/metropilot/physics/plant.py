@@ -108,7 +108,7 @@ def delay_steps(delay_s: float, dt: float) -> int:
 
 
 @no_type_check
-def blend_delay(pipeline: Float[Array, " slots"], delay_s: Scalar, dt: Scalar) -> Scalar:
+def blend_delay(pipeline: Float[Array, "slots *rows"], delay_s: Scalar, dt: Scalar) -> Scalar:
     """The command that acts during this step: the one issued ``delay_s`` ago, blended between two periods."""
     if pipeline.shape[0] == 1:
         return pipeline[0]
@@ -119,7 +119,7 @@ def blend_delay(pipeline: Float[Array, " slots"], delay_s: Scalar, dt: Scalar) -
 
 
 @no_type_check
-def push_command(pipeline: Float[Array, " slots"], newest: Scalar) -> Float[Array, " slots"]:
+def push_command(pipeline: Float[Array, "slots *rows"], newest: Scalar) -> Float[Array, "slots *rows"]:
     """The pipeline one period later, the oldest command gone."""
     xp = namespace(pipeline, newest)
     first = xp.expand_dims(xp.asarray(newest, dtype=pipeline.dtype), 0)
@@ -128,7 +128,7 @@ def push_command(pipeline: Float[Array, " slots"], newest: Scalar) -> Float[Arra
 
 def actuate(
     vehicle: Vehicle, state: State, command: Command, dt: Scalar
-) -> tuple[Float[Array, " slots"], Scalar]:
+) -> tuple[Float[Array, "slots *rows"], Scalar]:
     """Dead time and lag (Huang25 eq. 4 with K = 1): the new pipeline and the share after both."""
     xp = namespace(state.position_m, command.share)
     share = xp.clip(command.share, -1.0, 1.0)
