@@ -1,8 +1,7 @@
-"""What an action of the policy means: a few numbers, or a choice, become a command in [-1, 1].
+"""Kinds of action: the map from a policy's output (numbers or a choice) to a command in [-1, 1].
 
 Each kind is written over the array namespace, so that a driver on the host maps actions exactly as the task
-did. A kind is one small class and one row of
-:data:`metropilot.env.action_kinds.ACTIONS`.
+does. A kind is one small class and one row of :data:`metropilot.env.action_kinds.ACTIONS`.
 """
 
 from __future__ import annotations
@@ -23,16 +22,16 @@ Array = Any
 LU2023_N = (-149e3, -132e3, -99e3, -66e3, -33e3, 0.0, 34e3, 68e3, 102e3, 136e3, 170e3, 180e3)
 """The twelve actions of Lu23 Table 3."""
 ROUNDING_N = 200.0
-"""Forces this near to a notch are that notch (single precision)."""
+"""Tolerance within which a force equals a notch, for single precision."""
 
 
 class AbstractAction(ABC):
-    """How actions become commands."""
+    """Map from actions to commands."""
 
     @property
     @abstractmethod
     def space(self) -> ActionSpace:
-        """What an action is."""
+        """Action space."""
 
     @abstractmethod
     def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
@@ -45,7 +44,7 @@ class AbstractAction(ABC):
         """
 
     def allowed(self, sight: FeatureContext, period_s: float) -> Array | None:
-        """Which choices are allowed here (a filter), shape (count,); None: all."""
+        """Mask of the choices allowed in a context. Shape (count,); None: all."""
         del sight, period_s
         return None
 
@@ -61,7 +60,7 @@ class AbstractAction(ABC):
 
 
 def _ordered(field: str, pair: tuple[float, float], allowed: str, *, equal: bool = False) -> None:
-    """Refuse a number that is not above another."""
+    """Raise an error unless the second number is larger than the first."""
     low, high = pair
     if not (low <= high if equal else low < high):
         raise InputError("out of range", field=field, value=pair[1], allowed=allowed)
@@ -70,15 +69,15 @@ def _ordered(field: str, pair: tuple[float, float], allowed: str, *, equal: bool
 @final
 @dataclass(frozen=True)
 class CommandAction(AbstractAction):
-    """The command itself (Chen23a: share of the traction or braking force available)."""
+    """Command itself (Chen23a: share of the available traction or braking force)."""
 
     @property
     def space(self) -> ActionSpace:
-        """One number."""
+        """Action space of one number."""
         return ActionSpace(size=1)
 
     def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
-        """The number, clipped."""
+        """Clip the number to [-1, 1]."""
         del period_s
         return sight.xp.clip(action[0], -1.0, 1.0)
 
@@ -86,31 +85,31 @@ class CommandAction(AbstractAction):
 @final
 @dataclass(frozen=True)
 class RegimeAction(AbstractAction):
-    """The command with room for the regimes of the optimum: exact coasting in the middle, full effort early.
+    """Command with a dead zone for coasting and saturation at full effort.
 
-    An optimal drive is full traction, holding a speed, coasting and braking. A Gaussian policy never hits
-    exactly 0 by itself, and needs a large mean to stay at full effort.
+    An optimal drive consists of full traction, speed holding, coasting and braking. A Gaussian policy never
+    gives exactly 0 by itself, and needs a large mean for full effort.
 
     Attributes:
-        coast: Actions up to this size mean coasting.
-        full: Actions from this size on mean full effort.
+        coast: Absolute action up to which the trainset coasts.
+        full: Absolute action from which effort is full.
     """
 
     coast: float = 0.2
     full: float = 0.8
 
     def __post_init__(self) -> None:
-        """Refuse a dead zone that leaves no room for effort."""
+        """Check that the dead zone leaves a range for effort."""
         _ordered("coast", (0.0, self.coast), "0 or more, below full", equal=True)
         _ordered("full", (self.coast, self.full), "above coast")
 
     @property
     def space(self) -> ActionSpace:
-        """One number."""
+        """Action space of one number."""
         return ActionSpace(size=1)
 
     def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
-        """0 in the dead zone, then linear up to full effort."""
+        """Return 0 in the dead zone, then a linear rise to full effort."""
         del period_s
         size = sight.xp.clip((sight.xp.abs(action[0]) - self.coast) / (self.full - self.coast), 0.0, 1.0)
         return sight.xp.where(action[0] < 0.0, -size, size)
@@ -119,25 +118,25 @@ class RegimeAction(AbstractAction):
 @final
 @dataclass(frozen=True)
 class IncrementAction(AbstractAction):
-    """The change of the command (Huang25): smooth by construction.
+    """Change of the command (Huang25), which is thereby smooth.
 
     Attributes:
-        rate_per_s: Largest change of the command in a second.
+        rate_per_s: Largest rate of change of the command, 1/s.
     """
 
     rate_per_s: float = 0.5
 
     def __post_init__(self) -> None:
-        """Refuse a command that cannot be changed."""
+        """Check that the rate is positive."""
         _ordered("rate_per_s", (0.0, self.rate_per_s), "above 0")
 
     @property
     def space(self) -> ActionSpace:
-        """One number."""
+        """Action space of one number."""
         return ActionSpace(size=1)
 
     def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
-        """The last command, moved."""
+        """Add the change to the last command."""
         moved = sight.command + self.rate_per_s * period_s * sight.xp.clip(action[0], -1.0, 1.0)
         return sight.xp.clip(moved, -1.0, 1.0)
 
@@ -145,11 +144,11 @@ class IncrementAction(AbstractAction):
 @final
 @dataclass(frozen=True)
 class NotchAction(AbstractAction):
-    """One of a table of notches: commands, or forces of the trainset's own levels (Lu23's twelve).
+    """Choice from a table of notches: commands, or forces such as Lu23's twelve.
 
     Attributes:
         notches: Commands in [-1, 1], or forces in N, traction positive.
-        forces: Whether they are forces.
+        forces: True if the notches are forces.
     """
 
     notches: tuple[float, ...] = (-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0)
@@ -157,11 +156,11 @@ class NotchAction(AbstractAction):
 
     @property
     def space(self) -> ActionSpace:
-        """One choice a notch."""
+        """Action space with one choice a notch."""
         return ActionSpace(count=len(self.notches))
 
     def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
-        """The notch; a force is asked for as far as it is available."""
+        """Command of the notch; a force is limited to the available one."""
         del period_s
         notch = sight.xp.asarray(self.notches, np.float32)[action]
         return limited_force(sight, notch) if self.forces else notch
@@ -170,13 +169,13 @@ class NotchAction(AbstractAction):
 @final
 @dataclass(frozen=True)
 class NotchForceAction(AbstractAction):
-    """One of a table of forces, and nothing else: what the assists make of a choice is a notch, too.
+    """Choice from a table of forces, to which the command after the assists is rounded as well.
 
     Attributes:
         notches_n: Forces in N, increasing, braking negative, 0 (coasting) among them.
-        in_time: Choices after which even flat out is too late are not allowed (Lu23 section 3.3.4).
-        margin: The filter counts the flat-out time this share longer: what keeping clear of protection costs,
-            and the steps of the notches.
+        in_time: Mask choices after which even the flat-out run would be late (Lu23 section 3.3.4).
+        margin: Relative allowance on the flat-out time in this mask, for the margin to protection and the
+            steps of the notches.
     """
 
     notches_n: tuple[float, ...] = LU2023_N
@@ -184,7 +183,7 @@ class NotchForceAction(AbstractAction):
     margin: float = 0.05
 
     def __post_init__(self) -> None:
-        """Refuse a table that cannot pull, coast and brake."""
+        """Check that the table contains traction, coasting and braking."""
         notches = self.notches_n
         if 0.0 not in notches or list(notches) != sorted(set(notches)) or not notches[0] < 0 < notches[-1]:
             allowed = "increasing forces in N, the first below 0, 0 among them, the last above 0"
@@ -194,11 +193,11 @@ class NotchForceAction(AbstractAction):
 
     @property
     def space(self) -> ActionSpace:
-        """One choice a notch."""
+        """Action space with one choice a notch."""
         return ActionSpace(count=len(self.notches_n))
 
     def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
-        """The notch, as far as it is available."""
+        """Command of the notch, limited to the available force."""
         del period_s
         return limited_force(sight, sight.xp.asarray(self.notches_n, np.float32)[action])
 
@@ -208,12 +207,12 @@ class NotchForceAction(AbstractAction):
         return self.command(sight, action, 0.0)
 
     def allowed(self, sight: FeatureContext, period_s: float) -> Array | None:
-        """Choices after which there is still time to arrive; the strongest is always one of them.
+        """Mask of the choices after which the trainset can still arrive in time; the last is always allowed.
 
-        Where each notch leads in one decision (at the resistance here), and what the flat-out run takes from
-        there, against the time left (Lu23 section 3.3.4, steps a to c: ``T - t_k < t_lim`` chooses again).
-        The flat-out time is that of the plant with its resistance and limits, not of a speed that changes at
-        once.
+        The state after one decision at each notch (with the resistance at the present state) and the
+        flat-out time from there are compared with the time left (Lu23 section 3.3.4, steps a to c:
+        ``T - t_k < t_lim`` chooses again). The flat-out time is that of the plant with its resistance and
+        limits, not of a speed that changes at once.
         """
         if not self.in_time:
             return None
@@ -246,18 +245,18 @@ class NotchForceAction(AbstractAction):
 @final
 @dataclass(frozen=True)
 class GainsAction(AbstractAction):
-    """Gains of a controller that holds a share of the permitted speed; each spans a range logarithmically.
+    """Gains of a controller that holds a share of the permitted speed, on logarithmic scales.
 
     Attributes:
-        low: Least of each gain: proportional (1/(m/s)) and speed held over the permitted speed.
-        high: Largest of each.
+        low: Least value of each gain: proportional gain (1/(m/s)), and held over permitted speed.
+        high: Largest value of each.
     """
 
     low: tuple[float, ...] = (0.05, 0.3)
     high: tuple[float, ...] = (2.0, 1.0)
 
     def __post_init__(self) -> None:
-        """Refuse ranges that are empty or have no logarithm; a gain may be held at one value."""
+        """Check that the ranges are positive and not empty; a gain may have a single value."""
         if not len(self.low) == len(self.high) == 2:
             raise InputError("not a range of two gains", field="high", value=len(self.high), allowed="2")
         for low, high in zip(self.low, self.high, strict=True):
@@ -266,17 +265,17 @@ class GainsAction(AbstractAction):
 
     @property
     def space(self) -> ActionSpace:
-        """One number a gain."""
+        """Action space of one number a gain."""
         return ActionSpace(size=len(self.low))
 
     def gains(self, sight: FeatureContext, action: Array) -> Array:
-        """The gains an action stands for. Shape (size,)."""
+        """Gains of an action. Shape (size,)."""
         xp = sight.xp
         low, high = (np.log(np.asarray(ends, np.float32)) for ends in (self.low, self.high))
         return xp.exp(low + (high - low) * (0.5 + 0.5 * xp.clip(action, -1.0, 1.0)))
 
     def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
-        """Proportional control of the speed to the share of the permitted speed."""
+        """Command of proportional control toward the share of the permitted speed."""
         del period_s
         gain, share = self.gains(sight, action)
         return sight.xp.clip(gain * (share * sight.permitted_mps - sight.speed_mps), -1.0, 1.0)

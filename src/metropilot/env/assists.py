@@ -1,11 +1,10 @@
-"""Two assists a task may give its policy: the last braking to the stop point, and keeping under the ceiling.
+"""Two assists of a policy: station-stop braking, and the speed ceiling below protection.
 
-With the stop assist a policy decides when to power, hold and coast, and how early it slows down by itself;
-when the last braking must begin, and how it ends, is given by the stop curve: build up to a deceleration at
-the jerk limit, hold it, let it go at a softer jerk to a small deceleration, stand (the closed forms of
-:mod:`metropilot.control.stopping`). With the ceiling assist traction is eased off, and the brake comes in,
-before protection would have to. Both are pure functions over the array namespace, the same in the compiled
-task and on the host.
+With the stop assist a policy decides on traction, speed holding, coasting and early braking; the station-stop
+braking follows the stop curve: build up a deceleration at the jerk limit, hold it, and release it at a lower
+jerk to a small deceleration at standstill (the closed forms of :mod:`metropilot.control.stopping`). The
+ceiling assist reduces traction, and brakes, before protection would intervene. Both are pure functions over
+the array namespace, the same in the compiled task and on the host.
 """
 
 from __future__ import annotations
@@ -49,24 +48,24 @@ RANGES = MappingProxyType(
         "release": (0.1, 1.0),
     }
 )
-"""What the numbers of :class:`Assists` may be."""
+"""Admissible ranges of the numbers of :class:`Assists`."""
 
 
 @dataclass(frozen=True)
 class Assists:
-    """Which assists a task gives.
+    """Assists of a task.
 
     Attributes:
-        stop: The last braking to the stop point.
-        ceiling: Keeping under the permitted speed and the acceleration limit.
-        margin_mps: How far under the permitted speed.
-        stop_mps2: Deceleration of the last braking; 0: what is surely at hand at any speed, which is very
-            little for a brake that fades, while a low limit before the stop may allow much more.
-        stop_use: Share of what is surely at hand that the last braking is planned with.
-        release: Jerk at which the last brake is let go, over the trainset's limit: a soft one takes longer.
-        late: Brake as late as the brakes surely allow: the last braking is planned with what the gradient
-            leaves at each place, not with what it leaves at the worst, and begins within a period if that is
-            when it must; and the speed is kept from which a lower ceiling ahead can be met.
+        stop: Station-stop braking.
+        ceiling: Ceiling below the permitted speed and the acceleration limit.
+        margin_mps: Margin below the permitted speed, m/s.
+        stop_mps2: Deceleration of station-stop braking; 0: the one surely available at any speed, which is
+            small for a brake that fades at high speed even where a low limit precedes the stop.
+        stop_use: Share of the surely available deceleration that station-stop braking is planned with.
+        release: Jerk of the brake release, over the trainset's limit; a lower one takes longer.
+        late: Brake as late as the brakes surely allow: station-stop braking is planned with the gradient at
+            each position instead of the worst one, and may begin within a period; the speed stays low
+            enough to brake for a lower ceiling ahead.
     """
 
     stop: bool = True
@@ -78,7 +77,7 @@ class Assists:
     late: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse numbers that no last braking or ceiling can be planned with."""
+        """Check the numbers against ``RANGES``."""
         for name, (low, high) in RANGES.items():
             value = getattr(self, name)
             if not low <= value <= high:
@@ -103,10 +102,10 @@ class Assists:
 
 @lru_cache
 def stop_options(release_share: float) -> StopOptions:
-    """Constants of the station stop that the shipped policies learned with.
+    """Constants of the station stop with which the shipped policies were trained.
 
-    The deceleration at the stop is larger than a host driver plans with, as the state is known exactly here,
-    and the policy has the time that it saves.
+    The final deceleration is larger than that of host drivers, as the state is known exactly here; the
+    policy gains the time that this saves.
 
     Args:
         release_share: Jerk at which the brake is released, over the trainset's limit.
@@ -139,7 +138,7 @@ class EffortLimits(NamedTuple):
 
 
 def needs_of(sight: FeatureContext) -> EffortLimits:
-    """The needs at a state, as the driver's data have it."""
+    """Effort limits at a state of the nominal plant."""
     vehicle = sight.vehicle
     resistance, gradient = resistance_and_gradient(vehicle, sight.track, sight.position_m, sight.speed_mps)
     effort = effort_at(vehicle, sight.speed_mps)

@@ -1,4 +1,4 @@
-"""What a driving task is made of."""
+"""Configuration of a driving task."""
 
 from __future__ import annotations
 
@@ -18,29 +18,30 @@ from metropilot.railway import Section, Trainset
 from metropilot.sim import OutcomeRule
 
 REWARDS = (Energy(), Punctuality(per_s=2.0), Failure(price=20.0, per_m=0.05), Intervention())
-"""A kWh costs 1, a second off time 2 (what the last second saves in a tight timetable is below 1)."""
+"""Default reward: a kWh costs 1, a second off time 2 (in a tight timetable the last second saves below 1)."""
 EPISODE_RULE = OutcomeRule(give_up_m=20.0, late_ratio=1.25, late_s=30.0)
-"""Episodes end sooner than drives that are reported: the rest of a lost run teaches nothing."""
+"""Rule of episodes; stricter than that of reported drives, as the rest of a failed run is of no use."""
 
 
 @dataclass(frozen=True)
 class DrivingConfig:
-    """What a driving task is made of.
+    """Configuration of a driving task.
 
     Attributes:
-        sections: Where.
-        trainsets: With what; a load is a trainset. Every section is driven with every one of them.
-        scenarios: What is drawn at the start of an episode.
-        ideal: Ideal actuation: no delay, lag or jerk limit but what a scenario adds.
+        sections: Sections.
+        trainsets: Trainsets, each with its load. Every section is combined with every one of them.
+        scenarios: Distribution of the disturbance and start of an episode.
+        ideal: Ideal actuation: no delay, lag or jerk limit except those of the disturbance.
         observer: A name in ``OBSERVERS``, or names of features.
-        action: What an action means.
+        action: Kind of action.
         rewards: Terms of the reward, each name once.
-        outcomes: When an episode is over.
-        assists: What is done for the policy.
+        outcomes: Rule that ends an episode.
+        assists: Assists of the policy.
         dt: Control period of plant and protection, s.
-        periods: Control periods to a decision.
-        most_decisions: Episodes are cut off (truncated) after so many decisions.
-        spacing_m: Distance between protection's nodes; the host uses 1 m. Coarser is stricter and faster.
+        periods: Control periods of one decision.
+        most_decisions: Number of decisions after which an episode is truncated.
+        spacing_m: Distance between protection's nodes; the host uses 1 m. A coarser grid is stricter and
+            faster.
     """
 
     sections: tuple[Section, ...]
@@ -76,7 +77,7 @@ class DrivingConfig:
 
     @property
     def features(self) -> tuple[str, ...]:
-        """The names of the observer's features."""
+        """Names of the observer's features."""
         return (
             OBSERVERS.get(self.observer, (self.observer,))
             if isinstance(self.observer, str)
@@ -85,13 +86,13 @@ class DrivingConfig:
 
     @property
     def cases(self) -> tuple[tuple[Section, Trainset], ...]:
-        """Every section with every trainset as the driver knows it, sections varying slowest."""
+        """Every section with every nominal trainset, sections varying slowest."""
         known = [trainset.ideal() if self.ideal else trainset for trainset in self.trainsets]
         return tuple((section, trainset) for section in self.sections for trainset in known)
 
     @property
     def perception(self) -> PolicyInterface:
-        """What a driver must know to run on the host what was learned here."""
+        """Interface with which a driver runs a policy of this task on the host."""
         mean = float(np.mean([trainset.mass_kg for _, trainset in self.cases]))
         return PolicyInterface(
             features=self.features,
@@ -103,7 +104,7 @@ class DrivingConfig:
         )
 
     def tables(self, dtype: type = np.float32, jobs: int = 1) -> SectionTables:
-        """The cases as arrays (NumPy; takes about a tenth of a second a case); by so many processes."""
+        """Build the tables of the cases (NumPy) in a number of processes; about 0.1 s a case."""
         restricted = [(s, t) for section, t in self.cases for s in self.scenarios.restricted(section)]
         bounded = [(s, t, self.scenarios.bounds(s, t, self.dt)) for s, t in (*self.cases, *restricted)]
         return build_tables(bounded, self.spacing_m, dtype, jobs)

@@ -1,4 +1,4 @@
-"""The driving problem as a functional, compiled environment: the plant under protection, from parts."""
+"""Driving problem as a functional, compiled environment: the plant under protection, composed of parts."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ class DriveState(NamedTuple):
     """State of an episode. All 0-d but the pipelines of plant and protection.
 
     Attributes:
-        start: How it began.
+        start: Parameters drawn for the episode.
         run: State of the run.
         command: Last command of the driver, assists included.
-        stopping: Whether the stop assist has begun the station-stop braking.
+        stopping: True while the stop assist brakes for the station.
         decisions: Decisions taken.
         overruled: Share of the last decision's periods with an intervention of protection.
-        jerk_mps2: Integral of the size of the jerk.
+        jerk_mps2: Integral of the absolute jerk.
         max_jerk_mps3: Largest jerk.
         max_overspeed_mps: Largest excess over the limit.
     """
@@ -76,7 +76,7 @@ class DrivingTask(AbstractTask):
     """Drive a section: on time, with little energy, under protection.
 
     Args:
-        config: What it is made of.
+        config: Configuration of the task.
     """
 
     def __init__(self, config: DrivingConfig) -> None:
@@ -92,7 +92,7 @@ class DrivingTask(AbstractTask):
 
     @property
     def action_space(self) -> ActionSpace:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """What an action is."""
+        """Action space."""
         return self.config.action.space
 
     @cached_property
@@ -103,14 +103,14 @@ class DrivingTask(AbstractTask):
         return int(jax.eval_shape(self.reset, jax.random.key(0))[1].shape[0])
 
     def draw(self, key: Array) -> StartDistribution:
-        """How an episode begins, drawn from the task's scenarios."""
+        """Draw the parameters of an episode from the task's distribution."""
         import jax.numpy as jnp
 
         start = draw(self.config.scenarios, key, jnp.asarray(self.times_s))
         return self._on_the_way(key, start) if self.config.scenarios.on_the_way > 0 else start
 
     def begin(self, start: StartDistribution) -> tuple[DriveState, Array]:
-        """An episode that begins as told: its state and first observation."""
+        """Begin an episode with given parameters; returns its state and first observation."""
         import jax.numpy as jnp
 
         zero = jnp.zeros((), jnp.float32)
@@ -145,11 +145,11 @@ class DrivingTask(AbstractTask):
         return state, self.observe(state)
 
     def reset(self, key: Array) -> tuple[DriveState, Array]:
-        """A new episode drawn from the task's scenarios."""
+        """Begin an episode drawn from the task's distribution."""
         return self.begin(self.draw(key))
 
     def step(self, key: Array, state: DriveState, action: Array) -> tuple[DriveState, Transition]:
-        """One decision: map the action, then assist, supervise and move, once in each control period."""
+        """Take one decision: map the action, then assist, supervise and step in each control period."""
         return self._traced_once["step"](key, state, action)
 
     @cached_property
@@ -207,18 +207,18 @@ class DrivingTask(AbstractTask):
         return after, Transition(self.observe(after), reward, terminated, truncated, terms)
 
     def allowed(self, state: DriveState) -> Array | None:
-        """Choices the action's filter allows in this state. Shape (count,), or None: all."""
+        """Mask of the choices that the action's filter allows. Shape (count,); None: all."""
         return self.config.action.allowed(self.sight(state), self.config.dt * self.config.periods)
 
     def observe(self, state: DriveState) -> Array:
-        """The observation of a state. Shape (O,)."""
+        """Observation of a state. Shape (O,)."""
         return self._traced_once["observe"](state)
 
     def _observe(self, state: DriveState) -> Array:
         return observe(self.config.features, self.sight(state))
 
     def sight(self, state: DriveState) -> FeatureContext:
-        """What observers and actions may use of a state."""
+        """Context of a state, the input of observers and actions."""
         plant, row = state.plant, self.row(state)
         case, assists = self.rows.case(row), self.config.assists
         return feature_context(
@@ -246,7 +246,7 @@ class DrivingTask(AbstractTask):
     def _period(
         self, key: Array, state: DriveState, decided: tuple[Array, Array]
     ) -> tuple[DriveState, Array, Array]:
-        """One control period; also whether protection intervened, and the largest overspeed."""
+        """Simulate one control period; also returns interventions (0 or 1) and the largest overspeed."""
         import jax
         import jax.numpy as jnp
 
@@ -290,7 +290,7 @@ class DrivingTask(AbstractTask):
         return state, record.intervened.astype(jnp.float32), record.overspeed_mps
 
     def _on_the_way(self, key: Array, start: StartDistribution) -> StartDistribution:
-        """Move some starts to a random place, speed and time left on the way."""
+        """Move a share of the starts to a random position, speed and time left on the way."""
         import jax
         import jax.numpy as jnp
 
@@ -349,8 +349,8 @@ def starts(
     """Starts from standstill for chosen cases and scheduled times, one row each.
 
     Args:
-        cases: Row of each in the task's cases.
-        scheduled_s: Scheduled time of each.
+        cases: Rows in the task's cases.
+        scheduled_s: Scheduled running times, s.
         fields: Other fields of :class:`StartDistribution`, one value a row.
     """
     import jax.numpy as jnp

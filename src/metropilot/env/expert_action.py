@@ -27,7 +27,7 @@ class AbstractExpertAction(AbstractAction):
     Attributes:
         start_mps2: Largest acceleration.
         change_mps2: Largest change of the rate in an interval.
-        interval_s: That interval.
+        interval_s: Interval of that change.
     """
 
     start_mps2: float = 0.8
@@ -41,25 +41,25 @@ class AbstractExpertAction(AbstractAction):
 
     @abstractmethod
     def change(self, action: Array) -> Array:
-        """The wanted change over the largest, of an action on the host."""
+        """Wanted over largest change, of an action on the host."""
 
 
 @final
 @dataclass(frozen=True)
 class ExpertAction(AbstractExpertAction):
-    """A number: the wanted change over the largest."""
+    """Number: the wanted over the largest change."""
 
     @property
     def space(self) -> ActionSpace:
-        """One number."""
+        """Action space of one number."""
         return ActionSpace(size=1)
 
     def change(self, action: Array) -> Array:
-        """The wanted change over the largest."""
+        """Wanted over largest change."""
         return action[0]
 
     def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
-        """The last rate, changed as far as the rules allow."""
+        """Command of the last rate with the change that the rules allow."""
         change = sight.xp.clip(self.change(action), -1.0, 1.0)
         return expert_command(sight, self.rules, change, period_s)
 
@@ -67,7 +67,7 @@ class ExpertAction(AbstractExpertAction):
 @final
 @dataclass(frozen=True)
 class ExpertChoiceAction(AbstractExpertAction):
-    """One of a few changes: what a table can choose from (ITOR).
+    """Choice of a few changes, for tabular learners (ITOR).
 
     Attributes:
         changes: Changes over the largest, increasing.
@@ -78,13 +78,13 @@ class ExpertChoiceAction(AbstractExpertAction):
 
     @property
     def space(self) -> ActionSpace:
-        """One choice a change."""
+        """Action space of one choice a change."""
         return ActionSpace(count=len(self.changes))
 
     def change(self, action: Array) -> Array:
-        """The wanted change over the largest, of a choice on the host."""
+        """Wanted over largest change, of a choice on the host."""
         return self.changes[int(action)]
 
     def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
-        """The last rate, changed as far as the rules allow."""
+        """Command of the last rate with the change that the rules allow."""
         return expert_command(sight, self.rules, sight.xp.asarray(self.changes, np.float32)[action], period_s)

@@ -1,7 +1,7 @@
-"""The expert of Huang25 in a task: its view of a state, and the command that comes of a change of the rate.
+"""Expert of Huang25 in a task: its view of a state, and the command of a change of the rate.
 
-The same rules drive on the host in plain numbers (:mod:`metropilot.drivers.expert.driving`), with the station
-stop that learns; in a task the assists stop and keep clear of protection.
+A host driver uses the same rules in plain numbers (:mod:`metropilot.drivers.expert.driving`) with an adaptive
+station stop; in a task the assists stop the trainset and avoid interventions.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class View(NamedTuple):
 
 
 def view_of(sight: FeatureContext, rules: ExpertRules) -> View:
-    """The window of the destination, and what turns rates into commands."""
+    """Window of the destination, and the effort limits at a state."""
     xp, vehicle, v = sight.xp, sight.vehicle, sight.speed_mps
     mass = vehicle.effective_mass_kg
     drag, traction, brake = needs_of(sight)
@@ -75,7 +75,7 @@ def view_of(sight: FeatureContext, rules: ExpertRules) -> View:
 
 
 def expert_features(sight: FeatureContext) -> Sequence[Array]:
-    """The state of Huang25 eq. 19, the rate, and where in its window the trainset is."""
+    """State of Huang25 eq. 19, the rate, and the position in the window."""
     view = view_of(sight, ExpertRules())
     return expert_state(
         sight.xp,

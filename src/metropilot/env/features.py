@@ -1,4 +1,4 @@
-"""What a policy sees: named features, scaled to a few units, over the array namespace.
+"""Observation of a policy: named features, scaled to a few units, over the array namespace.
 
 The same functions serve the compiled task and a learned driver on the host. A feature is one small function
 and one row of :data:`FEATURES`; an observer is a list of their names.
@@ -23,18 +23,18 @@ AHEAD_M = (20.0, 50.0, 100.0, 200.0, 350.0, 600.0, 1000.0)
 FAR_M = (35.0, 75.0, 150.0, 275.0, 475.0, 800.0, 1500.0, 2200.0, 3500.0)
 COAST_NODES = np.linspace(0.0, 1.0, 49, dtype=np.float32)
 UP_TO = np.tri(COAST_NODES.size, COAST_NODES.size - 1, -1, dtype=np.float32)
-"""Sums of the stretches up to each node: compiled, a product is several times faster than a running sum."""
+"""Matrix that sums the segments up to each node; compiled, it is several times faster than a running sum."""
 COAST_PASSES = 2
 NEARBY = 0.05
-"""Share by which a speed is changed to see how resistance changes with it."""
+"""Relative change of speed for the derivative of resistance."""
 MOST_LOST = 12.0
-"""Exponent of the energy's decay at which it is all lost."""
+"""Largest exponent of the energy's decay; nothing of the energy is left there."""
 FASTER_MPS = (2.0,)
-"""How much faster ``coasting_faster`` lets the trainset go before it coasts."""
+"""Increases of speed before coasting in ``coasting_faster``."""
 SLOWEST_J = 0.5
 CHECK_MPS = (12.0, 20.0)
 RISES_SPM = tuple(1.0 / slower - 1.0 / faster for slower, faster in itertools.pairwise(PACES_MPS))
-"""How much longer a metre takes at each of the paces than at the next."""
+"""Increase of the time for one metre from each pace to the next slower one, s/m."""
 SPEED_MPS = 20.0
 DISTANCE_M = 1000.0
 TIME_S = 100.0
@@ -43,22 +43,22 @@ PER_KG = 1.0
 
 
 class FeatureContext(NamedTuple):
-    """Everything a feature may use. Numbers are 0-d.
+    """Context of a state: the input of features, actions and assists. Numbers are 0-d.
 
     Attributes:
         rows: The task's tables.
         case: Row of the case.
-        vehicle: Trainset as the driver knows it.
+        vehicle: Nominal plant.
         track: Section.
         length_m: Distance to the stop from the origin.
         load: Mass over the mean mass of all cases.
-        stop_mps2: Deceleration the last braking is planned with.
+        stop_mps2: Deceleration with which station-stop braking is planned.
         rates: Bounds behind protection's emergency brake.
         time_s: Time since departure.
         position_m: Position.
         speed_mps: Measured speed.
         acceleration_mps2: Acceleration over the last period.
-        scheduled_s: Scheduled running time as it stands now.
+        scheduled_s: Scheduled running time in force.
         command: Last command given.
     """
 
@@ -79,7 +79,7 @@ class FeatureContext(NamedTuple):
 
     @property
     def xp(self) -> Any:  # noqa: ANN401 (a module)
-        """The array namespace: NumPy or JAX's."""
+        """Array namespace: NumPy or JAX's."""
         return self.rows.xp
 
     @property
@@ -121,16 +121,16 @@ def feature_context(  # noqa: PLR0913 (the state of a run, field by field)
     Args:
         rows: Tables of the sections.
         case: Row in force.
-        found: That row: ``rows.case(case)``.
-        stop_mps2: Deceleration the station-stop braking is planned with.
+        found: The row ``rows.case(case)``.
+        stop_mps2: Deceleration with which station-stop braking is planned.
         time_s: Time since departure.
         position_m: Position.
         speed_mps: Measured speed.
         acceleration_mps2: Acceleration over the last period.
-        scheduled_s: Scheduled running time as it stands now.
+        scheduled_s: Scheduled running time in force.
         command: Last command given.
     """
-    # a compiled step carries along only the pieces of the track it is on
+    # a compiled step holds only the pieces of the track around its position
     track = found.track if rows.xp is np else near_track(found.track, found.vehicle, position_m)
     return FeatureContext(
         rows=rows,
@@ -169,12 +169,12 @@ def acceleration(sight: FeatureContext) -> Sequence[Array]:
 
 
 def command(sight: FeatureContext) -> Sequence[Array]:
-    """The last command."""
+    """Last command."""
     return [sight.command]
 
 
 def distance_left(sight: FeatureContext) -> Sequence[Array]:
-    """Distance left, plain and as the square root that braking is straight in."""
+    """Distance left, and its square root, in which a braking speed is linear."""
     return [sight.left_m / DISTANCE_M, sight.xp.sqrt(sight.left_m / DISTANCE_M)]
 
 
@@ -197,7 +197,7 @@ def reserve(sight: FeatureContext) -> Sequence[Array]:
 
 
 def mean_speed(sight: FeatureContext) -> Sequence[Array]:
-    """Mean speed that the time left asks for, and how much faster the trainset is."""
+    """Mean speed that the time left requires, and the excess of the speed over it."""
     xp = sight.xp
     mean = xp.clip(sight.left_m / xp.maximum(sight.left_s, 1.0), 0.0, 40.0)
     return [mean / SPEED_MPS, (sight.speed_mps - mean) / SPEED_MPS]
@@ -210,7 +210,7 @@ def braking(sight: FeatureContext) -> Sequence[Array]:
 
 
 def permitted(sight: FeatureContext) -> Sequence[Array]:
-    """How far the permitted speed is above the speed, here."""
+    """Difference between permitted speed and speed, here."""
     return [sight.xp.clip((sight.permitted_mps - sight.speed_mps) / 5.0, -2.0, 4.0)]
 
 
@@ -230,13 +230,13 @@ def _permitted_at(sight: FeatureContext, ahead_m: Sequence[float]) -> Sequence[A
 
 
 def _down(sight: FeatureContext, values: Sequence[float] | np.ndarray) -> Array:
-    """Constants down a first axis, beside the position. Shape (K,), or (K, 1, ...) for many positions."""
+    """Constants along a new first axis. Shape (K,), or (K, 1, ...) for many positions."""
     position = sight.position_m
     return sight.xp.asarray(values, position.dtype).reshape((-1,) + (1,) * position.ndim)
 
 
 def climb_ahead(sight: FeatureContext) -> Sequence[Array]:
-    """Mean of gradient and curve resistance over several distances ahead, and over all that is left."""
+    """Mean of gradient and curve resistance over several distances ahead, and over the distance left."""
     return climb_within(sight, (*AHEAD_M, np.inf))
 
 
@@ -246,7 +246,7 @@ def climb_far(sight: FeatureContext) -> Sequence[Array]:
 
 
 def climb_within(sight: FeatureContext, ahead_m: Sequence[float]) -> Sequence[Array]:
-    """Mean of gradient and curve resistance over distances ahead, the stop at the latest."""
+    """Mean of gradient and curve resistance over distances ahead, at most up to the stop."""
     here = sight.rows.ground_at(CLIMB, sight.case, sight.position_m)
     way = sight.xp.minimum(sight.xp.maximum(sight.left_m, 1.0), _down(sight, ahead_m))
     there = sight.rows.ground_at(CLIMB, sight.case, sight.position_m + way)
@@ -262,7 +262,7 @@ def efforts(sight: FeatureContext) -> Sequence[Array]:
 
 
 def efforts_ahead(sight: FeatureContext) -> Sequence[Array]:
-    """Largest traction and running resistance at two fixed speeds, per kilogram; the last braking's rate."""
+    """Largest traction and resistance at two fixed speeds, per kilogram; the planned stop deceleration."""
     vehicle, parts = sight.vehicle, []
     for speed_mps in CHECK_MPS:
         v = 0.0 * sight.speed_mps + speed_mps
@@ -272,14 +272,14 @@ def efforts_ahead(sight: FeatureContext) -> Sequence[Array]:
 
 
 def coasting(sight: FeatureContext) -> Sequence[Array]:
-    """What is left of the time if the trainset coasts from here to the last braking; how slow it gets."""
+    """Spare time if the trainset coasts from here to station-stop braking, and its least speed."""
     xp = sight.xp
     taken, slowest = _coasted(sight, sight.speed_mps)
     return [*_spare(sight, taken), xp.tanh((sight.left_s - taken) / 2.0), slowest]
 
 
 def coasting_faster(sight: FeatureContext) -> Sequence[Array]:
-    """The same if it were somewhat faster: whether it is time to coast, and how soon it will be."""
+    """Spare time and least speed of coasting from a higher speed, to anticipate the coasting point."""
     xp, parts = sight.xp, []
     for more in FASTER_MPS:
         taken, slowest = _coasted(sight, sight.speed_mps + more)
@@ -322,10 +322,10 @@ def _coasted(sight: FeatureContext, v: Array) -> tuple[Array, Array]:
 
 
 def pace(sight: FeatureContext) -> Sequence[Array]:
-    """The speed that the time left asks for where limits and last braking let it, and what it is beside.
+    """Pace: the speed to hold, wherever limits and station-stop braking admit it, to arrive in the time left.
 
-    Solved from the tabled times at ``PACES_MPS``, straight in the inverse of the speed between them. Twice:
-    as it is, and less the time that reaching it under full traction takes.
+    Interpolated from the tabulated times at ``PACES_MPS``, linear in the inverse of the speed; once for the
+    time left, and once less the time lost while reaching the pace under full traction.
     """
     xp, v = sight.xp, sight.speed_mps
     times = sight.rows.paced_s(sight.case, sight.position_m)
@@ -345,7 +345,7 @@ def pace(sight: FeatureContext) -> Sequence[Array]:
 
 
 def _pace(sight: FeatureContext, times: Array, left_s: Array) -> tuple[Array, Array]:
-    """The speed whose time to the stop is the time left, and how many metres would be driven at it."""
+    """Pace whose time to the stop equals the time left, m/s, and the distance driven at it, m."""
     xp = sight.xp
     slower, faster = times[..., :-1], times[..., 1:]
     rises = xp.asarray(RISES_SPM, times.dtype)
@@ -360,13 +360,13 @@ def _pace(sight: FeatureContext, times: Array, left_s: Array) -> tuple[Array, Ar
 
 
 def steady(sight: FeatureContext) -> Sequence[Array]:
-    """What is left of the time if the trainset holds its speed up to the last braking."""
+    """Spare time if the trainset holds its speed up to station-stop braking."""
     v = sight.xp.maximum(sight.speed_mps, 1.0)
     return _spare(sight, sight.left_m / v + 0.5 * v / sight.stop_mps2)
 
 
 def _spare(sight: FeatureContext, taken_s: Array) -> list[Array]:
-    """Time left beyond a time taken: plain, fine near zero, and as a share."""
+    """Time left beyond a time taken: linear, with fine resolution near zero, and as a share."""
     xp = sight.xp
     spare = xp.clip(sight.left_s - taken_s, -200.0, 200.0)
     share = xp.clip(spare / xp.maximum(sight.left_s, 5.0), -2.0, 2.0)
@@ -384,7 +384,7 @@ def delay(sight: FeatureContext) -> Sequence[Array]:
 
 
 def build_up(sight: FeatureContext) -> Sequence[Array]:
-    """How long the jerk limit takes to build up 1 m/s^2, s: 0 where effort acts at once."""
+    """Time that the jerk limit takes to build up 1 m/s^2, s; 0 without a jerk limit."""
     return [1.0 / sight.vehicle.jerk_mps3]
 
 
@@ -394,7 +394,7 @@ def position_m(sight: FeatureContext) -> Sequence[Array]:
 
 
 def expert(sight: FeatureContext) -> Sequence[Array]:
-    """What a policy inside the expert of Huang25 sees (its eq. 19, and the speed window)."""
+    """Features of a policy inside the expert of Huang25 (its eq. 19, and the speed window)."""
     from metropilot.env.expert_view import expert_features
 
     return expert_features(sight)
@@ -491,7 +491,7 @@ OBSERVERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 
 def observe(features: Sequence[str], sight: FeatureContext) -> Array:
-    """The observation: every feature in order, float32. Shape (O,)."""
+    """Observation: every feature in order, float32. Shape (O,)."""
     values = [value for name in features for value in FEATURES[name](sight)]
     return sight.xp.stack(values).astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""What a task is to a learner: two pure functions, and the shape of what goes in and out."""
+"""Interface of a task to a learner: two pure functions, the transition and the action space."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Transition(NamedTuple):
 
 @dataclass(frozen=True)
 class ActionSpace:
-    """What a task takes: ``size`` numbers in [-1, 1], or one of ``count`` choices.
+    """Action space: ``size`` numbers in [-1, 1], or one of ``count`` choices.
 
     Attributes:
         size: Number of continuous actions (0: discrete).
@@ -43,7 +43,7 @@ class ActionSpace:
 
     @property
     def discrete(self) -> bool:
-        """Whether an action is an integer choice."""
+        """True if an action is an integer choice."""
         return self.count > 0
 
 
@@ -52,7 +52,7 @@ class AbstractTask(ABC):
 
     Attributes:
         observation_size: Length of the observation vector.
-        action_space: What an action is.
+        action_space: Action space.
     """
 
     observation_size: int
@@ -60,13 +60,13 @@ class AbstractTask(ABC):
 
     @abstractmethod
     def reset(self, key: Array) -> tuple[TaskState, Array]:
-        """A new episode: its state and first observation."""
+        """Begin an episode; returns its state and first observation."""
 
     @abstractmethod
     def step(self, key: Array, state: TaskState, action: Array) -> tuple[TaskState, Transition]:
-        """One step of the episode; stepping on after its end is undefined but finite."""
+        """Take one step of the episode; steps after its end are undefined but finite."""
 
     def allowed(self, state: TaskState) -> Array | None:
-        """Mask of the choices allowed in this state (Lu23's action filter), shape (count,); None: all."""
+        """Mask of the choices allowed in a state (Lu23's action filter). Shape (count,); None: all."""
         del state
         return None

@@ -19,13 +19,13 @@ from metropilot.planning import PlanOptions, time_energy_front
 from metropilot.railway import Section, Trainset
 
 VERSION = 1
-"""Goes up when the planner's answers change."""
+"""Version of the cached tables; raise it when the planner's results change."""
 MAX_BYTES = 1 << 24
 """Largest table read from the cache."""
 SHARES = (0.0, 0.04, 0.1, 0.18, 0.28, 0.4, 0.55, 0.75, 1.0)
-"""Where the running times of a cached table lie, dense where energy bends most: near the minimum."""
+"""Running times of a cached table within their range, dense near the minimum, where energy curves most."""
 LEAST_RATIO, BEYOND = 1.01, 1.08
-"""Their range over the minimum running time: from the first to so many times the longest of interest."""
+"""Range over the minimum running time: the least ratio, and a factor on the longest time of interest."""
 RATIOS = (1.01, 1.03, 1.06, 1.1, 1.15, 1.2, 1.3, 1.4, 1.6)
 
 
@@ -45,8 +45,8 @@ class Optima:
         """Optimal energy of drives by case and running time, J; NaN outside the tabulated times.
 
         Args:
-            case: Row of each. Shape (N,).
-            time_s: Running time of each. Shape (N,).
+            case: Row of each drive. Shape (N,).
+            time_s: Running time of each drive. Shape (N,).
         """
         found = np.full(np.shape(time_s), np.nan)
         for row in np.unique(case):
@@ -56,7 +56,7 @@ class Optima:
         return found
 
     def gap(self, case: ndarray, time_s: ndarray, wheel_j: ndarray) -> ndarray:
-        """Share by which drives used more than the optimum at the same running time."""
+        """Relative excess of drives over the optimal energy at the same running time."""
         return wheel_j / self.at(case, time_s) - 1.0
 
 

@@ -1,4 +1,4 @@
-"""What a policy was told and what its actions meant: all a driver needs to run it where it did not learn."""
+"""Interface of a policy: features, action, assists and periods with which any driver can run it."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ LARGEST = 1e9
 
 @dataclass(frozen=True)
 class PolicyInterface:
-    """Between a policy and a trainset; plain values, so that it goes into a policy's file.
+    """Interface between a policy and a trainset; plain values, stored in the policy's file.
 
     Attributes:
         features: Names of the features in the observation, in order.
-        action: What an action means.
-        assists: What is done for the policy.
+        action: Kind of action.
+        assists: Assists of the policy.
         period_s: Time between two decisions.
-        spacing_m: Distance between the nodes of the curves it sees.
+        spacing_m: Distance between the nodes of the curves in its features.
         mean_mass_kg: Mass that the feature ``load`` is relative to.
     """
 
@@ -57,7 +57,7 @@ class PolicyInterface:
 
     @classmethod
     def from_dict(cls, values: object, *, file: object = None) -> PolicyInterface:
-        """The inverse of :meth:`as_dict`; nothing is taken on trust.
+        """Build an interface from the values of :meth:`as_dict`; every value is checked.
 
         Args:
             values: Plain values, as they stand in JSON.
@@ -74,12 +74,12 @@ class PolicyInterface:
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Tuples as the lists that JSON makes of them."""
+    """Replace tuples by lists, as JSON has them."""
     return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
 
 
 def _read(values: object) -> PolicyInterface:
-    """A perception, every value checked."""
+    """Build an interface with every value checked."""
     expected = {f.name for f in fields(PolicyInterface)}
     if not isinstance(values, Mapping) or set(values) != expected:
         wrong = sorted(map(str, set(values) ^ expected)) if isinstance(values, Mapping) else [repr(values)]
@@ -105,7 +105,7 @@ def _read(values: object) -> PolicyInterface:
 
 
 def _features(values: object) -> tuple[str, ...]:
-    """Names of features that there are, each once."""
+    """Check that every name is that of a feature and occurs once."""
     if not isinstance(values, list | tuple):
         raise InputError("not a list", field="perception.features", value=_shown(values))
     names: list[Any] = list(values)
@@ -118,7 +118,7 @@ def _features(values: object) -> tuple[str, ...]:
 
 
 def _made(kind: Any, values: object, field: str) -> Any:  # noqa: ANN401 (a dataclass of any kind)
-    """A dataclass from plain values of the kinds of its defaults."""
+    """Build a dataclass from plain values of the types of its defaults."""
     standard = kind()
     given = dict(values) if isinstance(values, Mapping) else {_shown(values): None}
     names = [f.name for f in fields(kind)]
@@ -134,7 +134,7 @@ def _made(kind: Any, values: object, field: str) -> Any:  # noqa: ANN401 (a data
 
 
 def _like(default: object, value: object, field: str) -> Any:  # noqa: ANN401 (whatever a field holds)
-    """A value of the kind of the default; whole numbers will do for numbers, lists for tuples."""
+    """Convert a value to the type of the default; integers count as floats, lists as tuples."""
     if isinstance(default, tuple) and isinstance(value, list | tuple) and len(value) <= MOST_ENTRIES:
         if value and default:
             return tuple(_like(default[0], entry, field) for entry in value)
@@ -149,5 +149,5 @@ def _like(default: object, value: object, field: str) -> Any:  # noqa: ANN401 (w
 
 
 def _shown(value: object) -> str:
-    """A value in a few characters."""
+    """First characters of a value, for an error message."""
     return (value if isinstance(value, str) else repr(value))[:MOST_SHOWN]

@@ -1,4 +1,4 @@
-"""What a learner meets: which case, in what time, and what is not as the data says."""
+"""Distribution of an episode's case, running time, start and disturbance."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ Array = Any
 NOMINAL = MappingProxyType(
     {field.name: (field.default,) * 2 for field in fields(Disturbance) if isinstance(field.default, float)}
 )
-"""Everything that is drawn for an episode, with the interval that means no disturbance."""
+"""Quantities drawn for an episode, each with the interval of no disturbance."""
 DRAWN = tuple(NOMINAL)
 DRAWN_PLANT = tuple(name for name in DRAWN if name != "speed_noise_mps")
 Interval = tuple[float, float]
 RESTRICTIONS = 4
-"""Temporary speed restrictions that are drawn for a case: its tables are made with each of them."""
+"""Number of temporary speed restrictions drawn for a case; its tables are built with each of them."""
 
 
 class StartDistribution(NamedTuple):
-    """How one episode begins, and everything about it that is not the same every time. All 0-d.
+    """Start and disturbance drawn for one episode. All 0-d.
 
     Attributes:
         case: Row of the task's cases.
         scheduled_s: Scheduled running time.
-        position_m: Where it begins.
-        speed_mps: How fast.
-        time_s: Time already used.
-        mass_factor: True over believed mass.
-        resistance_factor: True over believed Davis resistance.
+        position_m: Position at the start.
+        speed_mps: Speed at the start.
+        time_s: Time since departure at the start.
+        mass_factor: True over nominal mass.
+        resistance_factor: True over nominal Davis resistance.
         delay_s: Dead time in addition to the trainset's.
         lag_s: Lag in addition to the trainset's.
         speed_noise_mps: Standard deviation of the measured speed.
         headwind_mps: Wind from ahead.
         adhesion: Adhesion of the driven wheels (infinite: dry rail).
-        brake_factor: True over believed service braking force.
+        brake_factor: True over nominal service braking force.
         news_at_s: When a new scheduled time is announced (infinite: never).
         news_s: The new scheduled time.
         restricted: Row of the tables with a temporary speed restriction.
@@ -71,29 +71,29 @@ class StartDistribution(NamedTuple):
 
 @dataclass(frozen=True)
 class DisturbanceDistribution:
-    """The distribution an episode is drawn from, each quantity even over its interval.
+    """Distribution of an episode; each quantity is uniform over its interval.
 
     Attributes:
         time_ratio: Scheduled time over the minimum of the case.
         longest_s: Longest scheduled time instead of the upper ratio.
         time_s: Scheduled time itself instead of ratios.
-        mass_factor: True over believed mass.
-        resistance_factor: True over believed Davis resistance.
+        mass_factor: True over nominal mass.
+        resistance_factor: True over nominal Davis resistance.
         delay_s: Dead time in addition to the trainset's.
         lag_s: Lag in addition to the trainset's.
         speed_noise_mps: Standard deviation of the measured speed (cut at three deviations).
         headwind_mps: Wind from ahead.
         adhesion: Adhesion of the driven wheels (infinite: dry rail).
-        brake_factor: True over believed service braking force.
+        brake_factor: True over nominal service braking force.
         news: Probability that the scheduled time changes on the way.
-        news_at: When that is announced, as a share of the scheduled time.
-        news_shift_s: By how much it changes (never below what is left of it times 0.9).
+        news_at: Time of that announcement, as a share of the scheduled time.
+        news_shift_s: Change of the scheduled time; at least 0.9 of the time left remains.
         restriction: Probability that a temporary speed restriction is announced on the way; it is one of
             ``RESTRICTIONS`` that are drawn for each case once.
-        restriction_at: When, as a share of the scheduled time.
-        on_the_way: Probability that an episode begins somewhere on the way, at a speed that can still stop,
+        restriction_at: Time of that announcement, as a share of the scheduled time.
+        on_the_way: Probability that an episode begins between the stops, at a speed that can still stop,
             with a time left drawn like the scheduled time. Evaluate with 0.
-        left_ratio: Such an episode's time left over the flat-out time to go, instead.
+        left_ratio: Time left of such an episode over the flat-out time to go, instead.
     """
 
     time_ratio: Interval = (1.05, 1.5)
@@ -127,7 +127,7 @@ class DisturbanceDistribution:
             self.extreme(end)
 
     def extreme(self, end: int) -> Disturbance:
-        """The scenario at the low (0) or high (1) end of every interval."""
+        """Disturbance at the low (0) or high (1) end of every interval."""
         return Disturbance(**{name: getattr(self, name)[end] for name in DRAWN})
 
     def times_s(self, minimum_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -141,7 +141,7 @@ class DisturbanceDistribution:
         return low, np.maximum(low, high)
 
     def bounds(self, section: Section, trainset: Trainset, dt: float) -> Bounds:
-        """What protection is told to expect: the widest the host would declare for any scenario."""
+        """Bounds declared to protection: the widest that the host would declare for any disturbance."""
         ends = [declared_bounds(Run(section, trainset, 1.0, self.extreme(k), dt)) for k in (0, 1)]
         return replace(
             ends[1],
@@ -151,7 +151,7 @@ class DisturbanceDistribution:
         )
 
     def restricted(self, section: Section) -> tuple[Section, ...]:
-        """The section with each of the restrictions that may be announced; none where none can be."""
+        """Sections with each of the restrictions that may be announced; empty without restrictions."""
         if self.restriction <= 0:
             return ()
         random = np.random.default_rng(0)
@@ -169,10 +169,10 @@ def _hull(intervals: Sequence[Interval]) -> Interval:
 
 
 def draw(scenarios: DisturbanceDistribution, key: Array, times_s: Array) -> StartDistribution:
-    """One episode (JAX), not yet placed on the way.
+    """Draw one episode from standstill (JAX).
 
-    As many random numbers are made as the distribution needs, all at once: a learner resets a few of its many
-    environments in every step, and pays for all of them.
+    All random numbers that the distribution needs are drawn at once, and no others: a learner resets a few of
+    its many environments in every step, but computes the reset of all.
 
     Args:
         scenarios: The distribution.

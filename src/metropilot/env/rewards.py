@@ -1,4 +1,4 @@
-"""What a learner is paid for: named terms that sum to the reward. A term is one class and one row."""
+"""Reward terms: named terms that sum to the reward. A term is one class and one row."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ Array = Any
 
 
 class PeriodChange(NamedTuple):
-    """What happened in one decision. All 0-d.
+    """Changes over one decision, the input of the reward terms. All 0-d.
 
     Attributes:
         wheel_j: Traction energy at the wheel used.
         line_j: Net energy at the line used.
-        jerk_mps2: Integral of the size of the jerk, m/s^2.
-        seconds: Time that went by.
-        overruled: Periods in which protection overruled the command.
+        jerk_mps2: Integral of the absolute jerk, m/s^2.
+        seconds: Duration.
+        overruled: Share of the periods in which protection overruled the command.
         overspeed_mps: Largest excess over the limit.
-        ended: Whether the episode ended by the task's rules.
-        arrived: Whether it ended at the stop.
-        late_s: Time since departure, less what it has stood at the end, minus the scheduled running time.
+        ended: True if the task's rules ended the episode.
+        arrived: True if it ended at the stop.
+        late_s: Running time to the standstill, or to now, minus the scheduled running time.
         error_m: Position minus the stop.
         braked_j: Energy taken by the electric brake at the wheel.
         acceleration_mps2: Acceleration at the end.
@@ -51,7 +51,7 @@ class PeriodChange(NamedTuple):
 
 
 class AbstractTerm(ABC):
-    """One named share of the reward.
+    """Named term of the reward.
 
     Attributes:
         name: Key in ``Transition.terms``.
@@ -61,7 +61,7 @@ class AbstractTerm(ABC):
 
     @abstractmethod
     def value(self, change: PeriodChange) -> Array:
-        """What one decision earns. Shape ()."""
+        """Reward of one decision. Shape ()."""
 
 
 @final
@@ -101,7 +101,7 @@ class LineEnergy(AbstractTerm):
 @final
 @dataclass(frozen=True)
 class Comfort(AbstractTerm):
-    """Minus the integral of the size of the jerk (Chen23a eq. 8).
+    """Minus the integral of the absolute jerk (Chen23a eq. 8).
 
     Attributes:
         weight: Price of 1 m/s^2 of change.
@@ -118,11 +118,11 @@ class Comfort(AbstractTerm):
 @final
 @dataclass(frozen=True)
 class OnTime(AbstractTerm):
-    """A sum at the end: won when the running time is close enough to the scheduled one, else lost.
+    """Bonus at the end if the running time is close enough to the scheduled one, otherwise its negative.
 
     Attributes:
-        bonus: The sum (Chen23a eq. 17).
-        allowed_s: Largest deviation that wins.
+        bonus: The bonus (Chen23a eq. 17).
+        allowed_s: Largest deviation that earns it.
     """
 
     name = "on_time"
@@ -130,7 +130,7 @@ class OnTime(AbstractTerm):
     allowed_s: float = 8.0
 
     def value(self, change: PeriodChange) -> Array:
-        """Plus or minus the sum, at the end only."""
+        """Plus or minus the bonus, at the end only."""
         xp = namespace(change.late_s)
         won = change.arrived & (xp.abs(change.late_s) <= self.allowed_s)
         return xp.where(change.ended, xp.where(won, self.bonus, -self.bonus), 0.0 * change.late_s)
@@ -144,7 +144,7 @@ class Punctuality(AbstractTerm):
     Attributes:
         per_s: Price of each second late beyond the first ``soft_s``.
         early: Price of a second early over that of a second late.
-        soft_s: Up to here the price is quadratic.
+        soft_s: Deviation up to which the price is quadratic.
     """
 
     name = "punctuality"
@@ -185,11 +185,11 @@ class StopError(AbstractTerm):
 @final
 @dataclass(frozen=True)
 class Failure(AbstractTerm):
-    """Minus a sum where the episode ends anywhere but at the stop.
+    """Minus a price if the episode ends anywhere but at the stop.
 
     Attributes:
-        price: The sum.
-        per_m: Price of each metre that is left, so that further is better.
+        price: The price.
+        per_m: Further price of each metre that is left, so that progress is rewarded.
     """
 
     name = "failure"
@@ -197,7 +197,7 @@ class Failure(AbstractTerm):
     per_m: float = 0.02
 
     def value(self, change: PeriodChange) -> Array:
-        """The price, at the end only."""
+        """Minus the price, at the end only."""
         xp = namespace(change.error_m)
         price = self.price + self.per_m * xp.abs(change.error_m)
         return xp.where(change.ended & (change.arrived ^ True), -price, 0.0 * price)
@@ -240,7 +240,7 @@ class Overspeed(AbstractTerm):
 @final
 @dataclass(frozen=True)
 class Seconds(AbstractTerm):
-    """Minus a price for every second: what time is worth where nothing is scheduled.
+    """Minus a price for every second, as the value of time without a timetable.
 
     Attributes:
         per_s: Price of a second.
@@ -274,11 +274,11 @@ class EffortEnergy(AbstractTerm):
 @final
 @dataclass(frozen=True)
 class StopWindow(AbstractTerm):
-    """A sum at the end: won when the trainset stands close enough to the stop, else lost (Lu23 eq. 17).
+    """Bonus at the end if the trainset stands close enough to the stop, otherwise its negative (Lu23 eq. 17).
 
     Attributes:
         bonus: K.
-        within_m: Largest distance that wins.
+        within_m: Largest distance that earns it.
     """
 
     name = "stop_window"
@@ -286,7 +286,7 @@ class StopWindow(AbstractTerm):
     within_m: float = 0.3
 
     def value(self, change: PeriodChange) -> Array:
-        """Plus or minus the sum, at the end only."""
+        """Plus or minus the bonus, at the end only."""
         xp = namespace(change.error_m)
         won = change.arrived & (xp.abs(change.error_m) <= self.within_m)
         return xp.where(change.ended, xp.where(won, self.bonus, -self.bonus), 0.0 * change.error_m)
@@ -295,15 +295,15 @@ class StopWindow(AbstractTerm):
 @final
 @dataclass(frozen=True)
 class AccelerationComfort(AbstractTerm):
-    """A small sum for every decision with a gentle acceleration, lost with a strong one (Lu23 eq. 18).
+    """Small bonus for every decision with a gentle acceleration, its negative for a strong one (Lu23 eq. 18).
 
-    The paper prints ``P + a`` for a gentle one; that pays for acceleration, so this is ``P - |a|``.
+    The paper prints ``P + a`` for a gentle one; that rewards acceleration, so this is ``P - |a|``.
 
     Attributes:
         bonus: P.
-        limit_mps2: a_lim; above it the sum is lost.
-        jump_mps2: A change of acceleration from one decision to the next beyond this ...
-        jump_price: ... costs L instead.
+        limit_mps2: a_lim, the largest gentle acceleration.
+        jump_mps2: Change of acceleration from one decision to the next beyond which the price is L.
+        jump_price: L.
     """
 
     name = "acceleration_comfort"
@@ -325,7 +325,7 @@ class AccelerationComfort(AbstractTerm):
 @final
 @dataclass(frozen=True)
 class Moving(AbstractTerm):
-    """A very small sum for every decision after which the trainset moves (Lu23 eq. 20).
+    """Very small bonus for every decision after which the trainset moves (Lu23 eq. 20).
 
     Attributes:
         bonus: r_v.
@@ -335,7 +335,7 @@ class Moving(AbstractTerm):
     bonus: float = 0.01
 
     def value(self, change: PeriodChange) -> Array:
-        """The sum where the speed is above zero."""
+        """Bonus where the speed is above zero."""
         xp = namespace(change.speed_mps)
         return xp.where(change.speed_mps > 0.0, self.bonus, 0.0 * change.speed_mps)
 

@@ -1,4 +1,4 @@
-"""A task's cases (sections with trainsets) as stacked arrays, and the few numbers of them one step needs."""
+"""Tables of a task's cases (sections with trainsets) as stacked arrays, and look-ups in them."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ class SectionTables(NamedTuple):
         minimum_s: Minimum running time. Shape (C,).
         length_m: Distance to the stop. Shape (C,).
         load: Mass over the mean of all cases. Shape (C,).
-        stop_mps2: Deceleration the last braking is planned with, surely at hand. Shape (C,).
-        braked: At the same nodes: what the brakes surely take out from here to the stop, J/kg; the speed
-            from which they surely keep under the permitted speed of all that follows; and for each of
-            ``PACES_MPS`` the time to the stop when that speed is kept wherever these two curves let it.
-            Shape (C, N, 2 + paces).
+        stop_mps2: Surely available deceleration with which station-stop braking is planned. Shape (C,).
+        braked: Braking curves at the same nodes: energy that the brakes surely dissipate from here to the
+            stop, J/kg; speed from which they surely respect all permitted speeds ahead, m/s; and for each
+            of ``PACES_MPS`` the time to the stop when that speed is held wherever these two curves admit
+            it, s. Shape (C, N, 2 + paces).
     """
 
     vehicle: Vehicle
@@ -58,19 +58,19 @@ class SectionTables(NamedTuple):
 
 
 SPEED_STEP_MPS = 0.5
-"""Between the columns of ``to_go``."""
+"""Step of speed between the columns of ``to_go``."""
 STOP_STRETCH_M = 300.0
 STOP_USE = 0.95
 STOP_PASSES = 4
 LEAST_STOP_MPS2 = 0.2
 SURE_RESISTANCE = 0.8
-"""Share of the running resistance that a late stop counts on."""
+"""Share of the running resistance that the plan of a late stop includes."""
 PACES_MPS = (3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, 17.0, 19.5, 22.5, 26.5, 32.0)
-"""Speeds that the time to go is tabled for."""
+"""Speeds for which the time to go is tabulated."""
 SLOWEST_MPS = 0.3
 """Least sum of the speeds at two nodes that a tabled time counts with."""
 PROTECTION_CURVES = ("emergency", "service", "permitted_mps", "pull_mps2", "usual_pull_mps2")
-"""Protection's curves in ``Tables.ground``, in this order; the climb comes last."""
+"""Protection's curves in ``SectionTables.ground``, in this order; the climb comes last."""
 PERMITTED_COLUMN, CLIMB = 2, 5
 
 
@@ -80,13 +80,13 @@ def build_tables(
     dtype: type = np.float32,
     jobs: int = 1,
 ) -> SectionTables:
-    """Tables of the cases (NumPy).
+    """Build the tables of the cases (NumPy).
 
     Args:
-        cases: Sections, each with a trainset and its load, and what protection is told to expect of it.
+        cases: Sections, each with a trainset and its load, and the bounds declared to protection.
         spacing_m: Distance between protection's nodes.
         dtype: Number type.
-        jobs: Processes; 0: one a core.
+        jobs: Number of processes; 0: one a core.
     """
     masses = [trainset.mass_kg for _, trainset, _ in cases]
     rows = _rows(cases, spacing_m, jobs)
@@ -111,7 +111,7 @@ def build_tables(
 
 
 def _rows(cases: Sequence[tuple[Section, Trainset, Bounds]], spacing_m: float, jobs: int) -> list[Any]:
-    """What each case comes to; by several processes, for thousands of them."""
+    """Rows of the cases, computed in several processes for thousands of cases."""
     if jobs == 1:
         return [_case(*case, spacing_m) for case in cases]
     from joblib import Parallel, cpu_count, delayed
@@ -155,9 +155,9 @@ def _follow_mps(vehicle: Vehicle, at: np.ndarray, pull: np.ndarray, permitted: n
 
 
 def _stop_work(vehicle: Vehicle, at: np.ndarray, uphill: np.ndarray, length_m: float) -> np.ndarray:
-    """What brakes and resistance surely take out between each node and the stop, J/kg. Shape (N,).
+    """Energy that brakes and resistance surely dissipate between each node and the stop, J/kg. Shape (N,).
 
-    What they can do depends on the speed of the braking, and that on what they can do: found by passes.
+    The braking effort depends on the speed of the braking curve, and that on the effort: a fixed point.
     """
     mass, ends = float(vehicle.effective_mass_kg), float(vehicle.max_deceleration_mps2)
 
@@ -174,12 +174,12 @@ def _stop_work(vehicle: Vehicle, at: np.ndarray, uphill: np.ndarray, length_m: f
 
 
 def _stops_mps(work: np.ndarray) -> np.ndarray:
-    """Speed from which the last braking stops, m/s; beyond the stop none."""
+    """Speed from which station-stop braking stops, m/s; 0 beyond the stop."""
     return np.sqrt(2.0 * np.maximum(work, 0.0))
 
 
 def _paced_s(at: np.ndarray, most_mps: np.ndarray, length_m: float) -> list[np.ndarray]:
-    """Time to the stop from each node at each of ``PACES_MPS`` or, where less is possible, at that."""
+    """Time to the stop from each node at each of ``PACES_MPS``, or at the highest possible lower speed, s."""
     found = []
     for pace in PACES_MPS:
         speed = np.minimum(pace, most_mps)
@@ -196,7 +196,7 @@ def _sure_brake(vehicle: Vehicle) -> float:
 
 
 def _stop_mps2(vehicle: Vehicle, track: Track) -> float:
-    """What is surely at hand over the last stretch at any speed, and no more than the limit in service."""
+    """Surely available deceleration over the last stretch at any speed, at most the service limit, m/s^2."""
     at = float(track.length_m) - np.linspace(0.0, STOP_STRETCH_M, 41)
     gradient, curve, _ = felt_slopes(vehicle, track, at)
     pull = (vehicle.gravity_mps2 * gradient + curve) * vehicle.mass_kg / vehicle.effective_mass_kg
@@ -206,7 +206,7 @@ def _stop_mps2(vehicle: Vehicle, track: Track) -> float:
 
 
 def _look_ahead(protection: Protection) -> int:
-    """Nodes ahead that a decision can need at the highest speed; a look too short only makes it stricter."""
+    """Nodes ahead that protection can need at the highest speed; with fewer it is only stricter."""
     vehicle, most = protection.vehicle, 0.0
     top = float(protection.permitted_mps.max()) + 1.0
     push = float(np.max(effort_at(vehicle, np.linspace(0.0, top, 64)).traction_n)) / vehicle.effective_mass_kg
@@ -229,7 +229,7 @@ def _padded(ground: np.ndarray, size: int) -> np.ndarray:
 
 
 def _stack_protection(protections: Sequence[Protection], ahead: np.ndarray) -> Protection:
-    """Stacked scalars of protection; look-ahead and slots are shapes, common to all."""
+    """Stack the scalars of protection; look-ahead and slots are shapes, common to all."""
     slots = max((p.slots for p in protections), key=len)
     plain = [p._replace(ahead=np.int32(0), slots=0.0) for p in protections]
 
@@ -256,13 +256,13 @@ def _mapped(function: Any, tree: Any, *, traced: bool = False) -> Any:  # noqa: 
 
 
 class SectionRows:
-    """Tables ready for use: what all cases share is a constant, the rest is looked up by case.
+    """Look-ups in the tables; values common to all cases are constants.
 
     Args:
-        tables: From :func:`build_tables`.
-        jax: Hold them as JAX arrays.
-        spacing_m: Distance between protection's nodes, where the tables are an argument of a compiled
-            function: then nothing of them is a constant, and others of the same shapes need no other program.
+        tables: Tables from :func:`build_tables`.
+        jax: Store them as JAX arrays.
+        spacing_m: Distance between protection's nodes, if the tables are an argument of a compiled function:
+            then no value is a constant, and tables of the same shapes reuse the program.
     """
 
     def __init__(self, tables: SectionTables, *, jax: bool, spacing_m: float | None = None) -> None:
@@ -295,7 +295,7 @@ class SectionRows:
         return _picked(self._small, self._shared, case)
 
     def node(self, case: Array, position_m: Array) -> tuple[Array, Array]:
-        """The last node not beyond a position, and the share of the way to the next."""
+        """Last node not beyond a position, and the fraction of the distance to the next."""
         xp = self.xp
         last = self.ground.shape[1] - self.ahead.size - 2.0
         steps = (position_m - self.start_m[case]) / self.spacing_m
@@ -303,25 +303,25 @@ class SectionRows:
         return whole.astype(np.int32), xp.minimum(xp.maximum(steps - whole, 0.0), 1.0)
 
     def ground_at(self, column: int, case: Array, position_m: Array) -> Array:
-        """One of the curves over the ground at one or many positions."""
+        """Value of a column of ``ground`` at one or many positions, interpolated."""
         node, way = self.node(case, position_m)
         here = self.ground[case, node, column]
         return here + (self.ground[case, node + 1, column] - here) * way
 
     def stop_at(self, case: Array, position_m: Array) -> tuple[Array, Array]:
-        """What the brakes surely take out from a position to the stop, J/kg; its rate here, m/s^2."""
+        """Energy that the brakes surely dissipate to the stop, J/kg, and its rate here, m/s^2."""
         node, way = self.node(case, position_m)
         here, after = self.braked[case, node, 0], self.braked[case, node + 1, 0]
         return here + (after - here) * way, (here - after) / self.spacing_m
 
     def follow_at(self, case: Array, position_m: Array) -> Array:
-        """Speed from which the brakes surely keep under the permitted speed of all that follows, m/s."""
+        """Speed from which the brakes surely respect all permitted speeds ahead, m/s."""
         node, way = self.node(case, position_m)
         here, after = self.braked[case, node, 1], self.braked[case, node + 1, 1]
         return here + (after - here) * way
 
     def paced_s(self, case: Array, position_m: Array) -> Array:
-        """Time to the stop at each of ``PACES_MPS``, or as fast as limits and last braking let it, s.
+        """Time to the stop at each of ``PACES_MPS``, or slower where limits and braking require it, s.
 
         Shape (..., paces).
         """
@@ -349,9 +349,9 @@ def _picked(tree: Any, shared: Any, case: Array) -> Any:  # noqa: ANN401 (a tree
 
 
 def near_track(track: Track, vehicle: Vehicle, position_m: Array) -> Track:
-    """The two pieces of a track that head and tail are on: all the plant asks for at this position.
+    """Pieces of a track under head and tail: all that the plant needs at this position.
 
-    Its look-ups give the same numbers as on the whole track, without carrying it along.
+    Look-ups give the same numbers as on the whole track, which a compiled step need not hold.
     """
     xp = namespace(track.node_m, position_m)
     tail, head = locate(track.node_m, position_m - vehicle.length_m), locate(track.node_m, position_m)
@@ -360,7 +360,7 @@ def near_track(track: Track, vehicle: Vehicle, position_m: Array) -> Track:
 
 
 def near_protection(rows: SectionRows, protection: Protection, case: Array, position_m: Array) -> Protection:
-    """The window of protection's curves that one decision at a position can see, its first node first."""
+    """Window of protection's curves that one decision at a position needs, from the node before it."""
     xp = rows.xp
     node, _ = rows.node(case, position_m)
     count = rows.ahead.size + 2

@@ -1,4 +1,4 @@
-"""How long it takes at least to the stop from any state on the way, as a table over distance and speed."""
+"""Least time to the stop from any state on the way, as a table over distance and speed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ToGo(NamedTuple):
 
     Attributes:
         time_s: Time to go. Shape (R, V).
-        top_mps: Highest speed from which the stop and every limit ahead are still kept. Shape (R,).
+        top_mps: Highest speed from which the stop and every limit ahead can be met. Shape (R,).
     """
 
     time_s: Float[ndarray, "rows speeds"]
@@ -36,10 +36,10 @@ class ToGo(NamedTuple):
 def to_go_table(vehicle: Vehicle, track: Track, *, rows: int = ROWS) -> ToGo:
     """Flat-out time to the stop from every state of a grid.
 
-    Backward over a mesh: from each speed full traction to the next node, up to the curve of limits and last
-    braking and along it, then what that node takes from there (linear between its speeds, the curve's own
+    Backward over a mesh: from each speed full traction to the next node, at most up to the curve of limits
+    and station-stop braking, then the time to go from that node (linear between its speeds, that of the curve
     among them). Forces as in :func:`metropilot.planning.fastest.fastest_profile`. A speed above the curve
-    counts as the curve's.
+    counts as that of the curve.
 
     Args:
         vehicle: Trainset.

@@ -1,8 +1,8 @@
-"""Tracking a reference on the plant alone: the loop that Cheng23's controllers are compared in.
+"""Tracking of a reference on the plant alone: the loop in which Cheng23's controllers are compared.
 
-No protection, no assists: at each control period a controller sees the speed error, answers with a command,
-and the plant moves. Written over the array namespace, so that a controller runs the same way compiled in a
-batch, in NumPy, and (through :mod:`metropilot.drivers.tracking`) on a real section.
+There is no protection and no assist: in each control period a controller maps the speed error to a command,
+and the plant is stepped. Written over the array namespace, so that a controller runs the same way compiled in
+a batch, in NumPy, and (through :mod:`metropilot.drivers.tracking`) on a section with protection.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ GRACE_S = 3.0
 
 
 class ReferenceCourse(NamedTuple):
-    """What is tracked, and with what.
+    """Reference to be tracked, with plant and track.
 
     Attributes:
-        vehicle: The trainset as it is.
+        vehicle: True plant.
         track: The section.
         position_m: Position of the reference at the start of each period, held after its end. Shape (N + 1,).
         speed_mps: Its speed. Shape (N + 1,).
-        end: Period in which the reference comes to a stand.
+        end: Period in which the reference comes to a standstill.
         dt: Control period, s.
     """
 
@@ -53,12 +53,12 @@ class ReferenceCourse(NamedTuple):
 
     @property
     def periods(self) -> int:
-        """Control periods to drive: the reference and the grace."""
+        """Number of control periods of the reference and the grace time."""
         return int(self.position_m.shape[0]) - 1
 
 
 class TrackingView(NamedTuple):
-    """What a controller is given each period.
+    """Inputs of a controller in one period.
 
     Attributes:
         error_mps: Speed of the reference less speed.
@@ -97,13 +97,13 @@ def course_of(
     reference: TimedReference,
     resistance_factor: float = 1.0,
 ) -> ReferenceCourse:
-    """A course in NumPy float64; its control period is the reference's, its actuation is without dead time.
+    """Course in NumPy float64 with the reference's control period and without dead time.
 
     Args:
-        trainset: With what.
-        section: Where.
-        reference: What is tracked, sampled at the control period.
-        resistance_factor: True over believed running resistance.
+        trainset: Nominal trainset.
+        section: Section.
+        reference: Reference, sampled at the control period.
+        resistance_factor: True over nominal running resistance.
     """
     vehicle = vehicle_arrays(trainset)
     vehicle = vehicle._replace(davis_n=vehicle.davis_n * resistance_factor)

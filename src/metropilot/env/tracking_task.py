@@ -1,4 +1,4 @@
-"""Learning the gains of the PID that tracks: Cheng23's task (eqs. 7, 8, 10 and 15 to 22)."""
+"""Task of choosing the gains of a tracking PID: Cheng23's (eqs. 7, 8, 10 and 15 to 22)."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ Array = Any
 
 @dataclass(frozen=True)
 class TrackingRewards:
-    """The five terms of Cheng23 and what each weighs.
+    """Five reward terms of Cheng23 and their weights.
 
     Attributes:
-        weights: Of safety, tracking, parking, comfort and efficiency (eq. 17).
+        weights: Weights of safety, tracking, parking, comfort and efficiency (eq. 17).
         unsafe: C of eq. 18.
         speed_scale_mps: Error that halves the speed's reward; 1 in eq. 19.
         distance_scale_m: Error that halves the position's reward; 1 in eq. 19.
@@ -38,8 +38,8 @@ class TrackingRewards:
         parking_m: Tolerance of eq. 20.
         parking_scale_m: Error that halves the parking reward; 1 in eq. 20.
         energy_j: Energy that costs 1 (eq. 22 names no unit; 1 kWh).
-        centred: Rewards of tracking and comfort count from their best value, so that a perfect run earns
-            nothing but its parking reward. In episodes of one length it changes nothing but the scale.
+        centred: Subtract the best value from the rewards of tracking and comfort, so that a perfect run
+            earns its parking reward alone. In episodes of equal length this only shifts the return.
     """
 
     weights: tuple[float, float, float, float, float] = (0.2, 0.2, 0.2, 0.2, 0.2)
@@ -60,10 +60,10 @@ class TrackingRewards:
 
 @dataclass(frozen=True, eq=False)
 class TrackingConfig:
-    """What a tracking task is made of.
+    """Configuration of a tracking task.
 
     Attributes:
-        courses: What is tracked; an episode draws one. All of one length after padding.
+        courses: References to track; an episode draws one. They are padded to one length.
         upper: Upper limits of the gains (eq. 10).
         rewards: Terms of the reward.
         limit_mps: Speed limit (eq. 18 ends the episode above it).
@@ -82,7 +82,7 @@ class TrackingConfig:
 
 
 class TrackingFacts(NamedTuple):
-    """What the reward of a step is worked out from.
+    """Inputs of the reward of a step.
 
     Attributes:
         error_mps: Speed error after the step.
@@ -104,7 +104,7 @@ class TrackingFacts(NamedTuple):
 
 
 def reward_terms(rewards: TrackingRewards, facts: TrackingFacts) -> dict[str, Array]:
-    """The five weighted terms of one step (Cheng23 eqs. 17 to 22)."""
+    """Five weighted reward terms of one step (Cheng23 eqs. 17 to 22)."""
     import jax.numpy as jnp
 
     w1, w2, w3, w4, w5 = rewards.weights
@@ -134,7 +134,7 @@ class TrackingTask(AbstractTask):
     """Choose the gains of an incremental PID at each control period so that a reference is tracked.
 
     Args:
-        config: What it is made of.
+        config: Configuration of the task.
     """
 
     action_space = ActionSpace(size=3)
@@ -155,7 +155,7 @@ class TrackingTask(AbstractTask):
         return jax.tree.map(lambda leaf: leaf[index], self.courses)
 
     def begin(self, index: Array) -> tuple[TrackingState, Array]:
-        """An episode on a course from standstill."""
+        """Begin an episode on a course from standstill."""
         import jax
         import jax.numpy as jnp
 
@@ -169,7 +169,7 @@ class TrackingTask(AbstractTask):
         )
 
     def reset(self, key: Array) -> tuple[TrackingState, Array]:
-        """An episode on a course drawn at random, from standstill or from near the reference on the way."""
+        """Begin an episode on a random course, from standstill or near the reference on the way."""
         import jax
         import jax.numpy as jnp
 
@@ -197,7 +197,7 @@ class TrackingTask(AbstractTask):
         return TrackingState(loop, state.course), tracking_observation(tracking_view(course, loop))
 
     def step(self, key: Array, state: TrackingState, action: Array) -> tuple[TrackingState, Transition]:
-        """One control period with the gains that an action stands for."""
+        """Take one control period with the gains of an action."""
         import jax.numpy as jnp
 
         del key
@@ -232,7 +232,7 @@ class TrackingTask(AbstractTask):
 
 
 def gains_of(action: Array, upper: Gains = CHENG2023_UPPER) -> Gains:
-    """The gains that three numbers in [-1, 1] stand for (Cheng23 eq. 10)."""
+    """Gains of an action of three numbers in [-1, 1] (Cheng23 eq. 10)."""
     return Gains(*(0.5 * (action[j] + 1.0) * upper[j] for j in range(3)))
 
 

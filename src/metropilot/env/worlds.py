@@ -1,7 +1,7 @@
-"""Worlds: random sections with random trainsets, for drivers that are to know no line; none is real.
+"""Domain randomisation: random sections with random trainsets, for policies that drive on any line.
 
-Every range is wider than the metros we know: 0.5 to 8 km, 30 to 120 km/h, gradients to 40 permil, 80 to
-500 t. Ranges are assumed; none is taken from a line of the catalogue.
+The ranges include those of metros in service: 0.5 to 8 km, 30 to 120 km/h, gradients to 40 permil, 80 to
+500 t. They are assumed and not taken from a line of the catalogue.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from metropilot.units import KMH_PER_MPS
 
 DOMAIN_OBSERVER = "line"
 DOMAIN_ASSISTS = Assists(margin_mps=0.05, stop_use=0.99, release=0.95, late=True)
-"""Closer to the limits than the standard: what a driver may not use, the optimum uses."""
+"""Assists closer to the limits than the defaults, as the optimum uses the limits fully."""
 GRAVITY_MPS2 = 9.81
 STEEPEST_PERMIL = (6.0, 14.0, 28.0, 40.0)
 PLATFORM_KMH = (45.0, 50.0, 55.0, 60.0)
@@ -26,11 +26,11 @@ PLATFORM_KMH = (45.0, 50.0, 55.0, 60.0)
 
 @dataclass(frozen=True)
 class DomainSample:
-    """One section with one trainset.
+    """Random section with a random trainset.
 
     Attributes:
-        section: Where.
-        trainset: With what.
+        section: Section.
+        trainset: Trainset.
     """
 
     section: Section
@@ -39,7 +39,7 @@ class DomainSample:
 
 @dataclass(frozen=True)
 class DomainRandomization(DrivingConfig):
-    """A driving task of worlds: every section has a trainset of its own, the one at its place in the list."""
+    """Driving task of random domains: the sections and trainsets form pairs in the order of their lists."""
 
     @property
     def cases(self) -> tuple[tuple[Section, Trainset], ...]:
@@ -48,7 +48,7 @@ class DomainRandomization(DrivingConfig):
 
 
 def domain_sample(seed: int, number: int) -> DomainSample:
-    """The world of a number: the same whenever it is asked for."""
+    """Sample of a seed and a number, always the same."""
     return draw_world(np.random.default_rng([seed, number]))
 
 
@@ -60,7 +60,7 @@ def draw_world(random: Generator) -> DomainSample:
 
 
 def draw_section(random: Generator) -> Section:
-    """A section of 0.5 to 8 km with limits of 30 to 120 km/h and gradients to 40 permil."""
+    """Draw a section of 0.5 to 8 km with limits of 30 to 120 km/h and gradients to 40 permil."""
     usual = random.random() < 0.5
     low, high = (700.0, 3200.0) if usual else (500.0, 8000.0)
     length = float(np.exp(random.uniform(np.log(low), np.log(high))))
@@ -78,7 +78,7 @@ def _breaks(random: Generator, start: float, end: float, low: float, high: float
 
 
 def _gradients(random: Generator, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where each gradient begins, and its value; many sections have level stretches, some lie on a slope."""
+    """Positions and values of gradients; many sections have level stretches, some lie on a slope."""
     steepest = random.choice(STEEPEST_PERMIL, p=[0.25, 0.3, 0.3, 0.15])
     at = _breaks(random, -400.0, length + 400.0, 100.0, 800.0)
     permil = np.clip(random.normal(0.0, steepest / 1.6, at.size), -steepest, steepest)
@@ -93,7 +93,7 @@ def _gradients(random: Generator, length: float) -> tuple[np.ndarray, np.ndarray
 
 
 def _limits(random: Generator, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where each limit begins, and its value; half the sections have a slower zone at a platform."""
+    """Positions and values of limits; half of the sections have a slower zone at a platform."""
     top = random.uniform(45.0, 120.0) if length > 2500.0 else random.uniform(40.0, 95.0)
     at = _breaks(random, -200.0, length + 200.0, 150.0, 1500.0)
     share = random.choice([1.0, 1.0, 1.0, 0.85, 0.7, 0.55], size=at.size)
@@ -113,7 +113,7 @@ def _limits(random: Generator, length: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def draw_trainset(random: Generator, max_speed_mps: float) -> Trainset:
-    """A trainset of 80 to 500 t; half of them answer at once, half within a jerk limit."""
+    """Draw a trainset of 80 to 500 t; half of them have a jerk limit."""
     mass = float(np.exp(random.uniform(np.log(80e3), np.log(500e3))))
     knee, power = random.uniform(8.0, 17.0), random.uniform(0.9, 1.9)
     speed = np.linspace(0.0, 36.0, 37)

@@ -37,20 +37,20 @@ LIMITS = {
     "mass_factor": (0.5, 2.0),
     "resistance_factor": (0.0, 5.0),
 }
-"""What ``options={"initial_state": {...}}`` may set, and its range; the rest is drawn. The task says the
-highest case, the case the last position."""
+"""Quantities that ``options={"initial_state": {...}}`` may set, with their ranges; others are drawn. The task
+determines the highest case, the case the last position."""
 
 shared_task = cache(make_task)
-"""A registered task, built and compiled once for all environments of it."""
+"""Cached :func:`make_task`: a registered task is built and compiled once for all its environments."""
 
 
 def observation_space(task: DrivingTask) -> spaces.Box:
-    """Scaled features: a few units each."""
+    """Observation space of scaled features."""
     return spaces.Box(-OBSERVATION_LIMIT, OBSERVATION_LIMIT, (task.observation_size,), np.float32)
 
 
 def action_space(task: DrivingTask) -> spaces.Box | spaces.Discrete:
-    """Numbers in [-1, 1], or a choice."""
+    """Action space of numbers in [-1, 1], or of choices."""
     space = task.action_space
     if space.discrete:
         return spaces.Discrete(space.count)
@@ -82,10 +82,10 @@ def placed(task: DrivingTask, start: StartDistribution, options: dict[str, Any] 
 
 
 def number(name: str, value: object, low: float, high: float) -> float:
-    """A value as a number.
+    """Convert a value to a number in a range.
 
     Raises:
-        InputError: It is not one, or out of range.
+        InputError: The value is not a number, or out of range.
     """
     try:
         found = float(value)  # pyright: ignore[reportArgumentType]
@@ -97,11 +97,11 @@ def number(name: str, value: object, low: float, high: float) -> float:
 
 
 class DriveEnv(gymnasium.Env[np.ndarray, Any]):
-    """One episode at a time.
+    """Gymnasium environment of one episode at a time.
 
     Args:
         task: A registered task's name, or a task.
-        render_mode: None: there is nothing to look at while it drives.
+        render_mode: None; rendering is not supported.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's way)
@@ -125,7 +125,7 @@ class DriveEnv(gymnasium.Env[np.ndarray, Any]):
         return np.asarray(observation), self._info(self._state)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:  # noqa: ANN401
-        """One decision."""
+        """Take one decision."""
         if self._state is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
         self._key, key = _next_keys(self._key)
@@ -153,11 +153,11 @@ class DriveEnv(gymnasium.Env[np.ndarray, Any]):
 
 
 class DriveVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, Any, np.ndarray]):
-    """Many episodes at once in one compiled program; an episode that ended is reset in the next step.
+    """Vector environment in one compiled program; an episode that ended is reset in the next step.
 
     Args:
         task: A registered task's name, or a task.
-        num_envs: How many.
+        num_envs: Number of environments.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}  # noqa: RUF012
@@ -176,7 +176,7 @@ class DriveVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, Any, np.ndarray]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """New episodes; one seed counts on from the first environment, a list has one for each.
+        """Begin all episodes; one seed is counted up from the first environment, a list has one for each.
 
         Raises:
             InputError: Options, or a list of seeds of another length.
@@ -205,7 +205,7 @@ class DriveVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, Any, np.ndarray]):
         self,
         actions: Any,  # noqa: ANN401 (whatever the space holds)
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One decision each; where an episode had ended its successor's first observation."""
+        """Take one decision in each environment; an episode that had ended is reset instead."""
         if self._state is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
         self._key, key = _next_keys(self._key)
