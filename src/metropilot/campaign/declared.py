@@ -20,7 +20,7 @@ import numpy as np
 
 from metropilot._schema import field_specs
 from metropilot.drivers import DRIVERS, AbstractPolicyDriver
-from metropilot.evaluate import RunSpec, named_driver
+from metropilot.evaluate import RunSpec, parse_driver
 from metropilot.planning import Objective
 from metropilot.railway import Restriction, load_trainset
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance, TimetableUpdate
@@ -160,7 +160,7 @@ class Campaign:
             disturbance: Disturbance of the run.
             trainset: Trainset and load.
         """
-        kind = DRIVERS.get(named_driver(driver)[0])
+        kind = DRIVERS.get(parse_driver(driver)[0])
         if (
             self.engine != "compiled"
             or not issubclass(kind, AbstractPolicyDriver)
@@ -253,7 +253,7 @@ def case_request(campaign: Campaign, case: CampaignCase, scheduled_s: float, len
         length_m: Length of its section.
     """
     seed, told = seed_of(campaign, case), case.disturbance
-    driver, options = named_driver(case.driver)
+    driver, options = parse_driver(case.driver)
     known, updates = [], []
     if told.restriction is not None:
         start, end, kmh, announced = told.restriction

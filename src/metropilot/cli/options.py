@@ -66,10 +66,10 @@ def with_run_options(
 
         @wraps(command)
         def called(**given: Any) -> int:  # noqa: ANN401 (what was typed)
-            from metropilot.evaluate import named_option
+            from metropilot.evaluate import parse_option
 
             if "options" in keys:
-                given["options"] = dict(map(named_option, given["options"] or ()))
+                given["options"] = dict(map(parse_option, given["options"] or ()))
             return command(**given)
 
         called.__signature__ = Signature(parameters, return_annotation=int)  # pyright: ignore[reportAttributeAccessIssue]

@@ -10,9 +10,9 @@ if TYPE_CHECKING:
     from metropilot.evaluate.comparison import Entry, Interval, Job, best, compare, jobs
     from metropilot.evaluate.driver_options import (
         make_driver,
-        named_driver,
-        named_option,
         option_defaults,
+        parse_driver,
+        parse_option,
         with_options,
     )
     from metropilot.evaluate.folder import (
@@ -129,12 +129,12 @@ __all__ = [
     "label_panel",
     "make_driver",
     "max_jerk",
-    "named_driver",
-    "named_option",
     "new_panels",
     "optimum_of",
     "option_defaults",
     "outcome_words",
+    "parse_driver",
+    "parse_option",
     "plan_figure",
     "run_fields",
     "run_from_toml",
@@ -157,7 +157,7 @@ __getattr__, __dir__ = lazy_door(
     __name__,
     {
         "comparison": ("Entry", "Interval", "Job", "best", "compare", "jobs"),
-        "driver_options": ("make_driver", "named_driver", "named_option", "option_defaults", "with_options"),
+        "driver_options": ("make_driver", "parse_driver", "parse_option", "option_defaults", "with_options"),
         "folder": ("comparison_json", "copy_inputs", "write_comparison", "write_run", "write_run_toml"),
         "gallery": ("front_figure", "plan_figure"),
         "indices": ("Indices", "indices_of"),

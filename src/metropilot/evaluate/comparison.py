@@ -1,4 +1,4 @@
-"""Several drivers on one run, and what is random about them."""
+"""Comparison of several drivers on one run over seeds."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Entry:
         driver: Its id.
         drives: One per seed.
         kpis: One per seed.
-        optimum: What the first drive is compared with.
+        optimum: Optimum of the first drive.
     """
 
     driver: str
@@ -77,11 +77,11 @@ def jobs(drivers: Sequence[str], first_seed: int, seeds: int) -> list[Job]:
 def compare(request: RunSpec, todo: Iterable[Job]) -> tuple[Entry, ...]:
     """Drive the same run with several drivers and seeds.
 
-    Every driver meets the same plant and the same noise at the same seed.
+    At the same seed every driver has the same plant and the same noise.
 
     Args:
         request: The run; its driver and seed are replaced.
-        todo: What to drive, see :func:`jobs`.
+        todo: Drives to run, see :func:`jobs`.
 
     Raises:
         InputError: Something in the request, or a driver, cannot be used.
@@ -100,7 +100,7 @@ def compare(request: RunSpec, todo: Iterable[Job]) -> tuple[Entry, ...]:
 
 
 def bootstrap(values: Float[ndarray, " seeds"]) -> Interval:
-    """Mean with its 95 % percentile-bootstrap interval; a value that never changes has no width.
+    """Mean with its 95 % percentile-bootstrap interval; equal values give an interval of no width.
 
     Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), chapter 13; here from SciPy, with a
     fixed seed so that a table repeats itself.

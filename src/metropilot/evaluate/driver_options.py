@@ -1,4 +1,4 @@
-"""Drivers by name, with options by name: what a command line and a `run.toml` can say."""
+"""Drivers and their options by name, for the command line and `run.toml`."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ def option_class(driver: type[Any]) -> type[Any] | None:
 
 
 def option_defaults(driver: type[Any]) -> dict[str, Any]:
-    """The options a driver takes, with what they are if nothing is said."""
+    """The options of a driver with their default values."""
     kind = option_class(driver)
     if kind is None:
         return {}
     return {f.name: f.default for f in fields(kind) if f.default is not MISSING}
 
 
-def named_option(text: str) -> tuple[str, Any]:
-    """``NAME=VALUE``; the value is a number or a truth where it reads as one.
+def parse_option(text: str) -> tuple[str, Any]:
+    """Parse ``NAME=VALUE``; the value becomes a number or a truth value if it has that form.
 
     Raises:
         InputError: Not of that form.
@@ -51,18 +51,18 @@ def named_option(text: str) -> tuple[str, Any]:
     return name, value
 
 
-def named_driver(text: str) -> tuple[str, dict[str, Any]]:
-    """``ID`` or ``ID:NAME=VALUE:NAME=VALUE``: a driver with options on one word, as comparisons take it.
+def parse_driver(text: str) -> tuple[str, dict[str, Any]]:
+    """Parse ``ID`` or ``ID:NAME=VALUE:NAME=VALUE``: a driver with options in one word.
 
     Raises:
-        InputError: What follows the colon is not an option.
+        InputError: The text after the colon is not an option.
     """
     driver_id, *options = re.split(r":(?=\w+=)", text)
-    return driver_id, dict(map(named_option, options))
+    return driver_id, dict(map(parse_option, options))
 
 
 def make_driver(driver_id: str, options: Mapping[str, Any] | None = None) -> AbstractDriver:
-    """A driver by id, with some of its options; an unknown name is answered with the nearest.
+    """Make a driver by id with some of its options; the error of an unknown name gives the nearest one.
 
     Args:
         driver_id: Id in the registry, or ``ID:NAME=VALUE``.
@@ -71,13 +71,13 @@ def make_driver(driver_id: str, options: Mapping[str, Any] | None = None) -> Abs
     Raises:
         InputError: No such driver, no such option of it, or a value of the wrong kind.
     """
-    driver_id, named = named_driver(driver_id)
+    driver_id, named = parse_driver(driver_id)
     options = named | dict(options or {})
     return with_options(DRIVERS.get(driver_id), options or {})
 
 
 def with_options(driver: type[Any], options: Mapping[str, Any]) -> Any:  # noqa: ANN401 (a driver or follower)
-    """A driver or follower with some of its options.
+    """Make a driver or follower with some of its options.
 
     Args:
         driver: Its class.
@@ -93,12 +93,12 @@ def with_options(driver: type[Any], options: Mapping[str, Any]) -> Any:  # noqa:
         raise InputError(f"{driver.id} takes no options", field="set", value=next(iter(options)))
     values = {}
     for name, value in options.items():
-        _known(name, tuple(defaults), f"option of {driver.id}", "set")
+        _check_name(name, tuple(defaults), f"option of {driver.id}", "set")
         values[name] = _like(defaults[name], name, value)
     return driver(options=kind(**values))
 
 
-def _known(name: str, names: tuple[str, ...], what: str, where: str) -> None:
+def _check_name(name: str, names: tuple[str, ...], what: str, where: str) -> None:
     if name not in names:
         near = get_close_matches(name, names, 1)
         hint = f", did you mean {near[0]}?" if near else ""
@@ -106,7 +106,7 @@ def _known(name: str, names: tuple[str, ...], what: str, where: str) -> None:
 
 
 def _like(default: Any, name: str, value: Any) -> Any:  # noqa: ANN401 (whatever an option holds)
-    """The value as the kind the default is of; a whole number will do for a number."""
+    """Convert a value to the type of the default; a whole number is accepted as a float."""
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if default is not None and type(value) is not type(default):

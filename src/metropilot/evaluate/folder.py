@@ -22,9 +22,9 @@ def write_run(folder: Path, request: RunSpec, drive: Drive, kpis: Kpis, optimum:
     """Write `trajectory.csv`, `kpis.json`, `profile.svg`, `profile.png` and `run.toml`.
 
     Args:
-        folder: Where to; made if it is not there.
-        request: What was asked for.
-        drive: What came of it.
+        folder: Folder; created if missing.
+        request: Request of the run.
+        drive: The run.
         kpis: Its KPIs.
         optimum: The plan it is compared with.
 
@@ -45,9 +45,9 @@ def write_comparison(folder: Path, request: RunSpec, entries: Sequence[Entry]) -
     """Write `comparison.json`, `comparison.svg`, `comparison.png` and `run.toml` of the first driver.
 
     Args:
-        folder: Where to; made if it is not there.
-        request: What was asked for.
-        entries: What came of it.
+        folder: Folder; created if missing.
+        request: Request of the run.
+        entries: Entries of the comparison.
 
     Raises:
         InputError: The folder cannot be made or written.
@@ -62,7 +62,7 @@ def write_comparison(folder: Path, request: RunSpec, entries: Sequence[Entry]) -
 
 
 def comparison_json(request: RunSpec, entries: Sequence[Entry]) -> dict[str, Any]:
-    """A comparison as plain values: per driver every seed's KPIs, and mean and interval of each number."""
+    """A comparison as plain values: per driver the KPIs of every seed, and mean and interval of each."""
     first = entries[0].kpis[0].as_dict()
     names = [
         key
@@ -78,7 +78,7 @@ def comparison_json(request: RunSpec, entries: Sequence[Entry]) -> dict[str, Any
 
 
 def write_run_toml(folder: Path, request: RunSpec) -> None:
-    """Write `run.toml` and, beside it, the line, trainset and policy files it was read from."""
+    """Write `run.toml` and copies of the line, trainset and policy files it names."""
     import tomli_w
 
     table = {"run": copy_inputs(folder, request.resolved()).values(), "made_with": provenance()}
@@ -87,7 +87,7 @@ def write_run_toml(folder: Path, request: RunSpec) -> None:
 
 
 def copy_inputs(folder: Path, request: RunSpec) -> RunSpec:
-    """The same request with the line, trainset and policy files copied into a folder and named there."""
+    """Copy line, trainset and policy files into a folder; returns the request with their new names."""
     for kind in FILES:
         source = Path(getattr(request, kind))
         if is_file(source.name):

@@ -1,4 +1,4 @@
-"""Pictures of several drives at once, and of what a second costs."""
+"""Figures of comparisons, of plans, and of the time-energy front."""
 
 from __future__ import annotations
 
@@ -74,13 +74,13 @@ def comparison_figure(entries: Sequence[Entry]) -> Figure:
 
 
 def front_figure(section: Section, front: Front, planned: Plan | None, words: str, objective: str) -> Figure:
-    """Optimal energy over running time, the planned time marked, and what one more second saves.
+    """Optimal energy over running time, with the planned time and the marginal energy of a second.
 
     Args:
         section: Section.
         front: Its time-energy front.
         planned: The plan for the line's planned time, if there is one.
-        words: The trainset.
+        words: Trainset, for the headline.
         objective: ``wheel`` or ``line``.
     """
     with house_style():
@@ -132,16 +132,16 @@ def _saves(plan: Plan) -> str:
 
 
 def _price(axes: Axes, text: str, plan: Plan, colour: str) -> None:
-    """A remark above and right of a point of the front, where a falling curve leaves room."""
+    """Annotate a point of the front above and to its right, where a falling curve leaves room."""
     at = (plan.running_time_s, plan.energy_j / J_PER_KWH)
     axes.annotate(text, at, xytext=(5, 4), textcoords="offset points", fontsize=8, color=colour)
 
 
 def plan_figure(section: Section, trainset: Trainset, plan: Plan, calls: Sequence[Call] = ()) -> Figure:
-    """A plan by itself: speed with the limit, gradient, and energy over distance.
+    """A plan without a drive: speed with the limit, gradient, and energy over distance.
 
     Args:
-        section: The whole way.
+        section: The section, or all of a journey.
         trainset: Trainset with its load.
         plan: Its plan.
         calls: Stops on the way of a journey.

@@ -39,7 +39,7 @@ class Indices(NamedTuple):
 
     @property
     def met(self) -> bool:
-        """Whether the three that can be met or not are met."""
+        """True if the three binary indices are met."""
         return bool(self.safe and self.on_time and self.parked)
 
 

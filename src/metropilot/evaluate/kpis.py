@@ -19,19 +19,19 @@ ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class Kpis:
-    """What a drive is judged by. A number that does not exist for this drive is None.
+    """KPIs of a drive. A number that does not exist for the drive is None.
 
     Attributes:
         outcome: ``arrived``, ``overshot``, ``overspeed``, ``stalled`` or ``out_of_time``.
         safe: No speed above the limit in force and no overshoot.
         punctual: Within 3 s of the scheduled running time (Huang25 eq. 7).
         mass_kg: True mass of the trainset.
-        effective_mass_kg: The same with its rotating share.
+        effective_mass_kg: True mass with rotating masses.
         running_time_s: From departure to the stop.
         scheduled_time_s: Scheduled running time as it stood at the end.
         time_error_s: Running time minus scheduled time; positive is late.
         minimum_running_time_s: Flat-out running time under the same limits.
-        stopping_error_m: Where the head stood minus the stop; positive is beyond it (Huang25 eq. 12).
+        stopping_error_m: Final position of the head minus the stop; positive is beyond it (Huang25 eq. 12).
         energy_wheel_kwh: Mechanical traction energy at the wheel.
         energy_regenerated_kwh: Energy the line took back.
         energy_line_kwh: Net energy at the line: traction over efficiency and auxiliaries, less regenerated.
@@ -40,10 +40,10 @@ class Kpis:
         energy_objective: Which energy the optimum minimises: ``wheel`` or ``line``.
         optimal_energy_kwh: Least such energy for the achieved running time under the same limits.
         bound_energy_kwh: The certificate: no drive of the convex problem needs less.
-        certificate_gap_percent: How far the optimal plan may be above the true optimum.
-        optimality_gap_percent: How far this drive is above the optimal plan.
+        certificate_gap_percent: Largest possible excess of the optimal plan over the true optimum.
+        optimality_gap_percent: Excess of this drive over the optimal plan.
         max_overspeed_mps: Largest excess over the limit in force, 0 if none.
-        interventions: Spells in which protection intervened.
+        interventions: Number of interventions of protection.
         max_speed_mps: Highest speed.
         max_acceleration_mps2: Highest acceleration.
         max_deceleration_mps2: Highest deceleration.
@@ -101,7 +101,7 @@ class Kpis:
 
     @property
     def success(self) -> bool:
-        """Whether every requirement of :func:`checks` is met: what headline and exit code say."""
+        """True if every requirement of :func:`checks` is met; decides headline and exit code."""
         return not self.failed
 
     @property
@@ -111,7 +111,7 @@ class Kpis:
 
     @property
     def on_time(self) -> bool:
-        """Whether it arrived safely and on time, whatever jerk and interventions: what campaigns count."""
+        """True after a safe and punctual arrival, whatever jerk and interventions; campaigns count it."""
         return self.outcome == Outcome.ARRIVED.value and self.safe and self.punctual
 
 
@@ -120,7 +120,7 @@ def kpis_of(drive: Drive, optimum: Optimum | None, objective: Objective = "wheel
 
     Args:
         drive: The drive.
-        optimum: What :func:`~metropilot.evaluate.optimum.optimum_of` found for it under the same objective.
+        optimum: Result of :func:`~metropilot.evaluate.optimum.optimum_of` under the same objective.
         objective: The energy that is compared with the optimum.
     """
     t, trainset = drive.trajectory, drive.trainset
@@ -185,13 +185,13 @@ def _against(drive: Drive, optimum: Optimum | None, objective: Objective) -> dic
 
 
 class Check(NamedTuple):
-    """One requirement a drive met or did not.
+    """Result of one requirement of a drive.
 
     Attributes:
-        name: What is required.
-        value: What was measured, with its unit.
-        wanted: What is allowed, with its unit.
-        passed: Whether it was met.
+        name: Requirement.
+        value: Measured value with its unit.
+        wanted: Allowed value with its unit.
+        passed: True if it is met.
     """
 
     name: str
@@ -202,11 +202,11 @@ class Check(NamedTuple):
 
 @runtime_checkable
 class Judged(Protocol):
-    """What a run is judged by: :class:`Kpis`, or the KPIs of one trainset of a convoy."""
+    """KPIs that the requirements use: :class:`Kpis`, or the KPIs of one trainset of a convoy."""
 
     @property
     def outcome(self) -> str:
-        """How it ended."""
+        """Outcome of the run."""
         ...
 
     @property
@@ -216,7 +216,7 @@ class Judged(Protocol):
 
     @property
     def stopping_error_m(self) -> float:
-        """Where the head stood minus its mark."""
+        """Final position of the head minus its stop."""
         ...
 
     @property
@@ -226,7 +226,7 @@ class Judged(Protocol):
 
     @property
     def interventions(self) -> int:
-        """Spells in which protection intervened."""
+        """Number of interventions of protection."""
         ...
 
     @property
@@ -280,12 +280,12 @@ def checks(kpis: Judged) -> tuple[Check, ...]:
 
 
 def verdict(kpis: Judged) -> str:
-    """How a run ended, in words that name every requirement it failed."""
+    """Outcome in words that name every requirement that is not met."""
     return verdict_words(kpis, checks(kpis))
 
 
 def outcome_words(kpis: Kpis) -> str:
-    """The outcome in a word or two, for a table: early and late told apart, and what else was failed."""
+    """The outcome in few words for a table: early or late, and other requirements that are not met."""
     said = kpis.outcome.replace("_", " ")
     if said == "arrived" and not kpis.punctual:
         said = "early" if kpis.time_error_s < 0 else "late"
@@ -294,7 +294,7 @@ def outcome_words(kpis: Kpis) -> str:
 
 
 def verdict_words(kpis: Judged, required: Sequence[Check]) -> str:
-    """The same of requirements that were checked before."""
+    """Outcome in words, for requirements that were checked before."""
     failed = {check.name: check.value for check in required if not check.passed}
     if not failed:
         return "arrived safely and on time"

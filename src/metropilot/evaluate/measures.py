@@ -1,4 +1,4 @@
-"""What is measured on a trajectory alone: pure functions, each with its definition and source."""
+"""Measures of a trajectory: pure functions, each with its definition and source."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ def max_jerk(trajectory: Trajectory) -> float:
 
 
 def stopping_jerk(trajectory: Trajectory) -> float:
-    """The jolt at the final stop: the last braking rate over the control period, m/s^3."""
+    """Jerk at the final stop: the last braking rate over the control period, m/s^3."""
     return float(abs(trajectory.jerk_mps3[-1]))
 
 
 def regime_switches(trajectory: Trajectory) -> int:
-    """How often the driving regime (power, cruise, coast, brake) changes while the trainset moves."""
+    """Number of changes of the driving regime (power, cruise, coast, brake) in motion."""
     moving = trajectory.phase[trajectory.phase != STANDSTILL]
     return int((moving[1:] != moving[:-1]).sum())
 

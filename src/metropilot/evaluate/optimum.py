@@ -1,4 +1,4 @@
-"""What the best possible drive of the same run would have cost."""
+"""Optimal plan of a run in hindsight."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Optimum(NamedTuple):
 def optimum_of(drive: Drive, objective: Objective = "wheel") -> Optimum | None:
     """The optimal plan for the running time the drive achieved, under the same limits.
 
-    It is computed for the trainset as it really was (with the scenario's mass and resistance) on the section
-    with every restriction that was announced, in hindsight. Acceleration and deceleration limits hold;
+    It is computed in hindsight, for the true plant (mass and resistance of the disturbance) on the section
+    with every restriction that was announced. Acceleration and deceleration limits hold;
     delay, lag and jerk limit do not, so the plan bounds every drive from below. A drive that did not arrive
     is compared with the plan for its scheduled time.
 

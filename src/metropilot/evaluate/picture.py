@@ -1,4 +1,4 @@
-"""The picture of a drive: speed, gradient, command and energy over distance, the optimum behind it."""
+"""Figure of a drive: speed, gradient, command and energy over distance, with the optimum."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def profile_figure(drive: Drive, kpis: Kpis, optimum: Optimum | None) -> Figure:
     Args:
         drive: The drive.
         kpis: Its KPIs, for the line under the title.
-        optimum: The optimal plan drawn behind it, if there is one.
+        optimum: The optimal plan, if there is one.
     """
     with house_style():
         figure, (speed, gradient, command, energy) = new_panels(WIDTH_IN, HEIGHT_IN, HEIGHTS)
@@ -58,21 +58,21 @@ def profile_figure(drive: Drive, kpis: Kpis, optimum: Optimum | None) -> Figure:
 
 
 def set_distance(axes: Axes, section: Section, furthest_m: float) -> None:
-    """The common distance axis: from the origin to the stop, or as far as the trainset came."""
+    """Set the common distance axis: from the origin to the stop, or to the furthest position if beyond."""
     margin = 0.012 * section.length_m
     axes.set_xlim(-margin, max(section.length_m, furthest_m) + margin)
     axes.set_xlabel(f"distance from {section.origin.name} (m)")
 
 
 def title(drive: Drive) -> str:
-    """What was driven, by whom."""
+    """Section, trainset and driver, for the headline."""
     section, trainset = drive.section, drive.run.trainset
     stations = f"{section.origin.name} – {section.destination.name}"
     return f"{stations}, {section.length_m:.0f} m, {trainset.id} {trainset.load}, driver {drive.driver}"
 
 
 def subtitle(kpis: Kpis) -> str:
-    """The drive in one line."""
+    """Main KPIs in one line."""
     side = "beyond" if kpis.stopping_error_m > 0 else "short of"
     ended = kpis.outcome.replace("_", " ")
     words = [
@@ -115,7 +115,7 @@ def draw_speed(axes: Axes, drive: Drive, optimum: Optimum | None) -> None:
 
 
 def draw_plan(axes: Axes, plan: Plan, name: str) -> None:
-    """A plan's speed as a broad pale band that a drive is read against."""
+    """Draw the speed of a plan as a broad pale band behind a drive."""
     at, speed = fine_profile(plan.position_m, KMH_PER_MPS * plan.speed_mps)
     axes.plot(at, speed, color=SKY, lw=4.5, alpha=0.75, solid_capstyle="round", label=name)
 
@@ -123,7 +123,7 @@ def draw_plan(axes: Axes, plan: Plan, name: str) -> None:
 def fine_profile(
     position_m: Float[ndarray, " nodes"], speed: Float[ndarray, " nodes"]
 ) -> tuple[Float[ndarray, " fine"], Float[ndarray, " fine"]]:
-    """A profile over distance drawn as it is between its nodes: the square of the speed is linear there."""
+    """Refine a speed profile between its nodes, where the square of the speed is linear in distance."""
     at = np.unique(np.concatenate([np.linspace(position_m[0], position_m[-1], 800), position_m]))
     return at, np.sqrt(np.interp(at, position_m, speed**2))
 
@@ -150,7 +150,7 @@ def draw_limits(axes: Axes, section: Section, trainset: Trainset) -> None:
 
 
 def draw_stations(axes: Axes, section: Section) -> None:
-    """The two stations, as lines with their codes."""
+    """Draw the two stations as lines with their codes."""
     for station, at, side in (
         (section.origin, 0.0, "left"),
         (section.destination, section.length_m, "right"),
@@ -199,7 +199,7 @@ def draw_gradient(axes: Axes, section: Section) -> None:
 
 
 def draw_command(axes: Axes, drive: Drive) -> None:
-    """The command after protection: traction above, braking below, coasting where it is nothing."""
+    """Draw the command after protection: traction above zero, braking below, coasting at zero."""
     t = drive.trajectory
     share = t.command
     axes.fill_between(t.position_m, np.maximum(share, 0), step="post", color=BLUE, alpha=0.35, lw=0)
@@ -212,7 +212,7 @@ def draw_command(axes: Axes, drive: Drive) -> None:
 
 
 def draw_energy(axes: Axes, drive: Drive, optimum: Optimum | None) -> None:
-    """Energy so far at the wheel and at the line, the plan's behind it."""
+    """Draw the cumulative energy at the wheel and at the line, with that of the plan."""
     t = drive.trajectory
     if optimum is not None:
         plan = optimum.plan

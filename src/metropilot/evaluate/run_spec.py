@@ -1,4 +1,4 @@
-"""A run as users ask for it: one declaration for the command line, `run.toml`, the HTTP API and campaigns."""
+"""Request of a run: one declaration for the command line, `run.toml`, the HTTP API and campaigns."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from metropilot._io import read_text
 from metropilot._schema import FieldSpec, check_fields, declared, field_specs
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError, rename_fields
-from metropilot.evaluate.driver_options import make_driver, named_driver, option_defaults
+from metropilot.evaluate.driver_options import make_driver, option_defaults, parse_driver
 from metropilot.planning import Objective
 from metropilot.railway import Restriction, Section, Trainset, load_line, load_trainset
 from metropilot.sim import CONTROL_PERIOD_S, AbstractDriver, Disturbance, Run, TimetableUpdate
@@ -33,7 +33,7 @@ POLICY = "policy"
 
 @dataclass(frozen=True)
 class RunSpec:
-    """Everything that decides a run.
+    """All inputs of a run.
 
     Attributes:
         line: Catalogue id or path.
@@ -44,11 +44,11 @@ class RunSpec:
         load: Load aboard; None takes the trainset's first.
         driver: Driver id.
         options: Options of the driver.
-        disturbance: What differs from the data that driver and planner have, announced updates included.
+        disturbance: Differences from the data of driver and planner, announced updates included.
         restrictions: Temporary speed restrictions that are known before departure.
         objective: Energy the optimum minimises.
         dt_s: Control period.
-        seed: Seed of everything random.
+        seed: Seed of all random draws.
     """
 
     line: str = declared(MISSING, "Line: catalogue id or path to a .toml or .json file.")
@@ -90,7 +90,7 @@ class RunSpec:
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> RunSpec:
-        """The run of plain values, as they stand in `run.toml`; restrictions and arrivals are texts.
+        """Make the request from plain values as in `run.toml`; restrictions and arrivals are texts.
 
         Args:
             values: By the keys of :func:`run_fields`; a key that is not given, or None, has its default.
@@ -99,7 +99,7 @@ class RunSpec:
             InputError: An unknown key (the nearest one is named), a missing one, a value of the wrong kind or
                 outside its range.
         """
-        given = {key: _typed(key, value) for key, value in values.items() if value is not None}
+        given = {key: _convert(key, value) for key, value in values.items() if value is not None}
         for key in ("line", "origin", "destination"):
             if key not in given:
                 raise InputError("missing", field=key, allowed="text")
@@ -131,7 +131,7 @@ class RunSpec:
         return {key: value for key, value in found.items() if value is not None}
 
     def loaded(self) -> Trainset:
-        """The trainset with its load, as the driver knows it."""
+        """The nominal trainset with its load."""
         return load_trainset(self.trainset, self.load)
 
     def section(self) -> Section:
@@ -181,24 +181,24 @@ class RunSpec:
         return run
 
     def make_driver(self) -> AbstractDriver:
-        """The driver; one that can choose what energy to save is told the objective.
+        """Make the driver; a driver with the option ``objective`` gets that of the run.
 
         Raises:
             InputError: No such driver, or no such option of it.
         """
         told = dict(self.options)
-        driver_id, _ = named_driver(self.driver)
+        driver_id, _ = parse_driver(self.driver)
         if driver_id in DRIVERS.ids() and "objective" in option_defaults(DRIVERS.get(driver_id)):
             told.setdefault("objective", self.objective)
         return make_driver(self.driver, told)
 
     def resolved(self) -> RunSpec:
-        """The same run with stations by code, the load named, driver and options apart, and a time."""
+        """The same run with station codes, load and time filled in, and options separated from the driver."""
         section, trainset = self.section(), self.loaded()
         time_s = self.time_s if self.time_s is not None else section.planned_time_s
         origin, destination = section.origin.code, section.destination.code
         trainset_id = self.trainset.removesuffix(f":{trainset.load}")
-        driver_id, named = named_driver(self.driver)
+        driver_id, named = parse_driver(self.driver)
         return replace(
             self,
             driver=driver_id,
@@ -212,7 +212,7 @@ class RunSpec:
 
 
 def run_fields() -> dict[str, FieldSpec]:
-    """Every key of a run as users write it, with what is declared of it."""
+    """Every key of a run in `run.toml`, with its declaration."""
     own, disturbance = field_specs(RunSpec), field_specs(Disturbance)
     arrivals = FieldSpec(
         "New running time of S s, announced T s after departure.", option="arrive", form="S@T"
@@ -232,8 +232,8 @@ def key_type(key: str) -> type:
     return next((part for part in get_args(hint) if part is not type(None)), hint)
 
 
-def _typed(key: str, value: Any) -> Any:  # noqa: ANN401 (whatever TOML holds)
-    """A plain value as its key wants it."""
+def _convert(key: str, value: Any) -> Any:  # noqa: ANN401 (whatever TOML holds)
+    """Check and convert a plain value to the type of its key."""
     keys = run_fields()
     if key not in keys:
         near = get_close_matches(key, keys, 1)
@@ -296,7 +296,7 @@ def parse_arrival(text: str) -> TimetableUpdate:
 
 
 def _restriction_text(restriction: Restriction, at_s: float | None = None) -> str:
-    """What :func:`parse_restriction` reads back."""
+    """Inverse of :func:`parse_restriction`."""
     start, end, kmh = restriction.from_m, restriction.to_m, SPEED_UNIT.from_si(restriction.limit_mps)
     return f"{_short(start)}-{_short(end)}@{_short(kmh)}" + ("" if at_s is None else f"@{_short(at_s)}")
 
@@ -308,12 +308,12 @@ def _arrival_texts(updates: tuple[TimetableUpdate, ...]) -> Iterator[str]:
 
 
 def _short(number: float) -> str:
-    """A number with all its digits, without ``.0``."""
+    """A number with all its digits, without a trailing ``.0``."""
     return repr(float(number)).removesuffix(".0")
 
 
 def is_file(key: str) -> bool:
-    """Whether a line or trainset is named by a path and not by a catalogue id."""
+    """True if a line or trainset is given by a path and not by a catalogue id."""
     return key.lower().endswith((".toml", ".json"))
 
 
@@ -347,5 +347,5 @@ def run_from_toml(path: Path) -> RunSpec:
 
 
 def in_run_toml(path: Path, *keys: str) -> AbstractContextManager[None]:
-    """Complaints about a run that was read from this `run.toml` name the file and the key in it."""
+    """Let errors about a run that was read from a `run.toml` name the file and the key in it."""
     return rename_fields({key: f"run.{key}" for key in (*run_fields(), *keys)} | {"set": "run.options"}, path)

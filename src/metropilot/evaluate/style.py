@@ -1,4 +1,4 @@
-"""How every picture looks: palette, line styles, type; and how it is saved."""
+"""Style of figures: palette, line styles, fonts, panels, and saving."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ SETTINGS: Any = {
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Matplotlib with our settings and nothing of the user's."""
+    """Apply the settings of the project instead of those of the user's Matplotlib."""
     import matplotlib as mpl
 
     with mpl.rc_context():
@@ -110,7 +110,7 @@ def house_style() -> Iterator[None]:
 
 
 def new_panels(width_in: float, height_in: float, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
-    """A figure that no window knows of, with panels one above the other and room for the headline.
+    """Make a figure without a window, with panels one above the other and room for the headline.
 
     Args:
         width_in: Width, inches.
@@ -147,7 +147,7 @@ def save_figure(figure: Figure, stem: Path) -> None:
 
 
 def label_panel(axes: Axes, text: str) -> None:
-    """What a panel shows, set flat above it, where it reads without turning the head."""
+    """Write the label of a panel horizontally above it."""
     axes.set_title(text, loc="left", fontsize=8, color="#404040", pad=3)
 
 

@@ -1,4 +1,4 @@
-"""How well a reference was tracked: the loop run by itself, and the columns of Cheng23's tables."""
+"""Tracking of a speed reference by a controller, and its KPIs in the tables of Cheng23."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from metropilot._typing import Array
 from metropilot.env import (
     ReferenceCourse,
     TrackingView,
@@ -17,7 +18,6 @@ from metropilot.env import (
 )
 from metropilot.units import J_PER_KWH
 
-Array = Any
 Memory = Any
 Namespace = Any
 TrackingController = Callable[[Any, TrackingView], tuple[Any, Any]]
@@ -26,7 +26,7 @@ JERK_WINDOW_S = 2.0
 
 
 class TrackRecord(NamedTuple):
-    """A reference as it was tracked, one row a control period. Shape (N,) each.
+    """Record of the tracking of a reference, one row per control period. Shape (N,) each.
 
     Attributes:
         time_s: Start of the period.
@@ -38,7 +38,7 @@ class TrackRecord(NamedTuple):
         command: Command given.
         acceleration_mps2: Acceleration held over the period.
         traction_j: Traction work up to the end of the period.
-        counted: Whether the period counts: before the end of the reference, or while the trainset moves.
+        counted: True for periods before the end of the reference or in motion; only these count.
     """
 
     time_s: Array
@@ -83,7 +83,7 @@ def track_course(course: ReferenceCourse, control: TrackingController, memory: M
     """Let a controller track a course, in NumPy float64.
 
     Args:
-        course: What is tracked.
+        course: Reference, track and plant.
         control: The controller.
         memory: Its memory at the start.
     """
@@ -160,7 +160,7 @@ def tracking_score(kpis: TrackingKpis) -> Array:
     """One number for tuning and for keeping the best policy; higher is better, 0 is perfect.
 
     Total errors in speed and (by a fifth) position, the largest speed error, parking, jerk; a speed left at
-    the end is dear. The weights are ours.
+    the end is penalised. The weights are our choice.
     """
     return -(
         kpis.speed_total_mps

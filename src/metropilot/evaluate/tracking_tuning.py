@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Array
 from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers import LearningRates, Universes, fresh_network, step_fuzzy_pid, step_neural_pid
 from metropilot.env import ReferenceCourse, compile_course
 from metropilot.errors import InputError
 from metropilot.evaluate.tracking import TrackingController, track_compiled, tracking_kpis, tracking_score
 
-Array = Any
 POPULATION = 40
 GENERATIONS = 29
 NETWORK_SEEDS = (0, 1, 2)
@@ -57,7 +57,7 @@ class Tunable:
 
 @dataclass(frozen=True)
 class Tuned:
-    """What came of a search.
+    """Result of a search.
 
     Attributes:
         values: The best parameters by name.
@@ -120,7 +120,7 @@ TUNABLE: Mapping[str, Tunable] = MappingProxyType(
         ),
     }
 )
-"""What can be tuned, within the paper's upper limits of the gains."""
+"""Controllers that can be tuned, within the upper limits of the gains in the paper."""
 
 
 def tune_driver(driver: str, course: ReferenceCourse, seed: int = 0, generations: int = GENERATIONS) -> Tuned:
@@ -128,8 +128,8 @@ def tune_driver(driver: str, course: ReferenceCourse, seed: int = 0, generations
 
     Args:
         driver: ``pid``, ``fuzzy_pid`` or ``neural_pid``.
-        course: What is tracked.
-        seed: Of the search.
+        course: Reference, track and plant.
+        seed: Seed of the search.
         generations: After the first; each drives 40 candidates.
 
     Raises:

@@ -10,7 +10,7 @@ from nicegui import ui
 from pydantic import BaseModel, ValidationError
 
 from metropilot.errors import InputError, MetropilotError
-from metropilot.evaluate import POLICY, named_driver, run_fields
+from metropilot.evaluate import POLICY, parse_driver, run_fields
 from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.pages.frame import Problem, number
@@ -341,7 +341,7 @@ def driver_choice(
     service: Service, select: ui.select, name: str, options: dict[str, Any] | None = None
 ) -> str:
     """Entry of a list of drivers for a request; added to the list if it is missing."""
-    driver, named = named_driver(name)
+    driver, named = parse_driver(name)
     policy = ({**(options or {}), **named}).get(POLICY)
     found = f"{driver}:{POLICY}={policy}" if policy else driver
     if found not in select.options:

@@ -11,7 +11,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from metropilot._schema import field_specs
 from metropilot.errors import InputError
-from metropilot.evaluate import POLICY, RunSpec, named_driver, run_fields
+from metropilot.evaluate import POLICY, RunSpec, parse_driver, run_fields
 from metropilot.railway import Restriction
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance, TimetableUpdate
 
@@ -255,7 +255,7 @@ def request_of(asked: DriveIn, path: Callable[[str, str], str]) -> RunSpec:
     Raises:
         InputError: No policy of that id.
     """
-    driver, named = named_driver(asked.driver)
+    driver, named = parse_driver(asked.driver)
     options = asked.options | named
     if POLICY in options:
         options[POLICY] = path(POLICY, str(options[POLICY]))
