@@ -49,8 +49,8 @@ LINE = [
     ("[[0, 50], [300, 80], [2400, 60]]", "[]", "speed_limits.values", None, None, "at least one row"),
     ("[[0, 50], [300, 80], [2400, 60]]", "7", "speed_limits.values", "7", None, "a list"),
     ("[[0, 50]", "[[50, 50]", "stations.list[0].position", "0", "m", ">= 50 m"),
-    ("[400, 10]", "[400, 200]", "gradients.values[1].gradient", "200", "permil", ">= -150 permil"),
-    ("[400, 10]", "[400, nan]", "gradients.values[1].gradient", "nan", "permil", ">= -150 permil"),
+    ("[400, 10]", "[400, 200]", "gradients.values[1].gradient", "200", "permil", "-150 to 150 permil"),
+    ("[400, 10]", "[400, nan]", "gradients.values[1].gradient", "nan", "permil", "-150 to 150 permil"),
     ("altitude = 12", 'altitude = "high"', "gradients.altitude", "high", "m", "a finite number of m"),
     ("[100, 400]", "[100, 5]", "curves.values[0].radius", "5 m", None, "a radius of 10 m or more"),
     ("[200, 300, 24]", "[200, -300, 24]", "tunnels.values[0].length", "-300", "m", "> 0 m"),
@@ -146,7 +146,7 @@ TRAINSET = [
         "adhesion",
     ),
     ("traction = 88", "traction = 880", "energy.traction", "880", "%", "> 0 % and <= 100 %"),
-    ("reaction = 0.3", "reaction = -0.3", "protection.reaction", "-0.3", "s", ">= 0 s"),
+    ("reaction = 0.3", "reaction = -0.3", "protection.reaction", "-0.3", "s", "0 to 30 s"),
     ("[-100, 0, 100]", "[]", "notches.levels.three", None, None, "forces"),
 ]
 JOURNEY = [
@@ -250,7 +250,7 @@ def put(document, path, value):
         (samples.train, ["mass", "value"], KeyError, ["mass.value: missing"]),
         (samples.train, ["mass", "unit"], KeyError, ["mass.unit: missing unit"]),
         (samples.train, ["mass"], 160, ["mass: must be a table"]),
-        (samples.train, ["rho", "value"], 800, ["rho.value", "800 %", "<= 100 %"]),
+        (samples.train, ["rho", "value"], 800, ["rho.value", "800 %", "0 to 100 %"]),
         (samples.train, ["max speed", "unit"], "knots", ["max speed.unit", "m/s, km/h"]),
         (samples.train, ["efficiency traction", "value"], 0, ["efficiency traction.value", "> 0 %"]),
         (samples.train, ["num coaches", "value"], 2.5, ["num coaches.value: must be whole", "2.5"]),
