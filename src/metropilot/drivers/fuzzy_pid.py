@@ -15,6 +15,7 @@ from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
+from metropilot._typing import Array
 from metropilot.control import CHENG2023_GAINS, CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
 from metropilot.env import TrackingView
@@ -22,7 +23,6 @@ from metropilot.errors import InputError
 from metropilot.physics import namespace
 from metropilot.sim import Run
 
-Array = Any
 NB, NM, NS, ZO, PS, PM, PB = range(7)
 PROPORTIONAL = (
     (PB, PB, PM, PM, PS, ZO, ZO),

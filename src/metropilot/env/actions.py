@@ -8,16 +8,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
+from metropilot._typing import Array
 from metropilot.env.features import FeatureContext, limited_force
 from metropilot.env.interface import ActionSpace
 from metropilot.errors import InputError
 from metropilot.physics import effort_at, resistance_and_gradient
-
-Array = Any
 
 LU2023_N = (-149e3, -132e3, -99e3, -66e3, -33e3, 0.0, 34e3, 68e3, 102e3, 136e3, 170e3, 180e3)
 """The twelve actions of Lu23 Table 3."""

@@ -12,8 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from metropilot._typing import Array
 from metropilot.control import (
     AT_ONCE_MPS3,
     STRONGEST_MPS2,
@@ -27,8 +28,6 @@ from metropilot.env.features import FeatureContext
 from metropilot.env.tables import LEAST_STOP_MPS2, PERMITTED_COLUMN, STOP_USE, SectionRows
 from metropilot.errors import InputError
 from metropilot.physics import command_for_effort, effort_at, resistance_and_gradient
-
-Array = Any
 
 EASE_SHARE = 0.4
 """Jerk at which traction is eased off under the ceiling, over the trainset's limit."""
@@ -124,7 +123,7 @@ def stop_options(release_share: float) -> StopOptions:
 
 
 class EffortLimits(NamedTuple):
-    """What turns accelerations into commands here, per kilogram of effective mass.
+    """Efforts that turn accelerations into commands at a state, per kilogram of effective mass.
 
     Attributes:
         drag_mps2: Resistance and gradient.
@@ -219,7 +218,7 @@ def ceiling_mps2(assists: Assists, sight: FeatureContext, dt: float) -> Array:
 
 
 def stop_mps2(sight: FeatureContext, stopping: Array, dt: float, options: StopOptions) -> tuple[Array, Array]:
-    """Whether the last braking is on, and the deceleration it needs now, m/s^2.
+    """State of the station stop, and the deceleration it needs now, m/s^2.
 
     Args:
         sight: What the driver sees.

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from metropilot._typing import Array
 from metropilot.env.assists import apply_assists
 from metropilot.env.config import DrivingConfig
 from metropilot.env.features import FeatureContext, feature_context, observe
@@ -29,8 +30,6 @@ from metropilot.sim import (
     running_time,
     true_vehicle,
 )
-
-Array = Any
 
 UNROLLED = 2
 """More control periods to a decision than this are a loop: unrolled, each would be compiled again."""
@@ -154,7 +153,7 @@ class DrivingTask(AbstractTask):
 
     @cached_property
     def _traced_once(self) -> Mapping[str, Callable[..., Any]]:
-        """What a learner's program holds several times: traced for the first, put in place for the others."""
+        """Parts that a learner's program holds several times, traced once and inlined elsewhere."""
         import jax
 
         parts = {"step": self._step, "observe": self._observe}

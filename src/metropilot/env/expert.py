@@ -15,9 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from metropilot._typing import Array
 from metropilot.errors import InputError
-
-Array = Any
 
 EXPERT_SEGMENTS = 16
 SLOWEST_MPS = 0.5
@@ -72,7 +71,7 @@ class ExpertRules:
 
 
 class ExpertStretch(NamedTuple):
-    """What lies between here and the end of the interval, at :data:`EXPERT_SEGMENTS` + 1 even nodes.
+    """Ground between here and the end of the interval, at :data:`EXPERT_SEGMENTS` + 1 even nodes.
 
     Attributes:
         left_m: Distance to its end.
@@ -88,7 +87,7 @@ class ExpertStretch(NamedTuple):
 
 
 class ExpertWindow(NamedTuple):
-    """Where a trainset is between too slow and too fast (Huang25 eq. 14). Speeds are means to the end.
+    """Place of a trainset between too slow and too fast (Huang25 eq. 14). Speeds are means to the end.
 
     Attributes:
         mean_mps: Mean speed of a trainset that coasts from here.
@@ -226,7 +225,7 @@ def expert_state(
     rate_mps2: Array,
     traction_mps2: Array,
 ) -> list[Array]:
-    """What a policy inside the expert sees: the state of Huang25 eq. 19, and its place in the window."""
+    """Observation of a policy inside the expert: the state of Huang25 eq. 19 and its place in the window."""
     late = xp.clip(window.late_s, -9.0, 9.0)
     return [
         left_m / 1000.0,

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
+from metropilot._typing import Array
 from metropilot.env.actions import AbstractAction
 from metropilot.env.expert import ExpertRules
 from metropilot.env.expert_view import expert_command
 from metropilot.env.features import FeatureContext
 from metropilot.env.interface import ActionSpace
-
-Array = Any
 
 SURE_S = 2.0
 """The window a policy drives in: a second inside the 3 s, so that the worst policy still arrives on time."""

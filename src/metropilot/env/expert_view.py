@@ -7,8 +7,9 @@ station stop; in a task the assists stop the trainset and avoid interventions.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from metropilot._typing import Array
 from metropilot.control import AT_ONCE_MPS3
 from metropilot.env.assists import needs_of
 from metropilot.env.expert import (
@@ -26,15 +27,13 @@ from metropilot.env.features import FeatureContext
 from metropilot.env.tables import CLIMB, PERMITTED_COLUMN
 from metropilot.physics import command_for_effort
 
-Array = Any
-
 MARGIN_MPS = 0.25
 RELEASE = 0.5
 """Jerk at which the stop assist lets go of the brake, over the trainset's limit."""
 
 
 class View(NamedTuple):
-    """What the expert sees. All 0-d.
+    """Inputs of the expert. All 0-d.
 
     Attributes:
         window: The speed window.

@@ -13,11 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from metropilot._typing import Array
 from metropilot.env.tables import CLIMB, PACES_MPS, PERMITTED_COLUMN, SectionRows, SectionTables, near_track
 from metropilot.physics import Track, Vehicle, davis_n, effort_at
 from metropilot.protection import Rates as Guaranteed
-
-Array = Any
 
 AHEAD_M = (20.0, 50.0, 100.0, 200.0, 350.0, 600.0, 1000.0)
 FAR_M = (35.0, 75.0, 150.0, 275.0, 475.0, 800.0, 1500.0, 2200.0, 3500.0)

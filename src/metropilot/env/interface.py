@@ -7,12 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-Array = Any
+from metropilot._typing import Array
+
 TaskState = Any
 
 
 class Transition(NamedTuple):
-    """What one step gave. The task never resets itself: the observation after the last step survives.
+    """Result of one step. The task never resets itself: the observation after the last step survives.
 
     Attributes:
         observation: Observation after the step. Shape (O,).

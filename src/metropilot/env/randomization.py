@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from metropilot._typing import Array
 from metropilot.errors import InputError
 from metropilot.protection import Bounds
 from metropilot.railway import Restriction, Section, Trainset
 from metropilot.sim import Disturbance, Run, declared_bounds
 from metropilot.units import KMH_PER_MPS
 
-Array = Any
 NOMINAL = MappingProxyType(
     {field.name: (field.default,) * 2 for field in fields(Disturbance) if isinstance(field.default, float)}
 )

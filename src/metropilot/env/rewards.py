@@ -6,12 +6,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, final
+from typing import ClassVar, NamedTuple, final
 
+from metropilot._typing import Array
 from metropilot.physics import namespace
 from metropilot.units import J_PER_KWH
-
-Array = Any
 
 
 class PeriodChange(NamedTuple):

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from metropilot._typing import Array
 from metropilot.physics import (
     Track,
     Vehicle,
@@ -21,8 +22,6 @@ from metropilot.physics import (
 )
 from metropilot.protection import Bounds, Protection, protect
 from metropilot.railway import Section, Trainset
-
-Array = Any
 
 
 class SectionTables(NamedTuple):

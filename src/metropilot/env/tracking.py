@@ -7,10 +7,11 @@ a batch, in NumPy, and (through :mod:`metropilot.drivers.tracking`) on a section
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from metropilot._typing import Array
 from metropilot.control import Errors
 from metropilot.physics import (
     Command,
@@ -27,7 +28,6 @@ from metropilot.planning import TimedReference
 from metropilot.railway import Section, Trainset
 from metropilot.sim import NEVER_ENDS, RunParams, control_period, first_state
 
-Array = Any
 GRACE_S = 3.0
 """A trainset may come to a stand this much later than its reference."""
 
@@ -76,7 +76,7 @@ class TrackingView(NamedTuple):
 
 
 class TrackState(NamedTuple):
-    """Where the trainset and its controller's law are.
+    """State of the trainset and of its controller.
 
     Attributes:
         plant: State of the plant.
@@ -153,7 +153,7 @@ def start_tracking() -> TrackState:
 
 
 def tracking_view(course: ReferenceCourse, state: TrackState) -> TrackingView:
-    """What the controller sees at the start of a period."""
+    """Inputs of the controller at the start of a period."""
     plant, k = state.plant, state.period
     reference = course.speed_mps[k]
     return TrackingView(
@@ -189,7 +189,7 @@ def advance_tracking(
 
 
 def tracking_observation(given: TrackingView) -> Array:
-    """What DDPG-PID sees: speed, command, speed error, position error, scaled. Shape (4,). Cheng23 eq. 7."""
+    """Observation of DDPG-PID: speed, command, speed error, position error, scaled. Shape (4,). Cheng23 eq. 7."""
     xp = namespace(given.error_mps)
     xp = np if xp.__name__ == "scalars" else xp
     parts = (

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from metropilot._typing import Array
 from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.env.interface import AbstractTask, ActionSpace, Transition
 from metropilot.env.tracking import (
@@ -21,8 +22,6 @@ from metropilot.env.tracking import (
 from metropilot.errors import InputError
 from metropilot.physics import davis_n, effort_at
 from metropilot.units import KMH_PER_MPS
-
-Array = Any
 
 
 @dataclass(frozen=True)
@@ -124,7 +123,7 @@ def reward_terms(rewards: TrackingRewards, facts: TrackingFacts) -> dict[str, Ar
 
 
 class TrackingState(NamedTuple):
-    """Where an episode is: the loop's state and which course it is on."""
+    """State of an episode: that of the loop, and the course it is on."""
 
     loop: TrackState
     course: Array

@@ -5,12 +5,10 @@ Source: Haarnoja et al. 2018b, appendix C, for the squashed Gaussian.
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 
-Array = Any
+from metropilot._typing import Array
 
 LOG_2PI = 1.8378770664093453
 LOG_2 = 0.6931471805599453

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-Array = Any
+from metropilot._typing import Array
+
 Params = dict[str, Array]
 
 BETA_1, BETA_2 = 0.9, 0.999

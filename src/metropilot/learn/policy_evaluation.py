@@ -14,12 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from metropilot._typing import Array
 from metropilot.env import DrivingTask, Optima, cached_optima, episode_of, starts
 from metropilot.policy import Params, PolicySpec, act
 from metropilot.sim import CODES, PUNCTUALITY_S, Episode, Outcome
 from metropilot.units import J_PER_KWH
-
-Array = Any
 
 MOST_CASES = 24
 """A task with more cases is evaluated on so many of them, evenly picked."""

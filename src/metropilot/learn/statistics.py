@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 
-Array = Any
+from metropilot._typing import Array
 
 EPSILON = 1e-8
 # A return that varies less than this is taken as constant: rewards are then left as they are.

@@ -18,6 +18,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
+from metropilot._typing import Array
 from metropilot.env.driving import DriveState, DrivingTask, episode_of
 from metropilot.env.interface import Transition
 from metropilot.env.randomization import StartDistribution
@@ -26,7 +27,6 @@ from metropilot.errors import InputError
 from metropilot.protection import Memory
 from metropilot.sim import CODES, RUNNING
 
-Array = Any
 OBSERVATION_LIMIT = 100.0
 LIMITS = {
     "case": (0.0, 0.0),

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from metropilot._typing import Array
 from metropilot.control import (
     AT_ONCE_MPS3,
     braking_distance,
@@ -47,7 +48,6 @@ from metropilot.sim import (
     true_vehicle,
 )
 
-Array = Any
 Decide = Callable[[Params, Array], Array]
 """From parameters and an observation of shape (O,) to an action of shape (1,)."""
 

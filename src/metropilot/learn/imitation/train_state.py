@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Array
 from metropilot.env import RegimeAction
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.networks import MLP
 from metropilot.learn.optimiser import AdamState, adam_init, adam_step
 from metropilot.policy import Params, PolicySpec, network_output
 
-Array = Any
 COASTS = 0.02
 """A command up to this size is still coasting, growing into the dead zone's edge."""
 FULL_FROM, FULL_TO = 0.95, 0.99

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from metropilot._typing import Array
 from metropilot.env import DomainRandomization, DrivingTask, RegimeAction, SectionRows, domain_sample
 from metropilot.errors import InputError
 from metropilot.learn.compile_cache import keep_compiled
@@ -48,8 +49,6 @@ from metropilot.learn.train import (
     identity_of,
 )
 from metropilot.policy import Params, Policy
-
-Array = Any
 
 IMITATIONS = 4
 """Parts that the imitation is cut into."""

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,13 +14,12 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from numpy.random import Generator
 
+from metropilot._typing import Array
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.imitation.closed_loop import Begin, ClosedLoop
 from metropilot.learn.imitation.demonstrations import Demonstrations
 from metropilot.learn.imitation.train_state import TrainState, apply_gradient, imitation_loss, labels
 from metropilot.policy import Params, PolicySpec, network_output
-
-Array = Any
 
 DECISIONS = (200, 400, 600)
 """Drives are put together by length, each length compiled by itself."""

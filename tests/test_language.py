@@ -1,0 +1,29 @@
+"""Habits of the house that a reader meets on every page: docstrings state, arrays have one type."""
+
+import ast
+import re
+from pathlib import Path
+
+SOURCES = Path(__file__).parents[1] / "src" / "metropilot"
+RIDDLE = re.compile(r"(What|How|Whether|That|Where|Why|Who|Whoever|Whatever)\b")
+
+
+def test_a_docstring_begins_with_a_noun_phrase_or_an_imperative():
+    found = []
+    for path in SOURCES.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module):
+                text = ast.get_docstring(node) or ""
+                if RIDDLE.match(text):
+                    found.append(f"{path.relative_to(SOURCES)}: {text.splitlines()[0]}")
+    assert RIDDLE.match("What a policy sees.")
+    assert found == []
+
+
+def test_arrays_have_one_alias():
+    aliases = [
+        path.relative_to(SOURCES).as_posix()
+        for path in SOURCES.rglob("*.py")
+        if re.search(r"^Array(: TypeAlias)? = Any", path.read_text(encoding="utf-8"), re.MULTILINE)
+    ]
+    assert aliases == ["_typing.py"]
