@@ -189,7 +189,7 @@ def advance_tracking(
 
 
 def tracking_observation(given: TrackingView) -> Array:
-    """Observation of DDPG-PID, scaled: speed, command, speed and position error. Shape (4,). Cheng23 eq. 7."""
+    """Observation of DDPG-PID, scaled: speed, command, speed and position error, (4,). Cheng23 eq. 7."""
     xp = namespace(given.error_mps)
     xp = np if xp.__name__ == "scalars" else xp
     parts = (
