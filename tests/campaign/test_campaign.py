@@ -23,9 +23,9 @@ from metropilot.campaign import (
 )
 from metropilot.campaign.declared import case_request, draw_disturbance, from_text, seed_of
 from metropilot.campaign.leaderboard import write_leaderboard
+from metropilot.campaign.page import collect_parts, median_ranks, share_interval
 from metropilot.campaign.rows import RESULTS, TIMINGS, Shard, parquet
 from metropilot.campaign.store import CampaignStore
-from metropilot.campaign.summary import collect_parts, median_ranks, share_interval
 from metropilot.cli import main
 from metropilot.errors import InputError
 from metropilot.evaluate import run_from_toml

@@ -7,8 +7,7 @@ import pytest
 from metropilot.campaign import Campaign, DisturbanceCase
 from metropilot.campaign.compiled import drive_batch
 from metropilot.campaign.declared import BATCH
-from metropilot.campaign.optima import EnergyCurve
-from metropilot.campaign.rows import RESULTS, drive_row, drive_shard, parquet
+from metropilot.campaign.rows import RESULTS, EnergyCurve, drive_row, drive_shard, parquet
 from metropilot.planning import optimal_plan
 from metropilot.railway import load_line, load_trainset, write_trainset
 

@@ -10,8 +10,7 @@ from metropilot.convoy.attack import AttackCampaign, attack
 from metropilot.convoy.drivers import FOLLOWERS
 from metropilot.convoy.kpis import convoy_kpis
 from metropilot.convoy.leaders import Restless, record_leader, restless_speeds
-from metropilot.convoy.link import Channel, Link, Message, open_channel, transmit
-from metropilot.convoy.model import Convoy, extend_limits
+from metropilot.convoy.model import Channel, Convoy, Link, Message, extend_limits, open_channel, transmit
 from metropilot.convoy.rollout import HeadRun, drive_convoy
 from metropilot.errors import InputError
 from metropilot.railway import load_line, load_trainset

@@ -16,7 +16,7 @@ from metropilot.env import (
     task_config,
 )
 from metropilot.env.optima import optima_of
-from metropilot.env.to_go import to_go_table
+from metropilot.env.tables import to_go_table
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import PlanOptions, fastest_time, minimum_running_time, optimal_plan

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from metropilot.drivers import DRIVERS
-from metropilot.evaluate.indices import (
+from metropilot.evaluate.kpis import (
     comfort_index,
     indices_of,
     parking_index,

@@ -22,12 +22,13 @@ from metropilot.env import (
 from metropilot.errors import InputError
 from metropilot.learn import TrainingOptions, config_from_mapping
 from metropilot.learn.imitation.closed_loop import WORTH, Begin, ClosedLoop, _Moving, within_worth
-from metropilot.learn.imitation.demonstration_files import (
+from metropilot.learn.imitation.demonstrations import (
+    DemonstrationGenerator,
     DemonstrationSet,
+    collect_demonstrations,
     collect_shard,
     load_demonstrations,
 )
-from metropilot.learn.imitation.demonstrations import DemonstrationGenerator, collect_demonstrations
 from metropilot.learn.imitation.train_state import apply_gradient, imitation_spec, labels, new_train_state
 from metropilot.learn.imitation.training import train_in_parts
 from metropilot.physics import at_rest, to_jax, vehicle_arrays

@@ -5,17 +5,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from metropilot.learn.distributions import (
+from metropilot.learn.losses import ddpg, dqn, naf, ppo, sac, tabular
+from metropilot.learn.networks import (
     categorical_entropy,
     categorical_log_prob,
     floored_std,
     gaussian_entropy,
     gaussian_log_prob,
+    lower_triangle,
     mask_values,
     squashed_sample,
 )
-from metropilot.learn.losses import ddpg, dqn, naf, ppo, sac, tabular
-from metropilot.learn.networks import lower_triangle
 from metropilot.policy import dueling
 
 

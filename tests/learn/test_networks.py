@@ -7,9 +7,9 @@ import pytest
 from tests.learn.problems import FIVE_CHOICES, DoubleIntegrator
 
 from metropilot.learn.config import DDPGConfig, DQNConfig, NAFConfig, PPOConfig, SACConfig, TabularConfig
+from metropilot.learn.loop import make_learner
 from metropilot.learn.networks import MLP
 from metropilot.learn.optimiser import adam_init, adam_step, global_norm, polyak
-from metropilot.learn.registry import make_learner
 from metropilot.learn.statistics import (
     deviation,
     moments_init,

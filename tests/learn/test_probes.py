@@ -7,7 +7,7 @@ import pytest
 from tests.learn.problems import CONTINUOUS, KINDS, TWO_CHOICES, Probe
 
 from metropilot.learn.config import DDPGConfig, DQNConfig, NAFConfig, PPOConfig, SACConfig, TabularConfig
-from metropilot.learn.registry import make_learner
+from metropilot.learn.loop import make_learner
 from metropilot.policy import act
 
 GAMMA = 0.8

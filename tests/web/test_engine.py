@@ -8,9 +8,9 @@ from metropilot.errors import InputError, SolverError
 from metropilot.evaluate import RunSpec
 from metropilot.planning import PlanOptions, optimal_plan
 from metropilot.railway import Restriction, load_line, load_trainset
+from metropilot.web.errors import Refused
 from metropilot.web.live.engine import COLUMNS, HAND_S, Engine
 from metropilot.web.pages.frame import clock
-from metropilot.web.refusals import Refused
 
 ROW = {name: k for k, name in enumerate(COLUMNS)}
 TAKE, GIVE = ({"kind": "lever", "share": share, "holder": "one"} for share in (1.0, None))

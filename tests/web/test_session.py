@@ -8,9 +8,9 @@ from threading import Thread
 
 import pytest
 
+from metropilot.web.errors import Refused
 from metropilot.web.live.session import DIED, Session, Spare
 from metropilot.web.live.worker import Driving
-from metropilot.web.refusals import Refused
 
 ORDER = {"pace": 20.0, "journal": [], "step": 0}
 LIMIT_S = 20.0

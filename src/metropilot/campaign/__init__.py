@@ -9,13 +9,11 @@ from metropilot._lazy import lazy_door
 if TYPE_CHECKING:
     from metropilot.campaign.declared import Campaign, CampaignCase, DisturbanceCase, case_request
     from metropilot.campaign.leaderboard import write_leaderboard
-    from metropilot.campaign.page import write_campaign_report
-    from metropilot.campaign.reading import campaign_from_toml
+    from metropilot.campaign.page import RESULTS_FILE, collect_parts, summarise, write_campaign_report
+    from metropilot.campaign.reading import campaign_from_toml, read_campaign, shipped_campaigns
     from metropilot.campaign.rows import RESULTS, drive_shard, peak_memory_mb
     from metropilot.campaign.run import CampaignProgress, run_campaign
-    from metropilot.campaign.shipped import read_campaign, shipped_campaigns
     from metropilot.campaign.store import DONE_FILE, TIMINGS_FOLDER, CampaignStore, stored_campaign
-    from metropilot.campaign.summary import RESULTS_FILE, collect_parts, summarise
 
 __all__ = [
     "DONE_FILE",
@@ -44,14 +42,38 @@ __all__ = [
 __getattr__, __dir__ = lazy_door(
     __name__,
     {
-        "declared": ("Campaign", "CampaignCase", "DisturbanceCase", "case_request"),
+        "declared": (
+            "Campaign",
+            "CampaignCase",
+            "DisturbanceCase",
+            "case_request",
+        ),
         "leaderboard": ("write_leaderboard",),
-        "page": ("write_campaign_report",),
-        "reading": ("campaign_from_toml",),
-        "rows": ("RESULTS", "drive_shard", "peak_memory_mb"),
-        "run": ("CampaignProgress", "run_campaign"),
-        "shipped": ("read_campaign", "shipped_campaigns"),
-        "store": ("CampaignStore", "DONE_FILE", "TIMINGS_FOLDER", "stored_campaign"),
-        "summary": ("RESULTS_FILE", "collect_parts", "summarise"),
+        "page": (
+            "RESULTS_FILE",
+            "collect_parts",
+            "summarise",
+            "write_campaign_report",
+        ),
+        "reading": (
+            "campaign_from_toml",
+            "read_campaign",
+            "shipped_campaigns",
+        ),
+        "rows": (
+            "RESULTS",
+            "drive_shard",
+            "peak_memory_mb",
+        ),
+        "run": (
+            "CampaignProgress",
+            "run_campaign",
+        ),
+        "store": (
+            "CampaignStore",
+            "DONE_FILE",
+            "TIMINGS_FOLDER",
+            "stored_campaign",
+        ),
     },
 )

@@ -19,7 +19,6 @@ from metropilot.campaign.batch_tables import (
     table_cache,
 )
 from metropilot.campaign.declared import BATCH, Campaign, CampaignCase, seed_of
-from metropilot.campaign.optima import Curves
 from metropilot.campaign.program import (
     BROKEN,
     PERIODS,
@@ -29,7 +28,15 @@ from metropilot.campaign.program import (
     Kind,
     program,
 )
-from metropilot.campaign.rows import FAILED, add_kpis, capture_errors, new_result, peak_memory_mb, prepare_run
+from metropilot.campaign.rows import (
+    FAILED,
+    Curves,
+    add_kpis,
+    capture_errors,
+    new_result,
+    peak_memory_mb,
+    prepare_run,
+)
 from metropilot.drivers import AbstractPolicyDriver
 from metropilot.errors import Infeasible
 from metropilot.evaluate import Optimum, RunSpec

@@ -10,8 +10,8 @@ from typing import Any
 
 from metropilot._io import atomic_write
 from metropilot._provenance import provenance
+from metropilot.campaign.page import POSSIBLE, open_database, query_rows
 from metropilot.campaign.store import stored_campaign
-from metropilot.campaign.summary import POSSIBLE, open_database, query_rows
 
 DASH = "–"
 LEGEND = """\

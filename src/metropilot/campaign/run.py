@@ -1,18 +1,123 @@
-"""Runner of a campaign: drives the shards that its folder does not hold yet."""
+"""Runner of a campaign: a pool of workers drives the shards that its folder does not hold yet."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import metropilot
-from metropilot.campaign.declared import Campaign
-from metropilot.campaign.pools import drive_locally, drive_on_cluster
-from metropilot.campaign.rows import peak_memory_mb
+from metropilot._processes import ONE_THREAD, environment
+from metropilot.campaign.declared import Campaign, Piece
+from metropilot.campaign.rows import Shard, drive_shard, peak_memory_mb
 from metropilot.campaign.store import CampaignStore
-from metropilot.errors import InputError
+from metropilot.errors import InputError, MetropilotError
+
+RETRIES = 3
+LOCAL = "local"
+AHEAD = 2
+"""Shards in flight for each worker."""
+
+
+class WorkersDied(MetropilotError, RuntimeError):
+    """Workers died repeatedly; finished shards are kept."""
+
+
+def drive_locally(text: str, shards: Sequence[Piece], workers: int) -> Iterator[Shard]:
+    """Drive shards in processes of this machine, each on one thread; one that dies is replaced.
+
+    Args:
+        text: The campaign.
+        shards: Shards to drive.
+        workers: Number of processes.
+
+    Raises:
+        WorkersDied: Processes died ``RETRIES`` times without a shard in between.
+    """
+    from joblib import Parallel, delayed
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    left, deaths = dict.fromkeys(shards), 0
+    while left:
+        with environment(ONE_THREAD):
+            pool: Any = Parallel(
+                n_jobs=max(min(workers, len(left)), 1),
+                backend="loky",
+                return_as="generator_unordered",
+                batch_size=1,  # pyright: ignore[reportArgumentType]
+                pre_dispatch=f"{AHEAD} * n_jobs",
+            )
+            driven = pool(delayed(drive_shard)(text, piece) for piece in tuple(left))
+            try:
+                for shard in driven:
+                    del left[shard.piece]
+                    deaths = 0
+                    yield shard
+            except TerminatedWorkerError:
+                deaths += 1
+                if deaths > RETRIES:
+                    raise WorkersDied(
+                        f"workers died {deaths} times; finished shards are kept, the same command resumes"
+                    ) from None
+
+
+def drive_on_cluster(text: str, shards: Sequence[Piece], workers: int, address: str) -> Iterator[Shard]:
+    """Drive shards on a Ray cluster; a shard whose worker dies is driven again by another.
+
+    Args:
+        text: The campaign.
+        shards: Shards to drive.
+        workers: Processes, if the cluster is started here.
+        address: Address of a running cluster, or ``local`` to start one on this machine.
+
+    Raises:
+        InputError: Ray is not installed, or the cluster cannot be reached.
+        WorkersDied: The workers of a shard died repeatedly.
+    """
+    try:
+        import ray  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise InputError(
+            "Ray is not installed", field="cluster", value=address, allowed="pip install 'metropilot[ray]'"
+        ) from None
+    begin: dict[str, Any] = {"address": address}
+    if address == LOCAL:
+        begin = {"address": "local", "num_cpus": workers, "include_dashboard": False}
+    with environment({**ONE_THREAD, "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}):
+        try:
+            ray.init(
+                **begin,
+                log_to_driver=False,
+                logging_level="ERROR",
+                configure_logging=True,
+                runtime_env={"env_vars": ONE_THREAD},
+            )
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise InputError(f"no such cluster ({reason})", field="cluster", value=address) from None
+    try:
+        yield from _from_ray(ray, text, shards)
+    finally:
+        ray.shutdown()
+
+
+def _from_ray(ray: Any, text: str, shards: Sequence[Piece]) -> Iterator[Shard]:  # noqa: ANN401 (the module)
+    remote = ray.remote(num_cpus=1, max_retries=RETRIES)(drive_shard)
+    campaign = ray.put(text)
+    ahead = AHEAD * max(int(ray.cluster_resources().get("CPU", 1)), 1)
+    waiting, coming = list(reversed(shards)), {}
+    while waiting or coming:
+        while waiting and len(coming) < ahead:
+            piece = waiting.pop()
+            coming[remote.remote(campaign, piece)] = piece
+        ready, _ = ray.wait(list(coming), num_returns=1)
+        for reference in ready:
+            del coming[reference]
+            try:
+                yield Shard(*ray.get(reference))
+            except ray.exceptions.WorkerCrashedError as error:
+                raise WorkersDied(f"{error}; finished shards are kept, the same command resumes") from None
 
 
 class CampaignProgress(NamedTuple):

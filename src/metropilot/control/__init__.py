@@ -1,7 +1,16 @@
 """Control laws on the nominal plant: estimation, station stop, ceiling, coasting, incremental PID."""
 
 from metropilot.control.adaptation import Adaptation, adapt_trainset, adapt_vehicle
-from metropilot.control.ceiling import Ceiling, ceiling_acceleration, ceiling_of, model_of, traction_limit
+from metropilot.control.ceiling import (
+    Ceiling,
+    Headroom,
+    ceiling_acceleration,
+    ceiling_of,
+    headroom_of,
+    largest_admissible_command,
+    model_of,
+    traction_limit,
+)
 from metropilot.control.coasting import Forecast, coast_point_for, cruise_for, forecast_of, time_to_go
 from metropilot.control.estimator import (
     StateEstimate,
@@ -12,7 +21,6 @@ from metropilot.control.estimator import (
     update_estimate,
     weighs_load,
 )
-from metropilot.control.headroom import Headroom, headroom_of, largest_admissible_command
 from metropilot.control.incremental_pid import (
     CHENG2023_GAINS,
     CHENG2023_UPPER,

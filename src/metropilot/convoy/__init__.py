@@ -17,12 +17,10 @@ if TYPE_CHECKING:
     from metropilot.convoy.drivers import FOLLOWERS, AbstractFollower, register_follower
     from metropilot.convoy.drivers.learned import AbstractGainFollower, FollowPolicyOptions
     from metropilot.convoy.env import MAX_PERIODS, ConvoyTask, ConvoyTaskConfig
-    from metropilot.convoy.folder import write_convoy
     from metropilot.convoy.headway import ConvoyService, needed_gap_m
-    from metropilot.convoy.kpis import ConvoyKpis, MemberKpis, convoy_kpis
+    from metropilot.convoy.kpis import ConvoyKpis, MemberKpis, convoy_kpis, write_convoy
     from metropilot.convoy.leaders import record_leader, reference_speeds
-    from metropilot.convoy.link import Link, LinkQuality
-    from metropilot.convoy.model import GAP_M, Convoy, ConvoyGuard, convoy_members
+    from metropilot.convoy.model import GAP_M, Convoy, ConvoyGuard, Link, LinkQuality, convoy_members
     from metropilot.convoy.pettingzoo import ConvoyParallelEnv
     from metropilot.convoy.request import ConvoyRequest
     from metropilot.convoy.rollout import ConvoyDrive, ConvoyRollout, HeadRun, drive_convoy
@@ -68,19 +66,57 @@ __all__ = [
 __getattr__, __dir__ = lazy_door(
     __name__,
     {
-        "attack": ("ATTACKED_HEADS", "AttackArena", "AttackCampaign", "AttackCase", "LONGEST_EMERGENCY_S"),
-        "drivers": ("AbstractFollower", "FOLLOWERS", "register_follower"),
-        "drivers.learned": ("AbstractGainFollower", "FollowPolicyOptions"),
-        "env": ("ConvoyTask", "ConvoyTaskConfig", "MAX_PERIODS"),
-        "folder": ("write_convoy",),
-        "headway": ("ConvoyService", "needed_gap_m"),
-        "kpis": ("ConvoyKpis", "MemberKpis", "convoy_kpis"),
-        "leaders": ("record_leader", "reference_speeds"),
-        "link": ("Link", "LinkQuality"),
-        "model": ("Convoy", "ConvoyGuard", "GAP_M", "convoy_members"),
+        "attack": (
+            "ATTACKED_HEADS",
+            "AttackArena",
+            "AttackCampaign",
+            "AttackCase",
+            "LONGEST_EMERGENCY_S",
+        ),
+        "drivers": (
+            "AbstractFollower",
+            "FOLLOWERS",
+            "register_follower",
+        ),
+        "drivers.learned": (
+            "AbstractGainFollower",
+            "FollowPolicyOptions",
+        ),
+        "env": (
+            "ConvoyTask",
+            "ConvoyTaskConfig",
+            "MAX_PERIODS",
+        ),
+        "headway": (
+            "ConvoyService",
+            "needed_gap_m",
+        ),
+        "kpis": (
+            "ConvoyKpis",
+            "MemberKpis",
+            "convoy_kpis",
+            "write_convoy",
+        ),
+        "leaders": (
+            "record_leader",
+            "reference_speeds",
+        ),
+        "model": (
+            "Convoy",
+            "ConvoyGuard",
+            "GAP_M",
+            "Link",
+            "LinkQuality",
+            "convoy_members",
+        ),
         "pettingzoo": ("ConvoyParallelEnv",),
         "request": ("ConvoyRequest",),
-        "rollout": ("ConvoyDrive", "ConvoyRollout", "HeadRun", "drive_convoy"),
+        "rollout": (
+            "ConvoyDrive",
+            "ConvoyRollout",
+            "HeadRun",
+            "drive_convoy",
+        ),
         "stability": ("speed_gains",),
     },
 )

@@ -17,8 +17,16 @@ from metropilot._typing import Array
 from metropilot.convoy.batch import advance_members, exchange_messages, gaps_m, observe_members, stack_rows
 from metropilot.convoy.drivers import FOLLOWERS
 from metropilot.convoy.leaders import recordings
-from metropilot.convoy.link import Channel, LinkQuality, Message
-from metropilot.convoy.model import FAR_M, Convoy, ConvoyGuard, Member, convoy_members
+from metropilot.convoy.model import (
+    FAR_M,
+    Channel,
+    Convoy,
+    ConvoyGuard,
+    LinkQuality,
+    Member,
+    Message,
+    convoy_members,
+)
 from metropilot.convoy.step import FollowerObservation, MemberState, ahead_of, at_departure
 from metropilot.physics import to_jax
 from metropilot.protection import spare_gap

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from metropilot._typing import Array
-from metropilot.convoy.link import Message
-from metropilot.convoy.model import FAR_M, Member
+from metropilot.convoy.model import FAR_M, Member, Message
 from metropilot.convoy.step import (
     UNLIMITED_MPS,
     FollowerObservation,
@@ -80,7 +79,7 @@ def exchange_messages(
         states: Leading axis N.
         now_s: Time.
         dt: Control period.
-        luck: Random numbers, shape (N, 2), see :func:`metropilot.convoy.link.transmit`.
+        luck: Random numbers, shape (N, 2), see :func:`metropilot.convoy.model.transmit`.
     """
     import jax
     import jax.numpy as jnp

@@ -14,8 +14,17 @@ from metropilot.control import Errors, incremental_pid
 from metropilot.convoy.batch import advance_members, exchange_messages, gaps_m, observe_members, stack_rows
 from metropilot.convoy.gains import chen2023b_state, gains_of
 from metropilot.convoy.leaders import recordings
-from metropilot.convoy.link import LinkQuality, Message, open_channel
-from metropilot.convoy.model import CONVOY_PERIOD_S, FAR_M, GAP_M, Convoy, Member, convoy_members
+from metropilot.convoy.model import (
+    CONVOY_PERIOD_S,
+    FAR_M,
+    GAP_M,
+    Convoy,
+    LinkQuality,
+    Member,
+    Message,
+    convoy_members,
+    open_channel,
+)
 from metropilot.convoy.step import MemberState, at_departure
 from metropilot.env import AbstractTask, ActionSpace, Transition
 from metropilot.physics import namespace, to_jax

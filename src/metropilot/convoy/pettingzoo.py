@@ -17,8 +17,7 @@ from metropilot.control import Errors, incremental_pid
 from metropilot.convoy.env import MAX_PERIODS, ConvoyTaskConfig, follow_terms
 from metropilot.convoy.gains import STATE, chen2023b_state, gains_of
 from metropilot.convoy.leaders import recordings
-from metropilot.convoy.link import LinkQuality
-from metropilot.convoy.model import Convoy, Member, convoy_members
+from metropilot.convoy.model import Convoy, LinkQuality, Member, convoy_members
 from metropilot.convoy.step import (
     UNLIMITED_MPS,
     FollowerObservation,

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from metropilot.convoy.drivers import FOLLOWERS, AbstractFollower
-from metropilot.convoy.link import Link
-from metropilot.convoy.model import GAP_M, Convoy, ConvoyGuard
+from metropilot.convoy.model import GAP_M, Convoy, ConvoyGuard, Link
 from metropilot.convoy.rollout import ConvoyDrive, HeadRun, drive_convoy
 from metropilot.errors import InputError, rename_fields
 from metropilot.evaluate import RunSpec, make_driver, with_options

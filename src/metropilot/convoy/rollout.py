@@ -12,8 +12,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from metropilot.convoy.drivers import AbstractFollower
-from metropilot.convoy.link import Link
-from metropilot.convoy.model import Convoy, Member, convoy_members
+from metropilot.convoy.model import Convoy, Link, Member, convoy_members
 from metropilot.convoy.step import (
     UNLIMITED_MPS,
     FollowerObservation,

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple, no_type_check
 
 from metropilot._typing import Array
-from metropilot.convoy.link import Channel, Message, open_channel, transmit
-from metropilot.convoy.model import FAR_M, Member
+from metropilot.convoy.model import FAR_M, Channel, Member, Message, open_channel, transmit
 from metropilot.physics import Command, State, at_rest, delay_steps, namespace
 from metropilot.protection import Memory as Watched
 from metropilot.protection import TrainAhead, at_start, spare_gap

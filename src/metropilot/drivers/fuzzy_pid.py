@@ -89,7 +89,7 @@ TUNED_FUZZY_PID: Mapping[str, float] = MappingProxyType(
     }
 )
 """Found on the base scenario of Cheng23 by differential evolution, 1200 runs
-(:func:`metropilot.evaluate.tracking_tuning.tune`)."""
+(:func:`metropilot.evaluate.tracking.tune`)."""
 
 
 def memberships(x: Array) -> Array:

@@ -53,7 +53,7 @@ TUNED_NEURAL_PID: Mapping[str, float] = MappingProxyType(
     }
 )
 """Found on the base scenario of Cheng23 by differential evolution, 1200 runs of three networks
-(:func:`metropilot.evaluate.tracking_tuning.tune`)."""
+(:func:`metropilot.evaluate.tracking.tune`)."""
 
 
 class Network(NamedTuple):

@@ -14,7 +14,7 @@ from metropilot.sim import Run
 
 TUNED_PID: Mapping[str, float] = MappingProxyType({"kp": 4.986, "ki": 1.4996, "kd": 0.1019})
 """Found on the base scenario of Cheng23 by differential evolution, 1200 runs
-(:func:`metropilot.evaluate.tracking_tuning.tune`)."""
+(:func:`metropilot.evaluate.tracking.tune`)."""
 
 
 @final

@@ -7,7 +7,7 @@ long as protection's bounds hold neither dead time nor lag, and the estimator fi
 acted upon, and the drive is the policy's own to the last bit. With a dead time or lag, in the bounds or
 found, or efforts that are off by more than ``LEAST`` and by more than doubt allows, the policy sees the state
 in which its command begins to act and the estimated plant, the station-stop braking follows the law
-of :mod:`metropilot.control.stopping`, and the ceiling is that of :mod:`metropilot.control.headroom`.
+of :mod:`metropilot.control.stopping`, and the ceiling is that of :mod:`metropilot.control.ceiling`.
 """
 
 from __future__ import annotations

@@ -68,8 +68,8 @@ if TYPE_CHECKING:
         build_tables,
         near_protection,
         near_track,
+        to_go_table,
     )
-    from metropilot.env.to_go import to_go_table
     from metropilot.env.tracking import (
         ReferenceCourse,
         TrackingView,
@@ -198,9 +198,19 @@ __getattr__, __dir__ = lazy_door(
             "NotchForceAction",
             "RegimeAction",
         ),
-        "assists": ("Assists", "apply_assists", "ceiling_mps2", "stop_options"),
+        "assists": (
+            "Assists",
+            "apply_assists",
+            "ceiling_mps2",
+            "stop_options",
+        ),
         "config": ("DrivingConfig",),
-        "driving": ("DriveState", "DrivingTask", "episode_of", "starts"),
+        "driving": (
+            "DriveState",
+            "DrivingTask",
+            "episode_of",
+            "starts",
+        ),
         "expert": (
             "EXPERT_RELEASE_SHARE",
             "EXPERT_SEGMENTS",
@@ -214,13 +224,38 @@ __getattr__, __dir__ = lazy_door(
             "expert_window",
             "next_expert_rate",
         ),
-        "expert_action": ("ExpertAction", "ExpertChoiceAction"),
-        "features": ("FEATURES", "FeatureContext", "OBSERVERS", "feature_context", "observe"),
-        "interface": ("AbstractTask", "ActionSpace", "TaskState", "Transition"),
-        "optima": ("Optima", "cached_optima", "optima_of"),
+        "expert_action": (
+            "ExpertAction",
+            "ExpertChoiceAction",
+        ),
+        "features": (
+            "FEATURES",
+            "FeatureContext",
+            "OBSERVERS",
+            "feature_context",
+            "observe",
+        ),
+        "interface": (
+            "AbstractTask",
+            "ActionSpace",
+            "TaskState",
+            "Transition",
+        ),
+        "optima": (
+            "Optima",
+            "cached_optima",
+            "optima_of",
+        ),
         "policy_interface": ("PolicyInterface",),
-        "randomization": ("DisturbanceDistribution", "StartDistribution"),
-        "registry": ("TASKS", "make_task", "task_config"),
+        "randomization": (
+            "DisturbanceDistribution",
+            "StartDistribution",
+        ),
+        "registry": (
+            "TASKS",
+            "make_task",
+            "task_config",
+        ),
         "rewards": (
             "AbstractTerm",
             "AccelerationComfort",
@@ -249,8 +284,8 @@ __getattr__, __dir__ = lazy_door(
             "build_tables",
             "near_protection",
             "near_track",
+            "to_go_table",
         ),
-        "to_go": ("to_go_table",),
         "tracking": (
             "ReferenceCourse",
             "TrackState",
@@ -262,7 +297,12 @@ __getattr__, __dir__ = lazy_door(
             "tracking_observation",
             "tracking_view",
         ),
-        "tracking_task": ("TrackingConfig", "TrackingRewards", "TrackingTask", "gains_of"),
+        "tracking_task": (
+            "TrackingConfig",
+            "TrackingRewards",
+            "TrackingTask",
+            "gains_of",
+        ),
         "worlds": (
             "DOMAIN_ASSISTS",
             "DOMAIN_OBSERVER",

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
         write_run_toml,
     )
     from metropilot.evaluate.gallery import front_figure, plan_figure
-    from metropilot.evaluate.indices import Indices, indices_of
     from metropilot.evaluate.kpis import (
         INTERVENTION_CHECK,
         JERK_CHECK,
@@ -31,8 +30,10 @@ if TYPE_CHECKING:
         STOP_CHECK,
         TIME_CHECK,
         Check,
+        Indices,
         Kpis,
         checks,
+        indices_of,
         kpis_of,
         outcome_words,
         verdict,
@@ -68,6 +69,7 @@ if TYPE_CHECKING:
     )
     from metropilot.evaluate.tracking import (
         JERK_WINDOW_S,
+        TUNABLE,
         TrackingController,
         TrackingKpis,
         TrackRecord,
@@ -75,8 +77,8 @@ if TYPE_CHECKING:
         track_course,
         tracking_kpis,
         tracking_score,
+        tune_driver,
     )
-    from metropilot.evaluate.tracking_tuning import TUNABLE, tune_driver
 
 __all__ = [
     "BLACK",
@@ -156,28 +158,63 @@ __all__ = [
 __getattr__, __dir__ = lazy_door(
     __name__,
     {
-        "comparison": ("Entry", "Interval", "Job", "best", "compare", "jobs"),
-        "driver_options": ("make_driver", "parse_driver", "parse_option", "option_defaults", "with_options"),
-        "folder": ("comparison_json", "copy_inputs", "write_comparison", "write_run", "write_run_toml"),
-        "gallery": ("front_figure", "plan_figure"),
-        "indices": ("Indices", "indices_of"),
+        "comparison": (
+            "Entry",
+            "Interval",
+            "Job",
+            "best",
+            "compare",
+            "jobs",
+        ),
+        "driver_options": (
+            "make_driver",
+            "option_defaults",
+            "parse_driver",
+            "parse_option",
+            "with_options",
+        ),
+        "folder": (
+            "comparison_json",
+            "copy_inputs",
+            "write_comparison",
+            "write_run",
+            "write_run_toml",
+        ),
+        "gallery": (
+            "front_figure",
+            "plan_figure",
+        ),
         "kpis": (
             "Check",
             "INTERVENTION_CHECK",
+            "Indices",
             "JERK_CHECK",
             "Kpis",
             "OVERSPEED_CHECK",
             "STOP_CHECK",
             "TIME_CHECK",
             "checks",
+            "indices_of",
             "kpis_of",
             "outcome_words",
             "verdict",
             "verdict_words",
         ),
-        "measures": ("comfort_band_shares", "command_variation", "max_jerk"),
-        "optimum": ("OPTIMUM_SPACING_M", "OPTIMUM_TOLERANCE", "Optimum", "optimum_of"),
-        "picture": ("draw_speed", "set_distance"),
+        "measures": (
+            "comfort_band_shares",
+            "command_variation",
+            "max_jerk",
+        ),
+        "optimum": (
+            "OPTIMUM_SPACING_M",
+            "OPTIMUM_TOLERANCE",
+            "Optimum",
+            "optimum_of",
+        ),
+        "picture": (
+            "draw_speed",
+            "set_distance",
+        ),
         "run_spec": (
             "POLICY",
             "RunSpec",
@@ -205,6 +242,7 @@ __getattr__, __dir__ = lazy_door(
         ),
         "tracking": (
             "JERK_WINDOW_S",
+            "TUNABLE",
             "TrackRecord",
             "TrackingController",
             "TrackingKpis",
@@ -212,7 +250,7 @@ __getattr__, __dir__ = lazy_door(
             "track_course",
             "tracking_kpis",
             "tracking_score",
+            "tune_driver",
         ),
-        "tracking_tuning": ("TUNABLE", "tune_driver"),
     },
 )

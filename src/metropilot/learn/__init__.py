@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from metropilot.learn.compile_cache import compiler_id, keep_compiled, trim_cache
     from metropilot.learn.config import (
         CONFIGS,
+        AbstractConfig,
         DDPGConfig,
         DQNConfig,
         NAFConfig,
@@ -18,9 +19,9 @@ if TYPE_CHECKING:
         SACConfig,
         TabularConfig,
         TeacherConfig,
+        config_from_mapping,
+        config_to_mapping,
     )
-    from metropilot.learn.config_base import AbstractConfig
-    from metropilot.learn.config_reading import config_from_mapping, config_to_mapping
     from metropilot.learn.environments import (
         Environments,
         random_actions,
@@ -30,7 +31,15 @@ if TYPE_CHECKING:
     from metropilot.learn.export import ExportReport, export_onnx
     from metropilot.learn.imitation.demonstrations import DemonstrationGenerator
     from metropilot.learn.imitation.train_state import imitation_spec
-    from metropilot.learn.loop import Loop, LoopState, PolicyEvaluation, default_evaluation, learn, make_loop
+    from metropilot.learn.loop import (
+        Loop,
+        LoopState,
+        PolicyEvaluation,
+        default_evaluation,
+        learn,
+        make_learner,
+        make_loop,
+    )
     from metropilot.learn.policy_evaluation import DrivingEvaluation
     from metropilot.learn.recipes import (
         PPO_BASE,
@@ -44,7 +53,6 @@ if TYPE_CHECKING:
         recipe,
         resumed_request,
     )
-    from metropilot.learn.registry import make_learner
     from metropilot.learn.run_store import (
         CHECKPOINT_FILE,
         HISTORY_FILE,
@@ -134,8 +142,13 @@ __getattr__, __dir__ = lazy_door(
     __name__,
     {
         "checkpoint": ("load_checkpoint",),
-        "compile_cache": ("compiler_id", "keep_compiled", "trim_cache"),
+        "compile_cache": (
+            "compiler_id",
+            "keep_compiled",
+            "trim_cache",
+        ),
         "config": (
+            "AbstractConfig",
             "CONFIGS",
             "DDPGConfig",
             "DQNConfig",
@@ -144,14 +157,30 @@ __getattr__, __dir__ = lazy_door(
             "SACConfig",
             "TabularConfig",
             "TeacherConfig",
+            "config_from_mapping",
+            "config_to_mapping",
         ),
-        "config_base": ("AbstractConfig",),
-        "config_reading": ("config_from_mapping", "config_to_mapping"),
-        "environments": ("Environments", "random_actions", "reset_environments", "step_environments"),
-        "export": ("ExportReport", "export_onnx"),
+        "environments": (
+            "Environments",
+            "random_actions",
+            "reset_environments",
+            "step_environments",
+        ),
+        "export": (
+            "ExportReport",
+            "export_onnx",
+        ),
         "imitation.demonstrations": ("DemonstrationGenerator",),
         "imitation.train_state": ("imitation_spec",),
-        "loop": ("Loop", "LoopState", "PolicyEvaluation", "default_evaluation", "learn", "make_loop"),
+        "loop": (
+            "Loop",
+            "LoopState",
+            "PolicyEvaluation",
+            "default_evaluation",
+            "learn",
+            "make_learner",
+            "make_loop",
+        ),
         "policy_evaluation": ("DrivingEvaluation",),
         "recipes": (
             "PPO_BASE",
@@ -165,7 +194,6 @@ __getattr__, __dir__ = lazy_door(
             "recipe",
             "resumed_request",
         ),
-        "registry": ("make_learner",),
         "run_store": (
             "CHECKPOINT_FILE",
             "HISTORY_FILE",

@@ -1,19 +1,137 @@
 """Configuration of learning: one frozen dataclass a learner.
 
-The CLI, the docs and the run record are derived from them; :mod:`metropilot.learn.config_reading` reads them.
+The CLI, the docs and the run record are derived from them; :mod:`metropilot.learn.config` reads them.
 """
 
 from __future__ import annotations
 
+import difflib
 import math
-from dataclasses import dataclass
-from typing import ClassVar, Literal
+from abc import ABC
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
 from metropilot.errors import InputError
-from metropilot.learn.config_base import AbstractConfig, AbstractReplayConfig, Keep
 from metropilot.learn.networks import Initialiser
-from metropilot.learn.schedules import Schedule, Scheduled, highest
+from metropilot.learn.schedules import Schedule, Scheduled, highest, lowest, read_schedule
 from metropilot.policy import Activation
+
+Keep = Literal["best", "last"]
+
+
+@dataclass(frozen=True)
+class AbstractConfig(ABC):
+    """Configuration that every learner shares.
+
+    Attributes:
+        steps: Environment steps in all, over all environments.
+        environments: Number of environments side by side.
+        evaluations: Learning is cut into this many chunks; after each the policy is evaluated and may be
+            saved.
+        evaluation_episodes: Episodes of one evaluation, always the same ones.
+        evaluation_steps: Steps at which an evaluation episode is cut off.
+        keep: ``best``: the policy with the highest evaluation score, the earlier one of equals; ``last``: the
+            last.
+        gamma: Discount; 1 is fine for episodes that end.
+        reward_factor: Every reward is multiplied by it.
+        reward_scaling: Divide rewards by the running deviation of the discounted return (Chen23a eq. 23).
+        normalise_observations: Subtract the running mean and divide by the running deviation.
+        hidden: Widths of the hidden layers.
+        activation: Between the layers.
+        initialiser: Initialiser of the weights.
+        max_gradient_norm: Longer gradients are shortened to this.
+    """
+
+    algorithm: ClassVar[str]
+
+    steps: int = 100_000
+    environments: int = 8
+    evaluations: int = 20
+    evaluation_episodes: int = 16
+    evaluation_steps: int = 1_000
+    keep: Keep = "best"
+    gamma: float = 0.99
+    reward_factor: float = 1.0
+    reward_scaling: bool = False
+    normalise_observations: bool = False
+    hidden: tuple[int, ...] = (64, 64)
+    activation: Activation = "tanh"
+    initialiser: Initialiser = "orthogonal"
+    max_gradient_norm: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse numbers outside their range."""
+        for name in ("steps", "environments", "evaluations", "evaluation_episodes", "evaluation_steps"):
+            self.within(name, 1, math.inf)
+        self.within("gamma", 0.0, 1.0)
+        for name, choices in (("keep", Keep), ("activation", Activation), ("initialiser", Initialiser)):
+            self.one_of(name, get_args(choices))
+        for width in self.hidden:
+            if width < 1:
+                raise InputError("width out of range", field="hidden", value=width, allowed="at least 1")
+
+    def within(self, name: str, low: int | float, high: int | float, *, open_low: bool = False) -> None:
+        """Raise InputError unless a field lies in [low, high]; ``open_low``: above low."""
+        value = getattr(self, name)
+        if value is None:
+            return
+        below = lowest(value) <= low if open_low else lowest(value) < low
+        if below or highest(value) > high or math.isnan(lowest(value)):
+            scheduled = isinstance(value, Schedule)
+            words = (
+                f"schedule out of range, {value.start:g} to {value.end:g}" if scheduled else "out of range"
+            )
+            least = "above" if open_low else "at least"
+            allowed = f"{least} {low:.12g}" + ("" if high == math.inf else f", at most {high:.12g}")
+            raise InputError(words, field=name, value=None if scheduled else value, allowed=allowed)
+
+    def one_of(self, name: str, choices: tuple[str, ...]) -> None:
+        """Raise InputError unless a field is one of the choices."""
+        if getattr(self, name) not in choices:
+            raise InputError(
+                "unknown choice", field=name, value=getattr(self, name), allowed=", ".join(choices)
+            )
+
+
+@dataclass(frozen=True)
+class AbstractReplayConfig(AbstractConfig):
+    """Configuration that learners with a replay memory share besides.
+
+    Attributes:
+        collect: Steps of each environment between updates.
+        updates: Gradient steps after each.
+        buffer_size: Transitions kept.
+        batch_size: Transitions of one gradient step.
+        warmup: Environment steps with random actions before the first.
+        n_step: Rewards summed before the value of a later state stands for the rest.
+        tau: Share by which the target network follows at every gradient step.
+    """
+
+    environments: int = 1
+    collect: int = 1
+    updates: int = 1
+    buffer_size: int = 100_000
+    batch_size: int = 64
+    warmup: int = 1_000
+    n_step: int = 1
+    tau: float = 0.005
+
+    def __post_init__(self) -> None:
+        """Refuse numbers outside their range, and a buffer that is not filled evenly."""
+        super().__post_init__()
+        for name in ("collect", "updates", "buffer_size", "batch_size", "warmup", "n_step"):
+            self.within(name, 1, math.inf)
+        self.within("tau", 0.0, 1.0, open_low=True)
+        if self.buffer_size % self.environments:
+            allowed = f"a multiple of environments = {self.environments}"
+            raise InputError(
+                "does not fill evenly", field="buffer_size", value=self.buffer_size, allowed=allowed
+            )
+        if self.n_step > 1 and self.warmup < self.n_step * self.environments:
+            allowed = f"at least n_step x environments = {self.n_step * self.environments}"
+            raise InputError("too short", field="warmup", value=self.warmup, allowed=allowed)
+
 
 BETA_ANNEALING = Schedule(0.4, 1.0)
 EPSILON_DECAY = Schedule(1.0, 0.05, over=0.3)
@@ -311,3 +429,91 @@ CONFIGS: dict[str, type[AbstractConfig]] = {
     kind.algorithm: kind
     for kind in (DDPGConfig, DQNConfig, NAFConfig, PPOConfig, SACConfig, TabularConfig, TeacherConfig)
 }
+
+
+LARGEST = 10**18
+
+
+def config_from_mapping(algorithm: str, values: Mapping[str, Any], *, file: object = None) -> AbstractConfig:
+    """A learner's configuration from plain values, as they stand in TOML or JSON.
+
+    Args:
+        algorithm: ``ddpg dqn naf ppo sac tabular``.
+        values: Fields by name; whatever is missing keeps its default.
+        file: Named in error messages.
+
+    Raises:
+        InputError: An algorithm or key that does not exist (the nearest is named), a wrong type or range.
+    """
+    if algorithm not in CONFIGS:
+        known = ", ".join(sorted(CONFIGS))
+        raise InputError("unknown algorithm", file=file, field="algorithm", value=algorithm, allowed=known)
+    try:
+        return change_config(CONFIGS[algorithm](), values)
+    except InputError as error:
+        if file is None:
+            raise
+        story = {"field": error.field, "value": error.value, "allowed": error.allowed}
+        raise InputError(error.message, file=file, **story) from None
+
+
+def change_config(config: AbstractConfig, values: Mapping[str, Any]) -> AbstractConfig:
+    """A configuration with some of its fields set from plain values.
+
+    Raises:
+        InputError: A key that does not exist (the nearest is named), a wrong type or range.
+    """
+    every = get_type_hints(type(config))
+    hints = {field.name: every[field.name] for field in fields(config)}
+    return replace(config, **{key: _read(key, value, hints) for key, value in values.items()})
+
+
+def config_to_mapping(config: AbstractConfig) -> dict[str, Any]:
+    """Every field as a plain value, None left out; :func:`config_from_mapping` reads it back."""
+    plain = {key: value for key, value in asdict(config).items() if value is not None}
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in plain.items()}
+
+
+def _read(key: str, value: Any, hints: Mapping[str, Any]) -> Any:
+    """One value as the type of its field."""
+    if key not in hints:
+        near = difflib.get_close_matches(key, hints, n=1, cutoff=0.0)[0]
+        raise InputError(f"unknown key, the nearest is {near!r}", field=str(key))
+    if not _countable(value):
+        raise InputError("out of range", field=key, allowed=f"whole numbers below {LARGEST:.0e}")
+    return _convert(key, value, hints[key])
+
+
+def _countable(value: Any) -> bool:
+    """Tell if every whole number in a value has a float; larger ones than that no learner counts to."""
+    todo = [value]
+    while todo:
+        found = todo.pop()
+        if isinstance(found, Mapping | list | tuple):
+            todo += found.values() if isinstance(found, Mapping) else found
+        elif isinstance(found, int) and abs(found) > LARGEST:
+            return False
+    return True
+
+
+def _convert(key: str, value: Any, hint: Any) -> Any:
+    """A value if it is of the type, lists as tuples and whole numbers as floats where such are wanted."""
+    if hint == Scheduled:
+        return read_schedule(key, value)
+    if get_origin(hint) is tuple:
+        items = value if isinstance(value, list | tuple) else [value]
+        return tuple(_convert(key, item, get_args(hint)[0]) for item in items)
+    if get_origin(hint) is Literal:
+        kind, fits = "one of " + ", ".join(get_args(hint)), value in get_args(hint)
+    elif hint is bool:
+        kind, fits = "true or false", isinstance(value, bool)
+    elif hint is int:
+        kind, fits = "a whole number", isinstance(value, int) and not isinstance(value, bool)
+    else:
+        if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+            return float(value)
+        optional = hint == float | None
+        kind, fits = "a number" + (" or nothing" if optional else ""), optional and value is None
+    if not fits:
+        raise InputError("wrong type or choice", field=key, value=repr(value), allowed=kind)
+    return value

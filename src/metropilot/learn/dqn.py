@@ -13,11 +13,10 @@ import jax.numpy as jnp
 from metropilot._typing import Array
 from metropilot.env import AbstractTask
 from metropilot.learn.config import DQNConfig
-from metropilot.learn.distributions import mask_values
 from metropilot.learn.environments import random_choices
 from metropilot.learn.learner import needs_choices
 from metropilot.learn.losses import dqn as losses
-from metropilot.learn.networks import MLP
+from metropilot.learn.networks import MLP, mask_values
 from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
 from metropilot.learn.schedules import value_at

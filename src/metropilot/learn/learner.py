@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from metropilot._typing import Array
 from metropilot.env import AbstractTask
 from metropilot.errors import InputError
-from metropilot.learn.config_base import AbstractConfig
+from metropilot.learn.config import AbstractConfig
 from metropilot.learn.environments import Finished
 from metropilot.learn.statistics import Moments, deviation
 from metropilot.policy import Params, PolicySpec

@@ -18,10 +18,42 @@ import jax.numpy as jnp
 from metropilot._typing import Array
 from metropilot.env import AbstractTask
 from metropilot.learn import environments as env
-from metropilot.learn.config_base import AbstractConfig
+from metropilot.learn.config import (
+    AbstractConfig,
+    DDPGConfig,
+    DQNConfig,
+    NAFConfig,
+    PPOConfig,
+    SACConfig,
+    TabularConfig,
+)
+from metropilot.learn.ddpg import DDPG
+from metropilot.learn.dqn import DQN
 from metropilot.learn.learner import AbstractLearner, LearnerState
-from metropilot.learn.registry import make_learner
+from metropilot.learn.naf import NAF
+from metropilot.learn.ppo import PPO
+from metropilot.learn.sac import SAC
+from metropilot.learn.tabular import TabularQ
 from metropilot.policy import Params, Policy, act
+
+LEARNERS: dict[type[AbstractConfig], Callable[[Any, AbstractTask], AbstractLearner[Any]]] = {
+    DDPGConfig: DDPG,
+    DQNConfig: DQN,
+    NAFConfig: NAF,
+    PPOConfig: PPO,
+    SACConfig: SAC,
+    TabularConfig: TabularQ,
+}
+
+
+def make_learner(config: AbstractConfig, task: AbstractTask) -> AbstractLearner[Any]:
+    """The learner of a configuration on a task.
+
+    Raises:
+        InputError: The learner does not take this kind of action.
+    """
+    return LEARNERS[type(config)](config, task)
+
 
 # What evaluates a policy: its parameters and a key in; numbers of shape () out, among them "score".
 PolicyEvaluation = Callable[[Params, Array], dict[str, Array]]

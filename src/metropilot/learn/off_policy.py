@@ -18,7 +18,7 @@ from metropilot._typing import Array
 from metropilot.env import AbstractTask
 from metropilot.learn import environments as env
 from metropilot.learn import replay
-from metropilot.learn.config_base import AbstractReplayConfig
+from metropilot.learn.config import AbstractReplayConfig
 from metropilot.learn.learner import AbstractLearner, LearnerReport, observation_entries
 from metropilot.learn.schedules import value_at
 from metropilot.learn.statistics import (

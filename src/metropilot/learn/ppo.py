@@ -17,7 +17,10 @@ from metropilot._typing import Array
 from metropilot.env import AbstractTask
 from metropilot.learn import environments as env
 from metropilot.learn.config import PPOConfig
-from metropilot.learn.distributions import (
+from metropilot.learn.learner import AbstractLearner, LearnerReport, observation_entries
+from metropilot.learn.losses import ppo as losses
+from metropilot.learn.networks import (
+    MLP,
     categorical_entropy,
     categorical_log_prob,
     floored_std,
@@ -25,9 +28,6 @@ from metropilot.learn.distributions import (
     gaussian_log_prob,
     mask_values,
 )
-from metropilot.learn.learner import AbstractLearner, LearnerReport, observation_entries
-from metropilot.learn.losses import ppo as losses
-from metropilot.learn.networks import MLP
 from metropilot.learn.optimiser import AdamState, adam_init, adam_step
 from metropilot.learn.replay import RowLayout
 from metropilot.learn.schedules import value_at

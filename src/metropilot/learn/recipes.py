@@ -13,15 +13,15 @@ from metropilot._registry import Registry, RegistryRow, did_you_mean
 from metropilot.env import DrivingConfig, NotchAction, task_config
 from metropilot.errors import InputError
 from metropilot.learn.config import (
+    AbstractConfig,
     DDPGConfig,
     NAFConfig,
     PPOConfig,
     SACConfig,
     TabularConfig,
     TeacherConfig,
+    change_config,
 )
-from metropilot.learn.config_base import AbstractConfig
-from metropilot.learn.config_reading import change_config
 from metropilot.learn.schedules import Schedule
 from metropilot.policy import load_policy, shipped_policy
 
@@ -145,8 +145,8 @@ def evaluation_of(request: RunRequest) -> PolicyEvaluation:
     from metropilot.env import DrivingTask
     from metropilot.learn.imitation.train_state import imitation_spec
     from metropilot.learn.imitation.training import require_random_sections
+    from metropilot.learn.loop import make_learner
     from metropilot.learn.policy_evaluation import DrivingEvaluation
-    from metropilot.learn.registry import make_learner
 
     task = request.task
     if not isinstance(task, DrivingTask):

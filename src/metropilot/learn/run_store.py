@@ -25,8 +25,7 @@ import numpy as np
 from metropilot._io import atomic_write, is_locked, open_database
 from metropilot._provenance import LEARNING, commit, machine, versions
 from metropilot.errors import InputError
-from metropilot.learn.config_base import AbstractConfig
-from metropilot.learn.config_reading import config_from_mapping, config_to_mapping
+from metropilot.learn.config import AbstractConfig, config_from_mapping, config_to_mapping
 
 Status = Literal["running", "interrupted", "done", "failed"]
 INDEX_FILE = "index.sqlite"

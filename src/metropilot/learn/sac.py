@@ -11,10 +11,9 @@ from metropilot._typing import Array
 from metropilot.env import AbstractTask
 from metropilot.learn.config import SACConfig
 from metropilot.learn.ddpg import subset
-from metropilot.learn.distributions import squashed_sample
 from metropilot.learn.learner import needs_continuous
 from metropilot.learn.losses import sac as losses
-from metropilot.learn.networks import MLP
+from metropilot.learn.networks import MLP, squashed_sample
 from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
 from metropilot.learn.schedules import value_at

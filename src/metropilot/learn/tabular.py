@@ -12,9 +12,9 @@ from metropilot.env import AbstractTask
 from metropilot.errors import InputError
 from metropilot.learn import environments as env
 from metropilot.learn.config import TabularConfig
-from metropilot.learn.distributions import mask_values
 from metropilot.learn.learner import AbstractLearner, LearnerReport, needs_choices
 from metropilot.learn.losses import tabular as losses
+from metropilot.learn.networks import mask_values
 from metropilot.learn.schedules import value_at
 from metropilot.policy import Params, PolicySpec, table_cell
 

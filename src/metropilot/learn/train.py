@@ -17,9 +17,7 @@ from metropilot.env import AbstractTask, DrivingTask, PolicyInterface
 from metropilot.errors import InputError
 from metropilot.learn.checkpoint import load_checkpoint, save_checkpoint
 from metropilot.learn.compile_cache import keep_compiled
-from metropilot.learn.config import TeacherConfig
-from metropilot.learn.config_base import AbstractConfig
-from metropilot.learn.config_reading import config_to_mapping
+from metropilot.learn.config import AbstractConfig, TeacherConfig, config_to_mapping
 from metropilot.learn.loop import PolicyEvaluation, make_loop
 from metropilot.learn.run_store import CHECKPOINT_FILE, HISTORY_FILE, RunRecord, RunStore, write_history
 from metropilot.learn.tensorboard import EventWriter

@@ -8,10 +8,8 @@ from metropilot._lazy import lazy_door
 
 if TYPE_CHECKING:
     from metropilot.sim.bounds import MASS_SCATTER, declared_bounds
-    from metropilot.sim.disturbance import NOISE_CUT, Disturbance, TimetableUpdate
+    from metropilot.sim.disturbance import NOISE_CUT, Disturbance, TimetableUpdate, true_vehicle
     from metropilot.sim.driver import DRIVER_REGISTRY, AbstractDriver, register
-    from metropilot.sim.mismatch import true_vehicle
-    from metropilot.sim.nominal import NominalDrive, simulate_nominal
     from metropilot.sim.outcome import (
         CODES,
         NEVER_ENDS,
@@ -21,8 +19,7 @@ if TYPE_CHECKING:
         OutcomeRule,
         final_outcome,
     )
-    from metropilot.sim.recorder import Recorder, build_trajectory, train_limit_at, train_limits_at
-    from metropilot.sim.rollout import Drive, Moment, Rollout, drive
+    from metropilot.sim.rollout import Drive, Moment, NominalDrive, Rollout, drive, simulate_nominal
     from metropilot.sim.run import (
         CONTROL_PERIOD_S,
         PUNCTUALITY_S,
@@ -43,7 +40,18 @@ if TYPE_CHECKING:
         overspeed_in_period,
         running_time,
     )
-    from metropilot.sim.trajectory import COASTING, COLUMNS, PHASES, STANDSTILL, Trajectory, phase_names
+    from metropilot.sim.trajectory import (
+        COASTING,
+        COLUMNS,
+        PHASES,
+        STANDSTILL,
+        Recorder,
+        Trajectory,
+        build_trajectory,
+        phase_names,
+        train_limit_at,
+        train_limits_at,
+    )
 
 __all__ = [
     "COASTING",
@@ -99,11 +107,21 @@ __all__ = [
 __getattr__, __dir__ = lazy_door(
     __name__,
     {
-        "bounds": ("MASS_SCATTER", "declared_bounds"),
-        "disturbance": ("Disturbance", "NOISE_CUT", "TimetableUpdate"),
-        "driver": ("AbstractDriver", "DRIVER_REGISTRY", "register"),
-        "mismatch": ("true_vehicle",),
-        "nominal": ("NominalDrive", "simulate_nominal"),
+        "bounds": (
+            "MASS_SCATTER",
+            "declared_bounds",
+        ),
+        "disturbance": (
+            "Disturbance",
+            "NOISE_CUT",
+            "TimetableUpdate",
+            "true_vehicle",
+        ),
+        "driver": (
+            "AbstractDriver",
+            "DRIVER_REGISTRY",
+            "register",
+        ),
         "outcome": (
             "CODES",
             "Episode",
@@ -113,9 +131,22 @@ __getattr__, __dir__ = lazy_door(
             "RUNNING",
             "final_outcome",
         ),
-        "recorder": ("Recorder", "build_trajectory", "train_limit_at", "train_limits_at"),
-        "rollout": ("Drive", "Moment", "Rollout", "drive"),
-        "run": ("CONTROL_PERIOD_S", "Observation", "Outcome", "PUNCTUALITY_S", "Run", "STOP_TOLERANCE_M"),
+        "rollout": (
+            "Drive",
+            "Moment",
+            "NominalDrive",
+            "Rollout",
+            "drive",
+            "simulate_nominal",
+        ),
+        "run": (
+            "CONTROL_PERIOD_S",
+            "Observation",
+            "Outcome",
+            "PUNCTUALITY_S",
+            "Run",
+            "STOP_TOLERANCE_M",
+        ),
         "step": (
             "PeriodRecord",
             "RunParams",
@@ -128,6 +159,17 @@ __getattr__, __dir__ = lazy_door(
             "overspeed_in_period",
             "running_time",
         ),
-        "trajectory": ("COASTING", "COLUMNS", "PHASES", "STANDSTILL", "Trajectory", "phase_names"),
+        "trajectory": (
+            "COASTING",
+            "COLUMNS",
+            "PHASES",
+            "Recorder",
+            "STANDSTILL",
+            "Trajectory",
+            "build_trajectory",
+            "phase_names",
+            "train_limit_at",
+            "train_limits_at",
+        ),
     },
 )

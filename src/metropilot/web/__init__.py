@@ -18,8 +18,18 @@ __getattr__, __dir__ = lazy_door(
     __name__,
     {
         "errors": ("install",),
-        "schemas.requests": ("DriveIn", "request_of"),
-        "server": ("make_api", "make_app", "serve"),
-        "settings": ("Settings", "data_folder"),
+        "schemas.requests": (
+            "DriveIn",
+            "request_of",
+        ),
+        "server": (
+            "make_api",
+            "make_app",
+            "serve",
+        ),
+        "settings": (
+            "Settings",
+            "data_folder",
+        ),
     },
 )

@@ -13,10 +13,10 @@ from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
 from metropilot.evaluate import option_defaults
 from metropilot.railway import Line, Trainset, list_lines, list_trainsets, load_line, load_trainset
-from metropilot.web.refusals import Refused
+from metropilot.web.errors import Refused
 from metropilot.web.service import Service
 from metropilot.web.work.learning import PROGRESS
-from metropilot.web.work.plain import numbers, pieces, station
+from metropilot.web.work.plans import numbers, pieces, station
 
 
 def line_rows(service: Service) -> list[dict[str, Any]]:

@@ -15,9 +15,9 @@ from typing import Any
 from pebble import ProcessExpired, ProcessPool
 
 from metropilot.errors import MetropilotError
-from metropilot.web.refusals import Refused
+from metropilot.web.errors import Refused
 from metropilot.web.settings import Settings
-from metropilot.web.work.setup import begin
+from metropilot.web.work.plans import begin
 
 BUSY = 16
 """Direct answers that may wait for the one worker; more are refused (429)."""

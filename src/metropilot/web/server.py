@@ -14,7 +14,7 @@ from starlette.types import ASGIApp
 import metropilot
 from metropilot.web import errors
 from metropilot.web.api import catalogue, docs, jobs, live, planning
-from metropilot.web.refusals import Refused
+from metropilot.web.errors import Refused
 from metropilot.web.schemas.responses import Health
 from metropilot.web.security import Guard
 from metropilot.web.service import Service

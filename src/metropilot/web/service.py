@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 from metropilot.errors import InputError
 from metropilot.evaluate import POLICY, RunSpec
 from metropilot.policy import POLICY_FILE
+from metropilot.web.errors import Refused, detail_of
 from metropilot.web.live.session import Session, Spare, start_spare
 from metropilot.web.pools import Pools, explain
-from metropilot.web.refusals import Refused, detail_of
 from metropilot.web.schemas.requests import (
     CompareIn,
     ConvoyIn,

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from metropilot._io import open_database
-from metropilot.web.refusals import Refused
+from metropilot.web.errors import Refused
 
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS jobs (

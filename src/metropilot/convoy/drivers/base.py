@@ -3,12 +3,56 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar
+from typing import Any, ClassVar, no_type_check
 
 from metropilot._registry import Registry
 from metropilot._typing import Scalar
 from metropilot.convoy.step import FollowerObservation
-from metropilot.physics import Vehicle
+from metropilot.physics import Vehicle, effort_at, namespace, resistance_and_gradient
+
+LIMIT_S = 1.0
+"""Time constant with which a follower approaches the permitted speed."""
+UNDER_MPS = 0.05
+"""Margin of a follower below the permitted speed."""
+STILL_MPS = 0.02
+STILL_M = 0.1
+
+
+@no_type_check
+def command_for(observation: FollowerObservation, wanted_mps2: Scalar) -> Scalar:
+    """The command that gives an acceleration on the nominal plant; holding brakes at standstill."""
+    xp = namespace(observation.position_m, wanted_mps2)
+    vehicle = observation.vehicle
+    allowed = (observation.permitted_mps - UNDER_MPS - observation.speed_mps) / LIMIT_S
+    wanted = xp.minimum(wanted_mps2, allowed)
+    resistance, gradient = resistance_and_gradient(
+        vehicle, observation.track, observation.position_m, observation.speed_mps
+    )
+    force = vehicle.effective_mass_kg * wanted + resistance + gradient
+    effort = effort_at(vehicle, observation.speed_mps)
+    available = xp.where(force >= 0.0, effort.traction_n, effort.brake_n)
+    share = xp.clip(force / xp.maximum(available, 1.0), -1.0, 1.0)
+    return xp.where(waits(observation), -0.3, share)
+
+
+@no_type_check
+def waits(observation: FollowerObservation) -> Scalar:
+    """True if both trainsets stand and the gap is closed up, so that the follower holds its brakes."""
+    near = observation.gap_m <= observation.wanted_gap_m + STILL_M
+    return (observation.speed_mps <= STILL_MPS) & (observation.ahead_mps <= STILL_MPS) & near
+
+
+@no_type_check
+def reachable(observation: FollowerObservation) -> tuple[Scalar, Scalar]:
+    """Accelerations under the commands -1 and 1 at this position and speed, m/s^2."""
+    vehicle = observation.vehicle
+    resistance, gradient = resistance_and_gradient(
+        vehicle, observation.track, observation.position_m, observation.speed_mps
+    )
+    effort = effort_at(vehicle, observation.speed_mps)
+    low = (-effort.brake_n - resistance - gradient) / vehicle.effective_mass_kg
+    return low, (effort.traction_n - resistance - gradient) / vehicle.effective_mass_kg
+
 
 Memory = Any
 

@@ -8,8 +8,7 @@ from typing import NamedTuple, final, no_type_check
 import numpy as np
 
 from metropilot._typing import Scalar
-from metropilot.convoy.drivers.base import AbstractFollower
-from metropilot.convoy.drivers.motion import command_for
+from metropilot.convoy.drivers.base import AbstractFollower, command_for
 from metropilot.convoy.step import FollowerObservation
 from metropilot.errors import InputError
 from metropilot.physics import Vehicle, namespace

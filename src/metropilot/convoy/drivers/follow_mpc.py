@@ -16,8 +16,7 @@ import numpy as np
 from numpy import ndarray
 
 from metropilot._typing import Scalar
-from metropilot.convoy.drivers.base import AbstractFollower
-from metropilot.convoy.drivers.motion import command_for, reachable
+from metropilot.convoy.drivers.base import AbstractFollower, command_for, reachable
 from metropilot.convoy.step import FollowerObservation
 from metropilot.errors import InputError
 from metropilot.physics import Vehicle, namespace, scalars

@@ -9,8 +9,7 @@ import numpy as np
 
 from metropilot._typing import Scalar
 from metropilot.control import Errors, Gains, incremental_pid
-from metropilot.convoy.drivers.base import AbstractFollower
-from metropilot.convoy.drivers.motion import waits
+from metropilot.convoy.drivers.base import AbstractFollower, waits
 from metropilot.convoy.gains import GAIN_HIGH, GAIN_LOW
 from metropilot.convoy.step import FollowerObservation
 from metropilot.errors import InputError

@@ -24,12 +24,13 @@ from metropilot.errors import InputError
 from metropilot.learn.compile_cache import keep_compiled
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.imitation.closed_loop import ClosedLoop
-from metropilot.learn.imitation.demonstration_files import (
+from metropilot.learn.imitation.demonstrations import (
+    SPACING_M,
+    Demonstrations,
     DemonstrationSet,
     collect_missing,
     load_demonstrations,
 )
-from metropilot.learn.imitation.demonstrations import SPACING_M, Demonstrations
 from metropilot.learn.imitation.train_state import (
     TrainState,
     apply_gradient,

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from metropilot.learn.distributions import mask_values
+from metropilot.learn.networks import mask_values
 
 
 def td_target(

@@ -10,7 +10,7 @@ from typing import Any
 from fastapi import APIRouter, FastAPI
 from fastapi.responses import HTMLResponse
 
-from metropilot.web.refusals import plain
+from metropilot.web.errors import plain
 
 STYLE = """
 :root { color-scheme: light dark; --line: #8885; --soft: #888; }

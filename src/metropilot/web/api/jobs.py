@@ -9,7 +9,7 @@ from fastapi.responses import FileResponse, Response
 
 from metropilot.web import catalogue
 from metropilot.web.api.catalogue import Key
-from metropilot.web.refusals import Refused
+from metropilot.web.errors import Refused
 from metropilot.web.schemas.requests import CompareIn, DriveIn, LearnIn, StudyIn
 from metropilot.web.schemas.responses import (
     CompareOut,

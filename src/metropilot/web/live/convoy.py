@@ -8,7 +8,7 @@ from typing import Any
 from metropilot.convoy import ConvoyRequest, ConvoyRollout, Link, convoy_kpis, write_convoy
 from metropilot.errors import InputError
 from metropilot.protection import LEVELS
-from metropilot.web.work.plain import numbers, station, window
+from metropilot.web.work.plans import numbers, station, window
 
 Event = dict[str, Any]
 SILENT = float("inf")

@@ -20,10 +20,9 @@ from metropilot.protection import LEVELS, permitted_speed, protect
 from metropilot.railway import Restriction
 from metropilot.sim import PUNCTUALITY_S, Moment, Rollout, TimetableUpdate, declared_bounds
 from metropilot.units import KMH_PER_MPS
-from metropilot.web.refusals import Refused
+from metropilot.web.errors import Refused
 from metropilot.web.work.drives import drive_out
-from metropilot.web.work.plain import numbers, station, window
-from metropilot.web.work.plans import work_j
+from metropilot.web.work.plans import numbers, station, window, work_j
 
 HAND_S = 3.0
 """Manual driving ends unless the holder of the lever renews it within this time."""

@@ -16,9 +16,9 @@ from time import monotonic
 from traceback import print_exception
 from typing import Any, cast
 
+from metropilot.web.errors import FIELDS, Refused, detail_of
 from metropilot.web.live.worker import main
 from metropilot.web.pools import explain
-from metropilot.web.refusals import FIELDS, Refused, detail_of
 
 ANSWER_S = 10.0
 """Longest wait for the process of a run: for its start, an answer, its end."""

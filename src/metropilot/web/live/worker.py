@@ -10,9 +10,9 @@ from traceback import print_exception
 from typing import TYPE_CHECKING, Any
 
 from metropilot.errors import MetropilotError
+from metropilot.web.errors import detail_of
 from metropilot.web.pools import explain
-from metropilot.web.refusals import detail_of
-from metropilot.web.work.setup import begin
+from metropilot.web.work.plans import begin
 
 if TYPE_CHECKING:
     from metropilot.web.live.convoy import ConvoyEngine

@@ -10,6 +10,7 @@ from nicegui import ui
 from metropilot.errors import MetropilotError
 from metropilot.units import J_PER_KWH
 from metropilot.web import catalogue
+from metropilot.web.errors import Refused
 from metropilot.web.pages.form import (
     DisturbanceForm,
     SectionForm,
@@ -21,7 +22,6 @@ from metropilot.web.pages.form import (
 )
 from metropilot.web.pages.frame import card, empty, frame, links, number, refresh_while, table
 from metropilot.web.pages.plots import blank, compare_figure, front_figure
-from metropilot.web.refusals import Refused
 from metropilot.web.schemas.requests import CompareIn
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow

@@ -11,12 +11,12 @@ from metropilot.convoy import FOLLOWERS
 from metropilot.errors import MetropilotError
 from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
+from metropilot.web.errors import Refused
 from metropilot.web.pages.drive import checks_table
 from metropilot.web.pages.form import SectionForm, driver_choice, driver_names, number_field, validate
 from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, table
 from metropilot.web.pages.plots import convoy_figure, driven_convoy_figure
 from metropilot.web.pages.strip import section_strip
-from metropilot.web.refusals import Refused
 from metropilot.web.schemas.requests import ConvoyIn, NewLink
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow

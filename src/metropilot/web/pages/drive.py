@@ -12,6 +12,7 @@ from metropilot.errors import InputError, MetropilotError
 from metropilot.railway import RESTRICTION_KMH
 from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
+from metropilot.web.errors import Refused
 from metropilot.web.live.session import Session
 from metropilot.web.pages.form import (
     DisturbanceForm,
@@ -26,7 +27,6 @@ from metropilot.web.pages.frame import Problem, card, frame, links, number, read
 from metropilot.web.pages.plots import drive_figure, plan_figure, run_figure
 from metropilot.web.pages.runs import RunList
 from metropilot.web.pages.strip import line_strip, section_strip
-from metropilot.web.refusals import Refused
 from metropilot.web.schemas.requests import LiveIn, NewArrival, NewRestriction
 from metropilot.web.service import RESUMABLE, Service
 from metropilot.web.store import JobRow

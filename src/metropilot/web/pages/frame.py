@@ -12,7 +12,7 @@ from nicegui import Client, ui
 from nicegui.slot import Slot
 
 from metropilot.errors import MetropilotError
-from metropilot.web.refusals import detail_of
+from metropilot.web.errors import detail_of
 
 PAGES = (
     ("/", "Drive"),

@@ -10,10 +10,10 @@ from nicegui import run, ui
 
 from metropilot.errors import MetropilotError
 from metropilot.web import catalogue
+from metropilot.web.errors import Refused
 from metropilot.web.pages.form import number_field, validate
 from metropilot.web.pages.frame import Problem, card, empty, frame, number, refresh_while, table
 from metropilot.web.pages.plots import blank, history_figure
-from metropilot.web.refusals import Refused
 from metropilot.web.schemas.requests import LearnIn, StudyIn
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow

@@ -10,10 +10,10 @@ from nicegui import events, ui
 from metropilot.errors import MetropilotError
 from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
+from metropilot.web.errors import detail_of
 from metropilot.web.pages.frame import card, empty, frame, heading, number, table
 from metropilot.web.pages.plots import BLACK, BLUE, axis, figure, line, stairs
 from metropilot.web.pages.strip import line_strip
-from metropilot.web.refusals import detail_of
 from metropilot.web.service import Service
 
 WHERE = ("file", "field", "value", "unit", "allowed")

@@ -24,8 +24,7 @@ from metropilot.evaluate import (
 )
 from metropilot.sim import COLUMNS, Drive, drive
 from metropilot.web.store import JobStore
-from metropilot.web.work.plain import numbers
-from metropilot.web.work.plans import plan_out
+from metropilot.web.work.plans import numbers, plan_out
 
 MOST = 6
 """Largest number of trainsets of a live convoy."""

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import math
+import os
+import signal
+from collections.abc import Iterable
 from itertools import pairwise
+from multiprocessing import parent_process
+from multiprocessing.connection import wait
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from metropilot._processes import ONE_THREAD
 from metropilot.errors import Infeasible, InputError
 from metropilot.evaluate import POLICY, RunSpec
 from metropilot.planning import (
@@ -22,8 +30,61 @@ from metropilot.planning import (
     timetable_waypoints,
 )
 from metropilot.policy import load_driving_policy
-from metropilot.railway import Line, Trainset, import_file, load_line, load_trainset
-from metropilot.web.work.plain import numbers, station, window
+from metropilot.railway import Line, Section, Station, Steps, Trainset, import_file, load_line, load_trainset
+
+
+def begin(worker_bytes: int | None, nice: int) -> None:
+    """Set up this process; call it before anything numerical is imported.
+
+    Args:
+        worker_bytes: Bound on the address space; None leaves it (JAX maps far more than it uses).
+        nice: Increment of the niceness over the server's.
+    """
+    for name, value in ONE_THREAD.items():
+        os.environ.setdefault(name, value)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_outlive_nobody, daemon=True).start()
+    if hasattr(os, "nice"):
+        os.nice(nice)
+    if worker_bytes is not None:
+        try:
+            import resource
+        except ImportError:
+            return
+        resource.setrlimit(resource.RLIMIT_AS, (worker_bytes, worker_bytes))
+
+
+def _outlive_nobody() -> None:
+    """End this process when the server ends, so that no worker outlives it."""
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+def numbers(values: Iterable[Any], digits: int = 6) -> list[Any]:
+    """Convert to a list of rounded numbers; None where one is not finite."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiu":
+        return array.tolist()
+    return [round(x, digits) if math.isfinite(x) else None for x in array.tolist()]
+
+
+def pieces(steps: Steps) -> dict[str, list[Any]]:
+    """Convert a piecewise-constant profile."""
+    return {"from_m": numbers(steps.from_m), "value": numbers(steps.value)}
+
+
+def window(section: Section, name: str) -> dict[str, list[Any]]:
+    """Convert a profile of a section, from its origin to its end."""
+    return pieces(getattr(section, name).window(0.0, section.length_m))
+
+
+def station(stop: Station, position_m: float | None = None) -> dict[str, Any]:
+    """Convert a station."""
+    at = stop.position_m if position_m is None else position_m
+    return {"code": stop.code, "name": stop.name, "position_m": at, "local_name": stop.local_name}
+
 
 BARELY = 1.0 + 1e-4
 """Shortest planned running time over the minimum one, at which the program has hardly any interior."""
