@@ -19,6 +19,7 @@ from metropilot.env.tracking_task import (
 from metropilot.evaluate import track_compiled, track_course, tracking_kpis
 from metropilot.sim import Run, drive
 from metropilot.studies.cheng2023 import course as cheng2023_course
+from metropilot.studies.cheng2023 import setting
 
 GAINS = Gains(3.4, 0.3, 0.2)
 

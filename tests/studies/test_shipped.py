@@ -4,7 +4,7 @@ import jax
 import pytest
 
 from metropilot.env import PolicyInterface
-from metropilot.learn import RECIPES, TeacherConfig, config_from_mapping, make_learner
+from metropilot.learn import RECIPES, TeacherConfig, config_from_mapping, imitation_spec, make_learner
 from metropilot.policy import load_policy, shipped_policy
 from metropilot.studies import STUDIES
 from metropilot.studies.chen2023b import learning as chen2023b
