@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -334,7 +334,7 @@ def episode_of(task: DrivingTask, state: DriveState) -> Episode:
         wheel_j=plant.traction_j,
         line_j=plant.line_j,
         stop_error_m=plant.position_m - task.rows.case(state.start.case).length_m,
-        interventions=state.run.supervision.interventions,
+        interventions=cast("Memory", state.run.supervision).interventions,
         max_jerk_mps3=state.max_jerk_mps3,
         jerk_mps2=state.jerk_mps2,
         max_overspeed_mps=state.max_overspeed_mps,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 from typing import NamedTuple
@@ -16,13 +16,17 @@ from metropilot.railway import Restriction, Section, Trainset
 from metropilot.sim import Disturbance, Run, declared_bounds
 from metropilot.units import KMH_PER_MPS
 
-NOMINAL = MappingProxyType(
-    {field.name: (field.default,) * 2 for field in fields(Disturbance) if isinstance(field.default, float)}
+Interval = tuple[float, float]
+NOMINAL: Mapping[str, Interval] = MappingProxyType(
+    {
+        field.name: (field.default, field.default)
+        for field in fields(Disturbance)
+        if isinstance(field.default, float)
+    }
 )
 """Quantities drawn for an episode, each with the interval of no disturbance."""
 DRAWN = tuple(NOMINAL)
 DRAWN_PLANT = tuple(name for name in DRAWN if name != "speed_noise_mps")
-Interval = tuple[float, float]
 RESTRICTIONS = 4
 """Number of temporary speed restrictions drawn for a case; its tables are built with each of them."""
 
