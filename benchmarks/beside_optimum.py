@@ -16,7 +16,7 @@ SPACING_M = 5.0
 
 @dataclass(frozen=True)
 class Result:
-    """What came of a drive; gaps in per cent, ``floor`` is the optimum that knows the jerk limit."""
+    """Result of a drive; gaps in per cent, ``floor`` is the optimum that knows the jerk limit."""
 
     case: Any
     outcome: str

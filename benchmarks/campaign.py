@@ -1,4 +1,4 @@
-"""What a campaign costs as its matrix grows: rate, cost a run, memory.
+"""Cost of a campaign as its matrix grows: rate, cost a run, memory.
 
 ``python -m benchmarks.campaign [--seeds 1 7 72] [--workers 2] [--out FOLDER] [--write docs/campaigns.md]``
 ``python -m benchmarks.campaign --growth FOLDER [--write docs/campaigns.md]``

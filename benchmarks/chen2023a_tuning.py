@@ -52,7 +52,7 @@ Values = dict[str, float]
 
 
 def settings(base: AbstractConfig, space: dict[str, tuple[float, ...]], trials: int) -> list[Values]:
-    """What is tried: the base settings first, then random ones, the same in every call."""
+    """Settings that are tried: the base settings first, then random ones, the same in every call."""
     draw = random.Random(2023)
     first = {name: float(getattr(base, name)) for name in space}
     return [first] + [

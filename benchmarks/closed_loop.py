@@ -91,7 +91,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Result:
-    """What came of it; gaps in percent, ``floor`` is the optimum that knows the jerk limit."""
+    """Result of a drive; gaps in percent, ``floor`` is the optimum that knows the jerk limit."""
 
     case: Case
     outcome: str

@@ -161,7 +161,7 @@ HEADS = (*HEADS, "interventions", "gap median %", "95th %", "worst %", "decision
 
 
 def arrived(r: Result) -> bool:
-    """Whether a run arrived in place and on time."""
+    """True for a run that arrived in place and on time."""
     return r.outcome == "arrived" and abs(r.time_error_s) <= ON_TIME_S and abs(r.stop_error_m) <= IN_PLACE_M
 
 

@@ -99,7 +99,7 @@ def task(choices: int = 0) -> Any:
 
 
 def configuration(case: str) -> Any:
-    """What the learner of a case is told."""
+    """Configuration of the learner of a case."""
     from metropilot.learn import DDPGConfig, DQNConfig, PPOConfig, SACConfig
 
     common: dict[str, Any] = {"evaluations": 1, "evaluation_episodes": 1, "evaluation_steps": 1}
@@ -232,7 +232,7 @@ def stable_baselines(case: str, steps: int) -> float:
 
 
 def decision() -> list[Row]:
-    """How long one decision takes, in NumPy and in ONNX where that is installed."""
+    """Time of one decision, in NumPy and in ONNX where that is installed."""
     import tempfile
     from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What a learned driver costs: until learning begins, the first time and the second, and for each decision.
+"""Cost of a learned driver: until learning begins, the first time and the second, and for each decision.
 
 python -m benchmarks.learned
 """

@@ -153,7 +153,7 @@ def verdict(results: list[Result]) -> str:
 
 
 def learned() -> str:
-    """What each policy's file says of its learning."""
+    """Record of learning in each policy's file."""
     heads = ("driver", "environment steps", "seconds", "seed", "machine", "date", "commit", "command")
     lines = []
     for driver in LEARNED:

@@ -20,7 +20,7 @@ SLOWEST_MPS = 0.05
 
 @dataclass(frozen=True)
 class Problem:
-    """What both solvers are given.
+    """Problem that both solvers are given.
 
     Attributes:
         mesh: Mesh; caps of 0 are stops.
@@ -37,7 +37,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Found:
-    """What IPOPT made of it; times in s, wheel traction energy in J."""
+    """Solution of IPOPT; times in s, wheel traction energy in J."""
 
     solved: bool
     energy_j: float

@@ -57,7 +57,7 @@ def median_s(work: Callable[[], object], repeats: int = REPEATS) -> float:
 
 @dataclass
 class Transcription:
-    """What one way of writing the problem for IPOPT came to over the sections."""
+    """Results of one way of writing the problem for IPOPT, over the sections."""
 
     name: str
     solve: Callable[[Problem], Found]

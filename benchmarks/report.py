@@ -1,4 +1,4 @@
-"""What every benchmark reports: rows with units, the machine, and a page written by the command."""
+"""Report of a benchmark: rows with units, the machine, and a page written by the command."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Benchmark:
 
 
 def on_devices(devices: int, module: str, *arguments: str) -> dict[str, float]:
-    """What ``python -m MODULE ARGUMENTS`` prints last, as JSON, with so many single-threaded devices.
+    """Last line that ``python -m MODULE ARGUMENTS`` prints, as JSON, with so many single-threaded devices.
 
     JAX fixes its devices when it starts, hence a process of its own.
     """
@@ -77,7 +77,7 @@ def on_devices(devices: int, module: str, *arguments: str) -> dict[str, float]:
 
 
 def page_options(about: str | None) -> argparse.Namespace:
-    """What a script that writes a page of its own is told: ``write`` and ``rows``, paths or None."""
+    """Options of a script that writes a page of its own: ``write`` and ``rows``, paths or None."""
     parser = argparse.ArgumentParser(description=about)
     parser.add_argument("--write", type=Path, metavar="PAGE")
     parser.add_argument("--rows", type=Path, metavar="JSON", help="also write every run's numbers")

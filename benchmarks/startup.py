@@ -1,4 +1,4 @@
-"""How long a user waits: `metropilot --help` (target 0.3 s) and a second `metropilot drive` (target 3 s).
+"""Waiting times of a user: `metropilot --help` (target 0.3 s) and a second `metropilot drive` (target 3 s).
 
 python -m benchmarks.startup
 """

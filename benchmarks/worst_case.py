@@ -54,7 +54,7 @@ class Kind:
 
 @dataclass(frozen=True)
 class Result:
-    """What came of a kind: smallest margins left (negative: violated), and the steps of CMA-ES."""
+    """Result of a kind: smallest margins left (negative: violated), and the steps of CMA-ES."""
 
     kind: str
     unit: str

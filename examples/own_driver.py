@@ -10,7 +10,7 @@ RESERVE_S = 1.0  # build-up and release of the brake, which the forecast leaves 
 
 
 class CruiseMemory(NamedTuple):
-    """What the driver knows: trainset and section, speeds to keep under, forecast, stop, state."""
+    """Memory of the driver: trainset and section, speeds to keep under, forecast, stop, state."""
 
     model: control.Model
     ceiling: control.Ceiling

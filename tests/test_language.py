@@ -4,18 +4,20 @@ import ast
 import re
 from pathlib import Path
 
-SOURCES = Path(__file__).parents[1] / "src" / "metropilot"
+ROOT = Path(__file__).parents[1]
+SOURCES = ROOT / "src" / "metropilot"
 RIDDLE = re.compile(r"(What|How|Whether|That|Where|Why|Who|Whoever|Whatever)\b")
 
 
 def test_a_docstring_begins_with_a_noun_phrase_or_an_imperative():
     found = []
-    for path in SOURCES.rglob("*.py"):
+    folders = (SOURCES, *(ROOT / name for name in ("benchmarks", "examples", "tools")))
+    for path in (path for folder in folders for path in folder.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module):
                 text = ast.get_docstring(node) or ""
                 if RIDDLE.match(text):
-                    found.append(f"{path.relative_to(SOURCES)}: {text.splitlines()[0]}")
+                    found.append(f"{path.relative_to(ROOT)}: {text.splitlines()[0]}")
     assert RIDDLE.match("What a policy sees.")
     assert found == []
 

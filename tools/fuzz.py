@@ -45,7 +45,7 @@ PACKAGES = (
 
 
 class Log:
-    """What one target has seen: inputs, accepted ones, and each different failure once, as a file."""
+    """Record of one target: inputs, accepted ones, and each different failure once, as a file."""
 
     def __init__(self, name: str) -> None:
         self.name, self.inputs, self.accepted, self.slowest_s = name, 0, 0, 0.0

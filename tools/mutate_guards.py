@@ -29,7 +29,7 @@ from guards import ALL, GUARDS, ROOT, Guard, removed
 
 @dataclass(frozen=True)
 class Mutant:
-    """What became of one guard's removal.
+    """Result of one guard's removal.
 
     Attributes:
         guard: The guard.

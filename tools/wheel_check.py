@@ -89,7 +89,7 @@ def built(folder: Path) -> Path:
 
 
 def installed(wheel: Path, folder: Path, *, alone: bool) -> Path:
-    """Where the environment's programs are, the wheel installed, its dependencies lent or downloaded."""
+    """Folder of the environment's programs, the wheel installed, its dependencies lent or downloaded."""
     place = folder / "env"
     venv.create(place, with_pip=True)
     programs = place / "bin"

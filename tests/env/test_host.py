@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.scripted import Scripted
 
 from metropilot.drivers import LearnedDriver
 from metropilot.env import (
@@ -19,22 +20,9 @@ from metropilot.env import (
 )
 from metropilot.env.actions import CommandAction
 from metropilot.railway import load_line, load_trainset
-from metropilot.sim import CODES, AbstractDriver, Disturbance, Run, drive
+from metropilot.sim import CODES, Disturbance, Run, drive
 
 STEPS = 500
-
-
-class Scripted(AbstractDriver):
-    id, summary, source = "scripted", "A list of commands", "test"
-
-    def __init__(self, commands):
-        self.commands = commands
-
-    def init(self, run):
-        return 0
-
-    def act(self, memory, observation):
-        return float(self.commands[min(memory, len(self.commands) - 1)]), memory + 1
 
 
 def config_of(ideal, **fields):

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.scripted import Scripted
 
 from metropilot.env import Assists, CommandAction, DrivingConfig, DrivingTask, episode_of, starts
 from metropilot.physics import at_rest, double_precision, to_jax, track_arrays, vehicle_arrays
@@ -17,7 +18,6 @@ from metropilot.railway import Restriction, load_line, load_trainset
 from metropilot.sim import (
     CODES,
     RUNNING,
-    AbstractDriver,
     Disturbance,
     Outcome,
     OutcomeRule,
@@ -115,19 +115,6 @@ def test_the_outcome_is_the_same_for_one_number_and_compiled(changes, expected):
     code = RUNNING if expected is None else CODES.index(expected)
     assert outcome_of(OutcomeRule(), **{n: np.float64(v) for n, v in facts.items()}) == code
     assert int(jax.jit(lambda f: outcome_of(OutcomeRule(), **f))(facts)) == code
-
-
-class Scripted(AbstractDriver):
-    id, summary, source = "scripted", "A list of commands", "test"
-
-    def __init__(self, commands):
-        self.commands = commands
-
-    def init(self, run):
-        return 0
-
-    def act(self, memory, observation):
-        return float(self.commands[min(memory, len(self.commands) - 1)]), memory + 1
 
 
 STEPS = 400
