@@ -81,7 +81,7 @@ def test_restrictions(request_rj):
     assert parse_restriction("400-600@36@30.5") == TimetableUpdate(30.5, restriction=known)
     asked = changed(request_rj, restrictions=("400-600@36", "700-800@54@20"))
     assert [r.from_m for r in asked.section().restrictions] == [400]
-    assert [n.at_s for n in asked.run().scenario.updates] == [20]
+    assert [n.at_s for n in asked.run().disturbance.updates] == [20]
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_bad_restrictions(request_rj, text):
 def test_a_restriction_beside_another_is_held_to_the_lines_own_limit(request_rj):
     twice = changed(request_rj, restrictions=("400-600@36", "400-600@36@20", "300-700@50")).run()
     assert [r.limit_mps for r in twice.section.restrictions] == [pytest.approx(10), pytest.approx(50 / 3.6)]
-    assert len(twice.scenario.updates) == 1
+    assert len(twice.disturbance.updates) == 1
     with pytest.raises(InputError, match=r"no effect.*5 to below 80 km/h"):
         changed(request_rj, restrictions=("400-600@36", "400-600@80@20")).run()
 

@@ -58,7 +58,7 @@ def test_a_driver_that_says_nan_is_braked(request_rj, scripted):
 
 
 def test_speed_noise_is_cut_and_repeats_itself(request_rj, scripted):
-    run = replace(request_rj.run(), scenario=Disturbance(speed_noise_mps=0.05), seed=3)
+    run = replace(request_rj.run(), disturbance=Disturbance(speed_noise_mps=0.05), seed=3)
     seen = []
     for _ in range(2):
         driver = scripted(lambda o: 0.5 if o.time_s < 15 else -0.3)
@@ -76,7 +76,7 @@ def test_speed_noise_is_cut_and_repeats_itself(request_rj, scripted):
 def test_news_reach_driver_and_plant(request_rj, scripted):
     restriction = Restriction(600.0, 800.0, 10.0)
     news = (TimetableUpdate(30.0, scheduled_time_s=116.0), TimetableUpdate(10.0, restriction=restriction))
-    run = replace(request_rj.run(), scenario=Disturbance(updates=news))
+    run = replace(request_rj.run(), disturbance=Disturbance(updates=news))
     driver = scripted(lambda o: 1.0)
     driven = drive(run, driver)
     t = driven.trajectory
@@ -137,9 +137,9 @@ def test_no_drive_before_the_end(request_rj):
 def test_told_on_the_way_is_as_told_beforehand(request_rj):
     news = TimetableUpdate(30.2, scheduled_time_s=125.0)
     before = replace(request_rj, driver="optimal")
-    planned = drive(
-        replace(before.run(), scenario=replace(before.run().scenario, updates=(news,))), before.make_driver()
-    )
+    run = before.run()
+    told = replace(run, disturbance=replace(run.disturbance, updates=(news,)))
+    planned = drive(told, before.make_driver())
     rollout = Rollout(before.run(), before.make_driver())
     while rollout.outcome is None:
         if rollout.moment().time_s >= 30.1 and not rollout.pending and rollout.scheduled_time_s != 125.0:

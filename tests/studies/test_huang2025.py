@@ -26,9 +26,9 @@ def test_cases_are_runs():
         run = run_of(case)
         assert run.section.origin.code == case.origin
         assert run.scheduled_time_s == case.scheduled_s
-        assert len(run.scenario.updates) == (case.told_s is not None)
-    assert run_of(BY_ID["later"]).scenario.updates[0].scheduled_time_s == 116.0
-    assert run_of(BY_ID["restricted"]).scenario.updates[0].restriction.limit_mps == pytest.approx(40 / 3.6)
+        assert len(run.disturbance.updates) == (case.told_s is not None)
+    assert run_of(BY_ID["later"]).disturbance.updates[0].scheduled_time_s == 116.0
+    assert run_of(BY_ID["restricted"]).disturbance.updates[0].restriction.limit_mps == pytest.approx(40 / 3.6)
 
 
 def test_published_percentages_are_those_of_the_text():

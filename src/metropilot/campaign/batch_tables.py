@@ -60,7 +60,7 @@ class TableCache:
 
 def guard_tables(section: Section, run: Run) -> SectionTables:
     """Protection of a section on the grid of the host loop, and its track; no leading axis."""
-    believed = run.scenario.nominal(run.trainset)
+    believed = run.disturbance.nominal(run.trainset)
     guard = protect(section, believed, declared_bounds(run))
     curves = [getattr(guard, name) for name in PROTECTION_CURVES]
     none = np.float64(0.0)
@@ -82,7 +82,7 @@ def seen_tables(perception: PolicyInterface) -> Callable[[Section, Run], Section
     """A function that makes the tables of a policy, as the driver does in the host loop."""
 
     def make(section: Section, run: Run) -> SectionTables:
-        believed = run.scenario.nominal(run.trainset)
+        believed = run.disturbance.nominal(run.trainset)
         case = (section, believed, declared_bounds(run))
         tables = map_tree(lambda a: a[0], build_tables([case], perception.spacing_m, np.float64))
         guard = tables.protection._replace(ahead=np.zeros(1, np.int32), slots=np.zeros(1))

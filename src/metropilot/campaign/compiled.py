@@ -194,14 +194,14 @@ def _setting(campaign: Campaign, case: CampaignCase) -> Setting:
     known: dict[str, Any] = {}
     request, run = prepare_run(campaign, case, known)
     section, restricted_at, news = run.section, float("inf"), (float("inf"), run.scheduled_time_s)
-    for item in run.scenario.updates:
+    for item in run.disturbance.updates:
         if item.restriction is not None:
             section, restricted_at = section.restricted(item.restriction), item.at_s
         if item.scheduled_time_s is not None:
             news = item.at_s, item.scheduled_time_s
-    trainset, bounds = run.scenario.true_plant(run.trainset), declared_bounds(run)
+    trainset, bounds = run.disturbance.true_plant(run.trainset), declared_bounds(run)
     first = request.restrictions
-    restrictions = (*first, *(u.restriction for u in run.scenario.updates if u.restriction is not None))
+    restrictions = (*first, *(u.restriction for u in run.disturbance.updates if u.restriction is not None))
     where, what = case[2:5], (request.trainset, request.load, request.disturbance.ideal)
     return Setting(
         request=request,
@@ -232,7 +232,7 @@ def _run_batch(
     tables, given = _episode_params(loaded, starts, slots)
     going = _at_departure(given, slots, policy.spec.discrete, policy.spec.actions)
     streams = [
-        noise_stream(start.run) if start.run.scenario.speed_noise_mps > 0 else None for start in starts
+        noise_stream(start.run) if start.run.disturbance.speed_noise_mps > 0 else None for start in starts
     ]
     record = []
     with double_precision(), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
@@ -271,7 +271,7 @@ def _episode_params(
         rows.append([numbers[place] for place in setting.places])
     fill = [*range(len(starts)), *[0] * (BATCH - len(starts))]
     settings = [starts[k].setting for k in fill]
-    scenarios = [starts[k].run.scenario for k in fill]
+    disturbances = [starts[k].run.disturbance for k in fill]
     bounds = [setting.places[0].bounds for setting in settings]
     places = np.array(rows, np.int32)[fill]
     given = EpisodeParams(
@@ -282,7 +282,7 @@ def _episode_params(
         scheduled_s=np.array([setting.run.scheduled_time_s for setting in settings]),
         news_at_s=np.array([setting.news[0] for setting in settings]),
         news_s=np.array([setting.news[1] for setting in settings]),
-        speed_noise_mps=np.array([scenario.speed_noise_mps for scenario in scenarios]),
+        speed_noise_mps=np.array([each.speed_noise_mps for each in disturbances]),
         slots=np.array([delay_steps(b.delay_s, b.dt_s) + 1 for b in bounds], np.int32),
         length_m=np.array([setting.run.section.length_m for setting in settings]),
     )

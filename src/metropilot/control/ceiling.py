@@ -157,7 +157,7 @@ class Ceiling(NamedTuple):
 
 def model_of(run: Run, section: Section) -> Model:
     """Nominal model of a run's trainset and of a section, for the control laws."""
-    trainset = run.scenario.nominal(run.trainset)
+    trainset = run.disturbance.nominal(run.trainset)
     return Model(vehicle_arrays(trainset), track_arrays(section, trainset), run.dt)
 
 
@@ -173,7 +173,7 @@ def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ce
         margin_mps: Margin below the permitted speed.
     """
     bounds = declared_bounds(run)
-    protection = protect(section, run.scenario.nominal(run.trainset), bounds)
+    protection = protect(section, run.disturbance.nominal(run.trainset), bounds)
     margin = margin_mps + bounds.speed_error_mps
     at = np.arange(0.0, section.length_m + BEYOND_M, SPACING_M)
     return Ceiling(

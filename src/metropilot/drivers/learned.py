@@ -86,7 +86,7 @@ class LearnedDriver(AbstractDriver):
 
     def init(self, run: Run) -> LearnedMemory:
         """Build the tables the policy sees."""
-        nominal = self._tables(run, run.section, run.scenario.nominal(run.trainset))
+        nominal = self._tables(run, run.section, run.disturbance.nominal(run.trainset))
         rows, zero = SectionRows(nominal, jax=False), np.float64(0.0)
         watch = watching.first_watch(run) if self.perception.assists.stop else None
         return LearnedMemory(
@@ -157,7 +157,7 @@ class LearnedDriver(AbstractDriver):
 
     def _set_section(self, memory: LearnedMemory, section: Section) -> LearnedMemory:
         """Change to a section with a restriction that has just been announced."""
-        nominal = self._tables(memory.run, section, memory.run.scenario.nominal(memory.run.trainset))
+        nominal = self._tables(memory.run, section, memory.run.disturbance.nominal(memory.run.trainset))
         memory = memory._replace(section=section, nominal=nominal, rows=SectionRows(nominal, jax=False))
         if memory.watch is not None:
             watch = watching.set_section(memory.watch, memory.run, section)
@@ -169,7 +169,7 @@ class LearnedDriver(AbstractDriver):
     def _adapt_tables(self, memory: LearnedMemory, watch: Watch, time_s: float) -> LearnedMemory:
         """Build tables of the estimated trainset, under protection of the nominal one."""
         nominal, shown = memory.nominal, watch.shown
-        trainset = adapt_trainset(memory.run.scenario.nominal(memory.run.trainset), shown)
+        trainset = adapt_trainset(memory.run.disturbance.nominal(memory.run.trainset), shown)
         tables = self._tables(memory.run, memory.section, trainset)
         size = nominal.braked.shape[1]
         braked = np.pad(tables.braked, ((0, 0), (0, size), (0, 0)), "edge")[:, :size]

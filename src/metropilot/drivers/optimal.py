@@ -166,7 +166,7 @@ class Optimal(AbstractDriver):
 
     def init(self, run: Run) -> FollowingMemory:
         """Plan the whole section for the trainset as it is known."""
-        trainset = run.scenario.nominal(run.trainset)
+        trainset = run.disturbance.nominal(run.trainset)
         vehicle, track = vehicle_arrays(trainset), track_arrays(run.section, trainset)
         model = Model(vehicle, track, run.dt)
         bounds = declared_bounds(run)

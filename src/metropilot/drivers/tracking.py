@@ -227,7 +227,7 @@ class AbstractTracker(AbstractDriver):
         if observation.section is not section:
             section = observation.section
             model = model._replace(
-                track=track_arrays(section, memory.run.scenario.nominal(memory.run.trainset))
+                track=track_arrays(section, memory.run.disturbance.nominal(memory.run.trainset))
             )
             guard, room = self._limits(memory.run, section, model)
         left = max(observation.scheduled_time_s - observation.time_s, 1.0)
@@ -247,7 +247,7 @@ class AbstractTracker(AbstractDriver):
     def _limits(run: Run, section: Section, model: Model) -> tuple[Protection, Headroom]:
         """Protection as the trainset carries it, and the speeds to keep under it."""
         bounds = declared_bounds(run)
-        guard = protect(section, run.scenario.nominal(run.trainset), bounds)
+        guard = protect(section, run.disturbance.nominal(run.trainset), bounds)
         return guard, headroom_of(model, guard, bounds, CAP_MARGIN_MPS)
 
     def _lay_reference(

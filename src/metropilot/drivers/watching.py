@@ -110,7 +110,7 @@ class Watch(NamedTuple):
 
 def first_watch(run: Run) -> Watch:
     """Estimate before departure."""
-    trainset = run.scenario.nominal(run.trainset)
+    trainset = run.disturbance.nominal(run.trainset)
     vehicle = vehicle_arrays(trainset)
     model = Model(vehicle, track_arrays(run.section, trainset), run.dt)
     belief = initial_estimate(model, weighed_brakes=weighs_load(vehicle))
@@ -140,7 +140,7 @@ def update_watch(watch: Watch, run: Run, observation: Observation) -> Watch:
 
 def set_section(watch: Watch, run: Run, section: Section) -> Watch:
     """Change to a section with a restriction that has just been announced."""
-    trainset = run.scenario.nominal(run.trainset)
+    trainset = run.disturbance.nominal(run.trainset)
     watch = watch._replace(model=watch.model._replace(track=track_arrays(section, trainset)))
     if watch.care is None:
         return watch
@@ -237,7 +237,7 @@ def limit_by_protection(watch: Watch, observation: Observation, share: float) ->
 def _care(watch: Watch, run: Run, section: Section) -> Care:
     """Set up protection on a section, with the commands that are on their way."""
     bounds, belief = declared_bounds(run), watch.belief
-    guard = protect(section, run.scenario.nominal(run.trainset), bounds)
+    guard = protect(section, run.disturbance.nominal(run.trainset), bounds)
     watched = at_start(guard)
     count, known = np.size(watched.recent), belief.commands.size
     watched = watched._replace(

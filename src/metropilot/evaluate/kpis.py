@@ -199,7 +199,7 @@ def kpis_of(drive: Drive, optimum: Optimum | None, objective: Objective = "wheel
     t, trainset = drive.trajectory, drive.trainset
     arrived = drive.outcome is Outcome.ARRIVED
     rms = measures.rms_acceleration(t)
-    jerk_limit = drive.run.scenario.nominal(drive.run.trainset).actuation.jerk_limit_mps3
+    jerk_limit = drive.run.disturbance.nominal(drive.run.trainset).actuation.jerk_limit_mps3
     late = drive.running_time_s - drive.scheduled_time_s
     return Kpis(
         outcome=drive.outcome.value,

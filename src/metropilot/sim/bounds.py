@@ -21,28 +21,28 @@ def declared_bounds(run: Run) -> Bounds:
 
     Drivers that avoid interventions and the host loop that supervises them use the same bounds.
     """
-    scenario = run.scenario
+    disturbance = run.disturbance
     bounds = Bounds.of(
-        scenario.nominal(run.trainset),
+        disturbance.nominal(run.trainset),
         run.dt,
-        extra_delay_s=scenario.delay_s,
-        extra_lag_s=scenario.lag_s,
-        speed_error_mps=NOISE_CUT * scenario.speed_noise_mps,
+        extra_delay_s=disturbance.delay_s,
+        extra_lag_s=disturbance.lag_s,
+        speed_error_mps=NOISE_CUT * disturbance.speed_noise_mps,
     )
-    resistance = _widen(bounds.resistance, scenario.resistance_factor)
-    if scenario.headwind_mps != 0.0:
+    resistance = _widen(bounds.resistance, disturbance.resistance_factor)
+    if disturbance.headwind_mps != 0.0:
         resistance = _widen(resistance, *_resistance_ratios(run))
     share = bounds.service_share
-    if np.isfinite(scenario.adhesion) or scenario.brake_factor < 1.0:
+    if np.isfinite(disturbance.adhesion) or disturbance.brake_factor < 1.0:
         share = min(share, _braking_share(run))
     return replace(
-        bounds, mass=_widen(MASS_SCATTER, scenario.mass_factor), resistance=resistance, service_share=share
+        bounds, mass=_widen(MASS_SCATTER, disturbance.mass_factor), resistance=resistance, service_share=share
     )
 
 
 def _resistance_ratios(run: Run) -> tuple[float, float]:
     """Least and largest true running resistance over the nominal one, at any speed."""
-    known, actual = _known(run), run.scenario.true_plant(run.trainset)
+    known, actual = _known(run), run.disturbance.true_plant(run.trainset)
     speed = np.linspace(0.0, known.max_speed_mps, 65)
     powers = np.stack([np.ones_like(speed), speed, speed * speed])
     true_n, nominal_n = (np.array(t.davis.newtons(t.mass_kg)) @ powers for t in (actual, known))
@@ -53,13 +53,13 @@ def _resistance_ratios(run: Run) -> tuple[float, float]:
 
 def _braking_share(run: Run) -> float:
     """Least ratio of true to nominal service braking force over all speeds."""
-    known, actual = (vehicle_arrays(t) for t in (_known(run), run.scenario.true_plant(run.trainset)))
+    known, actual = (vehicle_arrays(t) for t in (_known(run), run.disturbance.true_plant(run.trainset)))
     speeds = np.linspace(0.0, float(known.max_speed_mps), 65)
     return float(np.min(brake_available_n(actual, speeds) / brake_available_n(known, speeds)))
 
 
 def _known(run: Run) -> Trainset:
-    return run.scenario.nominal(run.trainset)
+    return run.disturbance.nominal(run.trainset)
 
 
 def _widen(interval: tuple[float, float], *values: float) -> tuple[float, float]:

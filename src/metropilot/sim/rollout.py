@@ -134,19 +134,19 @@ class Rollout:
     def __init__(self, run: Run, driver: AbstractDriver) -> None:
         self.run = run
         self.driver = driver
-        self.trainset = run.scenario.true_plant(run.trainset)
+        self.trainset = run.disturbance.true_plant(run.trainset)
         vehicle = vehicle_arrays(self.trainset)
         self.section = run.section
-        self.pending = sorted(run.scenario.updates, key=lambda update: update.at_s)
+        self.pending = sorted(run.disturbance.updates, key=lambda update: update.at_s)
         self.errors = noise_stream(run)
         self.bounds = declared_bounds(run)
         self.params = RunParams(
             vehicle=vehicle,
             track=track_arrays(run.section, self.trainset),
-            protection=protect(run.section, run.scenario.nominal(run.trainset), self.bounds),
+            protection=protect(run.section, run.disturbance.nominal(run.trainset), self.bounds),
             length_m=run.section.length_m,
             scheduled_s=run.scheduled_time_s,
-            speed_noise_mps=run.scenario.speed_noise_mps,
+            speed_noise_mps=run.disturbance.speed_noise_mps,
             dt=run.dt,
         )
         plant = at_rest(vehicle, delay_steps=delay_steps(float(vehicle.delay_s), run.dt))
@@ -168,7 +168,7 @@ class Rollout:
     def enter(self, section: Section) -> None:
         """Replace the section in force, for plant and protection, after a new restriction."""
         self.section = section
-        nominal = self.run.scenario.nominal(self.run.trainset)
+        nominal = self.run.disturbance.nominal(self.run.trainset)
         self.params = self.params._replace(
             track=track_arrays(section, self.trainset), protection=protect(section, nominal, self.bounds)
         )
@@ -215,7 +215,7 @@ class Rollout:
 
     def noise(self) -> float:
         """Error of the next measured speed in standard deviations, from the run's own stream."""
-        return float(self.errors.standard_normal()) if self.run.scenario.speed_noise_mps > 0 else 0.0
+        return float(self.errors.standard_normal()) if self.run.disturbance.speed_noise_mps > 0 else 0.0
 
     def moment(self) -> Moment:
         """State of the run now."""
@@ -332,7 +332,7 @@ def simulate_nominal(run: Run, driver: AbstractDriver) -> NominalDrive:
     Raises:
         InputError: The trainset never moves.
     """
-    trainset = run.scenario.nominal(run.trainset)
+    trainset = run.disturbance.nominal(run.trainset)
     vehicle = vehicle_arrays(trainset)
     guard = protect(run.section, trainset, declared_bounds(run))
     params = RunParams(

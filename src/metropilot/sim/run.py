@@ -35,7 +35,7 @@ class Run:
         section: Section.
         trainset: Nominal trainset.
         scheduled_time_s: Scheduled running time, s.
-        scenario: Disturbance, unknown to the driver.
+        disturbance: Disturbance, unknown to the driver.
         dt: Control period, s.
         seed: Seed of all random numbers of the run.
     """
@@ -43,7 +43,7 @@ class Run:
     section: Section
     trainset: Trainset
     scheduled_time_s: float = declared(MISSING, "Running time.", unit="s", low=0.0, above=True, option="time")
-    scenario: Disturbance = field(default_factory=Disturbance)
+    disturbance: Disturbance = field(default_factory=Disturbance)
     dt: float = declared(CONTROL_PERIOD_S, "Control period.", unit="s", low=0.01, high=1.0)
     seed: int = 0
 

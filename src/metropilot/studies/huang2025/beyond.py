@@ -41,7 +41,7 @@ def beyond_rows(policies: Mapping[str, Sequence[Path]]) -> Iterator[ReportRow]:
         if driver not in policies and driver != "eitoe":
             continue
         for name, scenario in SCENARIOS.items():
-            run = replace(plain, scenario=scenario)
+            run = replace(plain, disturbance=scenario)
             yield from _rows(ROBUST, name, driver, _drives(run, driver, policies))
         for name, run in _plants(plain).items():
             yield from _rows(PLANTS, name, driver, _drives(run, driver, policies), gap=True)
@@ -126,8 +126,8 @@ def repeated_stops(gain: float, noise_mps: float = NOISE_MPS, stops: int = STOPS
     errors, learned, times, overruled = [], [], [], 0
     for seed in range(stops):
         run = run_of(BY_ID["101"], seed)
-        scenario = replace(run.scenario, brake_factor=gain, speed_noise_mps=noise_mps)
-        rollout = Rollout(replace(run, scenario=scenario), driver)
+        disturbance = replace(run.disturbance, brake_factor=gain, speed_noise_mps=noise_mps)
+        rollout = Rollout(replace(run, disturbance=disturbance), driver)
         if hoa is not None:
             rollout.memory = rollout.memory._replace(hoa=hoa)
         while rollout.outcome is None:

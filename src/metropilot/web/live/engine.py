@@ -228,7 +228,7 @@ class Engine:
         """Tell whether protection would permit the present speed with the restriction."""
         run = self.rollout.run
         section = self.rollout.section.restricted(restriction)
-        guard = protect(section, run.scenario.nominal(run.trainset), declared_bounds(run))
+        guard = protect(section, run.disturbance.nominal(run.trainset), declared_bounds(run))
         state = self.rollout.state.plant
         seen = float(state.speed_mps) + max(float(state.acceleration_mps2), 0.0)
         return seen <= float(permitted_speed(guard, float(state.position_m)))
@@ -262,7 +262,7 @@ class Engine:
         )
         try:
             return optimal_plan(
-                rollout.section, rollout.run.scenario.nominal(rollout.run.trainset), left, options
+                rollout.section, rollout.run.disturbance.nominal(rollout.run.trainset), left, options
             )
         except (Infeasible, SolverError):
             return None
