@@ -1,0 +1,10 @@
+from .learning import BASE_DDPG as BASE_DDPG
+from .learning import BASE_PPO as BASE_PPO
+from .learning import FOLDER as FOLDER
+from .learning import TRIALS as TRIALS
+from .learning import TUNING_EPISODES as TUNING_EPISODES
+from .learning import TUNING_SEEDS as TUNING_SEEDS
+from .learning import set_length as set_length
+from .learning import trials as trials
+from .setting import make_assisted as make_assisted
+from .setting import make_evaluation as make_evaluation

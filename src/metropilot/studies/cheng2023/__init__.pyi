@@ -1,0 +1,1 @@
+from .setting import course as course
