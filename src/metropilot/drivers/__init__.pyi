@@ -3,8 +3,6 @@ from .ddpg_pid import DdpgPid as DdpgPid
 from .ddpg_pid import DdpgPidOptions as DdpgPidOptions
 from .ddpg_pid import load_gains_policy as load_gains_policy
 from .ddpg_pid import step_ddpg_pid as step_ddpg_pid
-from .eitoe import Eitoe as Eitoe
-from .eitoe import EitoeOptions as EitoeOptions
 from .flat_out import FlatOut as FlatOut
 from .fuzzy_pid import ASSUMED_UNIVERSES as ASSUMED_UNIVERSES
 from .fuzzy_pid import TUNED_FUZZY_PID as TUNED_FUZZY_PID
@@ -24,3 +22,4 @@ from .pid_lu2023 import PidLu2023 as PidLu2023
 from .pid_lu2023 import PidLu2023Options as PidLu2023Options
 from .registry import DRIVERS as DRIVERS
 from .shipped import AbstractPolicyDriver as AbstractPolicyDriver
+from .shipped import PolicyOptions as PolicyOptions

@@ -18,12 +18,12 @@ DRIVERS.add(
             "Lu23",
         ),
         "eitoe": RegistryRow(
-            "metropilot.drivers.eitoe:Eitoe",
+            "metropilot.studies.huang2025.drivers:Eitoe",
             "Expert system: time window by minimal-time distribution, long coasting, online-learned stop",
             "Huang25",
         ),
         "eitop": RegistryRow(
-            "metropilot.drivers.expert_learned:Eitop",
+            "metropilot.studies.huang2025.drivers:Eitop",
             "EITOE with the change of the rate learned by PPO",
             "Huang25",
         ),
@@ -46,7 +46,7 @@ DRIVERS.add(
             "Lu23",
         ),
         "itor": RegistryRow(
-            "metropilot.drivers.expert_learned:Itor",
+            "metropilot.studies.huang2025.drivers:Itor",
             "Expert rules, discrete changes learned by Q-learning in a table",
             "Yin et al. 2014, compared in Huang25",
         ),
@@ -94,12 +94,12 @@ DRIVERS.add(
             "own, after Chen23a",
         ),
         "stod": RegistryRow(
-            "metropilot.drivers.expert_learned:Stod",
+            "metropilot.studies.huang2025.drivers:Stod",
             "Expert rules, continuous changes learned by DDPG",
             "Zhou et al. 2020",
         ),
         "ston": RegistryRow(
-            "metropilot.drivers.expert_learned:Ston",
+            "metropilot.studies.huang2025.drivers:Ston",
             "Expert rules, continuous changes learned by NAF",
             "Zhou et al. 2020, compared in Huang25",
         ),

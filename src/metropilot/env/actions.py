@@ -1,17 +1,18 @@
 """Kinds of action: the map from a policy's output (numbers or a choice) to a command in [-1, 1].
 
 Each kind is written over the array namespace, so that a driver on the host maps actions exactly as the task
-does. A kind is one small class and one row of :data:`metropilot.env.action_kinds.ACTIONS`.
+does. A kind is one small class and one row of :data:`ACTIONS`.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 
+from metropilot._registry import Registry, RegistryRow
 from metropilot._typing import Array
 from metropilot.env.features import FeatureContext, limited_force
 from metropilot.env.interface import ActionSpace
@@ -25,7 +26,13 @@ ROUNDING_N = 200.0
 
 
 class AbstractAction(ABC):
-    """Map from actions to commands."""
+    """Map from actions to commands.
+
+    Attributes:
+        kind: Id in :data:`ACTIONS`, as the file of a policy names it.
+    """
+
+    kind: ClassVar[str]
 
     @property
     @abstractmethod
@@ -70,6 +77,8 @@ def _ordered(field: str, pair: tuple[float, float], allowed: str, *, equal: bool
 class CommandAction(AbstractAction):
     """Command itself (Chen23a: share of the available traction or braking force)."""
 
+    kind = "command"
+
     @property
     def space(self) -> ActionSpace:
         """Action space of one number."""
@@ -93,6 +102,8 @@ class RegimeAction(AbstractAction):
         coast: Absolute action up to which the trainset coasts.
         full: Absolute action from which effort is full.
     """
+
+    kind = "regime"
 
     coast: float = 0.2
     full: float = 0.8
@@ -123,6 +134,8 @@ class IncrementAction(AbstractAction):
         rate_per_s: Largest rate of change of the command, 1/s.
     """
 
+    kind = "increment"
+
     rate_per_s: float = 0.5
 
     def __post_init__(self) -> None:
@@ -150,6 +163,8 @@ class NotchAction(AbstractAction):
         forces: True if the notches are forces.
     """
 
+    kind = "notches"
+
     notches: tuple[float, ...] = (-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0)
     forces: bool = False
 
@@ -176,6 +191,8 @@ class NotchForceAction(AbstractAction):
         margin: Relative allowance on the flat-out time in this mask, for the margin to protection and the
             steps of the notches.
     """
+
+    kind = "notch_forces"
 
     notches_n: tuple[float, ...] = LU2023_N
     in_time: bool = True
@@ -251,6 +268,8 @@ class GainsAction(AbstractAction):
         high: Largest value of each.
     """
 
+    kind = "gains"
+
     low: tuple[float, ...] = (0.05, 0.3)
     high: tuple[float, ...] = (2.0, 1.0)
 
@@ -278,3 +297,21 @@ class GainsAction(AbstractAction):
         del period_s
         gain, share = self.gains(sight, action)
         return sight.xp.clip(gain * (share * sight.permitted_mps - sight.speed_mps), -1.0, 1.0)
+
+
+ACTIONS: Registry[type[AbstractAction]] = Registry(
+    "action",
+    {
+        kind.kind: RegistryRow(kind, (kind.__doc__ or "").partition("\n")[0])
+        for kind in (CommandAction, RegimeAction, IncrementAction, NotchAction, NotchForceAction, GainsAction)
+    }
+    | {
+        "expert": RegistryRow(
+            "metropilot.studies.huang2025.env:ExpertAction", "Change of the rate inside the expert of Huang25"
+        ),
+        "expert_choice": RegistryRow(
+            "metropilot.studies.huang2025.env:ExpertChoiceAction", "Choice of a change of the rate inside it"
+        ),
+    },
+)
+"""Every kind of action; those of a paper are in its study."""

@@ -136,7 +136,7 @@ class EffortLimits(NamedTuple):
     brake_mps2: Array
 
 
-def needs_of(sight: FeatureContext) -> EffortLimits:
+def effort_limits(sight: FeatureContext) -> EffortLimits:
     """Effort limits at a state of the nominal plant."""
     vehicle = sight.vehicle
     resistance, gradient = resistance_and_gradient(vehicle, sight.track, sight.position_m, sight.speed_mps)
@@ -168,7 +168,7 @@ def apply_assists(
     """
     if not (assists.stop or assists.ceiling):
         return command, stopping
-    xp, needs = sight.xp, needs_of(sight)
+    xp, needs = sight.xp, effort_limits(sight)
     if assists.stop_mps2 > 0.0:
         sight = sight._replace(stop_mps2=xp.asarray(assists.stop_mps2, sight.speed_mps.dtype))
     ceiling = command

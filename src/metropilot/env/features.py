@@ -13,8 +13,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from metropilot._registry import Registry, RegistryRow
 from metropilot._typing import Array
-from metropilot.env.tables import CLIMB, PACES_MPS, PERMITTED_COLUMN, SectionRows, SectionTables, near_track
+from metropilot.env.tables import (
+    CLIMB_COLUMN,
+    PACES_MPS,
+    PERMITTED_COLUMN,
+    SectionRows,
+    SectionTables,
+    near_track,
+)
 from metropilot.physics import Track, Vehicle, davis_n, effort_at
 from metropilot.protection import Rates as Guaranteed
 
@@ -246,9 +254,9 @@ def climb_far(sight: FeatureContext) -> Sequence[Array]:
 
 def climb_within(sight: FeatureContext, ahead_m: Sequence[float]) -> Sequence[Array]:
     """Mean of gradient and curve resistance over distances ahead, at most up to the stop."""
-    here = sight.rows.ground_at(CLIMB, sight.case, sight.position_m)
+    here = sight.rows.ground_at(CLIMB_COLUMN, sight.case, sight.position_m)
     way = sight.xp.minimum(sight.xp.maximum(sight.left_m, 1.0), _down(sight, ahead_m))
-    there = sight.rows.ground_at(CLIMB, sight.case, sight.position_m + way)
+    there = sight.rows.ground_at(CLIMB_COLUMN, sight.case, sight.position_m + way)
     return list((there - here) / way * 5.0)
 
 
@@ -298,7 +306,7 @@ def _coasted(sight: FeatureContext, v: Array) -> tuple[Array, Array]:
     length = xp.maximum(sight.left_m, 1.0)
     way = _down(sight, COAST_NODES) * length
     step, at = way[1:] - way[:-1], sight.position_m + way
-    climb = sight.rows.ground_at(CLIMB, sight.case, at)
+    climb = sight.rows.ground_at(CLIMB_COLUMN, sight.case, at)
     climb = (climb - climb[:1]) * (vehicle.mass_kg / vehicle.effective_mass_kg)
     rise = climb[1:] - climb[:-1]
     braked = xp.sqrt(2.0 * sight.stop_mps2 * (length - way) + 1e-6)
@@ -392,20 +400,13 @@ def position_m(sight: FeatureContext) -> Sequence[Array]:
     return [sight.position_m / DISTANCE_M]
 
 
-def expert(sight: FeatureContext) -> Sequence[Array]:
-    """Features of a policy inside the expert of Huang25 (its eq. 19, and the speed window)."""
-    from metropilot.env.expert_view import expert_features
-
-    return expert_features(sight)
-
-
-FEATURES: Mapping[str, Feature] = MappingProxyType(
+FEATURES: Registry[Feature] = Registry(
+    "feature",
     {
-        f.__name__: f
+        f.__name__: RegistryRow(f, (f.__doc__ or "").partition("\n")[0])
         for f in (
             position,
             position_m,
-            expert,
             speed,
             acceleration,
             command,
@@ -431,7 +432,14 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
             build_up,
         )
     }
+    | {
+        "expert": RegistryRow(
+            "metropilot.studies.huang2025.env:expert_features",
+            "State inside the expert of Huang25 (its eq. 19)",
+        )
+    },
 )
+"""Every feature; that of a paper is in its study."""
 
 SECTION = (
     "position",
@@ -491,7 +499,7 @@ OBSERVERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 def observe(features: Sequence[str], sight: FeatureContext) -> Array:
     """Observation: every feature in order, float32. Shape (O,)."""
-    values = [value for name in features for value in FEATURES[name](sight)]
+    values = [value for name in features for value in FEATURES.get(name)(sight)]
     return sight.xp.stack(values).astype(np.float32)
 
 

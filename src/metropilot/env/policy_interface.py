@@ -8,8 +8,7 @@ from dataclasses import asdict, dataclass, fields
 from types import MappingProxyType
 from typing import Any
 
-from metropilot.env.action_kinds import ACTIONS
-from metropilot.env.actions import AbstractAction
+from metropilot.env.actions import ACTIONS, AbstractAction
 from metropilot.env.assists import Assists
 from metropilot.env.features import FEATURES
 from metropilot.errors import InputError
@@ -44,11 +43,10 @@ class PolicyInterface:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        kind = next(name for name, kind in ACTIONS.items() if type(self.action) is kind)
         action: Any = self.action
         return {
             "features": list(self.features),
-            "action": {"kind": kind} | _plain(asdict(action)),
+            "action": {"kind": self.action.kind} | _plain(asdict(action)),
             "assists": asdict(self.assists),
             "period_s": self.period_s,
             "spacing_m": self.spacing_m,
@@ -98,7 +96,7 @@ def _read(values: object) -> PolicyInterface:
     rest = {name: value for name, value in action.items() if name != "kind"}
     return PolicyInterface(
         features=_features(values["features"]),
-        action=_made(ACTIONS[kind], rest, "perception.action"),
+        action=_made(ACTIONS.get(kind), rest, "perception.action"),
         assists=_made(Assists, values["assists"], "perception.assists"),
         **{name: float(values[name]) for name in RANGES},
     )

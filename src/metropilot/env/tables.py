@@ -74,7 +74,7 @@ SLOWEST_MPS = 0.3
 """Least sum of the speeds at two nodes that a tabled time counts with."""
 PROTECTION_CURVES = ("emergency", "service", "permitted_mps", "pull_mps2", "usual_pull_mps2")
 """Protection's curves in ``SectionTables.ground``, in this order; the climb comes last."""
-PERMITTED_COLUMN, CLIMB = 2, 5
+PERMITTED_COLUMN, CLIMB_COLUMN = 2, 5
 
 
 def build_tables(

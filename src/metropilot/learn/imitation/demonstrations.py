@@ -127,7 +127,7 @@ class DemonstrationGenerator:
             command=nothing,
         )
         values = [
-            np.broadcast_to(v, position_m.shape) for name in FEATURE_NAMES for v in FEATURES[name](sight)
+            np.broadcast_to(v, position_m.shape) for name in FEATURE_NAMES for v in FEATURES.get(name)(sight)
         ]
         return np.stack(values, axis=1).astype(np.float32)
 

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from metropilot.drivers import Eitoe, EitoeOptions
 from metropilot.evaluate import indices_of, kpis_of
 from metropilot.physics import bodies_at, consist, multibody_step, substeps, track_arrays
 from metropilot.railway import Actuation
 from metropilot.sim import Disturbance, Drive, Rollout, Run, drive
+from metropilot.studies.huang2025.drivers import Eitoe, EitoeOptions
 from metropilot.studies.huang2025.drives import ABOVE, LeastIndex, make_drivers
 from metropilot.studies.huang2025.published import BEYOND, BY_ID, EXPERTS
 from metropilot.studies.huang2025.setting import DELAY_S, LAG_S, run_of

@@ -11,14 +11,13 @@ from metropilot.env import (
     DisturbanceDistribution,
     DrivingConfig,
     Energy,
-    ExpertAction,
-    ExpertChoiceAction,
     Failure,
     Intervention,
     Punctuality,
 )
 from metropilot.railway import Actuation, Restriction, Section, Trainset, load_line, load_trainset
 from metropilot.sim import Disturbance, Run, TimetableUpdate
+from metropilot.studies.huang2025.env import ExpertAction, ExpertChoiceAction
 from metropilot.studies.huang2025.published import EITOP, PublishedCase
 
 LINE, TRAINSET = "yizhuang-ttobench", "dkz32"

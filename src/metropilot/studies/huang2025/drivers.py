@@ -1,18 +1,20 @@
-"""Decision loop of the expert, shared by EITOE and the drivers that learned inside it.
+"""EITOE and the drivers that learned inside its expert rules: no reference profile.
 
-Every control period: Every control period, in this order: the effect of the last command, the state in which
-    a command given now acts, the station-stop braking if it must begin, the safe speed, and else the rate by
-    the window, changed by a constant or by a policy.
-if it must begin, the safe speed, and else the rate by the window, changed by a constant or by a policy.
-
-Source: Huang25 section 3 (rules 1 to 5, eqs. 14 to 24).
+In every control period, in this order: the effect of the last command, the state in which a command given now
+acts, the station-stop braking if it must begin, the safe speed, and else the rate by the window, changed by a
+constant (EITOE) or by a policy. Source: Huang25 section 3 (rules 1 to 5, eqs. 14 to 24, Algorithm 1).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import ClassVar, NamedTuple, cast, final
+
+import numpy as np
 
 from metropilot.control import (
     Ceiling,
@@ -25,20 +27,38 @@ from metropilot.control import (
     curve_for,
     model_of,
 )
-from metropilot.drivers.expert.ground import STEP_M, ExpertTrack, build_up_s, expert_track, lead_s, share_of
-from metropilot.drivers.expert.hoa import Hoa, stop_share, update_gain
-from metropilot.drivers.expert.legs import Leg, Legs, legs_of
-from metropilot.env import (
-    EXPERT_RELEASE_SHARE,
-    ExpertRules,
-    ExpertWindow,
-    coasting_time,
-    expert_window,
-    next_expert_rate,
-)
+from metropilot.drivers import PolicyOptions
+from metropilot.errors import InputError
 from metropilot.physics import scalars
+from metropilot.policy import LoadedPolicy, load_driving_policy, shipped_policy
 from metropilot.railway import Section
-from metropilot.sim import Observation, Run
+from metropilot.sim import AbstractDriver, Observation, Run
+from metropilot.studies.huang2025.env import ExpertAction, ExpertChoiceAction
+from metropilot.studies.huang2025.laws import (
+    GAIN,
+    RELEASE_SHARE,
+    SETTLED,
+    STEP_M,
+    UNSURE,
+    ExpertRules,
+    ExpertTrack,
+    ExpertWindow,
+    Hoa,
+    Leg,
+    Legs,
+    build_up_s,
+    coasting_time,
+    constant_rate_change,
+    expert_state,
+    expert_track,
+    expert_window,
+    lead_s,
+    legs_of,
+    next_expert_rate,
+    share_of,
+    stop_share,
+    update_gain,
+)
 
 HOLD_PER_S = 0.5
 """Acceleration for each m/s below the safe speed."""
@@ -211,7 +231,7 @@ def _release_s(leg: Leg, curve: StopCurve) -> float:
     """Time that letting go of the last brake takes more than stopping at once."""
     if leg.end_mps > 0.0 or curve.release_jerk_mps3 > 1e3:
         return 0.0
-    return EXPERT_RELEASE_SHARE * curve.deceleration_mps2 / curve.release_jerk_mps3
+    return RELEASE_SHARE * curve.deceleration_mps2 / curve.release_jerk_mps3
 
 
 def _rate(memory: ExpertMemory, seen: RateInputs, change: float) -> float:
@@ -265,3 +285,190 @@ def _slowing(ground: ExpertTrack, ahead: PredictedState, dt: float) -> float:
         return 0.0
     fall = 0.5 * min(there * there - here * here, 0.0) / STEP_M
     return min(fall - (BACK_PER_S if above > 0.0 else EASE_PER_S) * above, 0.0)
+
+
+@dataclass(frozen=True)
+class EitoeOptions:
+    """Prior knowledge of the expert about the brake.
+
+    Attributes:
+        start_mps2: Largest acceleration (rule 2).
+        brake_gain: Actual over believed braking force, as learned at earlier stops.
+        brake_known: True if it was learned: a driver that never stopped this trainset plans its stop with
+            care.
+        intervals: Keep to a time for each speed-limit interval, as Algorithm 1 prints it.
+    """
+
+    start_mps2: float = 0.6
+    brake_gain: float = 1.0
+    brake_known: bool = True
+    intervals: bool = False
+
+    def __post_init__(self) -> None:
+        if not GAIN[0] <= self.brake_gain <= GAIN[1]:
+            allowed = f"{GAIN[0]:g} to {GAIN[1]:g}"
+            raise InputError("out of range", field="brake_gain", value=self.brake_gain, allowed=allowed)
+
+    @property
+    def hoa(self) -> Hoa:
+        """Knowledge of the brake before the first stop."""
+        return Hoa(self.brake_gain, SETTLED if self.brake_known else UNSURE)
+
+
+@final
+class Eitoe(AbstractDriver):
+    """Drives by an expert's rules: accelerate, coast as long as the time left allows, brake to the stop.
+
+    Args:
+        options: Acceleration, and what is known about the brake.
+    """
+
+    id = "eitoe"
+
+    def __init__(self, options: EitoeOptions | None = None) -> None:
+        self.options = options or EitoeOptions()
+
+    def init(self, run: Run) -> ExpertMemory:
+        """Tables of the section, once."""
+        rules = ExpertRules(start_mps2=self.options.start_mps2, intervals=self.options.intervals)
+        return prepare_expert(run, run.section, rules, self.options.hoa)
+
+    def act(self, memory: ExpertMemory, observation: Observation) -> tuple[float, ExpertMemory]:
+        """One decision by the rules; the change of the rate is the constant of eqs. 15 and 16."""
+        rules = memory.rules
+
+        def change(seen: RateInputs) -> float:
+            return constant_rate_change(scalars, rules, seen.window, seen.rate_mps2)
+
+        return decide(memory, observation, change)
+
+
+EARLY_S = 1e-6
+
+
+class PolicyMemory(NamedTuple):
+    """Memory of such a driver between two periods.
+
+    Attributes:
+        expert: The expert's.
+        decided: Decisions of the policy so far.
+        change: The last of them, over the largest change.
+    """
+
+    expert: ExpertMemory
+    decided: int = 0
+    change: float = 0.0
+
+
+class AbstractExpertPolicyDriver(AbstractDriver):
+    """A driver whose policy changes the rate inside the expert's rules.
+
+    Args:
+        options: Another policy than the one shipped.
+    """
+
+    def __init__(self, options: PolicyOptions | None = None) -> None:
+        self.options = options or PolicyOptions()
+
+    @property
+    def path(self) -> Path:
+        """The file given, or the one shipped."""
+        return Path(self.options.policy) if self.options.policy else shipped_policy(self.id)
+
+    @cached_property
+    def loaded(self) -> LoadedPolicy:
+        """The policy and what is known about it.
+
+        Raises:
+            InputError: The file cannot be used, or its policy did not learn inside the expert.
+        """
+        loaded = load_driving_policy(self.path)
+        action, seen = loaded.perception.action, loaded.perception.features
+        if not isinstance(action, ExpertAction | ExpertChoiceAction) or seen != ("expert",):
+            raise InputError("did not learn inside the expert", file=self.path, field="perception.action")
+        return loaded
+
+    def read_policy(self) -> object:
+        """Read the policy that changes the rate."""
+        return self.loaded
+
+    @cached_property
+    def _action(self) -> ExpertAction | ExpertChoiceAction:
+        return cast("ExpertAction | ExpertChoiceAction", self.loaded.perception.action)
+
+    def init(self, run: Run) -> PolicyMemory:
+        """Read the policy, and build the tables of the section."""
+        return PolicyMemory(prepare_expert(run, run.section, self._action.rules, Hoa(sigma=SETTLED)))
+
+    def act(self, memory: PolicyMemory, observation: Observation) -> tuple[float, PolicyMemory]:
+        """One decision of the expert; the policy is asked once in its own period."""
+        period, chosen = self.loaded.perception.period_s, memory.change
+        decided = memory.decided
+
+        def change(seen: RateInputs) -> float:
+            nonlocal chosen, decided
+            if observation.time_s >= decided * period - EARLY_S:
+                chosen = self._evaluate(seen)
+                decided = int((observation.time_s + EARLY_S) / period) + 1
+            return chosen * self._action.change_mps2
+
+        share, expert = decide(memory.expert, observation, change)
+        return share, PolicyMemory(expert, decided, chosen)
+
+    def _evaluate(self, seen: RateInputs) -> float:
+        """Evaluate the policy: a change of the rate, as a share of the largest."""
+        observed = expert_state(
+            scalars,
+            seen.window,
+            seen.speed_mps,
+            seen.left_m,
+            seen.time_left_s,
+            seen.rate_mps2,
+            seen.traction_mps2,
+        )
+        answer = self.loaded.policy(np.asarray(observed, np.float32))
+        return min(max(float(self._action.change(answer)), -1.0), 1.0)
+
+
+@final
+class Eitop(AbstractExpertPolicyDriver):
+    """EITOE whose change of the rate was learned by PPO.
+
+    Args:
+        options: Another policy.
+    """
+
+    id: ClassVar[str] = "eitop"
+
+
+@final
+class Itor(AbstractExpertPolicyDriver):
+    """Expert rules with one of three changes of the rate, learned by Q-learning in a table.
+
+    Args:
+        options: Another policy.
+    """
+
+    id: ClassVar[str] = "itor"
+
+
+@final
+class Stod(AbstractExpertPolicyDriver):
+    """Expert rules with a continuous change of the rate, learned by DDPG.
+
+    Args:
+        options: Another policy.
+    """
+
+    id: ClassVar[str] = "stod"
+
+
+@final
+class Ston(AbstractExpertPolicyDriver):
+    """Expert rules with a continuous change of the rate, learned by NAF.
+
+    Args:
+        options: Another policy.
+    """
+
+    id: ClassVar[str] = "ston"

@@ -5,13 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metropilot.drivers.eitoe import Eitoe, EitoeOptions
-from metropilot.drivers.expert.driving import prepare_expert
-from metropilot.drivers.expert.hoa import Hoa
-from metropilot.drivers.expert_learned import Eitop
-from metropilot.drivers.learned import LearnedDriver
-from metropilot.drivers.shipped import PolicyOptions
-from metropilot.env import ExpertRules
+from metropilot.drivers import LearnedDriver, PolicyOptions
 from metropilot.errors import InputError
 from metropilot.evaluate import indices_of, kpis_of, make_driver
 from metropilot.policy import shipped_policy
@@ -26,6 +20,8 @@ from metropilot.railway import (
     load_trainset,
 )
 from metropilot.sim import Disturbance, Rollout, Run, TimetableUpdate, drive
+from metropilot.studies.huang2025.drivers import Eitoe, EitoeOptions, Eitop, prepare_expert
+from metropilot.studies.huang2025.laws import ExpertRules, Hoa
 
 PLAIN = load_trainset("dkz32")
 DELAYED = replace(PLAIN, actuation=Actuation(0.6, 0.4, float("inf")))

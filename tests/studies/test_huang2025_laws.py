@@ -7,8 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from metropilot.env.expert import (
-    EXPERT_SEGMENTS,
+from metropilot.errors import InputError
+from metropilot.physics import scalars
+from metropilot.studies.huang2025.env import ExpertChoiceAction
+from metropilot.studies.huang2025.laws import (
+    SEGMENTS,
     ExpertRules,
     ExpertStretch,
     ExpertWindow,
@@ -18,12 +21,9 @@ from metropilot.env.expert import (
     expert_window,
     next_expert_rate,
 )
-from metropilot.env.expert_action import ExpertChoiceAction
-from metropilot.errors import InputError
-from metropilot.physics import scalars
 
-FLAT = [0.0] * (EXPERT_SEGMENTS + 1)
-HIGH = [1e4] * (EXPERT_SEGMENTS + 1)
+FLAT = [0.0] * (SEGMENTS + 1)
+HIGH = [1e4] * (SEGMENTS + 1)
 
 
 def stretch(left_m, end_mps=0.0, climb=FLAT, cap=HIGH):
@@ -47,7 +47,7 @@ def test_coasting_against_the_closed_form():
 
 def test_coasting_uphill_counts_the_climb_and_standing_still_is_far_too_late():
     # a gradient that takes 0.05 m/s2 is resistance
-    climb = [50.0 * k / EXPERT_SEGMENTS for k in range(EXPERT_SEGMENTS + 1)]
+    climb = [50.0 * k / SEGMENTS for k in range(SEGMENTS + 1)]
     up = coasting_time(scalars, (0.05, 0.0, 0.0), 0.9, 20.0, stretch(1000.0, climb=climb))
     assert up == pytest.approx(coasting_time(scalars, (0.1, 0.0, 0.0), 0.9, 20.0, stretch(1000.0)))
     assert coasting_time(scalars, (0.3, 0.0, 0.0), 0.9, 10.0, stretch(1000.0)) > 500.0
@@ -99,8 +99,8 @@ def test_safe_speed():
 
 @given(st.floats(0.0, 25.0), st.floats(20.0, 2500.0), st.floats(0.0, 16.0), st.floats(-8.0, 8.0))
 def test_plain_numbers_and_arrays_agree(speed, left, end, slope):
-    climb = np.linspace(0.0, 0.01 * slope * left, EXPERT_SEGMENTS + 1)
-    cap = np.full(EXPERT_SEGMENTS + 1, 0.5 * 22.0**2)
+    climb = np.linspace(0.0, 0.01 * slope * left, SEGMENTS + 1)
+    cap = np.full(SEGMENTS + 1, 0.5 * 22.0**2)
     arguments = ((0.02, 0.002, 0.0002), 0.9, speed)
     plain = coasting_time(scalars, *arguments, ExpertStretch(left, climb.tolist(), cap.tolist(), end))
     arrays = coasting_time(np, *arguments, ExpertStretch(np.float64(left), climb, cap, np.float64(end)))

@@ -1,1 +1,0 @@
-"""The expert system of Huang25 as drivers: what they share, in plain numbers for a fast decision."""

@@ -1,0 +1,2 @@
+from .drivers import Eitoe as Eitoe
+from .drivers import EitoeOptions as EitoeOptions

@@ -1,0 +1,183 @@
+"""The expert of Huang25 in a task: its features, and actions that change the rate inside its rules.
+
+The drivers on the host use the same rules with a station stop that learns; in a task the assists stop the
+trainset and avoid interventions.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, final
+
+import numpy as np
+
+from metropilot._typing import Array
+from metropilot.control import AT_ONCE_MPS3
+from metropilot.env import (
+    CLIMB_COLUMN,
+    PERMITTED_COLUMN,
+    AbstractAction,
+    ActionSpace,
+    FeatureContext,
+    effort_limits,
+)
+from metropilot.physics import command_for_effort
+from metropilot.studies.huang2025.laws import (
+    RELEASE_SHARE,
+    SEGMENTS,
+    ExpertRules,
+    ExpertStretch,
+    ExpertWindow,
+    coasting_time,
+    expert_state,
+    expert_window,
+    next_expert_rate,
+)
+
+MARGIN_MPS = 0.25
+RELEASE = 0.5
+"""Jerk at which the stop assist lets go of the brake, over the trainset's limit."""
+
+
+class View(NamedTuple):
+    """Inputs of the expert. All 0-d.
+
+    Attributes:
+        window: The speed window.
+        rate_mps2: The rate now.
+        drag_mps2: Resistance and gradient.
+        traction_mps2: Largest traction.
+        brake_mps2: Full service brake.
+        time_left_s: Time left, less what letting go of the last brake takes.
+    """
+
+    window: ExpertWindow
+    rate_mps2: Array
+    drag_mps2: Array
+    traction_mps2: Array
+    brake_mps2: Array
+    time_left_s: Array
+
+
+def view_of(sight: FeatureContext, rules: ExpertRules) -> View:
+    """Window of the destination, and the effort limits at a state."""
+    xp, vehicle, v = sight.xp, sight.vehicle, sight.speed_mps
+    mass = vehicle.effective_mass_kg
+    drag, traction, brake = effort_limits(sight)
+    rate = sight.command * xp.where(sight.command >= 0.0, traction, brake)
+    jerk = xp.minimum(vehicle.jerk_mps3, AT_ONCE_MPS3)
+    pulling = xp.maximum(sight.acceleration_mps2, 0.0)
+    coasts_at = v + pulling * (vehicle.delay_s + vehicle.lag_s + 0.5 * pulling / jerk)
+    left = xp.maximum(sight.left_m, 1e-3)
+    at = sight.position_m + left / SEGMENTS * xp.arange(SEGMENTS + 1, dtype=left.dtype)
+    climb = sight.rows.ground_at(CLIMB_COLUMN, sight.case, at)
+    cap = xp.maximum(sight.rows.ground_at(PERMITTED_COLUMN, sight.case, at) - MARGIN_MPS, 0.0)
+    stretch = ExpertStretch(left, climb, 0.5 * cap * cap, 0.0)
+    davis = [vehicle.davis_n[k] / mass for k in range(3)]
+    coasting = coasting_time(xp, davis, rules.brake_mps2, coasts_at, stretch)
+    time_left = sight.left_s - RELEASE_SHARE * rules.brake_mps2 / (RELEASE * jerk)
+    window = expert_window(xp, rules, left, coasting, time_left)
+    return View(window, rate, drag, traction, brake, time_left)
+
+
+def expert_features(sight: FeatureContext) -> Sequence[Array]:
+    """State of Huang25 eq. 19, the rate, and the position in the window."""
+    view = view_of(sight, ExpertRules())
+    return expert_state(
+        sight.xp,
+        view.window,
+        sight.speed_mps,
+        sight.left_m,
+        view.time_left_s,
+        view.rate_mps2,
+        view.traction_mps2,
+    )
+
+
+def expert_command(sight: FeatureContext, rules: ExpertRules, change: Array, period_s: float) -> Array:
+    """The command after a change of the rate, which the rules bound."""
+    view, part = view_of(sight, rules), period_s / rules.interval_s
+    top = sight.xp.minimum(rules.start_mps2 + view.drag_mps2, view.traction_mps2)
+    most = rules.change_mps2 * part
+    rate = next_expert_rate(sight.xp, most, view.window, view.rate_mps2, change * most, top)
+    return command_for_effort(rate, view.traction_mps2, view.brake_mps2)
+
+
+SURE_S = 2.0
+"""The window a policy drives in: a second inside the 3 s, so that the worst policy still arrives on time."""
+
+
+@dataclass(frozen=True)
+class AbstractExpertAction(AbstractAction):
+    """A change of the rate inside the expert's rules (Huang25 eqs. 22 to 24).
+
+    Attributes:
+        start_mps2: Largest acceleration.
+        change_mps2: Largest change of the rate in an interval.
+        interval_s: Interval of that change.
+    """
+
+    start_mps2: float = 0.8
+    change_mps2: float = 0.3
+    interval_s: float = 0.2
+
+    @property
+    def rules(self) -> ExpertRules:
+        """The expert's constants."""
+        return ExpertRules(self.start_mps2, self.change_mps2, self.interval_s, SURE_S)
+
+    @abstractmethod
+    def change(self, action: Array) -> Array:
+        """Wanted over largest change, of an action on the host."""
+
+
+@final
+@dataclass(frozen=True)
+class ExpertAction(AbstractExpertAction):
+    """Number: the wanted over the largest change."""
+
+    kind = "expert"
+
+    @property
+    def space(self) -> ActionSpace:
+        """Action space of one number."""
+        return ActionSpace(size=1)
+
+    def change(self, action: Array) -> Array:
+        """Wanted over largest change."""
+        return action[0]
+
+    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+        """Command of the last rate with the change that the rules allow."""
+        change = sight.xp.clip(self.change(action), -1.0, 1.0)
+        return expert_command(sight, self.rules, change, period_s)
+
+
+@final
+@dataclass(frozen=True)
+class ExpertChoiceAction(AbstractExpertAction):
+    """Choice of a few changes, for tabular learners (ITOR).
+
+    Attributes:
+        changes: Changes over the largest, increasing.
+    """
+
+    kind = "expert_choice"
+
+    start_mps2: float = 0.6
+    changes: tuple[float, ...] = (-1.0, 0.0, 1.0)
+
+    @property
+    def space(self) -> ActionSpace:
+        """Action space of one choice a change."""
+        return ActionSpace(count=len(self.changes))
+
+    def change(self, action: Array) -> Array:
+        """Wanted over largest change, of a choice on the host."""
+        return self.changes[int(action)]
+
+    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+        """Command of the last rate with the change that the rules allow."""
+        return expert_command(sight, self.rules, sight.xp.asarray(self.changes, np.float32)[action], period_s)
