@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from metropilot.env import ACTIONS, task_config
-from metropilot.env.actions import GainsAction, IncrementAction, NotchAction, NotchForceAction, RegimeAction
+from metropilot.env.actions import GainsAction, IncrementAction, NotchAction, RegimeAction
 from metropilot.env.features import FeatureContext
 from metropilot.env.rewards import TERMS, Energy, Failure, OnTime, PeriodChange, Punctuality
 from metropilot.env.tables import SectionRows
-from metropilot.errors import InputError
 from metropilot.physics import effort_at
 
 F = np.float64
@@ -45,10 +44,6 @@ FAILED = MOVING._replace(ended=np.bool_(True), late_s=F(3.0), error_m=F(-100.0))
         ("intervention", -0.5, -0.5, -0.5),
         ("overspeed", -0.1, -0.1, -0.1),
         ("seconds", -0.05, -0.05, -0.05),
-        ("effort_energy", -80.0, -80.0, -80.0),  # 1e-5 of 7.2 + 0.8 MJ
-        ("stop_window", 0.0, 1000.0, -1000.0),
-        ("acceleration_comfort", 0.5, 0.5, 0.5),  # 1 - 0.5
-        ("moving", 0.01, 0.01, 0.01),
     ],
 )
 def test_term(name, moving, arrived, failed):
@@ -71,22 +66,6 @@ def test_weights():
     assert float(Punctuality(early=0.5).value(early)) == pytest.approx(-1.25)
     assert float(Punctuality(soft_s=4.0).value(ARRIVED)) == pytest.approx(-9.0 / 8.0)
     assert float(Failure(price=1.0, per_m=0.0).value(FAILED)) == -1.0
-
-
-def test_lu2023_eq_18_at_its_borders():
-    comfort = TERMS["acceleration_comfort"]()
-
-    def at(now, before):
-        change = MOVING._replace(acceleration_mps2=F(now), before_mps2=F(before))
-        return float(comfort.value(change))
-
-    assert at(-0.8, -0.8) == pytest.approx(0.2)
-    assert at(0.81, 0.6) == -1.0
-    assert at(0.5, 0.05) == -10.0  # a jump up of more than 0.4
-    assert at(-0.5, 0.5) == pytest.approx(0.5)  # down is not charged, as printed
-    assert float(TERMS["moving"]().value(MOVING._replace(speed_mps=F(0.0)))) == 0.0
-    short = ARRIVED._replace(error_m=F(-0.31))
-    assert float(TERMS["stop_window"]().value(short)) == -1000.0
 
 
 def sight():
@@ -115,55 +94,3 @@ def test_actions():
     for kind in map(ACTIONS.get, ACTIONS):
         space = kind().space
         assert (space.size > 0) != space.discrete
-
-
-def lu2023_sight(**changes):
-    rows = SectionRows(task_config("lu2023").tables(np.float64), jax=False)
-    case = rows.case(0)
-    seen = {"case": 0, "command": F(0.0), "speed_mps": F(15.0), "position_m": F(600.0), "time_s": F(50.0)}
-    seen |= {"rows": rows, "vehicle": case.vehicle, "track": case.track, "rates": case.protection.rates}
-    seen |= {"length_m": case.length_m, "scheduled_s": F(130.0)}
-    return FeatureContext(**dict.fromkeys(FeatureContext._fields) | seen | changes)
-
-
-def test_minimum_arrival_time_filter():
-    # Lu23 section 3.3.4: a choice after which even flat out is too late is chosen again
-    action, period = NotchForceAction(margin=0.0), 2.0
-    seen = lu2023_sight()
-    assert action.allowed(seen, period).all()
-    to_go = float(seen.to_go_s)
-    tight = [lu2023_sight(scheduled_s=F(50.0 + to_go + spare)) for spare in (-1.0, 0.3, 1.0, 3.0)]
-    allowed = [int(action.allowed(s, period).sum()) for s in tight]
-    assert allowed[0] == 1  # late already: flat out is what is left
-    assert action.allowed(tight[0], period)[-1]
-    assert allowed == sorted(allowed)
-    assert 1 < allowed[2] < allowed[3] == 12
-    # whatever is allowed, stronger is allowed
-    assert all(np.diff(action.allowed(s, period).astype(int)).min() >= 0 for s in tight)
-    assert int(NotchForceAction(margin=0.1).allowed(tight[3], period).sum()) < 12
-    assert NotchForceAction(in_time=False).allowed(seen, period) is None
-
-
-def test_assists_are_met_by_notches():
-    action, seen = NotchForceAction(), lu2023_sight()
-    brake, pull = 149e3, float(effort_at(seen.vehicle, F(15.0)).traction_n)
-    for wanted_n, notch_n in ((-100e3, -132e3), (-99e3, -99e3), (-1e3, -33e3), (60e3, 34e3), (30e3, 0.0)):
-        share = wanted_n / (pull if wanted_n > 0 else brake)
-        met = float(action.settled(seen, F(share)))
-        assert met * (pull if met > 0 else brake) == pytest.approx(notch_n, abs=1.0)
-    with pytest.raises(InputError, match="no table of notches"):
-        NotchForceAction((-1.0, 1.0))
-    with pytest.raises(InputError, match="margin"):
-        NotchForceAction(margin=-0.1)
-
-
-def test_a_notch_is_held_as_a_force():
-    action = NotchForceAction()
-    slow, fast = lu2023_sight(speed_mps=F(16.0)), lu2023_sight(speed_mps=F(18.0))
-    share = action.command(slow, np.array(6), 3.0)
-    later = float(action.held(fast, np.array(6), share))
-    assert later > float(share)
-    assert later * float(effort_at(fast.vehicle, F(18.0)).traction_n) == pytest.approx(34e3, abs=1.0)
-    assert float(action.settled(fast, F(later))) == pytest.approx(later)
-    # a command stays what was decided
-    assert RegimeAction().held(fast, np.array([1.0]), F(0.3)) == 0.3

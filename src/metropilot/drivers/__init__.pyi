@@ -18,8 +18,11 @@ from .neural_pid import step_neural_pid as step_neural_pid
 from .pid import TUNED_PID as TUNED_PID
 from .pid import Pid as Pid
 from .pid import PidOptions as PidOptions
-from .pid_lu2023 import PidLu2023 as PidLu2023
-from .pid_lu2023 import PidLu2023Options as PidLu2023Options
 from .registry import DRIVERS as DRIVERS
 from .shipped import AbstractPolicyDriver as AbstractPolicyDriver
+from .shipped import AbstractShippedDriver as AbstractShippedDriver
 from .shipped import PolicyOptions as PolicyOptions
+from .tracking import REFERENCE_PERIOD_S as REFERENCE_PERIOD_S
+from .tracking import AbstractTracker as AbstractTracker
+from .tracking import AbstractTrackingOptions as AbstractTrackingOptions
+from .tracking import TrackingMemory as TrackingMemory

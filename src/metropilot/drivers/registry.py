@@ -13,7 +13,7 @@ DRIVERS.add(
             "Cheng23",
         ),
         "dqn": RegistryRow(
-            "metropilot.drivers.shipped:Dqn",
+            "metropilot.studies.lu2023.drivers:Dqn",
             "Learned by DQN over twelve notches for lu2023 WHY to WYJ, 118 to 142 s",
             "Lu23",
         ),
@@ -41,7 +41,7 @@ DRIVERS.add(
             "own",
         ),
         "improved_dqn": RegistryRow(
-            "metropilot.drivers.shipped:ImprovedDqn",
+            "metropilot.studies.lu2023.drivers:ImprovedDqn",
             "Learned by improved DQN over twelve notches for lu2023 WHY to WYJ, 118 to 142 s",
             "Lu23",
         ),
@@ -79,7 +79,7 @@ DRIVERS.add(
             "metropilot.drivers.pid:Pid", "Incremental PID on a speed reference, fixed gains", "Cheng23"
         ),
         "pid_lu2023": RegistryRow(
-            "metropilot.drivers.pid_lu2023:PidLu2023",
+            "metropilot.studies.lu2023.drivers:PidLu2023",
             "PID that tracks the speed curve of improved_dqn",
             "Lu23",
         ),

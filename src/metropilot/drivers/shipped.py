@@ -136,25 +136,3 @@ class Generalist(AbstractShippedDriver):
     """
 
     id: ClassVar[str] = "generalist"
-
-
-@final
-class Dqn(AbstractShippedDriver):
-    """Learned by plain DQN over Lu23's twelve notches, without the filter, for 118 to 142 s.
-
-    Args:
-        options: Another policy.
-    """
-
-    id: ClassVar[str] = "dqn"
-
-
-@final
-class ImprovedDqn(AbstractShippedDriver):
-    """Learned by double dueling DQN with prioritised replay, its choices filtered by minimum arrival time.
-
-    Args:
-        options: Another policy.
-    """
-
-    id: ClassVar[str] = "improved_dqn"

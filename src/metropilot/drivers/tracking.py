@@ -50,7 +50,7 @@ from metropilot.sim import AbstractDriver, Observation, Run, declared_bounds
 
 Kind = Literal["trapezoid", "s_curve", "optimal"]
 KINDS: tuple[Kind, ...] = ("trapezoid", "s_curve", "optimal")
-PERIOD_S = 0.05
+REFERENCE_PERIOD_S = 0.05
 CAP_MARGIN_MPS = 0.4
 PATIENCE_S = 4.0
 HANDOVER_M = 25.0
@@ -265,7 +265,7 @@ class AbstractTracker(AbstractDriver):
                 late_w=500.0,
             )
             plan = plan_arrays(model.vehicle, model.track, left_s, plan_options)
-            return sampled_profile(plan.position_m, plan.speed_mps, PERIOD_S)
+            return sampled_profile(plan.position_m, plan.speed_mps, REFERENCE_PERIOD_S)
         jerk = options.jerk_mps3 if options.reference == "s_curve" else math.inf
         jerk = min(jerk, 0.8 * float(model.vehicle.jerk_mps3))
         shape = ReferenceShape(options.acceleration_mps2, options.deceleration_mps2, jerk)
@@ -278,4 +278,4 @@ class AbstractTracker(AbstractDriver):
             start,
             max(start_mps, 0.0),
         )
-        return reference_under_for_time(ground, shape, left_s, PERIOD_S)
+        return reference_under_for_time(ground, shape, left_s, REFERENCE_PERIOD_S)

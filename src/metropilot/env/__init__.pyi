@@ -4,7 +4,6 @@ from .actions import CommandAction as CommandAction
 from .actions import GainsAction as GainsAction
 from .actions import IncrementAction as IncrementAction
 from .actions import NotchAction as NotchAction
-from .actions import NotchForceAction as NotchForceAction
 from .actions import RegimeAction as RegimeAction
 from .assists import Assists as Assists
 from .assists import apply_assists as apply_assists
@@ -20,6 +19,7 @@ from .features import FEATURES as FEATURES
 from .features import OBSERVERS as OBSERVERS
 from .features import FeatureContext as FeatureContext
 from .features import feature_context as feature_context
+from .features import limited_force as limited_force
 from .features import observe as observe
 from .interface import AbstractTask as AbstractTask
 from .interface import ActionSpace as ActionSpace
@@ -36,21 +36,17 @@ from .registry import make_task as make_task
 from .registry import task_config as task_config
 from .rewards import TERMS as TERMS
 from .rewards import AbstractTerm as AbstractTerm
-from .rewards import AccelerationComfort as AccelerationComfort
 from .rewards import Comfort as Comfort
-from .rewards import EffortEnergy as EffortEnergy
 from .rewards import Energy as Energy
 from .rewards import Failure as Failure
 from .rewards import Intervention as Intervention
 from .rewards import LineEnergy as LineEnergy
-from .rewards import Moving as Moving
 from .rewards import OnTime as OnTime
 from .rewards import Overspeed as Overspeed
 from .rewards import PeriodChange as PeriodChange
 from .rewards import Punctuality as Punctuality
 from .rewards import Seconds as Seconds
 from .rewards import StopError as StopError
-from .rewards import StopWindow as StopWindow
 from .tables import CLIMB_COLUMN as CLIMB_COLUMN
 from .tables import PERMITTED_COLUMN as PERMITTED_COLUMN
 from .tables import PROTECTION_CURVES as PROTECTION_CURVES

@@ -17,12 +17,6 @@ from metropilot._typing import Array
 from metropilot.env.features import FeatureContext, limited_force
 from metropilot.env.interface import ActionSpace
 from metropilot.errors import InputError
-from metropilot.physics import effort_at, resistance_and_gradient
-
-LU2023_N = (-149e3, -132e3, -99e3, -66e3, -33e3, 0.0, 34e3, 68e3, 102e3, 136e3, 170e3, 180e3)
-"""The twelve actions of Lu23 Table 3."""
-ROUNDING_N = 200.0
-"""Tolerance within which a force equals a notch, for single precision."""
 
 
 class AbstractAction(ABC):
@@ -182,84 +176,6 @@ class NotchAction(AbstractAction):
 
 @final
 @dataclass(frozen=True)
-class NotchForceAction(AbstractAction):
-    """Choice from a table of forces, to which the command after the assists is rounded as well.
-
-    Attributes:
-        notches_n: Forces in N, increasing, braking negative, 0 (coasting) among them.
-        in_time: Mask choices after which even the flat-out run would be late (Lu23 section 3.3.4).
-        margin: Relative allowance on the flat-out time in this mask, for the margin to protection and the
-            steps of the notches.
-    """
-
-    kind = "notch_forces"
-
-    notches_n: tuple[float, ...] = LU2023_N
-    in_time: bool = True
-    margin: float = 0.05
-
-    def __post_init__(self) -> None:
-        """Check that the table contains traction, coasting and braking."""
-        notches = self.notches_n
-        if 0.0 not in notches or list(notches) != sorted(set(notches)) or not notches[0] < 0 < notches[-1]:
-            allowed = "increasing forces in N, the first below 0, 0 among them, the last above 0"
-            raise InputError("no table of notches", field="notches_n", value=str(notches), allowed=allowed)
-        if not 0.0 <= self.margin <= 1.0:
-            raise InputError("out of range", field="margin", value=self.margin, allowed="0 to 1")
-
-    @property
-    def space(self) -> ActionSpace:
-        """Action space with one choice a notch."""
-        return ActionSpace(count=len(self.notches_n))
-
-    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
-        """Command of the notch, limited to the available force."""
-        del period_s
-        return limited_force(sight, sight.xp.asarray(self.notches_n, np.float32)[action])
-
-    def held(self, sight: FeatureContext, action: Array, command: Array) -> Array:
-        """The same force at another speed."""
-        del command
-        return self.command(sight, action, 0.0)
-
-    def allowed(self, sight: FeatureContext, period_s: float) -> Array | None:
-        """Mask of the choices after which the trainset can still arrive in time; the last is always allowed.
-
-        The state after one decision at each notch (with the resistance at the present state) and the
-        flat-out time from there are compared with the time left (Lu23 section 3.3.4, steps a to c:
-        ``T - t_k < t_lim`` chooses again). The flat-out time is that of the plant with its resistance and
-        limits, not of a speed that changes at once.
-        """
-        if not self.in_time:
-            return None
-        xp, vehicle, v = sight.xp, sight.vehicle, sight.speed_mps
-        resistance, gradient = resistance_and_gradient(vehicle, sight.track, sight.position_m, v)
-        effort = effort_at(vehicle, v)
-        notches = xp.asarray(self.notches_n, np.float32)
-        force = xp.clip(notches, -effort.brake_n, effort.traction_n)
-        rate = (force - resistance - gradient) / vehicle.effective_mass_kg
-        after = xp.maximum(v + rate * period_s, 0.0)
-        left_m = xp.maximum(sight.left_m - 0.5 * (v + after) * period_s, 0.0)
-        to_go = sight.rows.to_go_s(sight.case, left_m, sight.length_m, after)
-        in_time = sight.left_s - period_s >= (1.0 + self.margin) * to_go
-        return in_time | (notches >= notches[-1])
-
-    def settled(self, sight: FeatureContext, command: Array) -> Array:
-        """The notch for a command the assists have changed: the weakest brake that is strong enough.
-
-        Where no notch is (another trainset than the table is of), the stop needs the command as it is.
-        """
-        xp, effort = sight.xp, effort_at(sight.vehicle, sight.speed_mps)
-        notches = xp.asarray(self.notches_n, np.float32)
-        wanted = xp.where(command >= 0, command * effort.traction_n, command * effort.brake_n)
-        reached = xp.clip(notches, -effort.brake_n, effort.traction_n)
-        # the strongest notch not above what is wanted: a weaker pull, or a stronger brake
-        index = xp.sum(reached <= wanted + ROUNDING_N) - 1
-        return xp.where(index >= 0, limited_force(sight, notches[xp.maximum(index, 0)]), command)
-
-
-@final
-@dataclass(frozen=True)
 class GainsAction(AbstractAction):
     """Gains of a controller that holds a share of the permitted speed, on logarithmic scales.
 
@@ -303,11 +219,14 @@ ACTIONS: Registry[type[AbstractAction]] = Registry(
     "action",
     {
         kind.kind: RegistryRow(kind, (kind.__doc__ or "").partition("\n")[0])
-        for kind in (CommandAction, RegimeAction, IncrementAction, NotchAction, NotchForceAction, GainsAction)
+        for kind in (CommandAction, RegimeAction, IncrementAction, NotchAction, GainsAction)
     }
     | {
         "expert": RegistryRow(
             "metropilot.studies.huang2025.env:ExpertAction", "Change of the rate inside the expert of Huang25"
+        ),
+        "notch_forces": RegistryRow(
+            "metropilot.studies.lu2023.env:NotchForceAction", "Choice from a table of forces, filtered (Lu23)"
         ),
         "expert_choice": RegistryRow(
             "metropilot.studies.huang2025.env:ExpertChoiceAction", "Choice of a change of the rate inside it"

@@ -253,92 +253,6 @@ class Seconds(AbstractTerm):
         return -self.per_s * change.seconds
 
 
-@final
-@dataclass(frozen=True)
-class EffortEnergy(AbstractTerm):
-    """Minus the work of traction and of the electric brake, ``mu |f dx|`` (Lu23 eq. 16).
-
-    Attributes:
-        per_j: mu.
-    """
-
-    name = "effort_energy"
-    per_j: float = 1e-5
-
-    def value(self, change: PeriodChange) -> Array:
-        """Minus the work, traction and braking alike."""
-        return -self.per_j * (change.wheel_j + change.braked_j)
-
-
-@final
-@dataclass(frozen=True)
-class StopWindow(AbstractTerm):
-    """Bonus at the end if the trainset stands close enough to the stop, otherwise its negative (Lu23 eq. 17).
-
-    Attributes:
-        bonus: K.
-        within_m: Largest distance that earns it.
-    """
-
-    name = "stop_window"
-    bonus: float = 1000.0
-    within_m: float = 0.3
-
-    def value(self, change: PeriodChange) -> Array:
-        """Plus or minus the bonus, at the end only."""
-        xp = namespace(change.error_m)
-        won = change.arrived & (xp.abs(change.error_m) <= self.within_m)
-        return xp.where(change.ended, xp.where(won, self.bonus, -self.bonus), 0.0 * change.error_m)
-
-
-@final
-@dataclass(frozen=True)
-class AccelerationComfort(AbstractTerm):
-    """Small bonus for every decision with a gentle acceleration, its negative for a strong one (Lu23 eq. 18).
-
-    The paper prints ``P + a`` for a gentle one; that rewards acceleration, so this is ``P - |a|``.
-
-    Attributes:
-        bonus: P.
-        limit_mps2: a_lim, the largest gentle acceleration.
-        jump_mps2: Change of acceleration from one decision to the next beyond which the price is L.
-        jump_price: L.
-    """
-
-    name = "acceleration_comfort"
-    bonus: float = 1.0
-    limit_mps2: float = 0.8
-    jump_mps2: float = 0.4
-    jump_price: float = 10.0
-
-    def value(self, change: PeriodChange) -> Array:
-        """P less the size of the acceleration, -P beyond the limit, -L after a jump up."""
-        xp = namespace(change.acceleration_mps2)
-        size = xp.abs(change.acceleration_mps2)
-        gentle = xp.where(size <= self.limit_mps2, self.bonus - size, -self.bonus)
-        return xp.where(
-            change.acceleration_mps2 - change.before_mps2 > self.jump_mps2, -self.jump_price, gentle
-        )
-
-
-@final
-@dataclass(frozen=True)
-class Moving(AbstractTerm):
-    """Very small bonus for every decision after which the trainset moves (Lu23 eq. 20).
-
-    Attributes:
-        bonus: r_v.
-    """
-
-    name = "moving"
-    bonus: float = 0.01
-
-    def value(self, change: PeriodChange) -> Array:
-        """Bonus where the speed is above zero."""
-        xp = namespace(change.speed_mps)
-        return xp.where(change.speed_mps > 0.0, self.bonus, 0.0 * change.speed_mps)
-
-
 TERMS: Mapping[str, type[AbstractTerm]] = MappingProxyType(
     {
         t.name: t
@@ -353,10 +267,6 @@ TERMS: Mapping[str, type[AbstractTerm]] = MappingProxyType(
             Intervention,
             Overspeed,
             Seconds,
-            EffortEnergy,
-            StopWindow,
-            AccelerationComfort,
-            Moving,
         )
     }
 )

@@ -14,9 +14,6 @@ from .journey import timetable_waypoints as timetable_waypoints
 from .mesh import Mesh as Mesh
 from .mesh import build_mesh as build_mesh
 from .mesh import limit_at as limit_at
-from .notches import NotchOptions as NotchOptions
-from .notches import NotchPlan as NotchPlan
-from .notches import notch_plan as notch_plan
 from .optimal import START_STRETCH_M as START_STRETCH_M
 from .optimal import Front as Front
 from .optimal import Plan as Plan

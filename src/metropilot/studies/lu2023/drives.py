@@ -11,12 +11,14 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot.drivers import LearnedDriver, PidLu2023, PidLu2023Options
+from metropilot.drivers import LearnedDriver
 from metropilot.evaluate import Kpis, comfort_band_shares, kpis_of
-from metropilot.planning import NotchOptions, PlanOptions, notch_plan, optimal_plan
+from metropilot.planning import PlanOptions, optimal_plan
 from metropilot.policy import load_driving_policy, shipped_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import AbstractDriver, Drive, Run, drive
+from metropilot.studies.lu2023.drivers import PidLu2023, PidLu2023Options
+from metropilot.studies.lu2023.notches import NotchOptions, notch_plan
 from metropilot.studies.lu2023.published import PID_130, PlanCase, Published
 from metropilot.studies.lu2023.setting import NOTCHES, TRAINSET
 from metropilot.studies.report import ReportRow

@@ -5,17 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metropilot.env import (
-    AccelerationComfort,
     DisturbanceDistribution,
     DrivingConfig,
     DrivingTask,
+    OnTime,
+)
+from metropilot.railway import load_line, load_trainset
+from metropilot.studies.lu2023.env import (
+    AccelerationComfort,
     EffortEnergy,
     Moving,
     NotchForceAction,
-    OnTime,
     StopWindow,
 )
-from metropilot.railway import load_line, load_trainset
 from metropilot.studies.lu2023.published import PlanCase
 
 TRAINSET, NOTCHES = "lu2023", "lu2023"

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from metropilot.drivers.learned import LearnedDriver
-from metropilot.drivers.pid_lu2023 import PidLu2023, PidLu2023Options
+from metropilot.drivers import LearnedDriver, PolicyOptions
 from metropilot.env import DrivingTask, task_config
 from metropilot.evaluate import kpis_of
 from metropilot.policy import Policy, PolicySpec, save_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Outcome, Run, drive, simulate_nominal
+from metropilot.studies.lu2023.drivers import ImprovedDqn, PidLu2023, PidLu2023Options
 
 NOTCHES = np.array(load_trainset("lu2023").notches["lu2023"])
 COAST, FULL = 5, 11
@@ -74,6 +74,4 @@ def test_pid_tracks_the_curve_of_a_policy(tmp_path):
 
 
 def driver_of(path):
-    from metropilot.drivers.shipped import ImprovedDqn, PolicyOptions
-
     return ImprovedDqn(PolicyOptions(str(path)))

@@ -1,4 +1,4 @@
-"""The PID of Lu23: it tracks the speed curve that its improved DQN drives."""
+"""Drivers of Lu23: DQN, improved DQN over twelve notches, and a PID that tracks the curve of the latter."""
 
 from __future__ import annotations
 
@@ -6,11 +6,39 @@ from dataclasses import dataclass
 from typing import ClassVar, final
 
 from metropilot.control import CHENG2023_GAINS, Errors, Gains, Headroom, Model, incremental_pid
-from metropilot.drivers.shipped import ImprovedDqn, PolicyOptions
-from metropilot.drivers.tracking import PERIOD_S, AbstractTracker, AbstractTrackingOptions, TrackingMemory
+from metropilot.drivers import (
+    REFERENCE_PERIOD_S,
+    AbstractShippedDriver,
+    AbstractTracker,
+    AbstractTrackingOptions,
+    PolicyOptions,
+    TrackingMemory,
+)
 from metropilot.env import TrackingView
 from metropilot.planning import TimedReference, sampled_profile
 from metropilot.sim import Run, simulate_nominal
+
+
+@final
+class Dqn(AbstractShippedDriver):
+    """Learned by plain DQN over Lu23's twelve notches, without the filter, for 118 to 142 s.
+
+    Args:
+        options: Another policy.
+    """
+
+    id: ClassVar[str] = "dqn"
+
+
+@final
+class ImprovedDqn(AbstractShippedDriver):
+    """Learned by double dueling DQN with prioritised replay, its choices filtered by minimum arrival time.
+
+    Args:
+        options: Another policy.
+    """
+
+    id: ClassVar[str] = "improved_dqn"
 
 
 @final
@@ -56,7 +84,7 @@ class PidLu2023(AbstractTracker):
     def init(self, run: Run) -> TrackingMemory:
         """Let improved DQN drive the run ahead of departure, and take its curve as the reference."""
         learned = simulate_nominal(run, self.learned)
-        self.curve = sampled_profile(learned.position_m, learned.speed_mps, PERIOD_S)
+        self.curve = sampled_profile(learned.position_m, learned.speed_mps, REFERENCE_PERIOD_S)
         return super().init(run)
 
     def fresh(self, run: Run) -> Errors:

@@ -5,8 +5,9 @@ import pytest
 from tests.planning import cases
 
 from metropilot.errors import Infeasible, InputError
-from metropilot.planning import NotchOptions, PlanOptions, minimum_running_time, notch_plan, optimal_plan
+from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
 from metropilot.railway import load_line, load_trainset
+from metropilot.studies.lu2023.notches import NotchOptions, notch_plan
 
 
 def lu2023():

@@ -27,8 +27,7 @@ from numpy import ndarray
 
 from metropilot.errors import Infeasible, InputError
 from metropilot.physics import track_arrays, vehicle_arrays
-from metropilot.planning.effort_table import STEP_MPS, Specific, specific
-from metropilot.planning.mesh import Mesh, build_mesh
+from metropilot.planning import STEP_MPS, Mesh, Specific, build_mesh, specific
 from metropilot.railway import Section, Trainset
 
 STOP_M = 12.0

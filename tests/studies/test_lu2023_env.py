@@ -1,0 +1,111 @@
+"""The notches of Lu23 with their filter, and its reward terms against numbers worked out by hand."""
+
+import numpy as np
+import pytest
+
+from metropilot.env import FeatureContext, PeriodChange, RegimeAction, SectionRows, task_config
+from metropilot.errors import InputError
+from metropilot.physics import effort_at
+from metropilot.studies.lu2023.env import (
+    AccelerationComfort,
+    EffortEnergy,
+    Moving,
+    NotchForceAction,
+    StopWindow,
+)
+
+F = np.float64
+MOVING = PeriodChange(
+    **dict.fromkeys(PeriodChange._fields, F(0.0))
+    | {"wheel_j": F(7.2e6), "braked_j": F(0.8e6), "speed_mps": F(12.0), "error_m": F(-600.0)}
+    | {
+        "acceleration_mps2": F(0.5),
+        "before_mps2": F(0.2),
+        "ended": np.bool_(False),
+        "arrived": np.bool_(False),
+    }
+)
+ARRIVED = MOVING._replace(ended=np.bool_(True), arrived=np.bool_(True), error_m=F(0.1))
+FAILED = MOVING._replace(ended=np.bool_(True), error_m=F(-100.0))
+
+
+@pytest.mark.parametrize(
+    ("term", "moving", "arrived", "failed"),
+    [
+        (EffortEnergy(), -80.0, -80.0, -80.0),  # 1e-5 of 7.2 + 0.8 MJ
+        (StopWindow(), 0.0, 1000.0, -1000.0),
+        (AccelerationComfort(), 0.5, 0.5, 0.5),  # 1 - 0.5
+        (Moving(), 0.01, 0.01, 0.01),
+    ],
+)
+def test_term(term, moving, arrived, failed):
+    found = [float(term.value(change)) for change in (MOVING, ARRIVED, FAILED)]
+    assert found == pytest.approx([moving, arrived, failed])
+
+
+def test_lu2023_eq_18_at_its_borders():
+    comfort = AccelerationComfort()
+
+    def at(now, before):
+        change = MOVING._replace(acceleration_mps2=F(now), before_mps2=F(before))
+        return float(comfort.value(change))
+
+    assert at(-0.8, -0.8) == pytest.approx(0.2)
+    assert at(0.81, 0.6) == -1.0
+    assert at(0.5, 0.05) == -10.0  # a jump up of more than 0.4
+    assert at(-0.5, 0.5) == pytest.approx(0.5)  # down is not charged, as printed
+    assert float(Moving().value(MOVING._replace(speed_mps=F(0.0)))) == 0.0
+    short = ARRIVED._replace(error_m=F(-0.31))
+    assert float(StopWindow().value(short)) == -1000.0
+
+
+def lu2023_sight(**changes):
+    rows = SectionRows(task_config("lu2023").tables(np.float64), jax=False)
+    case = rows.case(0)
+    seen = {"case": 0, "command": F(0.0), "speed_mps": F(15.0), "position_m": F(600.0), "time_s": F(50.0)}
+    seen |= {"rows": rows, "vehicle": case.vehicle, "track": case.track, "rates": case.protection.rates}
+    seen |= {"length_m": case.length_m, "scheduled_s": F(130.0)}
+    return FeatureContext(**dict.fromkeys(FeatureContext._fields) | seen | changes)
+
+
+def test_minimum_arrival_time_filter():
+    # Lu23 section 3.3.4: a choice after which even flat out is too late is chosen again
+    action, period = NotchForceAction(margin=0.0), 2.0
+    seen = lu2023_sight()
+    assert action.allowed(seen, period).all()
+    to_go = float(seen.to_go_s)
+    tight = [lu2023_sight(scheduled_s=F(50.0 + to_go + spare)) for spare in (-1.0, 0.3, 1.0, 3.0)]
+    allowed = [int(action.allowed(s, period).sum()) for s in tight]
+    assert allowed[0] == 1  # late already: flat out is what is left
+    assert action.allowed(tight[0], period)[-1]
+    assert allowed == sorted(allowed)
+    assert 1 < allowed[2] < allowed[3] == 12
+    # whatever is allowed, stronger is allowed
+    assert all(np.diff(action.allowed(s, period).astype(int)).min() >= 0 for s in tight)
+    assert int(NotchForceAction(margin=0.1).allowed(tight[3], period).sum()) < 12
+    assert NotchForceAction(in_time=False).allowed(seen, period) is None
+
+
+def test_assists_are_met_by_notches():
+    action, seen = NotchForceAction(), lu2023_sight()
+    brake, pull = 149e3, float(effort_at(seen.vehicle, F(15.0)).traction_n)
+    for wanted_n, notch_n in ((-100e3, -132e3), (-99e3, -99e3), (-1e3, -33e3), (60e3, 34e3), (30e3, 0.0)):
+        share = wanted_n / (pull if wanted_n > 0 else brake)
+        met = float(action.settled(seen, F(share)))
+        assert met * (pull if met > 0 else brake) == pytest.approx(notch_n, abs=1.0)
+    with pytest.raises(InputError, match="no table of notches"):
+        NotchForceAction((-1.0, 1.0))
+    with pytest.raises(InputError, match="margin"):
+        NotchForceAction(margin=-0.1)
+
+
+def test_a_notch_is_held_as_a_force():
+    action = NotchForceAction()
+    slow, fast = lu2023_sight(speed_mps=F(16.0)), lu2023_sight(speed_mps=F(18.0))
+    share = action.command(slow, np.array(6), 3.0)
+    later = float(action.held(fast, np.array(6), share))
+    assert later > float(share)
+    assert later * float(effort_at(fast.vehicle, F(18.0)).traction_n) == pytest.approx(34e3, abs=1.0)
+    assert float(action.settled(fast, F(later))) == pytest.approx(later)
+    # a command stays what was decided
+    assert RegimeAction().held(fast, np.array([1.0]), F(0.3)) == 0.3
