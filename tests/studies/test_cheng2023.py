@@ -5,11 +5,11 @@ import pytest
 
 from metropilot.control import Gains
 from metropilot.errors import InputError
-from metropilot.evaluate import track_course, tracking_kpis
 from metropilot.physics import davis_n, effort_at
 from metropilot.studies import STUDIES, Order, reproduce
 from metropilot.studies.cheng2023 import setting
 from metropilot.studies.cheng2023.drives import pid_control
+from metropilot.studies.cheng2023.tracking import track_course, tracking_kpis
 from metropilot.studies.cheng2023.words import command_variation
 
 TOTAL, PLACE = "total speed error", "total position error"

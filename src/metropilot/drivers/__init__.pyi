@@ -1,20 +1,6 @@
-from .ddpg_pid import GAINS_OBSERVATION as GAINS_OBSERVATION
-from .ddpg_pid import DdpgPid as DdpgPid
-from .ddpg_pid import DdpgPidOptions as DdpgPidOptions
-from .ddpg_pid import load_gains_policy as load_gains_policy
-from .ddpg_pid import step_ddpg_pid as step_ddpg_pid
 from .flat_out import FlatOut as FlatOut
-from .fuzzy_pid import ASSUMED_UNIVERSES as ASSUMED_UNIVERSES
-from .fuzzy_pid import TUNED_FUZZY_PID as TUNED_FUZZY_PID
-from .fuzzy_pid import Universes as Universes
-from .fuzzy_pid import step_fuzzy_pid as step_fuzzy_pid
 from .learned import DECISION_EARLY_S as DECISION_EARLY_S
 from .learned import LearnedDriver as LearnedDriver
-from .neural_pid import TEXTBOOK_RATES as TEXTBOOK_RATES
-from .neural_pid import TUNED_NEURAL_PID as TUNED_NEURAL_PID
-from .neural_pid import LearningRates as LearningRates
-from .neural_pid import fresh_network as fresh_network
-from .neural_pid import step_neural_pid as step_neural_pid
 from .pid import TUNED_PID as TUNED_PID
 from .pid import Pid as Pid
 from .pid import PidOptions as PidOptions
@@ -26,3 +12,4 @@ from .tracking import REFERENCE_PERIOD_S as REFERENCE_PERIOD_S
 from .tracking import AbstractTracker as AbstractTracker
 from .tracking import AbstractTrackingOptions as AbstractTrackingOptions
 from .tracking import TrackingMemory as TrackingMemory
+from .tracking import TrackingView as TrackingView

@@ -8,13 +8,12 @@ from types import MappingProxyType
 from typing import ClassVar, final
 
 from metropilot.control import CHENG2023_GAINS, Errors, Gains, incremental_pid
-from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
-from metropilot.env import TrackingView
+from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions, TrackingView
 from metropilot.sim import Run
 
 TUNED_PID: Mapping[str, float] = MappingProxyType({"kp": 4.986, "ki": 1.4996, "kd": 0.1019})
 """Found on the base scenario of Cheng23 by differential evolution, 1200 runs
-(:func:`metropilot.evaluate.tracking.tune`)."""
+(:func:`metropilot.studies.cheng2023.tuning.tune_driver`)."""
 
 
 @final

@@ -8,7 +8,7 @@ DRIVERS = DRIVER_REGISTRY
 DRIVERS.add(
     {
         "ddpg_pid": RegistryRow(
-            "metropilot.drivers.ddpg_pid:DdpgPid",
+            "metropilot.studies.cheng2023.ddpg_pid:DdpgPid",
             "Incremental PID on a speed reference, gains from a policy learned by DDPG",
             "Cheng23",
         ),
@@ -31,7 +31,7 @@ DRIVERS.add(
             "metropilot.drivers.flat_out:FlatOut", "As fast as limits, comfort and the trainset allow", "own"
         ),
         "fuzzy_pid": RegistryRow(
-            "metropilot.drivers.fuzzy_pid:FuzzyPid",
+            "metropilot.studies.cheng2023.fuzzy_pid:FuzzyPid",
             "Incremental PID on a speed reference, gains changed by 7 x 7 fuzzy rules",
             "Cheng23 (F-PID); textbook rules",
         ),
@@ -66,7 +66,7 @@ DRIVERS.add(
             "own; convex plan in receding horizon",
         ),
         "neural_pid": RegistryRow(
-            "metropilot.drivers.neural_pid:NeuralPid",
+            "metropilot.studies.cheng2023.neural_pid:NeuralPid",
             "Incremental PID on a speed reference, gains from a network that learns online",
             "Cheng23 (NN-PID); textbook network",
         ),

@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
+from metropilot._typing import Array
 from metropilot.control import (
     Headroom,
     Model,
@@ -32,7 +33,6 @@ from metropilot.control import (
     stop_command,
     update_estimate,
 )
-from metropilot.env import TrackingView
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays
 from metropilot.planning import (
@@ -55,6 +55,24 @@ CAP_MARGIN_MPS = 0.4
 PATIENCE_S = 4.0
 HANDOVER_M = 25.0
 ALARM = 1.15
+
+
+class TrackingView(NamedTuple):
+    """Inputs of a controller in one period.
+
+    Attributes:
+        error_mps: Speed of the reference less speed.
+        distance_m: Position of the reference less position.
+        speed_mps: Speed.
+        reference_mps: Speed of the reference.
+        command: Command of the period before.
+    """
+
+    error_mps: Array
+    distance_m: Array
+    speed_mps: Array
+    reference_mps: Array
+    command: Array
 
 
 @dataclass(frozen=True)

@@ -60,13 +60,3 @@ from .style import house_style as house_style
 from .style import label_panel as label_panel
 from .style import new_panels as new_panels
 from .style import save_figure as save_figure
-from .tracking import JERK_WINDOW_S as JERK_WINDOW_S
-from .tracking import TUNABLE as TUNABLE
-from .tracking import TrackingController as TrackingController
-from .tracking import TrackingKpis as TrackingKpis
-from .tracking import TrackRecord as TrackRecord
-from .tracking import track_compiled as track_compiled
-from .tracking import track_course as track_course
-from .tracking import tracking_kpis as tracking_kpis
-from .tracking import tracking_score as tracking_score
-from .tracking import tune_driver as tune_driver

@@ -9,19 +9,17 @@ from typing import Any
 import numpy as np
 
 from metropilot.control import CHENG2023_GAINS, Errors, Gains, incremental_pid
-from metropilot.drivers import (
-    ASSUMED_UNIVERSES,
+from metropilot.studies.cheng2023.ddpg_pid import step_ddpg_pid
+from metropilot.studies.cheng2023.fuzzy_pid import ASSUMED_UNIVERSES, Universes, step_fuzzy_pid
+from metropilot.studies.cheng2023.neural_pid import (
     TEXTBOOK_RATES,
     LearningRates,
-    Universes,
     fresh_network,
-    step_ddpg_pid,
-    step_fuzzy_pid,
     step_neural_pid,
 )
-from metropilot.evaluate import TrackingController, TrackingKpis
 from metropilot.studies.cheng2023.published import KPIS, TABLE_1, TABLE_3, TABLE_4
 from metropilot.studies.cheng2023.setting import NAMES, optimal_kwh
+from metropilot.studies.cheng2023.tracking import TrackingController, TrackingKpis
 from metropilot.studies.report import ReportRow
 
 Start = tuple[TrackingController, Any]

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metropilot.evaluate import TrackRecord
 from metropilot.studies.cheng2023.setting import NAMES
+from metropilot.studies.cheng2023.tracking import TrackRecord
 from metropilot.studies.report import Figure
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from metropilot.control import Errors
-from metropilot.env import TrackingConfig, TrackingRewards, TrackingTask
+from metropilot.studies.cheng2023.env import TrackingConfig, TrackingRewards, TrackingTask
 from metropilot.studies.cheng2023.setting import course
 from metropilot.studies.learning import LearnJob
 
@@ -59,10 +59,10 @@ def make_evaluation(made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
     import jax
     import jax.numpy as jnp
 
-    from metropilot.drivers import step_ddpg_pid
-    from metropilot.evaluate import track_compiled, tracking_kpis, tracking_score
     from metropilot.learn import make_learner
     from metropilot.policy import act
+    from metropilot.studies.cheng2023.ddpg_pid import step_ddpg_pid
+    from metropilot.studies.cheng2023.tracking import track_compiled, tracking_kpis, tracking_score
 
     if not isinstance(made, TrackingTask):
         raise TypeError("the tracking task is evaluated here")

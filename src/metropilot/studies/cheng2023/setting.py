@@ -8,7 +8,6 @@ from functools import cache
 
 import numpy as np
 
-from metropilot.env import ReferenceCourse, course_of
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import (
@@ -23,6 +22,7 @@ from metropilot.planning import (
     sampled_profile,
 )
 from metropilot.railway import Section, Steps, Trainset, load_line, load_trainset
+from metropilot.studies.cheng2023.tracking import ReferenceCourse, course_of
 from metropilot.units import KMH_PER_MPS
 
 DT_S = 0.2

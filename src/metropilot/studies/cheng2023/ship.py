@@ -15,13 +15,13 @@ import numpy as np
 
 from metropilot._provenance import circumstances
 from metropilot.control import Errors
-from metropilot.drivers import GAINS_OBSERVATION, DdpgPid, DdpgPidOptions, step_ddpg_pid
-from metropilot.evaluate import track_course, tracking_kpis
 from metropilot.policy import Policy, save_policy, shipped_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, Run, drive
+from metropilot.studies.cheng2023.ddpg_pid import GAINS_OBSERVATION, DdpgPid, DdpgPidOptions, step_ddpg_pid
 from metropilot.studies.cheng2023.learning import REWARDS, SEEDS, config, jobs
 from metropilot.studies.cheng2023.setting import course
+from metropilot.studies.cheng2023.tracking import track_course, tracking_kpis
 from metropilot.studies.learning import SeedResult, learn_seeds
 
 SECTIONS = (("JHL", "CQN"), ("XHM", "JG"), ("RJ", "WYJ"))

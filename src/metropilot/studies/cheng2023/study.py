@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from metropilot.evaluate import TrackingKpis, TrackRecord, track_course, tracking_kpis
 from metropilot.studies.cheng2023 import drives as table
 from metropilot.studies.cheng2023.drives import ComparedController, compared_controllers
 from metropilot.studies.cheng2023.figures import figures
 from metropilot.studies.cheng2023.published import CITATION
 from metropilot.studies.cheng2023.setting import REFERENCES, SCENARIOS, course
+from metropilot.studies.cheng2023.tracking import TrackingKpis, TrackRecord, track_course, tracking_kpis
 from metropilot.studies.cheng2023.words import DEVIATIONS, remarks
 from metropilot.studies.report import ReportRow, StudyReport
 from metropilot.studies.study import Order, Study
@@ -55,13 +55,16 @@ def reproduce(order: Order) -> StudyReport:
 def _load_or_learn(order: Order) -> tuple[dict[int, Callable[[Any], Any]], Mapping[str, Mapping[str, float]]]:
     """Load or learn one policy per seed and the tuned parameters."""
     if order.budget == "quick":
-        from metropilot.drivers import TUNED_FUZZY_PID, TUNED_NEURAL_PID, TUNED_PID, load_gains_policy
+        from metropilot.drivers import TUNED_PID
         from metropilot.policy import shipped_policy
+        from metropilot.studies.cheng2023.ddpg_pid import load_gains_policy
+        from metropilot.studies.cheng2023.fuzzy_pid import TUNED_FUZZY_PID
+        from metropilot.studies.cheng2023.neural_pid import TUNED_NEURAL_PID
 
         tuned = {"pid": TUNED_PID, "fuzzy_pid": TUNED_FUZZY_PID, "neural_pid": TUNED_NEURAL_PID}
         return {0: load_gains_policy(shipped_policy("ddpg_pid"))}, tuned
-    from metropilot.evaluate import TUNABLE, tune_driver
     from metropilot.studies.cheng2023.learning import SEEDS, jobs
+    from metropilot.studies.cheng2023.tuning import TUNABLE, tune_driver
     from metropilot.studies.learning import learn_seeds
 
     seeds = order.choose_seeds(quick=1, paper=SEEDS)

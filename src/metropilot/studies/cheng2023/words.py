@@ -7,11 +7,11 @@ from functools import cache
 
 import numpy as np
 
-from metropilot.evaluate import JERK_WINDOW_S
 from metropilot.physics import davis_n, effort_at
 from metropilot.studies.cheng2023.drives import Measured, median
 from metropilot.studies.cheng2023.published import KPIS, TABLE_1, TABLE_3, TABLE_4
 from metropilot.studies.cheng2023.setting import DT_S, course
+from metropilot.studies.cheng2023.tracking import JERK_WINDOW_S
 
 DEVIATIONS = (
     (

@@ -13,8 +13,8 @@ from metropilot.drivers import (
     AbstractTrackingOptions,
     PolicyOptions,
     TrackingMemory,
+    TrackingView,
 )
-from metropilot.env import TrackingView
 from metropilot.planning import TimedReference, sampled_profile
 from metropilot.sim import Run, simulate_nominal
 

@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any, ClassVar, final
 
 from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
-from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
-from metropilot.env import TrackingView, gains_of, tracking_observation
+from metropilot.drivers import AbstractTracker, AbstractTrackingOptions, TrackingView
 from metropilot.errors import InputError
 from metropilot.policy import GuardedPolicy, load_policy, policy_path, shipped_policy
 from metropilot.sim import Run
+from metropilot.studies.cheng2023.env import gains_of
+from metropilot.studies.cheng2023.tracking import tracking_observation
 
 GAINS_OBSERVATION = ("speed", "command", "speed_error", "position_error")
 """Observation entries of the policy, as its file must list them."""

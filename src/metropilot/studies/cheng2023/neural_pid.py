@@ -17,8 +17,7 @@ import numpy as np
 
 from metropilot._typing import Array
 from metropilot.control import CHENG2023_GAINS, CHENG2023_UPPER, Errors, Gains, incremental_pid
-from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions
-from metropilot.env import TrackingView
+from metropilot.drivers import AbstractTracker, AbstractTrackingOptions, TrackingView
 from metropilot.errors import InputError
 from metropilot.physics import namespace
 from metropilot.sim import Run
@@ -53,7 +52,7 @@ TUNED_NEURAL_PID: Mapping[str, float] = MappingProxyType(
     }
 )
 """Found on the base scenario of Cheng23 by differential evolution, 1200 runs of three networks
-(:func:`metropilot.evaluate.tracking.tune`)."""
+(:func:`metropilot.studies.cheng2023.tuning.tune_driver`)."""
 
 
 class Network(NamedTuple):

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from metropilot.control import CHENG2023_GAINS, CHENG2023_UPPER, Errors
-from metropilot.drivers.neural_pid import (
+from metropilot.drivers import TrackingView
+from metropilot.studies.cheng2023.neural_pid import (
     SPEED_SCALE_MPS,
     TUNED_NEURAL_PID,
     LearningRates,
@@ -15,7 +16,6 @@ from metropilot.drivers.neural_pid import (
     fresh_network,
     step_neural_pid,
 )
-from metropilot.env import TrackingView
 
 
 def seen(error, command=0.1, speed=10.0):

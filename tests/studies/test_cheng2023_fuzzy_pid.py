@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from metropilot.control import CHENG2023_GAINS, CHENG2023_UPPER
-from metropilot.drivers.fuzzy_pid import (
+from metropilot.errors import InputError
+from metropilot.studies.cheng2023.fuzzy_pid import (
     ASSUMED_UNIVERSES,
     DERIVATIVE,
     GRID,
@@ -20,7 +21,6 @@ from metropilot.drivers.fuzzy_pid import (
     infer,
     memberships,
 )
-from metropilot.errors import InputError
 
 
 def slow_membership(name, x):

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
-from metropilot.drivers import Pid, PidOptions
-from metropilot.env.tracking import TrackingView, compile_course, tracking_observation
-from metropilot.env.tracking_task import (
+from metropilot.drivers import Pid, PidOptions, TrackingView
+from metropilot.sim import Run, drive
+from metropilot.studies.cheng2023 import course as cheng2023_course
+from metropilot.studies.cheng2023 import setting
+from metropilot.studies.cheng2023.env import (
     TrackingConfig,
     TrackingFacts,
     TrackingRewards,
@@ -16,10 +18,13 @@ from metropilot.env.tracking_task import (
     gains_of,
     reward_terms,
 )
-from metropilot.evaluate import track_compiled, track_course, tracking_kpis
-from metropilot.sim import Run, drive
-from metropilot.studies.cheng2023 import course as cheng2023_course
-from metropilot.studies.cheng2023 import setting
+from metropilot.studies.cheng2023.tracking import (
+    compile_course,
+    track_compiled,
+    track_course,
+    tracking_kpis,
+    tracking_observation,
+)
 
 GAINS = Gains(3.4, 0.3, 0.2)
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from metropilot.errors import InputError
-from metropilot.evaluate.tracking import TUNABLE, TrackRecord, tracking_kpis, tracking_score, tune_driver
 from metropilot.studies.cheng2023 import course as cheng2023_course
+from metropilot.studies.cheng2023.tracking import TrackRecord, tracking_kpis, tracking_score
+from metropilot.studies.cheng2023.tuning import TUNABLE, tune_driver
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,10 @@ import numpy as np
 
 from metropilot._typing import Array
 from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
-from metropilot.env.interface import AbstractTask, ActionSpace, Transition
-from metropilot.env.tracking import (
+from metropilot.env import AbstractTask, ActionSpace, Transition
+from metropilot.errors import InputError
+from metropilot.physics import davis_n, effort_at
+from metropilot.studies.cheng2023.tracking import (
     ReferenceCourse,
     TrackState,
     advance_tracking,
@@ -19,8 +21,6 @@ from metropilot.env.tracking import (
     tracking_observation,
     tracking_view,
 )
-from metropilot.errors import InputError
-from metropilot.physics import davis_n, effort_at
 from metropilot.units import KMH_PER_MPS
 
 
