@@ -34,7 +34,7 @@ from metropilot.control.prediction import (
     lead_command,
     predict_motion,
 )
-from metropilot.physics import Vehicle, command_for_effort, curve_n, effort_at, resistance_and_gradient
+from metropilot.physics import Vehicle, command_for_effort, curve_n, effort_limits
 
 MAX_EXTRA_DELAY_S = 1.0
 """Largest dead time among the hypotheses beyond the nominal one."""
@@ -245,16 +245,16 @@ def _learn(model: Model, belief: StateEstimate, answer: float) -> tuple[Hypothes
     vehicle, bank, v = model.vehicle, belief.bank, belief.speed_mps
     acting = acting_command(belief.commands, bank.delay_steps)
     share = acting + (bank.share - acting) * bank.keep
-    resistance, gradient, traction, brake = _efforts(model, belief.position_m, v)
+    limits = effort_limits(vehicle, model.track, belief.position_m, v)
     features = np.stack(
         [
-            np.maximum(share, 0.0) * traction,
-            np.minimum(share, 0.0) * brake,
-            np.full(share.shape, -resistance),
+            np.maximum(share, 0.0) * limits.traction_mps2,
+            np.minimum(share, 0.0) * limits.brake_mps2,
+            np.full(share.shape, -limits.resistance_mps2),
         ],
         axis=1,
     )
-    free = np.einsum("hk,hk->h", bank.gains, features) - gradient
+    free = np.einsum("hk,hk->h", bank.gains, features) - limits.gradient_mps2
     room = float(vehicle.jerk_mps3) * model.dt
     expected = np.clip(free, belief.acceleration_mps2 - room, belief.acceleration_mps2 + room)
     standing = v < 0.05
@@ -288,12 +288,14 @@ def look_ahead(model: Model, belief: StateEstimate) -> PredictedState:
     age, keep = float(bank.delay_steps[best]), float(bank.keep[best])
     up, down, drag = (float(k) for k in bank.gains[best])
     motion = Motion(belief.position_m, belief.speed_mps, belief.acceleration_mps2, float(bank.share[best]))
-    resistance, gradient, traction, brake = _efforts(model, motion.position_m, motion.speed_mps)
+    limits = effort_limits(model.vehicle, model.track, motion.position_m, motion.speed_mps)
+    resistance, gradient, _, traction, brake = map(float, limits)
     if age > 0:
-        limits = up * traction, down * brake, drag * resistance + gradient
+        acting = up * traction, down * brake, drag * resistance + gradient
         commands, jerk = belief.commands.tolist(), float(model.vehicle.jerk_mps3)
-        motion = predict_motion(motion, commands, age, keep, limits, jerk, model.dt)
-        resistance, gradient, traction, brake = _efforts(model, motion.position_m, motion.speed_mps)
+        motion = predict_motion(motion, commands, age, keep, acting, jerk, model.dt)
+        limits = effort_limits(model.vehicle, model.track, motion.position_m, motion.speed_mps)
+        resistance, gradient, _, traction, brake = map(float, limits)
     return PredictedState(
         math.ceil(age) * model.dt, *motion, drag * resistance, gradient, up * traction, down * brake
     )
@@ -316,18 +318,3 @@ def share_for(
     effort = wanted_mps2 + ahead.resistance_mps2 + ahead.gradient_mps2
     share = command_for_effort(effort, ahead.traction_mps2, ahead.brake_mps2)
     return lead_command(share, ahead.share, float(belief.bank.keep[belief.best]), lead)
-
-
-def _efforts(model: Model, position_m: float, speed_mps: float) -> tuple[float, float, float, float]:
-    """Resistance, gradient, traction and brake per nominal effective mass, m/s^2."""
-    vehicle = model.vehicle
-    mass = float(vehicle.effective_mass_kg)
-    resistance, gradient = resistance_and_gradient(vehicle, model.track, position_m, speed_mps)
-    effort = effort_at(vehicle, speed_mps)
-    return (
-        float(resistance) / mass,
-        float(gradient) / mass,
-        # at least 1 N, as commands are efforts divided by these
-        max(float(effort.traction_n), 1.0) / mass,
-        max(float(effort.brake_n), 1.0) / mass,
-    )

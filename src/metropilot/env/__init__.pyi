@@ -8,7 +8,6 @@ from .actions import RegimeAction as RegimeAction
 from .assists import Assists as Assists
 from .assists import apply_assists as apply_assists
 from .assists import ceiling_mps2 as ceiling_mps2
-from .assists import effort_limits as effort_limits
 from .assists import stop_options as stop_options
 from .config import DrivingConfig as DrivingConfig
 from .driving import DriveState as DriveState
@@ -19,7 +18,6 @@ from .features import FEATURES as FEATURES
 from .features import OBSERVERS as OBSERVERS
 from .features import FeatureContext as FeatureContext
 from .features import feature_context as feature_context
-from .features import limited_force as limited_force
 from .features import observe as observe
 from .interface import AbstractTask as AbstractTask
 from .interface import ActionSpace as ActionSpace

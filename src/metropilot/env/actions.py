@@ -14,9 +14,10 @@ import numpy as np
 
 from metropilot._registry import Registry, RegistryRow
 from metropilot._typing import Array
-from metropilot.env.features import FeatureContext, limited_force
+from metropilot.env.features import FeatureContext
 from metropilot.env.interface import ActionSpace
 from metropilot.errors import InputError
+from metropilot.physics import command_for_force
 
 
 class AbstractAction(ABC):
@@ -171,7 +172,7 @@ class NotchAction(AbstractAction):
         """Command of the notch; a force is limited to the available one."""
         del period_s
         notch = sight.xp.asarray(self.notches, np.float32)[action]
-        return limited_force(sight, notch) if self.forces else notch
+        return command_for_force(sight.vehicle, sight.speed_mps, notch) if self.forces else notch
 
 
 @final

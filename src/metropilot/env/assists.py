@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
-from typing import NamedTuple
 
 from metropilot._typing import Array
 from metropilot.control import (
@@ -27,7 +26,6 @@ from metropilot.control import (
 from metropilot.env.features import FeatureContext
 from metropilot.env.tables import LEAST_STOP_MPS2, PERMITTED_COLUMN, STOP_USE, SectionRows
 from metropilot.errors import InputError
-from metropilot.physics import command_for_effort, effort_at, resistance_and_gradient
 
 EASE_SHARE = 0.4
 """Jerk at which traction is eased off under the ceiling, over the trainset's limit."""
@@ -122,38 +120,6 @@ def stop_options(release_share: float) -> StopOptions:
     )
 
 
-class EffortLimits(NamedTuple):
-    """Efforts that turn accelerations into commands at a state, per kilogram of effective mass.
-
-    Attributes:
-        drag_mps2: Resistance and gradient.
-        traction_mps2: Largest traction.
-        brake_mps2: Largest service braking.
-    """
-
-    drag_mps2: Array
-    traction_mps2: Array
-    brake_mps2: Array
-
-
-def effort_limits(sight: FeatureContext) -> EffortLimits:
-    """Effort limits at a state of the nominal plant."""
-    vehicle = sight.vehicle
-    resistance, gradient = resistance_and_gradient(vehicle, sight.track, sight.position_m, sight.speed_mps)
-    effort = effort_at(vehicle, sight.speed_mps)
-    mass, xp = vehicle.effective_mass_kg, sight.xp
-    return EffortLimits(
-        (resistance + gradient) / mass,
-        xp.maximum(effort.traction_n, 1.0) / mass,
-        xp.maximum(effort.brake_n, 1.0) / mass,
-    )
-
-
-def share_for(needs: EffortLimits, wanted_mps2: Array) -> Array:
-    """The command that gives an acceleration."""
-    return command_for_effort(wanted_mps2 + needs.drag_mps2, needs.traction_mps2, needs.brake_mps2)
-
-
 def apply_assists(
     assists: Assists, sight: FeatureContext, command: Array, stopping: Array, dt: float
 ) -> tuple[Array, Array]:
@@ -168,19 +134,19 @@ def apply_assists(
     """
     if not (assists.stop or assists.ceiling):
         return command, stopping
-    xp, needs = sight.xp, effort_limits(sight)
+    xp, limits = sight.xp, sight.effort_limits
     if assists.stop_mps2 > 0.0:
         sight = sight._replace(stop_mps2=xp.asarray(assists.stop_mps2, sight.speed_mps.dtype))
     ceiling = command
     if assists.ceiling:
-        ceiling = share_for(needs, ceiling_mps2(assists, sight, dt))
+        ceiling = limits.command_for(ceiling_mps2(assists, sight, dt))
         command = xp.minimum(command, ceiling)
     if assists.stop:
         stopping, wanted = stop_mps2(sight, stopping, dt, stop_options(assists.release))
         entering = xp.asarray(False)
         if assists.late:
             wanted, entering = late_mps2(assists, sight, wanted, dt)
-        stop = share_for(needs, -wanted)
+        stop = limits.command_for(-wanted)
         highest = xp.minimum(stop, ceiling) if assists.ceiling else stop
         highest = xp.where(entering, xp.minimum(highest, command), highest)
         command = xp.where(stopping, highest, command)

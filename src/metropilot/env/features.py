@@ -23,7 +23,7 @@ from metropilot.env.tables import (
     SectionTables,
     near_track,
 )
-from metropilot.physics import Track, Vehicle, davis_n, effort_at
+from metropilot.physics import EffortLimits, Track, Vehicle, davis_n, effort_at, effort_limits
 from metropilot.protection import Rates as Guaranteed
 
 AHEAD_M = (20.0, 50.0, 100.0, 200.0, 350.0, 600.0, 1000.0)
@@ -93,6 +93,11 @@ class FeatureContext(NamedTuple):
     def left_m(self) -> Array:
         """Distance left, not below 0."""
         return self.xp.maximum(self.length_m - self.position_m, 0.0)
+
+    @property
+    def effort_limits(self) -> EffortLimits:
+        """Resistance and available efforts here and now."""
+        return effort_limits(self.vehicle, self.track, self.position_m, self.speed_mps)
 
     @property
     def to_go_s(self) -> Array:
@@ -501,11 +506,3 @@ def observe(features: Sequence[str], sight: FeatureContext) -> Array:
     """Observation: every feature in order, float32. Shape (O,)."""
     values = [value for name in features for value in FEATURES.get(name)(sight)]
     return sight.xp.stack(values).astype(np.float32)
-
-
-def limited_force(sight: FeatureContext, force_n: Array) -> Array:
-    """The command whose force is nearest the wanted one here."""
-    xp = sight.xp
-    effort = effort_at(sight.vehicle, sight.speed_mps)
-    available = xp.where(force_n >= 0, effort.traction_n, effort.brake_n)
-    return xp.clip(force_n / xp.maximum(available, 1.0), -1.0, 1.0)

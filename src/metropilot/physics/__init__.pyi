@@ -16,6 +16,7 @@ from .build import restrictive_profile as restrictive_profile
 from .build import track_arrays as track_arrays
 from .build import vehicle_arrays as vehicle_arrays
 from .forces import Effort as Effort
+from .forces import EffortLimits as EffortLimits
 from .forces import brake_available_n as brake_available_n
 from .forces import command_for_effort as command_for_effort
 from .forces import command_for_force as command_for_force
@@ -23,6 +24,7 @@ from .forces import command_force_n as command_force_n
 from .forces import curve_n as curve_n
 from .forces import davis_n as davis_n
 from .forces import effort_at as effort_at
+from .forces import effort_limits as effort_limits
 from .forces import electric_available_n as electric_available_n
 from .forces import felt_slopes as felt_slopes
 from .forces import map_value as map_value

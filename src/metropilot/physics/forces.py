@@ -152,6 +152,43 @@ def resistance_and_gradient(
     return davis_n(vehicle, speed_mps) + track_n, vehicle.mass_kg * vehicle.gravity_mps2 * gradient
 
 
+class EffortLimits(NamedTuple):
+    """Resistance and available efforts at a state, per kilogram of effective mass.
+
+    Attributes:
+        resistance_mps2: Running, curve and tunnel resistance.
+        gradient_mps2: Gradient force, positive uphill.
+        drag_mps2: Resistance and gradient.
+        traction_mps2: Largest traction.
+        brake_mps2: Largest service braking.
+    """
+
+    resistance_mps2: Scalar
+    gradient_mps2: Scalar
+    drag_mps2: Scalar
+    traction_mps2: Scalar
+    brake_mps2: Scalar
+
+    def command_for(self, acceleration_mps2: Scalar) -> Scalar:
+        """The command in [-1, 1] whose acceleration is nearest the wanted one."""
+        return command_for_effort(acceleration_mps2 + self.drag_mps2, self.traction_mps2, self.brake_mps2)
+
+
+def effort_limits(vehicle: Vehicle, track: Track, position_m: Scalar, speed_mps: Scalar) -> EffortLimits:
+    """Resistance and available efforts of a trainset at a state."""
+    resistance, gradient = resistance_and_gradient(vehicle, track, position_m, speed_mps)
+    effort, mass = effort_at(vehicle, speed_mps), vehicle.effective_mass_kg
+    xp = namespace(effort.traction_n)
+    return EffortLimits(
+        resistance / mass,
+        gradient / mass,
+        (resistance + gradient) / mass,
+        # at least 1 N, as commands are efforts divided by these
+        xp.maximum(effort.traction_n, 1.0) / mass,
+        xp.maximum(effort.brake_n, 1.0) / mass,
+    )
+
+
 @no_type_check
 def map_value(
     vehicle: Vehicle, values: Float[Array, "speeds shares"], speed_mps: Scalar, share: Scalar

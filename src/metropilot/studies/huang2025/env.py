@@ -21,7 +21,6 @@ from metropilot.env import (
     AbstractAction,
     ActionSpace,
     FeatureContext,
-    effort_limits,
 )
 from metropilot.physics import command_for_effort
 from metropilot.studies.huang2025.laws import (
@@ -65,7 +64,7 @@ def view_of(sight: FeatureContext, rules: ExpertRules) -> View:
     """Window of the destination, and the effort limits at a state."""
     xp, vehicle, v = sight.xp, sight.vehicle, sight.speed_mps
     mass = vehicle.effective_mass_kg
-    drag, traction, brake = effort_limits(sight)
+    drag, traction, brake = sight.effort_limits[2:]
     rate = sight.command * xp.where(sight.command >= 0.0, traction, brake)
     jerk = xp.minimum(vehicle.jerk_mps3, AT_ONCE_MPS3)
     pulling = xp.maximum(sight.acceleration_mps2, 0.0)

@@ -14,10 +14,9 @@ from metropilot.env import (
     ActionSpace,
     FeatureContext,
     PeriodChange,
-    limited_force,
 )
 from metropilot.errors import InputError
-from metropilot.physics import effort_at, namespace, resistance_and_gradient
+from metropilot.physics import command_for_force, effort_at, namespace, resistance_and_gradient
 
 LU2023_N = (-149e3, -132e3, -99e3, -66e3, -33e3, 0.0, 34e3, 68e3, 102e3, 136e3, 170e3, 180e3)
 """The twelve actions of Lu23 Table 3."""
@@ -60,7 +59,8 @@ class NotchForceAction(AbstractAction):
     def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
         """Command of the notch, limited to the available force."""
         del period_s
-        return limited_force(sight, sight.xp.asarray(self.notches_n, np.float32)[action])
+        force_n = sight.xp.asarray(self.notches_n, np.float32)[action]
+        return command_for_force(sight.vehicle, sight.speed_mps, force_n)
 
     def held(self, sight: FeatureContext, action: Array, command: Array) -> Array:
         """The same force at another speed."""
@@ -96,11 +96,12 @@ class NotchForceAction(AbstractAction):
         """
         xp, effort = sight.xp, effort_at(sight.vehicle, sight.speed_mps)
         notches = xp.asarray(self.notches_n, np.float32)
-        wanted = xp.where(command >= 0, command * effort.traction_n, command * effort.brake_n)
+        wanted = effort.force_n(command)
         reached = xp.clip(notches, -effort.brake_n, effort.traction_n)
         # the strongest notch not above what is wanted: a weaker pull, or a stronger brake
         index = xp.sum(reached <= wanted + ROUNDING_N) - 1
-        return xp.where(index >= 0, limited_force(sight, notches[xp.maximum(index, 0)]), command)
+        notch = command_for_force(sight.vehicle, sight.speed_mps, notches[xp.maximum(index, 0)])
+        return xp.where(index >= 0, notch, command)
 
 
 @final
