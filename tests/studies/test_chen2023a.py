@@ -8,7 +8,7 @@ import pytest
 from metropilot.env import Comfort, OnTime, PeriodChange, task_config
 from metropilot.learn import PPOConfig
 from metropilot.studies import Order, SeedResult, learn_seeds, learning
-from metropilot.studies.chen2023a import published
+from metropilot.studies.chen2023a import setting as published
 from metropilot.studies.chen2023a.drives import (
     REWARD,
     TIME,

@@ -33,9 +33,7 @@ def some_report(order):
         ReportRow("Table 5", "120 s", "dqn", "switches", "", ours=4.0),
     ]
     figure = Figure("reward", "Reward over episodes (its fig. 6).", drawing)
-    return StudyReport(
-        "some2020", "Some paper", order.budget, 3, 0.0, rows, [figure], ["A sentence."], ["Another."]
-    )
+    return StudyReport(3, rows, [figure], ["A sentence."], ["Another."])
 
 
 SOME = Study("some2020", "Some paper", "Some, A., 2020.", some_report, {"reference": ("s_curve", "optimal")})

@@ -15,10 +15,9 @@ from metropilot.studies.huang2025.drives import (
     rows_of,
 )
 from metropilot.studies.huang2025.learning import job
-from metropilot.studies.huang2025.published import BY_ID, CASES, IE, LEARNED
-from metropilot.studies.huang2025.setting import comfortable, run_of, trainset
+from metropilot.studies.huang2025.setting import BY_ID, CASES, IE, LEARNED, comfortable, run_of, trainset
 from metropilot.studies.huang2025.words import DEVIATIONS, remarks
-from metropilot.studies.registry import STUDIES
+from metropilot.studies.study import STUDIES
 
 
 def test_cases_are_runs():

@@ -9,7 +9,7 @@ from metropilot.evaluate import comfort_band_shares
 from metropilot.sim import Trajectory
 from metropilot.studies.lu2023.drives import NotchFront
 from metropilot.studies.lu2023.learning import Convergence, find_convergence, meet_demands, speed_up
-from metropilot.studies.lu2023.published import EPISODES, FASTER_PERCENT, PLANS, plan_case
+from metropilot.studies.lu2023.setting import EPISODES, FASTER_PERCENT, PLANS, plan_case
 
 FRONT = NotchFront(np.array([116.0, 120.0, 124.0]), 3.6e6 * np.array([13.4, 12.5, 11.8]))
 

@@ -11,7 +11,7 @@ from metropilot.studies.chen2023b import learning as chen2023b
 from metropilot.studies.cheng2023 import learning as cheng2023
 from metropilot.studies.lu2023 import drives as lu2023
 from metropilot.studies.lu2023.learning import ALL_STEPS, LEARNING, plan_job
-from metropilot.studies.lu2023.published import PLANS
+from metropilot.studies.lu2023.setting import PLANS
 
 POLICIES = shipped_policy("ppo").parent
 BY_STUDY = {"ddpg_pid", "ddpg_pid_follow", "sac_pid"}

@@ -5,12 +5,12 @@ from .page import row_numbers as row_numbers
 from .page import study_page as study_page
 from .page import write_docs as write_docs
 from .page import write_report as write_report
-from .registry import STUDIES as STUDIES
-from .registry import reproduce as reproduce
 from .report import Figure as Figure
 from .report import ReportRow as ReportRow
 from .report import StudyReport as StudyReport
 from .study import BUDGETS as BUDGETS
+from .study import STUDIES as STUDIES
 from .study import Order as Order
 from .study import Study as Study
 from .study import check_budget as check_budget
+from .study import reproduce as reproduce

@@ -55,6 +55,11 @@ class ReportRow:
         return ReportRow(**{**asdict(self), "ours": middle, "low": low, "high": high})
 
 
+def paragraphs(text: str) -> tuple[str, ...]:
+    """Paragraphs of a text, each on one line."""
+    return tuple(" ".join(part.split()) for part in text.strip().split("\n\n"))
+
+
 @dataclass(frozen=True)
 class Figure:
     """One figure.
@@ -75,27 +80,27 @@ class StudyReport:
     """Results of a study and their provenance.
 
     Attributes:
-        study: Its id.
-        title: Its heading.
-        budget: quick or paper.
         seeds: Number of seeds.
-        seconds: Wall time.
         rows: Every number.
         figures: Every figure.
         deviations: Departures from the paper and their reasons, one sentence or two each.
         remarks: Findings: claims of the paper that were not reached, and the reasons.
+        study: Its id.
+        title: Its heading.
+        budget: quick or paper.
+        seconds: Wall time.
         circumstances: Machine, date, commit, versions.
     """
 
-    study: str
-    title: str
-    budget: str
     seeds: int
-    seconds: float
     rows: Sequence[ReportRow]
     figures: Sequence[Figure] = ()
     deviations: Sequence[str] = ()
     remarks: Sequence[str] = ()
+    study: str = ""
+    title: str = ""
+    budget: str = ""
+    seconds: float = 0.0
     circumstances: dict[str, str] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:

@@ -10,9 +10,15 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot.studies.chen2023a import published
-from metropilot.studies.chen2023a.published import THRESHOLD_S
-from metropilot.studies.chen2023a.setting import COMFORT, DECISION_S
+from metropilot.studies.chen2023a.setting import (
+    COMFORT,
+    CONVERGED,
+    CONVERGED_AT,
+    DECISION_S,
+    ENERGY_ORDER,
+    IMPACT_ORDER,
+    THRESHOLD_S,
+)
 from metropilot.studies.learning import SeedResult
 from metropilot.studies.report import ReportRow
 from metropilot.units import J_PER_KWH
@@ -166,10 +172,10 @@ def reward_rows(courses: Courses) -> Iterator[ReportRow]:
                 name,
                 "share of seeds converged",
                 "",
-                published.CONVERGED[name] if said else None,
+                CONVERGED[name] if said else None,
             )
             yield share.with_values([float(np.mean([a is not None for a in at]))])
-            when = published.CONVERGED_AT.get(name) if said else None
+            when = CONVERGED_AT.get(name) if said else None
             row = ReportRow(REWARD, case, name, "episodes to converge (of those that did)", "episodes", when)
             yield row.with_values(there) if (there := [a for a in at if a is not None]) else row
             returns = [final(getattr(one, kind)["return"]) for one in mine]
@@ -212,7 +218,7 @@ def time_rows(courses: Courses) -> Iterator[ReportRow]:
 def _share_in_time(one: DriveCourse, kind: str) -> float:
     """Share of the chunks after 4000 episodes (or half of a shorter run) within the threshold."""
     late = one.episodes > min(AFTER, 0.5 * float(one.episodes[-1]))
-    return float(np.mean(getattr(one, kind)["running_time_s"][late] <= published.THRESHOLD_S))
+    return float(np.mean(getattr(one, kind)["running_time_s"][late] <= THRESHOLD_S))
 
 
 def energy_rows(courses: Courses, least: Bound) -> Iterator[ReportRow]:
@@ -242,7 +248,7 @@ def impact_rows(courses: Courses) -> Iterator[ReportRow]:
 
 def order_rows(courses: Courses) -> Iterator[ReportRow]:
     """Place of each learner's median: 1 uses most energy, or has the highest impact rate."""
-    for kpi, order in (("energy_kwh", published.ENERGY_ORDER), ("impact_mps3", published.IMPACT_ORDER)):
+    for kpi, order in (("energy_kwh", ENERGY_ORDER), ("impact_mps3", IMPACT_ORDER)):
         for case, kind in KINDS:
             size = {
                 name: float(np.median([final(getattr(one, kind)[kpi]) for one in mine]))

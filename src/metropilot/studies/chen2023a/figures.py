@@ -11,7 +11,7 @@ import numpy as np
 
 from metropilot.studies.chen2023a.drives import DriveCourse, Values, band
 from metropilot.studies.chen2023a.learning import NAMES
-from metropilot.studies.chen2023a.published import THRESHOLD_S
+from metropilot.studies.chen2023a.setting import THRESHOLD_S
 from metropilot.studies.report import Figure
 
 if TYPE_CHECKING:

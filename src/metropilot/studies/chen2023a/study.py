@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from metropilot.studies.chen2023a.drives import LeastEnergy, outcome_rows, paper_rows
 from metropilot.studies.chen2023a.figures import figures
-from metropilot.studies.chen2023a.published import CITATION, EPISODES, PRESCRIBED_S, THRESHOLD_S
-from metropilot.studies.chen2023a.words import deviations, remarks
+from metropilot.studies.chen2023a.setting import CITATION, EPISODES, PRESCRIBED_S, THRESHOLD_S
+from metropilot.studies.chen2023a.words import DEVIATIONS, remarks
 from metropilot.studies.report import ReportRow, StudyReport
 from metropilot.studies.study import Study
 from metropilot.units import J_PER_KWH
@@ -70,9 +70,7 @@ def reproduce(order: Order) -> StudyReport:
     rows += bounds
     drawn = figures(learned, least(THRESHOLD_S) or 0.0)
     said = remarks(learned, changed)
-    return StudyReport(
-        "chen2023a", STUDY.title, order.budget, len(seeds), 0.0, rows, drawn, deviations(), said
-    )
+    return StudyReport(len(seeds), rows, drawn, DEVIATIONS, said)
 
 
 def _courses(

@@ -18,15 +18,21 @@ from metropilot.studies.chen2023a.learning import (
     TUNING_SEEDS,
     trials,
 )
-from metropilot.studies.chen2023a.published import CONVERGED_AT, PPO_EPISODES, THRESHOLD_S
-from metropilot.studies.chen2023a.setting import STOP_MPS2, UNASSISTED_TOLERANCE_M
+from metropilot.studies.chen2023a.setting import (
+    CONVERGED_AT,
+    PPO_EPISODES,
+    STOP_MPS2,
+    THRESHOLD_S,
+    UNASSISTED_TOLERANCE_M,
+)
+from metropilot.studies.report import paragraphs
 
 if TYPE_CHECKING:
     from metropilot.studies.chen2023a.drives import DriveCourse
 
 SEEDS = " and ".join(str(seed) for seed in TUNING_SEEDS)
 DONE = ", ".join(f"{NAMES[name]} {len(trials(name))}" for name in LEARNERS)
-TEXT = f"""
+DEVIATIONS = paragraphs(f"""
 Section, trainset and speed limits are not printed. This study uses Yizhuang Bridge to Yizhuang Culture
 Park of the Beijing Yizhuang line (993 m) and the 300 t trainset of the same group (Cheng et al. 2023),
 with ideal actuation; 80 s prescribed and 88 s allowed as in the paper.
@@ -59,12 +65,7 @@ medians over the last tenth of the learning.
 
 Episodes are counted when they end; a run has the steps of the stated number of episodes of {DECISIONS}
 decisions, so learners with short or long episodes end with slightly more or fewer.
-"""
-
-
-def deviations() -> list[str]:
-    """Deviations from the paper, one paragraph each."""
-    return [" ".join(part.split()) for part in TEXT.strip().split("\n\n")]
+""")
 
 
 Courses = Mapping[str, Sequence["DriveCourse"]]

@@ -9,7 +9,7 @@ import numpy as np
 
 from metropilot.convoy import ConvoyDrive
 from metropilot.evaluate import BLACK, GREY, SERIES_STYLES
-from metropilot.studies.chen2023b.published import PUBLISHED
+from metropilot.studies.chen2023b.setting import PUBLISHED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing

@@ -1,4 +1,4 @@
-"""Setting of the study: the pair of trainsets, the head's run, and the compared followers."""
+"""Published results, and the setting: the pair of trainsets, the head's run, the compared followers."""
 
 from __future__ import annotations
 
@@ -8,6 +8,14 @@ from metropilot.convoy import Convoy, ConvoyGuard, HeadRun, Link, record_leader,
 from metropilot.planning import ReferenceShape, reference_for_time
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Outcome
+
+CITATION = (
+    "Chen, B.; Zhang, L.; Cheng, G.; Liu, Y.; Chen, J. *A Novel Approach for Train Tracking in Virtual "
+    "Coupling Based on Soft Actor-Critic*. Actuators 2023, 12(12), 447, doi 10.3390/act12120447."
+)
+PUBLISHED = {"gap_min_m": 5.88, "gap_max_m": 5.98, "speed_difference_max_mps": 0.15}
+"""Chen23b section 4: figs. 8 and 9."""
+
 
 LINE, ORIGIN, DESTINATION, TRAINSET, TIME_S = "yizhuang", "YZQ", "WHY", "cheng2023", 100.0
 SHAPE = ReferenceShape(0.65, 0.65, 0.5)

@@ -18,8 +18,7 @@ from metropilot.studies.chen2023b.beyond import (
     stability_rows,
 )
 from metropilot.studies.chen2023b.learning import ETAS, NAMES, jobs
-from metropilot.studies.chen2023b.published import CITATION, PUBLISHED
-from metropilot.studies.chen2023b.setting import SIMPLE, head_run, pair
+from metropilot.studies.chen2023b.setting import CITATION, PUBLISHED, SIMPLE, head_run, pair
 from metropilot.studies.chen2023b.words import DEVIATIONS, FIRST_RETURN, LAST_RETURN, remarks
 from metropilot.studies.report import Figure, ReportRow, StudyReport
 from metropilot.studies.study import Order, Study
@@ -54,11 +53,7 @@ def reproduce(order: Order) -> StudyReport:
     order.say("attacking")
     rows += campaign_rows(order.budget, order.folder) + capacity_rows()
     return StudyReport(
-        study="chen2023b",
-        title=STUDY.title,
-        budget=order.budget,
         seeds=max((len(each) for each in runs.values()), default=len(seeds)),
-        seconds=0.0,
         rows=rows,
         figures=_figures(runs, shown, gains),
         deviations=DEVIATIONS,

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from metropilot.convoy import GAP_M
 from metropilot.studies.chen2023b.beyond import CONTACTS
-from metropilot.studies.chen2023b.published import PUBLISHED
+from metropilot.studies.chen2023b.setting import PUBLISHED
 from metropilot.studies.report import ReportRow
 
 DEVIATIONS = (

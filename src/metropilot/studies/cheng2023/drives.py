@@ -17,8 +17,7 @@ from metropilot.studies.cheng2023.neural_pid import (
     fresh_network,
     step_neural_pid,
 )
-from metropilot.studies.cheng2023.published import KPIS, TABLE_1, TABLE_3, TABLE_4
-from metropilot.studies.cheng2023.setting import NAMES, optimal_kwh
+from metropilot.studies.cheng2023.setting import KPIS, NAMES, TABLE_1, TABLE_3, TABLE_4, optimal_kwh
 from metropilot.studies.cheng2023.tracking import TrackingController, TrackingKpis
 from metropilot.studies.report import ReportRow
 

@@ -10,8 +10,7 @@ import numpy as np
 from metropilot.studies.cheng2023 import drives as table
 from metropilot.studies.cheng2023.drives import ComparedController, compared_controllers
 from metropilot.studies.cheng2023.figures import figures
-from metropilot.studies.cheng2023.published import CITATION
-from metropilot.studies.cheng2023.setting import REFERENCES, SCENARIOS, course
+from metropilot.studies.cheng2023.setting import CITATION, REFERENCES, SCENARIOS, course
 from metropilot.studies.cheng2023.tracking import TrackingKpis, TrackRecord, track_course, tracking_kpis
 from metropilot.studies.cheng2023.words import DEVIATIONS, remarks
 from metropilot.studies.report import ReportRow, StudyReport
@@ -40,11 +39,7 @@ def reproduce(order: Order) -> StudyReport:
     found += [*table.margins(measured), *_other_reference_rows(controllers, tuple(policies), kind)]
     order.say(f"{len(controllers)} drivers tracked {len(SCENARIOS)} scenarios")
     return StudyReport(
-        study="cheng2023",
-        title=STUDY.title,
-        budget=order.budget,
         seeds=len(policies),
-        seconds=0.0,
         rows=found,
         figures=figures(records),
         deviations=DEVIATIONS,

@@ -12,13 +12,13 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from metropilot._typing import Array
-from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
+from metropilot.control import CHENG2023_UPPER, Gains
 from metropilot.errors import InputError
-from metropilot.studies.cheng2023.fuzzy_pid import Universes, step_fuzzy_pid
-from metropilot.studies.cheng2023.neural_pid import LearningRates, fresh_network, step_neural_pid
+from metropilot.studies.cheng2023.drives import Start, fuzzy_control, neural_control, pid_control
+from metropilot.studies.cheng2023.fuzzy_pid import Universes
+from metropilot.studies.cheng2023.neural_pid import LearningRates
 from metropilot.studies.cheng2023.tracking import (
     ReferenceCourse,
-    TrackingController,
     compile_course,
     track_compiled,
     tracking_kpis,
@@ -47,7 +47,7 @@ class Tunable:
     low: tuple[float, ...]
     high: tuple[float, ...]
     logarithmic: tuple[bool, ...]
-    controllers: Callable[[Array], list[tuple[TrackingController, Any]]]
+    controllers: Callable[[Array], list[Start]]
 
     def values(self, unit: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
         """Parameters from numbers in [0, 1]; the last axis is the parameter's."""
@@ -73,40 +73,22 @@ class Tuned:
     evaluations: int
 
 
-def _gains(values: Array) -> Gains:
-    return Gains(values[0], values[1], values[2])
+def _fuzzy(values: Array) -> list[Start]:
+    return [fuzzy_control(Gains(*values[:3]), Universes(*values[3:8]))]
 
 
-def _pid(values: Array) -> list[tuple[TrackingController, Any]]:
-    def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
-        return incremental_pid(seen.command, _gains(values), seen.error_mps, memory)
-
-    return [(control, Errors(0.0, 0.0))]
-
-
-def _fuzzy(values: Array) -> list[tuple[TrackingController, Any]]:
-    universes = Universes(*(values[k] for k in range(3, 8)))
-
-    def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
-        return step_fuzzy_pid(seen.command, seen.error_mps, memory, universes, _gains(values))
-
-    return [(control, Errors(0.0, 0.0))]
-
-
-def _neural(values: Array) -> list[tuple[TrackingController, Any]]:
-    rates = LearningRates(values[3], values[4], values[5])
-
-    def control(memory: Any, seen: Any) -> tuple[Any, Any]:  # noqa: ANN401 (arrays)
-        return step_neural_pid(memory, seen, rates)
-
-    return [(control, fresh_network(seed, _gains(values))) for seed in NETWORK_SEEDS]
+def _neural(values: Array) -> list[Start]:
+    rates = LearningRates(*values[3:6])
+    return [neural_control(Gains(*values[:3]), rates, seed) for seed in NETWORK_SEEDS]
 
 
 _UPPER = tuple(float(value) for value in CHENG2023_UPPER)
 _NAMES = ("kp", "ki", "kd")
 TUNABLE: Mapping[str, Tunable] = MappingProxyType(
     {
-        "pid": Tunable(_NAMES, (0.0, 0.0, 0.0), _UPPER, (False,) * 3, _pid),
+        "pid": Tunable(
+            _NAMES, (0.0, 0.0, 0.0), _UPPER, (False,) * 3, lambda values: [pid_control(Gains(*values[:3]))]
+        ),
         "fuzzy_pid": Tunable(
             (*_NAMES, "error_mps", "change_mps", "kp_span", "ki_span", "kd_span"),
             (0.0, 0.0, 0.0, 0.01, 0.005, 0.0, 0.0, 0.0),

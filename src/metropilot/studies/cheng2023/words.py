@@ -9,8 +9,7 @@ import numpy as np
 
 from metropilot.physics import davis_n, effort_at
 from metropilot.studies.cheng2023.drives import Measured, median
-from metropilot.studies.cheng2023.published import KPIS, TABLE_1, TABLE_3, TABLE_4
-from metropilot.studies.cheng2023.setting import DT_S, course
+from metropilot.studies.cheng2023.setting import DT_S, KPIS, TABLE_1, TABLE_3, TABLE_4, course
 from metropilot.studies.cheng2023.tracking import JERK_WINDOW_S
 
 DEVIATIONS = (

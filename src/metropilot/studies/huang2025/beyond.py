@@ -15,8 +15,7 @@ from metropilot.railway import Actuation
 from metropilot.sim import Disturbance, Drive, Rollout, Run, drive
 from metropilot.studies.huang2025.drivers import Eitoe, EitoeOptions
 from metropilot.studies.huang2025.drives import ABOVE, LeastIndex, make_drivers
-from metropilot.studies.huang2025.published import BEYOND, BY_ID, EXPERTS
-from metropilot.studies.huang2025.setting import DELAY_S, LAG_S, run_of
+from metropilot.studies.huang2025.setting import BEYOND, BY_ID, DELAY_S, EXPERTS, LAG_S, run_of
 from metropilot.studies.report import ReportRow
 
 SEEDS = 3

@@ -12,9 +12,10 @@ from metropilot.errors import Infeasible
 from metropilot.evaluate import Indices, Kpis, indices_of, kpis_of, make_driver
 from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
 from metropilot.sim import AbstractDriver, Drive, drive
-from metropilot.studies.huang2025.published import (
+from metropilot.studies.huang2025.setting import (
     COAST,
     DECISION_US,
+    DELAY_S,
     IC,
     IE,
     MANUAL,
@@ -22,8 +23,10 @@ from metropilot.studies.huang2025.published import (
     TOOK,
     TOP,
     PublishedCase,
+    comfortable,
+    run_of,
+    trainset,
 )
-from metropilot.studies.huang2025.setting import DELAY_S, comfortable, run_of, trainset
 from metropilot.studies.report import ReportRow
 from metropilot.units import J_PER_KWH
 

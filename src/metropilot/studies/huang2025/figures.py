@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metropilot.studies.huang2025.drives import EvaluatedRun
-from metropilot.studies.huang2025.published import EITOP, EXPERTS, LEARNED_IE
+from metropilot.studies.huang2025.setting import EITOP, EXPERTS, LEARNED_IE
 from metropilot.studies.report import Figure
 
 if TYPE_CHECKING:

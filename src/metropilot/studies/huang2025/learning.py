@@ -20,8 +20,7 @@ from metropilot.learn import (
     Recipe,
     Schedule,
 )
-from metropilot.studies.huang2025.published import LEARNED
-from metropilot.studies.huang2025.setting import gentle
+from metropilot.studies.huang2025.setting import LEARNED, gentle
 from metropilot.studies.learning import LearnJob, SeedResult
 from metropilot.units import J_PER_KWH
 

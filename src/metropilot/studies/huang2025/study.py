@@ -16,7 +16,7 @@ from metropilot.studies.huang2025.drives import (
     rows_of,
 )
 from metropilot.studies.huang2025.figures import figures_of
-from metropilot.studies.huang2025.published import (
+from metropilot.studies.huang2025.setting import (
     CASES,
     CITATION,
     EITOP,
@@ -66,9 +66,7 @@ def reproduce(order: Order) -> StudyReport:
     rows += [*_learning_rows(results), *stop_rows(stops), *beyond_rows(policies)]
     figures = figures_of(found, learned, stops)
     said = remarks(rows, budget=order.budget)
-    return StudyReport(
-        "huang2025", STUDY.title, order.budget, len(seeds), 0.0, rows, figures, DEVIATIONS, said
-    )
+    return StudyReport(len(seeds), rows, figures, DEVIATIONS, said)
 
 
 def _policies(folder: Path, results: Sequence[SeedResult], *, paper: bool) -> Mapping[str, Sequence[Path]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from metropilot.studies.huang2025.drives import ABOVE
-from metropilot.studies.huang2025.published import (
+from metropilot.studies.huang2025.setting import (
     BY_ID,
     COAST,
     EITOE,

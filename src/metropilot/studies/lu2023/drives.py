@@ -19,8 +19,7 @@ from metropilot.railway import load_line, load_trainset
 from metropilot.sim import AbstractDriver, Drive, Run, drive
 from metropilot.studies.lu2023.drivers import PidLu2023, PidLu2023Options
 from metropilot.studies.lu2023.notches import NotchOptions, notch_plan
-from metropilot.studies.lu2023.published import PID_130, PlanCase, Published
-from metropilot.studies.lu2023.setting import NOTCHES, TRAINSET
+from metropilot.studies.lu2023.setting import NOTCHES, PID_130, TRAINSET, PlanCase, Published
 from metropilot.studies.report import ReportRow
 from metropilot.units import J_PER_KWH
 

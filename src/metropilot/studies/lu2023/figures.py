@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metropilot.studies.lu2023.drives import NotchRun
-from metropilot.studies.lu2023.published import plan_case
+from metropilot.studies.lu2023.setting import plan_case
 from metropilot.studies.report import Figure
 from metropilot.units import KMH_PER_MPS
 

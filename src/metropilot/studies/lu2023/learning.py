@@ -14,8 +14,7 @@ from metropilot.env import episode_of, starts
 from metropilot.learn import AbstractConfig, DQNConfig, Recipe, Schedule
 from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M
 from metropilot.studies.learning import LearnJob
-from metropilot.studies.lu2023.published import PLANS, PlanCase
-from metropilot.studies.lu2023.setting import MARGIN, PERIOD_S, plan_task, without_filter
+from metropilot.studies.lu2023.setting import MARGIN, PERIOD_S, PLANS, PlanCase, plan_task, without_filter
 from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ import numpy as np
 from metropilot.errors import InputError
 from metropilot.policy import shipped_policy
 from metropilot.studies.lu2023.drives import notch_front, policy_file
-from metropilot.studies.lu2023.published import PLANS, PlanCase
+from metropilot.studies.lu2023.setting import PLANS, PlanCase
 from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from metropilot.studies.lu2023.drives import (
     track_policy,
 )
 from metropilot.studies.lu2023.figures import figures_of
-from metropilot.studies.lu2023.published import (
+from metropilot.studies.lu2023.setting import (
     ABLATION,
     BEYOND,
     CITATION,
@@ -94,11 +94,7 @@ def reproduce(order: Order) -> StudyReport:
     rows += _convergence(runs) if paper else _short(runs)
     rows += _ablation(named) if paper else []
     return StudyReport(
-        study="lu2023",
-        title=STUDY.title,
-        budget=order.budget,
         seeds=len(seeds),
-        seconds=0.0,
         rows=rows,
         figures=figures_of(drives, runs),
         deviations=DEVIATIONS,

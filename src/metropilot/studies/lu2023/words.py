@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from metropilot.studies.lu2023.drives import policy_file
 from metropilot.studies.lu2023.learning import RULE
-from metropilot.studies.lu2023.published import BEYOND, CONVERGENCE, PLANS, TABLE
-from metropilot.studies.report import ReportRow
+from metropilot.studies.lu2023.setting import BEYOND, CONVERGENCE, PLANS, TABLE
+from metropilot.studies.report import ReportRow, paragraphs
 
-_DEVIATIONS = """
+DEVIATIONS = paragraphs("""
 The stop is not learned. Station-stop braking follows the stop curve of the task's assist, with the
 weakest sufficient notch of the paper, five times a second; the network decides everything before it and
 may brake earlier. The paper does not explain how its network stops within 0.3 m.
@@ -55,8 +55,7 @@ kN.
 
 The PID's gains are Cheng23's (3.4, 0.3, 0.2), since the paper gives none; the last metres use the
 station-stop law.
-"""
-DEVIATIONS = tuple(" ".join(text.split()) for text in _DEVIATIONS.split("\n\n"))
+""")
 
 
 def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
