@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from metropilot.env import DOMAIN_ASSISTS, domain_sample
 from metropilot.env.features import FASTER_MPS, FEATURES, OBSERVERS, SPEED_MPS, FeatureContext
 from metropilot.env.tables import CLIMB_COLUMN, PACES_MPS, PERMITTED_COLUMN
-from metropilot.env.worlds import DOMAIN_ASSISTS, domain_sample
 from metropilot.learn import DemonstrationGenerator
 from metropilot.physics import davis_n
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from metropilot.control import Adaptation, adapt_trainset
+from metropilot.control import Adaptation, adapt_trainset, look_ahead
 from metropilot.drivers import watching
 from metropilot.drivers.watching import Watch
 from metropilot.env import (
@@ -110,7 +110,7 @@ class LearnedDriver(AbstractDriver):
         if memory.watch is not None:
             watch = watching.update_watch(memory.watch, memory.run, observation)
             memory = memory._replace(watch=watch)
-            if watching.outdated(watch, observation.time_s) and not memory.stopping:
+            if watching.is_outdated(watch, observation.time_s) and not memory.stopping:
                 memory = self._adapt_tables(memory, watch, observation.time_s)
         sight = self._context(memory, observation)
         perception = self.perception
@@ -138,7 +138,7 @@ class LearnedDriver(AbstractDriver):
         assists, watch, dt = self.perception.assists, memory.watch, memory.run.dt
         if watch is None or watch.care is None:
             return apply_assists(assists, sight, command, memory.stopping, dt)
-        planned = assists.stop_mps2 * watch.shown.brake or float(sight.stop_mps2)
+        planned = assists.stop_mps2 * watch.believed.brake or float(sight.stop_mps2)
         stopping, share, ahead = watching.station_stop_braking(watch, planned, bool(memory.stopping))
         if stopping or sight.left_s < sight.to_go_s:
             command = np.float64(share if stopping else 1.0)
@@ -168,7 +168,7 @@ class LearnedDriver(AbstractDriver):
 
     def _adapt_tables(self, memory: LearnedMemory, watch: Watch, time_s: float) -> LearnedMemory:
         """Build tables of the estimated trainset, under protection of the nominal one."""
-        nominal, shown = memory.nominal, watch.shown
+        nominal, shown = memory.nominal, watch.believed
         trainset = adapt_trainset(memory.run.disturbance.nominal(memory.run.trainset), shown)
         tables = self._tables(memory.run, memory.section, trainset)
         size = nominal.braked.shape[1]
@@ -186,7 +186,7 @@ class LearnedDriver(AbstractDriver):
         time, x, v, a = observation[:4]
         scheduled = observation.scheduled_time_s
         if watch is not None and watch.care is not None:
-            ahead = watching.predicted_state(watch)
+            ahead = look_ahead(watch.model, watch.belief)
             time, x, v, a = time + ahead.seconds, ahead.position_m, ahead.speed_mps, ahead.acceleration_mps2
             scheduled -= watching.RESERVE_S
         return feature_context(

@@ -107,32 +107,20 @@ class FromFile(AbstractPolicyDriver):
 
 @final
 class Ppo(AbstractShippedDriver):
-    """Learned by PPO on Rongjing to Wanyuanjie, every load, times from 1.08 of the minimum to 130 s.
-
-    Args:
-        options: Another policy.
-    """
+    """Learned by PPO on Rongjing to Wanyuanjie, every load, times from 1.08 of the minimum to 130 s."""
 
     id: ClassVar[str] = "ppo"
 
 
 @final
 class PpoScaled(AbstractShippedDriver):
-    """Learned by PPO with reward scaling (Chen23a eq. 23), for the same runs as ``ppo``.
-
-    Args:
-        options: Another policy.
-    """
+    """Learned by PPO with reward scaling (Chen23a eq. 23), for the same runs as ``ppo``."""
 
     id: ClassVar[str] = "ppo_scaled"
 
 
 @final
 class Generalist(AbstractShippedDriver):
-    """Taught by the optimal plan on random sections and trainsets: drives any section it never saw.
-
-    Args:
-        options: Another policy.
-    """
+    """Taught by the optimal plan on random sections and trainsets: drives any section it never saw."""
 
     id: ClassVar[str] = "generalist"

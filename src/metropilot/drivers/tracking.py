@@ -199,9 +199,9 @@ class AbstractTracker(AbstractDriver):
         )
         wanted, controller = self.control(memory.controller, seen)
         memory = replace(memory, controller=controller, command=float(wanted))
-        memory = self._handed_over(memory, ahead)
+        memory = self._hand_over(memory, ahead)
         if memory.stop is not None:
-            share = self._stopping(memory, memory.stop).share
+            share = self._stop(memory, memory.stop).share
         else:
             share = lead_command(memory.command, ahead.share, float(belief.bank.keep[belief.best]))
         share, watched = largest_admissible_command(
@@ -214,10 +214,10 @@ class AbstractTracker(AbstractDriver):
             overruled=int(watched.level) > 0,
         )
 
-    def _stopping(self, memory: TrackingMemory, curve: StopCurve) -> Stop:
+    def _stop(self, memory: TrackingMemory, curve: StopCurve) -> Stop:
         return stop_command(memory.model, memory.belief, float(memory.model.track.length_m), curve)
 
-    def _handed_over(self, memory: TrackingMemory, ahead: PredictedState) -> TrackingMemory:
+    def _hand_over(self, memory: TrackingMemory, ahead: PredictedState) -> TrackingMemory:
         """Give the last metres to the stop's own law, from the deceleration that is in force there."""
         if memory.stop is not None or not self.options.station_stop:
             return memory

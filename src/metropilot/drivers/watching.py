@@ -27,7 +27,6 @@ from metropilot.control import (
     headroom_of,
     initial_estimate,
     largest_admissible_command,
-    look_ahead,
     record_command,
     share_for,
     stand,
@@ -102,7 +101,7 @@ class Watch(NamedTuple):
     adapted_at_s: float
 
     @property
-    def shown(self) -> Adaptation:
+    def believed(self) -> Adaptation:
         """Estimated plant; a brake stronger than nominal counts as nominal."""
         belief = self.belief
         return Adaptation(belief.traction_gain, min(belief.brake_gain, 1.0), belief.resistance_factor)
@@ -173,17 +172,12 @@ def departs(belief: StateEstimate) -> bool:
     return bool((off > np.maximum(least, SURE * sigma)).any())
 
 
-def outdated(watch: Watch, time_s: float) -> bool:
+def is_outdated(watch: Watch, time_s: float) -> bool:
     """Tell if the tables in force are of another plant than the one estimated since."""
     if watch.care is None or time_s - watch.adapted_at_s < PATIENCE_S:
         return False
-    off = np.abs(np.subtract(watch.shown, watch.adapted))
+    off = np.abs(np.subtract(watch.believed, watch.adapted))
     return bool((off > (LEAST, LEAST, LEAST_RESISTANCE)).any())
-
-
-def predicted_state(watch: Watch) -> PredictedState:
-    """State in which a command given now begins to act."""
-    return look_ahead(watch.model, watch.belief)
 
 
 def limit_to_ceiling(watch: Watch, ahead: PredictedState, share: float, most_mps2: float) -> float:
@@ -191,7 +185,7 @@ def limit_to_ceiling(watch: Watch, ahead: PredictedState, share: float, most_mps
 
     Args:
         watch: Estimate of the plant.
-        ahead: From :func:`predicted_state`.
+        ahead: State in which a command given now begins to act.
         share: Command wanted.
         most_mps2: Largest acceleration for other reasons.
     """

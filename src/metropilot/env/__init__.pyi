@@ -9,6 +9,9 @@ from .assists import Assists as Assists
 from .assists import apply_assists as apply_assists
 from .assists import ceiling_mps2 as ceiling_mps2
 from .assists import stop_options as stop_options
+from .config import DOMAIN_ASSISTS as DOMAIN_ASSISTS
+from .config import DOMAIN_OBSERVER as DOMAIN_OBSERVER
+from .config import DomainRandomization as DomainRandomization
 from .config import DrivingConfig as DrivingConfig
 from .driving import DriveState as DriveState
 from .driving import DrivingTask as DrivingTask
@@ -28,7 +31,9 @@ from .optima import cached_optima as cached_optima
 from .optima import optima_of as optima_of
 from .policy_interface import PolicyInterface as PolicyInterface
 from .randomization import DisturbanceDistribution as DisturbanceDistribution
+from .randomization import DomainSample as DomainSample
 from .randomization import StartDistribution as StartDistribution
+from .randomization import domain_sample as domain_sample
 from .registry import TASKS as TASKS
 from .registry import make_task as make_task
 from .registry import task_config as task_config
@@ -55,8 +60,3 @@ from .tables import build_tables as build_tables
 from .tables import near_protection as near_protection
 from .tables import near_track as near_track
 from .tables import to_go_table as to_go_table
-from .worlds import DOMAIN_ASSISTS as DOMAIN_ASSISTS
-from .worlds import DOMAIN_OBSERVER as DOMAIN_OBSERVER
-from .worlds import DomainRandomization as DomainRandomization
-from .worlds import DomainSample as DomainSample
-from .worlds import domain_sample as domain_sample

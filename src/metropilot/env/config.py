@@ -1,4 +1,4 @@
-"""Configuration of a driving task."""
+"""Configuration of a driving task, and of one with random sections and trainsets."""
 
 from __future__ import annotations
 
@@ -19,6 +19,9 @@ from metropilot.sim import OutcomeRule
 
 REWARDS = (Energy(), Punctuality(per_s=2.0), Failure(price=20.0, per_m=0.05), Intervention())
 """Default reward: a kWh costs 1, a second off time 2 (in a tight timetable the last second saves below 1)."""
+DOMAIN_OBSERVER = "line"
+DOMAIN_ASSISTS = Assists(margin_mps=0.05, stop_use=0.99, release=0.95, late=True)
+"""Assists closer to the limits than the defaults, as the optimum uses the limits fully."""
 EPISODE_RULE = OutcomeRule(give_up_m=20.0, late_ratio=1.25, late_s=30.0)
 """Rule of episodes; stricter than that of reported drives, as the rest of a failed run is of no use."""
 
@@ -108,3 +111,13 @@ class DrivingConfig:
         restricted = [(s, t) for section, t in self.cases for s in self.scenarios.restricted(section)]
         bounded = [(s, t, self.scenarios.bounds(s, t, self.dt)) for s, t in (*self.cases, *restricted)]
         return build_tables(bounded, self.spacing_m, dtype, jobs)
+
+
+@dataclass(frozen=True)
+class DomainRandomization(DrivingConfig):
+    """Driving task of random domains: the sections and trainsets form pairs in the order of their lists."""
+
+    @property
+    def cases(self) -> tuple[tuple[Section, Trainset], ...]:
+        """Each section with its trainset."""
+        return tuple(zip(self.sections, self.trainsets, strict=True))

@@ -149,10 +149,10 @@ class DrivingTask(AbstractTask):
 
     def step(self, key: Array, state: DriveState, action: Array) -> tuple[DriveState, Transition]:
         """Take one decision: map the action, then assist, supervise and step in each control period."""
-        return self._traced_once["step"](key, state, action)
+        return self._traced_parts["step"](key, state, action)
 
     @cached_property
-    def _traced_once(self) -> Mapping[str, Callable[..., Any]]:
+    def _traced_parts(self) -> Mapping[str, Callable[..., Any]]:
         """Parts that a learner's program holds several times, traced once and inlined elsewhere."""
         import jax
 
@@ -211,7 +211,7 @@ class DrivingTask(AbstractTask):
 
     def observe(self, state: DriveState) -> Array:
         """Observation of a state. Shape (O,)."""
-        return self._traced_once["observe"](state)
+        return self._traced_parts["observe"](state)
 
     def _observe(self, state: DriveState) -> Array:
         return observe(self.config.features, self.sight(state))

@@ -86,18 +86,18 @@ def _read(values: object) -> PolicyInterface:
     for name, (low, high) in RANGES.items():
         value = values[name]
         if type(value) not in {int, float} or not low <= value <= high:
-            shown, allowed = _shown(value), f"{low:g} to {high:g}"
+            shown, allowed = _excerpt(value), f"{low:g} to {high:g}"
             raise InputError("out of range", field=f"perception.{name}", value=shown, allowed=allowed)
     action = values["action"]
     kind = action.get("kind") if isinstance(action, Mapping) else None
     if not isinstance(kind, str) or kind not in ACTIONS:
         known = ", ".join(ACTIONS)
-        raise InputError("unknown action", field="perception.action", value=_shown(kind), allowed=known)
+        raise InputError("unknown action", field="perception.action", value=_excerpt(kind), allowed=known)
     rest = {name: value for name, value in action.items() if name != "kind"}
     return PolicyInterface(
         features=_features(values["features"]),
-        action=_made(ACTIONS.get(kind), rest, "perception.action"),
-        assists=_made(Assists, values["assists"], "perception.assists"),
+        action=_make(ACTIONS.get(kind), rest, "perception.action"),
+        assists=_make(Assists, values["assists"], "perception.assists"),
         **{name: float(values[name]) for name in RANGES},
     )
 
@@ -105,27 +105,27 @@ def _read(values: object) -> PolicyInterface:
 def _features(values: object) -> tuple[str, ...]:
     """Check that every name is that of a feature and occurs once."""
     if not isinstance(values, list | tuple):
-        raise InputError("not a list", field="perception.features", value=_shown(values))
+        raise InputError("not a list", field="perception.features", value=_excerpt(values))
     names: list[Any] = list(values)
     unknown = [name for name in names if not isinstance(name, str) or name not in FEATURES]
     if unknown or not names or len(set(names)) < len(names):
         words = "unknown feature" if unknown else "a feature given twice" if names else "no features"
-        shown = _shown(unknown[0] if unknown else names)
+        shown = _excerpt(unknown[0] if unknown else names)
         raise InputError(words, field="perception.features", value=shown, allowed=", ".join(FEATURES))
     return tuple(names)
 
 
-def _made(kind: Any, values: object, field: str) -> Any:  # noqa: ANN401 (a dataclass of any kind)
+def _make(kind: Any, values: object, field: str) -> Any:  # noqa: ANN401 (a dataclass of any kind)
     """Build a dataclass from plain values of the types of its defaults."""
     standard = kind()
-    given = dict(values) if isinstance(values, Mapping) else {_shown(values): None}
+    given = dict(values) if isinstance(values, Mapping) else {_excerpt(values): None}
     names = [f.name for f in fields(kind)]
     for name in given:
         if name not in names:
             near = difflib.get_close_matches(str(name), names, 1)
             words = f"unknown field{f', did you mean {near[0]}?' if near else ''}"
             known = ", ".join(names) or "none"
-            raise InputError(words, field=field, value=_shown(name), allowed=known)
+            raise InputError(words, field=field, value=_excerpt(name), allowed=known)
     return kind(
         **{name: _like(getattr(standard, name), value, f"{field}.{name}") for name, value in given.items()}
     )
@@ -143,9 +143,9 @@ def _like(default: object, value: object, field: str) -> Any:  # noqa: ANN401 (w
         return value
     kinds = {float: "a finite number", int: "a whole number", bool: "true or false", str: "text"}
     allowed = kinds.get(type(default), f"a list of 1 to {MOST_ENTRIES}")
-    raise InputError("of the wrong kind", field=field, value=_shown(value), allowed=allowed)
+    raise InputError("of the wrong kind", field=field, value=_excerpt(value), allowed=allowed)
 
 
-def _shown(value: object) -> str:
+def _excerpt(value: object) -> str:
     """First characters of a value, for an error message."""
     return (value if isinstance(value, str) else repr(value))[:MOST_SHOWN]

@@ -9,11 +9,10 @@ from typing import Any
 from metropilot._registry import Registry, RegistryRow
 from metropilot.env.actions import CommandAction, IncrementAction, NotchAction
 from metropilot.env.assists import Assists
-from metropilot.env.config import REWARDS, DrivingConfig
+from metropilot.env.config import DOMAIN_ASSISTS, DOMAIN_OBSERVER, REWARDS, DomainRandomization, DrivingConfig
 from metropilot.env.driving import DrivingTask
-from metropilot.env.randomization import DisturbanceDistribution
+from metropilot.env.randomization import DisturbanceDistribution, domain_sample
 from metropilot.env.rewards import StopError
-from metropilot.env.worlds import DOMAIN_ASSISTS, DOMAIN_OBSERVER, DomainRandomization, domain_sample
 from metropilot.railway import Section, Trainset, load_line, load_trainset
 
 
@@ -67,15 +66,15 @@ def _drive_line() -> DrivingConfig:
     return DrivingConfig(_all(), _loads(), LINE_TIMES, observer="route")
 
 
-WORLDS_SEED, WORLDS = 987_654, 24
-"""The worlds that judge; those that teach are drawn from other seeds."""
+EVALUATION_SEED, EVALUATION_DOMAINS = 987_654, 24
+"""Domains of the evaluation; demonstrations are drawn from other seeds."""
 
 
-def _worlds() -> DrivingConfig:
-    worlds = [domain_sample(WORLDS_SEED, k) for k in range(WORLDS)]
+def _random_domains() -> DrivingConfig:
+    domains = [domain_sample(EVALUATION_SEED, k) for k in range(EVALUATION_DOMAINS)]
     return DomainRandomization(
-        tuple(world.section for world in worlds),
-        tuple(world.trainset for world in worlds),
+        tuple(domain.section for domain in domains),
+        tuple(domain.trainset for domain in domains),
         DisturbanceDistribution(time_ratio=(1.05, 1.4)),
         ideal=False,
         observer=DOMAIN_OBSERVER,
@@ -112,7 +111,7 @@ TASKS: Registry[Callable[[], DrivingConfig]] = Registry(
         "drive_jerk": RegistryRow(_drive_jerk, "The same with the trainset's jerk limit"),
         "drive_both": RegistryRow(_drive_both, "RJ to WYJ, every load, with and without jerk limit"),
         "drive_line": RegistryRow(_drive_line, "All sections of the Yizhuang line, both ways, every load"),
-        "worlds": RegistryRow(_worlds, "Random sections and trainsets (domain randomisation)"),
+        "worlds": RegistryRow(_random_domains, "Random sections and trainsets (domain randomisation)"),
         "drive_disturbed": RegistryRow(
             _drive_disturbed, "RJ to WYJ with scatter, delay, noise and new times"
         ),

@@ -57,7 +57,9 @@ def action_space(task: DrivingTask) -> spaces.Box | spaces.Discrete:
     return spaces.Box(-1.0, 1.0, (space.size,), np.float32)
 
 
-def placed(task: DrivingTask, start: StartDistribution, options: dict[str, Any] | None) -> StartDistribution:
+def place_start(
+    task: DrivingTask, start: StartDistribution, options: dict[str, Any] | None
+) -> StartDistribution:
     """A start with what ``options["initial_state"]`` says of it.
 
     Raises:
@@ -111,7 +113,7 @@ class DriveEnv(gymnasium.Env[np.ndarray, Any]):
         self.render_mode = render_mode
         self.observation_space = observation_space(self.task)
         self.action_space = action_space(self.task)
-        self._draw, self._begin, self._step = _compiled(self.task)
+        self._draw, self._begin, self._step = _compile(self.task)
         self._key, self._state = jax.random.key(0), None
 
     def reset(
@@ -120,7 +122,7 @@ class DriveEnv(gymnasium.Env[np.ndarray, Any]):
         """A new episode; ``options={"initial_state": {"position_m": 300.0}}`` places it (see ``LIMITS``)."""
         super().reset(seed=seed)
         self._key = jax.random.key(int(self.np_random.integers(2**31)))
-        start = placed(self.task, self._draw(self._key), options)
+        start = place_start(self.task, self._draw(self._key), options)
         self._state, observation = self._begin(start)
         return np.asarray(observation), self._info(self._state)
 
@@ -169,7 +171,7 @@ class DriveVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, Any, np.ndarray]):
         self.single_action_space = action_space(self.task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._reset, self._step = _compiled_batch(self.task)
+        self._reset, self._step = _compile_batch(self.task)
         self._state = self._key = None
         self._over = np.zeros(num_envs, bool)
 
@@ -223,12 +225,12 @@ class DriveVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, Any, np.ndarray]):
 
 
 @cache
-def _compiled(task: DrivingTask) -> tuple[Any, Any, Any]:
+def _compile(task: DrivingTask) -> tuple[Any, Any, Any]:
     return jax.jit(task.draw), jax.jit(task.begin), jax.jit(task.step)
 
 
 @cache
-def _compiled_batch(task: DrivingTask) -> tuple[Any, Any]:
+def _compile_batch(task: DrivingTask) -> tuple[Any, Any]:
     def one(key: Array, state: DriveState, action: Array, over: Array) -> tuple[DriveState, Transition]:
         after, found = task.step(key, state, action)
         fresh, observation = task.reset(key)

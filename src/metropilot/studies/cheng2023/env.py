@@ -144,7 +144,7 @@ class TrackingTask(AbstractTask):
         self.longest = max(course.periods for course in config.courses)
         import jax
 
-        padded = [compile_course(_padded(course, self.longest)) for course in config.courses]
+        padded = [compile_course(_pad(course, self.longest)) for course in config.courses]
         self.courses: ReferenceCourse = jax.tree.map(lambda *leaves: jax.numpy.stack(leaves), *padded)
 
     def course(self, index: Array) -> ReferenceCourse:
@@ -235,7 +235,7 @@ def gains_of(action: Array, upper: Gains = CHENG2023_UPPER) -> Gains:
     return Gains(*(0.5 * (action[j] + 1.0) * upper[j] for j in range(3)))
 
 
-def _padded(course: ReferenceCourse, periods: int) -> ReferenceCourse:
+def _pad(course: ReferenceCourse, periods: int) -> ReferenceCourse:
     """A course held at its end up to a number of periods."""
     extra = periods - course.periods
     return course._replace(

@@ -109,7 +109,7 @@ def command_variation() -> tuple[float, float]:
 
 def remarks(measured: Measured, kind: str, tuned: Mapping[str, Mapping[str, float]]) -> tuple[str, ...]:
     """Findings as sentences, from the medians over the seeds."""
-    found = [_against_tuned(measured, tuned["pid"])]
+    found = [_compare_with_tuned(measured, tuned["pid"])]
     if kind == "s_curve":
         short = find_shortfalls(measured, kind)
         found += [_why(measured), _jerk()]
@@ -117,7 +117,7 @@ def remarks(measured: Measured, kind: str, tuned: Mapping[str, Mapping[str, floa
     return tuple(found)
 
 
-def _against_tuned(measured: Measured, gains: Mapping[str, float]) -> str:
+def _compare_with_tuned(measured: Measured, gains: Mapping[str, float]) -> str:
     """Comparison of DDPG-PID with the tuned PID."""
     ours, other = measured["ddpg_pid", 1], measured["pid tuned", 1]
     speed, against = median(ours, "speed_total_mps"), median(other, "speed_total_mps")

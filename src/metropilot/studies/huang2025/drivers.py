@@ -178,7 +178,7 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
     if not braking:
         seen = _rate_inputs(memory, observation, ahead, curve)
         rate = _rate(memory, seen, change(seen))
-        share = share_of(actuation, ahead, _kept_safe(memory, observation, ahead, rate))
+        share = share_of(actuation, ahead, _keep_safe(memory, observation, ahead, rate))
     memory = memory._replace(
         actuation=actuation.issue(share),
         hoa=hoa._replace(braking=braking),
@@ -247,7 +247,7 @@ def _rate(memory: ExpertMemory, seen: RateInputs, change: float) -> float:
     )
 
 
-def _kept_safe(
+def _keep_safe(
     memory: ExpertMemory, observation: Observation, ahead: PredictedState, rate_mps2: float
 ) -> float:
     """The wheel effort under the safe speed (Huang25 eqs. 17 and 18).
@@ -262,7 +262,7 @@ def _kept_safe(
     here = ground.lowest(observation.position_m, ceiling.reaction_s * now)
     if min(there - v, here - now) > CLEAR_MPS:
         return rate_mps2
-    slow = _slowing(ground, ahead, memory.actuation.dt)
+    slow = _follow_fall(ground, ahead, memory.actuation.dt)
     if slow < 0.0:
         return min(rate_mps2, max(slow, -ground.most_mps2) + drag, 0.0)
     allowed = min(ceiling.acceleration_under(here - now), ceiling.acceleration_under(there - v))
@@ -270,7 +270,7 @@ def _kept_safe(
     return min(rate_mps2, max(allowed + drag, 0.0) if v <= there else 0.0)
 
 
-def _slowing(ground: ExpertTrack, ahead: PredictedState, dt: float) -> float:
+def _follow_fall(ground: ExpertTrack, ahead: PredictedState, dt: float) -> float:
     """Acceleration that follows the fall of the safe speed and comes back under it, m/s^2; 0: not needed.
 
     The brake is built up on the way to where the fall begins, and eased off little by little below it: on and
@@ -432,43 +432,27 @@ class AbstractExpertPolicyDriver(AbstractDriver):
 
 @final
 class Eitop(AbstractExpertPolicyDriver):
-    """EITOE whose change of the rate was learned by PPO.
-
-    Args:
-        options: Another policy.
-    """
+    """EITOE whose change of the rate was learned by PPO."""
 
     id: ClassVar[str] = "eitop"
 
 
 @final
 class Itor(AbstractExpertPolicyDriver):
-    """Expert rules with one of three changes of the rate, learned by Q-learning in a table.
-
-    Args:
-        options: Another policy.
-    """
+    """Expert rules with one of three changes of the rate, learned by Q-learning in a table."""
 
     id: ClassVar[str] = "itor"
 
 
 @final
 class Stod(AbstractExpertPolicyDriver):
-    """Expert rules with a continuous change of the rate, learned by DDPG.
-
-    Args:
-        options: Another policy.
-    """
+    """Expert rules with a continuous change of the rate, learned by DDPG."""
 
     id: ClassVar[str] = "stod"
 
 
 @final
 class Ston(AbstractExpertPolicyDriver):
-    """Expert rules with a continuous change of the rate, learned by NAF.
-
-    Args:
-        options: Another policy.
-    """
+    """Expert rules with a continuous change of the rate, learned by NAF."""
 
     id: ClassVar[str] = "ston"

@@ -21,22 +21,14 @@ from metropilot.sim import Run, simulate_nominal
 
 @final
 class Dqn(AbstractShippedDriver):
-    """Learned by plain DQN over Lu23's twelve notches, without the filter, for 118 to 142 s.
-
-    Args:
-        options: Another policy.
-    """
+    """Learned by plain DQN over Lu23's twelve notches, without the filter, for 118 to 142 s."""
 
     id: ClassVar[str] = "dqn"
 
 
 @final
 class ImprovedDqn(AbstractShippedDriver):
-    """Learned by double dueling DQN with prioritised replay, its choices filtered by minimum arrival time.
-
-    Args:
-        options: Another policy.
-    """
+    """Learned by double dueling DQN with prioritised replay, its choices filtered by minimum arrival time."""
 
     id: ClassVar[str] = "improved_dqn"
 
