@@ -2,10 +2,9 @@ from .adaptation import Adaptation as Adaptation
 from .adaptation import adapt_trainset as adapt_trainset
 from .adaptation import adapt_vehicle as adapt_vehicle
 from .ceiling import Ceiling as Ceiling
-from .ceiling import Headroom as Headroom
 from .ceiling import ceiling_acceleration as ceiling_acceleration
 from .ceiling import ceiling_of as ceiling_of
-from .ceiling import headroom_of as headroom_of
+from .ceiling import closing_acceleration as closing_acceleration
 from .ceiling import largest_admissible_command as largest_admissible_command
 from .ceiling import model_of as model_of
 from .ceiling import traction_limit as traction_limit

@@ -7,22 +7,21 @@ below it, so that protection does not intervene.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Scalar
 from metropilot.control.estimator import StateEstimate
 from metropilot.control.prediction import Model, PredictedState
-from metropilot.control.stopping import StopCurve, required_with_build_up
-from metropilot.physics import Command, track_arrays, vehicle_arrays
+from metropilot.control.stopping import AT_ONCE_MPS3, StopCurve, required_with_build_up
+from metropilot.physics import Command, namespace, track_arrays, vehicle_arrays
 from metropilot.planning import limit_at
 from metropilot.protection import (
-    Bounds,
     Memory,
     Protection,
-    approach_margin,
     permitted_before_service,
     permitted_speed,
     protect,
@@ -33,53 +32,97 @@ from metropilot.sim import Run, declared_bounds
 
 CLEARING_STEPS = 7
 """Bisection steps for the largest admissible command; the last interval is 2 / 2^7."""
+MARGIN_MPS = 0.15
+"""Margin below the permitted speed."""
 CATCH_PER_S = 1.0
-"""Deceleration for each m/s above the headroom."""
+"""Deceleration for each m/s above the ceiling."""
+APPROACH_S = 1.25
+"""Time in which a gap below the speed to hold is closed."""
+EASE_SHARE = 0.4
+"""Jerk at which traction is reduced before a speed is reached, over the trainset's jerk limit."""
+REACTION_S = 1.0
+"""Time to change from traction to braking, without dead time and lag."""
+SPACING_M = 1.0
+"""Distance between two nodes of the ceiling."""
+BEYOND_M = 100.0
+"""Length of the ceiling beyond the stop, for a trainset that overshoots."""
 
 
-class Headroom(NamedTuple):
-    """Largest speed and acceleration without an intervention of protection.
+class Ceiling(NamedTuple):
+    """Largest speed and acceleration without an intervention, from the origin to beyond the stop.
 
     Attributes:
-        position_m: Uniform grid of 1 m from the origin. Shape (G,).
-        speed_mps: Largest speed that may be held. Shape (G,).
+        guard: Protection of the section.
+        position_m: Uniform grid from the origin. Shape (N,).
+        speed_mps: Largest speed that may be held. Shape (N,).
         reaction_s: Time for which protection assumes that an acceleration continues, s.
         quadratic: Coefficient of the further gain of speed while it decays, s^3/m.
         late_s: Largest dead time and lag of a service command, s.
     """
 
-    position_m: Float[ndarray, " grid"]
-    speed_mps: Float[ndarray, " grid"]
+    guard: Protection
+    position_m: Float[ndarray, " nodes"]
+    speed_mps: Float[ndarray, " nodes"]
     reaction_s: float
     quadratic: float
     late_s: float
 
-    def approach(self, ahead: PredictedState) -> float:
-        """Largest acceleration that stays below the ceiling, m/s^2: ``a r + q a^2 <= room``."""
-        room = float(np.interp(ahead.position_m, self.position_m, self.speed_mps)) - ahead.speed_mps
-        if room < 0:
-            return CATCH_PER_S * room
+    @property
+    def look_s(self) -> float:
+        """Time ahead within which traction must respect lower permitted speeds, s."""
+        return REACTION_S + self.late_s
+
+    def at(self, position_m: float, way_m: float = 0.0) -> float:
+        """Lowest ceiling from a position over a short distance, m/s."""
+        first = min(max(int(position_m / SPACING_M), 0), self.position_m.size - 2)
+        last = min(int((position_m + way_m) / SPACING_M) + 2, self.position_m.size)
+        return float(self.speed_mps[first:last].min())
+
+    def acceleration_under(self, room_mps: float) -> float:
+        """Largest acceleration at a distance below the ceiling, m/s^2; negative above the ceiling.
+
+        It solves ``a r + q a^2 = room``: the inverse of :func:`metropilot.protection.approach_margin`,
+        with late commands and the trainset's own jerk limit.
+        """
+        if room_mps < 0:
+            return CATCH_PER_S * room_mps
         r, q = self.reaction_s, self.quadratic
-        return 2.0 * room / (r + math.sqrt(r * r + 4.0 * q * room))
+        return 2.0 * room_mps / (r + math.sqrt(r * r + 4.0 * q * room_mps))
+
+    def approach(self, ahead: PredictedState) -> float:
+        """Largest acceleration at a predicted state, m/s^2."""
+        here_mps = float(np.interp(ahead.position_m, self.position_m, self.speed_mps))
+        return self.acceleration_under(here_mps - ahead.speed_mps)
 
 
-def headroom_of(model: Model, guard: Protection, bounds: Bounds, margin_mps: float) -> Headroom:
-    """Headroom of a section under its protection.
+def model_of(run: Run, section: Section) -> Model:
+    """Nominal model of a run's trainset and of a section, for the control laws."""
+    trainset = run.disturbance.nominal(run.trainset)
+    return Model(vehicle_arrays(trainset), track_arrays(section, trainset), run.dt)
+
+
+def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ceiling:
+    """Ceiling of a section under the protection that supervises the run.
+
+    Protection uses each measured speed without a filter, so the largest error of one measurement adds to the
+    margin. Where commands act late, the ceiling leaves time for the service brake.
 
     Args:
-        model: Nominal trainset and section.
-        guard: Protection of this section.
-        bounds: Bounds on the plant that were declared to protection.
-        margin_mps: Margin below the permitted speed; the error of one measurement is added.
+        run: The run.
+        section: The section with every restriction announced so far.
+        margin_mps: Margin below the permitted speed.
     """
+    model, bounds = model_of(run, section), declared_bounds(run)
+    guard = protect(section, run.disturbance.nominal(run.trainset), bounds)
     rates, late = guard.rates, bounds.delay_s + bounds.lag_s
-    at = np.arange(0.0, float(model.track.length_m) + 1.0, 1.0)
+    at = np.arange(0.0, section.length_m + BEYOND_M, SPACING_M)
     cap = np.minimum(permitted_speed(guard, at), limit_at(model.track, at))
     if late > 0.0:
         cap = np.minimum(cap, permitted_before_service(guard, model.track, at))
     ratio = float(rates.mass_high / rates.mass_low)
     jerk = min(float(model.vehicle.jerk_mps3), 1e6)
-    return Headroom(
+    return Ceiling(
+        guard=guard,
         position_m=at,
         speed_mps=np.maximum(cap - margin_mps - float(rates.speed_error_mps), 0.5),
         reaction_s=ratio * (float(rates.reaction_s) + late),
@@ -111,77 +154,6 @@ def largest_admissible_command(
         low, high = (middle, high) if int(verdict.level) == 0 else (low, middle)
     _, after, _ = supervise(guard, watched, *seen, Command(low, False))
     return low, after
-
-
-MARGIN_MPS = 0.15
-"""Margin below the permitted speed."""
-APPROACH_PER_S = 0.8
-"""Acceleration for each m/s below the speed to hold."""
-EASE_SHARE = 0.4
-"""Jerk at which traction is reduced before the speed is reached, over the trainset's jerk limit."""
-REACTION_S = 1.0
-"""Time to change from traction to braking, without dead time and lag."""
-SPACING_M = 2.0
-"""Distance between two nodes of the ceiling."""
-BEYOND_M = 100.0
-"""Length of the ceiling beyond the stop, for a trainset that overshoots."""
-ACCELERATIONS_MPS2 = np.linspace(0.0, 1.5, 16)
-"""Accelerations for which protection's approach margin is tabulated."""
-
-
-class Ceiling(NamedTuple):
-    """Speed ceiling on a uniform grid from the origin to beyond the stop.
-
-    Attributes:
-        position_m: Grid. Shape (N,).
-        speed_mps: Permitted speed less the margin. Shape (N,).
-        room_mps: Least distance below the permitted speed for each acceleration. Shape (A,).
-        reaction_s: Time ahead within which traction must respect lower permitted speeds, s.
-    """
-
-    position_m: Float[ndarray, " nodes"]
-    speed_mps: Float[ndarray, " nodes"]
-    room_mps: Float[ndarray, " accelerations"]
-    reaction_s: float
-
-    def at(self, position_m: float, way_m: float = 0.0) -> float:
-        """Lowest ceiling from a position over a short distance, m/s."""
-        first = min(max(int(position_m / SPACING_M), 0), self.position_m.size - 2)
-        last = min(int((position_m + way_m) / SPACING_M) + 2, self.position_m.size)
-        return float(self.speed_mps[first:last].min())
-
-    def acceleration_under(self, missing_mps: float) -> float:
-        """Largest acceleration at a speed below the ceiling: the inverse of protection's approach margin."""
-        return float(np.interp(missing_mps, self.room_mps, ACCELERATIONS_MPS2))
-
-
-def model_of(run: Run, section: Section) -> Model:
-    """Nominal model of a run's trainset and of a section, for the control laws."""
-    trainset = run.disturbance.nominal(run.trainset)
-    return Model(vehicle_arrays(trainset), track_arrays(section, trainset), run.dt)
-
-
-def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ceiling:
-    """Ceiling of a section under the protection that supervises the run.
-
-    Protection uses each measured speed without a filter, so the largest error of one measurement adds to the
-    margin.
-
-    Args:
-        run: The run.
-        section: The section with every restriction announced so far.
-        margin_mps: Margin below the permitted speed.
-    """
-    bounds = declared_bounds(run)
-    protection = protect(section, run.disturbance.nominal(run.trainset), bounds)
-    margin = margin_mps + bounds.speed_error_mps
-    at = np.arange(0.0, section.length_m + BEYOND_M, SPACING_M)
-    return Ceiling(
-        position_m=at,
-        speed_mps=np.maximum(np.asarray(permitted_speed(protection, at)) - margin, 0.5),
-        room_mps=np.asarray(approach_margin(protection, ACCELERATIONS_MPS2)),
-        reaction_s=REACTION_S + bounds.delay_s + bounds.lag_s,
-    )
 
 
 def ceiling_acceleration(
@@ -226,9 +198,9 @@ def traction_limit(belief: StateEstimate, ahead: PredictedState, ceiling: Ceilin
         ceiling: Speed ceiling.
     """
     drag = ahead.resistance_mps2 + ahead.gradient_mps2
-    here_mps = ceiling.at(belief.position_m, ceiling.reaction_s * belief.speed_mps)
+    here_mps = ceiling.at(belief.position_m, ceiling.look_s * belief.speed_mps)
     here = ceiling.acceleration_under(here_mps - belief.speed_mps)
-    there_mps = ceiling.at(ahead.position_m, ceiling.reaction_s * ahead.speed_mps)
+    there_mps = ceiling.at(ahead.position_m, ceiling.look_s * ahead.speed_mps)
     there = ceiling.acceleration_under(there_mps - ahead.speed_mps)
     believed = ahead.traction_mps2 / belief.traction_gain
     hold = drag / ahead.traction_mps2 if ahead.speed_mps <= there_mps else 0.0
@@ -253,10 +225,23 @@ def lowest_ahead(ahead: PredictedState, ceiling: Ceiling, curve: StopCurve) -> t
 
 
 def approach(model: Model, speed_mps: float, target_mps: float) -> float:
-    """Acceleration toward a speed, reduced in time for the jerk limit, at most the service limit, m/s^2."""
+    """Acceleration toward a speed, at most the service limit, m/s^2."""
     missing = target_mps - speed_mps
     if missing < 0:
-        return max(APPROACH_PER_S * missing, -1.0)
-    jerk = EASE_SHARE * float(model.vehicle.jerk_mps3)
-    eased = math.sqrt(2.0 * jerk * missing) if math.isfinite(jerk) else math.inf
-    return min(float(model.vehicle.max_acceleration_mps2), APPROACH_PER_S * missing, eased)
+        return max(missing / APPROACH_S, -1.0)
+    rise = closing_acceleration(missing, APPROACH_S, float(model.vehicle.jerk_mps3))
+    return min(float(model.vehicle.max_acceleration_mps2), rise)
+
+
+@no_type_check
+def closing_acceleration(gap_mps: Scalar, time_s: Scalar, jerk_mps3: Scalar) -> Scalar:
+    """Largest acceleration that closes a gap in speed in a time and within the jerk limit, m/s^2.
+
+    Args:
+        gap_mps: Speed to reach over the speed now, at least 0.
+        time_s: Time in which a constant acceleration would close it.
+        jerk_mps3: The trainset's jerk limit.
+    """
+    xp = namespace(gap_mps, time_s, jerk_mps3)
+    jerk = xp.minimum(jerk_mps3, AT_ONCE_MPS3)
+    return xp.minimum(gap_mps / time_s, xp.sqrt(2.0 * EASE_SHARE * jerk * gap_mps))

@@ -11,7 +11,7 @@ import numpy as np
 from metropilot.control import (
     STOP_OPTIONS,
     Adaptation,
-    Headroom,
+    Ceiling,
     Model,
     PredictedState,
     StateEstimate,
@@ -19,9 +19,9 @@ from metropilot.control import (
     StopCurve,
     StopOptions,
     adapt_vehicle,
+    ceiling_of,
     curve_for,
     deceleration_to,
-    headroom_of,
     initial_estimate,
     largest_admissible_command,
     look_ahead,
@@ -47,9 +47,9 @@ from metropilot.planning import (
     pull_away,
     ramped_acceleration,
 )
-from metropilot.protection import Memory, Protection, at_start, protect
+from metropilot.protection import Memory, at_start
 from metropilot.railway import Section, Trainset
-from metropilot.sim import AbstractDriver, Observation, Run, declared_bounds
+from metropilot.sim import AbstractDriver, Observation, Run
 
 
 @dataclass(frozen=True)
@@ -110,9 +110,8 @@ class FollowingMemory:
     Attributes:
         trainset: The trainset as it is known.
         run: The run.
-        guard: Protection's curves and bounds, as the trainset carries them.
         watched: State of protection, kept alongside.
-        room: Speeds to keep under.
+        ceiling: Largest speed and acceleration under protection.
         model: Nominal trainset and section.
         belief: Estimate of the state and of the plant.
         plan: The plan in force.
@@ -129,9 +128,8 @@ class FollowingMemory:
 
     trainset: Trainset
     run: Run
-    guard: Protection
     watched: Memory
-    room: Headroom
+    ceiling: Ceiling
     model: Model
     belief: StateEstimate
     plan: Plan
@@ -169,20 +167,17 @@ class Optimal(AbstractDriver):
         trainset = run.disturbance.nominal(run.trainset)
         vehicle, track = vehicle_arrays(trainset), track_arrays(run.section, trainset)
         model = Model(vehicle, track, run.dt)
-        bounds = declared_bounds(run)
-        guard = protect(run.section, trainset, bounds)
-        room = headroom_of(model, guard, bounds, self.options.cap_margin_mps)
-        options = self._plan_options(model, room)
+        ceiling = ceiling_of(run, run.section, self.options.cap_margin_mps)
+        options = self._plan_options(model, ceiling)
         check_running_time(run.scheduled_time_s, fastest_time(vehicle, track, PlanOptions()))
-        careful = adapt_vehicle(vehicle, Adaptation(brake=self._brake_use(vehicle, Adaptation(), room)))
+        careful = adapt_vehicle(vehicle, Adaptation(brake=self._brake_use(vehicle, Adaptation(), ceiling)))
         plan = _plan(careful, track, run.scheduled_time_s - self.options.reserve_s, options)
-        curve = self._curve(model, plan, room)
+        curve = self._curve(model, plan, ceiling)
         return FollowingMemory(
             trainset=trainset,
             run=run,
-            guard=guard,
-            watched=at_start(guard),
-            room=room,
+            watched=at_start(ceiling.guard),
+            ceiling=ceiling,
             model=model,
             belief=initial_estimate(model, weighed_brakes=weighs_load(vehicle)),
             plan=plan,
@@ -221,7 +216,7 @@ class Optimal(AbstractDriver):
             stop = stop_command(memory.model, belief, target, curve)
         share = self._brake(memory, stop) if braking else self._follow(memory)
         share, watched = largest_admissible_command(
-            memory.guard, memory.watched, observation.position_m, observation.speed_mps, share
+            memory.ceiling.guard, memory.watched, observation.position_m, observation.speed_mps, share
         )
         return share, replace(
             memory,
@@ -240,7 +235,7 @@ class Optimal(AbstractDriver):
         """Tell if the stop's own law takes over: near the point, or where the plan would come too late."""
         left = self._left(memory, stop.ahead)
         rate = memory.curve.deceleration_mps2
-        if memory.room.late_s > 0.0:
+        if memory.ceiling.late_s > 0.0:
             needed = self.options.careful_alarm * rate
         else:
             needed = rate if left <= self.options.handover_m else self.options.alarm * rate
@@ -252,7 +247,7 @@ class Optimal(AbstractDriver):
         """The deceleration the stop may count on; infinite while it is far off."""
         if stop.required_mps2 < WATCHED_SHARE * memory.curve.deceleration_mps2:
             return math.inf
-        use = self._brake_use(memory.model.vehicle, memory.adapted, memory.room)
+        use = self._brake_use(memory.model.vehicle, memory.adapted, memory.ceiling)
         return use * deceleration_to(memory.model, memory.belief, stop)
 
     def _brake(self, memory: FollowingMemory, stop: Stop) -> float:
@@ -275,7 +270,7 @@ class Optimal(AbstractDriver):
         if float(plan.speed_mps[0]) == 0.0 and start - float(plan.position_m[0]) < START_STRETCH_M:
             planned = pull_away(plan, start + step)
         wanted = planned + self.options.speed_gain_per_s * (here - ahead.speed_mps)
-        most = min(memory.room.approach(ahead), float(memory.model.vehicle.max_acceleration_mps2))
+        most = min(memory.ceiling.approach(ahead), float(memory.model.vehicle.max_acceleration_mps2))
         wanted = max(min(wanted, most), -float(memory.model.vehicle.max_deceleration_mps2))
         effort = wanted + ahead.resistance_mps2 + ahead.gradient_mps2
         k = min(
@@ -316,30 +311,27 @@ class Optimal(AbstractDriver):
     def _replan(self, memory: FollowingMemory, observation: Observation) -> FollowingMemory:
         """Make a plan from the current state, with the estimated plant."""
         model, belief = memory.model, memory.belief
-        guard, room = memory.guard, memory.room
+        ceiling = memory.ceiling
         if observation.section is not memory.section:
-            bounds = declared_bounds(memory.run)
-            guard = protect(observation.section, memory.trainset, bounds)
             model = model._replace(track=track_arrays(observation.section, memory.trainset))
-            room = headroom_of(model, guard, bounds, self.options.cap_margin_mps)
+            ceiling = ceiling_of(memory.run, observation.section, self.options.cap_margin_mps)
         adapted = self._adaptation(belief)
         # What is in flight cannot be changed: the plan begins where a command given now begins to act.
         ahead = look_ahead(model, belief)
         clock_s = observation.time_s + ahead.seconds
         left = max(observation.scheduled_time_s - self.options.reserve_s - clock_s, 1.0)
         options = replace(
-            self._plan_options(model, room),
+            self._plan_options(model, ceiling),
             start_m=max(ahead.position_m, 0.0),
             start_mps=max(ahead.speed_mps, 0.0),
             start_mps2=ahead.acceleration_mps2,
         )
-        use = self._brake_use(model.vehicle, adapted, room)
+        use = self._brake_use(model.vehicle, adapted, ceiling)
         vehicle = adapt_vehicle(model.vehicle, adapted._replace(brake=adapted.brake * use))
         updated = replace(
             memory,
             model=model,
-            guard=guard,
-            room=room,
+            ceiling=ceiling,
             section=observation.section,
             scheduled_s=observation.scheduled_time_s,
             planned_at_s=observation.time_s,
@@ -350,37 +342,37 @@ class Optimal(AbstractDriver):
             plan = _plan(vehicle, model.track, left, options, memory.plan)
         except SolverError:
             return updated
-        return replace(updated, plan=plan, clock_s=clock_s, curve=self._curve(model, plan, room))
+        return replace(updated, plan=plan, clock_s=clock_s, curve=self._curve(model, plan, ceiling))
 
     def _adaptation(self, belief: StateEstimate) -> Adaptation:
         """Plant to plan with: the estimated one, with a brake no stronger than nominal."""
         return Adaptation(belief.traction_gain, min(belief.brake_gain, 1.0), belief.resistance_factor)
 
-    def _brake_use(self, vehicle: Vehicle, adapted: Adaptation, room: Headroom) -> float:
+    def _brake_use(self, vehicle: Vehicle, adapted: Adaptation, ceiling: Ceiling) -> float:
         """Share of the braking force to plan with."""
-        nominal = room.late_s == 0.0 and abs(adapted.traction - 1.0) <= SURPRISE
+        nominal = ceiling.late_s == 0.0 and abs(adapted.traction - 1.0) <= SURPRISE
         sure = nominal and weighs_load(vehicle, spare=1.0)
         return self.options.brake_use if sure else self.options.careful_brake_use
 
-    def _release_share(self, room: Headroom) -> float:
+    def _release_share(self, ceiling: Ceiling) -> float:
         """Jerk of the last brake's release over the trainset's limit."""
-        return self.options.late_release_share if room.late_s > 0.0 else self.options.release_share
+        return self.options.late_release_share if ceiling.late_s > 0.0 else self.options.release_share
 
-    def _curve(self, model: Model, plan: Plan, room: Headroom) -> StopCurve:
+    def _curve(self, model: Model, plan: Plan, ceiling: Ceiling) -> StopCurve:
         """The stop the plan ends with: the deceleration it brakes at before it lets go."""
         vehicle = model.vehicle
         braking = -np.diff(plan.speed_mps**2) / (2 * np.diff(plan.position_m))
         last = plan.position_m[1:] > float(plan.position_m[-1]) - LAST_STRETCH_M
         rate = float(braking[last].max())
         rate = min(max(rate, 0.3), float(vehicle.max_deceleration_mps2))
-        shape = StopOptions(release_share=self._release_share(room))
+        shape = StopOptions(release_share=self._release_share(ceiling))
         return curve_for(vehicle, model.dt, rate, shape)
 
-    def _plan_options(self, model: Model, room: Headroom) -> PlanOptions:
-        """Plans allow for the jerk limit, and stay below the room over a control period."""
+    def _plan_options(self, model: Model, ceiling: Ceiling) -> PlanOptions:
+        """Plans allow for the jerk limit, and stay below the ceiling over a control period."""
         jerk = float(model.vehicle.jerk_mps3)
         limited = bool(np.isfinite(jerk))
-        cap = room.speed_mps
+        cap = ceiling.speed_mps
         held = int(np.ceil(float(cap.max()) * model.dt))
         late = [np.concatenate([np.repeat(cap[:1], k), cap[: cap.size - k]]) for k in range(held + 1)]
         return PlanOptions(
@@ -388,8 +380,8 @@ class Optimal(AbstractDriver):
             spacing_m=self.options.spacing_m,
             late_w=LATE_W,
             jerk_mps3=jerk if limited else None,
-            release_mps3=self._release_share(room) * jerk if limited else None,
-            cap_m=room.position_m,
+            release_mps3=self._release_share(ceiling) * jerk if limited else None,
+            cap_m=ceiling.position_m,
             cap_mps=np.min(late, axis=0),
         )
 

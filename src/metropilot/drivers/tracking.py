@@ -15,14 +15,14 @@ from typing import Any, Literal, NamedTuple
 
 from metropilot._typing import Array
 from metropilot.control import (
-    Headroom,
+    Ceiling,
     Model,
     PredictedState,
     StateEstimate,
     Stop,
     StopCurve,
+    ceiling_of,
     curve_for,
-    headroom_of,
     initial_estimate,
     largest_admissible_command,
     lead_command,
@@ -44,9 +44,9 @@ from metropilot.planning import (
     reference_under_for_time,
     sampled_profile,
 )
-from metropilot.protection import Memory, Protection, at_start, protect
+from metropilot.protection import Memory, at_start
 from metropilot.railway import Section
-from metropilot.sim import AbstractDriver, Observation, Run, declared_bounds
+from metropilot.sim import AbstractDriver, Observation, Run
 
 Kind = Literal["trapezoid", "s_curve", "optimal"]
 KINDS: tuple[Kind, ...] = ("trapezoid", "s_curve", "optimal")
@@ -113,9 +113,8 @@ class TrackingMemory:
         section: The section the reference was laid for.
         scheduled_s: The scheduled time it was laid for.
         model: Nominal trainset and section.
-        guard: Protection's curves.
         watched: State of protection, kept alongside.
-        room: Speeds to keep under.
+        ceiling: Largest speed and acceleration under protection.
         belief: Estimate of the state and of the plant.
         reference: Reference in force.
         clock_s: Start of the reference.
@@ -129,9 +128,8 @@ class TrackingMemory:
     section: Section
     scheduled_s: float
     model: Model
-    guard: Protection
     watched: Memory
-    room: Headroom
+    ceiling: Ceiling
     belief: StateEstimate
     reference: TimedReference
     clock_s: float
@@ -162,17 +160,16 @@ class AbstractTracker(AbstractDriver):
     def init(self, run: Run) -> TrackingMemory:
         """Lay the reference for the whole section."""
         model = model_of(run, run.section)
-        guard, room = self._limits(run, run.section, model)
+        ceiling = ceiling_of(run, run.section, CAP_MARGIN_MPS)
         return TrackingMemory(
             run=run,
             section=run.section,
             scheduled_s=run.scheduled_time_s,
             model=model,
-            guard=guard,
-            watched=at_start(guard),
-            room=room,
+            watched=at_start(ceiling.guard),
+            ceiling=ceiling,
             belief=initial_estimate(model),
-            reference=self._lay_reference(model, room, run.scheduled_time_s, 0.0, 0.0),
+            reference=self._lay_reference(model, ceiling, run.scheduled_time_s, 0.0, 0.0),
             clock_s=0.0,
             controller=self.fresh(run),
             command=0.0,
@@ -205,7 +202,7 @@ class AbstractTracker(AbstractDriver):
         else:
             share = lead_command(memory.command, ahead.share, float(belief.bank.keep[belief.best]))
         share, watched = largest_admissible_command(
-            memory.guard, memory.watched, observation.position_m, observation.speed_mps, share
+            memory.ceiling.guard, memory.watched, observation.position_m, observation.speed_mps, share
         )
         return share, replace(
             memory,
@@ -231,7 +228,7 @@ class AbstractTracker(AbstractDriver):
 
     def _follow_updates(self, memory: TrackingMemory, observation: Observation) -> TrackingMemory:
         """Lay the reference anew after news, or where the trainset is far from it."""
-        section, model, guard, room = memory.section, memory.model, memory.guard, memory.room
+        section, model, ceiling = memory.section, memory.model, memory.ceiling
         news = observation.scheduled_time_s != memory.scheduled_s or observation.section is not section
         clock = observation.time_s - memory.clock_s
         place = memory.reference.at(clock)[0]
@@ -247,29 +244,23 @@ class AbstractTracker(AbstractDriver):
             model = model._replace(
                 track=track_arrays(section, memory.run.disturbance.nominal(memory.run.trainset))
             )
-            guard, room = self._limits(memory.run, section, model)
+            ceiling = ceiling_of(memory.run, section, CAP_MARGIN_MPS)
         left = max(observation.scheduled_time_s - observation.time_s, 1.0)
-        reference = self._lay_reference(model, room, left, memory.belief.position_m, memory.belief.speed_mps)
+        reference = self._lay_reference(
+            model, ceiling, left, memory.belief.position_m, memory.belief.speed_mps
+        )
         return replace(
             memory,
             section=section,
             scheduled_s=observation.scheduled_time_s,
             model=model,
-            guard=guard,
-            room=room,
+            ceiling=ceiling,
             reference=reference,
             clock_s=observation.time_s,
         )
 
-    @staticmethod
-    def _limits(run: Run, section: Section, model: Model) -> tuple[Protection, Headroom]:
-        """Protection as the trainset carries it, and the speeds to keep under it."""
-        bounds = declared_bounds(run)
-        guard = protect(section, run.disturbance.nominal(run.trainset), bounds)
-        return guard, headroom_of(model, guard, bounds, CAP_MARGIN_MPS)
-
     def _lay_reference(
-        self, model: Model, room: Headroom, left_s: float, start_m: float, start_mps: float
+        self, model: Model, ceiling: Ceiling, left_s: float, start_m: float, start_mps: float
     ) -> TimedReference:
         """The reference from a state to the stop in the time left."""
         options = self.options
@@ -278,8 +269,8 @@ class AbstractTracker(AbstractDriver):
             plan_options = PlanOptions(
                 start_m=start,
                 start_mps=start_mps,
-                cap_m=room.position_m,
-                cap_mps=room.speed_mps,
+                cap_m=ceiling.position_m,
+                cap_mps=ceiling.speed_mps,
                 late_w=500.0,
             )
             plan = plan_arrays(model.vehicle, model.track, left_s, plan_options)
@@ -290,8 +281,8 @@ class AbstractTracker(AbstractDriver):
         ground = ReferenceTrack(
             model.vehicle,
             model.track,
-            room.position_m,
-            room.speed_mps,
+            ceiling.position_m,
+            ceiling.speed_mps,
             options.effort_share,
             start,
             max(start_mps, 0.0),

@@ -18,13 +18,13 @@ import numpy as np
 
 from metropilot.control import (
     Adaptation,
-    Headroom,
+    Ceiling,
     Model,
     PredictedState,
     StateEstimate,
     StopOptions,
+    ceiling_of,
     curve_for,
-    headroom_of,
     initial_estimate,
     largest_admissible_command,
     record_command,
@@ -35,7 +35,7 @@ from metropilot.control import (
     weighs_load,
 )
 from metropilot.physics import track_arrays, vehicle_arrays
-from metropilot.protection import Bounds, Memory, Protection, at_start, protect
+from metropilot.protection import Bounds, Memory, at_start
 from metropilot.railway import Section
 from metropilot.sim import Observation, Run, declared_bounds
 
@@ -72,14 +72,12 @@ class Care(NamedTuple):
     """Protection kept alongside, to stay clear of it.
 
     Attributes:
-        guard: Protection of the section.
         watched: State of protection.
-        room: Speeds to keep under.
+        ceiling: Largest speed and acceleration under it.
     """
 
-    guard: Protection
     watched: Memory
-    room: Headroom
+    ceiling: Ceiling
 
 
 class Watch(NamedTuple):
@@ -158,7 +156,7 @@ def answers_late(declared: Bounds) -> bool:
 
 def stop_options(watch: Watch) -> StopOptions:
     """Constants of the station stop, soft where protection's bounds hold late commands."""
-    late = watch.care is not None and watch.care.room.late_s > 0.0
+    late = watch.care is not None and watch.care.ceiling.late_s > 0.0
     return LATE_STOP if late else CAREFUL_STOP
 
 
@@ -191,7 +189,7 @@ def limit_to_ceiling(watch: Watch, ahead: PredictedState, share: float, most_mps
     """
     if watch.care is None:
         return share
-    most = min(watch.care.room.approach(ahead), most_mps2)
+    most = min(watch.care.ceiling.approach(ahead), most_mps2)
     return min(share, share_for(watch.belief, ahead, most))
 
 
@@ -224,19 +222,18 @@ def limit_by_protection(watch: Watch, observation: Observation, share: float) ->
         return share, watch
     care = watch.care
     seen = observation.position_m, observation.speed_mps
-    share, watched = largest_admissible_command(care.guard, care.watched, *seen, share)
+    share, watched = largest_admissible_command(care.ceiling.guard, care.watched, *seen, share)
     return float(share), watch._replace(care=care._replace(watched=watched))
 
 
 def _care(watch: Watch, run: Run, section: Section) -> Care:
     """Set up protection on a section, with the commands that are on their way."""
-    bounds, belief = declared_bounds(run), watch.belief
-    guard = protect(section, run.disturbance.nominal(run.trainset), bounds)
-    watched = at_start(guard)
+    ceiling, belief = ceiling_of(run, section, MARGIN_MPS), watch.belief
+    watched = at_start(ceiling.guard)
     count, known = np.size(watched.recent), belief.commands.size
     watched = watched._replace(
         recent=np.pad(belief.commands, (0, max(count - known, 0)), "edge")[:count],
         share=np.float64(belief.bank.share[belief.best]),
         acceleration_mps2=np.float64(belief.acceleration_mps2),
     )
-    return Care(guard, watched, headroom_of(watch.model, guard, bounds, MARGIN_MPS))
+    return Care(watched, ceiling)

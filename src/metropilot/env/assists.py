@@ -20,6 +20,7 @@ from metropilot.control import (
     StopOptions,
     braking_distance,
     build_up,
+    closing_acceleration,
     curve_for,
     stop_deceleration,
 )
@@ -27,8 +28,6 @@ from metropilot.env.features import FeatureContext
 from metropilot.env.tables import LEAST_STOP_MPS2, PERMITTED_COLUMN, STOP_USE, SectionRows
 from metropilot.errors import InputError
 
-EASE_SHARE = 0.4
-"""Jerk at which traction is eased off under the ceiling, over the trainset's limit."""
 LET_GO_SHARE = 0.75
 """Below this share of the planned deceleration the station stop began too early, and the policy drives on."""
 LAST_M = 1.0
@@ -178,7 +177,7 @@ def ceiling_mps2(assists: Assists, sight: FeatureContext, dt: float) -> Array:
     near = xp.minimum(permitted(x), permitted(x + v * dt)) - v
     later = permitted(x + v * ahead_s) - v
     rise = xp.maximum(xp.minimum(near, later), 0.0)
-    upward = xp.minimum(rise / (dt + spread * rates.reaction_s), xp.sqrt(2.0 * EASE_SHARE * jerk * rise))
+    upward = closing_acceleration(rise, dt + spread * rates.reaction_s, jerk)
     downward = xp.minimum(xp.minimum(near / dt, later / ahead_s), 0.0)
     return xp.minimum(upward + downward, sight.vehicle.max_acceleration_mps2)
 

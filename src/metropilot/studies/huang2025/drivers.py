@@ -258,8 +258,8 @@ def _keep_safe(
     """
     ground, ceiling, drag = memory.ground, memory.ceiling, ahead.resistance_mps2
     x, v, now = ahead.position_m, ahead.speed_mps, observation.speed_mps
-    there = ground.lowest(x, ceiling.reaction_s * v)
-    here = ground.lowest(observation.position_m, ceiling.reaction_s * now)
+    there = ground.lowest(x, ceiling.look_s * v)
+    here = ground.lowest(observation.position_m, ceiling.look_s * now)
     if min(there - v, here - now) > CLEAR_MPS:
         return rate_mps2
     slow = _follow_fall(ground, ahead, memory.actuation.dt)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, final
 
-from metropilot.control import CHENG2023_GAINS, Errors, Gains, Headroom, Model, incremental_pid
+from metropilot.control import CHENG2023_GAINS, Ceiling, Errors, Gains, Model, incremental_pid
 from metropilot.drivers import (
     REFERENCE_PERIOD_S,
     AbstractShippedDriver,
@@ -89,9 +89,9 @@ class PidLu2023(AbstractTracker):
         return incremental_pid(seen.command, self.gains, seen.error_mps, memory)
 
     def _lay_reference(
-        self, model: Model, room: Headroom, left_s: float, start_m: float, start_mps: float
+        self, model: Model, ceiling: Ceiling, left_s: float, start_m: float, start_mps: float
     ) -> TimedReference:
         """The learned curve from the origin; elsewhere an S-curve."""
         if self.curve is not None and start_m <= 0.0:
             return self.curve
-        return super()._lay_reference(model, room, left_s, start_m, start_mps)
+        return super()._lay_reference(model, ceiling, left_s, start_m, start_mps)
