@@ -37,7 +37,7 @@ LEARNERS = (
 )
 CONVOYS = (
     ("--trainsets", "3"),
-    ("--trainsets", "3", "--driver", "sac_pid", "--delay", "0.3", "--loss", "0.1"),
+    ("--trainsets", "3", "--driver", "sac_pid", "--link-delay", "0.3", "--link-loss", "0.1"),
 )
 STUDIES = ("cheng2023",)
 OF_THE_MACHINE = re.compile(

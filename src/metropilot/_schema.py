@@ -7,12 +7,24 @@ console and campaigns take names, ranges and help from the declaration; :func:`c
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from difflib import get_close_matches
 from functools import cache
-from typing import Any
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from metropilot.errors import InputError
 from metropilot.units import Unit
+
+Made = TypeVar("Made")
+KIND_WORDS: dict[type, str] = {
+    float: "a number",
+    int: "a whole number",
+    bool: "true or false",
+    str: "text",
+    dict: "a table",
+    list: "a list of texts",
+}
 
 
 @dataclass(frozen=True)
@@ -130,3 +142,74 @@ def check_fields(values: Any) -> None:  # noqa: ANN401 (any dataclass)
     """
     for name, spec in field_specs(type(values)).items():
         spec.check(name, getattr(values, name))
+
+
+@cache
+def field_type(kind: type[Any], name: str) -> type:
+    """Type of a field's values, without None: that of the words of a ``Literal``."""
+    hint = get_type_hints(kind)[name]
+    parts = (hint,) if get_origin(hint) is Literal else get_args(hint) or (hint,)
+    hint = next(part for part in parts if part is not type(None))
+    return type(get_args(hint)[0]) if get_origin(hint) is Literal else hint
+
+
+def field_default(kind: type[Any], name: str) -> Any:  # noqa: ANN401 (of any type)
+    """Default of a field, None where it must be given."""
+    default = next(f.default for f in fields(kind) if f.name == name)
+    return None if default is MISSING else default
+
+
+def check_name(name: str, names: Iterable[str], what: str, **where: Any) -> None:  # noqa: ANN401 (as InputError)
+    """Refuse a name that is none of these; the error gives the nearest one.
+
+    Args:
+        name: The name.
+        names: All there are.
+        what: What it names, for the error.
+        where: Attributes of the error.
+    """
+    if name not in (names := tuple(names)):
+        near = get_close_matches(name, names, 1)
+        hint = f", did you mean {near[0]}?" if near else ""
+        raise InputError(f"unknown {what}{hint}", allowed=", ".join(names), **where)
+
+
+def convert(name: str, value: Any, kind: type, range_words: str = "") -> Any:  # noqa: ANN401 (a plain value)
+    """A plain value of TOML, JSON or the command line as a field's type; a whole number is a float too.
+
+    Args:
+        name: The field, for errors.
+        value: The value.
+        kind: The type.
+        range_words: Allowed numbers, for the error of a whole number that no float can hold.
+
+    Raises:
+        InputError: The value is of another kind, or a whole number that no float can hold.
+    """
+    value = list(value) if isinstance(value, tuple) else value
+    fits = type(value) in {float, int} if kind is float else type(value) is kind
+    if not fits or (kind is list and not all(isinstance(item, str) for item in value)):
+        allowed = KIND_WORDS.get(kind, kind.__name__)
+        raise InputError("wrong kind of value", field=name, value=str(value), allowed=allowed)
+    try:
+        return float(value) if kind is float else value
+    except OverflowError:  # a whole number may have more digits than a float has room for
+        raise InputError("out of range", field=name, allowed=range_words or None) from None
+
+
+def from_table(kind: type[Made], values: Mapping[str, Any], **more: Any) -> Made:  # noqa: ANN401 (of any type)
+    """Make a dataclass from plain values of its declared fields.
+
+    Args:
+        kind: The dataclass.
+        values: By name; a field that is None or not given has its default.
+        more: Values of other fields, as they are.
+    """
+    if not isinstance(values, Mapping):
+        raise InputError("wrong kind of value", field=kind.__name__, value=str(values), allowed="a table")
+    given = {}
+    for name, value in values.items():
+        check_name(name, field_specs(kind), "key", field=name)
+        if value is not None:
+            given[name] = convert(name, value, field_type(kind, name), field_specs(kind)[name].allowed)
+    return kind(**given, **more)

@@ -1,6 +1,7 @@
 """One declaration of a run: every entry gives every field of it, and refuses it in the same words."""
 
 import asyncio
+from dataclasses import replace
 
 import httpx
 import pytest
@@ -9,11 +10,12 @@ from fastapi import FastAPI
 from metropilot._schema import field_specs
 from metropilot.campaign import campaign_from_toml, case_request
 from metropilot.cli import app
+from metropilot.convoy import ConvoyRequest, Link
 from metropilot.errors import InputError
 from metropilot.evaluate import RunSpec, run_fields, run_from_toml
 from metropilot.railway import Restriction
 from metropilot.sim import Disturbance, TimetableUpdate
-from metropilot.web import DriveIn, install
+from metropilot.web import ConvoyIn, DriveIn, Service, Settings, install
 from metropilot.web import request_of as request_of_body
 
 WHERE = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ"}
@@ -23,21 +25,27 @@ GIVEN = [(name, value, Disturbance(**{name: value})) for name, value in VALUES.i
 LIMIT = Restriction(400.0, 600.0, 40.0 / 3.6)
 
 
+@pytest.fixture
+def service(tmp_path):
+    """What answers the HTTP API."""
+    return Service(Settings(tmp_path))
+
+
 class Caught(Exception):
     """The run that a command would drive."""
 
 
 @pytest.fixture
 def from_command_line(monkeypatch):
-    """The run that `metropilot drive` makes of its options."""
+    """The run that `metropilot drive`, or `convoy`, makes of its options."""
 
     def tell(spec, *_, **__):
         raise Caught(spec)
 
-    def read(*options):
-        monkeypatch.setattr("metropilot.cli.drive.run_and_report", tell)
+    def read(*options, command="drive"):
+        monkeypatch.setattr(f"metropilot.cli.{command}.run_and_report", tell)
         with pytest.raises(Caught) as told:
-            app._run(["drive", *WHERE.values(), *options])
+            app._run([command, *WHERE.values(), *options])
         return told.value.args[0]
 
     return read
@@ -140,13 +148,13 @@ def test_every_entry_refuses_in_the_same_words(tmp_path, metropilot, name):
     assert shown == f"{name}{said}"
 
 
-def answered(values):
+def answered(values, body=DriveIn):
     """The error that the HTTP API answers a body with."""
     server = FastAPI()
     install(server)
 
     @server.post("/drive")
-    def drive(asked: DriveIn) -> None:
+    def drive(asked: body) -> None:
         """Take a body."""
 
     async def post():
@@ -174,3 +182,49 @@ def test_a_run_reads_back_as_it_was_written():
         ),
     )
     assert RunSpec.from_values(spec.values()) == spec
+
+
+def convoy_of_body(service, values):
+    """The convoy that the HTTP API makes of a body."""
+    return service._convoy(ConvoyIn.model_validate(WHERE | {"trainsets": 2, "time_s": 130.0} | values))
+
+
+def typed_convoy(request):
+    """A request as HTTP defaults it: a period of 0.2 s, two trainsets, 130 s."""
+    return replace(request, head=replace(request.head, dt_s=0.2, time_s=130.0))
+
+
+@pytest.mark.parametrize(("name", "value", "disturbance"), GIVEN, ids=VALUES)
+def test_every_entry_gives_a_convoy_every_disturbance(service, from_command_line, name, value, disturbance):
+    typed = typed_convoy(from_command_line(f"{option(name)}={value}", command="convoy"))
+    assert typed.head.disturbance == disturbance
+    assert [typed.convoy().disturbance(k) for k in range(2)] == [disturbance] * 2
+    assert ConvoyRequest.from_values(typed.values()) == typed
+    assert convoy_of_body(service, {name: value}) == typed
+
+
+def test_every_entry_gives_a_convoy_its_link_and_gaps(service, from_command_line):
+    given = {"link_delay_s": 0.3, "link_jitter_s": 0.2, "link_loss": 0.1, "gap_m": 7.0, "emergency_s": 40.0}
+    options = ("--link-delay=0.3", "--link-jitter=0.2", "--link-loss=0.1", "--gap=7", "--head-emergency=40")
+    typed = typed_convoy(from_command_line(*options, command="convoy"))
+    assert (typed.link, typed.gap_m, typed.emergency_s) == (Link(0.3, 0.2, 0.1), 7.0, 40.0)
+    assert ConvoyRequest.from_values(typed.values()) == typed
+    assert convoy_of_body(service, given) == typed
+
+
+def test_each_trainset_of_a_convoy_may_have_its_own_disturbance(service, from_command_line):
+    typed = typed_convoy(from_command_line("--mass-factors=1,1.2", "--lag=0.4", command="convoy"))
+    own = [Disturbance(lag_s=0.4), Disturbance(lag_s=0.4, mass_factor=1.2)]
+    assert [typed.convoy().disturbance(k) for k in range(2)] == own
+    assert ConvoyRequest.from_values(typed.values()) == typed
+    each = [{"lag_s": 0.4}, {"lag_s": 0.4, "mass_factor": 1.2}]
+    assert convoy_of_body(service, {"lag_s": 0.4, "disturbances": each}) == typed
+
+
+@pytest.mark.parametrize("name", ["mass_factor", "delay_s", "link_delay_s", "link_loss", "gap_m"])
+def test_every_entry_of_a_convoy_refuses_in_the_same_words(metropilot, name):
+    error = answered({name: -1.0}, ConvoyIn)
+    said = InputError(error.pop("message"), **error).line().removeprefix(name)
+    own = f"--{name.removesuffix('_s').removesuffix('_m').replace('_', '-')}"
+    typed = metropilot("convoy", *WHERE.values(), f"{own}=-1")
+    assert (typed.code, typed.err) == (2, f"metropilot: {own}{said}\n")

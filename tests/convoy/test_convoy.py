@@ -6,17 +6,44 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from metropilot.convoy.attack import AttackCampaign, attack
+from metropilot.convoy.attack import EVERY_DISTURBANCE, AttackCampaign, attack
 from metropilot.convoy.drivers import FOLLOWERS
 from metropilot.convoy.kpis import convoy_kpis
 from metropilot.convoy.leaders import Restless, record_leader, restless_speeds
-from metropilot.convoy.model import Channel, Convoy, Link, Message, extend_limits, open_channel, transmit
+from metropilot.convoy.model import (
+    Channel,
+    Convoy,
+    Link,
+    Message,
+    convoy_members,
+    extend_limits,
+    member_bounds,
+    open_channel,
+    transmit,
+)
+from metropilot.convoy.request import ConvoyRequest
 from metropilot.convoy.rollout import HeadRun, drive_convoy
 from metropilot.errors import InputError
-from metropilot.railway import load_line, load_trainset
-from metropilot.sim import Outcome
+from metropilot.evaluate import RunSpec
+from metropilot.physics import vehicle_arrays
+from metropilot.railway import Restriction, load_line, load_trainset
+from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate, declared_bounds
 
 DT = 0.2
+MASSES = tuple(Disturbance(mass_factor=factor) for factor in (0.8, 1.2, 0.8))
+RESTRICTION = TimetableUpdate(8.0, restriction=Restriction(400.0, 450.0, 8.0))
+DISTURBANCES = {
+    "ideal": Disturbance(ideal=True),
+    "mass": Disturbance(mass_factor=1.2),
+    "resistance": Disturbance(resistance_factor=1.5),
+    "delay": Disturbance(delay_s=0.4),
+    "lag": Disturbance(lag_s=0.4),
+    "noise": Disturbance(speed_noise_mps=0.05),
+    "headwind": Disturbance(headwind_mps=10.0),
+    "adhesion": Disturbance(adhesion=0.06),
+    "brake": Disturbance(brake_factor=0.7),
+    "restriction": Disturbance(updates=(RESTRICTION,)),
+}
 
 
 def convoy(**changes):
@@ -109,7 +136,7 @@ def test_the_same_seed_gives_the_same_bits():
 
 @pytest.mark.parametrize("emergency_s", [12.0, pytest.param(25.0, marks=pytest.mark.slow)])
 def test_nobody_touches_when_the_head_brakes_at_once_on_a_bad_link(emergency_s):
-    drive = run("follow_pid", emergency_s, count=3, link=Link(0.3, 0.2, 0.3), mass_factors=(0.8, 1.2, 0.8))
+    drive = run("follow_pid", emergency_s, count=3, link=Link(0.3, 0.2, 0.3), disturbances=MASSES)
     assert drive.contacts == 0
     assert all(t.speed_mps[-1] == 0 for t in drive.trajectories)
 
@@ -153,10 +180,16 @@ def test_messages_come_late_in_order_and_never_when_lost():
     assert after.heard.stamp_s == 0.0
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"count": 1}, {"gap_m": 0.0}, {"guard": "faith"}, {"mass_factors": (1.0,)}, {"adhesion": (0.1, 9.0)}],
-)
+WRONG = {
+    "one": {"count": 1},
+    "gap": {"gap_m": 0.0},
+    "guard": {"guard": "faith"},
+    "disturbances": {"count": 3, "disturbances": MASSES[:2]},
+    "updates": {"disturbances": (Disturbance(), Disturbance(updates=(RESTRICTION,)))},
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
 def test_convoys_that_make_no_sense_are_refused(wrong):
     with pytest.raises(InputError):
         convoy(**wrong)
@@ -169,3 +202,63 @@ def test_no_contact_whoever_follows_and_plenty_without_protection():
     assert guarded.gap_min_m.min() > 0.05
     assert guarded.emergencies.sum() > 50
     assert attack(AttackCampaign(guard="none", seed=5), 600, 600).contacts > 300
+
+
+def test_every_disturbance_acts_on_every_trainset_and_protection_allows_for_it():
+    plain = convoy()
+    for each in DISTURBANCES.values():
+        disturbed = replace(plain, disturbances=(each,))
+        for k, member in enumerate(convoy_members(disturbed)):
+            trainset = plain.trainsets[k]
+            true = vehicle_arrays(each.true_plant(trainset))
+            assert all(map(np.array_equal, member.vehicle, true))
+            assert member.speed_noise_mps == each.speed_noise_mps
+            alone = declared_bounds(Run(plain.section, trainset, 1.0, each, DT))
+            rate = disturbed.rates_mps2[k]
+            emergency = min(alone.emergency_mps2, rate)
+            assert member_bounds(disturbed, k) == replace(alone, emergency_mps2=emergency, controlled=True)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["delay", "noise", *(pytest.param(each, marks=pytest.mark.slow) for each in ("headwind", "brake"))],
+)
+def test_a_disturbed_convoy_does_not_touch_when_the_head_brakes_at_once(name):
+    drive = run("follow_pid", 12.0, disturbances=(DISTURBANCES[name],), link=Link(0.3, 0.2, 0.3))
+    assert drive.contacts == 0
+    assert all(t.speed_mps[-1] == 0 for t in drive.trajectories)
+    assert max(drive.overspeed_mps) == 0
+
+
+def test_a_restriction_announced_on_the_way_holds_for_the_whole_convoy():
+    head = RunSpec(
+        *("yizhuang", "YZQ", "WHY"),
+        time_s=125.0,
+        trainset="cheng2023",
+        driver="flat_out",
+        disturbance=Disturbance(updates=(RESTRICTION, TimetableUpdate(30.0, scheduled_time_s=130.0))),
+    )
+    request = ConvoyRequest(head)
+    drive = request.drive()
+    assert request.scheduled_time_s(request.convoy()) == 130.0
+    assert drive.convoy.section.restrictions == (RESTRICTION.restriction,)
+    assert (drive.contacts, max(drive.overspeed_mps), sum(drive.interventions)) == (0, 0.0, 0)
+    for t in drive.trajectories:
+        inside = (t.position_m > 401.0) & (t.position_m < 449.0)
+        assert inside.any()
+        assert t.speed_mps[inside].max() <= 8.0
+
+
+def test_a_head_sends_the_speed_that_it_measures():
+    drive = run(disturbances=(Disturbance(speed_noise_mps=0.1), Disturbance()))
+    assert not np.array_equal(drive.gap_m, run().gap_m)
+    assert drive.contacts == 0
+    assert convoy_members(drive.convoy)[1].bounds.speed_error_mps == pytest.approx(0.3)
+
+
+@pytest.mark.slow
+def test_no_contact_under_every_disturbance():
+    found = attack(AttackCampaign(seed=5, disturbances=EVERY_DISTURBANCE), 400, 400)
+    assert found.contacts == 0
+    assert found.gap_min_m.min() > 0.05
+    assert found.emergencies.sum() > 30

@@ -1,8 +1,8 @@
 """Worst cases of a convoy: what an attack is made of; judged by how near two trainsets come to touching.
 
 The head makes an emergency brake at a moment of a recorded run. An attack is that moment, every trainset's
-mass, resistance and brake, the link's quality, which of its messages are lost or late, and a script of
-commands for every follower, all within what is declared.
+disturbance and brake, the errors of its odometer, the link's quality, which of its messages are lost or late,
+and a script of commands for every follower, all within what is declared.
 """
 
 from __future__ import annotations
@@ -33,18 +33,19 @@ class Convoys:
         self.count, self.steps = campaign.count, self.arena.steps
         self.script = -(-self.steps // HOLD)
         self.luck = -(-self.steps // LUCK_HOLD)
-        self.size = DIALS + 3 * self.count + self.script * (self.count - 1) + 2 * self.luck
+        self.drawn = campaign.disturbances.quantities_drawn + 1
+        self.size = DIALS + self.drawn * self.count + self.script * (self.count - 1) + 3 * self.luck
         self._fly = jax.jit(jax.vmap(jax.vmap(self._one, in_axes=(None, 0))))
 
     def _one(self, row: Any, attack: Any) -> Any:
         """Minus the smallest gap of one attack."""
         c, n = self.arena.campaign, self.count
         u = share(attack.astype(jnp.float32))
-        dials, each, rest = jnp.split(u, [DIALS, DIALS + 3 * n])
-        each = each.reshape(3, n)
+        dials, each, rest = jnp.split(u, [DIALS, DIALS + self.drawn * n])
+        each = each.reshape(self.drawn, n)
         scripts, luck = jnp.split(rest, [self.script * (n - 1)])
         scripts = 2.0 * scripts.reshape(n - 1, self.script) - 1.0
-        luck = luck.reshape(2, self.luck)
+        luck = luck.reshape(3, self.luck)
         stop = jnp.sum((self.arena.heads.speed_mps[row] > 0.0).astype(jnp.int32))
         silent = jnp.where(dials[5] < 0.5, jnp.inf, 4.0 * (dials[5] - 0.5) * LONGEST_EMERGENCY_S)
         quality = LinkQuality(c.delay_s * dials[2], c.jitter_s * dials[3], c.loss * dials[4], silent)
@@ -52,9 +53,8 @@ class Convoys:
             row=row,
             period=(dials[0] * 0.95 * stop.astype(jnp.float32)).astype(jnp.int32),
             emergency_s=LONGEST_EMERGENCY_S * dials[1],
-            mass=c.mass[0] + (c.mass[1] - c.mass[0]) * each[0],
-            resistance=c.resistance[0] + (c.resistance[1] - c.resistance[0]) * each[1],
-            scatter=c.scatter_mps2 * each[2],
+            disturbance=self.arena.disturbance(each),
+            scatter=c.scatter_mps2 * each[-1],
             quality=jax.tree.map(lambda x: jnp.broadcast_to(x, (n,)), quality),
             manner=jnp.zeros((n,), jnp.int32),
             share=jnp.concatenate([jnp.zeros((1,), jnp.float32), scripts[:, 0]]),
@@ -62,7 +62,7 @@ class Convoys:
 
         def chosen(k: Any, memory: Any, last: Any) -> Any:
             shares = jnp.concatenate([last[:1], scripts[:, k // HOLD]])
-            return jnp.broadcast_to(luck[:, k // LUCK_HOLD], (n, 2)), lambda _: (shares, memory)
+            return jnp.broadcast_to(luck[:, k // LUCK_HOLD], (n, 3)), lambda _: (shares, memory)
 
         return -self.arena.run_case(case, chosen)[0]
 
@@ -73,7 +73,7 @@ class Convoys:
     def search(self, rows: np.ndarray, population: int, generations: int, seed: int) -> Worst:
         """CMA-ES, every second search begun with followers at full traction."""
         start = np.random.default_rng(seed).uniform(0.2, 0.8, (rows.size, self.size))
-        first = DIALS + 3 * self.count
+        first = DIALS + self.drawn * self.count
         start[::2, first : first + self.script * (self.count - 1)] = 0.9
         return hunt(self.over(rows), start, population, generations, seed)
 

@@ -232,7 +232,8 @@ def _run_batch(
     tables, given = _episode_params(loaded, starts, slots)
     going = _at_departure(given, slots, policy.spec.discrete, policy.spec.actions)
     streams = [
-        noise_stream(start.run) if start.run.disturbance.speed_noise_mps > 0 else None for start in starts
+        noise_stream(start.run.seed) if start.run.disturbance.speed_noise_mps > 0 else None
+        for start in starts
     ]
     record = []
     with double_precision(), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):

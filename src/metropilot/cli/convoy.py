@@ -2,80 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from inspect import Parameter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from metropilot.cli import complete
+from metropilot._schema import FieldSpec, field_default, field_specs, field_type
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, number, print_json, requirements, table, working
+from metropilot.convoy import ConvoyRequest, Link
 from metropilot.errors import InputError, rename_fields
+from metropilot.sim import Disturbance
 
 if TYPE_CHECKING:
-    from metropilot.convoy import ConvoyKpis, ConvoyRequest, MemberKpis
+    from metropilot.convoy import ConvoyKpis, MemberKpis
 
 EXAMPLES = {
     "convoy": (
         "metropilot convoy yizhuang RJ WYJ --time 115 --trainsets 2 --driver follow_gap",
-        "metropilot convoy yizhuang RJ WYJ --time 115 --driver follow_mpc --delay 0.3 --out convoy",
+        "metropilot convoy yizhuang RJ WYJ --time 115 --driver follow_mpc --link-delay 0.3 --out convoy",
         "metropilot convoy yizhuang RJ WYJ --time 130 --start-gap 200 --uncouple-at 900",
         "metropilot convoy yizhuang YZQ WHY --trainset cheng2023 --mass-factors 1,1.2 --head-emergency 40",
     ),
 }
-OPTIONS = {
-    "driver": "head",
-    "follower": "driver",
-    "count": "trainsets",
-    "masses": "mass_factors",
-    "emergency_s": "head_emergency",
-}
-"""Options with another name than their field of the request."""
-RUN_FIELDS = ("time_s", "options", "trainset", "load", "dt_s", "seed")
 CONVOY, LINK = "The convoy", "The link between trainsets"
 
 
-@opt.with_run_options(only=RUN_FIELDS, dt_s=0.1)
+def _convoy_options() -> Iterator[Parameter]:
+    """Options of the declared fields of a convoy and of its link."""
+    for kind, panel, prefix in ((ConvoyRequest, CONVOY, ""), (Link, LINK, "link_")):
+        for name, spec in field_specs(kind).items():
+            yield opt.option_of(prefix + name, spec, field_type(kind, name), field_default(kind, name), panel)
+    spec = FieldSpec("Driver of the head; see `metropilot drivers`.", option="head")
+    yield opt.option_of("head_driver", spec, str, "optimal", CONVOY)
+
+
+@opt.with_run_options("driver", more=tuple(_convoy_options()), dt_s=0.1)
 def convoy_command(
     line: opt.LineArgument,
     origin: opt.OriginArgument,
     destination: opt.DestinationArgument,
-    trainsets: Annotated[int, typer.Option(help="How many trainsets, 2 to 16.", rich_help_panel=CONVOY)] = 2,
-    driver: Annotated[
-        str,
-        typer.Option(
-            help="Driver of the followers; see `metropilot drivers --followers`.",
-            rich_help_panel=CONVOY,
-            autocompletion=complete.followers,
-        ),
-    ] = "follow_gap",
-    head: Annotated[
-        str,
-        typer.Option(
-            help="Driver of the head; see `metropilot drivers`.",
-            rich_help_panel=CONVOY,
-            autocompletion=complete.drivers,
-        ),
-    ] = "optimal",
-    gap: Annotated[float, typer.Option(help="Desired gap, m.", rich_help_panel=CONVOY)] = 5.92,
-    start_gap: Annotated[
-        float | None,
-        typer.Option(help="Gap at departure, m: the convoy couples on the move.", rich_help_panel=CONVOY),
-    ] = None,
-    uncouple_at: Annotated[
-        float | None,
-        typer.Option(help="Where the head begins to uncouple, m from the origin.", rich_help_panel=CONVOY),
-    ] = None,
-    apart: Annotated[
-        float, typer.Option(help="Desired gap once uncoupled, m.", rich_help_panel=CONVOY)
-    ] = 100.0,
-    guard: Annotated[
-        str,
-        typer.Option(
-            help="What protection relies on: coupled, independent, moving_block or none.",
-            rich_help_panel=CONVOY,
-        ),
-    ] = "coupled",
     mass_factors: Annotated[
         str | None,
         typer.Option(
@@ -84,46 +52,31 @@ def convoy_command(
             rich_help_panel=opt.WORLD,
         ),
     ] = None,
-    head_emergency: Annotated[
-        float | None,
-        typer.Option(help="When the head makes an emergency brake, s.", rich_help_panel=opt.WORLD),
-    ] = None,
-    delay: Annotated[float, typer.Option(help="Time a message takes, s.", rich_help_panel=LINK)] = 0.0,
-    jitter: Annotated[float, typer.Option(help="Largest additional time, s.", rich_help_panel=LINK)] = 0.0,
-    loss: Annotated[float, typer.Option(help="Share of messages lost.", rich_help_panel=LINK)] = 0.0,
     out: opt.Out = None,
     as_json: opt.Json = False,
-    **given: Any,  # noqa: ANN401 (the fields of a run)
+    **given: Any,  # noqa: ANN401 (the fields of a run, of a convoy and of its link)
 ) -> int:
     """Drive virtually coupled trainsets: a head, and followers a few metres behind each other.
 
-    Exit code 0: every trainset met every requirement shown; 1: not; 2: invalid input.
+    Disturbances act on every trainset. Exit code 0: every trainset met every requirement shown; 1: not;
+    2: invalid input.
     """
-    from metropilot.convoy import ConvoyRequest, Link
-    from metropilot.evaluate import RunSpec
-
-    where, options = {"line": line, "origin": origin, "destination": destination}, given.pop("options")
-    with rename_fields(OPTIONS):
-        request = ConvoyRequest(
-            head=RunSpec.from_values({**where, "driver": head, **given}),
-            count=trainsets,
-            follower=driver,
-            options=options,
-            gap_m=gap,
-            start_gap_m=start_gap,
-            apart_m=apart,
-            uncouple_at_m=uncouple_at,
-            link=Link(delay, jitter, loss),
-            guard=guard,  # pyright: ignore[reportArgumentType] (checked by Convoy)
-            masses=_factors(mass_factors),
-            emergency_s=head_emergency,
-        )
-        return run_and_report(request, out, as_json=as_json)
+    values = {name: given.pop(name) for name in ("options", *field_specs(ConvoyRequest))}
+    values["link"] = {name: given.pop(f"link_{name}") for name in field_specs(Link)}
+    values["head"] = {"line": line, "origin": origin, "destination": destination}
+    values["head"] |= {"driver": given.pop("head_driver"), **given}
+    if mass_factors:
+        disturbance = {name: given[name] for name in field_specs(Disturbance)}
+        values["disturbances"] = [disturbance | {"mass_factor": f} for f in _factors(mass_factors)]
+    numbered = (f"disturbances.{k}.mass_factor" for k in range(len(values.get("disturbances", ()))))
+    names = dict.fromkeys(("disturbances", *numbered), "mass_factors")
+    with rename_fields(names | {"driver": "head_driver"}):
+        return run_and_report(ConvoyRequest.from_values(values), out, as_json=as_json)
 
 
-def _factors(text: str | None) -> tuple[float, ...]:
+def _factors(text: str) -> list[float]:
     try:
-        return tuple(float(word) for word in text.split(",")) if text else ()
+        return [float(word) for word in text.split(",")]
     except ValueError:
         raise InputError(
             "not a list of numbers", field="mass-factors", value=text, allowed="e.g. 1,1.2,0.8"
@@ -139,7 +92,7 @@ def run_and_report(request: ConvoyRequest, out: Path | None, *, as_json: bool) -
         check_writable(out)
     with working(f"driving {request.count} trainsets with {request.follower}"):
         convoy, follower = request.convoy(), request.make_follower()
-        scheduled = request.run(convoy).scheduled_time_s
+        scheduled = request.scheduled_time_s(convoy)
         drive = request.drive(convoy, follower)
         kpis = convoy_kpis(drive, scheduled)
     if out is not None:

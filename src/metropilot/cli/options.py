@@ -11,6 +11,7 @@ from typing import Annotated, Any, TypeVar, cast, get_type_hints
 
 import typer
 
+from metropilot._schema import FieldSpec
 from metropilot.cli import complete
 
 Command = TypeVar("Command", bound=Callable[..., int])
@@ -31,13 +32,19 @@ Out = Annotated[Path | None, typer.Option(help="Folder for the results.", rich_h
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.", rich_help_panel=OUTPUT)]
 
 
-COMPLETIONS = {"trainset": complete.trainsets, "driver": complete.drivers}
+COMPLETIONS = {
+    "trainset": complete.trainsets,
+    "driver": complete.drivers,
+    "head_driver": complete.drivers,
+    "follower": complete.followers,
+}
 POSITIONAL = ("line", "origin", "destination")
 
 
 def with_run_options(
     *left_out: str,
     only: Sequence[str] = (),
+    more: Sequence[Parameter] = (),
     **defaults: Any,  # noqa: ANN401 (of any type)
 ) -> Callable[[Command], Command]:
     """Give a command an option for every field of a run, in place of its ``**given``.
@@ -48,6 +55,7 @@ def with_run_options(
     Args:
         left_out: Fields without an option.
         only: Fields with an option; empty: all.
+        more: Further options in ``**given``, before those of the run.
         defaults: Defaults of the command that differ from the declaration.
     """
 
@@ -62,19 +70,20 @@ def with_run_options(
             if parameter.kind is not Parameter.VAR_KEYWORD
         ]
         first = sum(parameter.name in POSITIONAL for parameter in own)
-        parameters = [*own[:first], *(run_option(key, **defaults) for key in keys), *own[first:]]
+        run = [run_option(key, **defaults) for key in keys]
+        parameters = [*own[:first], *more, *run, *own[first:]]
 
         @wraps(command)
-        def called(**given: Any) -> int:  # noqa: ANN401 (what was typed)
+        def parse_and_call(**given: Any) -> int:  # noqa: ANN401 (what was typed)
             from metropilot.evaluate import parse_option
 
             if "options" in keys:
                 given["options"] = dict(map(parse_option, given["options"] or ()))
             return command(**given)
 
-        called.__signature__ = Signature(parameters, return_annotation=int)  # pyright: ignore[reportAttributeAccessIssue]
-        called.__annotations__ = {p.name: p.annotation for p in parameters} | {"return": int}
-        return cast("Command", called)
+        parse_and_call.__signature__ = Signature(parameters, return_annotation=int)  # pyright: ignore[reportAttributeAccessIssue]
+        parse_and_call.__annotations__ = {p.name: p.annotation for p in parameters} | {"return": int}
+        return cast("Command", parse_and_call)
 
     return decorate
 
@@ -84,23 +93,37 @@ def run_option(key: str, **defaults: Any) -> Parameter:  # noqa: ANN401 (of any 
     from metropilot.evaluate import RunSpec, key_type, run_fields
     from metropilot.sim import Disturbance
 
-    spec, kind = run_fields()[key], key_type(key)
-    name = spec.option or UNIT.sub("", key).replace("_", "-")
     default = defaults.get(key, getattr(RunSpec, key, getattr(Disturbance, key, None)))
     panel = ABOUT if key in ABOUT_FIELDS else WORLD
+    return option_of(key, run_fields()[key], key_type(key), default, panel)
+
+
+def option_of(name: str, spec: FieldSpec, kind: type, default: Any, panel: str) -> Parameter:  # noqa: ANN401
+    """Typer parameter of the option for a declared field.
+
+    Args:
+        name: Name of the value.
+        spec: Declaration of the field.
+        kind: Type of its values.
+        default: Default of the command.
+        panel: Panel of the help.
+    """
+    flag = f"--{spec.option or UNIT.sub('', name).replace('_', '-')}"
+    if kind is bool:
+        option = typer.Option(flag, help=spec.help, rich_help_panel=panel)
+        return Parameter(
+            name, Parameter.POSITIONAL_OR_KEYWORD, default=default, annotation=Annotated[bool, option]
+        )
     hint: Any = list[str] if kind in {list, dict} else kind
     if default is None or kind in {list, dict}:
         hint, default = hint | None, None
-    told = f"{spec.help.rstrip('.')}, {spec.allowed}." if spec.range and kind is float else spec.help
     option = typer.Option(
-        f"--{name}",
-        help=told,
+        flag,
+        help=f"{spec.help.rstrip('.')}, {spec.allowed}." if spec.range and kind is float else spec.help,
         metavar=spec.form or None,
         rich_help_panel=panel,
-        autocompletion=COMPLETIONS.get(key),
+        autocompletion=COMPLETIONS.get(name),
     )
-    if kind is bool:
-        option = typer.Option(f"--{name}", help=spec.help, rich_help_panel=panel)
     return Parameter(
-        key, Parameter.POSITIONAL_OR_KEYWORD, default=default, annotation=Annotated[hint, option]
+        name, Parameter.POSITIONAL_OR_KEYWORD, default=default, annotation=Annotated[hint, option]
     )

@@ -1,4 +1,5 @@
 from .attack import ATTACKED_HEADS as ATTACKED_HEADS
+from .attack import EVERY_DISTURBANCE as EVERY_DISTURBANCE
 from .attack import LONGEST_EMERGENCY_S as LONGEST_EMERGENCY_S
 from .attack import AttackArena as AttackArena
 from .attack import AttackCampaign as AttackCampaign

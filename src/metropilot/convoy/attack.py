@@ -1,8 +1,8 @@
 """Robustness tests of convoy protection: emergency brakes of the head, bad links, adversarial drivers.
 
 Every case is a convoy in motion at a gap its protection accepts. Within seconds the head makes an emergency
-brake; the case ends when all stand. Masses, resistance, link and the commands of the followers are drawn for
-each case within the declared bounds. JAX, in single precision.
+brake; the case ends when all stand. Disturbances, link and the commands of the followers are drawn for each
+case within the declared bounds. JAX, in single precision.
 """
 
 from __future__ import annotations
@@ -28,10 +28,11 @@ from metropilot.convoy.model import (
     convoy_members,
 )
 from metropilot.convoy.step import FollowerObservation, MemberState, ahead_of, at_departure
+from metropilot.env import DisturbanceDistribution, draw_disturbance
 from metropilot.physics import to_jax
 from metropilot.protection import spare_gap
 from metropilot.railway import load_line, load_trainset
-from metropilot.sim import true_vehicle
+from metropilot.sim import NOISE_CUT, true_vehicle
 
 HARMFUL = ("full traction", "random", "bang-bang", "stuck", "late brake", "follow_gap")
 """Behaviours of followers; each follower of a case draws one."""
@@ -39,6 +40,19 @@ ATTACKED_HEADS = 24
 LONGEST_S = 34.0
 LONGEST_EMERGENCY_S = 6.0
 ROWS_S = 120.0
+
+
+MASS_AND_RESISTANCE = DisturbanceDistribution(mass_factor=(0.8, 1.2), resistance_factor=(0.5, 1.5))
+EVERY_DISTURBANCE = DisturbanceDistribution(
+    mass_factor=(0.8, 1.2),
+    resistance_factor=(0.5, 1.5),
+    delay_s=(0.0, 0.6),
+    lag_s=(0.0, 0.4),
+    speed_noise_mps=(0.0, 0.05),
+    headwind_mps=(-8.0, 8.0),
+    adhesion=(0.06, 0.15),
+    brake_factor=(0.7, 1.3),
+)
 
 
 @dataclass(frozen=True)
@@ -52,8 +66,7 @@ class AttackCampaign:
         trainset: Trainset, all alike but for their masses.
         count: Trainsets of a convoy.
         guard: Assumption of protection.
-        mass: Range of true over nominal mass.
-        resistance: Range of true over nominal Davis resistance.
+        disturbances: Distribution of the disturbance of every trainset.
         delay_s: Largest delay of messages.
         jitter_s: Largest jitter.
         loss: Largest share of lost messages.
@@ -69,8 +82,7 @@ class AttackCampaign:
     trainset: str = "cheng2023"
     count: int = 2
     guard: ConvoyGuard = "coupled"
-    mass: tuple[float, float] = (0.8, 1.2)
-    resistance: tuple[float, float] = (0.5, 1.5)
+    disturbances: DisturbanceDistribution = MASS_AND_RESISTANCE
     delay_s: float = 0.6
     jitter_s: float = 0.4
     loss: float = 0.5
@@ -86,8 +98,7 @@ class AttackCase(NamedTuple):
     row: Array
     period: Array
     emergency_s: Array
-    mass: Array
-    resistance: Array
+    disturbance: dict[str, Array]
     scatter: Array
     quality: LinkQuality
     manner: Array
@@ -95,7 +106,8 @@ class AttackCase(NamedTuple):
 
 
 Choice = tuple[Array, Callable[[FollowerObservation], tuple[Array, Array]]]
-"""Random numbers of every link, shape (N, 2), and the function from observations to commands and memory."""
+"""Random numbers of the link, and of the odometer where it errs, shape (N, 2 or 3); the function from
+observations to commands and memory."""
 Chosen = Callable[[Array, Array, Array], Choice]
 """The choice in a period, given its number, the memory and the last requested commands of the followers."""
 
@@ -140,7 +152,7 @@ class AttackArena:
             section,
             (trainset,) * campaign.count,
             guard=campaign.guard,
-            mass_bounds=campaign.mass,
+            allowed=(campaign.disturbances.extreme(0), campaign.disturbances.extreme(1)),
             dt=campaign.dt,
         )
         self.dt, self.rows = convoy.dt, round(ROWS_S / convoy.dt)
@@ -148,7 +160,8 @@ class AttackArena:
         rows = convoy_members(convoy, np.float32)
         self.members: Member = to_jax(stack_rows(rows))
         ahead = (None, *rows[:-1])
-        first = [at_departure(m, a, self.dt) for m, a in zip(rows, ahead, strict=True)]
+        longest_s = campaign.disturbances.delay_s[1]
+        first = [at_departure(m, a, self.dt, delay_s=longest_s) for m, a in zip(rows, ahead, strict=True)]
         self.first: MemberState = to_jax(stack_rows(first))
         heads = recordings(
             *replace(convoy, guard="coupled").leader(), self.dt, ATTACKED_HEADS, campaign.seed, self.rows
@@ -182,7 +195,7 @@ class AttackArena:
         c, n, f32 = self.campaign, self.campaign.count, jnp.float32
         keys = jax.random.split(key, 4)
         u = jax.random.uniform(keys[0], (8,), f32)
-        each = jax.random.uniform(keys[1], (3, n), f32)
+        each = jax.random.uniform(keys[1], (c.disturbances.quantities_drawn + 1, n), f32)
         row = jax.random.randint(keys[2], (), 0, ATTACKED_HEADS)
         stop = jnp.sum((self.heads.speed_mps[row] > 0.0).astype(jnp.int32))
         silent = jnp.where(u[4] < c.silence, u[5] * 2.0 * LONGEST_EMERGENCY_S, jnp.inf)
@@ -193,27 +206,43 @@ class AttackArena:
             row=row,
             period=(u[0] * 0.95 * stop.astype(f32)).astype(jnp.int32),
             emergency_s=LONGEST_EMERGENCY_S * u[7],
-            mass=c.mass[0] + (c.mass[1] - c.mass[0]) * each[0],
-            resistance=c.resistance[0] + (c.resistance[1] - c.resistance[0]) * each[1],
-            scatter=c.scatter_mps2 * each[2],
+            disturbance=self.disturbance(each),
+            scatter=c.scatter_mps2 * each[-1],
             quality=jax.tree.map(lambda x: jnp.broadcast_to(x, (n,)), quality),
             manner=jax.random.randint(keys[3], (n,), 0, len(HARMFUL)),
             share=jax.random.uniform(jax.random.fold_in(key, 9), (n,), f32, -1.0, 1.0),
         )
 
-    def _actual(self, case: AttackCase) -> Member:
-        """The true plants of this case."""
+    def disturbance(self, shares: Array) -> dict[str, Array]:
+        """The disturbance of every trainset from random numbers in [0, 1). Each of shape (N,).
+
+        Args:
+            shares: One row for each quantity that is no constant, and more. Shape (rows, N).
+        """
         import jax.numpy as jnp
 
-        m = self.members
-        vehicle = true_vehicle(m.vehicle, mass_factor=case.mass)
-        vehicle = vehicle._replace(davis_n=vehicle.davis_n * jnp.expand_dims(case.resistance, 1))
+        drawn = draw_disturbance(self.campaign.disturbances, iter(shares))
+        return {name: jnp.broadcast_to(value, (self.campaign.count,)) for name, value in drawn.items()}
+
+    def _actual(self, case: AttackCase) -> Member:
+        """The true plants of this case."""
+        import jax
+        import jax.numpy as jnp
+
+        m, drawn = self.members, case.disturbance
+        mismatch = {name: drawn[name] for name in self.campaign.disturbances.mismatches}
+        vehicle = jax.vmap(lambda nominal, own: true_vehicle(nominal, **own))(m.believed, mismatch)
         weaker = jnp.where(m.is_head, 0.0, case.scatter)
         vehicle = vehicle._replace(
             emergency_n=vehicle.emergency_n
             - (0.0 if self.campaign.guard == "coupled" else weaker) * vehicle.effective_mass_kg
         )
-        return m._replace(vehicle=vehicle, link=case.quality, most_mps2=m.most_mps2 - weaker)
+        return m._replace(
+            vehicle=vehicle,
+            link=case.quality,
+            most_mps2=m.most_mps2 - weaker,
+            speed_noise_mps=drawn["speed_noise_mps"],
+        )
 
     def _place(self, convoy: Member, case: AttackCase) -> MemberState:
         """States in motion behind the head, at the desired gap or the one that protection needs if larger."""
@@ -254,7 +283,11 @@ class AttackArena:
                     acceleration_mps2=jnp.maximum(a, 0.0) * all_ + jnp.abs(a) * 0.5,
                 )
             return first._replace(
-                plant=plant._replace(position_m=front), channel=channel, watched=watched, command=share * all_
+                plant=plant._replace(position_m=front),
+                measured_mps=plant.speed_mps,
+                channel=channel,
+                watched=watched,
+                command=share * all_,
             )
 
         if first.watched is None or convoy.protection is None:
@@ -281,8 +314,13 @@ class AttackArena:
         case = self._draw(jax.random.fold_in(key, 0))
 
         def chosen(k: Array, memory: Array, last: Array) -> Choice:
-            draw = jax.random.uniform(jax.random.fold_in(key, k + 1), (self.campaign.count, 4), jnp.float32)
-            return draw[:, :2], lambda seen: self._shares(case, seen, memory, last, draw)
+            mine = jax.random.fold_in(key, k + 1)
+            draw = jax.random.uniform(mine, (self.campaign.count, 4), jnp.float32)
+            luck = draw[:, :2]
+            if self.campaign.disturbances.speed_noise_mps[1] > 0.0:
+                error = jax.random.uniform(jax.random.fold_in(mine, 1), (self.campaign.count, 1), jnp.float32)
+                luck = jnp.concatenate([luck, error], axis=1)
+            return luck, lambda seen: self._shares(case, seen, memory, last, draw)
 
         return self.run_case(case, chosen)
 
@@ -305,12 +343,13 @@ class AttackArena:
             states, memory, last, least = carry
             now = k.astype(jnp.float32) * dt
             luck, shares_of = chosen(k, memory, last)
-            states = exchange_messages(convoy, states, now, dt, luck)
+            states = exchange_messages(convoy, states, now, dt, luck[:, :2])
+            noise = NOISE_CUT * (2.0 * luck[:, 2] - 1.0) if luck.shape[1] > 2 else None
             shares, memory = shares_of(observe_members(convoy, states, now, dt))
             head = self.heads.command[case.row, jnp.minimum(case.period + k, self.rows - 1)]
             wanted = jnp.where(convoy.is_head, head, shares)
             alarm = convoy.is_head & (now >= case.emergency_s)
-            states = advance_members(convoy, states, wanted, alarm, now, dt)
+            states = advance_members(convoy, states, wanted, alarm, now, dt, noise)
             return (states, memory, wanted, jnp.minimum(least, jnp.min(gaps_m(convoy, states)))), None
 
         begin = (states, self.memory, case.share, jnp.float32(jnp.inf))

@@ -111,7 +111,13 @@ def observe_members(members: Member, states: MemberState, now_s: Array, dt: Arra
 
 
 def advance_members(
-    members: Member, states: MemberState, shares: Array, emergency: Array, now_s: Array, dt: Array
+    members: Member,
+    states: MemberState,
+    shares: Array,
+    emergency: Array,
+    now_s: Array,
+    dt: Array,
+    noise: Array | None = None,
 ) -> MemberState:
     """Advance all trainsets by one control period, under protection.
 
@@ -122,13 +128,14 @@ def advance_members(
         emergency: True where a driver demands the emergency brake. Shape (N,).
         now_s: Time.
         dt: Control period.
+        noise: Errors of the measured speeds in standard deviations; None: none. Shape (N,).
     """
     import jax
 
-    def one(member: Member, state: MemberState, share: Array, alarm: Array) -> MemberState:
-        return drive_period(member, state, Command(share, alarm), now_s, dt)[0]
+    def one(member: Member, state: MemberState, share: Array, alarm: Array, error: Array) -> MemberState:
+        return drive_period(member, state, Command(share, alarm), now_s, dt, error)[0]
 
-    return jax.vmap(one)(members, states, shares, emergency)
+    return jax.vmap(one)(members, states, shares, emergency, 0.0 * shares if noise is None else noise)
 
 
 def gaps_m(members: Member, states: MemberState) -> Array:

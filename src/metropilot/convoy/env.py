@@ -26,12 +26,20 @@ from metropilot.convoy.model import (
     open_channel,
 )
 from metropilot.convoy.step import MemberState, at_departure
-from metropilot.env import AbstractTask, ActionSpace, Transition
+from metropilot.env import (
+    NOMINAL,
+    AbstractTask,
+    ActionSpace,
+    DisturbanceDistribution,
+    Transition,
+    draw_disturbance,
+)
 from metropilot.physics import namespace, to_jax
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import true_vehicle
 
 MAX_PERIODS = 1200
+OTHER_MASS = DisturbanceDistribution(mass_factor=(0.8, 1.2))
 
 
 @dataclass(frozen=True)
@@ -49,8 +57,8 @@ class ConvoyTaskConfig:
         eta_gap: eta_2 of Chen23b, 1/m.
         contact: C of Chen23b: cost of a contact.
         effort: Cost of a unit of change of the command (0 in the paper).
-        disturbed: Share of episodes with another mass and link than nominal.
-        mass: Range of the mass factor of the follower in those.
+        disturbed: Share of episodes with a disturbance of the follower and of the link.
+        disturbances: Distribution of the follower's in those.
         delay_s: Largest delay of messages in those.
         loss: Largest share of lost messages in those.
         on_the_way: Share of episodes that begin between the stations.
@@ -70,7 +78,7 @@ class ConvoyTaskConfig:
     contact: float = 100.0
     effort: float = 0.0
     disturbed: float = 0.0
-    mass: tuple[float, float] = (0.8, 1.2)
+    disturbances: DisturbanceDistribution = OTHER_MASS
     delay_s: float = 0.4
     loss: float = 0.15
     on_the_way: float = 0.7
@@ -106,7 +114,7 @@ class FollowState(NamedTuple):
     Attributes:
         row: Index of pair and head.
         period: Periods since the head's departure.
-        mass: Mass factor of the follower.
+        disturbance: Disturbance of the follower, by name.
         quality: Quality of the link.
         emergency_s: Time at which the head makes an emergency brake (infinite: never).
         states: States of both trainsets. Leading axis 2.
@@ -116,7 +124,7 @@ class FollowState(NamedTuple):
 
     row: Array
     period: Array
-    mass: Array
+    disturbance: dict[str, Array]
     quality: LinkQuality
     emergency_s: Array
     states: MemberState
@@ -145,7 +153,8 @@ class ConvoyTask(AbstractTask):
             heads += found
         self.members: Member = to_jax(_rows(pairs))
         self.heads = to_jax(stack_rows(heads))
-        first = [at_departure(m, None, config.dt) for m in bare]
+        longest_s = config.disturbances.delay_s[1]
+        first = [at_departure(m, None, config.dt, delay_s=longest_s) for m in bare]
         self.fresh: MemberState = to_jax(stack_rows(first))
         self.count = len(heads)
 
@@ -169,8 +178,9 @@ class ConvoyTask(AbstractTask):
         row = jax.random.randint(keys[0], (), 0, self.count)
         u = jax.random.uniform(keys[1], (8,), f32)
         off = (u[0] < config.disturbed).astype(f32)
-        low, high = config.mass
-        mass = 1.0 + off * (low + (high - low) * u[1] - 1.0)
+        more = jax.random.uniform(keys[3], (max(config.disturbances.quantities_drawn - 1, 0),), f32)
+        drawn = draw_disturbance(config.disturbances, iter((u[1], *more)))
+        disturbance = {name: jnp.where(off > 0.0, value, NOMINAL[name][0]) for name, value in drawn.items()}
         quality = LinkQuality(
             off * config.delay_s * u[2], 0.0 * off, off * config.loss * u[3], jnp.asarray(jnp.inf, f32)
         )
@@ -182,30 +192,14 @@ class ConvoyTask(AbstractTask):
         states = self._place(row, period, aside)
         zero = jnp.zeros((), f32)
         state = FollowState(
-            row, period, mass, quality, begins.astype(f32), states, Errors(zero, zero), jnp.zeros((), bool)
-        )
-        state = self._exchange(state, jnp.ones((2, 2), f32))
-        return state, self._observe(state)
-
-    def begin(
-        self, row: Array, mass: float = 1.0, quality: LinkQuality | None = None
-    ) -> tuple[FollowState, Array]:
-        """Begin an undisturbed episode from standstill behind one of the heads."""
-        import jax.numpy as jnp
-
-        zero, f32 = jnp.zeros((), jnp.float32), jnp.float32
-        quality = quality or LinkQuality(zero, zero, zero, jnp.asarray(jnp.inf, f32))
-        at = jnp.asarray(row, jnp.int32)
-        states = self._place(at, jnp.zeros((), jnp.int32), jnp.zeros((2,), f32))
-        state = FollowState(
-            row=at,
-            period=jnp.zeros((), jnp.int32),
-            mass=jnp.asarray(mass, f32),
-            quality=quality,
-            emergency_s=jnp.asarray(jnp.inf, f32),
-            states=states,
-            errors=Errors(zero, zero),
-            contact=jnp.zeros((), bool),
+            row,
+            period,
+            disturbance,
+            quality,
+            begins.astype(f32),
+            states,
+            Errors(zero, zero),
+            jnp.zeros((), bool),
         )
         state = self._exchange(state, jnp.ones((2, 2), f32))
         return state, self._observe(state)
@@ -224,7 +218,10 @@ class ConvoyTask(AbstractTask):
         row = jnp.minimum(state.period, MAX_PERIODS - 1)
         head = self.heads.command[state.row, row]
         alarm = jnp.stack([now >= state.emergency_s, jnp.zeros((), bool)])
-        states = advance_members(pair, state.states, jnp.stack([head, share]), alarm, now, dt)
+        noise = None
+        if config.disturbances.speed_noise_mps[1] > 0.0:
+            noise = jax.random.normal(jax.random.fold_in(key, 1), (2,), jnp.float32)
+        states = advance_members(pair, state.states, jnp.stack([head, share]), alarm, now, dt, noise)
         gap = gaps_m(pair, states)[0]
         apart = states.plant.speed_mps[0] - states.plant.speed_mps[1]
         terms = follow_terms(config, gap, apart, share - seen.command, config.gap_m)
@@ -244,14 +241,19 @@ class ConvoyTask(AbstractTask):
         return state.period.astype(jnp.float32) * jnp.float32(self.config.dt)
 
     def _pair(self, state: FollowState) -> Member:
-        """The pair of this episode, the follower with its true mass."""
+        """The pair of this episode, the follower with its true plant."""
         import jax
         import jax.numpy as jnp
 
         pair: Member = jax.tree.map(lambda x: x[state.row], self.members)
-        mass = jnp.stack([jnp.ones_like(state.mass), state.mass])
+        both = {n: jnp.stack([jnp.float32(NOMINAL[n][0]), x]) for n, x in state.disturbance.items()}
+        mismatch = {name: both[name] for name in self.config.disturbances.mismatches}
         quality = jax.tree.map(lambda x: jnp.stack([x, x]), state.quality)
-        return pair._replace(vehicle=true_vehicle(pair.vehicle, mass_factor=mass), link=quality)
+        return pair._replace(
+            vehicle=jax.vmap(lambda nominal, own: true_vehicle(nominal, **own))(pair.believed, mismatch),
+            speed_noise_mps=both["speed_noise_mps"],
+            link=quality,
+        )
 
     def _place(self, row: Array, period: Array, aside: Array) -> MemberState:
         """States of both trainsets from the recording, the follower with an offset in gap and speed."""
@@ -280,7 +282,9 @@ class ConvoyTask(AbstractTask):
         template = jax.tree.map(jnp.asarray, open_channel(Message(*(np.float32(0.0),) * 6)))
         channel = jax.tree.map(lambda t: jnp.stack([t, t]), template)._replace(heard=first)
         both = jnp.stack([share, share])
-        return self.fresh._replace(plant=plant, channel=channel, wanted=both, command=both)
+        return self.fresh._replace(
+            plant=plant, measured_mps=plant.speed_mps, channel=channel, wanted=both, command=both
+        )
 
     def _exchange(self, state: FollowState, luck: Array) -> FollowState:
         import jax.numpy as jnp

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -237,18 +237,19 @@ def _member_outcome(drive: ConvoyDrive, k: int, error_m: float) -> str:
 def _member(drive: ConvoyDrive, k: int, scheduled_time_s: float, mark_m: float) -> MemberKpis:
     """One trainset."""
     t, convoy = drive.trajectories[k], drive.convoy
-    mass = convoy.trainsets[k].mass_kg * (convoy.mass_factors[k] if convoy.mass_factors else 1.0)
+    disturbance = convoy.disturbance(k)
+    known = disturbance.nominal(convoy.trainsets[k])
     moving = np.flatnonzero(t.speed_mps > 0)
     stands = float(t.time_s[min(int(moving[-1]) + 1, len(t) - 1)]) if moving.size else 0.0
     gaps = drive.gap_m[:, k - 1] if k else None
     apart = drive.speed_difference_mps[:, k - 1] if k else None
     error = float(t.position_m[-1]) - mark_m
-    limit = convoy.trainsets[k].actuation.jerk_limit_mps3
+    limit = known.actuation.jerk_limit_mps3
     return MemberKpis(
         number=k + 1,
         driver=drive.follower if k else drive.head,
         outcome=_member_outcome(drive, k, error),
-        mass_kg=mass,
+        mass_kg=known.mass_kg * disturbance.mass_factor,
         running_time_s=stands,
         time_error_s=stands - scheduled_time_s,
         stopping_error_m=error,
@@ -295,10 +296,8 @@ def write_convoy(folder: Path, request: ConvoyRequest, drive: ConvoyDrive, kpis:
         for k, trajectory in enumerate(drive.trajectories, 1):
             trajectory.write(scratch / f"trajectory-{k}.csv")
         write_json(scratch / "kpis.json", kpis.as_dict())
-        head = copy_inputs(scratch, request.head.resolved()).values()
-        write_json(
-            scratch / "run.json", {"run": {**request.table(), "head": head}, "made_with": provenance()}
-        )
+        copied = replace(request, head=copy_inputs(scratch, request.head.resolved()))
+        write_json(scratch / "run.json", {"run": copied.values(), "made_with": provenance()})
         save_figure(convoy_figure(drive, kpis), scratch / "convoy")
 
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
+from metropilot._schema import FieldSpec, Range, check_fields, declared
 from metropilot._typing import Array
 from metropilot.errors import InputError
-from metropilot.physics import Track, Vehicle, namespace, track_arrays, vehicle_arrays
+from metropilot.physics import Track, Vehicle, effort_at, namespace, track_arrays, vehicle_arrays
 from metropilot.protection import Bounds, PairBounds, Protection, Separation, protect, separate
 from metropilot.railway import Section, Steps, Trainset
-from metropilot.sim import MASS_SCATTER, true_vehicle
+from metropilot.sim import Disturbance, Run, declared_bounds
 
 SLOTS = 32
 """Largest number of messages in flight: one per control period."""
@@ -24,6 +25,8 @@ EARLY_S = 1e-4
 class Link:
     """Quality of the link. Messages are sent once per control period.
 
+    Command line and HTTP put ``link`` before the names: the disturbance of a trainset has a delay too.
+
     Attributes:
         delay_s: Constant delay of every message.
         jitter_s: Largest additional delay, uniformly distributed.
@@ -31,19 +34,40 @@ class Link:
         silent_from_s: Time from which all messages are lost (infinite: never).
     """
 
-    delay_s: float = 0.0
-    jitter_s: float = 0.0
-    loss: float = 0.0
-    silent_from_s: float = float("inf")
+    delay_s: float = declared(
+        0.0,
+        "Time a message takes.",
+        unit="s",
+        low=0.0,
+        high=2.0,
+        option="link-delay",
+        label="Delay (s)",
+        step=0.1,
+    )
+    jitter_s: float = declared(
+        0.0,
+        "Largest additional time.",
+        unit="s",
+        low=0.0,
+        high=1.0,
+        option="link-jitter",
+        label="Jitter (s)",
+        step=0.1,
+    )
+    loss: float = declared(
+        0.0, "Share of messages lost.", low=0.0, high=1.0, option="link-loss", label="Lost"
+    )
+    silent_from_s: float = declared(
+        float("inf"),
+        "Time from which all messages are lost.",
+        unit="s",
+        low=0.0,
+        infinite=True,
+        option="link-silent-from",
+    )
 
     def __post_init__(self) -> None:
-        for name, high, unit in (("delay_s", 2.0, "s"), ("jitter_s", 1.0, "s"), ("loss", 1.0, "")):
-            value = getattr(self, name)
-            if not 0.0 <= value <= high:
-                allowed = f"0 to {high:g}"
-                raise InputError("out of range", field=name, value=value, unit=unit, allowed=allowed)
-        if not self.silent_from_s >= 0.0:
-            raise InputError("out of range", field="silent_from_s", value=self.silent_from_s, allowed=">= 0")
+        check_fields(self)
 
     def numbers(self, dtype: type = np.float64) -> LinkQuality:
         """The link as numbers."""
@@ -139,19 +163,17 @@ GAP_M = 5.92
 HEAD_MPS2, TAIL_MPS2, STEP_MPS2 = 0.8, 1.15, 0.35
 """Brake rates of a coupled convoy at head and tail, and largest step between trainsets. Each rate is above
 that of the trainset ahead, so that every trainset can brake harder than the one ahead. Our choice."""
-MOST_TRAINSETS = 16
+TRAINSETS = FieldSpec("How many trainsets.", range=Range(2, 16), option="trainsets")
 FAR_M = 1e6
 LEADER_SHARE = 0.85
 """Share of its brake and of 1 m/s^2 that the head uses in service, so that the others can follow."""
 
 
-@dataclass(frozen=True)
-class Convoy:
-    """Declaration of a convoy: trainsets, gaps, link, assumption of protection, and plant mismatch.
+@dataclass(frozen=True, kw_only=True)
+class ConvoySettings:
+    """Gaps, link, assumption of protection and disturbances: what a convoy and its request have in common.
 
     Attributes:
-        section: Section.
-        trainsets: Nominal trainsets with their loads, head first.
         gap_m: Desired gap, rear of one to front of the next.
         start_gap_m: Gap at departure; None: the desired one.
         apart_m: Desired gap once uncoupled.
@@ -160,64 +182,57 @@ class Convoy:
         guard: Assumption of protection: ``coupled`` (brakes controlled to rates that rise along the
             convoy), ``independent`` (no brake is stronger than declared, gradients included),
             ``moving_block`` (the trainset ahead may stop instantly), ``none``.
-        mass_factors: True over nominal mass of each; empty: all 1.
-        resistance_factors: True over nominal Davis resistance of each; empty: all 1.
-        adhesion: Largest wheel force over weight of each; empty: that of the trainset.
-        mass_bounds: Mass factors that protection allows for at least.
+        disturbances: One of each trainset, or one for all; empty: none. Timetable updates are the head's.
+    """
+
+    gap_m: float = declared(GAP_M, "Desired gap.", unit="m", low=0.5, high=2000.0)
+    start_gap_m: float | None = declared(
+        None, "Gap at departure: the convoy couples on the move.", unit="m", low=0.5, high=5000.0
+    )
+    apart_m: float = declared(100.0, "Desired gap once uncoupled.", unit="m", low=0.5, high=2000.0)
+    uncouple_at_m: float = declared(
+        float("inf"), "Where the head begins to uncouple, from the origin.", unit="m", low=0.0, infinite=True
+    )
+    link: Link = field(default_factory=Link)
+    guard: str = declared("coupled", f"What protection relies on: {', '.join(GUARDS)}.", choices=GUARDS)
+    disturbances: tuple[Disturbance, ...] = ()
+
+
+@dataclass(frozen=True)
+class Convoy(ConvoySettings):
+    """Declaration of a convoy.
+
+    Attributes:
+        section: Section.
+        trainsets: Nominal trainsets with their loads, head first.
+        allowed: Disturbances that protection allows for besides those that act.
         dt: Control period, s.
     """
 
     section: Section
     trainsets: tuple[Trainset, ...]
-    gap_m: float = GAP_M
-    start_gap_m: float | None = None
-    apart_m: float = 100.0
-    uncouple_at_m: float = float("inf")
-    link: Link = field(default_factory=Link)
-    guard: str = "coupled"
-    mass_factors: tuple[float, ...] = ()
-    resistance_factors: tuple[float, ...] = ()
-    adhesion: tuple[float, ...] = ()
-    mass_bounds: tuple[float, float] = MASS_SCATTER
+    allowed: tuple[Disturbance, ...] = ()
     dt: float = CONVOY_PERIOD_S
 
     def __post_init__(self) -> None:
-        count = len(self.trainsets)
-        if not 2 <= count <= MOST_TRAINSETS:
-            allowed = f"2 to {MOST_TRAINSETS}"
+        check_fields(self)
+        count, given = len(self.trainsets), len(self.disturbances)
+        TRAINSETS.check("trainsets", count)
+        if given not in {0, 1, count}:
             raise InputError(
-                "number of trainsets out of range", field="trainsets", value=count, allowed=allowed
+                "one for all, or one of each trainset",
+                field="disturbances",
+                value=given,
+                allowed=f"1 or {count}",
             )
-        if self.guard not in GUARDS:
-            raise InputError("unknown guard", field="guard", value=self.guard, allowed=", ".join(GUARDS))
-        for name, low, high in (
-            ("gap_m", 0.5, 2000.0),
-            ("first_gap_m", 0.5, 5000.0),
-            ("apart_m", 0.5, 2000.0),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                allowed = f"{low:g} to {high:g} m"
-                raise InputError(
-                    "out of range",
-                    field=name.replace("first", "start"),
-                    value=value,
-                    unit="m",
-                    allowed=allowed,
-                )
-        if not self.uncouple_at_m >= 0.0:
-            raise InputError(
-                "out of range", field="uncouple_at_m", value=self.uncouple_at_m, unit="m", allowed=">= 0 m"
-            )
-        for name, low, high in (("mass", 0.5, 2.0), ("resistance", 0.0, 5.0), ("adhesion", 0.01, 1.0)):
-            values = getattr(self, name if name == "adhesion" else f"{name}_factors")
-            if len(values) not in {0, count}:
-                raise InputError(
-                    "one a trainset is wanted", field=name, value=len(values), allowed=str(count)
-                )
-            if not all(low <= value <= high for value in values):
-                allowed = f"{low:g} to {high:g}"
-                raise InputError("out of range", field=name, value=str(values), allowed=allowed)
+        if any(each.updates not in {(), self.disturbances[0].updates} for each in self.disturbances):
+            raise InputError("timetable updates are those of the head", field="disturbances")
+
+    def disturbance(self, k: int) -> Disturbance:
+        """Disturbance of one trainset."""
+        if not self.disturbances:
+            return Disturbance()
+        return self.disturbances[min(k, len(self.disturbances) - 1)]
 
     @property
     def first_gap_m(self) -> float:
@@ -241,17 +256,20 @@ class Convoy:
         step = min(STEP_MPS2, (TAIL_MPS2 - HEAD_MPS2) / (count - 1))
         return tuple(HEAD_MPS2 + step * k for k in range(count))
 
+    @property
+    def cleared_after_m(self) -> float:
+        """Distance for which a limit still holds for the head, until the tail of the last has cleared it."""
+        if self.guard != "coupled":
+            return 0.0
+        return -self.starts_m[-1] + self.trainsets[-1].length_m - self.trainsets[0].length_m
+
     def leader(self) -> tuple[Section, Trainset]:
         """Section and trainset for the driver of the head.
 
         A limit holds until the tail of the last trainset has cleared it. In a coupled convoy the head uses
         only a part of its efforts, so that the others can follow.
         """
-        behind = -self.starts_m[-1] + self.trainsets[-1].length_m - self.trainsets[0].length_m
-        section, head = (
-            extend_limits(self.section, behind if self.guard == "coupled" else 0.0),
-            self.trainsets[0],
-        )
+        section, head = extend_limits(self.section, self.cleared_after_m), self.trainsets[0]
         if self.guard != "coupled":
             return section, head
         rate = self.rates_mps2[0]
@@ -288,6 +306,7 @@ class Member(NamedTuple):
         protection: Its protection; None: it has none.
         bounds: Bounds on the trainset ahead and on its own emergency brake.
         most_mps2: Rate to which its brakes are controlled.
+        speed_noise_mps: Standard deviation of its measured speed.
         link: The link from the trainset ahead.
         length_m: Length.
         start_m: Position of its front at departure.
@@ -303,6 +322,7 @@ class Member(NamedTuple):
     protection: Protection | None
     bounds: Separation
     most_mps2: Array
+    speed_noise_mps: Array
     link: LinkQuality
     length_m: Array
     start_m: Array
@@ -323,22 +343,22 @@ def convoy_members(convoy: Convoy, dtype: type = np.float64) -> tuple[Member, ..
 
 
 def _member(convoy: Convoy, k: int, before_m: float, dtype: type) -> Member:
-    trainset, rates = convoy.trainsets[k], convoy.rates_mps2
+    disturbance, rates = convoy.disturbance(k), convoy.rates_mps2
+    trainset = disturbance.nominal(convoy.trainsets[k])
     section = convoy.leader()[0] if k == 0 else convoy.section
-    vehicle, believed = _actual(convoy, k, dtype), vehicle_arrays(trainset, dtype)
-    bounds = member_bounds(convoy, k)
     guard = None
     if convoy.guard != "none":
-        guard = protect(section, trainset, bounds, dtype=dtype, before_m=before_m)
+        guard = protect(section, trainset, member_bounds(convoy, k), dtype=dtype, before_m=before_m)
     fall = 0.0 if guard is None else float(guard.pull_mps2.max())
     held = min(rates[k], trainset.safe_braking.emergency_deceleration_mps2 - max(fall, 0.0))
     return Member(
-        vehicle=vehicle,
-        believed=believed,
+        vehicle=vehicle_arrays(disturbance.true_plant(trainset), dtype),
+        believed=vehicle_arrays(trainset, dtype),
         track=track_arrays(section, trainset, dtype),
         protection=guard,
         bounds=separate(pair_bounds(convoy, k), convoy.dt, held, dtype),
         most_mps2=dtype(rates[k]),
+        speed_noise_mps=dtype(disturbance.speed_noise_mps),
         link=convoy.link.numbers(dtype),
         length_m=dtype(trainset.length_m),
         start_m=dtype(convoy.starts_m[k]),
@@ -349,66 +369,60 @@ def _member(convoy: Convoy, k: int, before_m: float, dtype: type) -> Member:
     )
 
 
-def _factor(values: Sequence[float], k: int) -> float:
-    return values[k] if values else 1.0
-
-
-def _actual(convoy: Convoy, k: int, dtype: type) -> Vehicle:
-    """The true plant of a trainset: mass, resistance and adhesion of this run."""
-    vehicle = true_vehicle(
-        vehicle_arrays(convoy.trainsets[k], dtype),
-        mass_factor=dtype(_factor(convoy.mass_factors, k)),
-        resistance_factor=dtype(_factor(convoy.resistance_factors, k)),
-    )
-    if convoy.adhesion:
-        grip = dtype(convoy.adhesion[k]) * vehicle.mass_kg * vehicle.gravity_mps2
-        vehicle = vehicle._replace(adhesion_n=np.minimum(grip, vehicle.adhesion_n))
-    return vehicle
+def _possible_disturbances(convoy: Convoy, k: int) -> tuple[Disturbance, ...]:
+    return (convoy.disturbance(k), *convoy.allowed)
 
 
 def member_bounds(convoy: Convoy, k: int) -> Bounds:
     """Deviations from the nominal plant of one trainset that protection allows for."""
     trainset, rate = convoy.trainsets[k], convoy.rates_mps2[k]
-    usual = Bounds.of(trainset, convoy.dt)
-    mass, drag = _factor(convoy.mass_factors, k), _factor(convoy.resistance_factors, k)
-    return replace(
-        usual,
-        mass=(min(convoy.mass_bounds[0], mass), max(convoy.mass_bounds[1], mass)),
-        resistance=(min(usual.resistance[0], drag), max(usual.resistance[1], drag)),
-        emergency_mps2=min(usual.emergency_mps2, rate),
-        controlled=np.isfinite(rate).item(),
-    )
+    runs = (Run(convoy.section, trainset, 1.0, each, convoy.dt) for each in _possible_disturbances(convoy, k))
+    bounds = reduce(Bounds.hull, map(declared_bounds, runs))
+    controlled = np.isfinite(rate).item()
+    return replace(bounds, emergency_mps2=min(bounds.emergency_mps2, rate), controlled=controlled)
 
 
 def pair_bounds(convoy: Convoy, k: int) -> PairBounds:
-    """Bounds on the braking of the trainset ahead of number ``k``."""
+    """Bounds on the braking of the trainset ahead of number ``k``, and on what it says of its speed."""
     if k == 0 or convoy.guard in {"moving_block", "none"}:
         return PairBounds()
-    ahead = convoy.trainsets[k - 1]
-    jerk = max(Bounds.of(ahead, convoy.dt).emergency_jerk_mps3, ahead.actuation.jerk_limit_mps3)
+    ahead, bounds = convoy.trainsets[k - 1], member_bounds(convoy, k - 1)
+    limits = [each.nominal(ahead).actuation.jerk_limit_mps3 for each in _possible_disturbances(convoy, k - 1)]
+    # A brake that is controlled to a rate releases where gradient and resistance alone reach it, no further.
+    rolling = resisting_mps2(convoy.section, ahead, bounds)
+    rate = convoy.rates_mps2[k - 1]
     if convoy.guard == "coupled":
-        return PairBounds(convoy.rates_mps2[k - 1], jerk)
-    return PairBounds(strongest_mps2(convoy.section, ahead), jerk)
+        strongest = max(rate, rolling)
+    else:
+        plants = [
+            replace(each, mass_factor=1.0).true_plant(ahead) for each in _possible_disturbances(convoy, k - 1)
+        ]
+        strongest = rolling + max(strongest_brake_mps2(plant, bounds) for plant in plants)
+    jerk = max(bounds.emergency_jerk_mps3, *limits)
+    return PairBounds(strongest, jerk, speed_error_mps=bounds.speed_error_mps)
 
 
-def strongest_mps2(section: Section, trainset: Trainset) -> float:
-    """Largest deceleration of a trainset: the stronger brake, on the steepest climb, with all resistance."""
+LIGHTEST, MOST_RESISTANCE = 0.8, 1.5
+"""Mass and resistance over nominal that bounds on a trainset ahead allow for at least."""
+
+
+def resisting_mps2(section: Section, trainset: Trainset, bounds: Bounds) -> float:
+    """Largest deceleration without brakes: on the steepest climb and curve, with all resistance."""
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
     climb = 1e-3 * float(section.gradient_permil.value.max())
     curve = float(track.slope[:, 1].max())
     top = trainset.max_speed_mps
     davis = float(vehicle.davis_n[0] + top * (vehicle.davis_n[1] + top * vehicle.davis_n[2]))
-    drag = 1.5 * davis / (0.8 * trainset.effective_mass_kg)
-    hardest = max(
-        trainset.safe_braking.emergency_deceleration_mps2,
-        min(trainset.service_deceleration_mps2, _all_brakes(vehicle)),
+    light = min(LIGHTEST, bounds.mass[0]) * trainset.effective_mass_kg
+    drag = max(MOST_RESISTANCE, bounds.resistance[1]) * davis / light
+    return max(climb, 0.0) * trainset.gravity_mps2 + curve + drag
+
+
+def strongest_brake_mps2(plant: Trainset, bounds: Bounds) -> float:
+    """Deceleration under the stronger brake of a trainset as light as its bounds allow, m/s^2."""
+    vehicle = vehicle_arrays(plant)
+    brakes = effort_at(vehicle, np.linspace(0.0, float(vehicle.max_speed_mps), 64)).brake_n
+    all_brakes = float(np.max(brakes)) / (min(LIGHTEST, bounds.mass[0]) * float(vehicle.effective_mass_kg))
+    return max(
+        plant.safe_braking.emergency_deceleration_mps2, min(plant.service_deceleration_mps2, all_brakes)
     )
-    return hardest + max(climb, 0.0) * trainset.gravity_mps2 + curve + drag
-
-
-def _all_brakes(vehicle: Vehicle) -> float:
-    """Deceleration under all brakes at once with the smallest mass within the bounds, m/s^2."""
-    from metropilot.physics import effort_at
-
-    strongest = float(np.max(effort_at(vehicle, np.linspace(0.0, float(vehicle.max_speed_mps), 64)).brake_n))
-    return strongest / (0.8 * float(vehicle.effective_mass_kg))

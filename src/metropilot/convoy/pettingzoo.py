@@ -29,6 +29,7 @@ from metropilot.convoy.step import (
     receive_message,
     update_needed_gap,
 )
+from metropilot.env import NOMINAL, draw_disturbance
 from metropilot.physics import Command
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import true_vehicle
@@ -67,7 +68,14 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         self.render_mode = render_mode
         section = load_line(self.config.line).section(self.config.origin, self.config.destination)
         trainsets = (load_trainset(self.config.trainsets[0]),) * count
-        convoy = Convoy(section, trainsets, gap_m=self.config.gap_m, guard="coupled", dt=self.config.dt)
+        worst = self.config.disturbances
+        convoy = Convoy(
+            section,
+            trainsets,
+            gap_m=self.config.gap_m,
+            allowed=(worst.extreme(0), worst.extreme(1)),
+            dt=self.config.dt,
+        )
         rows = convoy_members(convoy)
         self.nominal = rows if protected else tuple(row._replace(protection=None) for row in rows)
         self.heads = recordings(
@@ -138,12 +146,11 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
             closing = seen.ahead_mps - seen.speed_mps
             share, self.errors[k] = incremental_pid(seen.command, gains, closing, self.errors[k])
             shares.append(np.float64(share))
-        self.states = [
-            drive_period(
-                own, state, Command(share, bool(k == 0 and now >= self.emergency_s)), now, self._dt()
-            )[0]
-            for k, (own, state, share) in enumerate(zip(self.members, self.states, shares, strict=True))
-        ]
+        late = now >= self.emergency_s
+        for k, (own, state, share) in enumerate(zip(self.members, self.states, shares, strict=True)):
+            noise = self.random.standard_normal() if own.speed_noise_mps > 0.0 else 0.0
+            command = Command(share, bool(k == 0 and late))
+            self.states[k] = drive_period(own, state, command, now, self._dt(), np.float64(noise))[0]
         changes = [share - seen.command for share, seen in zip(shares[1:], self.seen, strict=True)]
         wanted = [float(seen.wanted_gap_m) for seen in self.seen]
         self.period += 1
@@ -169,13 +176,20 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         )
 
     def _draw(self, k: int, own: Member, off: float) -> Member:
-        """Draw mass and link of a trainset for this episode; the head is nominal."""
+        """Draw plant and link of a trainset for this episode; the head is nominal."""
         config, u = self.config, self.random.random(3)
-        low, high = config.mass
-        factor = 1.0 + off * (k > 0) * (low + (high - low) * u[0] - 1.0)
+        more = self.random.random(max(config.disturbances.quantities_drawn - 1, 0))
+        drawn = draw_disturbance(config.disturbances, iter((u[0], *more)))
+        if not (off and k):
+            drawn = {name: np.float64(nominal) for name, (nominal, _) in NOMINAL.items()}
         numbers = (off * config.delay_s * u[1], 0.0, off * config.loss * u[2], np.inf)
         link = LinkQuality(*(np.float64(value) for value in numbers))
-        return own._replace(vehicle=true_vehicle(own.vehicle, mass_factor=np.float64(factor)), link=link)
+        mismatch = {name: np.float64(drawn[name]) for name in config.disturbances.mismatches}
+        return own._replace(
+            vehicle=true_vehicle(own.believed, **mismatch),
+            speed_noise_mps=np.float64(drawn["speed_noise_mps"]),
+            link=link,
+        )
 
     def _now(self) -> np.float64:
         return np.float64(self.period * self.config.dt)

@@ -3,59 +3,76 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
+from metropilot._schema import FieldSpec, check_fields, declared, field_specs, from_table
 from metropilot.convoy.drivers import FOLLOWERS, AbstractFollower
-from metropilot.convoy.model import GAP_M, Convoy, ConvoyGuard, Link
+from metropilot.convoy.model import TRAINSETS, Convoy, ConvoySettings, Link
 from metropilot.convoy.rollout import ConvoyDrive, HeadRun, drive_convoy
-from metropilot.errors import InputError, rename_fields
+from metropilot.errors import rename_fields
 from metropilot.evaluate import RunSpec, make_driver, with_options
-from metropilot.planning import check_running_time, minimum_running_time
-from metropilot.sim import Run, drive
+from metropilot.planning import minimum_running_time
+from metropilot.sim import Disturbance, Run, drive
 
 
 @dataclass(frozen=True)
-class ConvoyRequest:
-    """All inputs of the run of a convoy.
+class ConvoyRequest(ConvoySettings):
+    """All inputs of the run of a convoy; command line, HTTP and `run.json` take its fields from here.
+
+    Without disturbances of its own every trainset has that of the head's run.
 
     Attributes:
-        head: Run of the head: line, stations, time, trainset and load, driver, period and seed. Its
-            disturbance is not used.
+        head: Run of the head: line, stations, time, trainset and load, driver, disturbance, period and seed.
         count: Number of trainsets.
         follower: Id of the driver of the followers.
         options: Its options.
-        gap_m: Desired gap.
-        start_gap_m: Gap at departure; None: the desired one.
-        apart_m: Desired gap once uncoupled.
-        uncouple_at_m: Position at which the head begins to uncouple; None: nowhere.
-        link: Link from each trainset to the next.
-        guard: Assumption of protection.
-        masses: True over nominal mass of each trainset; empty: all 1.
-        emergency_s: Time at which the head makes an emergency brake; None: never.
+        emergency_s: Time at which the head makes an emergency brake (infinite: never).
     """
 
     head: RunSpec
-    count: int = 2
-    follower: str = "follow_gap"
+    count: int = field(default=2, metadata={FieldSpec: TRAINSETS})
+    follower: str = declared(
+        "follow_gap", "Driver of the followers; see `metropilot drivers --followers`.", option="driver"
+    )
     options: Mapping[str, Any] = field(default_factory=dict)
-    gap_m: float = GAP_M
-    start_gap_m: float | None = None
-    apart_m: float = 100.0
-    uncouple_at_m: float | None = None
-    link: Link = field(default_factory=Link)
-    guard: ConvoyGuard = "coupled"
-    masses: tuple[float, ...] = ()
-    emergency_s: float | None = None
+    emergency_s: float = declared(
+        float("inf"),
+        "When the head makes an emergency brake.",
+        unit="s",
+        low=0.0,
+        infinite=True,
+        option="head-emergency",
+    )
 
     def __post_init__(self) -> None:
-        for name, unit in (("emergency_s", "s"), ("uncouple_at_m", "m")):
-            value = getattr(self, name)
-            if value is not None and not 0.0 <= value < float("inf"):
-                allowed = f">= 0 {unit}, finite"
-                raise InputError("out of range", field=name, value=value, unit=unit, allowed=allowed)
+        check_fields(self)
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any], head: RunSpec | None = None) -> ConvoyRequest:
+        """Make the request from plain values as in `run.json`.
+
+        Args:
+            values: By the names of the fields; ``head`` as :meth:`metropilot.evaluate.RunSpec.from_values`
+                takes it, ``link`` and each of ``disturbances`` by the names of their own fields. What is not
+                given, or None, has its default.
+            head: Run of the head instead of that in the values.
+
+        Raises:
+            InputError: An unknown key, one of the wrong kind, or a value outside its range.
+        """
+        given = {key: value for key, value in values.items() if value is not None}
+        head = head or RunSpec.from_values(given.pop("head", {}))
+        with rename_fields({name: f"link_{name}" for name in field_specs(Link)}):
+            link = from_table(Link, given.pop("link", {}))
+        own = []
+        for k, each in enumerate(given.pop("disturbances", ())):
+            with rename_fields({name: f"disturbances.{k}.{name}" for name in field_specs(Disturbance)}):
+                own.append(from_table(Disturbance, each))
+        options = dict(given.pop("options", {}))
+        return from_table(cls, given, head=head, link=link, options=options, disturbances=tuple(own))
 
     def convoy(self) -> Convoy:
         """The convoy.
@@ -63,26 +80,16 @@ class ConvoyRequest:
         Raises:
             InputError: Something in the request cannot be used.
         """
-        if not 2 <= self.count <= 16:
-            raise InputError(
-                "number of trainsets out of range", field="trainsets", value=self.count, allowed="2 to 16"
-            )
-        with rename_fields({"mass": "masses"}):
-            return self._convoy()
-
-    def _convoy(self) -> Convoy:
-        """Make the convoy; errors name the fields of :class:`Convoy`."""
+        shared = {f.name: getattr(self, f.name) for f in fields(ConvoySettings)}
+        updates = self.head.disturbance.updates
+        shared["disturbances"] = tuple(
+            replace(each, updates=updates) for each in self.disturbances or (self.head.disturbance,)
+        )
         return Convoy(
             section=self.head.section(),
             trainsets=(self.head.loaded(),) * self.count,
-            gap_m=self.gap_m,
-            start_gap_m=self.start_gap_m,
-            apart_m=self.apart_m,
-            uncouple_at_m=float("inf") if self.uncouple_at_m is None else self.uncouple_at_m,
-            link=self.link,
-            guard=self.guard,
-            mass_factors=self.masses,
             dt=self.head.dt_s,
+            **shared,
         )
 
     def run(self, convoy: Convoy) -> Run:
@@ -92,14 +99,23 @@ class ConvoyRequest:
             Infeasible: The time is below the convoy's minimum running time, which the message names.
         """
         section, trainset = convoy.leader()
-        time_s = self.head.time_s if self.head.time_s is not None else convoy.section.planned_time_s
-        if time_s is None:
-            words = f"the line plans no running time for {convoy.section.name}; give one"
-            raise InputError(words, field="time_s", allowed="> 0 s")
-        check_running_time(
-            time_s, minimum_running_time(section, trainset), "minimum running time of the convoy"
+        fastest_s = minimum_running_time(section, trainset)
+        alone = self.head.run(fastest_s, "minimum running time of the convoy")
+        longer_m = convoy.cleared_after_m
+        updates = tuple(
+            each
+            if each.restriction is None
+            else replace(each, restriction=replace(each.restriction, to_m=each.restriction.to_m + longer_m))
+            for each in alone.disturbance.updates
         )
-        return Run(section, trainset, time_s, dt=self.head.dt_s, seed=self.head.seed)
+        disturbance = replace(convoy.disturbance(0), updates=updates)
+        return replace(alone, section=section, trainset=trainset, disturbance=disturbance)
+
+    def scheduled_time_s(self, convoy: Convoy) -> float:
+        """Scheduled running time of the head after every new arrival time."""
+        run = self.run(convoy)
+        told = [run.scheduled_time_s, *(each.scheduled_time_s for each in run.disturbance.updates)]
+        return [time_s for time_s in told if time_s is not None][-1]
 
     def head_run(self, convoy: Convoy) -> HeadRun:
         """Drive the head alone.
@@ -110,8 +126,7 @@ class ConvoyRequest:
         """
         found = drive(self.run(convoy), make_driver(self.head.driver, self.head.options))
         commands = np.asarray(found.trajectory.command[:-1])
-        late = float("inf") if self.emergency_s is None else self.emergency_s
-        return HeadRun(self.head.driver, commands, found.outcome, late)
+        return HeadRun(self.head.driver, commands, found.outcome, self.emergency_s)
 
     def make_follower(self) -> AbstractFollower:
         """Make the driver of the followers.
@@ -132,9 +147,18 @@ class ConvoyRequest:
         convoy, follower = convoy or self.convoy(), follower or self.make_follower()
         return drive_convoy(convoy, self.head_run(convoy), follower, self.head.seed)
 
-    def table(self) -> dict[str, Any]:
+    def values(self) -> dict[str, Any]:
         """The request as plain values, without those that are None or infinite."""
-        values = {k: v for k, v in asdict(replace(self, head=self.head.resolved())).items() if v is not None}
-        values["head"] = {k: v for k, v in values["head"].items() if v is not None}
-        values["link"] = {k: v for k, v in values["link"].items() if np.isfinite(v)}
-        return values
+        own = {name: getattr(self, name) for name in (*field_specs(type(self)), "options")}
+        given = [
+            {name: getattr(each, name) for name in field_specs(Disturbance)} for each in self.disturbances
+        ]
+        values = own | {"head": self.head.values(), "link": asdict(self.link), "disturbances": given}
+        return _finite(values)
+
+
+def _finite(value: Any) -> Any:  # noqa: ANN401 (plain values)
+    """A tree of plain values without None and infinity, which JSON does not have."""
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items() if v is not None and v != float("inf")}
+    return [_finite(v) for v in value] if isinstance(value, list) else value

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter_ns
-from typing import Any, final
+from typing import Any, cast, final
 
 import numpy as np
 from jaxtyping import Float
@@ -26,7 +26,8 @@ from metropilot.convoy.step import (
 )
 from metropilot.physics import Command
 from metropilot.protection import permitted_speed
-from metropilot.sim import Outcome, Recorder, Trajectory
+from metropilot.railway import Restriction
+from metropilot.sim import Outcome, Recorder, Trajectory, noise_stream
 
 STAND_S = 3.0
 LONGEST_S = 240.0
@@ -37,7 +38,7 @@ class ConvoyDrive:
     """Record of the run of a convoy.
 
     Attributes:
-        convoy: The convoy.
+        convoy: The convoy, its section with every restriction announced during the run.
         head: Id of the head's driver.
         follower: Id of the followers' driver.
         trajectories: Trajectory of each trainset, the head first.
@@ -128,6 +129,11 @@ class ConvoyRollout:
         self.recorders = [
             Recorder(m.vehicle, self.dt, s.plant) for m, s in zip(self.members, self.states, strict=True)
         ]
+        self.errors = [noise_stream(seed, k) for k in range(len(self.members))]
+        self.pending = sorted(
+            (each for each in convoy.disturbance(0).updates if each.restriction is not None),
+            key=lambda update: update.at_s,
+        )
         self.random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
         self.decision_us: list[list[float]] = [[] for _ in self.members]
         self.rows: list[tuple[float, list[float], list[float]]] = []
@@ -141,6 +147,7 @@ class ConvoyRollout:
     def advance(self) -> tuple[float, list[float], list[float]]:
         """Run one control period; returns time, gaps and speed differences after it."""
         now = np.float64(self.time_s)
+        self.apply_updates()
         self.listen(now)
         self.move(now, self.period)
         self.note(float(now) + self.dt)
@@ -151,6 +158,18 @@ class ConvoyRollout:
         longest = self.head.commands.size * self.dt + LONGEST_S
         self.over = self.stood_s >= STAND_S or self.time_s >= longest
         return self.rows[-1]
+
+    def apply_updates(self) -> None:
+        """Put the temporary speed restrictions that are due into force, for plants and protections.
+
+        New arrival times act on the driver of the head alone, in the run that gave its commands.
+        """
+        while self.pending and self.pending[0].at_s <= self.time_s:
+            restriction = cast("Restriction", self.pending.pop(0).restriction)
+            self.convoy = replace(self.convoy, section=self.convoy.section.restricted(restriction))
+            links = [member.link for member in self.members]
+            members = convoy_members(self.convoy)
+            self.members = tuple(m._replace(link=link) for m, link in zip(members, links, strict=True))
 
     def relink(self, link: Link) -> None:
         """Change the quality of all links from now on; messages in flight are kept."""
@@ -188,7 +207,8 @@ class ConvoyRollout:
             command = Command(
                 self.decide(k, observe_member(own, state, now, self.dt, np.float64(permitted))), False
             )
-        after, record = drive_period(own, state, command, now, np.float64(self.dt))
+        noise = self.errors[k].standard_normal() if own.speed_noise_mps > 0 else 0.0
+        after, record = drive_period(own, state, command, now, np.float64(self.dt), np.float64(noise))
         self.recorders[k].add(own.track, after.plant, record, permitted)
         return after
 

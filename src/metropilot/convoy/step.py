@@ -24,6 +24,7 @@ class MemberState(NamedTuple):
 
     Attributes:
         plant: State of the plant.
+        measured_mps: Speed as measured for the coming period.
         watched: Protection's memory; None: no protection.
         channel: Link from the trainset ahead.
         wanted: Last command of its driver.
@@ -33,6 +34,7 @@ class MemberState(NamedTuple):
     """
 
     plant: State
+    measured_mps: Array
     watched: Watched | None
     channel: Channel
     wanted: Array
@@ -47,7 +49,7 @@ class FollowerObservation(NamedTuple):
     Attributes:
         time_s: Time since departure.
         position_m: Own front.
-        speed_mps: Own speed.
+        speed_mps: Own speed as measured.
         acceleration_mps2: Own acceleration over the last period.
         command: Own last command, after protection.
         vehicle: Nominal plant.
@@ -79,11 +81,6 @@ class FollowerObservation(NamedTuple):
     period_s: Array
 
 
-def pipeline_slots(vehicle: Any, dt: float) -> int:  # noqa: ANN401 (a vehicle)
-    """Slots for commands in the dead time (a shape: decide it outside ``jit``)."""
-    return delay_steps(float(vehicle.delay_s), dt)
-
-
 def make_message(member: Member, state: MemberState, now_s: Array) -> Message:
     """Make the message that a trainset sends now."""
     plant = state.plant
@@ -91,7 +88,7 @@ def make_message(member: Member, state: MemberState, now_s: Array) -> Message:
     return Message(
         stamp_s=now_s,
         rear_m=plant.position_m - member.length_m,
-        speed_mps=plant.speed_mps,
+        speed_mps=state.measured_mps,
         acceleration_mps2=plant.acceleration_mps2,
         command=state.command,
         emergency=xp.where(state.emergency, 1.0, 0.0),
@@ -99,7 +96,12 @@ def make_message(member: Member, state: MemberState, now_s: Array) -> Message:
 
 
 def at_departure(
-    member: Member, ahead: Member | None, dt: float, position_m: float | None = None, speed_mps: float = 0.0
+    member: Member,
+    ahead: Member | None,
+    dt: float,
+    position_m: float | None = None,
+    speed_mps: float = 0.0,
+    delay_s: float = 0.0,
 ) -> MemberState:
     """State of a trainset at departure, or at the same steady speed as the one ahead (NumPy).
 
@@ -109,10 +111,11 @@ def at_departure(
         dt: Control period.
         position_m: Position of its front; None: that at departure.
         speed_mps: Speed of both.
+        delay_s: Largest dead time in addition to the vehicle's that a batch may draw.
     """
     at = float(member.start_m) if position_m is None else position_m
     kind = member.start_m.dtype.type
-    slots = pipeline_slots(member.vehicle, dt)
+    slots = delay_steps(float(member.vehicle.delay_s) + delay_s, dt)
     plant = at_rest(member.vehicle, delay_steps=slots, position_m=at, speed_mps=speed_mps)
     rear = kind(FAR_M) if ahead is None else kind(at + member.start_m * 0.0)
     if ahead is not None:
@@ -120,7 +123,9 @@ def at_departure(
     zero = kind(0.0)
     first = Message(zero, rear, kind(0.0 if ahead is None else speed_mps), zero, zero, zero)
     watched = None if member.protection is None else at_start(member.protection)
-    return MemberState(plant, watched, open_channel(first), zero, zero, member.is_head & False, zero)
+    return MemberState(
+        plant, plant.speed_mps, watched, open_channel(first), zero, zero, member.is_head & False, zero
+    )
 
 
 def receive_message(member: Member, state: MemberState, message: Message, luck: Array) -> MemberState:
@@ -150,7 +155,7 @@ def update_needed_gap(member: Member, state: MemberState, now_s: Array, period_s
     unsure = (member.link.loss > 0.0) | (member.link.jitter_s > 0.0)
     ahead = ahead._replace(age_s=ahead.age_s + xp.where(unsure, SILENT_S, 0.0))
     share = xp.minimum(state.command + SPARE_SHARE, 1.0)
-    spare = spare_gap(member.protection, state.watched, plant.position_m, plant.speed_mps, share, ahead)
+    spare = spare_gap(member.protection, state.watched, plant.position_m, state.measured_mps, share, ahead)
     now_m = xp.clip(ahead.rear_m - plant.position_m - spare + SPARE_M, 0.0, FAR_M)
     now_m = xp.where(member.is_head, 0.0, now_m)
     rate = FADING_MPS + xp.maximum(state.needed_gap_m - LONG_M, 0.0) / FADING_S
@@ -173,7 +178,7 @@ def observe_member(
     return FollowerObservation(
         time_s=now_s,
         position_m=plant.position_m,
-        speed_mps=plant.speed_mps,
+        speed_mps=state.measured_mps,
         acceleration_mps2=plant.acceleration_mps2,
         command=state.command,
         vehicle=member.believed,
@@ -191,7 +196,7 @@ def observe_member(
 
 @no_type_check
 def drive_period(
-    member: Member, state: MemberState, command: Command, now_s: Array, period_s: Array
+    member: Member, state: MemberState, command: Command, now_s: Array, period_s: Array, noise: Array = 0.0
 ) -> tuple[MemberState, PeriodRecord]:
     """One control period of one trainset of the convoy (:func:`metropilot.sim.control_period`).
 
@@ -201,6 +206,7 @@ def drive_period(
         command: Command of its driver, who may ask for the emergency brake.
         now_s: Time since departure.
         period_s: Control period.
+        noise: Error of the speed measured at the end, in standard deviations.
     """
     params = RunParams(
         vehicle=member.vehicle,
@@ -208,21 +214,23 @@ def drive_period(
         protection=member.protection,
         length_m=member.track.length_m,
         scheduled_s=now_s,
-        speed_noise_mps=0.0,
+        speed_noise_mps=member.speed_noise_mps,
         dt=period_s,
         most_mps2=member.most_mps2,
     )
     ahead = None if member.protection is None else ahead_of(member, state, now_s)
     run, _, record = control_period(
         params,
-        first_state(state.plant, state.watched),
+        first_state(state.plant, state.watched)._replace(measured_mps=state.measured_mps),
         None,
         lambda _, __: (command, None),
         rule=NEVER_ENDS,
+        noise=noise,
         ahead=ahead,
     )
     reached = state._replace(
         plant=run.plant,
+        measured_mps=run.measured_mps,
         watched=run.supervision,
         wanted=command.share,
         command=record.command.share,

@@ -30,10 +30,12 @@ from .optima import Optima as Optima
 from .optima import cached_optima as cached_optima
 from .optima import optima_of as optima_of
 from .policy_interface import PolicyInterface as PolicyInterface
+from .randomization import NOMINAL as NOMINAL
 from .randomization import DisturbanceDistribution as DisturbanceDistribution
 from .randomization import DomainSample as DomainSample
 from .randomization import StartDistribution as StartDistribution
 from .randomization import domain_sample as domain_sample
+from .randomization import draw_disturbance as draw_disturbance
 from .registry import TASKS as TASKS
 from .registry import make_task as make_task
 from .registry import task_config as task_config

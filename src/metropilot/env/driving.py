@@ -13,7 +13,7 @@ from metropilot.env.assists import apply_assists
 from metropilot.env.config import DrivingConfig
 from metropilot.env.features import FeatureContext, feature_context, observe
 from metropilot.env.interface import AbstractTask, ActionSpace, Transition
-from metropilot.env.randomization import DRAWN_PLANT, NOMINAL, StartDistribution, draw
+from metropilot.env.randomization import StartDistribution, draw
 from metropilot.env.rewards import PeriodChange
 from metropilot.env.tables import PERMITTED_COLUMN, SectionRows, near_protection
 from metropilot.physics import Command, Forces, State, delay_steps
@@ -254,7 +254,7 @@ class DrivingTask(AbstractTask):
         case, sight = self.rows.case(row), self.sight(state)
         noisy = config.scenarios.speed_noise_mps[1] > 0
         scenarios = config.scenarios
-        drawn = {n: getattr(start, n) for n in DRAWN_PLANT if getattr(scenarios, n) != NOMINAL[n]}
+        drawn = {name: getattr(start, name) for name in scenarios.mismatches}
         params = RunParams(
             vehicle=true_vehicle(case.vehicle, **drawn),
             track=sight.track,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -144,6 +144,16 @@ class DisturbanceDistribution:
         for end in (0, 1):
             self.extreme(end)
 
+    @property
+    def quantities_drawn(self) -> int:
+        """Number of quantities of the disturbance that are no constant."""
+        return sum(low < high for low, high in (getattr(self, name) for name in DRAWN))
+
+    @property
+    def mismatches(self) -> tuple[str, ...]:
+        """Quantities of the plant that may differ from nominal."""
+        return tuple(name for name in DRAWN_PLANT if getattr(self, name) != NOMINAL[name])
+
     def extreme(self, end: int) -> Disturbance:
         """Disturbance at the low (0) or high (1) end of every interval."""
         return Disturbance(**{name: getattr(self, name)[end] for name in DRAWN})
@@ -160,13 +170,8 @@ class DisturbanceDistribution:
 
     def bounds(self, section: Section, trainset: Trainset, dt: float) -> Bounds:
         """Bounds declared to protection: the widest that the host would declare for any disturbance."""
-        ends = [declared_bounds(Run(section, trainset, 1.0, self.extreme(k), dt)) for k in (0, 1)]
-        return replace(
-            ends[1],
-            mass=_hull([end.mass for end in ends]),
-            resistance=_hull([end.resistance for end in ends]),
-            service_share=min(end.service_share for end in ends),
-        )
+        low, high = (declared_bounds(Run(section, trainset, 1.0, self.extreme(k), dt)) for k in (0, 1))
+        return low.hull(high)
 
     def restricted(self, section: Section) -> tuple[Section, ...]:
         """Sections with each of the restrictions that may be announced; empty without restrictions."""
@@ -182,8 +187,19 @@ class DisturbanceDistribution:
         return tuple(found)
 
 
-def _hull(intervals: Sequence[Interval]) -> Interval:
-    return min(low for low, _ in intervals), max(high for _, high in intervals)
+def draw_disturbance(distribution: DisturbanceDistribution, shares: Iterator[Array]) -> dict[str, Array]:
+    """Draw every quantity of a disturbance; one random number in [0, 1) for each that is no constant.
+
+    Args:
+        distribution: The distribution.
+        shares: Random numbers, of any one shape.
+    """
+    return {name: _within(getattr(distribution, name), shares) for name in DRAWN}
+
+
+def _within(interval: Interval, shares: Iterator[Array]) -> Array:
+    low, high = interval
+    return low + (high - low) * next(shares) if low < high else np.float32(low)
 
 
 def draw(scenarios: DisturbanceDistribution, key: Array, times_s: Array) -> StartDistribution:
@@ -200,15 +216,15 @@ def draw(scenarios: DisturbanceDistribution, key: Array, times_s: Array) -> Star
     import jax
     import jax.numpy as jnp
 
-    given = (getattr(scenarios, name) for name in DRAWN)
-    wide = [low < high for low, high in given]
     cases = times_s.shape[1]
-    count = int(cases > 1) + 1 + sum(wide) + 3 * (scenarios.news > 0) + 3 * (scenarios.restriction > 0)
+    count = (
+        int(cases > 1)
+        + 1
+        + scenarios.quantities_drawn
+        + 3 * (scenarios.news > 0)
+        + 3 * (scenarios.restriction > 0)
+    )
     shares = iter(jax.random.uniform(key, (count,)))
-
-    def within(interval: Interval) -> Array:
-        low, high = interval
-        return low + (high - low) * next(shares) if low < high else jnp.float32(low)
 
     case = jnp.zeros((), jnp.int32)
     if cases > 1:
@@ -216,7 +232,7 @@ def draw(scenarios: DisturbanceDistribution, key: Array, times_s: Array) -> Star
     low, high = times_s[0, case], times_s[1, case]
     scheduled = low + (high - low) * next(shares)
     zero = jnp.zeros((), jnp.float32)
-    drawn = {name: within(getattr(scenarios, name)) for name in DRAWN}
+    drawn = {name: jnp.asarray(value) for name, value in draw_disturbance(scenarios, shares).items()}
     news_at, news = jnp.full((), jnp.inf, jnp.float32), scheduled
     if scenarios.news > 0:
         told, at, shift = next(shares), next(shares), next(shares)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
-from difflib import get_close_matches
 from inspect import signature
 from typing import Any, get_args, get_type_hints
 
+from metropilot._schema import check_name, convert
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
 from metropilot.sim import AbstractDriver
@@ -93,24 +93,7 @@ def with_options(driver: type[Any], options: Mapping[str, Any]) -> Any:  # noqa:
         raise InputError(f"{driver.id} takes no options", field="set", value=next(iter(options)))
     values = {}
     for name, value in options.items():
-        _check_name(name, tuple(defaults), f"option of {driver.id}", "set")
-        values[name] = _like(defaults[name], name, value)
+        check_name(name, defaults, f"option of {driver.id}", field="set", value=name)
+        default = defaults[name]
+        values[name] = value if default is None else convert(f"set {name}", value, type(default))
     return driver(options=kind(**values))
-
-
-def _check_name(name: str, names: tuple[str, ...], what: str, where: str) -> None:
-    if name not in names:
-        near = get_close_matches(name, names, 1)
-        hint = f", did you mean {near[0]}?" if near else ""
-        raise InputError(f"unknown {what}{hint}", field=where, value=name, allowed=", ".join(names))
-
-
-def _like(default: Any, name: str, value: Any) -> Any:  # noqa: ANN401 (whatever an option holds)
-    """Convert a value to the type of the default; a whole number is accepted as a float."""
-    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if default is not None and type(value) is not type(default):
-        kinds = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
-        allowed = kinds.get(type(default), type(default).__name__)
-        raise InputError("wrong kind of value", field=f"set {name}", value=str(value), allowed=allowed)
-    return value

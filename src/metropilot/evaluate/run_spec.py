@@ -7,12 +7,19 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import MISSING, dataclass, field, replace
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any, get_args
 
 from metropilot._io import read_text
-from metropilot._schema import FieldSpec, check_fields, declared, field_specs
+from metropilot._schema import (
+    FieldSpec,
+    check_fields,
+    check_name,
+    convert,
+    declared,
+    field_specs,
+    field_type,
+)
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError, rename_fields
 from metropilot.evaluate.driver_options import make_driver, option_defaults, parse_driver
@@ -99,7 +106,11 @@ class RunSpec:
             InputError: An unknown key (the nearest one is named), a missing one, a value of the wrong kind or
                 outside its range.
         """
-        given = {key: _convert(key, value) for key, value in values.items() if value is not None}
+        given, specs = {}, run_fields()
+        for key, value in values.items():
+            check_name(key, specs, "key", field=key)
+            if value is not None:
+                given[key] = convert(key, value, key_type(key), specs[key].allowed)
         for key in ("line", "origin", "destination"):
             if key not in given:
                 raise InputError("missing", field=key, allowed="text")
@@ -146,11 +157,12 @@ class RunSpec:
         """The section without temporary restrictions."""
         return load_line(self.line).section(self.origin, self.destination)
 
-    def run(self, fastest_s: float | None = None) -> Run:
+    def run(self, fastest_s: float | None = None, what: str = "minimum running time") -> Run:
         """The run.
 
         Args:
             fastest_s: Minimum running time of the open section, where it is known already.
+            what: Name of that minimum in an error.
 
         Raises:
             InputError: Something in it cannot be used.
@@ -169,12 +181,11 @@ class RunSpec:
                     open_section.check_restriction(update.restriction)
         disturbance = replace(self.disturbance, updates=updates)
         run = Run(section, trainset, time_s, disturbance, self.dt_s, self.seed)
-        # Listing the options of a command needs no solver.
         # planning loads the solver; options are declared without it
         from metropilot.planning import LONGEST_RATIO, check_running_time, minimum_running_time
 
         fastest = fastest_s or minimum_running_time(open_section, trainset)
-        check_running_time(time_s, fastest)
+        check_running_time(time_s, fastest, what)
         for update in updates:
             if update.scheduled_time_s is not None and update.scheduled_time_s > LONGEST_RATIO * fastest:
                 check_running_time(update.scheduled_time_s, fastest, field="arrivals")
@@ -225,37 +236,8 @@ def run_fields() -> dict[str, FieldSpec]:
 
 def key_type(key: str) -> type:
     """The type of a run's key: ``float``, ``int``, ``bool``, ``str``, ``dict`` or ``list`` (of texts)."""
-    given: dict[str, type] = {"restrictions": list, "arrivals": list, "options": dict, "objective": str}
-    if key in given:
-        return given[key]
-    hint = get_type_hints(RunSpec if key in field_specs(RunSpec) else Disturbance)[key]
-    return next((part for part in get_args(hint) if part is not type(None)), hint)
-
-
-def _convert(key: str, value: Any) -> Any:  # noqa: ANN401 (whatever TOML holds)
-    """Check and convert a plain value to the type of its key."""
-    keys = run_fields()
-    if key not in keys:
-        near = get_close_matches(key, keys, 1)
-        hint = f", did you mean {near[0]}?" if near else ""
-        raise InputError(f"unknown key{hint}", field=key, allowed=", ".join(keys))
-    kind = key_type(key)
-    value = list(value) if isinstance(value, tuple) else value
-    fits = type(value) in {kind, int} if kind is float else type(value) is kind
-    if not fits or (kind is list and not all(isinstance(item, str) for item in value)):
-        allowed = {
-            float: "a number",
-            dict: "a table",
-            list: "a list of texts",
-            bool: "true or false",
-            int: "a whole number",
-            str: "text",
-        }[kind]
-        raise InputError("wrong kind of value", field=key, value=str(value), allowed=allowed)
-    try:
-        return float(value) if kind is float else value
-    except OverflowError:  # a whole number may have more digits than a float has room for
-        raise InputError("out of range", field=key, allowed=keys[key].allowed) from None
+    given: dict[str, type] = {"restrictions": list, "arrivals": list, "options": dict}
+    return given.get(key) or field_type(RunSpec if key in field_specs(RunSpec) else Disturbance, key)
 
 
 def parse_restriction(text: str) -> Restriction | TimetableUpdate:

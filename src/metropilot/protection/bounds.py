@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from math import ceil
+from typing import Any
 
 import numpy as np
 
@@ -95,6 +96,16 @@ class Bounds:
             speed_error_mps=speed_error_mps,
             position_error_m=position_error_m,
         )
+
+    def hull(self, other: Bounds) -> Bounds:
+        """The narrowest bounds that hold every plant of both."""
+        pairs = {name: (getattr(self, name), getattr(other, name)) for name in asdict(self)}
+        smallest = {"jerk_mps3", "service_share", "emergency_mps2", "emergency_jerk_mps3", "controlled"}
+        hull: dict[str, Any] = {n: (min if n in smallest else max)(pair) for n, pair in pairs.items()}
+        for name in ("mass", "resistance"):
+            (low, high), (least, most) = pairs[name]
+            hull[name] = (min(low, least), max(high, most))
+        return Bounds(**hull)
 
     @property
     def reaction_s(self) -> float:

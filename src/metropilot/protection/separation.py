@@ -9,7 +9,7 @@ distance; this is the same authority moving.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import NamedTuple, no_type_check
 
 import numpy as np
@@ -36,6 +36,7 @@ class Separation(NamedTuple):
         margin_m: Distance never to be used up: errors of both positions, rounding.
         room_m: So much more must be left for a command to pass; the service brake then comes before the
             emergency brake. Nothing of the guarantee rests on it.
+        speed_error_mps: Largest error of the speed in a message of the trainset ahead.
     """
 
     leader_mps2: Scalar
@@ -44,6 +45,7 @@ class Separation(NamedTuple):
     period_s: Scalar
     margin_m: Scalar
     room_m: Scalar
+    speed_error_mps: Scalar
 
 
 class TrainAhead(NamedTuple):
@@ -51,7 +53,7 @@ class TrainAhead(NamedTuple):
 
     Attributes:
         rear_m: Its rear, in the follower's own positions, when the message was sent.
-        speed_mps: Its speed then.
+        speed_mps: Its speed then, as it measured it.
         acceleration_mps2: Its acceleration over the period before.
         age_s: Age of the message.
         bounds: Declared bounds.
@@ -75,6 +77,7 @@ class PairBounds:
         scatter_mps2: Shortfall of the follower's emergency brake against the rate asked for.
         margin_m: Distance never to be used up.
         room_m: Distance left on top of it that lets a command pass.
+        speed_error_mps: Largest error of the speed that the trainset ahead measures and sends.
     """
 
     leader_mps2: float = float("inf")
@@ -82,10 +85,10 @@ class PairBounds:
     scatter_mps2: float = 0.01
     margin_m: float = 0.1
     room_m: float = 0.3
+    speed_error_mps: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("leader_mps2", "leader_jerk_mps3", "scatter_mps2", "margin_m", "room_m"):
-            value = getattr(self, name)
+        for name, value in asdict(self).items():
             positive = name in {"leader_mps2", "leader_jerk_mps3"}
             if not (value > 0 if positive else 0 <= value < float("inf")):
                 allowed = "> 0" if positive else ">= 0, finite"
@@ -120,6 +123,7 @@ def separate(pair: PairBounds, period_s: float, held_mps2: float, dtype: type = 
         period_s,
         pair.margin_m,
         pair.room_m,
+        pair.speed_error_mps,
     )
     return Separation(*(dtype(value) for value in values))
 
@@ -200,7 +204,8 @@ def leader_motion(ahead: TrainAhead) -> Braking:
     worst = ahead.acceleration_mps2 - bounds.leader_jerk_mps3 * bounds.period_s
     worst = xp.maximum(worst, -bounds.leader_mps2)
     zero = 0.0 * ahead.speed_mps
-    return brake_motion(ahead.speed_mps, worst, zero, bounds.leader_jerk_mps3, bounds.leader_mps2)
+    speed = xp.maximum(ahead.speed_mps - bounds.speed_error_mps, 0.0)
+    return brake_motion(speed, worst, zero, bounds.leader_jerk_mps3, bounds.leader_mps2)
 
 
 @no_type_check

@@ -138,7 +138,7 @@ class Rollout:
         vehicle = vehicle_arrays(self.trainset)
         self.section = run.section
         self.pending = sorted(run.disturbance.updates, key=lambda update: update.at_s)
-        self.errors = noise_stream(run)
+        self.errors = noise_stream(run.seed)
         self.bounds = declared_bounds(run)
         self.params = RunParams(
             vehicle=vehicle,

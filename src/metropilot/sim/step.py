@@ -28,7 +28,6 @@ from metropilot.physics import (
 from metropilot.protection import Memory, Protection, TrainAhead, Verdict, supervise
 from metropilot.sim.disturbance import NOISE_CUT
 from metropilot.sim.outcome import RUNNING, OutcomeRule, outcome_of
-from metropilot.sim.run import Run
 
 
 class RunParams(NamedTuple):
@@ -175,9 +174,14 @@ def running_time(state: RunState) -> Scalar:
     return xp.where(state.plant.speed_mps <= 0.0, state.stood_since_s, state.plant.time_s)
 
 
-def noise_stream(run: Run) -> np.random.Generator:
-    """Random stream of the errors of a run's measured speeds, one a control period, from its seed."""
-    stream = np.random.default_rng(np.random.SeedSequence(run.seed, spawn_key=(1,)))
+def noise_stream(seed: int, member: int = 0) -> np.random.Generator:
+    """Random stream of the errors of the measured speeds of a run, one a control period.
+
+    Args:
+        seed: Seed of the run.
+        member: Number of the trainset in a convoy, 0 for the head.
+    """
+    stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, member)[: 1 + (member > 0)]))
     # the first number belongs to the speed at departure, which odometry measures exactly as zero
     stream.standard_normal()
     return stream

@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from metropilot._schema import field_specs
 from metropilot.errors import InputError
 from metropilot.evaluate import POLICY, RunSpec
 from metropilot.policy import POLICY_FILE
@@ -404,27 +405,11 @@ class Service:
     def _convoy(self, asked: ConvoyIn) -> ConvoyRequest:
         from metropilot.convoy import ConvoyRequest, Link
 
-        names = (
-            "line",
-            "origin",
-            "destination",
-            "trainset",
-            "load",
-            "restrictions",
-            "time_s",
-            "driver",
-            "seed",
-        )
-        head = self._run(LiveIn.model_validate(asked.model_dump(include=set(names))))
-        made = ConvoyRequest(
-            head=head,
-            count=asked.trainsets,
-            follower=asked.follower,
-            gap_m=asked.gap_m,
-            start_gap_m=asked.start_gap_m,
-            link=Link(asked.delay_s, asked.jitter_s, asked.loss),
-            guard=asked.guard,
-        )
+        values = asked.model_dump()
+        head = self._run(LiveIn.model_validate({n: values[n] for n in LiveIn.model_fields if n != "pace"}))
+        own = {n: values[n] for n in (*field_specs(ConvoyRequest), "disturbances") if n in values}
+        link = {n: values[f"link_{n}"] for n in field_specs(Link) if f"link_{n}" in values}
+        made = ConvoyRequest.from_values(own | {"count": asked.trainsets, "link": link}, head)
         made.make_follower()
         made.run(made.convoy())
         return made

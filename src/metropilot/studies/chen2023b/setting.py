@@ -7,7 +7,7 @@ from functools import lru_cache
 from metropilot.convoy import Convoy, ConvoyGuard, HeadRun, Link, record_leader, reference_speeds
 from metropilot.planning import ReferenceShape, reference_for_time
 from metropilot.railway import load_line, load_trainset
-from metropilot.sim import Outcome
+from metropilot.sim import Disturbance, Outcome
 
 CITATION = (
     "Chen, B.; Zhang, L.; Cheng, G.; Liu, Y.; Chen, J. *A Novel Approach for Train Tracking in Virtual "
@@ -28,9 +28,9 @@ MASSES = (1.0, 1.2, 0.8, 1.2, 0.8, 1.2, 0.8, 1.2)
 def pair(count: int = 2, *, rough: bool = False, guard: ConvoyGuard = "coupled") -> Convoy:
     """The paper's convoy or a longer one; ``rough``: masses ±20 %, messages 0.3 s late, 10 % lost."""
     section = load_line(LINE).section(ORIGIN, DESTINATION)
-    masses = MASSES[:count] if rough else ()
+    masses = tuple(Disturbance(mass_factor=factor) for factor in MASSES[:count]) if rough else ()
     link = ROUGH if rough else Link()
-    return Convoy(section, (load_trainset(TRAINSET),) * count, guard=guard, link=link, mass_factors=masses)
+    return Convoy(section, (load_trainset(TRAINSET),) * count, guard=guard, link=link, disturbances=masses)
 
 
 @lru_cache

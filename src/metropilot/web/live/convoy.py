@@ -25,7 +25,7 @@ class ConvoyEngine:
         self.request = request
         convoy = request.convoy()
         follower = request.make_follower()
-        self.scheduled_s = request.run(convoy).scheduled_time_s
+        self.scheduled_s = request.scheduled_time_s(convoy)
         self.rollout = ConvoyRollout(convoy, request.head_run(convoy), follower, request.head.seed)
         self.steps = 0
         self.link = request.link

@@ -13,7 +13,14 @@ from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
 from metropilot.web.pages.drive import checks_table
-from metropilot.web.pages.form import SectionForm, driver_choice, driver_names, number_field, validate
+from metropilot.web.pages.form import (
+    DisturbanceForm,
+    SectionForm,
+    driver_choice,
+    driver_names,
+    number_field,
+    validate,
+)
 from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, table
 from metropilot.web.pages.plots import convoy_figure, driven_convoy_figure
 from metropilot.web.pages.strip import section_strip
@@ -49,6 +56,7 @@ class ConvoyPage:
         self.run: str | None = None
         self.kept: dict[str, Any] = {}
         self.form = SectionForm(service, self.update_section)
+        self.world = DisturbanceForm()
 
     def build(self) -> None:
         """Build the fields on the left and the results on the right."""
@@ -67,6 +75,7 @@ class ConvoyPage:
                 fields = (("trainsets", self.count), ("gap_m", self.gap), ("driver", self.head))
                 for name, element in (*fields, ("follower", self.follower), ("guard", self.guard)):
                     problem.beside(name, element.props("outlined dense options-dense"))
+                self.world.build(problem)
                 with ui.element("div").classes("mp-row"):
                     self.pace = ui.select(PACES, value=2, label="Pace", on_change=self.change_pace)
                     self.pace.props("outlined dense")
@@ -97,7 +106,7 @@ class ConvoyPage:
             self.news = Problem()
             with ui.element("div").classes("mp-row"):
                 self.delay = number_field("Delay (s)", NewLink, "delay_s", value=0.0, step=0.1)
-                self.jitter = number_field("Uneven (s)", NewLink, "jitter_s", value=0.0, step=0.1)
+                self.jitter = number_field("Jitter (s)", NewLink, "jitter_s", value=0.0, step=0.1)
                 self.loss = number_field("Lost (%)", NewLink, "loss", 100.0, value=0, step=5)
                 for name, element in (
                     ("delay_s", self.delay),
@@ -105,6 +114,7 @@ class ConvoyPage:
                     ("loss", self.loss),
                 ):
                     self.news.beside(name, element.props("outlined dense"))
+                    self.form.problem.beside(f"link_{name}", element)
             self.silent = ui.switch("Silent: nothing arrives", on_change=self.relink).props(
                 'data-test="silent"'
             )
@@ -148,12 +158,14 @@ class ConvoyPage:
         self.count.value, self.gap.value = asked["trainsets"], asked["gap_m"]
         self.head.value = driver_choice(self.service, self.head, asked["driver"])
         self.follower.value, self.guard.value = asked["follower"], asked["guard"]
-        self.delay.value, self.jitter.value = asked["delay_s"], asked["jitter_s"]
-        self.loss.value = 100 * asked["loss"]
+        self.world.restore(asked)
+        self.delay.value, self.jitter.value = asked["link_delay_s"], asked["link_jitter_s"]
+        self.loss.value = 100 * asked["link_loss"]
         session = self.service.sessions.get(row.id)
         pace = asked["pace"] if session is None else session.known.pace
         self.pace.value = pace if pace in PACES else self.pace.value
-        self.kept = {name: asked[name] for name in ("start_gap_m", "seed")}
+        names = ("start_gap_m", "apart_m", "uncouple_at_m", "emergency_s", "disturbances", "options")
+        self.kept = {name: asked[name] for name in names}
 
     async def update_section(self) -> None:
         """Draw the section, with room for the convoy behind its origin."""
@@ -189,10 +201,11 @@ class ConvoyPage:
                     "gap_m": self.gap.value,
                     "guard": self.guard.value,
                     "pace": float(self.pace.value or 1),
-                    **self.link(),
+                    **self.world.values(),
+                    **{f"link_{name}": value for name, value in self.link().items()},
                     **(self.kept if self.form.linked else {}),
                 },
-                loss=100.0,
+                link_loss=100.0,
             )
             if (before := self.live()) is not None:
                 await before.ask({"kind": "stop"})

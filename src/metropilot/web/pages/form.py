@@ -75,9 +75,10 @@ def validate(kind: type[Body], values: dict[str, Any], **scales: float) -> Body:
         first = error.errors()[0]
         name = str(first["loc"][0])
         refused = first.get("ctx", {}).get("error")
-        if isinstance(refused, InputError):
+        if isinstance(refused, InputError) and name not in scales:
             raise refused from None
-        if len(first["loc"]) == 1 and first["type"].startswith(("greater", "less")):
+        bounded = isinstance(refused, InputError) or first["type"].startswith(("greater", "less"))
+        if len(first["loc"]) == 1 and bounded:
             scale = scales.get(name, 1.0)
             told = {"value": first["input"] * scale, "allowed": describe_range(kind, name, scale)}
             raise InputError("out of range", field=name, **told) from None

@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, create_model
 from pydantic_core import CoreSchema, core_schema
 
-from metropilot._schema import field_specs
+from metropilot._schema import FieldSpec, field_default, field_specs, field_type
+from metropilot.convoy import ConvoyRequest, Link
 from metropilot.errors import InputError
 from metropilot.evaluate import POLICY, RunSpec, parse_driver, run_fields
 from metropilot.railway import Restriction
@@ -30,6 +31,7 @@ Seconds = Annotated[float, Field(gt=0, le=36_000, description="s")]
 Metres = Annotated[float, Field(ge=0, le=200_000, description="m from the section's origin")]
 Speed = Annotated[float, Field(gt=0, le=150, description="m/s")]
 Option = bool | int | float | Id
+RUN_FIELDS = run_fields()
 
 
 class RequestBody(BaseModel):
@@ -40,24 +42,25 @@ class RequestBody(BaseModel):
 
 @dataclass(frozen=True)
 class Checked:
-    """Annotation that takes range, choices and description from a run's declared field.
+    """Annotation that takes range, choices and description from a declared field.
 
     Attributes:
-        key: One of :func:`metropilot.evaluate.run_fields`.
+        name: Name of the field.
+        spec: Its declaration.
     """
 
-    key: str
+    name: str
+    spec: FieldSpec
 
     def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Check a value of the annotated type."""
-        spec = run_fields()[self.key]
         return core_schema.no_info_after_validator_function(
-            lambda value: spec.check(self.key, value), handler(source)
+            lambda value: self.spec.check(self.name, value), handler(source)
         )
 
     def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Add the allowed values and the description to the JSON schema."""
-        spec = run_fields()[self.key]
+        spec = self.spec
         found = handler(core) | {
             "description": f"{spec.help.rstrip('.')}, {spec.unit}." if spec.unit else spec.help
         }
@@ -70,18 +73,26 @@ class Checked:
         return found
 
 
-def _number_fields() -> dict[str, Any]:
-    """Fields of the disturbance; null stands for infinity, which JSON does not have."""
+def declared_fields(kind: type[Any], *left_out: str, prefix: str = "") -> dict[str, Any]:
+    """Fields of a body for the declared fields of a dataclass.
+
+    Null stands for infinity, which JSON does not have, and where None is the default.
+
+    Args:
+        kind: The dataclass.
+        left_out: Fields without one.
+        prefix: Prefix of their names.
+    """
     found: dict[str, Any] = {}
-    for name, spec in field_specs(Disturbance).items():
-        default = getattr(Disturbance, name)
-        hint: Any = Annotated[type(default), Checked(name)]
-        endless = spec.range is not None and spec.range.infinite
-        found[name] = (hint | None, None) if endless else (hint, default)
+    for name, spec in field_specs(kind).items():
+        default, endless = field_default(kind, name), spec.range is not None and spec.range.infinite
+        hint: Any = Annotated[field_type(kind, name), Checked(prefix + name, spec)]
+        if name not in left_out:
+            found[prefix + name] = (hint | None, None) if endless or default is None else (hint, default)
     return found
 
 
-DisturbanceIn = create_model("DisturbanceIn", __base__=RequestBody, **_number_fields())
+DisturbanceIn = create_model("DisturbanceIn", __base__=RequestBody, **declared_fields(Disturbance))
 
 
 class RestrictionIn(RequestBody):
@@ -126,8 +137,8 @@ class SectionIn(RequestBody):
 class PlanIn(SectionIn):
     """A plan: the scheduled running time and the energy objective."""
 
-    time_s: Annotated[float, Checked("time_s")] | None = None
-    objective: Annotated[str, Checked("objective")] = "wheel"
+    time_s: Annotated[float, Checked("time_s", RUN_FIELDS["time_s"])] | None = None
+    objective: Annotated[str, Checked("objective", RUN_FIELDS["objective"])] = "wheel"
 
 
 class DriveIn(PlanIn, DisturbanceIn):
@@ -136,7 +147,7 @@ class DriveIn(PlanIn, DisturbanceIn):
     driver: DriverName = "optimal"
     options: dict[Word, Option] = {}
     arrivals: Annotated[list[ArrivalIn], Field(max_length=20)] = []
-    dt_s: Annotated[float, Checked("dt_s")] = CONTROL_PERIOD_S
+    dt_s: Annotated[float, Checked("dt_s", RUN_FIELDS["dt_s"])] = CONTROL_PERIOD_S
     seed: Annotated[int, Field(ge=0, lt=2**53)] = 0
 
 
@@ -187,29 +198,29 @@ class LiveIn(DriveIn):
     pace: Annotated[float, Field(ge=0, le=100)] = 1.0
 
 
-class ConvoyIn(SectionIn):
-    """A live convoy: the head's run, the followers and the link between them."""
+ConvoySettingsIn = create_model(
+    "ConvoySettingsIn",
+    __base__=RequestBody,
+    **declared_fields(ConvoyRequest, "count", "follower"),
+    **declared_fields(Link, "silent_from_s", prefix="link_"),
+)
 
-    time_s: Seconds | None = None
-    driver: DriverName = "optimal"
+
+class ConvoyIn(DriveIn, ConvoySettingsIn):
+    """A live convoy: the head's run, the followers and the link between them.
+
+    Its disturbance acts on every trainset, unless each has one of its own.
+    """
+
     trainsets: Annotated[int, Field(ge=2, le=6)] = 3
     follower: Id = "follow_gap"
-    gap_m: Annotated[float, Field(ge=0.5, le=2000, description="desired gap, m")] = 5.92
-    start_gap_m: Annotated[float, Field(ge=0.5, le=2000)] | None = None
-    guard: Literal["coupled", "independent", "moving_block", "none"] = "coupled"
-    delay_s: Annotated[float, Field(ge=0, le=2)] = 0.0
-    jitter_s: Annotated[float, Field(ge=0, le=1)] = 0.0
-    loss: Annotated[float, Field(ge=0, le=1, description="share of messages lost")] = 0.0
-    seed: Annotated[int, Field(ge=0, lt=2**53)] = 0
+    disturbances: Annotated[list[DisturbanceIn], Field(max_length=6)] = []
     pace: Annotated[float, Field(ge=0, le=20)] = 1.0
 
 
-class NewLink(RequestBody):
+class NewLink(create_model("LinkIn", __base__=RequestBody, **declared_fields(Link, "silent_from_s"))):
     """New delay, jitter and loss of the link of a convoy."""
 
-    delay_s: Annotated[float, Field(ge=0, le=2)] = 0.0
-    jitter_s: Annotated[float, Field(ge=0, le=1)] = 0.0
-    loss: Annotated[float, Field(ge=0, le=1)] = 0.0
     silent: bool = False
 
 
