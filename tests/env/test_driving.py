@@ -16,10 +16,15 @@ from metropilot.env import (
     task_config,
 )
 from metropilot.env.optima import optima_of
-from metropilot.env.tables import to_go_table
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays, vehicle_arrays
-from metropilot.planning import PlanOptions, fastest_time, minimum_running_time, optimal_plan
+from metropilot.planning import (
+    PlanOptions,
+    fastest_time,
+    minimum_running_time,
+    optimal_plan,
+    tabulate_time_to_go,
+)
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import CODES, RUNNING, Outcome, OutcomeRule
 
@@ -132,7 +137,7 @@ def test_starts_on_the_way_can_still_stop():
 def test_time_to_go_agrees_with_the_planner(section):
     section, trainset = yizhuang()[section], load_trainset("dkz32", "AW2").ideal()
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
-    table = to_go_table(vehicle, track)
+    table = tabulate_time_to_go(vehicle, track)
     assert table.time_s[-1, 0] == pytest.approx(minimum_running_time(section, trainset), abs=0.06)
     assert (np.diff(table.time_s[:, :20], axis=0) > 0).all(), "further is longer"
     assert (np.diff(table.time_s, axis=1) <= 1e-9).all(), "faster is sooner"

@@ -55,10 +55,8 @@ from .rewards import StopError as StopError
 from .tables import CLIMB_COLUMN as CLIMB_COLUMN
 from .tables import PERMITTED_COLUMN as PERMITTED_COLUMN
 from .tables import PROTECTION_CURVES as PROTECTION_CURVES
-from .tables import SPEED_STEP_MPS as SPEED_STEP_MPS
 from .tables import SectionRows as SectionRows
 from .tables import SectionTables as SectionTables
 from .tables import build_tables as build_tables
 from .tables import near_protection as near_protection
 from .tables import near_track as near_track
-from .tables import to_go_table as to_go_table

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray
 
 from metropilot._typing import Array
 from metropilot.physics import (
@@ -23,7 +20,7 @@ from metropilot.physics import (
     track_arrays,
     vehicle_arrays,
 )
-from metropilot.planning import STEP_MPS, Mesh, Specific, build_mesh, specific
+from metropilot.planning import TO_GO_STEP_MPS, tabulate_time_to_go
 from metropilot.protection import Bounds, Protection, protect
 from metropilot.railway import Section, Trainset
 
@@ -37,7 +34,7 @@ class SectionTables(NamedTuple):
         protection: Its protection; the curves are in ``ground``.
         ground: At protection's nodes: its ``PROTECTION_CURVES``, and the climb from the origin (gradient and
             curves, J/kg). Shape (C, N, 6).
-        to_go: Flat-out time to the stop, see :class:`metropilot.env.tables.ToGo`. Shape (C, R, V).
+        to_go: Flat-out time to the stop, see :class:`metropilot.planning.TimeToGo`. Shape (C, R, V).
         minimum_s: Minimum running time. Shape (C,).
         length_m: Distance to the stop. Shape (C,).
         load: Mass over the mean of all cases. Shape (C,).
@@ -60,8 +57,6 @@ class SectionTables(NamedTuple):
     braked: Array
 
 
-SPEED_STEP_MPS = 0.5
-"""Step of speed between the columns of ``to_go``."""
 STOP_STRETCH_M = 300.0
 STOP_USE = 0.95
 STOP_PASSES = 4
@@ -133,7 +128,7 @@ def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float
     weight = (vehicle.gravity_mps2 * gradient + curve) * spacing_m
     climb = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]))])
     ground = np.stack([*(getattr(protection, name)[:used] for name in PROTECTION_CURVES), climb], axis=1)
-    table = to_go_table(vehicle, track).time_s
+    table = tabulate_time_to_go(vehicle, track).time_s
     pull = weight / spacing_m * float(vehicle.mass_kg) / float(vehicle.effective_mass_kg)
     work = _stop_work(vehicle, at, pull, section.length_m)
     follow = _follow_mps(vehicle, at, pull, protection.permitted_mps[:used])
@@ -336,7 +331,7 @@ class SectionRows:
         xp = self.xp
         rows, columns = self.to_go.shape[1:]
         u = (rows - 1.0) * xp.sqrt(xp.clip(distance_m / length_m, 0.0, 1.0))
-        w = xp.clip(speed_mps / SPEED_STEP_MPS, 0.0, columns - 1.0)
+        w = xp.clip(speed_mps / TO_GO_STEP_MPS, 0.0, columns - 1.0)
         i, j = xp.minimum(xp.floor(u), rows - 2.0), xp.minimum(xp.floor(w), columns - 2.0)
         u, w, i, j = u - i, w - j, i.astype(np.int32), j.astype(np.int32)
         low = self.to_go[case, i, j] * (1.0 - w) + self.to_go[case, i, j + 1] * w
@@ -373,82 +368,3 @@ def near_protection(rows: SectionRows, protection: Protection, case: Array, posi
         ahead=xp.asarray(rows.ahead),
         slots=xp.zeros(rows.slots, window.dtype),
     )
-
-
-SPACING_M = 5.0
-FINER = 4
-ROWS = 97
-ITERATIONS = 2
-
-
-class ToGo(NamedTuple):
-    """Flat-out time to the stop. Rows are even in the square root of the distance left.
-
-    On a braking curve speed is proportional to that square root, so the table is smooth up to the stop.
-
-    Attributes:
-        time_s: Time to go. Shape (R, V).
-        top_mps: Highest speed from which the stop and every limit ahead can be met. Shape (R,).
-    """
-
-    time_s: Float[ndarray, "rows speeds"]
-    top_mps: Float[ndarray, " rows"]
-
-
-def to_go_table(vehicle: Vehicle, track: Track, *, rows: int = ROWS) -> ToGo:
-    """Flat-out time to the stop from every state of a grid.
-
-    Backward over a mesh: from each speed full traction to the next node, at most up to the curve of limits
-    and station-stop braking, then the time to go from that node (linear between its speeds, that of the curve
-    among them). Forces as in :func:`metropilot.planning.fastest.fastest_profile`. A speed above the curve
-    counts as that of the curve.
-
-    Args:
-        vehicle: Trainset.
-        track: Section.
-        rows: Rows of the table.
-    """
-    length, table = float(track.length_m), specific(vehicle)
-    mesh = build_mesh(vehicle, track, np.array([0.0, length]), SPACING_M)
-    energy = 0.5 * mesh.cap_mps**2
-    energy[-1] = 0.0
-    for k in range(mesh.length_m.size - 1, -1, -1):
-        reached = _next(table, mesh, k, energy[k + 1 : k + 2], braking=True)
-        energy[k] = min(energy[k], float(reached[0]))
-    columns = math.ceil(float(vehicle.max_speed_mps) / SPEED_STEP_MPS)
-    grid = np.linspace(0.0, columns * SPEED_STEP_MPS, columns * FINER + 1)
-    top = np.sqrt(2.0 * energy)
-    time = np.zeros((top.size, grid.size))
-    for k in range(top.size - 2, -1, -1):
-        now = np.minimum(grid, top[k])
-        after = _next(table, mesh, k, 0.5 * now**2, braking=False)
-        after = np.minimum(np.sqrt(2.0 * after), top[k + 1])
-        later = np.interp(after, np.minimum(grid, top[k + 1]), time[k + 1])
-        time[k] = 2.0 * mesh.length_m[k] / np.maximum(now + after, 0.3 * np.sqrt(mesh.length_m[k])) + later
-    return ToGo(_at_rows(mesh, time[:, ::FINER], rows), _at_rows(mesh, top[:, None], rows)[:, 0])
-
-
-def _at_rows(mesh: Mesh, values: ndarray, rows: int) -> ndarray:
-    """Values at the mesh's nodes, read at rows even in the square root of the distance left."""
-    left = np.sqrt(mesh.node_m[-1] - mesh.node_m[::-1])
-    at = left[-1] * np.linspace(0.0, 1.0, rows)
-    k = np.clip(np.searchsorted(left, at, side="right") - 1, 0, left.size - 2)
-    way = ((at - left[k]) / (left[k + 1] - left[k]))[:, None]
-    return values[::-1][k] * (1.0 - way) + values[::-1][k + 1] * way
-
-
-def _next(table: Specific, mesh: Mesh, k: int, energy: ndarray, *, braking: bool) -> ndarray:
-    """``v^2/2`` at the other end of segment ``k``: forward under full traction, or backward under braking."""
-    effort = table.braking if braking else table.traction
-    most = table.deceleration if braking else table.acceleration
-    sign = 1.0 if braking else -1.0
-    a, b, c = table.davis
-    quad = c + mesh.tunnel_n[k] / table.mass_kg
-    middle, rate = energy, np.zeros_like(energy)
-    for _ in range(ITERATIONS):
-        v = np.sqrt(2.0 * middle)
-        index = np.minimum((v / STEP_MPS + 0.5).astype(int), effort.size - 1)
-        drag = a + v * (b + v * quad) + mesh.slope_mps2[k]
-        rate = np.minimum(effort[index] + sign * drag, most)
-        middle = np.maximum(energy + 0.5 * rate * mesh.length_m[k], 0.0)
-    return np.maximum(energy + rate * mesh.length_m[k], 0.0)

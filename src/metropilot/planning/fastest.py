@@ -1,22 +1,33 @@
-"""The flat-out run: the fastest any driver can be, and the minimum running time that follows."""
+"""The flat-out run: the fastest any driver can be, the minimum running time, and the time to go."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Scalar
 from metropilot.errors import Infeasible, InputError
-from metropilot.planning.effort_table import STEP_MPS, Specific
-from metropilot.planning.mesh import Mesh
+from metropilot.physics import Track, Vehicle
+from metropilot.planning.effort_table import STEP_MPS, Specific, specific
+from metropilot.planning.mesh import Mesh, build_mesh
 
 LONGEST_RATIO = 30.0
 """Longest scheduled running time over the minimum: ten times, the slowest a campaign asks for, put off
 threefold on the way. A run is given up after twice its time, so that every run has an end."""
 NEARLY_FULL = 0.98
 """Share of the brakes a start above a cap is braked with: the rest keeps the plan's programme feasible."""
+
+TO_GO_STEP_MPS = 0.5
+"""Step of speed between the columns of the time to go."""
+TO_GO_FINER = 4
+"""Speeds computed for each column."""
+TO_GO_SPACING_M = 5.0
+TO_GO_ROWS = 97
 
 
 def stated_s(minimum_s: float) -> float:
@@ -82,9 +93,9 @@ def braking_energy(table: Specific, mesh: Mesh, start_mps: float) -> Float[ndarr
     """``v^2/2`` at each node when (nearly) full braking begins at the start, J/kg."""
     energy = np.zeros(mesh.node_m.size)
     energy[0] = 0.5 * start_mps**2
+    rate_at = _rates(table, mesh, braking=True, passes=1)
     for k, ds in enumerate(mesh.length_m):
-        v = math.sqrt(2 * energy[k])
-        rate = min(table.braking[_index(table, v)] + _resistance(table, mesh, k, v), table.deceleration)
+        rate = rate_at(k, energy[k])
         energy[k + 1] = energy[k] - NEARLY_FULL * rate * ds
         if energy[k + 1] <= 0:
             energy[k + 1] = 0.0
@@ -97,37 +108,49 @@ def relaxed_cap(table: Specific, mesh: Mesh, start_mps: float) -> Float[ndarray,
     return np.maximum(mesh.cap_mps, np.sqrt(2 * braking_energy(table, mesh, start_mps)))
 
 
-def _index(table: Specific, speed: float) -> int:
-    return min(int(speed / STEP_MPS + 0.5), table.speed_mps.size - 1)
+def _rates(
+    table: Specific, mesh: Mesh, *, braking: bool, passes: int, many: bool = False
+) -> Callable[[int, Scalar], Scalar]:
+    """Change of kinetic energy over distance on a segment, m/s^2, from its number and the energy at one end.
 
+    Under full traction from the start, or under full braking (backward, so positive) from the end.
 
-def _resistance(table: Specific, mesh: Mesh, k: int, speed: float) -> float:
-    a, b, c = table.davis
-    return a + b * speed + (c + mesh.tunnel_n[k] / table.mass_kg) * speed * speed + mesh.slope_mps2[k]
-
-
-def _sweep(table: Specific, mesh: Mesh, cap: ndarray, *, end: bool) -> ndarray:
-    """One pass from a boundary, never above ``cap``: traction forward, braking backward."""
-    energy = cap.tolist()
-    count = len(energy) - 1
-    effort = (table.braking if end else table.traction).tolist()
-    most = table.deceleration if end else table.acceleration
+    Args:
+        table: Trainset.
+        mesh: Mesh.
+        braking: Braking instead of traction.
+        passes: 1 takes effort and resistance at that end; each further one in the middle that the last gave.
+        many: True for arrays of energies. Single ones are read from lists, ten times as fast.
+    """
+    effort, most = (table.braking, table.deceleration) if braking else (table.traction, table.acceleration)
     a, b, c = (float(x) for x in table.davis)
-    quad = (c + mesh.tunnel_n / table.mass_kg).tolist()
-    slope, length = mesh.slope_mps2.tolist(), mesh.length_m.tolist()
-    last = len(effort) - 1
-    sign = 1.0 if end else -1.0
-    for k in range(count - 1, -1, -1) if end else range(count):
+    quad, slope, length = c + mesh.tunnel_n / table.mass_kg, mesh.slope_mps2, mesh.length_m
+    sign, last = 1.0 if braking else -1.0, effort.size - 1
+    sqrt, least, largest, whole = np.sqrt, np.minimum, np.maximum, np.int64
+    if not many:
+        effort, quad, slope, length = (x.tolist() for x in (effort, quad, slope, length))
+        sqrt, least, largest, whole = math.sqrt, min, max, int
+
+    def rate_at(k: int, energy: Scalar) -> Scalar:
+        middle, rate = energy, 0.0
+        for _ in range(passes):
+            v = sqrt(2.0 * middle)
+            drag = a + v * (b + v * quad[k]) + slope[k]
+            rate = least(effort[whole(least(v / STEP_MPS + 0.5, last))] + sign * drag, most)
+            middle = largest(energy + 0.5 * rate * length[k], 0.0)
+        return rate
+
+    return rate_at
+
+
+def _sweep(table: Specific, mesh: Mesh, cap: ndarray, *, end: bool, passes: int = 3) -> ndarray:
+    """One pass from a boundary, never above ``cap``: traction forward, braking backward."""
+    energy, length = cap.tolist(), mesh.length_m.tolist()
+    rate_at = _rates(table, mesh, braking=end, passes=passes)
+    for k in range(len(length) - 1, -1, -1) if end else range(len(length)):
         here, there = (k + 1, k) if end else (k, k + 1)
         e = energy[here]
-        rate = 0.0
-        middle = e
-        for _ in range(3):
-            v = math.sqrt(2 * middle)
-            drag = a + v * (b + v * quad[k]) + slope[k]
-            rate = min(effort[min(int(v / STEP_MPS + 0.5), last)] + sign * drag, most)
-            middle = max(e + 0.5 * rate * length[k], 0.0)
-        energy[there] = max(min(energy[there], e + rate * length[k]), 0.0)
+        energy[there] = max(min(energy[there], e + rate_at(k, e) * length[k]), 0.0)
     return np.array(energy)
 
 
@@ -137,3 +160,55 @@ def times(mesh: Mesh, energy: Float[ndarray, " nodes"]) -> Float[ndarray, " segm
     total = speed[:-1] + speed[1:]
     with np.errstate(divide="ignore"):
         return np.where(total > 0, 2 * mesh.length_m / np.maximum(total, 1e-300), np.inf)
+
+
+class TimeToGo(NamedTuple):
+    """Flat-out time to the stop. Rows are even in the square root of the distance left.
+
+    On a braking curve speed is proportional to that square root, so the table is smooth up to the stop.
+
+    Attributes:
+        time_s: Time to go; columns in steps of ``TO_GO_STEP_MPS``. Shape (R, V).
+        top_mps: Highest speed from which the stop and every limit ahead can be met. Shape (R,).
+    """
+
+    time_s: Float[ndarray, "rows speeds"]
+    top_mps: Float[ndarray, " rows"]
+
+
+def tabulate_time_to_go(vehicle: Vehicle, track: Track, *, rows: int = TO_GO_ROWS) -> TimeToGo:
+    """Flat-out time to the stop from every state of a grid.
+
+    Backward over a mesh: from each speed full traction to the next node, at most up to the curve of limits
+    and station-stop braking, then the time to go from that node (linear between its speeds, that of the curve
+    among them). A speed above the curve counts as that of the curve.
+
+    Args:
+        vehicle: Trainset.
+        track: Section.
+        rows: Rows of the table.
+    """
+    table = specific(vehicle)
+    mesh = build_mesh(vehicle, track, np.array([0.0, float(track.length_m)]), TO_GO_SPACING_M)
+    energy = 0.5 * mesh.cap_mps**2
+    energy[-1] = 0.0
+    top = np.sqrt(2.0 * _sweep(table, mesh, energy, end=True, passes=2))
+    columns = math.ceil(float(vehicle.max_speed_mps) / TO_GO_STEP_MPS)
+    grid = np.linspace(0.0, columns * TO_GO_STEP_MPS, columns * TO_GO_FINER + 1)
+    time = np.zeros((top.size, grid.size))
+    rate_at = _rates(table, mesh, braking=False, passes=2, many=True)
+    for k in range(top.size - 2, -1, -1):
+        now, ds = np.minimum(grid, top[k]), mesh.length_m[k]
+        before = 0.5 * now**2
+        after = np.sqrt(2.0 * np.maximum(before + rate_at(k, before) * ds, 0.0))
+        after = np.minimum(after, top[k + 1])
+        later = np.interp(after, np.minimum(grid, top[k + 1]), time[k + 1])
+        time[k] = 2.0 * ds / np.maximum(now + after, 0.3 * np.sqrt(ds)) + later
+    # rows even in the square root of the distance left
+    left = np.sqrt(mesh.node_m[-1] - mesh.node_m[::-1])
+    at = left[-1] * np.linspace(0.0, 1.0, rows)
+    k = np.clip(np.searchsorted(left, at, side="right") - 1, 0, left.size - 2)
+    way = ((at - left[k]) / (left[k + 1] - left[k]))[:, None]
+    found = np.column_stack([time[:, ::TO_GO_FINER], top])[::-1]
+    found = found[k] * (1.0 - way) + found[k + 1] * way
+    return TimeToGo(found[:, :-1], found[:, -1])

@@ -46,9 +46,9 @@ from metropilot.control import (
     required_with_build_up,
     stop_deceleration,
 )
-from metropilot.env import SPEED_STEP_MPS, to_go_table
 from metropilot.errors import InputError
 from metropilot.physics import command_for_effort, effort_at, felt_slopes, scalars
+from metropilot.planning import TO_GO_STEP_MPS, tabulate_time_to_go
 
 SEGMENTS = 16
 SLOWEST_MPS = 0.5
@@ -526,7 +526,7 @@ class Legs(NamedTuple):
         """``tau_D``: least time to the destination, s."""
         rows, columns = len(self.to_go_s), len(self.to_go_s[0])
         u = (rows - 1) * math.sqrt(min(max(left_m / self.length_m, 0.0), 1.0))
-        w = min(max(speed_mps / SPEED_STEP_MPS, 0.0), columns - 1.0)
+        w = min(max(speed_mps / TO_GO_STEP_MPS, 0.0), columns - 1.0)
         i, j = min(int(u), rows - 2), min(int(w), columns - 2)
         u, w = u - i, w - j
         low, high = self.to_go_s[i], self.to_go_s[i + 1]
@@ -552,7 +552,7 @@ def legs_of(model: Model, ground: ExpertTrack, rules: ExpertRules) -> Legs:
     """
     gentle = min(rules.start_mps2, float(model.vehicle.max_acceleration_mps2))
     vehicle = model.vehicle._replace(max_acceleration_mps2=np.float64(gentle))
-    table = to_go_table(vehicle, model.track)
+    table = tabulate_time_to_go(vehicle, model.track)
     length = ground.length_m
     whole = Legs((), table.time_s.tolist(), length)
     left = length * np.linspace(0.0, 1.0, table.top_mps.size) ** 2
