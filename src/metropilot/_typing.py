@@ -17,3 +17,5 @@ Flag: TypeAlias = Any
 """A truth value, as :data:`Scalar` is a float."""
 Index: TypeAlias = Any
 """A whole number, as :data:`Scalar` is a float."""
+Key: TypeAlias = Any
+"""A random key of ``jax.random``, of shape ()."""

@@ -7,8 +7,9 @@ from functools import cached_property
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+from jaxtyping import Bool, Float, Num
 
-from metropilot._typing import Array
+from metropilot._typing import Array, Flag, Index, Key, Scalar
 from metropilot.env.assists import apply_assists
 from metropilot.env.config import DrivingConfig
 from metropilot.env.features import FeatureContext, feature_context, observe
@@ -52,13 +53,13 @@ class DriveState(NamedTuple):
 
     start: StartDistribution
     run: RunState
-    command: Array
-    stopping: Array
-    decisions: Array
-    overruled: Array
-    jerk_mps2: Array
-    max_jerk_mps3: Array
-    max_overspeed_mps: Array
+    command: Scalar
+    stopping: Flag
+    decisions: Index
+    overruled: Scalar
+    jerk_mps2: Scalar
+    max_jerk_mps3: Scalar
+    max_overspeed_mps: Scalar
 
     @property
     def plant(self) -> State:
@@ -66,7 +67,7 @@ class DriveState(NamedTuple):
         return self.run.plant
 
     @property
-    def outcome(self) -> Array:
+    def outcome(self) -> Index:
         """Number of the outcome, or ``RUNNING``."""
         return self.run.outcome
 
@@ -101,14 +102,14 @@ class DrivingTask(AbstractTask):
 
         return int(jax.eval_shape(self.reset, jax.random.key(0))[1].shape[0])
 
-    def draw(self, key: Array) -> StartDistribution:
+    def draw(self, key: Key) -> StartDistribution:
         """Draw the parameters of an episode from the task's distribution."""
         import jax.numpy as jnp
 
         start = draw(self.config.scenarios, key, jnp.asarray(self.times_s))
         return self._on_the_way(key, start) if self.config.scenarios.on_the_way > 0 else start
 
-    def begin(self, start: StartDistribution) -> tuple[DriveState, Array]:
+    def begin(self, start: StartDistribution) -> tuple[DriveState, Float[Array, " features"]]:
         """Begin an episode with given parameters; returns its state and first observation."""
         import jax.numpy as jnp
 
@@ -143,11 +144,13 @@ class DrivingTask(AbstractTask):
         )
         return state, self.observe(state)
 
-    def reset(self, key: Array) -> tuple[DriveState, Array]:
+    def reset(self, key: Key) -> tuple[DriveState, Float[Array, " features"]]:
         """Begin an episode drawn from the task's distribution."""
         return self.begin(self.draw(key))
 
-    def step(self, key: Array, state: DriveState, action: Array) -> tuple[DriveState, Transition]:
+    def step(
+        self, key: Key, state: DriveState, action: Num[Array, "*actions"]
+    ) -> tuple[DriveState, Transition]:
         """Take one decision: map the action, then assist, supervise and step in each control period."""
         return self._traced_parts["step"](key, state, action)
 
@@ -159,14 +162,16 @@ class DrivingTask(AbstractTask):
         parts = {"step": self._step, "observe": self._observe}
         return {name: jax.jit(part, inline=True) for name, part in parts.items()}
 
-    def _step(self, key: Array, state: DriveState, action: Array) -> tuple[DriveState, Transition]:
+    def _step(
+        self, key: Key, state: DriveState, action: Num[Array, "*actions"]
+    ) -> tuple[DriveState, Transition]:
         import jax
         import jax.numpy as jnp
 
         config = self.config
         wanted = config.action.command(self.sight(state), action, config.dt * config.periods)
 
-        def period(carry: tuple[DriveState, Array, Array], k: Array) -> tuple[Any, None]:
+        def period(carry: tuple[DriveState, Scalar, Scalar], k: Index) -> tuple[Any, None]:
             now, overruled, overspeed = carry
             noise = jax.random.fold_in(key, k) if config.scenarios.speed_noise_mps[1] > 0 else key
             reached, over, excess = self._period(noise, now, (action, wanted))
@@ -205,15 +210,15 @@ class DrivingTask(AbstractTask):
         reward = sum(terms.values(), jnp.zeros((), jnp.float32))
         return after, Transition(self.observe(after), reward, terminated, truncated, terms)
 
-    def allowed(self, state: DriveState) -> Array | None:
-        """Mask of the choices that the action's filter allows. Shape (count,); None: all."""
+    def allowed(self, state: DriveState) -> Bool[Array, " choices"] | None:
+        """Mask of the choices that the action's filter allows. None: all."""
         return self.config.action.allowed(self.sight(state), self.config.dt * self.config.periods)
 
-    def observe(self, state: DriveState) -> Array:
-        """Observation of a state. Shape (O,)."""
+    def observe(self, state: DriveState) -> Float[Array, " features"]:
+        """Observation of a state."""
         return self._traced_parts["observe"](state)
 
-    def _observe(self, state: DriveState) -> Array:
+    def _observe(self, state: DriveState) -> Float[Array, " features"]:
         return observe(self.config.features, self.sight(state))
 
     def sight(self, state: DriveState) -> FeatureContext:
@@ -233,7 +238,7 @@ class DrivingTask(AbstractTask):
             command=state.command,
         )
 
-    def row(self, state: DriveState) -> Array:
+    def row(self, state: DriveState) -> Index:
         """Row of the tables in force: the case, or the case with the restriction announced by now."""
         import jax.numpy as jnp
 
@@ -243,8 +248,8 @@ class DrivingTask(AbstractTask):
         return jnp.where(state.plant.time_s >= start.restricted_at_s, start.restricted, start.case)
 
     def _period(
-        self, key: Array, state: DriveState, decided: tuple[Array, Array]
-    ) -> tuple[DriveState, Array, Array]:
+        self, key: Key, state: DriveState, decided: tuple[Num[Array, "*actions"], Scalar]
+    ) -> tuple[DriveState, Scalar, Scalar]:
         """Simulate one control period; also returns interventions (0 or 1) and the largest overspeed."""
         import jax
         import jax.numpy as jnp
@@ -265,7 +270,7 @@ class DrivingTask(AbstractTask):
             dt=dt,
         )
 
-        def decide(_: None, __: RunState) -> tuple[Command, tuple[Array, Array]]:
+        def decide(_: None, __: RunState) -> tuple[Command, tuple[Scalar, Flag]]:
             wanted = config.action.held(sight, *decided)
             command, stopping = apply_assists(config.assists, sight, wanted, state.stopping, config.dt)
             command = config.action.settled(sight, command)
@@ -288,7 +293,7 @@ class DrivingTask(AbstractTask):
         )
         return state, record.intervened.astype(jnp.float32), record.overspeed_mps
 
-    def _on_the_way(self, key: Array, start: StartDistribution) -> StartDistribution:
+    def _on_the_way(self, key: Key, start: StartDistribution) -> StartDistribution:
         """Move a share of the starts to a random position, speed and time left on the way."""
         import jax
         import jax.numpy as jnp
@@ -315,7 +320,7 @@ class DrivingTask(AbstractTask):
         return jax.tree.map(lambda a, b: jnp.where(here, a, b), moved, start)
 
 
-def scheduled_s(state: DriveState) -> Array:
+def scheduled_s(state: DriveState) -> Scalar:
     """Scheduled running time as announced by now, s."""
     import jax.numpy as jnp
 

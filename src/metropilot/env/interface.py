@@ -7,7 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from metropilot._typing import Array
+from jaxtyping import Bool, Float, Num
+
+from metropilot._typing import Array, Flag, Key, Scalar
 
 TaskState = Any
 
@@ -16,18 +18,18 @@ class Transition(NamedTuple):
     """Result of one step. The task never resets itself: the observation after the last step survives.
 
     Attributes:
-        observation: Observation after the step. Shape (O,).
-        reward: Sum of ``terms``. Shape ().
-        terminated: The task is over by its own rules (arrived, overshot, ...). Shape ().
-        truncated: The task was cut off (time limit): its value goes on. Shape ().
-        terms: The named reward terms, each of shape ().
+        observation: Observation after the step.
+        reward: Sum of ``terms``.
+        terminated: The task is over by its own rules (arrived, overshot, ...).
+        truncated: The task was cut off (time limit): its value goes on.
+        terms: The named reward terms.
     """
 
-    observation: Array
-    reward: Array
-    terminated: Array
-    truncated: Array
-    terms: Mapping[str, Array]
+    observation: Float[Array, " features"]
+    reward: Scalar
+    terminated: Flag
+    truncated: Flag
+    terms: Mapping[str, Scalar]
 
 
 @dataclass(frozen=True)
@@ -60,14 +62,16 @@ class AbstractTask(ABC):
     action_space: ActionSpace
 
     @abstractmethod
-    def reset(self, key: Array) -> tuple[TaskState, Array]:
+    def reset(self, key: Key) -> tuple[TaskState, Float[Array, " features"]]:
         """Begin an episode; returns its state and first observation."""
 
     @abstractmethod
-    def step(self, key: Array, state: TaskState, action: Array) -> tuple[TaskState, Transition]:
+    def step(
+        self, key: Key, state: TaskState, action: Num[Array, "*actions"]
+    ) -> tuple[TaskState, Transition]:
         """Take one step of the episode; steps after its end are undefined but finite."""
 
-    def allowed(self, state: TaskState) -> Array | None:
-        """Mask of the choices allowed in a state (Lu23's action filter). Shape (count,); None: all."""
+    def allowed(self, state: TaskState) -> Bool[Array, " choices"] | None:
+        """Mask of the choices allowed in a state (Lu23's action filter). None: all."""
         del state
         return None

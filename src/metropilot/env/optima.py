@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.interpolate import PchipInterpolator
 
@@ -34,19 +34,21 @@ class Optima:
     """Optimal traction energy at the wheel of every case.
 
     Attributes:
-        time_s: Running times, increasing. Shape (C, P).
-        energy_j: Optimal energy at each. Shape (C, P).
+        time_s: Running times, increasing.
+        energy_j: Optimal energy at each.
     """
 
     time_s: Float[ndarray, "cases points"]
     energy_j: Float[ndarray, "cases points"]
 
-    def at(self, case: ndarray, time_s: ndarray) -> ndarray:
+    def at(
+        self, case: Int[ndarray, " drives"], time_s: Float[ndarray, " drives"]
+    ) -> Float[ndarray, " drives"]:
         """Optimal energy of drives by case and running time, J; NaN outside the tabulated times.
 
         Args:
-            case: Row of each drive. Shape (N,).
-            time_s: Running time of each drive. Shape (N,).
+            case: Row of each drive.
+            time_s: Running time of each drive.
         """
         found = np.full(np.shape(time_s), np.nan)
         for row in np.unique(case):
@@ -55,7 +57,12 @@ class Optima:
             found[mine] = curve(np.asarray(time_s, float)[mine])
         return found
 
-    def gap(self, case: ndarray, time_s: ndarray, wheel_j: ndarray) -> ndarray:
+    def gap(
+        self,
+        case: Int[ndarray, " drives"],
+        time_s: Float[ndarray, " drives"],
+        wheel_j: Float[ndarray, " drives"],
+    ) -> Float[ndarray, " drives"]:
         """Relative excess of drives over the optimal energy at the same running time."""
         return wheel_j / self.at(case, time_s) - 1.0
 

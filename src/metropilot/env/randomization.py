@@ -8,9 +8,10 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from numpy.random import Generator
 
-from metropilot._typing import Array
+from metropilot._typing import Array, Index, Key, Scalar
 from metropilot.errors import InputError
 from metropilot.protection import Bounds
 from metropilot.railway import (
@@ -68,23 +69,23 @@ class StartDistribution(NamedTuple):
         restricted_at_s: When that is announced (infinite: never).
     """
 
-    case: Array
-    scheduled_s: Array
-    position_m: Array
-    speed_mps: Array
-    time_s: Array
-    mass_factor: Array
-    resistance_factor: Array
-    delay_s: Array
-    lag_s: Array
-    speed_noise_mps: Array
-    headwind_mps: Array
-    adhesion: Array
-    brake_factor: Array
-    news_at_s: Array
-    news_s: Array
-    restricted: Array
-    restricted_at_s: Array
+    case: Index
+    scheduled_s: Scalar
+    position_m: Scalar
+    speed_mps: Scalar
+    time_s: Scalar
+    mass_factor: Scalar
+    resistance_factor: Scalar
+    delay_s: Scalar
+    lag_s: Scalar
+    speed_noise_mps: Scalar
+    headwind_mps: Scalar
+    adhesion: Scalar
+    brake_factor: Scalar
+    news_at_s: Scalar
+    news_s: Scalar
+    restricted: Index
+    restricted_at_s: Scalar
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,9 @@ class DisturbanceDistribution:
         """Disturbance at the low (0) or high (1) end of every interval."""
         return Disturbance(**{name: getattr(self, name)[end] for name in DRAWN})
 
-    def times_s(self, minimum_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def times_s(
+        self, minimum_s: Float[np.ndarray, " cases"]
+    ) -> tuple[Float[np.ndarray, " cases"], Float[np.ndarray, " cases"]]:
         """Shortest and longest scheduled time of each case, s."""
         if self.time_s is not None:
             low, high = (np.full_like(minimum_s, t) for t in self.time_s)
@@ -187,7 +190,7 @@ class DisturbanceDistribution:
         return tuple(found)
 
 
-def draw_disturbance(distribution: DisturbanceDistribution, shares: Iterator[Array]) -> dict[str, Array]:
+def draw_disturbance(distribution: DisturbanceDistribution, shares: Iterator[Scalar]) -> dict[str, Scalar]:
     """Draw every quantity of a disturbance; one random number in [0, 1) for each that is no constant.
 
     Args:
@@ -197,12 +200,12 @@ def draw_disturbance(distribution: DisturbanceDistribution, shares: Iterator[Arr
     return {name: _within(getattr(distribution, name), shares) for name in DRAWN}
 
 
-def _within(interval: Interval, shares: Iterator[Array]) -> Array:
+def _within(interval: Interval, shares: Iterator[Scalar]) -> Scalar:
     low, high = interval
     return low + (high - low) * next(shares) if low < high else np.float32(low)
 
 
-def draw(scenarios: DisturbanceDistribution, key: Array, times_s: Array) -> StartDistribution:
+def draw(scenarios: DisturbanceDistribution, key: Key, times_s: Float[Array, "2 cases"]) -> StartDistribution:
     """Draw one episode from standstill (JAX).
 
     All random numbers that the distribution needs are drawn at once, and no others: a learner resets a few of
@@ -211,7 +214,7 @@ def draw(scenarios: DisturbanceDistribution, key: Array, times_s: Array) -> Star
     Args:
         scenarios: The distribution.
         key: Random key.
-        times_s: Shortest and longest scheduled time of each case. Shape (2, C).
+        times_s: Shortest and longest scheduled time of each case.
     """
     import jax
     import jax.numpy as jnp

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import ClassVar, NamedTuple, final
 
-from metropilot._typing import Array
+from metropilot._typing import Flag, Scalar
 from metropilot.physics import namespace
 from metropilot.units import J_PER_KWH
 
@@ -33,20 +33,20 @@ class PeriodChange(NamedTuple):
         speed_mps: Speed at the end.
     """
 
-    wheel_j: Array
-    line_j: Array
-    jerk_mps2: Array
-    seconds: Array
-    overruled: Array
-    overspeed_mps: Array
-    ended: Array
-    arrived: Array
-    late_s: Array
-    error_m: Array
-    braked_j: Array
-    acceleration_mps2: Array
-    before_mps2: Array
-    speed_mps: Array
+    wheel_j: Scalar
+    line_j: Scalar
+    jerk_mps2: Scalar
+    seconds: Scalar
+    overruled: Scalar
+    overspeed_mps: Scalar
+    ended: Flag
+    arrived: Flag
+    late_s: Scalar
+    error_m: Scalar
+    braked_j: Scalar
+    acceleration_mps2: Scalar
+    before_mps2: Scalar
+    speed_mps: Scalar
 
 
 class AbstractTerm(ABC):
@@ -59,7 +59,7 @@ class AbstractTerm(ABC):
     name: ClassVar[str]
 
     @abstractmethod
-    def value(self, change: PeriodChange) -> Array:
+    def value(self, change: PeriodChange) -> Scalar:
         """Reward of one decision. Shape ()."""
 
 
@@ -75,7 +75,7 @@ class Energy(AbstractTerm):
     name = "energy"
     per_kwh: float = 1.0
 
-    def value(self, change: PeriodChange) -> Array:
+    def value(self, change: PeriodChange) -> Scalar:
         """Minus the energy used (Chen23a eq. 16, first term)."""
         return -self.per_kwh / J_PER_KWH * change.wheel_j
 
@@ -92,7 +92,7 @@ class LineEnergy(AbstractTerm):
     name = "line_energy"
     per_kwh: float = 1.0
 
-    def value(self, change: PeriodChange) -> Array:
+    def value(self, change: PeriodChange) -> Scalar:
         """Minus the energy used."""
         return -self.per_kwh / J_PER_KWH * change.line_j
 
@@ -109,7 +109,7 @@ class Comfort(AbstractTerm):
     name = "comfort"
     weight: float = 0.1
 
-    def value(self, change: PeriodChange) -> Array:
+    def value(self, change: PeriodChange) -> Scalar:
         """Minus the change of acceleration, up or down."""
         return -self.weight * change.jerk_mps2
 
@@ -128,7 +128,7 @@ class OnTime(AbstractTerm):
     bonus: float = 100.0
     allowed_s: float = 8.0
 
-    def value(self, change: PeriodChange) -> Array:
+    def value(self, change: PeriodChange) -> Scalar:
         """Plus or minus the bonus, at the end only."""
         xp = namespace(change.late_s)
         won = change.arrived & (xp.abs(change.late_s) <= self.allowed_s)
@@ -151,7 +151,7 @@ class Punctuality(AbstractTerm):
     early: float = 1.0
     soft_s: float = 1.0
 
-    def value(self, change: PeriodChange) -> Array:
+    def value(self, change: PeriodChange) -> Scalar:
         """Huber's function of the deviation, at an arrival only."""
         xp = namespace(change.late_s)
         off = xp.abs(change.late_s)
@@ -174,7 +174,7 @@ class StopError(AbstractTerm):
     per_m: float = 1.0
     most: float = 20.0
 
-    def value(self, change: PeriodChange) -> Array:
+    def value(self, change: PeriodChange) -> Scalar:
         """Minus the size of the error, at the end only."""
         xp = namespace(change.error_m)
         price = xp.minimum(self.per_m * xp.abs(change.error_m), self.most)
@@ -195,7 +195,7 @@ class Failure(AbstractTerm):
     price: float = 10.0
     per_m: float = 0.02
 
-    def value(self, change: PeriodChange) -> Array:
+    def value(self, change: PeriodChange) -> Scalar:
         """Minus the price, at the end only."""
         xp = namespace(change.error_m)
         price = self.price + self.per_m * xp.abs(change.error_m)
@@ -214,7 +214,7 @@ class Intervention(AbstractTerm):
     name = "intervention"
     per_s: float = 1.0
 
-    def value(self, change: PeriodChange) -> Array:
+    def value(self, change: PeriodChange) -> Scalar:
         """Minus the seconds."""
         return -self.per_s * change.overruled * change.seconds
 
@@ -231,7 +231,7 @@ class Overspeed(AbstractTerm):
     name = "overspeed"
     per_m: float = 1.0
 
-    def value(self, change: PeriodChange) -> Array:
+    def value(self, change: PeriodChange) -> Scalar:
         """Minus the excess."""
         return -self.per_m * change.overspeed_mps * change.seconds
 
@@ -248,7 +248,7 @@ class Seconds(AbstractTerm):
     name = "seconds"
     per_s: float = 0.1
 
-    def value(self, change: PeriodChange) -> Array:
+    def value(self, change: PeriodChange) -> Scalar:
         """Minus the time."""
         return -self.per_s * change.seconds
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -134,7 +133,7 @@ class MLP:
             )
         return params
 
-    def apply(self, params: Mapping[str, Array], prefix: str, x: Array) -> Array:
+    def apply(self, params: Params, prefix: str, x: Array) -> Array:
         """The output for one input vector, in JAX. Shape (outputs,)."""
         import jax.numpy as jnp
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 from numpy import ndarray
 
 from metropilot.errors import InputError
@@ -156,7 +157,9 @@ def _hold_values(starts: ndarray, values: ndarray, at: ndarray) -> ndarray:
     return np.where(index >= 0, values[np.maximum(index, 0)], 0.0)
 
 
-def specific_curve_resistance(curvature_per_m: ndarray, trainset: Trainset) -> ndarray:
+def specific_curve_resistance(
+    curvature_per_m: Float[ndarray, " pieces"], trainset: Trainset
+) -> Float[ndarray, " pieces"]:
     """Curve resistance, N/kg: ``600/r`` N/kN (Chinese rule) or ``6.3/(r-55)`` N/kg (Huang25).
 
     Raises:
@@ -209,7 +212,9 @@ def _tunnel_steps(section: Section, trainset: Trainset) -> tuple[ndarray, ndarra
     return np.array(edges)[order], np.array(values)[order]
 
 
-def restrictive_profile(section: Section, length_m: float, max_speed_mps: float) -> tuple[ndarray, ndarray]:
+def restrictive_profile(
+    section: Section, length_m: float, max_speed_mps: float
+) -> tuple[Float[ndarray, " pieces"], Float[ndarray, " pieces"]]:
     """Most restrictive speed profile of the head: a limit holds until the tail has cleared it.
 
     Returns:

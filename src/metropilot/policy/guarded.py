@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
+from jaxtyping import Bool, Float, Num
 
 from metropilot._dirs import runs_folder
 from metropilot.env import PolicyInterface
@@ -32,8 +33,10 @@ class GuardedPolicy:
         self.policy = policy
         self.path = path
 
-    def __call__(self, observation: np.ndarray, mask: np.ndarray | None = None) -> Any:  # noqa: ANN401 (or int)
-        """The action for one observation of shape (O,), among the choices a mask of shape (count,) allows.
+    def __call__(
+        self, observation: Float[np.ndarray, " features"], mask: Bool[np.ndarray, " choices"] | None = None
+    ) -> Num[np.ndarray, "*actions"] | np.integer:
+        """The action for one observation, among the choices that a mask allows.
 
         Raises:
             InputError: The observation is not as long as the policy's, or the answer is not finite.

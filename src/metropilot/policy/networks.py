@@ -9,17 +9,17 @@ them in NumPy without importing JAX.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from types import ModuleType
 from typing import Any, Literal
 
 import numpy as np
+from jaxtyping import Bool, Float, Num
 
-from metropilot._typing import Array
+from metropilot._typing import Array, Index
 
-Params = dict[str, Array]
+Params = dict[str, Float[Array, "..."]]
 Activation = Literal["tanh", "relu", "silu"]
 ACTIVATIONS: tuple[Activation, ...] = ("tanh", "relu", "silu")
 Output = Literal["clip", "tanh", "argmax", "dueling", "table"]
@@ -28,12 +28,12 @@ OUTPUTS: tuple[Output, ...] = ("clip", "tanh", "argmax", "dueling", "table")
 NORMALISED_RANGE = 10.0
 
 
-def activate(name: str, x: Array, xp: ModuleType) -> Array:
+def activate(name: str, x: Float[Array, "*shape"], xp: ModuleType) -> Float[Array, "*shape"]:
     """One of the three nonlinearities, elementwise.
 
     Args:
         name: Key of :data:`ACTIVATIONS`.
-        x: Any shape.
+        x: Input.
         xp: ``numpy`` or ``jax.numpy``.
     """
     if name == "tanh":
@@ -43,18 +43,17 @@ def activate(name: str, x: Array, xp: ModuleType) -> Array:
     return x / (1.0 + xp.exp(-x))
 
 
-def forward(params: Mapping[str, Array], prefix: str, x: Array, activation: str, xp: ModuleType) -> Array:
+def forward(
+    params: Params, prefix: str, x: Float[Array, "*batch inputs"], activation: str, xp: ModuleType
+) -> Float[Array, "*batch outputs"]:
     """Run the layers ``prefix.0``, ``prefix.1``, ... on one input; linear at the end.
 
     Args:
         params: Flat parameters.
         prefix: Prefix of the network's parameters.
-        x: Input. Shape (inputs,) or, in NumPy, (batch, inputs).
+        x: Input; batches in NumPy only.
         activation: Between the layers.
         xp: ``numpy`` or ``jax.numpy``.
-
-    Returns:
-        Output of the last layer. Shape (outputs,) or (batch, outputs).
     """
     k = 0
     while f"{prefix}.{k}.weight" in params:
@@ -64,13 +63,10 @@ def forward(params: Mapping[str, Array], prefix: str, x: Array, activation: str,
     return x
 
 
-def dueling(value: Array, advantage: Array) -> Array:
-    """Action values from state value and advantages, ``V + D - mean(D)`` (Lu23 eq. 10).
-
-    Args:
-        value: Shape (..., 1).
-        advantage: Shape (..., count).
-    """
+def dueling(
+    value: Float[Array, "*batch 1"], advantage: Float[Array, "*batch choices"]
+) -> Float[Array, "*batch choices"]:
+    """Action values from state value and advantages, ``V + D - mean(D)`` (Lu23 eq. 10)."""
     return value + (advantage - advantage.mean(-1, keepdims=True))
 
 
@@ -136,7 +132,9 @@ def _layer(name: str, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
     return {f"{name}.weight": (inputs, outputs), f"{name}.bias": (outputs,)}
 
 
-def normalise(params: Mapping[str, Array], observation: Array, xp: ModuleType) -> Array:
+def normalise(
+    params: Params, observation: Float[Array, " features"], xp: ModuleType
+) -> Float[Array, " features"]:
     """Subtract the mean, divide by the deviation, keep in range; without statistics, nothing."""
     if "observation.mean" not in params:
         return observation
@@ -145,18 +143,15 @@ def normalise(params: Mapping[str, Array], observation: Array, xp: ModuleType) -
 
 
 def network_output(
-    spec: PolicySpec, params: Mapping[str, Array], observation: Array, xp: ModuleType
-) -> Array:
+    spec: PolicySpec, params: Params, observation: Float[Array, " features"], xp: ModuleType
+) -> Float[Array, " width"]:
     """Output of the last layer, or the row of the table: action values, logits, means.
 
     Args:
         spec: Meaning of the parameters.
         params: Flat parameters.
-        observation: As the task gives it. Shape (O,).
+        observation: As the task gives it.
         xp: ``numpy`` or ``jax.numpy``.
-
-    Returns:
-        Shape (width,).
     """
     if spec.output == "table":
         return params["policy.table"][table_cell(spec, params, observation, xp)]
@@ -169,8 +164,10 @@ def network_output(
     return dueling(value, forward(params, "policy.advantage", features, spec.activation, xp))
 
 
-def table_cell(spec: PolicySpec, params: Mapping[str, Array], observation: Array, xp: ModuleType) -> Array:
-    """Row of the table that an observation falls in. Shape ()."""
+def table_cell(
+    spec: PolicySpec, params: Params, observation: Float[Array, " features"], xp: ModuleType
+) -> Index:
+    """Row of the table that an observation falls in."""
     bins = np.asarray(spec.hidden, np.float32)
     strides = np.asarray([math.prod(spec.hidden[k + 1 :]) for k in range(len(spec.hidden))], np.int32)
     share = (observation - params["policy.low"]) / (params["policy.high"] - params["policy.low"])
@@ -180,29 +177,28 @@ def table_cell(spec: PolicySpec, params: Mapping[str, Array], observation: Array
 
 def act(
     spec: PolicySpec,
-    params: Mapping[str, Array],
-    observation: Array,
-    mask: Array | None = None,
+    params: Params,
+    observation: Float[Array, " features"],
+    mask: Bool[Array, " choices"] | None = None,
     xp: Any = None,  # noqa: ANN401 (a module)
-) -> Array:
+) -> Num[Array, "*actions"]:
     """The action of a policy that no longer explores.
 
     Args:
         spec: Meaning of the parameters.
         params: Flat parameters.
-        observation: As the task gives it. Shape (O,).
-        mask: Choices allowed. Shape (actions,), None: all.
+        observation: As the task gives it.
+        mask: Choices allowed; None: all.
         xp: ``numpy``, or ``jax.numpy`` (the default).
-
-    Returns:
-        Shape (actions,), or an integer of shape ().
     """
     if xp is None:
         import jax.numpy as xp
     return choose_action(spec, network_output(spec, params, observation, xp), mask, xp)
 
 
-def choose_action(spec: PolicySpec, output: Array, mask: Array | None, xp: ModuleType) -> Array:
+def choose_action(
+    spec: PolicySpec, output: Float[Array, " width"], mask: Bool[Array, " choices"] | None, xp: ModuleType
+) -> Num[Array, "*actions"]:
     """The action that an output of the network stands for; see :func:`act`."""
     if spec.discrete:
         if mask is not None:
@@ -224,11 +220,13 @@ class Policy:
     spec: PolicySpec
     params: Params
 
-    def __call__(self, observation: Array, mask: Array | None = None) -> Array:
-        """The action in NumPy, for one observation of shape (O,)."""
+    def __call__(
+        self, observation: Float[Array, " features"], mask: Bool[Array, " choices"] | None = None
+    ) -> Num[Array, "*actions"]:
+        """The action in NumPy, for one observation."""
         return act(self.spec, self.params, observation, mask, np)
 
 
-def only_policy(spec: PolicySpec, params: Mapping[str, Array]) -> Params:
+def only_policy(spec: PolicySpec, params: Params) -> Params:
     """The parameters that a policy consists of, without critics, targets and deviations."""
     return {name: params[name] for name in spec.shapes()}

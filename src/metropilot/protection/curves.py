@@ -6,6 +6,7 @@ from collections import deque
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from numpy import ndarray
 from numpy.lib.stride_tricks import sliding_window_view
 
@@ -249,11 +250,11 @@ class TrackGrid(NamedTuple):
         weight_n: Force that gradient and curve ask for at each node. Shape (N,).
     """
 
-    node_m: ndarray
-    ceiling_mps: ndarray
-    pull_mps2: ndarray
-    usual_pull_mps2: ndarray
-    weight_n: ndarray
+    node_m: Float[ndarray, " nodes"]
+    ceiling_mps: Float[ndarray, " nodes-1"]
+    pull_mps2: Float[ndarray, " nodes-1"]
+    usual_pull_mps2: Float[ndarray, " nodes-1"]
+    weight_n: Float[ndarray, " nodes"]
 
 
 def track_grid(
@@ -289,7 +290,7 @@ def track_grid(
     )
 
 
-def sliding_max(cells: ndarray, back: int, ahead: int) -> ndarray:
+def sliding_max(cells: Float[ndarray, " cells"], back: int, ahead: int) -> Float[ndarray, " cells+1"]:
     """At each node, the largest value of the cells from ``back`` before it to ``ahead`` after it."""
     wide = np.pad(cells, (back, ahead), mode="edge")
     return sliding_window_view(wide, back + ahead).max(axis=1)

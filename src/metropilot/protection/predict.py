@@ -114,7 +114,7 @@ def highest_speed(
     curve: Float[ndarray, "nodes ahead"],
     distance_m: Float[ndarray, " ahead"],
     pull_mps2: Float[ndarray, " nodes"],
-    effort_mps2: Callable[[ndarray], ndarray],
+    effort_mps2: Callable[[Float[ndarray, " nodes"]], Float[ndarray, " nodes"]],
 ) -> Float[ndarray, " nodes"]:
     """Highest speed that a driver can have at each node without being overruled, m/s (NumPy).
 

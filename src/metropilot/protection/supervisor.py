@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-from metropilot._typing import Array, Scalar
+from metropilot._typing import Array, Index, Scalar
 from metropilot.physics import Command, namespace, push_command, scalars, unless
 from metropilot.protection.predict import Forces, acceleration, fastest, stays_under
 from metropilot.protection.separation import TrainAhead, brake_motion, least_gap
@@ -139,7 +140,7 @@ class CommandCheck:
         self.older = -1.0 if memory.recent.shape[0] == 1 else memory.recent[:-1].max()
         self.fading = memory.acceleration_mps2 - protection.fading.acceleration_mps2
 
-    def energy(self, curve: Array) -> Scalar:
+    def energy(self, curve: Float[Array, " nodes"]) -> Scalar:
         """A curve at this position, m^2/s^2."""
         return _interpolate(curve, self.node, self.way)
 
@@ -196,7 +197,7 @@ class CommandCheck:
         return kept, self.xp.maximum(acceleration(self.worst.forces, kept), self.fading)
 
 
-def permitted_speed(protection: Protection, position_m: Array) -> Array:
+def permitted_speed(protection: Protection, position_m: Scalar) -> Scalar:
     """Permitted speed at one or many positions, m/s: a cap for planners and drivers.
 
     Whoever holds a speed at or under it is not overruled. Whoever still accelerates by ``a`` must stay lower
@@ -222,21 +223,21 @@ def spare_gap(
     return check.least_gap(ahead, share, 0.0 * speed_mps) - bounds.margin_m - bounds.room_m
 
 
-def approach_margin(protection: Protection, acceleration_mps2: Array) -> Array:
+def approach_margin(protection: Protection, acceleration_mps2: Scalar) -> Scalar:
     """Margin under the permitted speed that a trainset needs which still accelerates, m/s.
 
     Until the emergency brake acts the acceleration goes on, and it may be that of the lightest trainset.
     """
     xp = namespace(protection.start_m, acceleration_mps2)
 
-    def margin(rates: Rates) -> Array:
+    def margin(rates: Rates) -> Scalar:
         most = xp.maximum(acceleration_mps2, 0.0) * (rates.mass_high / rates.mass_low)
         return most * rates.reaction_s + 0.5 * most * most / rates.jerk_mps3
 
     return xp.maximum(margin(protection.rates), margin(protection.service_rates))
 
 
-def on_grid(protection: Protection, position_m: Array) -> tuple[Array, Array]:
+def on_grid(protection: Protection, position_m: Scalar) -> tuple[Index, Scalar]:
     """The last node not beyond a position, and the share of the way to the next."""
     xp = namespace(protection.start_m, position_m)
     last = protection.emergency.shape[0] - protection.ahead.shape[0] - 2.0

@@ -205,13 +205,13 @@ class Recorder:
 def build_trajectory(
     vehicle: Vehicle,
     dt: float,
-    rows: Mapping[str, ndarray],
-    acceleration_mps2: ndarray,
+    rows: Mapping[str, Float[ndarray, " rows"]],
+    acceleration_mps2: Float[ndarray, " steps"],
     held: Forces,
-    commands: ndarray,
+    commands: Float[ndarray, " steps"],
     *,
-    limit_mps: ndarray,
-    permitted_mps: ndarray,
+    limit_mps: Float[ndarray, " rows"],
+    permitted_mps: Float[ndarray, " rows"],
 ) -> Trajectory:
     """Build the trajectory of ``n + 1`` rows of a run of ``n`` steps; the last row is the exact end.
 
@@ -261,7 +261,7 @@ def train_limit_at(track: Track, position_m: float) -> float:
     return float(track.limit_mps[max(int(index), 0)])
 
 
-def train_limits_at(track: Track, position_m: ndarray) -> ndarray:
+def train_limits_at(track: Track, position_m: Float[ndarray, " positions"]) -> Float[ndarray, " positions"]:
     """:func:`train_limit_at` for many positions."""
     index = np.searchsorted(track.limit_from_m, position_m, side="right") - 1
     return track.limit_mps[np.maximum(index, 0)]

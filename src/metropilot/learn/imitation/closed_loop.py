@@ -16,8 +16,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float
 
-from metropilot._typing import Array
+from metropilot._typing import Array, Flag, Index, Scalar
 from metropilot.control import (
     AT_ONCE_MPS3,
     braking_distance,
@@ -48,8 +49,8 @@ from metropilot.sim import (
     true_vehicle,
 )
 
-Decide = Callable[[Params, Array], Array]
-"""From parameters and an observation of shape (O,) to an action of shape (1,)."""
+Decide = Callable[[Params, Float[Array, " features"]], Float[Array, "1"]]
+"""From parameters and an observation to an action."""
 
 LEAK = 0.3
 """Slope that the dead zone and the saturated ends of the action have for the gradient."""
@@ -74,16 +75,16 @@ class Begin(NamedTuple):
         resistance_factor: True over believed resistance.
     """
 
-    case: Array
-    position_m: Array
-    speed_mps: Array
-    time_s: Array
-    scheduled_s: Array
-    arrival_s: Array
-    optimum_j: Array
-    second_w: Array
-    mass_factor: Array
-    resistance_factor: Array
+    case: Index
+    position_m: Scalar
+    speed_mps: Scalar
+    time_s: Scalar
+    scheduled_s: Scalar
+    arrival_s: Scalar
+    optimum_j: Scalar
+    second_w: Scalar
+    mass_factor: Scalar
+    resistance_factor: Scalar
 
 
 class ClosedLoopRollout(NamedTuple):
@@ -95,18 +96,18 @@ class ClosedLoopRollout(NamedTuple):
         done: True once the station-stop braking was reached.
     """
 
-    energy_j: Array
-    late_s: Array
-    done: Array
+    energy_j: Scalar
+    late_s: Scalar
+    done: Flag
 
 
 class _Moving(NamedTuple):
     """State of a drive that has not begun its station stop. All 0-d but the pipeline of the plant."""
 
     run: RunState
-    energy_j: Array
-    arrival_s: Array
-    done: Array
+    energy_j: Scalar
+    arrival_s: Scalar
+    done: Flag
 
 
 WORTH = MappingProxyType(
@@ -128,7 +129,7 @@ through the other fields: they are accounts that the next period does not depend
 
 
 @jax.custom_vjp
-def within_worth(now: _Moving, joule: Array) -> _Moving:
+def within_worth(now: _Moving, joule: Scalar) -> _Moving:
     """The state as it is; what flows back through it is kept within ``WORTH``.
 
     On the best drive the worth of speed, place and time is bounded by physics; a policy that switches to and
@@ -142,12 +143,12 @@ def within_worth(now: _Moving, joule: Array) -> _Moving:
     return now
 
 
-def _forth(now: _Moving, joule: Array) -> tuple[_Moving, Array]:
+def _forth(now: _Moving, joule: Scalar) -> tuple[_Moving, Scalar]:
     return now, joule
 
 
-def _back(joule: Array, worth: _Moving) -> tuple[_Moving, Array]:
-    def kept(path: tuple[Any, ...], value: Array) -> Array:
+def _back(joule: Scalar, worth: _Moving) -> tuple[_Moving, Scalar]:
+    def kept(path: tuple[Any, ...], value: Float[Array, "..."]) -> Float[Array, "..."]:
         if value.dtype == jax.dtypes.float0:
             return value
         most = WORTH.get(path[-1].name, 0.0) * joule
@@ -178,7 +179,7 @@ class ClosedLoop:
     period_s: float
 
     def drive(
-        self, decide: Decide, params: Params, begin: Begin, decisions: int, joule: Array
+        self, decide: Decide, params: Params, begin: Begin, decisions: int, joule: Scalar
     ) -> ClosedLoopRollout:
         """One drive; ``vmap`` it over ``begin``.
 

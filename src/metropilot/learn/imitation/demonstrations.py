@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 from numpy.random import Generator
 
@@ -107,8 +107,13 @@ class DemonstrationGenerator:
         )
         return plan_arrays(self.case.vehicle, self.case.track, left_s, options)
 
-    def observed(self, time_s: ndarray, position_m: ndarray, speed_mps: ndarray) -> ndarray:
-        """Features of the policy in these states. Shape (N, O), float32."""
+    def observed(
+        self,
+        time_s: Float[ndarray, " states"],
+        position_m: Float[ndarray, " states"],
+        speed_mps: Float[ndarray, " states"],
+    ) -> Float[ndarray, "states features"]:
+        """Features of the policy in these states, single precision."""
         case, nothing = self.case, np.zeros_like(position_m)
         sight = FeatureContext(
             rows=self.rows,
@@ -131,8 +136,8 @@ class DemonstrationGenerator:
         ]
         return np.stack(values, axis=1).astype(np.float32)
 
-    def commands(self, plan: Plan, position_m: ndarray) -> ndarray:
-        """The command that does what a plan does over the next metres. Shape (N,), in [-1, 1].
+    def commands(self, plan: Plan, position_m: Float[ndarray, " states"]) -> Float[ndarray, " states"]:
+        """The command that does what a plan does over the next metres, in [-1, 1].
 
         Work over distance: smoother than the command here and now, and it keeps time. Where the plan pulls
         as hard as the trainset's limits let it, the command is 1: the trainset sees to its limits.
@@ -293,7 +298,7 @@ def collect_shard(dataset: DemonstrationSet, shard: int) -> None:
     write_tensors(path, whole._asdict() | {"numbers": np.concatenate(numbers)}, {})
 
 
-def load_demonstrations(dataset: DemonstrationSet) -> tuple[Demonstrations, np.ndarray]:
+def load_demonstrations(dataset: DemonstrationSet) -> tuple[Demonstrations, Int[np.ndarray, " drives"]]:
     """Load all demonstrations, and the number of the section in which each drive begins.
 
     Raises:
@@ -306,7 +311,7 @@ def load_demonstrations(dataset: DemonstrationSet) -> tuple[Demonstrations, np.n
     return whole, np.concatenate([numbers for _, numbers in parts])
 
 
-def _read(dataset: DemonstrationSet) -> Iterator[tuple[Demonstrations, np.ndarray]]:
+def _read(dataset: DemonstrationSet) -> Iterator[tuple[Demonstrations, Int[np.ndarray, " drives"]]]:
     for shard in range(dataset.shards):
         path = dataset.path(shard)
         try:

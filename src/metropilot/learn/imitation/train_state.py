@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot._typing import Array
+from metropilot._typing import Array, Scalar
 from metropilot.env import RegimeAction
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.networks import MLP
@@ -83,15 +83,20 @@ def labels(action: RegimeAction, commands: Float[ndarray, " n"]) -> Float[ndarra
     return found.astype(np.float32)
 
 
-def imitation_loss(spec: PolicySpec, params: Params, observations: Array, wanted: Array) -> Array:
-    """Huber's loss of the actions. Shape ()."""
+def imitation_loss(
+    spec: PolicySpec,
+    params: Params,
+    observations: Float[Array, "batch features"],
+    wanted: Float[Array, " batch"],
+) -> Scalar:
+    """Huber's loss of the actions."""
     given = jax.vmap(lambda x: network_output(spec, params, x, jnp)[0])(observations)
     off = jnp.abs(given - wanted)
     return jnp.mean(jnp.where(off < NEAR, off * off / (2.0 * NEAR), off - NEAR / 2.0))
 
 
 def apply_gradient(
-    train_state: TrainState, gradient: Params, rate: Array, max_norm: float | None
+    train_state: TrainState, gradient: Params, rate: Scalar, max_norm: float | None
 ) -> TrainState:
     """One step against a gradient; the statistics stay, and so does everything if it is not finite."""
     moving = {name: value for name, value in train_state.params.items() if name not in STATISTICS}

@@ -47,7 +47,7 @@ class TuningRuns:
 
     case: Int[ndarray, " k"]
     begins: Float[ndarray, "k 7"]
-    lengths: tuple[ndarray, ...]
+    lengths: tuple[Int[ndarray, " drives"], ...]
 
 
 def drives_of(case: Int[ndarray, " k"], begins: Float[ndarray, "k 7"], period_s: float) -> TuningRuns:

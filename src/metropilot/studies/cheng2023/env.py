@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-from metropilot._typing import Array
+from metropilot._typing import Array, Flag, Index, Key, Scalar
 from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.env import AbstractTask, ActionSpace, Transition
 from metropilot.errors import InputError
@@ -93,16 +94,16 @@ class TrackingFacts(NamedTuple):
         over: Whether the run is over.
     """
 
-    error_mps: Array
-    distance_m: Array
-    to_target_m: Array
-    jerk_mps3: Array
-    work_j: Array
-    unsafe: Array
-    over: Array
+    error_mps: Scalar
+    distance_m: Scalar
+    to_target_m: Scalar
+    jerk_mps3: Scalar
+    work_j: Scalar
+    unsafe: Flag
+    over: Flag
 
 
-def reward_terms(rewards: TrackingRewards, facts: TrackingFacts) -> dict[str, Array]:
+def reward_terms(rewards: TrackingRewards, facts: TrackingFacts) -> dict[str, Scalar]:
     """Five weighted reward terms of one step (Cheng23 eqs. 17 to 22)."""
     import jax.numpy as jnp
 
@@ -126,7 +127,7 @@ class TrackingState(NamedTuple):
     """State of an episode: that of the loop, and the course it is on."""
 
     loop: TrackState
-    course: Array
+    course: Index
 
 
 class TrackingTask(AbstractTask):
@@ -147,13 +148,13 @@ class TrackingTask(AbstractTask):
         padded = [compile_course(_pad(course, self.longest)) for course in config.courses]
         self.courses: ReferenceCourse = jax.tree.map(lambda *leaves: jax.numpy.stack(leaves), *padded)
 
-    def course(self, index: Array) -> ReferenceCourse:
+    def course(self, index: Index) -> ReferenceCourse:
         """One of the courses."""
         import jax
 
         return jax.tree.map(lambda leaf: leaf[index], self.courses)
 
-    def begin(self, index: Array) -> tuple[TrackingState, Array]:
+    def begin(self, index: Index) -> tuple[TrackingState, Float[Array, "4"]]:
         """Begin an episode on a course from standstill."""
         import jax
         import jax.numpy as jnp
@@ -167,7 +168,7 @@ class TrackingTask(AbstractTask):
             tracking_view(course, loop)
         )
 
-    def reset(self, key: Array) -> tuple[TrackingState, Array]:
+    def reset(self, key: Key) -> tuple[TrackingState, Float[Array, "4"]]:
         """Begin an episode on a random course, from standstill or near the reference on the way."""
         import jax
         import jax.numpy as jnp
@@ -195,7 +196,9 @@ class TrackingTask(AbstractTask):
         loop = jax.tree.map(lambda a, b: jnp.where(on_the_way, a, b), moving, state.loop)
         return TrackingState(loop, state.course), tracking_observation(tracking_view(course, loop))
 
-    def step(self, key: Array, state: TrackingState, action: Array) -> tuple[TrackingState, Transition]:
+    def step(
+        self, key: Key, state: TrackingState, action: Float[Array, "3"]
+    ) -> tuple[TrackingState, Transition]:
         """Take one control period with the gains of an action."""
         import jax.numpy as jnp
 
@@ -230,7 +233,7 @@ class TrackingTask(AbstractTask):
         return TrackingState(loop, state.course), transition
 
 
-def gains_of(action: Array, upper: Gains = CHENG2023_UPPER) -> Gains:
+def gains_of(action: Float[Array, "3"], upper: Gains = CHENG2023_UPPER) -> Gains:
     """Gains of an action of three numbers in [-1, 1] (Cheng23 eq. 10)."""
     return Gains(*(0.5 * (action[j] + 1.0) * upper[j] for j in range(3)))
 

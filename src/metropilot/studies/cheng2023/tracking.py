@@ -11,8 +11,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-from metropilot._typing import Array
+from metropilot._typing import Array, Index, Scalar
 from metropilot.control import Errors
 from metropilot.drivers import TrackingView
 from metropilot.physics import (
@@ -41,18 +42,18 @@ class ReferenceCourse(NamedTuple):
     Attributes:
         vehicle: True plant.
         track: The section.
-        position_m: Position of the reference at the start of each period, held after its end. Shape (N + 1,).
-        speed_mps: Its speed. Shape (N + 1,).
+        position_m: Position of the reference at the start of each period, held after its end.
+        speed_mps: Its speed.
         end: Period in which the reference comes to a standstill.
         dt: Control period, s.
     """
 
     vehicle: Vehicle
     track: Track
-    position_m: Array
-    speed_mps: Array
-    end: Array
-    dt: Array
+    position_m: Float[Array, " nodes"]
+    speed_mps: Scalar
+    end: Index
+    dt: Scalar
 
     @property
     def periods(self) -> int:
@@ -71,9 +72,9 @@ class TrackState(NamedTuple):
     """
 
     plant: State
-    command: Array
+    command: Scalar
     errors: Errors
-    period: Array
+    period: Index
 
 
 def course_of(
@@ -151,7 +152,7 @@ def tracking_view(course: ReferenceCourse, state: TrackState) -> TrackingView:
 
 
 def advance_tracking(
-    course: ReferenceCourse, state: TrackState, command: Array, errors: Errors
+    course: ReferenceCourse, state: TrackState, command: Scalar, errors: Errors
 ) -> TrackState:
     """One control period under a command, without protection (Cheng23 eqs. 1 to 3)."""
     params = RunParams(
@@ -173,8 +174,8 @@ def advance_tracking(
     return TrackState(run.plant, command, errors, state.period + 1)
 
 
-def tracking_observation(given: TrackingView) -> Array:
-    """Observation of DDPG-PID, scaled: speed, command, speed and position error, (4,). Cheng23 eq. 7."""
+def tracking_observation(given: TrackingView) -> Float[Array, "4"]:
+    """Observation of DDPG-PID, scaled: speed, command, speed and position error. Cheng23 eq. 7."""
     xp = namespace(given.error_mps)
     xp = np if xp.__name__ == "scalars" else xp
     parts = (
