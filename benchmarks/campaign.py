@@ -19,7 +19,7 @@ from pathlib import Path
 
 import duckdb
 
-from benchmarks.report import ROOT, circumstances, written
+from benchmarks.report import ROOT, circumstances, replace_section
 
 NAME = "campaign"
 COSTS = "costs.json"
@@ -42,7 +42,7 @@ def one(seeds: int, folder: Path, workers: int) -> dict[str, float]:
     seconds, memory = perf_counter() - began, peak_memory_mb()
     collect_parts(folder)
     timings = str(folder / "timings" / "*" / "*.parquet")
-    spent, worker = asked(f"SELECT sum(processor_s), max(worker_mb) FROM read_parquet('{timings}')")
+    spent, worker = query_numbers(f"SELECT sum(processor_s), max(worker_mb) FROM read_parquet('{timings}')")
     costs = {
         "rows": progress.rows,
         "driven": progress.driven,
@@ -56,7 +56,7 @@ def one(seeds: int, folder: Path, workers: int) -> dict[str, float]:
     return costs
 
 
-def asked(query: str) -> tuple[float, float]:
+def query_numbers(query: str) -> tuple[float, float]:
     """The two numbers of a query's only row."""
     row = duckdb.execute(query).fetchone()
     return (0.0, 0.0) if row is None else (float(row[0]), float(row[1]))
@@ -96,7 +96,7 @@ def growth(folder: Path, parts: int = 8) -> str:
     for first in range(0, len(shards), size):
         some = shards[first : first + size]
         paths = ", ".join(f"'{path}'" for _, path in some)
-        spent, memory = asked(f"SELECT sum(processor_s), max(worker_mb) FROM read_parquet([{paths}])")
+        spent, memory = query_numbers(f"SELECT sum(processor_s), max(worker_mb) FROM read_parquet([{paths}])")
         own = sum(count for count, _ in some)
         rows += own
         table.append(f"| {rows:,} | {1e3 * spent / own:.1f} | {memory:.0f} |")
@@ -139,7 +139,7 @@ def main() -> None:
 def hand_over(page: Path | None, text: str) -> None:
     """Write a section into the page, or print it."""
     if page:
-        page.write_text(written(page.read_text(), NAME, text))
+        page.write_text(replace_section(page.read_text(), NAME, text))
     else:
         print(text)
 

@@ -105,7 +105,7 @@ class Result:
     certificate: float
 
 
-def driven(case: Case) -> Result:
+def drive_case(case: Case) -> Result:
     """Drive one case and compare it with the optimum for the running time it achieved."""
     trainset, section = load_trainset(TRAINSET, case.load), case.section
     time_s = minimum_running_time(section, trainset) * case.ratio
@@ -135,7 +135,7 @@ def driven(case: Case) -> Result:
     )
 
 
-def planned(case: Case) -> tuple[float, float]:
+def check_plan(case: Case) -> tuple[float, float]:
     """Certificate gap and cone tightness of the plan of one case."""
     trainset, section = load_trainset(TRAINSET, case.load), case.section
     plan = optimal_plan(section, trainset, minimum_running_time(section, trainset) * case.ratio)
@@ -229,9 +229,9 @@ def main() -> None:
     options = page_options(__doc__)
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(os.cpu_count(), context) as pool:
-        known = list(pool.map(driven, cases(KNOWN, RATIOS), chunksize=8))
-        unknown = list(pool.map(driven, cases(tuple(SCENARIOS)[2:], (1.1,)), chunksize=8))
-        plans = list(pool.map(planned, cases(("ideal actuation",), PLAN_RATIOS), chunksize=16))
+        known = list(pool.map(drive_case, cases(KNOWN, RATIOS), chunksize=8))
+        unknown = list(pool.map(drive_case, cases(tuple(SCENARIOS)[2:], (1.1,)), chunksize=8))
+        plans = list(pool.map(check_plan, cases(("ideal actuation",), PLAN_RATIOS), chunksize=16))
     hand_out(options, page(known, unknown, plans), known + unknown)
 
 

@@ -97,7 +97,7 @@ class Case:
     driver: str = DRIVER
 
 
-def driven(case: Case) -> Result | None:
+def drive_case(case: Case) -> Result | None:
     """Drive one case and compare it with the optimum for the running time it achieved; None: left out."""
     line = load_line(case.line)
     section = line.section(case.origin, case.destination)
@@ -160,7 +160,7 @@ HEADS = ("runs", "within 1 s and 0.3 m", "worst time error s", "worst stop error
 HEADS = (*HEADS, "interventions", "gap median %", "95th %", "worst %", "decision us")
 
 
-def arrived(r: Result) -> bool:
+def is_success(r: Result) -> bool:
     """True for a run that arrived in place and on time."""
     return r.outcome == "arrived" and abs(r.time_error_s) <= ON_TIME_S and abs(r.stop_error_m) <= IN_PLACE_M
 
@@ -175,7 +175,7 @@ def verdict(results: list[Result]) -> str:
         for word, value, target in zip(("median", "95th percentile", "worst"), found, most, strict=True):
             if value > target:
                 missed.append(f"{name}, {word}: {value:.2f} % instead of {target:g} %")
-        late = sum(not arrived(r) for r in some)
+        late = sum(not is_success(r) for r in some)
         if late:
             missed.append(f"{name}: {late} of {len(some)} runs not within 1 s and 0.3 m")
         count = sum(r.interventions > 0 for r in some)
@@ -226,7 +226,7 @@ def elsewhere(results: list[Result]) -> str:
     return f"## Other lines\n\n{words}\n\n{table(('track', *HEADS), lines)}\n\n"
 
 
-def training() -> str:
+def training_table() -> str:
     """Table of the training, from the policy file."""
     about: Any = load_driving_policy(shipped_policy(DRIVER)).about
     told, came = about["config"], about["provenance"]
@@ -266,7 +266,7 @@ def page(results: list[Result], beside: list[Result], elsewhere_too: list[Result
         by_time=by_time(results, beside),
         farthest=farthest(results),
         elsewhere=elsewhere(elsewhere_too),
-        training=training(),
+        training=training_table(),
     )
 
 
@@ -276,9 +276,9 @@ def main() -> None:
     folder = os.environ.get("METROPILOT_TTOBENCH")
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(os.cpu_count(), context) as pool:
-        results = [r for r in pool.map(driven, cases(), chunksize=4) if r]
+        results = [r for r in pool.map(drive_case, cases(), chunksize=4) if r]
         more = others(Path(folder)) if folder else []
-        elsewhere_too = [r for r in pool.map(driven, more, chunksize=4) if r]
+        elsewhere_too = [r for r in pool.map(drive_case, more, chunksize=4) if r]
     ours = [r for r in results if r.case.driver == DRIVER]
     beside = [r for r in results if r.case.driver == BESIDE]
     hand_out(options, page(ours, beside, elsewhere_too), [*results, *elsewhere_too])

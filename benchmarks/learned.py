@@ -34,7 +34,7 @@ def learn_s(home: str, **switches: str) -> tuple[float, float]:
     return time.perf_counter() - began, busy
 
 
-def compiling() -> list[Row]:
+def measure_compilation() -> list[Row]:
     """Learning begins: without the cache of compiled programs, filling it, and with it."""
     with TemporaryDirectory() as home:
         off = learn_s(home, METROPILOT_COMPILE_CACHE="0")
@@ -48,7 +48,7 @@ def compiling() -> list[Row]:
     return rows
 
 
-def deciding() -> list[Row]:
+def measure_decision() -> list[Row]:
     """One decision of a shipped driver: the network in NumPy and in onnxruntime, and all on the host."""
     import numpy as np
 
@@ -88,7 +88,7 @@ def deciding() -> list[Row]:
 
 def measure() -> list[Row]:
     """Both."""
-    return compiling() + deciding()
+    return measure_compilation() + measure_decision()
 
 
 BENCHMARK = Benchmark(

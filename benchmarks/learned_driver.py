@@ -83,7 +83,7 @@ class Case:
     scenario: str
 
 
-def driven(case: Case) -> Result:
+def drive_case(case: Case) -> Result:
     """Drive one case and compare it with the optimum for the running time it achieved."""
     section, trainset = load_line(LINE).section(ORIGIN, DESTINATION), load_trainset(TRAINSET, case.load)
     shortest = SHORTEST * minimum_running_time(section, trainset)
@@ -152,7 +152,7 @@ def verdict(results: list[Result]) -> str:
     return " ".join(sentences)
 
 
-def learned() -> str:
+def learning_rows() -> str:
     """Record of learning in each policy's file."""
     heads = ("driver", "environment steps", "seconds", "seed", "machine", "date", "commit", "command")
     lines = []
@@ -198,7 +198,7 @@ def page(results: list[Result]) -> str:
         about="; ".join(f"{k} {v}" for k, v in about.items()),
         summary=summary(results),
         verdict=verdict(results),
-        learned=learned(),
+        learned=learning_rows(),
         grid=grid(results),
     )
 
@@ -208,7 +208,7 @@ def main() -> None:
     options = page_options(__doc__)
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(os.cpu_count(), context) as pool:
-        results = list(pool.map(driven, cases(), chunksize=4))
+        results = list(pool.map(drive_case, cases(), chunksize=4))
     hand_out(options, page(results), results)
 
 

@@ -48,7 +48,7 @@ class Found:
 def solve_nlp(problem: Problem) -> Found:
     """Transcribe and solve from a cold start."""
     began = time.perf_counter()
-    solver, arguments = _transcribed(problem)
+    solver, arguments = _transcribe(problem)
     built = time.perf_counter()
     answer = solver(**arguments)
     ended = time.perf_counter()
@@ -56,7 +56,7 @@ def solve_nlp(problem: Problem) -> Found:
     return Found(bool(solver.stats()["success"]), energy, ended - built, built - began)
 
 
-def _transcribed(problem: Problem) -> tuple[Any, dict[str, Any]]:
+def _transcribe(problem: Problem) -> tuple[Any, dict[str, Any]]:
     import casadi as ca
 
     mesh, table, ds = problem.mesh, problem.table, problem.mesh.length_m

@@ -32,7 +32,7 @@ def cases() -> tuple[list[Section], list[Trainset]]:
     """All sections, both ways, and the loads."""
     line, trainset = load_line("yizhuang"), load_trainset("dkz32")
     return [*line.sections(), *line.sections(backward=True)], [
-        trainset.loaded(load) for load in trainset.loads
+        trainset.with_load(load) for load in trainset.loads
     ]
 
 
@@ -96,7 +96,7 @@ def numpy_rows(batch: int = 78 * REPEATS, steps: int = 40) -> float:
     return rate(work, batch * steps, rounds=3)
 
 
-def compiled(dtype: type, steps: int = STEPS) -> dict[str, float]:
+def measure_batch(dtype: type, steps: int = STEPS) -> dict[str, float]:
     """The batch in this process, on all its devices: steps per second, of the clock and of processor time."""
     import jax
 
@@ -149,6 +149,6 @@ BENCHMARK = Benchmark(
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--compiled"]:
-        print(json.dumps(compiled(np.dtype(sys.argv[2]).type)))
+        print(json.dumps(measure_batch(np.dtype(sys.argv[2]).type)))
     else:
         run([BENCHMARK])

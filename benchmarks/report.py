@@ -126,7 +126,7 @@ def cells(row: Row) -> tuple[str, str, str, str, str]:
 HEADINGS = ("what", "value", "unit", "ratio", "target")
 
 
-def printed(benchmark: Benchmark, rows: list[Row], about: dict[str, str]) -> Table:
+def format_terminal(benchmark: Benchmark, rows: list[Row], about: dict[str, str]) -> Table:
     """The table for a terminal."""
     caption = "\n".join([f"{key}: {value}" for key, value in about.items()] + [benchmark.note])
     table = Table(*HEADINGS, title=benchmark.title, caption=caption, caption_justify="left")
@@ -135,7 +135,7 @@ def printed(benchmark: Benchmark, rows: list[Row], about: dict[str, str]) -> Tab
     return table
 
 
-def markdown(benchmark: Benchmark, rows: list[Row], about: dict[str, str]) -> str:
+def format_page(benchmark: Benchmark, rows: list[Row], about: dict[str, str]) -> str:
     """The table for the page."""
     lines = [f"## {benchmark.title}", "", "| " + " | ".join(HEADINGS) + " |", "|---|---:|---|---:|---|"]
     lines += ["| " + " | ".join(cells(row)) + " |" for row in rows]
@@ -143,7 +143,7 @@ def markdown(benchmark: Benchmark, rows: list[Row], about: dict[str, str]) -> st
     return "\n".join(lines)
 
 
-def written(page: str, name: str, text: str) -> str:
+def replace_section(page: str, name: str, text: str) -> str:
     """The page with one benchmark's section replaced, or added at its end."""
     begin, end = f"<!-- benchmark: {name} -->", f"<!-- end: {name} -->"
     section = f"{begin}\n{text}\n{end}"
@@ -173,9 +173,11 @@ def run(benchmarks: list[Benchmark], arguments: list[str] | None = None) -> None
         rows = benchmark.measure()
         results.append({"benchmark": benchmark.name, **about, "rows": [asdict(row) for row in rows]})
         if not options.json:
-            Console().print(printed(benchmark, rows, about))
+            Console().print(format_terminal(benchmark, rows, about))
         if options.write:
             page = options.write.read_text() if options.write.exists() else "# Benchmarks\n"
-            options.write.write_text(written(page, benchmark.name, markdown(benchmark, rows, about)))
+            options.write.write_text(
+                replace_section(page, benchmark.name, format_page(benchmark, rows, about))
+            )
     if options.json:
         print(json.dumps(results, indent=2))

@@ -20,7 +20,7 @@ GUESS_MPS = 60 / 3.6
 def solve_shooting(problem: Problem, ends_mps: float) -> Found:
     """Transcribe and solve from a constant-speed guess; a small speed at every stop, where 1/v has a pole."""
     began = time.perf_counter()
-    solver, arguments = _transcribed(problem, ends_mps)
+    solver, arguments = _transcribe(problem, ends_mps)
     built = time.perf_counter()
     answer = solver(**arguments)
     ended = time.perf_counter()
@@ -49,7 +49,7 @@ def _segment(problem: Problem) -> Any:  # noqa: ANN401 -- CasADi has no types
     return ca.Function("segment", [state, control, given], [after])
 
 
-def _transcribed(problem: Problem, ends_mps: float) -> tuple[Any, dict[str, Any]]:
+def _transcribe(problem: Problem, ends_mps: float) -> tuple[Any, dict[str, Any]]:
     import casadi as ca
 
     mesh, table, ds = problem.mesh, problem.table, problem.mesh.length_m

@@ -21,7 +21,7 @@ TARGET = 5e6
 TASKS = ("drive", "drive_line", "drive_jerk", "chen2023a")
 
 
-def compiled(name: str, batch: int) -> dict[str, float]:
+def measure_task(name: str, batch: int) -> dict[str, float]:
     """Steps per second of random actions in this process, and how long it takes until the first."""
     import jax
     import jax.numpy as jnp
@@ -95,6 +95,6 @@ BENCHMARK = Benchmark(
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--compiled"]:
-        print(json.dumps(compiled(sys.argv[2], int(sys.argv[3]))))
+        print(json.dumps(measure_task(sys.argv[2], int(sys.argv[3]))))
     else:
         run([BENCHMARK])

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tests.planning import published
 
-from benchmarks.report import circumstances, written
+from benchmarks.report import circumstances, replace_section
 from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
 from metropilot.railway import import_file, load_line, load_trainset
 
@@ -151,7 +151,7 @@ def main() -> None:
     options = parser.parse_args()
     text = page()
     if options.write:
-        options.write.write_text(written(options.write.read_text(), "validation", text))
+        options.write.write_text(replace_section(options.write.read_text(), "validation", text))
     else:
         print(text)
 

@@ -21,7 +21,7 @@ from tests.protection.optimiser import Worst
 from tests.protection.search import STEPS as RUN_STEPS
 from tests.protection.search import Field, places
 
-from benchmarks.report import circumstances, written
+from benchmarks.report import circumstances, replace_section
 from metropilot.convoy import ATTACKED_HEADS
 from metropilot.convoy import AttackCampaign as ConvoyCampaign
 
@@ -71,12 +71,12 @@ def on_line(build: Callable, authority: bool) -> Callable[[int], Hunter]:
     def ready(generations: int) -> Hunter:
         field = Field(build(mutate=bare))
 
-        def hunted(count: int, seed: int) -> tuple[Worst, Worst]:
+        def search(count: int, seed: int) -> tuple[Worst, Worst]:
             where = places(build(mutate=bare, seed=seed), count, authority)
             found = field.search(where, POPULATION, generations, seed)
             return found, field.scatter(where, POPULATION, generations, seed + 1)
 
-        return hunted
+        return search
 
     return ready
 
@@ -87,12 +87,12 @@ def in_convoy(guard: str, count: int) -> Callable[[int], Hunter]:
     def ready(generations: int) -> Hunter:
         convoys = Convoys(ConvoyCampaign(guard=guard, count=count))  # pyright: ignore[reportArgumentType]
 
-        def hunted(places: int, seed: int) -> tuple[Worst, Worst]:
+        def search(places: int, seed: int) -> tuple[Worst, Worst]:
             rows = (np.arange(places) + seed) % ATTACKED_HEADS
             found = convoys.search(rows, POPULATION, generations, seed)
             return found, convoys.scatter(rows, POPULATION, generations, seed + 1)
 
-        return hunted
+        return search
 
     return ready
 
@@ -168,7 +168,7 @@ def main() -> None:
     results = [run(kind, options.steps, options.seed) for kind in KINDS if options.only in kind.name]
     text = table(results, options.seed, about)
     if options.write:
-        options.write.write_text(written(options.write.read_text(), "worst_case", text))
+        options.write.write_text(replace_section(options.write.read_text(), "worst_case", text))
     print(text)
     print(json.dumps([asdict(result) for result in results]))
     raise SystemExit(1 if violations(results) else 0)

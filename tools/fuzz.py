@@ -52,7 +52,7 @@ class Log:
         self.failures: dict[str, str] = {}
         self.began = time.process_time()
 
-    def failed(self, error: BaseException, data: bytes) -> None:
+    def keep_failure(self, error: BaseException, data: bytes) -> None:
         """Keep the first input of each place that fails."""
         frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename.startswith(str(ROOT))]
         last = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
@@ -94,11 +94,11 @@ def fuzz(name: str, inputs: int, seed: int) -> None:
         try:
             log.accepted += check(name, data)
         except Exception as error:  # noqa: BLE001 (what must not come out is anything)
-            log.failed(error, data)
+            log.keep_failure(error, data)
         spent = time.process_time() - began
         log.slowest_s = max(log.slowest_s, spent)
         if spent > SLOW_S:
-            log.failed(TimeoutError(f"{spent:.1f} s"), data)
+            log.keep_failure(TimeoutError(f"{spent:.1f} s"), data)
         if log.inputs >= inputs:
             sys.stdout.write(json.dumps(log.row()) + "\n")
             sys.stdout.flush()

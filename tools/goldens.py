@@ -105,17 +105,17 @@ def _digest(path: Path) -> str:
     data = path.read_bytes()
     if path.suffix == ".json":
         with contextlib.suppress(json.JSONDecodeError):
-            data = json.dumps(_kept(json.loads(data)), sort_keys=True).encode()
+            data = json.dumps(_keep(json.loads(data)), sort_keys=True).encode()
     if path.suffix == ".safetensors":  # the header holds provenance; the numbers follow it
         data = data[8 + int.from_bytes(data[:8], "little") :]
     return hashlib.sha256(data).hexdigest()
 
 
-def _kept(value: Any) -> Any:  # noqa: ANN401 (any JSON)
+def _keep(value: Any) -> Any:  # noqa: ANN401 (any JSON)
     if isinstance(value, dict):
-        return {k: _kept(v) for k, v in value.items() if not OF_THE_MACHINE.search(k)}
+        return {k: _keep(v) for k, v in value.items() if not OF_THE_MACHINE.search(k)}
     if isinstance(value, list):
-        return [_kept(v) for v in value]
+        return [_keep(v) for v in value]
     return value
 
 

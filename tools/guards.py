@@ -164,8 +164,8 @@ GUARDS = (
         "remainder of the last acceleration under the jerk limit",
         "H4",
         SUPERVISOR,
-        "acting = self.xp.maximum(acceleration(brake.forces, self.kept(share)), self.fading)",
-        "acting = acceleration(brake.forces, self.kept(share))",
+        "acting = self.xp.maximum(acceleration(brake.forces, self.share_bound(share)), self.fading)",
+        "acting = acceleration(brake.forces, self.share_bound(share))",
         ("test_mutations.py::test_guard_in_the_arrays[jerk limit in service]",),
     ),
     Guard(
@@ -459,7 +459,7 @@ GUARDS = (
 )
 
 
-def removed(source: str, guard: Guard) -> str:
+def remove_guard(source: str, guard: Guard) -> str:
     """A module's source without the guard.
 
     Raises:

@@ -49,7 +49,7 @@ speed_noise_mps = 0.05
 """
 
 
-def learning(place: Path) -> None:
+def learn_small(place: Path) -> None:
     """Learn a small policy, from the checkpoint where there is one."""
     from tests.learn.problems import DoubleIntegrator
 
@@ -90,7 +90,7 @@ def campaign(place: Path) -> None:
 
 
 @cache
-def driven() -> tuple[Any, Any]:
+def make_drive() -> tuple[Any, Any]:
     """A drive that is written again and again: what was asked for, and what came of it."""
     from metropilot.evaluate import Entry, RunSpec, kpis_of
     from metropilot.sim import drive
@@ -119,7 +119,7 @@ def files(place: Path) -> None:
         store.update(store.create(PPOConfig(), "drive", k, {}), status="done", steps=k)
         export_onnx(Policy(spec, params), place / "policy.onnx", about={"k": k}, probes=10)
         if k % PICTURES == 0:
-            request, entry = driven()
+            request, entry = make_drive()
             write_run(place / "drive", request, entry.drives[0], entry.kpis[0], None)
             write_comparison(place / "compare", request, [entry])
 
@@ -166,14 +166,14 @@ def look_at_folder(folder: Path) -> None:
     from metropilot.evaluate import run_from_toml
     from metropilot.sim import Trajectory
 
-    request, entry = driven()
+    request, entry = make_drive()
     for path in folder.glob("*"):
         if path.suffix == ".json":
             same(bool(json.loads(path.read_text())), path.name)
         elif path.suffix == ".csv":
             same(len(Trajectory.read(path)) == len(entry.drives[0].trajectory), path.name)
         elif path.suffix == ".toml":
-            same(run_from_toml(path) == request.resolved(), path.name)
+            same(run_from_toml(path) == request.resolve(), path.name)
         elif path.suffix in {".png", ".svg"}:
             end = b"IEND\xaeB`\x82" if path.suffix == ".png" else b"</svg>"
             same(path.read_bytes().rstrip().endswith(end), path.name)
@@ -185,7 +185,7 @@ def same(whole: bool, what: str) -> None:
         raise AssertionError(f"{what} is neither absent nor whole")
 
 
-def killed(work: Callable[[Path], None], place: Path, after_s: float | None) -> bool:
+def kill_after(work: Callable[[Path], None], place: Path, after_s: float | None) -> bool:
     """Do the work in a process of its own, killed after a time; whether the kill met it at work."""
     child = os.fork()
     if child == 0:
@@ -208,7 +208,9 @@ def killed(work: Callable[[Path], None], place: Path, after_s: float | None) -> 
     return True
 
 
-def resumed(work: Callable[[Path], None], wanted: int, chance: random.Random, folder: Path) -> dict[str, Any]:
+def check_resuming(
+    work: Callable[[Path], None], wanted: int, chance: random.Random, folder: Path
+) -> dict[str, Any]:
     """Runs of resumable work, each killed again and again until done and compared with an undisturbed one."""
 
     def place(number: int) -> Path:
@@ -216,9 +218,9 @@ def resumed(work: Callable[[Path], None], wanted: int, chance: random.Random, fo
         made.mkdir(parents=True, exist_ok=True)
         return made
 
-    killed(work, place(0), None)
+    kill_after(work, place(0), None)
     began = time.monotonic()
-    killed(work, place(1), None)
+    kill_after(work, place(1), None)
     takes = time.monotonic() - began
     result = sha256((place(0) / "result").read_bytes()).hexdigest()
     same(result == sha256((place(1) / "result").read_bytes()).hexdigest(), "the undisturbed result")
@@ -226,7 +228,7 @@ def resumed(work: Callable[[Path], None], wanted: int, chance: random.Random, fo
     while kills < wanted:
         runs += 1
         here = place(1 + runs)
-        while killed(work, here, chance.uniform(0.0, takes)):
+        while kill_after(work, here, chance.uniform(0.0, takes)):
             kills += 1
         same(sha256((here / "result").read_bytes()).hexdigest() == result, "the result of an interrupted run")
     seconds = round(takes, 1)
@@ -239,13 +241,13 @@ def resumed(work: Callable[[Path], None], wanted: int, chance: random.Random, fo
     }
 
 
-def written(wanted: int, chance: random.Random, folder: Path) -> dict[str, Any]:
+def check_writes(wanted: int, chance: random.Random, folder: Path) -> dict[str, Any]:
     """Kills among plain writes, and what is left looked at after each."""
     place, kills = folder / "files", 0
     place.mkdir()
     while kills < wanted:
-        kills += killed(files, place, chance.uniform(0.0, LONGEST_S))
-        killed(look_at_files, place, None)
+        kills += kill_after(files, place, chance.uniform(0.0, LONGEST_S))
+        kill_after(look_at_files, place, None)
     left = [str(p.relative_to(place)) for p in place.rglob("*") if p.name.endswith(".partial")]
     return {"work": "files", "kills": kills, "looks": kills, "broken": 0, "partial files left": len(left)}
 
@@ -271,12 +273,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="metropilot-kills-") as name:
         folder = Path(name)
         os.environ["METROPILOT_HOME"] = str(folder / "home")
-        driven()
+        make_drive()
         rows = []
         for row in (
-            lambda: written(told.files, chance, folder),
-            lambda: resumed(campaign, told.campaign, chance, folder),
-            lambda: resumed(learning, told.learning, chance, folder),
+            lambda: check_writes(told.files, chance, folder),
+            lambda: check_resuming(campaign, told.campaign, chance, folder),
+            lambda: check_resuming(learn_small, told.learning, chance, folder),
         ):
             rows.append(row())
             print(json.dumps(rows[-1]), flush=True)

@@ -24,7 +24,7 @@ from pathlib import Path
 import jax  # noqa: F401 (loaded once, for all children)
 import pytest
 import scipy.optimize  # noqa: F401
-from guards import ALL, GUARDS, ROOT, Guard, removed
+from guards import ALL, GUARDS, ROOT, Guard, remove_guard
 
 
 @dataclass(frozen=True)
@@ -42,19 +42,19 @@ class Mutant:
     seconds: float
 
 
-def mutated(guard: Guard) -> Mutant:
+def mutate(guard: Guard) -> Mutant:
     """Remove one guard from a copy of the package and run its tests against that."""
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="metropilot-guard-") as folder:
         copy = Path(folder, "src")
         shutil.copytree(ROOT / "src", copy, ignore=shutil.ignore_patterns("__pycache__"))
         path = copy / "metropilot" / guard.file
-        path.write_text(removed(path.read_text(), guard))
-        noticed = tried(copy, guard.tests) or tried(copy, ALL)
+        path.write_text(remove_guard(path.read_text(), guard))
+        noticed = first_failure(copy, guard.tests) or first_failure(copy, ALL)
     return Mutant(guard, noticed, time.monotonic() - began)
 
 
-def tried(source: Path, tests: tuple[str, ...]) -> str:
+def first_failure(source: Path, tests: tuple[str, ...]) -> str:
     """The first test that fails against this source; empty: none."""
     report = source / "report.txt"
     child = multiprocessing.get_context("fork").Process(target=_run, args=(source, tests, report))
@@ -117,13 +117,12 @@ def main() -> None:
     rows, survived = known_rows(page), False
     for guard in GUARDS:
         if options.only in guard.name and not (options.missing and guard.name in rows):
-            mutant = mutated(guard)
+            mutant = mutate(guard)
             survived = survived or not mutant.noticed
             rows[guard.name] = row(guard, mutant.noticed)
             print(f"{guard.name}: {mutant.noticed or 'SURVIVED'} ({mutant.seconds:.0f} s)", flush=True)
     if options.write:
         sys.path.insert(0, str(ROOT))
-        from benchmarks.report import written
 
         options.write.write_text(written(page, "mutate_guards", table(rows)))
     else:

@@ -51,7 +51,7 @@ COMMANDS = (
 )
 
 
-def said(command: Sequence[object], folder: Path, code: int = 0) -> str:
+def run_clean(command: Sequence[object], folder: Path, code: int = 0) -> str:
     """Run a command without anything of this environment in its way.
 
     Raises:
@@ -68,10 +68,10 @@ def said(command: Sequence[object], folder: Path, code: int = 0) -> str:
     return done.stdout
 
 
-def built(folder: Path) -> Path:
+def build(folder: Path) -> Path:
     """The wheel, built from the source tree, with every file of the package in it."""
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
-    said([*pip, "wheel", "--no-deps", "--wheel-dir", folder / "dist", ROOT], folder)
+    run_clean([*pip, "wheel", "--no-deps", "--wheel-dir", folder / "dist", ROOT], folder)
     (wheel,) = (folder / "dist").glob("*.whl")
     wanted = {
         f"metropilot/{path.relative_to(PACKAGE).as_posix()}"
@@ -88,17 +88,17 @@ def built(folder: Path) -> Path:
     return wheel
 
 
-def installed(wheel: Path, folder: Path, *, alone: bool) -> Path:
+def install(wheel: Path, folder: Path, *, alone: bool) -> Path:
     """Folder of the environment's programs, the wheel installed, its dependencies lent or downloaded."""
     place = folder / "env"
     venv.create(place, with_pip=True)
     programs = place / "bin"
     pip = [programs / "python", "-m", "pip", "--quiet", "--disable-pip-version-check", "install"]
     if alone:
-        said([*pip, "--constraint", ROOT / "constraints.txt", wheel], folder)
+        run_clean([*pip, "--constraint", ROOT / "constraints.txt", wheel], folder)
     else:
-        said([*pip, "--no-deps", wheel], folder)
-        site = said(
+        run_clean([*pip, "--no-deps", wheel], folder)
+        site = run_clean(
             [programs / "python", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], folder
         )
         Path(site.strip(), "lent.pth").write_text(sysconfig.get_path("purelib") + "\n")
@@ -112,12 +112,14 @@ def main() -> None:
     told = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="metropilot-wheel-") as name:
         folder = Path(name)
-        programs = installed(built(folder), folder, alone=told.alone)
-        where = said([programs / "python", "-c", "import metropilot; print(metropilot.__file__)"], folder)
+        programs = install(build(folder), folder, alone=told.alone)
+        where = run_clean(
+            [programs / "python", "-c", "import metropilot; print(metropilot.__file__)"], folder
+        )
         if not Path(where.strip()).is_relative_to(folder):
             raise SystemExit(f"not what was installed: {where}")
         for arguments, code in COMMANDS:
-            answer = json.loads(said([programs / "metropilot", *arguments], folder, code))
+            answer = json.loads(run_clean([programs / "metropilot", *arguments], folder, code))
             print(f"metropilot {' '.join(arguments)}: exit {code}, {len(answer)} entries", flush=True)
         picture = folder / "first" / "profile.png"
         if not picture.stat().st_size:

@@ -178,7 +178,7 @@ def test_nobody_is_left_standing_short_of_the_stop(driver, trainset):
 
 
 def test_a_lower_limit_is_met_without_intervention_where_commands_act_late():
-    section = load_line("yizhuang").section("RJ", "WYJ").restricted(Restriction(600.0, 800.0, 20 / 3.6))
+    section = load_line("yizhuang").section("RJ", "WYJ").with_restriction(Restriction(600.0, 800.0, 20 / 3.6))
     run = Run(section, LATE_TRAINSET, 1.12 * minimum_running_time(section, LATE_TRAINSET))
     done = drive(run, DRIVERS.make("optimal"))
     check_safe_stop(done)

@@ -62,7 +62,7 @@ def yizhuang():
 @pytest.mark.parametrize(("ideal", "tolerance_m"), [(True, 0.01), (False, 0.3)])
 def test_flat_out_with_assists_is_fast_never_overruled_and_stops_at_the_point(ideal, tolerance_m):
     trainset = load_trainset("dkz32")
-    trainsets = (trainset.loaded("AW0"), trainset.loaded("AW3"))
+    trainsets = (trainset.with_load("AW0"), trainset.with_load("AW3"))
     task = DrivingTask(DrivingConfig(yizhuang()[::6], trainsets, ideal=ideal))
     every = range(task.rows.count)
     kpis, over, _ = drive_all(task, starts(every, (task.minimum_s * 1.2).tolist()), 1.0, 450)

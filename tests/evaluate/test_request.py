@@ -117,7 +117,7 @@ def test_bad_arrivals(text):
 
 
 def test_resolved(request_rj):
-    resolved = replace(request_rj, origin="rongjing", time_s=None, trainset="dkz32:AW2").resolved()
+    resolved = replace(request_rj, origin="rongjing", time_s=None, trainset="dkz32:AW2").resolve()
     assert (resolved.origin, resolved.time_s, resolved.trainset, resolved.load) == (
         "RJ",
         101.0,

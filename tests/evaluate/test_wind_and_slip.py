@@ -83,9 +83,9 @@ def test_out_of_range_is_refused(field, value):
 
 def test_a_request_carries_them_through_its_file(tmp_path):
     weather = Disturbance(headwind_mps=-4.0, adhesion=0.1)
-    asked = RunSpec("yizhuang", "RJ", "WYJ", time_s=110.0, disturbance=weather).resolved()
+    asked = RunSpec("yizhuang", "RJ", "WYJ", time_s=110.0, disturbance=weather).resolve()
     write_run_toml(tmp_path, asked)
     assert run_from_toml(tmp_path / "run.toml") == asked
-    plain = RunSpec("yizhuang", "RJ", "WYJ", time_s=110.0).resolved()
+    plain = RunSpec("yizhuang", "RJ", "WYJ", time_s=110.0).resolve()
     write_run_toml(tmp_path, plain)
     assert run_from_toml(tmp_path / "run.toml") == plain

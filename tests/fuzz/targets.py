@@ -146,14 +146,14 @@ def _read_run(path: Path) -> None:
 
     from metropilot.evaluate import run_from_toml
 
-    resolved = run_from_toml(path).resolved()
+    resolved = run_from_toml(path).resolve()
     section = resolved.section()
     assert 0 < section.length_m < 1e6
     assert (section.limit_mps.value > 0).all()
     assert all(item.at_s >= 0 for item in resolved.disturbance.updates)
     text = tomli_w.dumps({"run": resolved.values()})
     path.write_text(text)
-    again = tomli_w.dumps({"run": run_from_toml(path).resolved().values()})
+    again = tomli_w.dumps({"run": run_from_toml(path).resolve().values()})
     assert again == text, "it reads back as something else"
 
 

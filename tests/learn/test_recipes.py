@@ -15,7 +15,7 @@ from metropilot.errors import InputError
 from metropilot.learn import PPOConfig, RunStore
 from metropilot.learn.recipes import BUDGETS, RECIPES, recipe
 from metropilot.learn.run_store import read_record
-from metropilot.learn.train import kpis_kept
+from metropilot.learn.train import select_kpis
 
 
 @pytest.mark.parametrize("driver", RECIPES)
@@ -92,8 +92,8 @@ def test_the_kpis_kept_are_those_of_the_policy_kept():
         "evaluation.safe_share": np.array([0.1, 0.5, 0.6]),
         "evaluation.gap_percent": np.array([np.nan, np.nan, 3.0]),
     }
-    assert kpis_kept(history, "best") == {"safe_share": 0.5}
-    assert kpis_kept(history, "last") == {"safe_share": 0.6, "gap_percent": 3.0}
+    assert select_kpis(history, "best") == {"safe_share": 0.5}
+    assert select_kpis(history, "last") == {"safe_share": 0.6, "gap_percent": 3.0}
 
 
 def hold(folder, ready):

@@ -19,7 +19,7 @@ def catalogue():
     line = load_line("yizhuang")
     sections = [*line.sections(), *line.sections(backward=True)]
     dkz32 = load_trainset("dkz32")
-    return sections, [*(dkz32.loaded(load) for load in dkz32.loads), load_trainset("cheng2023")]
+    return sections, [*(dkz32.with_load(load) for load in dkz32.loads), load_trainset("cheng2023")]
 
 
 def test_all_sections_trainsets_and_loads_share_one_compilation():

@@ -49,7 +49,7 @@ def test_numpy_float64_is_the_reference(seed):
 @pytest.mark.parametrize("load", ["AW0", "AW3"])
 def test_catalogue_sections_are_the_reference(load):
     rng = np.random.default_rng(1)
-    trainset = load_trainset("dkz32").loaded(load)
+    trainset = load_trainset("dkz32").with_load(load)
     for section in load_line("yizhuang").sections(backward=True)[::4]:
         shares = cases.random_commands(rng, 300)
         states = cases.drive(*cases.plant(section, trainset), shares, DT)

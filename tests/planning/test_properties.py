@@ -64,7 +64,7 @@ def test_heavier_is_never_faster_on_level_or_rising_track(seed):
     slope = section.gradient_permil
     rising = dataclasses.replace(section, gradient_permil=Steps(slope.from_m, np.abs(slope.value)))
     light = minimum_running_time(rising, trainset)
-    heavy = minimum_running_time(rising, trainset.loaded("heavy"))
+    heavy = minimum_running_time(rising, trainset.with_load("heavy"))
     assert heavy >= light - 1e-6 or not np.isfinite(heavy)
 
 

@@ -31,7 +31,7 @@ def test_the_rest_of_an_optimal_plan_is_optimal():
 @pytest.mark.parametrize("late_w", [None, 500.0])
 def test_a_new_restriction_ahead_is_met_as_soon_as_the_brakes_can(start_mps, late_w):
     # 50 m before a 9 m/s zone: 19 m/s needs (19^2 - 9^2) / (2 * 0.95) = 147 m, so it enters too fast
-    restricted = section().restricted(Restriction(450.0, 700.0, 9.0))
+    restricted = section().with_restriction(Restriction(450.0, 700.0, 9.0))
     options = PlanOptions(start_m=400.0, start_mps=start_mps, late_w=late_w)
     plan = optimal_plan(restricted, cases.contest(), 130.0, options)
     inside = (plan.position_m >= 450.0) & (plan.position_m <= 700.0)
@@ -48,7 +48,7 @@ def trainset_mass():
 
 
 def test_above_the_limit_already_it_brakes_at_once():
-    restricted = section().restricted(Restriction(300.0, 700.0, 10.0))
+    restricted = section().with_restriction(Restriction(300.0, 700.0, 10.0))
     start = PlanOptions(start_m=400.0, start_mps=16.0)
     plan = optimal_plan(restricted, cases.contest(), 130.0, start)
     first = np.diff(0.5 * plan.speed_mps**2)[:5] / np.diff(plan.position_m)[:5]

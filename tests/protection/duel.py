@@ -83,7 +83,7 @@ class Scenario:
     def ground(self):
         section = line().section(*self.section)
         for start, length, speed in self.limits:
-            section = section.restricted(Restriction(start, start + length, speed))
+            section = section.with_restriction(Restriction(start, start + length, speed))
         return section
 
     def vehicle(self):

@@ -117,7 +117,7 @@ def restricted(section: Section, random: np.random.Generator) -> Section:
     for _ in range(int(random.integers(1, 3))):
         start = random.uniform(0.0, section.length_m - 30.0)
         length = random.choice([5.0, 20.0, 60.0, 200.0]) * random.uniform(0.5, 1.5)
-        section = section.restricted(Restriction(start, start + length, random.uniform(3.0, 20.0)))
+        section = section.with_restriction(Restriction(start, start + length, random.uniform(3.0, 20.0)))
     return section
 
 
@@ -161,7 +161,7 @@ def arena(campaign: Campaign):
     loads = list(campaign.trainset.loads)
     protections, tracks, attacks = [], [], []
     for k, free in enumerate(line_sections()[: campaign.sections]):
-        trainset = campaign.trainset.loaded(loads[(k + campaign.seed) % len(loads)])
+        trainset = campaign.trainset.with_load(loads[(k + campaign.seed) % len(loads)])
         slower = campaign.restrictions and random.random() < 0.5
         section = restricted(free, random) if slower else free
         believed = protect(section, trainset, campaign.believed or bounds, dtype=dtype)

@@ -101,7 +101,7 @@ def places(campaign: Campaign, count: int, authority: bool) -> Place:
     for k in range(count):
         section = free[int(random.integers(len(free)))]
         section = (lambda s, _: s, restricted, rough)[k % 3](section, random)
-        trainset = campaign.trainset.loaded(loads[int(random.integers(len(loads)))])
+        trainset = campaign.trainset.with_load(loads[int(random.integers(len(loads)))])
         end = section.length_m * random.uniform(0.4, 1.0) if authority else None
         protection = protect(section, trainset, campaign.believed or campaign.bounds, stop_at_m=end)
         track, vehicle = physics.track_arrays(section, trainset), physics.vehicle_arrays(trainset)

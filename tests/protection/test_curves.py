@@ -43,7 +43,7 @@ def speed(protection, values, at):
 
 @pytest.mark.parametrize("slope_permil", [0.0, -24.0, 24.0])
 def test_emergency_curve_is_the_braking_parabola(slope_permil):
-    section = level(slope_permil=slope_permil).restricted(Restriction(1000.0, 1300.0, 10.0))
+    section = level(slope_permil=slope_permil).with_restriction(Restriction(1000.0, 1300.0, 10.0))
     protection = protect(section, IDEAL, Bounds.of(IDEAL, DT))
     rate = 1.2 + 9.81 * slope_permil / 1000.0
     for back in (10.0, 50.0, 100.0):
@@ -107,7 +107,7 @@ def test_wider_bounds_never_permit_more():
 
 
 def test_a_braking_driver_may_be_a_little_faster():
-    section = level().restricted(Restriction(1000.0, 1300.0, 10.0))
+    section = level().with_restriction(Restriction(1000.0, 1300.0, 10.0))
     protection = protect(section, DKZ32, Bounds.of(DKZ32, DT))
     at = np.arange(900.0, 1000.0)
     braking = permitted_braking(protection, track_arrays(section, DKZ32), at, 0.9)
@@ -208,7 +208,7 @@ def test_the_next_node_counts_too():
 
 def test_a_limit_between_two_nodes_counts():
     point = replace(IDEAL, length_m=0.0)
-    section = level().restricted(Restriction(1000.2, 1000.7, 5.0))
+    section = level().with_restriction(Restriction(1000.2, 1000.7, 5.0))
     protection = protect(section, point, Bounds.of(point, DT))
     for where in (1000.0, 1001.0):
         assert speed(protection, protection.emergency, where) <= 5.0
@@ -216,7 +216,7 @@ def test_a_limit_between_two_nodes_counts():
 
 def test_at_a_change_of_limit_the_lower_one_counts():
     point = replace(IDEAL, length_m=0.0)
-    section = level().restricted(Restriction(1000.0, 1300.0, 10.0))
+    section = level().with_restriction(Restriction(1000.0, 1300.0, 10.0))
     protection = protect(section, point, Bounds.of(point, DT))
     for where in (1000.0, 1300.0):
         assert speed(protection, protection.emergency, where) <= 10.0

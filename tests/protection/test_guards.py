@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from tools.guards import ALL, GUARDS, ROOT, removed
+from tools.guards import ALL, GUARDS, ROOT, remove_guard
 
 PAGE = (Path(ROOT) / "docs/safety.md").read_text()
 
@@ -12,7 +12,7 @@ PAGE = (Path(ROOT) / "docs/safety.md").read_text()
 @pytest.mark.parametrize("guard", GUARDS, ids=lambda guard: guard.name)
 def test_a_guard_can_be_removed(guard):
     source = (ROOT / "src/metropilot" / guard.file).read_text()
-    without = removed(source, guard)
+    without = remove_guard(source, guard)
     assert without != source
     compile(without, guard.file, "exec")
 

@@ -70,7 +70,7 @@ def drive(section, trainset, protection):
 def test_a_driver_under_the_permitted_speed_is_never_overruled(kind):
     overruled = {}
     for k, section in enumerate(SECTIONS):
-        trainset = KINDS[kind].loaded(list(DKZ32.loads)[k % 3])
+        trainset = KINDS[kind].with_load(list(DKZ32.loads)[k % 3])
         memory, gaps = drive(section, trainset, protect(section, trainset, Bounds.of(trainset, DT)))
         if memory.interventions:
             overruled[section.name] = (int(memory.interventions), float(gaps.min()))

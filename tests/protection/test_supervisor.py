@@ -61,7 +61,7 @@ def test_full_traction_ends_in_a_cut_off_not_in_an_emergency():
 
 
 def test_a_lower_limit_ahead_is_met_with_the_service_brake():
-    section = SECTION.restricted(Restriction(700.0, 900.0, 8.0))
+    section = SECTION.with_restriction(Restriction(700.0, 900.0, 8.0))
     ride = Ride(section=section).go(1.0, 260)
     assert ride.memory.emergencies == 0
     assert "service brake" in ride.levels
@@ -131,7 +131,7 @@ def test_the_end_of_the_authority_is_never_passed():
 
 def test_a_restriction_announced_too_late_brakes_at_once_and_holds_where_it_can():
     announced = Ride(v=20.0, x=500.0).go(0.0, 5)
-    section = SECTION.restricted(Restriction(announced.state.position_m + 20.0, 900.0, 8.0))
+    section = SECTION.with_restriction(Restriction(announced.state.position_m + 20.0, 900.0, 8.0))
     announced.protection = protect(section, DKZ32, Bounds.of(DKZ32, DT))
     announced.go(1.0)
     assert announced.levels[-1] == "emergency brake"
@@ -145,7 +145,7 @@ def test_a_restriction_announced_too_late_brakes_at_once_and_holds_where_it_can(
 
 def test_a_restriction_announced_in_time_is_kept():
     ride = Ride(v=20.0, x=300.0).go(0.0, 5)
-    section = SECTION.restricted(Restriction(ride.state.position_m + 320.0, 900.0, 8.0))
+    section = SECTION.with_restriction(Restriction(ride.state.position_m + 320.0, 900.0, 8.0))
     ride.protection = protect(section, DKZ32, Bounds.of(DKZ32, DT))
     track = physics.track_arrays(section, DKZ32)
     for _ in range(200):
@@ -203,9 +203,9 @@ def test_sections_share_one_compiled_program():
     for section in (
         LINE.sections()[3],
         LINE.sections()[7],
-        SECTION.restricted(Restriction(300.0, 400.0, 5.0)),
+        SECTION.with_restriction(Restriction(300.0, 400.0, 5.0)),
     ):
-        protection = protect(section, DKZ32.loaded("AW3"), Bounds.of(DKZ32, DT), dtype=np.float32)
+        protection = protect(section, DKZ32.with_load("AW3"), Bounds.of(DKZ32, DT), dtype=np.float32)
         shapes.add(tuple(np.shape(leaf) for leaf in jax.tree.leaves(protection)))
         assert {np.asarray(leaf).dtype.kind for leaf in jax.tree.leaves(protection)} == {"f", "i"}
     assert len(shapes) <= 2

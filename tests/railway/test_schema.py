@@ -146,7 +146,7 @@ class TestSections:
             toy().section("A", "alpha")
 
     def test_a_restriction_lowers_the_limit_and_is_remembered(self):
-        section = toy().section("A", "B").restricted(Restriction(100.0, 300.0, 5.0))
+        section = toy().section("A", "B").with_restriction(Restriction(100.0, 300.0, 5.0))
         np.testing.assert_array_equal(section.limit_mps.at(np.array([99.0, 100, 299, 300])), [10, 5, 5, 20])
         assert len(section.restrictions) == 1
 
@@ -259,10 +259,10 @@ class TestEfficiency:
 
 class TestTrainset:
     def test_loads(self):
-        full = load_trainset("dkz32").loaded("AW3")
+        full = load_trainset("dkz32").with_load("AW3")
         assert (full.mass_kg, full.effective_mass_kg) == (307095.0, 307095.0)
         with pytest.raises(InputError, match=r"unknown load.*AW5.*AW0, AW2, AW3"):
-            full.loaded("AW5")
+            full.with_load("AW5")
 
     def test_ideal_keeps_the_rates_and_drops_the_delays(self):
         ideal = load_trainset("dkz32").ideal()

@@ -64,7 +64,7 @@ def test_the_true_plant_is_the_same_as_a_trainset_and_as_arrays(name, trainset):
 
 def test_overspeed_is_the_same_for_one_number_and_compiled():
     trainset = load_trainset("dkz32", "AW2")
-    section = load_line("yizhuang").section("RJ", "WYJ").restricted(Restriction(400.0, 600.0, 12.0))
+    section = load_line("yizhuang").section("RJ", "WYJ").with_restriction(Restriction(400.0, 600.0, 12.0))
     track, state = track_arrays(section, trainset), at_rest(vehicle_arrays(trainset))
     random = np.random.default_rng(3)
     way, speed = random.uniform(0.0, 20.0, (50, 100)), random.uniform(0.0, 22.0, (50, 101))
@@ -156,7 +156,7 @@ def test_every_disturbance_is_the_same_in_the_compiled_task_and_on_the_host(name
     scenarios = replace(config.scenarios, **fields)
     if name == "restriction":
         scenarios = replace(scenarios, restriction=1.0)
-        found = scenarios.restricted(section)
+        found = scenarios.restricted_sections(section)
         reached = [k for k in range(len(found)) if found[k].restrictions[0].from_m < 800.0]
         slowest = min(reached, key=lambda k: found[k].restrictions[0].limit_mps)
         announced = found[slowest]

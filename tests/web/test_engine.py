@@ -65,7 +65,7 @@ def planned_j(time_s, position_m, *restrictions):
     """What the optimal plan from departure to the stop has used at a position, found without a live run."""
     section = load_line("yizhuang").section("RJ", "WYJ")
     for restriction in restrictions:
-        section = section.restricted(restriction)
+        section = section.with_restriction(restriction)
     plan = optimal_plan(section, load_trainset("dkz32"), time_s, PlanOptions(late_w=500.0))
     used_j = 0.0
     for k, force_n in enumerate(plan.traction_n):

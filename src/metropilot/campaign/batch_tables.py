@@ -78,7 +78,7 @@ def guard_tables(section: Section, run: Run) -> SectionTables:
     )
 
 
-def seen_tables(perception: PolicyInterface) -> Callable[[Section, Run], SectionTables]:
+def make_feature_tables(perception: PolicyInterface) -> Callable[[Section, Run], SectionTables]:
     """A function that makes the tables of a policy, as the driver does in the host loop."""
 
     def make(section: Section, run: Run) -> SectionTables:
@@ -101,7 +101,7 @@ def _track(section: Section, trainset: Trainset) -> Track:
 @lru_cache(maxsize=8)
 def table_cache(perception: PolicyInterface | None) -> TableCache:
     """This worker's cache of the tables of a policy interface, or (None) of protection."""
-    return TableCache(guard_tables if perception is None else seen_tables(perception))
+    return TableCache(guard_tables if perception is None else make_feature_tables(perception))
 
 
 def stack_tables(tables: Sequence[SectionTables], nodes: Sequence[int], slots: int) -> SectionTables:

@@ -184,19 +184,19 @@ def _start(
     ranges = case.disturbance.ranges.values()
     if any(low < high for low, high in ranges) or key not in settings:
         settings.clear()
-        settings[key] = _setting(campaign, case)
+        settings[key] = _make_setting(campaign, case)
     setting = settings[key]
     result |= setting.known | {"seed": seed}
     return CompiledStart(case, replace(setting.run, seed=seed), setting, result, timing)
 
 
-def _setting(campaign: Campaign, case: CampaignCase) -> Setting:
+def _make_setting(campaign: Campaign, case: CampaignCase) -> Setting:
     known: dict[str, Any] = {}
     request, run = prepare_run(campaign, case, known)
     section, restricted_at, news = run.section, float("inf"), (float("inf"), run.scheduled_time_s)
     for item in run.disturbance.updates:
         if item.restriction is not None:
-            section, restricted_at = section.restricted(item.restriction), item.at_s
+            section, restricted_at = section.with_restriction(item.restriction), item.at_s
         if item.scheduled_time_s is not None:
             news = item.at_s, item.scheduled_time_s
     trainset, bounds = run.disturbance.true_plant(run.trainset), declared_bounds(run)

@@ -180,7 +180,7 @@ def _trainsets(path: Path, wanted: list[str], loads: list[str] | str) -> tuple[t
         try:
             trainset = load_trainset(place)
             named = list(trainset.loads) if isinstance(loads, str) else loads
-            found += [(place, trainset.loaded(load).load) for load in named]
+            found += [(place, trainset.with_load(load).load) for load in named]
         except InputError as error:
             raise _at(path, "matrix.trainsets", error) from None
     return _once(found)

@@ -107,7 +107,7 @@ def report(request: RunSpec, entries: Sequence[Entry], seeds: int) -> None:
     """Print the comparison."""
     from metropilot.evaluate import best
 
-    known = request.resolved()
+    known = request.resolve()
     where = f"{known.line} {known.origin} → {known.destination}, {known.trainset} {known.load}"
     title = f"{where}, scheduled {known.time_s:g} s" + (f", {seeds} seeds" if seeds > 1 else "")
     winners = {name: best(entries, name) for name, *_ in SHOWN}

@@ -23,14 +23,14 @@ def lines(incomplete: str) -> list[str]:
     """Ids of lines."""
     from metropilot.railway import list_lines
 
-    return _matching(list_lines(), incomplete)
+    return _match(list_lines(), incomplete)
 
 
 def trainsets(incomplete: str) -> list[str]:
     """Ids of trainsets."""
     from metropilot.railway import list_trainsets
 
-    return _matching(list_trainsets(), incomplete)
+    return _match(list_trainsets(), incomplete)
 
 
 def stations(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -50,14 +50,14 @@ def drivers(incomplete: str) -> list[str]:
     from metropilot.drivers import DRIVERS
 
     done, comma, last = incomplete.rpartition(",")
-    return [f"{done}{comma}{key}" for key in _matching(DRIVERS.ids(), last)]
+    return [f"{done}{comma}{key}" for key in _match(DRIVERS.ids(), last)]
 
 
 def followers(incomplete: str) -> list[str]:
     """Ids of the drivers of followers."""
     from metropilot.convoy import FOLLOWERS
 
-    return _matching(FOLLOWERS.ids(), incomplete)
+    return _match(FOLLOWERS.ids(), incomplete)
 
 
 def showable(incomplete: str) -> list[str]:
@@ -70,8 +70,8 @@ def studies(incomplete: str) -> list[str]:
     """Ids of studies."""
     from metropilot.studies import STUDIES
 
-    return _matching(STUDIES.ids(), incomplete)
+    return _match(STUDIES.ids(), incomplete)
 
 
-def _matching(keys: Iterable[str], incomplete: str) -> list[str]:
+def _match(keys: Iterable[str], incomplete: str) -> list[str]:
     return [key for key in keys if key.startswith(incomplete)]

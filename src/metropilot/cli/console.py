@@ -148,7 +148,7 @@ def citations(out: Console, title: str, source: Mapping[str, str]) -> None:
 
 
 @contextmanager
-def working(what: str) -> Iterator[None]:
+def show_activity(what: str) -> Iterator[None]:
     """Show an activity indicator on a terminal's error stream."""
     if not sys.stderr.isatty():
         yield

@@ -11,7 +11,7 @@ import typer
 
 from metropilot._schema import FieldSpec, field_default, field_specs, field_type
 from metropilot.cli import options as opt
-from metropilot.cli.console import console, number, print_json, requirements, table, working
+from metropilot.cli.console import console, number, print_json, requirements, table, show_activity
 from metropilot.convoy import ConvoyRequest, Link
 from metropilot.errors import InputError, rename_fields
 from metropilot.sim import Disturbance
@@ -90,13 +90,13 @@ def run_and_report(request: ConvoyRequest, out: Path | None, *, as_json: bool) -
 
     if out is not None:
         check_writable(out)
-    with working(f"driving {request.count} trainsets with {request.follower}"):
+    with show_activity(f"driving {request.count} trainsets with {request.follower}"):
         convoy, follower = request.convoy(), request.make_follower()
         scheduled = request.scheduled_time_s(convoy)
         drive = request.drive(convoy, follower)
         kpis = convoy_kpis(drive, scheduled)
     if out is not None:
-        with working(f"writing {out}"):
+        with show_activity(f"writing {out}"):
             write_convoy(out, request, drive, kpis)
     if as_json:
         print_json(kpis.as_dict())
@@ -109,7 +109,7 @@ def run_and_report(request: ConvoyRequest, out: Path | None, *, as_json: bool) -
 
 def report(request: ConvoyRequest, kpis: ConvoyKpis) -> None:
     """Print the convoy."""
-    out, known = console(), request.head.resolved()
+    out, known = console(), request.head.resolve()
     where = (
         f"{known.line} {known.origin} → {known.destination}, {request.count} x {known.trainset} {known.load}"
     )

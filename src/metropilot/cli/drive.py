@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from metropilot.cli import options as opt
-from metropilot.cli.console import console, number, print_json, requirements, table, working
+from metropilot.cli.console import console, number, print_json, requirements, show_activity, table
 from metropilot.errors import InputError
 from metropilot.units import KMH_PER_MPS
 
@@ -64,12 +64,12 @@ def run_and_report(request: RunSpec, out: Path | None, *, as_json: bool) -> int:
     if out is not None:
         check_writable(out)
     run, driver = request.run(), request.make_driver()
-    with working(f"driving {run.section.name} with {request.driver}"):
+    with show_activity(f"driving {run.section.name} with {request.driver}"):
         drive_ = drive(run, driver)
         optimum = optimum_of(drive_, request.objective)
         kpis = kpis_of(drive_, optimum, request.objective)
     if out is not None:
-        with working(f"writing {out}"):
+        with show_activity(f"writing {out}"):
             write_run(out, request, drive_, kpis, optimum)
     if as_json:
         print_json(kpis.as_dict())
@@ -85,7 +85,7 @@ def report(request: RunSpec, kpis: Kpis) -> None:
     from metropilot.evaluate import checks, verdict
 
     out = console()
-    known = request.resolved()
+    known = request.resolve()
     where = f"{known.line} {known.origin} → {known.destination}"
     out.print(
         f"{where}, {known.trainset} {known.load}, driver {known.driver}: {verdict(kpis)}",

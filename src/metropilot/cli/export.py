@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metropilot.cli import options as opt
-from metropilot.cli.console import console, print_json, table, working
+from metropilot.cli.console import console, print_json, show_activity, table
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def export_command(
         raise InputError("unknown format", field="to", value=to, allowed=", ".join(FORMATS))
     name, file = find_policy(what)
     path = out or Path(f"{name}.{to}")
-    with working(f"writing {path}"):
+    with show_activity(f"writing {path}"):
         report = export_onnx(file.policy, path, about=file.about)
     if as_json:
         print_json(asdict(report) | {"path": str(path), "policy": str(file.path)})

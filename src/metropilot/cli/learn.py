@@ -79,7 +79,7 @@ def learn_command(
     """
     from dataclasses import replace
 
-    from metropilot.learn import TeacherConfig, evaluation_of, new_request, resumed_request
+    from metropilot.learn import TeacherConfig, evaluation_of, new_request, resume_request
 
     if resume is not None:
         new = {"driver": driver, "task": task, "seed": seed, "steps": steps, "budget": budget, "out": out}
@@ -87,7 +87,7 @@ def learn_command(
         _check_unchanged(new | {"set": settings or None}, record)
         if record.status == "done":
             return report_done(store, record, as_json=as_json)
-        request = replace(resumed_request(record), tensorboard=tensorboard)
+        request = replace(resume_request(record), tensorboard=tensorboard)
         return learn_and_report(store, request, record, evaluation_of(request), as_json=as_json)
     if driver is None:
         from metropilot.learn import RECIPES
@@ -98,7 +98,7 @@ def learn_command(
         raise InputError("out of range", field="seed", value=seed, allowed="0 to 2^31 - 1")
     told = dict(map(parse_setting, settings or ())) | ({} if steps is None else {"steps": steps})
     command = shlex.join(
-        ["metropilot", "learn", driver, *_given_options(task, budget, steps, seed, settings)]
+        ["metropilot", "learn", driver, *_policy_options(task, budget, steps, seed, settings)]
     )
     request = new_request(driver, budget=budget, task=task, seed=seed, command=command, **told)
     request = replace(request, tensorboard=tensorboard)
@@ -111,7 +111,7 @@ def learn_command(
     return learn_and_report(store, request, record, evaluate, as_json=as_json)
 
 
-def _given_options(
+def _policy_options(
     task: str | None, budget: str, steps: int | None, seed: int, settings: list[str] | None
 ) -> list[str]:
     """Options that were given and that change the learned policy."""

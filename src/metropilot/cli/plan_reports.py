@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from metropilot._io import fill_folder, write_json
-from metropilot.cli.console import console, number, print_json, table, working
+from metropilot.cli.console import console, number, print_json, show_activity, table
 from metropilot.errors import InputError
 from metropilot.planning import (
     JourneyPlan,
@@ -57,7 +57,7 @@ def run(asked: PlanArguments, section: Section, time_s: float | None) -> int:
         raise InputError(
             f"the line plans no running time for {section.name}; give one", field="time_s", allowed="> 0 s"
         )
-    with working(f"planning {section.name}"):
+    with show_activity(f"planning {section.name}"):
         fastest = minimum_running_time(section, asked.trainset)
         check_running_time(time_s, fastest)
         plan = optimal_plan(section, asked.trainset, time_s, asked.options)
@@ -166,7 +166,7 @@ def front(asked: PlanArguments, section: Section) -> int:
     """Optimal energy over running time."""
     from metropilot.evaluate import front_figure
 
-    with working(f"planning {section.name} at twelve running times"):
+    with show_activity(f"planning {section.name} at twelve running times"):
         found = time_energy_front(section, asked.trainset, options=asked.options)
         usual = section.planned_time_s
         if usual is not None and not found.time_s[0] <= usual <= found.time_s[-1]:
@@ -224,7 +224,7 @@ def timetable(asked: PlanArguments, line: Line, path: Path) -> int:
     """A journey with the timing points of a file."""
     wanted = load_journey(path)
     ends = [_station_at(line, point.position_m, path) for point in (wanted.points[0], wanted.points[-1])]
-    with working(f"planning the journey {wanted.id}"):
+    with show_activity(f"planning the journey {wanted.id}"):
         found = plan_journey(
             line,
             asked.trainset,
@@ -256,7 +256,7 @@ def journey(
     """The line's timetable, or its stations within a total time."""
     origin, destination = ends or (line.stations[0], line.stations[-1])
     waypoints = timetable_waypoints(line, origin, destination, total_s=total_s)
-    with working(f"planning {origin.code} to {destination.code}"):
+    with show_activity(f"planning {origin.code} to {destination.code}"):
         found = plan_journey(
             line, asked.trainset, waypoints, asked.options, origin=origin, destination=destination
         )

@@ -313,7 +313,7 @@ class AttackArena:
 
         case = self._draw(jax.random.fold_in(key, 0))
 
-        def chosen(k: Array, memory: Array, last: Array) -> Choice:
+        def choose(k: Array, memory: Array, last: Array) -> Choice:
             mine = jax.random.fold_in(key, k + 1)
             draw = jax.random.uniform(mine, (self.campaign.count, 4), jnp.float32)
             luck = draw[:, :2]
@@ -322,7 +322,7 @@ class AttackArena:
                 luck = jnp.concatenate([luck, error], axis=1)
             return luck, lambda seen: self._shares(case, seen, memory, last, draw)
 
-        return self.run_case(case, chosen)
+        return self.run_case(case, choose)
 
     def run_case(self, case: AttackCase, chosen: Chosen) -> tuple[Array, ...]:
         """Run one attack to its end (JAX); returns the fields of :class:`Tally`, 0-d.

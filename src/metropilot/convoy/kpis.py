@@ -296,7 +296,7 @@ def write_convoy(folder: Path, request: ConvoyRequest, drive: ConvoyDrive, kpis:
         for k, trajectory in enumerate(drive.trajectories, 1):
             trajectory.write(scratch / f"trajectory-{k}.csv")
         write_json(scratch / "kpis.json", kpis.as_dict())
-        copied = replace(request, head=copy_inputs(scratch, request.head.resolved()))
+        copied = replace(request, head=copy_inputs(scratch, request.head.resolve()))
         write_json(scratch / "run.json", {"run": copied.values(), "made_with": provenance()})
         save_figure(convoy_figure(drive, kpis), scratch / "convoy")
 

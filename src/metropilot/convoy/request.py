@@ -87,7 +87,7 @@ class ConvoyRequest(ConvoySettings):
         )
         return Convoy(
             section=self.head.section(),
-            trainsets=(self.head.loaded(),) * self.count,
+            trainsets=(self.head.loaded_trainset(),) * self.count,
             dt=self.head.dt_s,
             **shared,
         )

@@ -166,7 +166,7 @@ class ConvoyRollout:
         """
         while self.pending and self.pending[0].at_s <= self.time_s:
             restriction = cast("Restriction", self.pending.pop(0).restriction)
-            self.convoy = replace(self.convoy, section=self.convoy.section.restricted(restriction))
+            self.convoy = replace(self.convoy, section=self.convoy.section.with_restriction(restriction))
             links = [member.link for member in self.members]
             members = convoy_members(self.convoy)
             self.members = tuple(m._replace(link=link) for m, link in zip(members, links, strict=True))

@@ -108,8 +108,10 @@ class DrivingConfig:
 
     def tables(self, dtype: type = np.float32, jobs: int = 1) -> SectionTables:
         """Build the tables of the cases (NumPy) in a number of processes; about 0.1 s a case."""
-        restricted = [(s, t) for section, t in self.cases for s in self.scenarios.restricted(section)]
-        bounded = [(s, t, self.scenarios.bounds(s, t, self.dt)) for s, t in (*self.cases, *restricted)]
+        restricted = [
+            (s, t) for section, t in self.cases for s in self.scenarios.restricted_sections(section)
+        ]
+        bounded = [(s, t, scenarios.bounds(s, t, self.dt)) for s, t in (*self.cases, *restricted)]
         return build_tables(bounded, self.spacing_m, dtype, jobs)
 
 

@@ -176,7 +176,7 @@ class DisturbanceDistribution:
         low, high = (declared_bounds(Run(section, trainset, 1.0, self.extreme(k), dt)) for k in (0, 1))
         return low.hull(high)
 
-    def restricted(self, section: Section) -> tuple[Section, ...]:
+    def restricted_sections(self, section: Section) -> tuple[Section, ...]:
         """Sections with each of the restrictions that may be announced; empty without restrictions."""
         if self.restriction <= 0:
             return ()
@@ -186,7 +186,7 @@ class DisturbanceDistribution:
             first = section.length_m * random.uniform(0.3, 0.75)
             last = min(first + random.uniform(80.0, 300.0), 0.95 * section.length_m)
             limit = float(section.limit_mps.value.max()) * random.uniform(0.4, 0.8)
-            found.append(section.restricted(Restriction(first, last, max(limit, 20.0 / KMH_PER_MPS))))
+            found.append(section.with_restriction(Restriction(first, last, max(limit, 20.0 / KMH_PER_MPS))))
         return tuple(found)
 
 

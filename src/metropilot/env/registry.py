@@ -18,7 +18,7 @@ from metropilot.railway import Section, Trainset, load_line, load_trainset
 
 def _loads(trainset: str = "dkz32") -> tuple[Trainset, ...]:
     loaded = load_trainset(trainset)
-    return tuple(loaded.loaded(load) for load in loaded.loads)
+    return tuple(loaded.with_load(load) for load in loaded.loads)
 
 
 def _one() -> tuple[Section, ...]:

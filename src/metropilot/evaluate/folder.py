@@ -74,14 +74,14 @@ def comparison_json(request: RunSpec, entries: Sequence[Entry]) -> dict[str, Any
         spread = {name: found._asdict() if (found := entry.interval(name)) else None for name in names}
         runs = [{"seed": d.run.seed, **k.as_dict()} for d, k in zip(entry.drives, entry.kpis, strict=True)]
         drivers.append({"driver": entry.driver, "successes": entry.successes, "kpis": spread, "runs": runs})
-    return {"run": request.resolved().values(), "drivers": drivers}
+    return {"run": request.resolve().values(), "drivers": drivers}
 
 
 def write_run_toml(folder: Path, request: RunSpec) -> None:
     """Write `run.toml` and copies of the line, trainset and policy files it names."""
     import tomli_w
 
-    table = {"run": copy_inputs(folder, request.resolved()).values(), "made_with": provenance()}
+    table = {"run": copy_inputs(folder, request.resolve()).values(), "made_with": provenance()}
     head = "# Drive it again: metropilot drive --from run.toml\n\n"
     (folder / "run.toml").write_text(head + tomli_w.dumps(table), encoding="utf-8")
 

@@ -58,10 +58,10 @@ class RunSpec:
         seed: Seed of all random draws.
     """
 
-    line: str = declared(MISSING, "Line: catalogue id or path to a .toml or .json file.")
-    origin: str = declared(MISSING, "Station of departure: code or name.")
-    destination: str = declared(MISSING, "Station of arrival: code or name.")
-    time_s: float | None = declared(
+    line: str = declare(MISSING, "Line: catalogue id or path to a .toml or .json file.")
+    origin: str = declare(MISSING, "Station of departure: code or name.")
+    destination: str = declare(MISSING, "Station of arrival: code or name.")
+    time_s: float | None = declare(
         None,
         "Running time; the line's planned time if not given.",
         unit="s",
@@ -69,28 +69,28 @@ class RunSpec:
         above=True,
         option="time",
     )
-    trainset: str = declared("dkz32", "Trainset: catalogue id or path, with its load as ID:LOAD.")
-    load: str | None = declared(None, "Load aboard, e.g. AW2.")
-    driver: str = declared("optimal", "Driver id; see `metropilot drivers`.")
+    trainset: str = declare("dkz32", "Trainset: catalogue id or path, with its load as ID:LOAD.")
+    load: str | None = declare(None, "Load aboard, e.g. AW2.")
+    driver: str = declare("optimal", "Driver id; see `metropilot drivers`.")
     options: Mapping[str, Any] = field(
         default_factory=dict,
         metadata={FieldSpec: FieldSpec("Option of the driver; repeatable.", option="set", form="NAME=VALUE")},
     )
     disturbance: Disturbance = field(default_factory=Disturbance)
-    restrictions: tuple[Restriction, ...] = declared(
+    restrictions: tuple[Restriction, ...] = declare(
         (),
         "Temporary speed restriction, m from the origin and 5 to 400 km/h; @T: announced T s after "
         "departure.",
         option="restriction",
         form="FROM-TO@KMH[@T]",
     )
-    objective: Objective = declared(  # noqa: RUF009 (makes a field)
+    objective: Objective = declare(  # noqa: RUF009 (makes a field)
         "wheel", "Energy to minimise: wheel or line.", choices=OBJECTIVES
     )
     dt_s: float = field(
         default=CONTROL_PERIOD_S, metadata={FieldSpec: replace(field_specs(Run)["dt"], option="dt")}
     )
-    seed: int = declared(0, "Seed of everything random.", low=0, high=2**63 - 1, label="Seed", step=1.0)
+    seed: int = declare(0, "Seed of everything random.", low=0, high=2**63 - 1, label="Seed", step=1.0)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -141,7 +141,7 @@ class RunSpec:
         found["options"] = dict(self.options)
         return {key: value for key, value in found.items() if value is not None}
 
-    def loaded(self) -> Trainset:
+    def loaded_trainset(self) -> Trainset:
         """The nominal trainset with its load."""
         return load_trainset(self.trainset, self.load)
 
@@ -150,7 +150,7 @@ class RunSpec:
         section = line_section = self.open_section()
         with rename_fields({"restriction": "restrictions"}):
             for restriction in self.restrictions:
-                section = section.restricted(line_section.check_restriction(restriction))
+                section = section.with_restriction(line_section.check_restriction(restriction))
         return section
 
     def open_section(self) -> Section:
@@ -169,7 +169,7 @@ class RunSpec:
             Infeasible: The scheduled time is below the minimum running time, which the message names. A
                 temporary restriction that costs more than the reserve is no such case: the run will be late.
         """
-        section, open_section, trainset = self.section(), self.open_section(), self.loaded()
+        section, open_section, trainset = self.section(), self.open_section(), self.loaded_trainset()
         time_s = self.time_s if self.time_s is not None else section.planned_time_s
         if time_s is None:
             words = f"the line plans no running time for {section.name}; give one"
@@ -203,9 +203,9 @@ class RunSpec:
             told.setdefault("objective", self.objective)
         return make_driver(self.driver, told)
 
-    def resolved(self) -> RunSpec:
+    def resolve(self) -> RunSpec:
         """The same run with station codes, load and time filled in, and options separated from the driver."""
-        section, trainset = self.section(), self.loaded()
+        section, trainset = self.section(), self.loaded_trainset()
         time_s = self.time_s if self.time_s is not None else section.planned_time_s
         origin, destination = section.origin.code, section.destination.code
         trainset_id = self.trainset.removesuffix(f":{trainset.load}")

@@ -38,7 +38,7 @@ from .recipes import Recipe as Recipe
 from .recipes import evaluation_of as evaluation_of
 from .recipes import new_request as new_request
 from .recipes import recipe as recipe
-from .recipes import resumed_request as resumed_request
+from .recipes import resume_request as resume_request
 from .run_store import CHECKPOINT_FILE as CHECKPOINT_FILE
 from .run_store import HISTORY_FILE as HISTORY_FILE
 from .run_store import INDEX_FILE as INDEX_FILE

@@ -97,7 +97,7 @@ class DrivingEvaluation:
         state, seen = jax.vmap(task.begin)(self._starts(key))
         alive = jnp.ones(grid.case.shape, bool)
 
-        def going(carry: Any) -> Array:
+        def keep_going(carry: Any) -> Array:
             return jnp.any(carry[2])
 
         def one(carry: Any) -> Any:
@@ -115,7 +115,7 @@ class DrivingEvaluation:
             )
 
         first = (state, seen.astype(jnp.float32), alive, jnp.zeros((), jnp.uint32))
-        state = jax.lax.while_loop(going, one, first)[0]
+        state = jax.lax.while_loop(keep_going, one, first)[0]
         episode = jax.vmap(lambda one: episode_of(task, one))(state)
         late = episode.running_time_s - episode.scheduled_s
         time_s, energy_j = (jnp.asarray(curve, jnp.float32)[self.row] for curve in self.curves)

@@ -119,7 +119,7 @@ def new_request(
     return _request(driver, row.configuration(budget, **settings), task or row.task, seed, command)
 
 
-def resumed_request(record: RunRecord) -> RunRequest:
+def resume_request(record: RunRecord) -> RunRequest:
     """Request to go on with a run, for :func:`metropilot.learn.train.learn_run`.
 
     Raises:
@@ -167,12 +167,12 @@ def recipe(driver: str) -> Recipe:
         InputError: There is none (the nearest is named).
     """
     if driver not in RECIPES:
-        words = f"no recipe for this driver{_learned_by(driver) or did_you_mean(driver, RECIPES)}"
+        words = f"no recipe for this driver{_learner_of(driver) or did_you_mean(driver, RECIPES)}"
         raise InputError(words, field="driver", value=driver, allowed=", ".join(RECIPES))
     return RECIPES.get(driver)
 
 
-def _learned_by(driver: str) -> str:
+def _learner_of(driver: str) -> str:
     """Call that learns a driver without a recipe, as the file shipped with it says."""
     path = shipped_policy(driver)
     if not (driver.isidentifier() and path.is_file()):

@@ -328,7 +328,7 @@ def _learn(
     write_history(folder / HISTORY_FILE, learned.history)
     finite = learned.score if math.isfinite(learned.score) else None
     steps = int(learned.history["steps"][-1])
-    kpis = kpis_kept(learned.history, request.config.keep)
+    kpis = select_kpis(learned.history, request.config.keep)
     record = replace(
         record,
         status="done",
@@ -380,7 +380,7 @@ EVALUATION = "evaluation."
 """Prefix of an evaluation's columns."""
 
 
-def kpis_kept(history: Mapping[str, np.ndarray], keep: str) -> dict[str, float]:
+def select_kpis(history: Mapping[str, np.ndarray], keep: str) -> dict[str, float]:
     """KPIs of the policy kept, from the history of its learning; those that are not finite left out.
 
     Args:

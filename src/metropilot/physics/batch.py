@@ -3,7 +3,7 @@
 A different section, trainset or load is only different numbers in arrays of the same shape, so
 :func:`rollout_batch` compiles once for all of them::
 
-    vehicles, tracks = grid(line.sections(), [trainset.loaded(load) for load in trainset.loads])
+    vehicles, tracks = grid(line.sections(), [trainset.with_load(load) for load in trainset.loads])
     states = stack([at_rest(vehicle)] * batch_size(vehicles))
     final, speeds = rollout_batch(*to_jax((vehicles, tracks, states)), shares, 0.1, record=speed_of)
 

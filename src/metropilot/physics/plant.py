@@ -23,7 +23,7 @@ def euler(acceleration: Acceleration, x: Scalar, v: Scalar, dt: Scalar) -> tuple
     return v * dt, v + acceleration(x, v) * dt
 
 
-def held(acceleration: Acceleration, x: Scalar, v: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
+def hold_acceleration(acceleration: Acceleration, x: Scalar, v: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
     """Constant acceleration over the step, order 1, exact where it is constant (Chen23a eq. 15)."""
     after = v + acceleration(x, v) * dt
     return 0.5 * (v + after) * dt, after
@@ -51,7 +51,7 @@ def rk4(acceleration: Acceleration, x: Scalar, v: Scalar, dt: Scalar) -> tuple[S
 
 
 INTEGRATORS: Mapping[str, Integrator] = MappingProxyType(
-    {"euler": euler, "held": held, "heun": heun, "rk4": rk4}
+    {"euler": euler, "held": hold_acceleration, "heun": heun, "rk4": rk4}
 )
 
 

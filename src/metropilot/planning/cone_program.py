@@ -355,7 +355,7 @@ def _jerk_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray], energ
     time = 2 * ds / np.maximum(speed[1:] + speed[:-1], 0.05)
     room = jerk * 0.5 * (time[1:] + time[:-1])
     if p.release_mps3 is not None and p.end_mps == 0:
-        room[_releasing(p)] *= p.release_mps3 / jerk
+        room[_brake_release_rows(p)] *= p.release_mps3 / jerk
     standing = np.isin(np.arange(1, ds.size), p.mesh.stop[p.cap_mps[p.mesh.stop] == 0.0])
     here, there = np.flatnonzero(~standing), np.flatnonzero(~standing) + 1
     change = [
@@ -382,7 +382,7 @@ def _jerk_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray], energ
         rows.add([(e[1:2], -1 / ds[:1]), (e[:1], 1 / ds[:1])], -p.start_mps2 + jerk * time[lead], 1)
 
 
-def _releasing(p: Programme) -> ndarray:
+def _brake_release_rows(p: Programme) -> ndarray:
     """Changes of acceleration that lie where the brake is let go before the last stop."""
     rate = min(p.table.deceleration, float(p.table.braking[0]))
     stretch = rate**3 / (6.0 * float(p.release_mps3 or 1.0) ** 2)

@@ -32,10 +32,10 @@ def permitted_braking(
     vehicle, mass = protection.vehicle, protection.vehicle.effective_mass_kg
     weight = _weight_n(protection, track, position_m)
 
-    def braking(speed: ndarray) -> ndarray:
+    def brake(speed: ndarray) -> ndarray:
         return (weight + davis_n(vehicle, speed)) / mass - deceleration_mps2
 
-    return _highest(protection, protection.rates, protection.emergency, position_m, braking)
+    return _highest(protection, protection.rates, protection.emergency, position_m, brake)
 
 
 def permitted_before_service(
@@ -55,10 +55,10 @@ def permitted_before_service(
     vehicle, mass = protection.vehicle, protection.vehicle.effective_mass_kg
     weight = _weight_n(protection, track, position_m)
 
-    def holding(speed: ndarray) -> ndarray:
+    def hold(speed: ndarray) -> ndarray:
         return (weight + davis_n(vehicle, speed)) / mass
 
-    return _highest(protection, protection.service_rates, protection.service, position_m, holding)
+    return _highest(protection, protection.service_rates, protection.service, position_m, hold)
 
 
 def _weight_n(protection: Protection, track: Track, position_m: ndarray) -> ndarray:

@@ -227,11 +227,11 @@ def _permitted_curve(
     distance = (field.node_m[1] - field.node_m[0]) * np.arange(ahead)
     weight = np.maximum(bounds.mass[0] * field.weight_n, bounds.mass[1] * field.weight_n)
 
-    def holding(speed: ndarray) -> ndarray:
+    def hold(speed: ndarray) -> ndarray:
         needed = weight + bounds.resistance[1] * davis_n(vehicle, speed)
         return needed / vehicle.effective_mass_kg
 
-    speed = highest_speed(vehicle, rates, windows, distance, pull, holding)
+    speed = highest_speed(vehicle, rates, windows, distance, pull, hold)
     return -sliding_max(-np.append(speed[:-1], 0.0), 1, 2)[:count]
 
 

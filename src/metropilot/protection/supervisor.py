@@ -159,7 +159,7 @@ class CommandCheck:
         return Brake(rates, ahead, pull, fastest(self.protection.vehicle, rates, self.speed_mps, pull))
 
     def _in_time(self, brake: Brake, share: Scalar, margin_mps: Scalar) -> Scalar:
-        acting = self.xp.maximum(acceleration(brake.forces, self.kept(share)), self.fading)
+        acting = self.xp.maximum(acceleration(brake.forces, self.share_bound(share)), self.fading)
         speed = self.speed_mps + brake.rates.speed_error_mps + margin_mps
         return self.measured & stays_under(
             brake.rates, brake.curve, self.distance_m, speed, acting, brake.pull_mps2
@@ -181,19 +181,19 @@ class CommandCheck:
     def least_gap(self, ahead: TrainAhead, share: Scalar, margin_mps: Scalar) -> Scalar:
         """Smallest gap to come if a command passes now and both brake as hard as they must thereafter."""
         rates = self.worst.rates
-        acting = self.xp.maximum(acceleration(self.worst.forces, self.kept(share)), self.fading)
+        acting = self.xp.maximum(acceleration(self.worst.forces, self.share_bound(share)), self.fading)
         speed = self.speed_mps + rates.speed_error_mps + margin_mps
         motion = brake_motion(speed, acting, rates.reaction_s, rates.jerk_mps3, ahead.bounds.held_mps2)
         return least_gap(ahead, self.position_m, motion)
 
-    def kept(self, share: Scalar) -> Scalar:
+    def share_bound(self, share: Scalar) -> Scalar:
         """Upper bound on the share in effect from now on, after dead time and lag."""
         newest = self.xp.maximum(share, self.older)
         return newest + self.xp.maximum(self.memory.share - newest, 0.0) * self.protection.fading.share
 
     def effect(self, share: Scalar) -> tuple[Scalar, Scalar]:
         """Upper bounds on the share in effect and on the acceleration over the coming period."""
-        kept = self.kept(share)
+        kept = self.share_bound(share)
         return kept, self.xp.maximum(acceleration(self.worst.forces, kept), self.fading)
 
 

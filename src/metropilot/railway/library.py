@@ -153,7 +153,7 @@ def load_trainset(id_or_path: str | Path, load: str | None = None) -> Trainset:
     if colon and (head in list_trainsets() or head.lower().endswith((".toml", ".json"))):
         key, load = head, load or tail
     trainset = _load(key, "trainsets", "trainset", Trainset)
-    return trainset if load is None else trainset.loaded(load)
+    return trainset if load is None else trainset.with_load(load)
 
 
 def load_journey(id_or_path: str | Path) -> Journey:

@@ -158,7 +158,7 @@ class Section:
             )
         return restriction
 
-    def restricted(self, restriction: Restriction) -> Section:
+    def with_restriction(self, restriction: Restriction) -> Section:
         """The section with one more temporary speed restriction in force."""
         limit = self.limit_mps.lower(restriction.from_m, restriction.to_m, restriction.limit_mps)
         return replace(self, limit_mps=limit, restrictions=(*self.restrictions, restriction))

@@ -96,7 +96,7 @@ class Couplers:
 
 @dataclass(frozen=True)
 class Trainset:
-    """A trainset with one load aboard; :meth:`loaded` gives the same vehicle with another.
+    """A trainset with one load aboard; :meth:`with_load` gives the same vehicle with another.
 
     Attributes:
         id: Catalogue id or file stem.
@@ -203,7 +203,7 @@ class Trainset:
         """Mass including the rotating share."""
         return self.mass_kg * (1.0 + self.rotating_fraction)
 
-    def loaded(self, load: str) -> Trainset:
+    def with_load(self, load: str) -> Trainset:
         """The same trainset with another of its loads.
 
         Raises:

@@ -265,7 +265,7 @@ class Rollout:
             if update.scheduled_time_s is not None:
                 self.params = self.params._replace(scheduled_s=update.scheduled_time_s)
             if update.restriction is not None:
-                self.enter(self.section.restricted(update.restriction))
+                self.enter(self.section.with_restriction(update.restriction))
 
     @property
     def protection(self) -> Protection:

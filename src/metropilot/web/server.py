@@ -61,7 +61,7 @@ def make_api(service: Service) -> FastAPI:
         lives = sum(not session.over for session in service.sessions.values())
         return {
             "version": metropilot.__version__,
-            "jobs_running": service.store.waiting(),
+            "jobs_running": service.store.count_waiting(),
             "live_runs": lives,
         }
 

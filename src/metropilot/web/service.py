@@ -66,14 +66,14 @@ class Service:
 
     async def open(self) -> None:
         """Mark unfinished jobs of an earlier server as interrupted and start the workers."""
-        for job in self.store.unfinished():
+        for job in self.store.list_unfinished():
             words = "the server was restarted; it can be resumed"
             self.store.update(job.id, status="interrupted", words=words)
             if job.kind == "learn" and job.run:
                 self._mark_run(job.run)
         self.pools.start()
         self.spare = start_spare(self.settings.worker_bytes)
-        self._watch = asyncio.create_task(self._watching())
+        self._watch = asyncio.create_task(self._watch_live())
 
     async def close(self) -> None:
         """End every process; interrupted jobs can be resumed."""
@@ -186,7 +186,7 @@ class Service:
             InputError: The job is not possible.
             Refused: Too many jobs wait (429).
         """
-        if self.store.waiting() >= self.settings.queued_jobs:
+        if self.store.count_waiting() >= self.settings.queued_jobs:
             raise Refused("too many jobs wait", 429)
         if isinstance(asked, LearnIn):
             self._check_learning(asked)
@@ -448,7 +448,7 @@ class Service:
         for key in over[: max(len(over) - FORGET, 0)]:
             del self.sessions[key]
 
-    async def _watching(self) -> None:
+    async def _watch_live(self) -> None:
         """Stop abandoned live runs for as long as the server runs."""
         while True:
             await asyncio.sleep(10.0)

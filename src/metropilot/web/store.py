@@ -111,11 +111,11 @@ class JobStore:
         where = "WHERE kind = ?" if kind else "WHERE ? = ''"
         return self._jobs(f"{where} ORDER BY created DESC, id DESC LIMIT ?", (kind or "", limit))
 
-    def unfinished(self) -> list[JobRow]:
+    def list_unfinished(self) -> list[JobRow]:
         """Jobs with status ``queued`` or ``running``, the oldest first."""
         return self._jobs("WHERE status IN ('queued', 'running') ORDER BY created", ())
 
-    def waiting(self) -> int:
+    def count_waiting(self) -> int:
         """Number of jobs that wait or run, without live runs."""
         with self._open() as database:
             sql = "SELECT count(*) FROM jobs WHERE status IN ('queued', 'running') AND kind != 'live'"

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
 from metropilot._typing import Array, Flag, Index, Scalar
 from metropilot.control import (
@@ -148,13 +148,13 @@ def _forth(now: _Moving, joule: Scalar) -> tuple[_Moving, Scalar]:
 
 
 def _back(joule: Scalar, worth: _Moving) -> tuple[_Moving, Scalar]:
-    def kept(path: tuple[Any, ...], value: Float[Array, "..."]) -> Float[Array, "..."]:
+    def clip_worth(path: tuple[Any, ...], value: Shaped[Array, "..."]) -> Shaped[Array, "..."]:
         if value.dtype == jax.dtypes.float0:
             return value
         most = WORTH.get(path[-1].name, 0.0) * joule
         return jnp.clip(jnp.nan_to_num(value, posinf=0.0, neginf=0.0), -most, most)
 
-    return jax.tree_util.tree_map_with_path(kept, worth), jnp.zeros_like(joule)
+    return jax.tree_util.tree_map_with_path(clip_worth, worth), jnp.zeros_like(joule)
 
 
 within_worth.defvjp(_forth, _back)
@@ -215,7 +215,7 @@ class ClosedLoop:
             self.rows,
             begin.case,
             case,
-            stop_mps2=self._planned(begin, case, at),
+            stop_mps2=self._stop_deceleration(begin, case, at),
             time_s=plant.time_s,
             position_m=at,
             speed_mps=plant.speed_mps,
@@ -247,7 +247,7 @@ class ClosedLoop:
         fresh = now.run._replace(plant=plant._replace(traction_j=jnp.zeros_like(plant.traction_j)))
         run, _, _ = control_period(params_of_run, fresh, None, choose, rule=NEVER_ENDS)
         reached = run.plant._replace(speed_mps=jnp.maximum(run.plant.speed_mps, SLOWEST_MPS))
-        planned = self._planned(begin, case, reached.position_m)
+        planned = self._stop_deceleration(begin, case, reached.position_m)
         curve = curve_for(vehicle, dt, planned, stop_options(self.assists.release))
         v, jerk = reached.speed_mps, jnp.minimum(vehicle.jerk_mps3, AT_ONCE_MPS3)
         quick, gone_m, build_s = build_up(v, reached.acceleration_mps2, planned, jerk)
@@ -262,6 +262,6 @@ class ClosedLoop:
             done=left <= distance,
         )
 
-    def _planned(self, begin: Begin, case: SectionTables, position_m: Array) -> Array:
+    def _stop_deceleration(self, begin: Begin, case: SectionTables, position_m: Array) -> Array:
         """Deceleration the station stop is planned with from a position, m/s^2."""
         return self.assists.planned_mps2(self.rows, begin.case, case.stop_mps2, position_m)

@@ -107,7 +107,7 @@ class DemonstrationGenerator:
         )
         return plan_arrays(self.case.vehicle, self.case.track, left_s, options)
 
-    def observed(
+    def observe(
         self,
         time_s: Float[ndarray, " states"],
         position_m: Float[ndarray, " states"],
@@ -178,7 +178,7 @@ class DemonstrationGenerator:
             plan.second_w / mass,
         )
         commands = self.commands(plan, x).astype(np.float32)
-        return Demonstrations(self.observed(begun_s + at, x, v), commands, np.array([begin]))
+        return Demonstrations(self.observe(begun_s + at, x, v), commands, np.array([begin]))
 
 
 def collect_demonstrations(

@@ -49,7 +49,7 @@ class Column:
 _SHOWN = 60
 
 
-def shown(value: object) -> str | int | float:
+def format_value(value: object) -> str | int | float:
     """A value short enough for one line: plain numbers as they are, everything else as text."""
     text = value if isinstance(value, str) else repr(value)
     if len(text) > _SHOWN:
@@ -93,7 +93,7 @@ class Node:
         unit: str | None = None,
     ) -> InputError:
         """The error to raise about a key."""
-        given = None if value is None else shown(value)
+        given = None if value is None else format_value(value)
         return InputError(
             problem, file=self.file, field=self.at(key), value=given, unit=unit, allowed=allowed
         )
@@ -111,7 +111,7 @@ class Node:
         self._read.add(key)
         return self.data.get(key)
 
-    def need(self, key: str, allowed: str) -> object:
+    def require(self, key: str, allowed: str) -> object:
         """The raw value of a key that must be there."""
         value = self.get(key)
         if value is None:
@@ -120,7 +120,7 @@ class Node:
 
     def table(self, key: str) -> Node:
         """A table that must be there."""
-        value = self.need(key, "a table")
+        value = self.require(key, "a table")
         if not isinstance(value, Mapping):
             raise self.fail("must be a table", key, value, "a table")
         return Node(value, self.file, self.at(key))
@@ -134,7 +134,7 @@ class Node:
         value = self.get(key)
         if value is None and default is not None:
             return list(default)
-        value = self.need(key, "a list")
+        value = self.require(key, "a list")
         if not isinstance(value, list):
             raise self.fail("must be a list", key, value, "a list")
         return value
@@ -144,7 +144,7 @@ class Node:
         value = self.get(key)
         if value is None and default is not None:
             return default
-        value = self.need(key, allowed)
+        value = self.require(key, allowed)
         if not isinstance(value, str):
             raise self.fail("must be text", key, value, allowed)
         if not value.strip() and value != default:
@@ -196,7 +196,7 @@ class Node:
         if value is None and default is not None:
             return default
         of = self.unit(unit_name or key, kind)
-        self.need(key, bounds.words(of))
+        self.require(key, bounds.words(of))
         return self.number(value, key, of, bounds)
 
     def number(self, value: object, where: str, of: Unit | None, bounds: Range) -> float:
@@ -222,7 +222,7 @@ class Node:
             problem,
             file=self.file,
             field=self.at(where),
-            value=shown(value),
+            value=format_value(value),
             unit=of.name if of else None,
             allowed=bounds.words(of),
         )
@@ -254,7 +254,7 @@ class Node:
             table.append(cells)
         return np.array(table, dtype=np.float64).reshape(len(table), len(columns))
 
-    def increasing(self, values: Sequence[float], where: str, of: Unit) -> None:
+    def check_increasing(self, values: Sequence[float], where: str, of: Unit) -> None:
         """Check that positions or speeds increase; ``where`` is a pattern with ``{}`` for the index."""
         for index, (before, after) in enumerate(pairwise(values), start=1):
             if not after > before:

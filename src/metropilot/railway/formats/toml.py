@@ -72,7 +72,7 @@ class Document:
 
     def block(self, name: str) -> Node:
         """A block that must be there."""
-        self.root.need(name, "a table")
+        self.root.require(name, "a table")
         block = self.optional(name)
         if block is None:
             raise self.root.fail("missing", name, allowed="a table")
@@ -162,13 +162,15 @@ def _stations(block: Node) -> tuple[Station, ...]:
             Station(
                 code=node.text("code"),
                 name=node.text("name"),
-                position_m=node.number(node.need("position", f"a number of {of.name}"), "position", of, ANY),
+                position_m=node.number(
+                    node.require("position", f"a number of {of.name}"), "position", of, ANY
+                ),
                 pinyin=node.text("pinyin", ""),
                 local_name=node.text("local_name", ""),
             )
         )
         node.close()
-    block.increasing([s.position_m for s in stations], "list[{}].position", of)
+    block.check_increasing([s.position_m for s in stations], "list[{}].position", of)
     return tuple(stations)
 
 
@@ -197,11 +199,11 @@ def steps(block: Node, position: str, value: Column) -> Steps:
     Raises:
         InputError: No row, a bad cell, or positions that do not increase.
     """
-    table = placed_rows(block, position, value)
+    table = position_rows(block, position, value)
     return Steps(table[:, 0], table[:, 1])
 
 
-def placed_rows(block: Node, position: str, *values: Column) -> Float[ndarray, "rows columns"]:
+def position_rows(block: Node, position: str, *values: Column) -> Float[ndarray, "rows columns"]:
     """Rows of a table that has at least one, the first column an increasing position.
 
     Raises:
@@ -210,7 +212,7 @@ def placed_rows(block: Node, position: str, *values: Column) -> Float[ndarray, "
     table = block.rows("values", (Column(position, "length"), *values))
     if not len(table):
         raise block.fail("needs at least one row", "values", allowed="at least one row")
-    block.increasing(
+    block.check_increasing(
         [float(v) for v in table[:, 0]], f"values[{{}}].{position}", block.unit(position, "length")
     )
     return table
@@ -218,13 +220,13 @@ def placed_rows(block: Node, position: str, *values: Column) -> Float[ndarray, "
 
 def _curves(block: Node) -> tuple[Curve, ...]:
     if "radius" in block.table("units"):
-        rows = placed_rows(block, "from", Column("radius", "length", RADIUS))
+        rows = position_rows(block, "from", Column("radius", "length", RADIUS))
         arcs = [(float(a), curvature(float(r))) for a, r in rows]
         for index, (_, bend) in enumerate(arcs):
             check_curvature(block, f"values[{index}].radius", bend)
         return tuple(Curve(a, bend, bend) for a, bend in arcs)
     bend = Column("curvature", "curvature", CURVATURE)
-    return tuple(Curve(*(float(x) for x in row)) for row in placed_rows(block, "from", bend, bend))
+    return tuple(Curve(*(float(x) for x in row)) for row in position_rows(block, "from", bend, bend))
 
 
 def curvature(radius_m: float) -> float:
@@ -243,7 +245,7 @@ def check_curvature(block: Node, where: str, bend: float) -> None:
 def read_tunnels(block: Node, position: str, section: str) -> tuple[Tunnel, ...]:
     """Tunnels from rows of position, length and cross section."""
     length, area = Column("length", "length", POSITIVE), Column(section, "area", POSITIVE)
-    return tuple(Tunnel(*(float(x) for x in row)) for row in placed_rows(block, position, length, area))
+    return tuple(Tunnel(*(float(x) for x in row)) for row in position_rows(block, position, length, area))
 
 
 def line_document(line: Line) -> dict[str, Any]:

@@ -128,7 +128,7 @@ def _tunnel(block: Node) -> tuple[tuple[float, float], ...]:
         Column("tunnel", "force per speed squared", NOT_NEGATIVE),
     )
     rows = block.rows("tunnel", columns)
-    block.increasing(
+    block.check_increasing(
         [float(v) for v in rows[:, 0]], "tunnel[{}].cross_section", block.unit("cross_section", "area")
     )
     return tuple((float(area), float(force)) for area, force in rows)
@@ -147,8 +147,8 @@ def _efficiency(block: Node | None, key: str) -> Efficiency:
         name: [table.number(v, f"{name}[{i}]", to, bounds) for i, v in enumerate(table.items(name))]
         for name, to, bounds in (("speed", speed, NOT_NEGATIVE), ("effort_share", None, SHARE))
     }
-    table.increasing(axes["speed"], "speed[{}]", speed)
-    table.increasing(axes["effort_share"], "effort_share[{}]", of)
+    table.check_increasing(axes["speed"], "speed[{}]", speed)
+    table.check_increasing(axes["effort_share"], "effort_share[{}]", of)
     wanted = f"{len(axes['speed'])} rows (speeds) of {len(axes['effort_share'])} (effort shares)"
     rows = table.items("value")
     shapes_fit = all(isinstance(row, list) and len(row) == len(axes["effort_share"]) for row in rows)
@@ -188,7 +188,7 @@ def _safe_braking(block: Node | None) -> SafeBraking:
 def _couplers(block: Node | None) -> Couplers:
     if block is None:
         return Couplers()
-    vehicles = block.need("vehicles", "a whole number >= 1")
+    vehicles = block.require("vehicles", "a whole number >= 1")
     if isinstance(vehicles, bool) or not isinstance(vehicles, int) or not 1 <= vehicles <= 1000:
         raise block.fail("out of range", "vehicles", vehicles, "a whole number from 1 to 1000")
     default = Couplers()
@@ -251,7 +251,7 @@ def _from_zero(block: Node, speeds: list[float], where: str) -> None:
         )
     if speeds[0] != 0.0:
         raise block.fail("must begin at standstill", where.format(0), speeds[0], "0 m/s", "m/s")
-    block.increasing(speeds, where, block.unit("speed", "speed"))
+    block.check_increasing(speeds, where, block.unit("speed", "speed"))
 
 
 def _piece(block: Node, entry: object, where: str) -> EffortPiece:
@@ -259,7 +259,7 @@ def _piece(block: Node, entry: object, where: str) -> EffortPiece:
         raise block.fail("must be a table", where, entry, "{ from, polynomial, power, cap }")
     node = Node(entry, block.file, block.at(where))
     speed, force = block.unit("speed", "speed"), block.unit("force", "force")
-    begin = node.number(node.need("from", f"a number of {speed.name}"), "from", speed, NOT_NEGATIVE)
+    begin = node.number(node.require("from", f"a number of {speed.name}"), "from", speed, NOT_NEGATIVE)
     given = node.items("polynomial", default=())
     if len(given) > 4:
         raise node.fail("wrong length", "polynomial", given, "up to four coefficients, the constant first")

@@ -35,7 +35,7 @@ from metropilot.railway.formats.toml import (
     check_curvature,
     check_inside,
     curvature,
-    placed_rows,
+    position_rows,
     read_tunnels,
     steps,
 )
@@ -137,7 +137,7 @@ def read_track(root: Node, stem: str) -> Line:
     altitude, gradients = root.optional("altitude"), root.optional("gradients")
     curvatures, tunnels = root.optional("curvatures"), root.optional("tunnels")
     positions = stops.quantities("values", "length", NOT_NEGATIVE)
-    stops.increasing(positions, "values[{}]", stops.unit("values", "length"))
+    stops.check_increasing(positions, "values[{}]", stops.unit("values", "length"))
     limit = steps(limits, "position", Column("velocity", "speed", SPEED_LIMIT))
     slope = Column("slope", "gradient", GRADIENT)
     gradient = steps(gradients, "position", slope) if gradients else Steps(limit.from_m[:1], np.zeros(1))
@@ -181,7 +181,7 @@ def _clothoids(block: Node) -> tuple[Curve, ...]:
     node = Node({**block.data, "values": values}, block.file, block.path)
     ends = [Column(f"radius at {end}", "length", RADIUS) for end in ("start", "end")]
     curves = []
-    for index, (start, *radii) in enumerate(placed_rows(node, "position", *ends)):
+    for index, (start, *radii) in enumerate(position_rows(node, "position", *ends)):
         bends = [curvature(float(r)) for r in radii]
         for end, bend in zip(ends, bends, strict=True):
             check_curvature(block, f"values[{index}].{end.name}", bend)
@@ -309,7 +309,7 @@ def _tunnel(root: Node) -> tuple[tuple[float, float], ...]:
         return ()
     area = Column("cross section", "area", POSITIVE)
     rows = block.rows("values", (area, Column("coefficient", "force per speed squared", NOT_NEGATIVE)))
-    block.increasing(
+    block.check_increasing(
         [float(v) for v in rows[:, 0]], "values[{}].cross section", block.unit(area.name, area.kind)
     )
     return tuple((float(section), float(force)) for section, force in rows)
@@ -404,7 +404,7 @@ def _lowest(block: Node, key: str, default: float) -> float:
     rows = curve.rows("values", (speed, Column("deceleration", "acceleration", EMERGENCY_RATE)))
     if not len(rows):
         raise curve.fail("needs at least one row", "values", allowed="rows of velocity and deceleration")
-    curve.increasing(
+    curve.check_increasing(
         [float(v) for v in rows[:, 0]], "values[{}].velocity", curve.unit(speed.name, speed.kind)
     )
     return float(rows[:, 1].min())

@@ -100,11 +100,11 @@ def routes(service: Service) -> APIRouter:
         service.resume(job_id)
         return service.store.job(job_id)
 
-    _learning(router, service)
+    _add_learning(router, service)
     return router
 
 
-def _learning(router: APIRouter, service: Service) -> None:
+def _add_learning(router: APIRouter, service: Service) -> None:
     @router.get("/tasks", response_model=list[TaskOut], tags=["learning"])
     def tasks() -> list[dict[str, Any]]:
         """Learning tasks."""

@@ -227,7 +227,7 @@ class Engine:
     def _in_time(self, restriction: Restriction) -> bool:
         """Tell whether protection would permit the present speed with the restriction."""
         run = self.rollout.run
-        section = self.rollout.section.restricted(restriction)
+        section = self.rollout.section.with_restriction(restriction)
         guard = protect(section, run.disturbance.nominal(run.trainset), declared_bounds(run))
         state = self.rollout.state.plant
         seen = float(state.speed_mps) + max(float(state.acceleration_mps2), 0.0)

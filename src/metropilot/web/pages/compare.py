@@ -124,7 +124,7 @@ class ComparePage:
 
     async def load_front(self) -> None:
         """Compute the front of the section."""
-        with self.form.problem.watching():
+        with self.form.problem.show_errors():
             self.front = await self.service.front(self.form.plan_request(None))
             await self.move_cursor()
 
@@ -146,7 +146,7 @@ class ComparePage:
         try:
             while (now := self.wanted_s) is not None:
                 self.wanted_s = None
-                with self.form.problem.watching():
+                with self.form.problem.show_errors():
                     self.say_second(now, await self.service.plan(self.form.plan_request(now)))
         finally:
             self.planning = False
@@ -164,7 +164,7 @@ class ComparePage:
 
     async def start(self) -> None:
         """Queue the comparison."""
-        with self.form.problem.watching():
+        with self.form.problem.show_errors():
             values = {**self.form.kept, **self.form.values(), **self.disturbances.values()}
             drivers = list(self.drivers.value or [])
             values |= {"drivers": drivers, "seeds": self.seeds.value, "driver": (drivers or ["optimal"])[0]}
@@ -222,7 +222,7 @@ class ComparePage:
     def stop(self) -> None:
         """End the comparison."""
         if self.job:
-            with self.form.problem.watching():
+            with self.form.problem.show_errors():
                 self.service.stop(self.job)
 
 

@@ -190,7 +190,7 @@ class ConvoyPage:
 
     async def depart(self) -> None:
         """Start a convoy and watch it."""
-        with self.form.problem.watching():
+        with self.form.problem.show_errors():
             asked = validate(
                 ConvoyIn,
                 {
@@ -239,13 +239,13 @@ class ConvoyPage:
 
     async def relink(self) -> None:
         """Send the fields of the link."""
-        with self.news.watching():
+        with self.news.show_errors():
             asked = validate(NewLink, {**self.link(), "silent": bool(self.silent.value)}, loss=100.0)
             await self.ask({"kind": "link", **asked.model_dump()})
 
     async def brake(self) -> None:
         """Apply the emergency brake of the head."""
-        with self.news.watching():
+        with self.news.show_errors():
             await self.ask({"kind": "emergency"})
 
     async def change_pace(self) -> None:
@@ -255,7 +255,7 @@ class ConvoyPage:
 
     async def stop(self) -> None:
         """End the run."""
-        with self.news.watching():
+        with self.news.show_errors():
             await self.ask({"kind": "stop"})
 
     def show_result(self, event: events.GenericEventArguments) -> None:

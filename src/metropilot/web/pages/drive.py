@@ -238,7 +238,7 @@ class DrivePage:
         try:
             while (now := self.wanted_s) is not None:
                 self.wanted_s = None
-                with self.form.problem.watching():
+                with self.form.problem.show_errors():
                     plan = await self.service.plan(self.form.plan_request(now))
                     if self.live() is None and self.form.section is not None:
                         self.plot.update_figure(plan_figure(self.form.section, plan))
@@ -257,7 +257,7 @@ class DrivePage:
 
     async def depart(self) -> None:
         """Start a live run and watch it."""
-        with self.departure.watching():
+        with self.departure.show_errors():
             if self.form.section is None:
                 raise Refused("choose a section first", 422, field="origin")
             values = {**self.form.kept, **self.form.values(), **self.disturbances.values()}
@@ -275,7 +275,7 @@ class DrivePage:
 
     async def resume(self) -> None:
         """Resume the run of the page."""
-        with self.departure.watching():
+        with self.departure.show_errors():
             self.attach(await self.service.resume_live(self.run or ""))
 
     def attach(self, session: Session) -> None:
@@ -307,7 +307,7 @@ class DrivePage:
 
     async def tell_arrival(self) -> None:
         """Send the arrival time of the field."""
-        with self.news.watching():
+        with self.news.show_errors():
             if self.arrival.value is None:
                 raise InputError("a time is needed", field="scheduled_time_s", unit="s")
             asked = validate(NewArrival, {"scheduled_time_s": self.arrival.value})
@@ -322,7 +322,7 @@ class DrivePage:
 
     async def restrict(self) -> None:
         """Send the temporary speed restriction of the fields."""
-        with self.news.watching():
+        with self.news.show_errors():
             values = {
                 "from_m": self.from_m.value,
                 "to_m": self.to_m.value,
@@ -339,7 +339,7 @@ class DrivePage:
 
     async def stop(self) -> None:
         """End the run."""
-        with self.news.watching():
+        with self.news.show_errors():
             session = self.live()
             if session is None:
                 raise Refused("no run is under way; depart first", 409)
@@ -417,6 +417,6 @@ def install(service: Service) -> None:
         with frame(request, "/"):
             page.build()
         await ui.context.client.connected()
-        with page.departure.watching():
+        with page.departure.show_errors():
             await page.start()
         return None

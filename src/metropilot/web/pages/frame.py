@@ -196,7 +196,7 @@ class Problem:
         element.props("error").props(f'error-message="{_attribute(words)}"')
 
     @contextmanager
-    def watching(self) -> Iterator[None]:
+    def show_errors(self) -> Iterator[None]:
         """Show an error raised in the body of the context."""
         self.clear()
         try:

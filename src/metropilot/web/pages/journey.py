@@ -83,7 +83,7 @@ class JourneyPage:
 
     async def plan(self) -> None:
         """Plan the journey; without a total time, that of the timetable."""
-        with self.problem.watching():
+        with self.problem.show_errors():
             self.status.text = "planning …"
             asked = {name: element.value for name, element in self.fields.items()}
             free = self.way.value == "optimum"

@@ -92,7 +92,7 @@ class LearnPage:
 
     def start(self) -> None:
         """Queue a learning run."""
-        with self.problem.watching():
+        with self.problem.show_errors():
             values = {"driver": self.driver.value, "budget": self.budget.value}
             numbers = {"steps": self.steps.value, "seed": self.seed.value}
             self.job = self.service.submit(validate(LearnIn, {**values, **numbers}))
@@ -112,16 +112,16 @@ class LearnPage:
         """Show the chosen job; read in a thread."""
         if self.job is None:
             return
-        found = await run.io_bound(self.known, self.job)
+        found = await run.io_bound(self.read_job, self.job)
         if found is not None:
             self.show(*found)
 
     def look_once(self) -> None:
         """Show the chosen job at once."""
         if self.job is not None:
-            self.show(*self.known(self.job))
+            self.show(*self.read_job(self.job))
 
-    def known(self, job: str) -> tuple[JobRow | None, dict[str, Any]]:
+    def read_job(self, job: str) -> tuple[JobRow | None, dict[str, Any]]:
         """Read a job and the history of its learning run."""
         try:
             row = self.service.store.job(job)
@@ -156,13 +156,13 @@ class LearnPage:
 
     def stop(self) -> None:
         """Stop at the next checkpoint."""
-        with self.problem.watching():
+        with self.problem.show_errors():
             self.service.stop(self.job or "")
             self.status.text += " · stops at the next checkpoint"
 
     def resume(self) -> None:
         """Resume from the checkpoint."""
-        with self.problem.watching():
+        with self.problem.show_errors():
             self.service.resume(self.job or "")
             self.look_once()
 
@@ -222,7 +222,7 @@ class LearnPage:
 
     def reproduce(self, key: str) -> None:
         """Queue a study."""
-        with self.problem.watching():
+        with self.problem.show_errors():
             self.service.submit(StudyIn(study=key))
             self.show_study(key)
 

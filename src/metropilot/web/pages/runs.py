@@ -87,11 +87,11 @@ class RunList:
 
     async def stop(self, run: str) -> None:
         """Stop a run; it can be resumed."""
-        with self.problem.watching():
+        with self.problem.show_errors():
             await self.service.session(run).stop()
 
     async def resume(self, run: str, path: str) -> None:
         """Resume a run and open it."""
-        with self.problem.watching():
+        with self.problem.show_errors():
             await self.service.resume_live(run)
             ui.navigate.to(path)

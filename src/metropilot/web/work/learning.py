@@ -35,13 +35,13 @@ def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> di
         evaluation_of,
         learn_run,
         new_request,
-        resumed_request,
+        resume_request,
     )
 
     runs = RunStore(Path(root) / "runs")
     if run is not None:
         record = runs.show(run)
-        request = resumed_request(record)
+        request = resume_request(record)
     else:
         what = {"budget": asked["budget"], "task": asked["task"], "seed": asked["seed"]}
         request = new_request(asked["driver"], **what, **recipe_fields(asked))

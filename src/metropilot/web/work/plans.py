@@ -95,7 +95,7 @@ SUFFIX = ".safetensors"
 
 def section_of(request: RunSpec) -> dict[str, Any]:
     """The section and its minimum running time."""
-    section, trainset = request.section(), request.loaded()
+    section, trainset = request.section(), request.loaded_trainset()
     if section.length_m > LONGEST_M:
         raise InputError("section too long", field="destination", value=section.length_m, unit="m")
     return {
@@ -112,7 +112,7 @@ def section_of(request: RunSpec) -> dict[str, Any]:
 
 def plan_of(request: RunSpec) -> dict[str, Any]:
     """The optimal plan for the scheduled time."""
-    section, trainset = request.section(), request.loaded()
+    section, trainset = request.section(), request.loaded_trainset()
     fastest = minimum_running_time(section, trainset)
     time_s = request.time_s or section.planned_time_s or fastest * 1.1
     if time_s < fastest:
@@ -150,7 +150,7 @@ def plan_out(plan: Plan, fastest_s: float) -> dict[str, Any]:
 
 def front_of(request: RunSpec) -> dict[str, Any]:
     """The time-energy front."""
-    section, trainset = request.section(), request.loaded()
+    section, trainset = request.section(), request.loaded_trainset()
     front = time_energy_front(section, trainset, options=PlanOptions(objective=request.objective))
     return {
         "minimum_running_time_s": front.minimum_s,
