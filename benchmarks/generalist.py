@@ -144,7 +144,7 @@ def line_of(name: str, some: list[Result]) -> list[str]:
     return [
         name,
         f"{len(some)}",
-        f"{sum(arrived(r) for r in some)}",
+        f"{sum(is_success(r) for r in some)}",
         f"{worst([r.time_error_s for r in some]):+.2f}",
         f"{worst([r.stop_error_m for r in some]):+.3f}",
         f"{max(r.overspeed_mps for r in some):.3f}",

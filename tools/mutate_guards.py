@@ -124,7 +124,7 @@ def main() -> None:
     if options.write:
         sys.path.insert(0, str(ROOT))
 
-        options.write.write_text(written(page, "mutate_guards", table(rows)))
+        options.write.write_text(replace_section(page, "mutate_guards", table(rows)))
     else:
         print(table(rows))
     raise SystemExit(survived)
