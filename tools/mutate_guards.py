@@ -123,6 +123,7 @@ def main() -> None:
             print(f"{guard.name}: {mutant.noticed or 'SURVIVED'} ({mutant.seconds:.0f} s)", flush=True)
     if options.write:
         sys.path.insert(0, str(ROOT))
+        from benchmarks.report import replace_section
 
         options.write.write_text(replace_section(page, "mutate_guards", table(rows)))
     else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -75,7 +75,7 @@ def make_evaluation(algorithm: str, budget: str, made: AbstractTask) -> Callable
     spec = make_learner(config(algorithm, budget), made).spec
     heads, wanted = made.count, made.config.gap_m
 
-    def evaluate(params: Mapping[str, Any], key: Any) -> dict[str, Any]:  # noqa: ANN401 (a JAX key)
+    def evaluate(params: dict[str, Any], key: Any) -> dict[str, Any]:  # noqa: ANN401 (a JAX key)
         state, seen = jax.vmap(made.begin)(jnp.arange(heads))
 
         def one(carry: Any, k: Any) -> tuple[Any, None]:  # noqa: ANN401 (pytrees)

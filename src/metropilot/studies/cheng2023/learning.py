@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 from metropilot.control import Errors
@@ -68,7 +68,7 @@ def make_evaluation(made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
         raise TypeError("the tracking task is evaluated here")
     spec, single = make_learner(config(), made).spec, made.course(0)
 
-    def evaluate(params: Mapping[str, Any], key: Any) -> dict[str, Any]:  # noqa: ANN401 (a JAX key)
+    def evaluate(params: dict[str, Any], key: Any) -> dict[str, Any]:  # noqa: ANN401 (a JAX key)
         del key
 
         def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
