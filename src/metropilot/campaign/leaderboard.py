@@ -65,18 +65,16 @@ def leaderboard(folder: Path, summary: Mapping[str, Any], seconds: float, comman
     lines += [f"Written by `{command}`: {about}.", "", LEGEND]
     for disturbance in campaign.disturbances:
         rows = [row for row in summary["cells"] if row["disturbance"] == disturbance.name]
-        ranges = "; ".join(_words(disturbance.ranges)) if disturbance.ranges else ""
+        ranges = "; ".join(
+            f"`{k}` {low:g}" + (f" to {high:g}" if high > low else "")
+            for k, (low, high) in disturbance.ranges.items()
+        )
         lines += [f"## {disturbance.name[:1].upper()}{disturbance.name[1:]}", ""]
         lines += [f"{ranges}.", ""] if ranges else []
         lines += [*_table(rows), ""]
     lines += _by_section(folder, campaign.disturbances[0].name)
     lines += _failures(summary["worst"])
     return "\n".join(lines).rstrip() + "\n"
-
-
-def _words(ranges: Mapping[str, tuple[float, float]]) -> list[str]:
-    """The ranges a disturbance draws from."""
-    return [f"`{k}` {low:g}" + (f" to {high:g}" if high > low else "") for k, (low, high) in ranges.items()]
 
 
 def _number(value: float | None, digits: int) -> str:

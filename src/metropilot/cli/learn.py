@@ -102,8 +102,9 @@ def learn_command(
     )
     request = new_request(driver, budget=budget, task=task, seed=seed, command=command, **told)
     request = replace(request, tensorboard=tensorboard)
-    if out is not None:
-        _check_free(out)
+    if out is not None and (out / "run.toml").exists():
+        words, allowed = "the folder holds a run already", f"another, or --resume {out}"
+        raise InputError(words, file=out, field="out", allowed=allowed)
     evaluate = evaluation_of(request)
     if "steps" in told and not isinstance(request.config, TeacherConfig):
         _check_steps(request, evaluate)
@@ -171,17 +172,6 @@ def _check_unchanged(new: dict[str, Any], record: RunRecord) -> None:
         if value is not None and value != same.get(name):
             words = "a resumed run keeps its settings"
             raise InputError(words, field=name, value=str(value), allowed="only --resume RUN")
-
-
-def _check_free(out: Path) -> None:
-    """Reject a folder that already holds a run.
-
-    Raises:
-        InputError: The folder holds a run.
-    """
-    if (out / "run.toml").exists():
-        words, allowed = "the folder holds a run already", f"another, or --resume {out}"
-        raise InputError(words, file=out, field="out", allowed=allowed)
 
 
 def create_run(request: RunRequest, out: Path | None) -> tuple[RunStore, RunRecord]:

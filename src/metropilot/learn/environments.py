@@ -71,19 +71,13 @@ class Step(NamedTuple):
 def reset_environments(task: AbstractTask, key: Array, count: int) -> Environments:
     """Reset ``count`` environments, each from its own key."""
     state, observation = jax.vmap(task.reset)(jax.random.split(key, count))
-    shapes = jax.eval_shape(
-        lambda: jax.vmap(task.step)(jax.random.split(key, count), state, _any_action(task, count))
-    )
+    # The names of the reward terms are known once a step is traced; of the action only its shape matters.
+    space = task.action_space
+    action = jnp.zeros((count,), jnp.int32) if space.discrete else jnp.zeros((count, space.size), jnp.float32)
+    shapes = jax.eval_shape(lambda: jax.vmap(task.step)(jax.random.split(key, count), state, action))
     zero = jnp.zeros((count,), jnp.float32)
     terms = dict.fromkeys(shapes[1].terms, zero)
     return Environments(state, observation.astype(jnp.float32), zero, jnp.zeros((count,), jnp.int32), terms)
-
-
-def _any_action(task: AbstractTask, count: int) -> Array:
-    """An action for each environment, only for its shape."""
-    if task.action_space.discrete:
-        return jnp.zeros((count,), jnp.int32)
-    return jnp.zeros((count, task.action_space.size), jnp.float32)
 
 
 def random_actions(task: AbstractTask, key: Array, environments: Environments) -> Array:

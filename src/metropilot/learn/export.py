@@ -86,7 +86,11 @@ def export_onnx(
     entries = {name: json.dumps(value, sort_keys=True) for name, value in (about or {}).items()}
     onnx.helper.set_model_props(model, entries)
     text = model.SerializeToString()
-    session = _session(runtime, text)
+    options = runtime.SessionOptions()
+    # One thread: that is what a driver has for one decision, and the latency below is measured with it.
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    session = runtime.InferenceSession(text, options, providers=["CPUExecutionProvider"])
     parity = _parity(policy, session, probes, seed)
     if not parity < PARITY:
         raise InputError(
@@ -185,14 +189,6 @@ def _outputs(graph: _Graph, spec: PolicySpec, x: str) -> Iterator[str]:
     yield (
         graph.add("Tanh", x, name="action") if spec.output == "tanh" else _clip(graph, x, 1.0, name="action")
     )
-
-
-def _session(runtime: Any, model: bytes) -> Any:
-    """An onnxruntime session on one thread."""
-    options = runtime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    return runtime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
 
 
 def _parity(policy: Policy, session: Any, probes: int, seed: int) -> float:

@@ -314,7 +314,12 @@ def _learn(
     checkpoint = folder / CHECKPOINT_FILE
     whole = replace(given, on_progress=progress, checkpoint=checkpoint, resume=resume, about=about)
     try:
-        learned = _run_learner(request, whole)
+        if isinstance(request.config, TeacherConfig) and isinstance(request.task, DrivingTask):
+            from metropilot.learn.imitation.training import train_in_parts
+
+            learned = train_in_parts(request.config, request.task, request.seed, whole)
+        else:
+            learned = learn_in_chunks(request.config, request.task, request.seed, whole)
     except InputError:
         store.save(before)
         raise
@@ -341,15 +346,6 @@ def _learn(
     save_policy(folder / POLICY_FILE, learned.policy, policy_about(record, request.perception))
     store.save(record)
     return record, learned
-
-
-def _run_learner(request: RunRequest, options: TrainingOptions) -> TrainingResult:
-    """Run the learner, or the imitation of the optimal plan."""
-    if isinstance(request.config, TeacherConfig) and isinstance(request.task, DrivingTask):
-        from metropilot.learn.imitation.training import train_in_parts
-
-        return train_in_parts(request.config, request.task, request.seed, options)
-    return learn_in_chunks(request.config, request.task, request.seed, options)
 
 
 def policy_about(record: RunRecord, perception: PolicyInterface | None) -> dict[str, Any]:

@@ -40,8 +40,11 @@ def import_file(path: str | Path) -> Line | Trainset | Journey:
             file, the field, the value, its unit and what is allowed.
     """
     path = Path(path)
-    text = _text(path)
-    if path.suffix.lower() == ".json":
+    kind = path.suffix.lower()
+    if kind not in {".toml", ".json"}:
+        raise InputError("unknown kind of file", file=path, allowed="a file ending in .toml or .json")
+    text = read_text(path)
+    if kind == ".json":
         return read_ttobench(Node(_parse(path, text, _json, "JSON"), path), path.stem)
     return _read_toml(text, path)
 
@@ -52,12 +55,6 @@ def _read_toml(text: str, file: object) -> Line | Trainset | Journey:
     if kind not in _READERS:
         raise root.fail(f"unknown kind{nearest(kind, list(_READERS))}", "kind", kind, ", ".join(_READERS))
     return _READERS[kind](root)
-
-
-def _text(path: Path) -> str:
-    if path.suffix.lower() not in {".toml", ".json"}:
-        raise InputError("unknown kind of file", file=path, allowed="a file ending in .toml or .json")
-    return read_text(path)
 
 
 def _json(text: str) -> object:

@@ -301,12 +301,6 @@ def find_station(line: Line, key: str) -> Station:
     raise InputError(problem, file=line.id, field="station", value=key, allowed=listed)
 
 
-def _planned_time_s(line: Line, start: int, end: int) -> float | None:
-    low, high = min(start, end), max(start, end)
-    table = line.planned_forward_s if end > start else (line.planned_backward_s or line.planned_forward_s)
-    return float(table[low]) if table and high - low == 1 else None
-
-
 def cut_section(line: Line, start: Station, end: Station) -> Section:
     """The run between two stations; see :meth:`Line.section`."""
     if start.position_m == end.position_m:
@@ -332,7 +326,11 @@ def cut_section(line: Line, start: Station, end: Station) -> Section:
         limit, gradient = line.limit_mps.shift(origin), line.gradient_permil.shift(origin)
         curves = tuple(replace(c, from_m=c.from_m - origin) for c in line.curves)
         tunnels = tuple(replace(t, from_m=t.from_m - origin) for t in line.tunnels)
-    index = {s.code: k for k, s in enumerate(line.stations)}
+    codes = [s.code for s in line.stations]
+    first, last = codes.index(start.code), codes.index(end.code)
+    # A timetable has the times between neighbours; without one for the way back, both ways take the same.
+    table = line.planned_backward_s if backward and line.planned_backward_s else line.planned_forward_s
+    planned_s = float(table[min(first, last)]) if table and abs(last - first) == 1 else None
     return Section(
         line_id=line.id,
         origin=start,
@@ -342,7 +340,7 @@ def cut_section(line: Line, start: Station, end: Station) -> Section:
         gradient_permil=gradient,
         curves=curves,
         tunnels=tunnels,
-        planned_time_s=_planned_time_s(line, index[start.code], index[end.code]),
+        planned_time_s=planned_s,
     )
 
 

@@ -101,7 +101,7 @@ def install(app: FastAPI) -> None:
         refused = first.get("ctx", {}).get("error")
         if isinstance(refused, InputError):
             return answer(422, detail_of(refused) | {"field": field})
-        return answer(422, {"message": first["msg"], "field": field, "value": _value_of(first)})
+        return answer(422, {"message": first["msg"], "field": field, "value": plain(first.get("input"))})
 
     @app.exception_handler(HTTPException)
     async def http(request: Request, error: HTTPException) -> JSONResponse:
@@ -125,10 +125,6 @@ def _path(parts: Sequence[Any]) -> str:
     for part in parts[1:] if parts and parts[0] in {"body", "query", "path", "header"} else parts:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
     return text
-
-
-def _value_of(found: Any) -> Any:  # noqa: ANN401 (whatever was sent)
-    return plain(found.get("input"))
 
 
 RESPONSES: dict[int | str, dict[str, Any]] = {

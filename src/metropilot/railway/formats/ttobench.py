@@ -256,7 +256,10 @@ def read_train(root: Node, stem: str) -> Trainset:
     fields["efficiency_traction"] = _efficiency(root, EFFICIENCIES[0], efforts[0], braking=False)
     fields["efficiency_braking"] = _efficiency(root, EFFICIENCIES[1], efforts[1], braking=True)
     fields["tunnel_n_per_mps2"] = _tunnel(root)
-    fields["couplers"] = _couplers(root)
+    coaches = scalar(root, "num coaches", "share", Range(1.0, 1000.0), 1.0)
+    if coaches != int(coaches):
+        raise root.fail("must be whole", "num coaches.value", coaches, "a whole number from 1 to 1000")
+    fields["couplers"] = Couplers(vehicles=int(coaches))
     safe, unused, notes = _safe_braking(root, efforts[1], fields)
     declared = fields["max_deceleration_mps2"]
     service = service_deceleration(
@@ -294,13 +297,6 @@ def read_train(root: Node, stem: str) -> Trainset:
         unused=tuple(unused),
         **fields,
     )
-
-
-def _couplers(root: Node) -> Couplers:
-    coaches = scalar(root, "num coaches", "share", Range(1.0, 1000.0), 1.0)
-    if coaches != int(coaches):
-        raise root.fail("must be whole", "num coaches.value", coaches, "a whole number from 1 to 1000")
-    return Couplers(vehicles=int(coaches))
 
 
 def _tunnel(root: Node) -> tuple[tuple[float, float], ...]:

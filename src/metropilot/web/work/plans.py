@@ -6,6 +6,7 @@ import math
 import os
 import signal
 from collections.abc import Iterable
+from contextlib import suppress
 from itertools import pairwise
 from multiprocessing import parent_process
 from multiprocessing.connection import wait
@@ -180,19 +181,11 @@ def journey_of(asked: dict[str, Any]) -> dict[str, Any]:
     made = plan_journey(line, trainset, points, options, **ends)
     planned = None
     if asked["total_s"] is not None and line.planned_forward_s:
-        planned = _timetable_energy(line, trainset, options, ends)
+        # The timetable's own running times, for comparison; they may be too short for this trainset.
+        with suppress(Infeasible):
+            points = timetable_waypoints(line, origin, destination)
+            planned = plan_journey(line, trainset, points, options, **ends).plan.energy_j
     return {**_journey_out(made), "planned_energy_j": planned}
-
-
-def _timetable_energy(
-    line: Line, trainset: Trainset, options: PlanOptions, ends: dict[str, Any]
-) -> float | None:
-    """Energy of the same journey with the timetable's running times, J; None where they are infeasible."""
-    try:
-        points = timetable_waypoints(line, ends["origin"], ends["destination"])
-        return plan_journey(line, trainset, points, options, **ends).plan.energy_j
-    except Infeasible:
-        return None
 
 
 def _journey_out(made: JourneyPlan) -> dict[str, Any]:
