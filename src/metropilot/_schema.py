@@ -1,6 +1,6 @@
 """Fields that users give: unit, range, help text and option, declared beside the default and checked here.
 
-A dataclass declares them with :func:`declare`. The command line, TOML files, the HTTP API, the forms of the
+A dataclass declares them with :func:`declared`. The command line, TOML files, the HTTP API, the forms of the
 console and campaigns take names, ranges and help from the declaration; :func:`check_fields` is the one check.
 """
 
@@ -114,7 +114,7 @@ class FieldSpec:
         return value
 
 
-def declare(default: Any, help: str, **more: Any) -> Any:  # noqa: A002, ANN401 (as dataclasses.field)
+def declared(default: Any, help: str, **more: Any) -> Any:  # noqa: A002, ANN401 (as dataclasses.field)
     """A dataclass field with its :class:`FieldSpec`.
 
     Args:
