@@ -111,7 +111,7 @@ class DrivingConfig:
         restricted = [
             (s, t) for section, t in self.cases for s in self.scenarios.restricted_sections(section)
         ]
-        bounded = [(s, t, scenarios.bounds(s, t, self.dt)) for s, t in (*self.cases, *restricted)]
+        bounded = [(s, t, self.scenarios.bounds(s, t, self.dt)) for s, t in (*self.cases, *restricted)]
         return build_tables(bounded, self.spacing_m, dtype, jobs)
 
 
