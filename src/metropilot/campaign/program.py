@@ -148,6 +148,7 @@ def program(kind: Kind) -> Callable[..., tuple[EpisodeState, CompiledRow]]:
 
         return jax.lax.scan(all_runs, going, noise)
 
+    # The states are donated: the next call needs only what this one returns.
     return jax.jit(some, donate_argnums=3)
 
 

@@ -229,6 +229,7 @@ def required_deceleration(
         t, released = (b - e) / jerk, f + (b * b - e * e) / (2.0 * jerk)
         slope = (released * released - v * v) / (2.0 * b * b) - released / jerk
         slope = slope + (2.0 * t / jerk) * (b / 6.0 + e / 3.0) + t * t / 6.0 + f / jerk
+        # Distance falls with deceleration; a slope bounded away from zero bounds the step.
         change = (_distance(xp, v, b, e, jerk, f) - s) / xp.minimum(slope, -1e-2)
         b = xp.minimum(xp.maximum(b - change, LEAST_MPS2), STRONGEST_MPS2)
     now, left_s = release(v, s, e, f)
@@ -246,6 +247,7 @@ def release(
     """Deceleration now, m/s^2, and time left, s, of a release that ends after a distance."""
     xp = namespace(speed_mps, distance_m, end_mps2, final_mps)
     p = 2.0 * speed_mps + 4.0 * final_mps
+    # The root of a quadratic in the form without cancellation: ``end_mps2`` may be zero.
     left_s = 12.0 * distance_m / (xp.sqrt(p * p + 24.0 * end_mps2 * distance_m) + p + 1e-9)
     left_s = xp.maximum(left_s, 1e-6)
     return 2.0 * (speed_mps - final_mps) / left_s - end_mps2, left_s

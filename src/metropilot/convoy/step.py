@@ -171,6 +171,7 @@ def observe_member(
     xp = namespace(plant.position_m, message.rear_m)
     age = now_s - message.stamp_s
     a, v = message.acceleration_mps2, message.speed_mps
+    # Extrapolated no further than to the standstill: a trainset that brakes does not roll back.
     stands = xp.where(a < 0.0, v / xp.maximum(-a, 1e-6), 1e9)
     t = xp.minimum(age, stands)
     rear = message.rear_m + t * (v + 0.5 * a * t)

@@ -32,8 +32,10 @@ def window_jerk(trajectory: Trajectory, window_s: float = CHENG2023_WINDOW_S) ->
     change over a window and no derivative, though the paper prints it in m/s^3.
     """
     time, accel = trajectory.time_s, trajectory.acceleration_mps2
+    # The margin keeps the row exactly one window later, whose time is rounded.
     last = np.searchsorted(time, time + window_s + 1e-9, side="right")
     windows = np.stack([np.arange(time.size), last], axis=1).ravel()
+    # ``reduceat`` takes no index beyond the end; every second result is that of a gap between windows.
     closed = np.append(accel, accel[-1:])
     high, low = (extreme.reduceat(closed, windows)[::2] for extreme in (np.maximum, np.minimum))
     return float((high - low).max())

@@ -89,5 +89,6 @@ def _restore(path: Path, name: str, array: np.ndarray, leaf: Any) -> jax.Array:
     if array.shape != expected.shape or array.dtype != expected.dtype:
         found, allowed = f"{array.dtype} {array.shape}", f"{expected.dtype} {expected.shape}"
         raise InputError("checkpoint is of another run", file=path, field=name, value=found, allowed=allowed)
+    # A copy: the program the state is given to takes over its memory, and must not take the file's.
     numbers = jnp.array(array, copy=True)
     return jax.random.wrap_key_data(numbers) if _is_key(leaf) else numbers

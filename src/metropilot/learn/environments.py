@@ -93,6 +93,7 @@ def random_choices(key: Array, shape: tuple[int, int], mask: Array | None) -> Ar
     """One of the allowed choices for each environment. Mask of ``shape``; result of shape (N,), int32."""
     if mask is None:
         return jax.random.randint(key, shape[:1], 0, shape[1])
+    # The largest of even draws is an even choice among those allowed; if none is, among all.
     usable = mask | ~jnp.any(mask, axis=-1, keepdims=True)
     draws = jnp.where(usable, jax.random.uniform(key, shape, jnp.float32), -1.0)
     return jnp.argmax(draws, axis=-1).astype(jnp.int32)

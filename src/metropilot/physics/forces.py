@@ -30,6 +30,7 @@ def curve_n(
     row = pieces[k] if xp is scalars else (_row(xp, pieces, k, j) for j in range(6))
     power, c0, c1, c2, c3, cap = row
     v = speed_mps
+    # A hyperbola has a pole at standstill; there ``cap`` decides, and the division only has to stay finite.
     return xp.clip(power / xp.maximum(v, 1e-3) + c0 + v * (c1 + v * (c2 + v * c3)), 0.0, cap)
 
 
@@ -121,6 +122,7 @@ def felt_slopes(vehicle: Vehicle, track: Track, position_m: Scalar) -> tuple[Sca
     tail_m = position_m - vehicle.length_m
     head, tail = locate(track.node_m, position_m), locate(track.node_m, tail_m)
     past_head, past_tail = position_m - track.node_m[head], tail_m - track.node_m[tail]
+    # ``where`` computes both branches: that of a length must stay finite for a point mass, too.
     per_length = 1.0 / xp.maximum(vehicle.length_m, 1e-6)
     is_point = vehicle.length_m <= 0
 

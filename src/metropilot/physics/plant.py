@@ -104,6 +104,7 @@ def at_rest(
 
 def delay_steps(delay_s: float, dt: float) -> int:
     """Slots a pipeline needs beyond the newest for a dead time (a shape: decide it outside ``jit``)."""
+    # 0.14 / 0.02 is a little more than 7: without the margin a whole number of periods takes a slot more.
     return int(np.ceil(delay_s / dt - 1e-9)) if delay_s > 0 else 0
 
 
@@ -113,6 +114,7 @@ def blend_delay(pipeline: Float[Array, "slots *rows"], delay_s: Scalar, dt: Scal
     if pipeline.shape[0] == 1:
         return pipeline[0]
     xp = namespace(pipeline, delay_s)
+    # Hat functions over the ages: an interpolation without an index that a batch would have to gather.
     age = xp.clip(delay_s / dt, 0.0, pipeline.shape[0] - 1.0)
     weights = xp.maximum(1.0 - xp.abs(xp.arange(pipeline.shape[0], dtype=pipeline.dtype) - age), 0.0)
     return xp.sum(weights * pipeline)
@@ -192,12 +194,14 @@ def step(
     pipeline, share = actuate(vehicle, state, command, dt)
     resistance, gradient = resistance_and_gradient(vehicle, track, x, v)
     effort = effort_at(vehicle, v)
+    # The clock is a sum of periods and rounded; a thousandth of one decides in favour of the brake.
     emergency = command.emergency & (state.emergency_s >= vehicle.emergency_delay_s - 1e-3 * dt)
     force = wheel_force(vehicle, state, effort, share, emergency, resistance + gradient, dt)
     accel = (force - resistance - gradient) / vehicle.effective_mass_kg
 
     @no_type_check
     def acceleration(at: Scalar, speed: Scalar) -> Scalar:
+        # Most integrators begin with the force balance already at hand.
         if at is x and speed is v:
             return accel
         r, g = resistance_and_gradient(vehicle, track, at, speed)
@@ -206,6 +210,7 @@ def step(
     moved, after = INTEGRATORS[integrator](acceleration, x, v, dt)
     mean = (after - v) / dt
     stops = after < 0
+    # The exact stop: constant deceleration takes ``v / -mean``, and ``v / 2`` times that is the distance.
     stop_s = xp.where(stops, v / xp.maximum(-mean, 1e-9), dt)
     held_still = (v <= 0) & ((accel <= 0) | (share <= 0))
     duration = xp.where(held_still, dt, xp.where(stops, stop_s, dt))

@@ -159,6 +159,7 @@ def times(mesh: Mesh, energy: Float[ndarray, " nodes"]) -> Float[ndarray, " segm
     speed = np.sqrt(2 * np.maximum(energy, 0.0))
     total = speed[:-1] + speed[1:]
     with np.errstate(divide="ignore"):
+        # ``where`` computes both sides; the least positive number keeps the unused one free of 0 / 0.
         return np.where(total > 0, 2 * mesh.length_m / np.maximum(total, 1e-300), np.inf)
 
 

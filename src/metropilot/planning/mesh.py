@@ -131,6 +131,7 @@ def _merge(kept: ndarray, extra: ndarray, gap: float) -> ndarray:
 
 
 def _fill(nodes: ndarray, spacing_m: float) -> ndarray:
+    # A distance that is a whole number of spacings but for rounding gets no segment more.
     counts = np.maximum(np.ceil(np.diff(nodes) / spacing_m - 1e-9).astype(int), 1)
     parts = [a + (b - a) * np.arange(n) / n for a, b, n in zip(nodes[:-1], nodes[1:], counts, strict=True)]
     return np.append(np.concatenate(parts), nodes[-1])

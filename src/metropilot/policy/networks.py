@@ -202,6 +202,7 @@ def choose_action(
     """The action that an output of the network stands for; see :func:`act`."""
     if spec.discrete:
         if mask is not None:
+            # A mask that allows nothing allows all. Finite, so that NaN cannot arise.
             output = xp.where(mask | ~mask.any(), output, -1e9)
         return xp.argmax(output)
     output = output[: spec.actions]

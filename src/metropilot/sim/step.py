@@ -227,6 +227,7 @@ def overspeed_in_period(track: Track, before: State, after: State) -> Scalar:
         return worst
     # The excess at the beginning equals that at the end of the period before. If one period crosses several
     # limits, a compiled program evaluates only the last, which keeps its shapes fixed.
+    # At standstill both ends coincide; the share is then not used, but may not be NaN.
     share = (breaks[last] - x0) / xp.maximum(x1 - x0, 1e-9)
     speed = xp.sqrt(xp.maximum(v0 * v0 + (v1 * v1 - v0 * v0) * share, 0.0))
     excess = speed - xp.minimum(limits[last], limits[xp.maximum(last - 1, 0)])

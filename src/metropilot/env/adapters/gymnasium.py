@@ -232,6 +232,7 @@ def _compile(task: DrivingTask) -> tuple[Any, Any, Any]:
 @cache
 def _compile_batch(task: DrivingTask) -> tuple[Any, Any]:
     def one(key: Array, state: DriveState, action: Array, over: Array) -> tuple[DriveState, Transition]:
+        # Both are computed for every environment: under ``vmap`` a ``cond`` would do the same.
         after, found = task.step(key, state, action)
         fresh, observation = task.reset(key)
         nothing = jax.tree.map(jnp.zeros_like, found)._replace(observation=observation)

@@ -193,6 +193,7 @@ class Driving:
         if self.pace <= 0:
             return
         dt, rows, began = engine.dt_s, [], monotonic()
+        # The engine's clock is a sum of periods; rounding must not put a period off to the next round.
         while engine.time_s + dt <= self._clock_s() + 1e-6 and not engine.over:
             rows.append(engine.advance())
             if len(rows) >= MOST_STEPS or monotonic() - began > FLUSH_S:
