@@ -20,7 +20,7 @@ from metropilot.learn.networks import MLP
 from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
 from metropilot.learn.schedules import value_at
-from metropilot.policy import Params, PolicySpec
+from metropilot.policy import Params
 
 
 def subset(params: Params, prefix: str) -> Params:
@@ -43,15 +43,7 @@ class DDPG(AbstractReplayLearner[DDPGConfig]):
     def __init__(self, config: DDPGConfig, task: AbstractTask) -> None:
         super().__init__(config, task, needs_continuous(task, config.algorithm), prioritised=False)
         inputs = task.observation_size
-        self.spec = PolicySpec(
-            output="tanh",
-            observation_size=inputs,
-            actions=self.actions,
-            hidden=config.hidden,
-            activation=config.activation,
-            width=self.actions,
-            normalised=config.normalise_observations,
-        )
+        self.spec = self._policy_spec("tanh", self.actions)
         kind: Any = {"activation": config.activation, "initialiser": config.initialiser}
         bias = config.initial_bias
         self.actor = MLP((inputs, *config.hidden, self.actions), output_scale=0.1, output_bias=bias, **kind)

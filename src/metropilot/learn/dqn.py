@@ -20,7 +20,7 @@ from metropilot.learn.networks import MLP, mask_values
 from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
 from metropilot.learn.schedules import value_at
-from metropilot.policy import Params, PolicySpec, network_output
+from metropilot.policy import Params, network_output
 
 
 @final
@@ -37,15 +37,7 @@ class DQN(AbstractReplayLearner[DQNConfig]):
 
     def __init__(self, config: DQNConfig, task: AbstractTask) -> None:
         super().__init__(config, task, needs_choices(task, config.algorithm), prioritised=config.prioritised)
-        self.spec = PolicySpec(
-            output="dueling" if config.dueling else "argmax",
-            observation_size=task.observation_size,
-            actions=self.actions,
-            hidden=config.hidden,
-            activation=config.activation,
-            width=self.actions,
-            normalised=config.normalise_observations,
-        )
+        self.spec = self._policy_spec("dueling" if config.dueling else "argmax", self.actions)
 
     def fresh(self, key: Array) -> Networks:
         """One network, and its copy as target."""

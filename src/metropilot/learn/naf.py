@@ -19,7 +19,7 @@ from metropilot.learn.networks import MLP, lower_triangle
 from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
 from metropilot.learn.schedules import value_at
-from metropilot.policy import Params, PolicySpec
+from metropilot.policy import Params
 
 
 @final
@@ -37,15 +37,7 @@ class NAF(AbstractReplayLearner[NAFConfig]):
     def __init__(self, config: NAFConfig, task: AbstractTask) -> None:
         super().__init__(config, task, needs_continuous(task, config.algorithm), prioritised=False)
         inputs, count = task.observation_size, self.actions
-        self.spec = PolicySpec(
-            output="tanh",
-            observation_size=inputs,
-            actions=count,
-            hidden=config.hidden,
-            activation=config.activation,
-            width=count,
-            normalised=config.normalise_observations,
-        )
+        self.spec = self._policy_spec("tanh", self.actions)
         kind: Any = {"activation": config.activation, "initialiser": config.initialiser}
         sizes = (inputs, *config.hidden)
         self.actor = MLP((*sizes, count), output_scale=0.1, output_bias=config.initial_bias, **kind)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ from metropilot.learn.statistics import (
     return_scale_update,
     reward_divisor,
 )
-from metropilot.policy import Params, normalise, only_policy
+from metropilot.policy import Params, PolicySpec, normalise, only_policy
 
 
 class Networks(NamedTuple):
@@ -130,14 +130,23 @@ class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]
             "action": 1 if task.action_space.discrete else actions,
         }
         columns |= {"reward": 1, "discount": 1, "next_observation": task.observation_size}
-        if self._mask_shape() is not None:
+        # traced only: whether the task has a mask decides the width of a row
+        if jax.eval_shape(lambda key: task.allowed(task.reset(key)[0]), jax.random.key(0)) is not None:
             columns["next_mask"] = actions
         self.layout = replay.RowLayout(tuple(columns.items()))
         self.raw = replay.RowLayout((*columns.items(), ("done", 1)))
 
-    def _mask_shape(self) -> Any:
-        """Shape of the task's mask, or None."""
-        return jax.eval_shape(lambda key: self.task.allowed(self.task.reset(key)[0]), jax.random.key(0))
+    def _policy_spec(self, output: Literal["tanh", "argmax", "dueling"], width: int) -> PolicySpec:
+        """Meaning of the parameters of a policy of this configuration."""
+        return PolicySpec(
+            output=output,
+            observation_size=self.task.observation_size,
+            actions=self.actions,
+            hidden=self.config.hidden,
+            activation=self.config.activation,
+            width=width,
+            normalised=self.config.normalise_observations,
+        )
 
     @abstractmethod
     def fresh(self, key: Array) -> Networks:

@@ -17,7 +17,7 @@ from metropilot.learn.networks import MLP, squashed_sample
 from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
 from metropilot.learn.schedules import value_at
-from metropilot.policy import Params, PolicySpec
+from metropilot.policy import Params
 
 TEMPERATURE = "temperature.log"
 
@@ -37,15 +37,7 @@ class SAC(AbstractReplayLearner[SACConfig]):
     def __init__(self, config: SACConfig, task: AbstractTask) -> None:
         super().__init__(config, task, needs_continuous(task, config.algorithm), prioritised=False)
         inputs = task.observation_size
-        self.spec = PolicySpec(
-            output="tanh",
-            observation_size=inputs,
-            actions=self.actions,
-            hidden=config.hidden,
-            activation=config.activation,
-            width=2 * self.actions,
-            normalised=config.normalise_observations,
-        )
+        self.spec = self._policy_spec("tanh", 2 * self.actions)
         kind: Any = {"activation": config.activation, "initialiser": config.initialiser}
         self.actor = MLP((inputs, *config.hidden, 2 * self.actions), output_scale=0.1, **kind)
         self.critic = MLP((inputs + self.actions, *config.hidden, 1), **kind)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -21,13 +23,22 @@ from metropilot.web.work.plans import numbers, pieces, station
 
 def line_rows(service: Service) -> list[dict[str, Any]]:
     """Every line, those of the catalogue first."""
-    rows = [_line_row(load_line(key), key, uploaded=False) for key in list_lines()]
+    return _rows(service, "line", list_lines(), load_line, _line_row)
+
+
+def _rows(
+    service: Service,
+    kind: str,
+    keys: Sequence[str],
+    load: Callable[[Any], Any],
+    row: Callable[..., dict[str, Any]],
+) -> list[dict[str, Any]]:
+    rows = [row(load(key), key, uploaded=False) for key in keys]
     paths = service.paths()
-    for upload in service.store.uploads("line"):
-        try:
-            rows.append(_line_row(load_line(paths[upload.id]), upload.id, uploaded=True))
-        except InputError:
-            continue
+    for upload in service.store.uploads(kind):
+        # an upload that a later version refuses is left out, and can still be deleted
+        with suppress(InputError):
+            rows.append(row(load(paths[upload.id]), upload.id, uploaded=True))
     return rows
 
 
@@ -79,14 +90,7 @@ def line_out(service: Service, key: str) -> dict[str, Any]:
 
 def trainset_rows(service: Service) -> list[dict[str, Any]]:
     """Every trainset, those of the catalogue first."""
-    rows = [_trainset_out(load_trainset(key), key, uploaded=False) for key in list_trainsets()]
-    paths = service.paths()
-    for upload in service.store.uploads("trainset"):
-        try:
-            rows.append(_trainset_out(load_trainset(paths[upload.id]), upload.id, uploaded=True))
-        except InputError:
-            continue
-    return rows
+    return _rows(service, "trainset", list_trainsets(), load_trainset, _trainset_out)
 
 
 def trainset_out(service: Service, key: str) -> dict[str, Any]:
