@@ -11,7 +11,7 @@ import typer
 
 from metropilot._schema import FieldSpec, field_default, field_specs, field_type
 from metropilot.cli import options as opt
-from metropilot.cli.console import console, number, print_json, requirements, table, show_activity
+from metropilot.cli.console import console, number, print_json, requirements, show_activity, table
 from metropilot.convoy import ConvoyRequest, Link
 from metropilot.errors import InputError, rename_fields
 from metropilot.sim import Disturbance
