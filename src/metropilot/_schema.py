@@ -78,7 +78,7 @@ class FieldSpec:
         step: Step of that form's field.
     """
 
-    help: str
+    help: str = ""
     unit: str = ""
     range: Range | None = None
     choices: tuple[str, ...] = ()
@@ -114,12 +114,12 @@ class FieldSpec:
         return value
 
 
-def declared(default: Any, help: str, **more: Any) -> Any:  # noqa: A002, ANN401 (as dataclasses.field)
+def declared(default: Any, help: str = "", **more: Any) -> Any:  # noqa: A002, ANN401 (as dataclasses.field)
     """A dataclass field with its :class:`FieldSpec`.
 
     Args:
         default: Of the field.
-        help: Of the field.
+        help: Of the field; empty where no entry shows it.
         more: The other attributes of :class:`FieldSpec`, the range by those of :class:`Range`.
     """
     bounds = {name: more.pop(name) for name in ("low", "high", "above", "infinite") if name in more}

@@ -15,12 +15,12 @@ from metropilot.physics import (
     command_for_force,
     delay_steps,
     resistance_and_gradient,
-    step,
     track_arrays,
     vehicle_arrays,
 )
 from metropilot.planning import Reference, ReferenceShape, peak_speed, reference_for_time
 from metropilot.railway import Section, Trainset
+from metropilot.sim import NEVER_ENDS, RunParams, RunState, control_period, first_state
 
 FASTEST_MPS = 20.0
 """Highest cruising speed of a recorded head."""
@@ -62,16 +62,22 @@ def record_leader(section: Section, trainset: Trainset, speeds_mps: ndarray, dt:
         dt: Control period.
     """
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
-    state = at_rest(vehicle, delay_steps=delay_steps(float(vehicle.delay_s), dt))
+    params = RunParams(vehicle, track, None, track.length_m, 0.0, 0.0, dt)
+    state = first_state(at_rest(vehicle, delay_steps=delay_steps(float(vehicle.delay_s), dt)), None)
     rows = []
-    for wanted in speeds_mps:
-        x, v = float(state.position_m), float(state.speed_mps)
-        resistance, gradient = resistance_and_gradient(vehicle, track, state.position_m, state.speed_mps)
+
+    def decide(wanted: float, state: RunState) -> tuple[Command, float]:
+        plant = state.plant
+        x, v = float(plant.position_m), float(plant.speed_mps)
+        resistance, gradient = resistance_and_gradient(vehicle, track, plant.position_m, plant.speed_mps)
         force = vehicle.effective_mass_kg * (wanted - v) / dt + resistance + gradient
-        share = float(command_for_force(vehicle, state.speed_mps, force))
+        share = float(command_for_force(vehicle, plant.speed_mps, force))
         share = -0.5 if wanted <= 0.0 and v <= 0.05 else share
-        rows.append((share, x, v, float(state.acceleration_mps2)))
-        state = step(vehicle, track, state, Command(np.float64(share), False), dt)
+        rows.append((share, x, v, float(plant.acceleration_mps2)))
+        return Command(np.float64(share), False), wanted
+
+    for wanted in speeds_mps:
+        state, _, _ = control_period(params, state, wanted, decide, rule=NEVER_ENDS)
     return Recording(*np.array(rows).T)
 
 

@@ -14,8 +14,9 @@ followed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import ClassVar, final, get_args
 
+from metropilot._schema import check_fields, declared
 from metropilot.drivers.optimal import FollowingMemory, Optimal, OptimalOptions
 from metropilot.planning import Objective
 from metropilot.sim import AbstractDriver, Observation, Run
@@ -33,11 +34,14 @@ class MpcOptions:
         spacing_m: Mesh of the plan.
     """
 
-    objective: Objective = "wheel"
-    period_s: float = 3.0
-    brake_use: float = 0.97
-    reserve_s: float = 0.0
-    spacing_m: float = 12.5
+    objective: Objective = declared("wheel", choices=get_args(Objective))
+    period_s: float = declared(3.0, unit="s", low=0.0, above=True)
+    brake_use: float = declared(0.97, low=0.0, high=1.0, above=True)
+    reserve_s: float = declared(0.0, unit="s", low=0.0)
+    spacing_m: float = declared(12.5, unit="m", low=1.0, high=200.0)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @final

@@ -13,6 +13,7 @@ from abc import abstractmethod
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
+from metropilot._schema import check_fields, declared
 from metropilot._typing import Array
 from metropilot.control import (
     Ceiling,
@@ -33,7 +34,6 @@ from metropilot.control import (
     stop_command,
     update_estimate,
 )
-from metropilot.errors import InputError
 from metropilot.physics import track_arrays
 from metropilot.planning import (
     PlanOptions,
@@ -89,19 +89,16 @@ class AbstractTrackingOptions:
         slip_m: A distance behind or ahead of the reference that calls for a new one.
     """
 
-    reference: str = "s_curve"
-    acceleration_mps2: float = 0.9
-    deceleration_mps2: float = 0.8
-    jerk_mps3: float = 0.5
-    effort_share: float = 0.9
+    reference: str = declared("s_curve", choices=KINDS)
+    acceleration_mps2: float = declared(0.9, unit="m/s^2", low=0.0, high=3.0, above=True)
+    deceleration_mps2: float = declared(0.8, unit="m/s^2", low=0.0, high=3.0, above=True)
+    jerk_mps3: float = declared(0.5, unit="m/s^3", low=0.0, above=True)
+    effort_share: float = declared(0.9, low=0.0, high=1.0, above=True)
     station_stop: bool = True
-    slip_m: float = 5.0
+    slip_m: float = declared(5.0, unit="m", low=0.0, infinite=True)
 
     def __post_init__(self) -> None:
-        if self.reference not in KINDS:
-            raise InputError(
-                "unknown reference", field="reference", value=self.reference, allowed=", ".join(KINDS)
-            )
+        check_fields(self)
 
 
 @dataclass(frozen=True)

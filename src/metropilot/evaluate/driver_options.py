@@ -10,7 +10,7 @@ from typing import Any, get_args, get_type_hints
 
 from metropilot._schema import check_name, convert
 from metropilot.drivers import DRIVERS
-from metropilot.errors import InputError
+from metropilot.errors import InputError, rename_fields
 from metropilot.sim import AbstractDriver
 
 
@@ -96,4 +96,6 @@ def with_options(driver: type[Any], options: Mapping[str, Any]) -> Any:  # noqa:
         check_name(name, defaults, f"option of {driver.id}", field="set", value=name)
         default = defaults[name]
         values[name] = value if default is None else convert(f"set {name}", value, type(default))
-    return driver(options=kind(**values))
+    with rename_fields({name: f"set {name}" for name in values}):
+        made = kind(**values)
+    return driver(options=made)

@@ -84,9 +84,7 @@ class RunSpec:
         option="restriction",
         form="FROM-TO@KMH[@T]",
     )
-    objective: Objective = declared(  # noqa: RUF009 (makes a field)
-        "wheel", "Energy to minimise: wheel or line.", choices=OBJECTIVES
-    )
+    objective: Objective = declared("wheel", "Energy to minimise: wheel or line.", choices=OBJECTIVES)
     dt_s: float = field(
         default=CONTROL_PERIOD_S, metadata={FieldSpec: replace(field_specs(Run)["dt"], option="dt")}
     )

@@ -9,12 +9,13 @@ import difflib
 import math
 from abc import ABC
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from typing import Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
+from metropilot._schema import FieldSpec, Range, declared, field_specs
 from metropilot.errors import InputError
 from metropilot.learn.networks import Initialiser
-from metropilot.learn.schedules import Schedule, Scheduled, highest, lowest, read_schedule
+from metropilot.learn.schedules import Schedule, Scheduled, highest, read_schedule
 from metropilot.policy import Activation
 
 Keep = Literal["best", "last"]
@@ -45,53 +46,37 @@ class AbstractConfig(ABC):
 
     algorithm: ClassVar[str]
 
-    steps: int = 100_000
-    environments: int = 8
-    evaluations: int = 20
-    evaluation_episodes: int = 16
-    evaluation_steps: int = 1_000
-    keep: Keep = "best"
-    gamma: float = 0.99
+    steps: int = declared(100_000, low=1)
+    environments: int = declared(8, low=1)
+    evaluations: int = declared(20, low=1)
+    evaluation_episodes: int = declared(16, low=1)
+    evaluation_steps: int = declared(1_000, low=1)
+    keep: Keep = declared("best", choices=get_args(Keep))
+    gamma: float = declared(0.99, low=0.0, high=1.0)
     reward_factor: float = 1.0
     reward_scaling: bool = False
     normalise_observations: bool = False
-    hidden: tuple[int, ...] = (64, 64)
-    activation: Activation = "tanh"
-    initialiser: Initialiser = "orthogonal"
+    hidden: tuple[int, ...] = declared((64, 64), low=1)
+    activation: Activation = declared("tanh", choices=get_args(Activation))
+    initialiser: Initialiser = declared("orthogonal", choices=get_args(Initialiser))
     max_gradient_norm: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse numbers outside their range."""
-        for name in ("steps", "environments", "evaluations", "evaluation_episodes", "evaluation_steps"):
-            self.within(name, 1, math.inf)
-        self.within("gamma", 0.0, 1.0)
-        for name, choices in (("keep", Keep), ("activation", Activation), ("initialiser", Initialiser)):
-            self.one_of(name, get_args(choices))
-        for width in self.hidden:
-            if width < 1:
-                raise InputError("width out of range", field="hidden", value=width, allowed="at least 1")
+        # a subclass that gives a field another default keeps the range that its base declares
+        for kind in type(self).__mro__:
+            for name, spec in field_specs(kind).items() if is_dataclass(kind) else ():
+                self.check(name, spec)
 
-    def within(self, name: str, low: int | float, high: int | float, *, open_low: bool = False) -> None:
-        """Raise InputError unless a field lies in [low, high]; ``open_low``: above low."""
+    def check(self, name: str, spec: FieldSpec) -> None:
+        """Check a field, the ends of a schedule, or each item of a tuple."""
         value = getattr(self, name)
-        if value is None:
-            return
-        below = lowest(value) <= low if open_low else lowest(value) < low
-        if below or highest(value) > high or math.isnan(lowest(value)):
-            scheduled = isinstance(value, Schedule)
-            words = (
-                f"schedule out of range, {value.start:g} to {value.end:g}" if scheduled else "out of range"
-            )
-            least = "above" if open_low else "at least"
-            allowed = f"{least} {low:.12g}" + ("" if high == math.inf else f", at most {high:.12g}")
-            raise InputError(words, field=name, value=None if scheduled else value, allowed=allowed)
-
-    def one_of(self, name: str, choices: tuple[str, ...]) -> None:
-        """Raise InputError unless a field is one of the choices."""
-        if getattr(self, name) not in choices:
-            raise InputError(
-                "unknown choice", field=name, value=getattr(self, name), allowed=", ".join(choices)
-            )
+        if not isinstance(value, Schedule):
+            for item in value if isinstance(value, tuple) else (value,):
+                spec.check(name, item)
+        elif spec.range and not (spec.range.admit(value.start) and spec.range.admit(value.end)):
+            words = f"schedule out of range, {value.start:g} to {value.end:g}"
+            raise InputError(words, field=name, allowed=spec.allowed)
 
 
 @dataclass(frozen=True)
@@ -109,20 +94,17 @@ class AbstractReplayConfig(AbstractConfig):
     """
 
     environments: int = 1
-    collect: int = 1
-    updates: int = 1
-    buffer_size: int = 100_000
-    batch_size: int = 64
-    warmup: int = 1_000
-    n_step: int = 1
-    tau: float = 0.005
+    collect: int = declared(1, low=1)
+    updates: int = declared(1, low=1)
+    buffer_size: int = declared(100_000, low=1)
+    batch_size: int = declared(64, low=1)
+    warmup: int = declared(1_000, low=1)
+    n_step: int = declared(1, low=1)
+    tau: float = declared(0.005, low=0.0, high=1.0, above=True)
 
     def __post_init__(self) -> None:
         """Refuse numbers outside their range, and a buffer that is not filled evenly."""
         super().__post_init__()
-        for name in ("collect", "updates", "buffer_size", "batch_size", "warmup", "n_step"):
-            self.within(name, 1, math.inf)
-        self.within("tau", 0.0, 1.0, open_low=True)
         if self.buffer_size % self.environments:
             allowed = f"a multiple of environments = {self.environments}"
             raise InputError(
@@ -164,29 +146,23 @@ class PPOConfig(AbstractConfig):
 
     environments: int = 64
     max_gradient_norm: float | None = 0.5
-    rollout: int = 128
-    epochs: int = 10
-    minibatches: int = 16
-    learning_rate: Scheduled = 3e-4
-    lambda_: float = 0.95
-    clip: Scheduled = 0.2
+    rollout: int = declared(128, low=1)
+    epochs: int = declared(10, low=1)
+    minibatches: int = declared(16, low=1)
+    learning_rate: Scheduled = declared(3e-4, low=0.0)
+    lambda_: float = declared(0.95, low=0.0, high=1.0)
+    clip: Scheduled = declared(0.2, low=0.0, high=1.0, above=True)
     entropy: Scheduled = 0.0
     value_weight: float = 0.5
     normalise_advantages: bool = True
     initial_std: float = 0.6
-    min_std: Scheduled = 0.01
+    min_std: Scheduled = declared(0.01, low=0.0)
     initial_bias: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse numbers outside their range, and minibatches that do not divide a rollout."""
         super().__post_init__()
-        for name in ("rollout", "epochs", "minibatches"):
-            self.within(name, 1, math.inf)
-        self.within("lambda_", 0.0, 1.0)
-        self.within("learning_rate", 0.0, math.inf)
-        self.within("clip", 0.0, 1.0, open_low=True)
-        self.within("min_std", 0.0, math.inf)
-        self.within("initial_std", highest(self.min_std), math.inf, open_low=True)
+        self.check("initial_std", FieldSpec(range=Range(highest(self.min_std), above=True)))
         if self.rollout * self.environments % self.minibatches:
             allowed = f"a divisor of environments x rollout = {self.rollout * self.environments}"
             raise InputError(
@@ -217,30 +193,23 @@ class DQNConfig(AbstractReplayConfig):
     activation: Activation = "relu"
     initialiser: Initialiser = "he"
     max_gradient_norm: float | None = 10.0
-    learning_rate: Scheduled = 5e-4
+    learning_rate: Scheduled = declared(5e-4, low=0.0)
     double: bool = False
     dueling: bool = False
     prioritised: bool = False
-    priority_exponent: float = 0.6
-    priority_floor: float = 1e-3
-    importance: Scheduled = BETA_ANNEALING
+    priority_exponent: float = declared(0.6, low=0.0)
+    priority_floor: float = declared(1e-3, low=0.0, above=True)
+    importance: Scheduled = declared(BETA_ANNEALING, low=0.0, high=1.0)
     mask_targets: bool = True
-    epsilon: Scheduled = EPSILON_DECAY
-    target_period: int = 200
-    huber: float | None = 1.0
+    epsilon: Scheduled = declared(EPSILON_DECAY, low=0.0, high=1.0)
+    target_period: int = declared(200, low=0)
+    huber: float | None = declared(1.0, low=0.0, above=True)
 
     def __post_init__(self) -> None:
         """Refuse numbers outside their range."""
         super().__post_init__()
-        self.within("learning_rate", 0.0, math.inf)
-        self.within("epsilon", 0.0, 1.0)
-        self.within("importance", 0.0, 1.0)
-        self.within("priority_exponent", 0.0, math.inf)
-        self.within("priority_floor", 0.0, math.inf, open_low=True)
-        self.within("target_period", 0, math.inf)
-        self.within("huber", 0.0, math.inf, open_low=True)
         if self.prioritised:
-            self.within("buffer_size", 1, MAX_PRIORITISED)
+            self.check("buffer_size", FieldSpec(range=Range(1, MAX_PRIORITISED)))
 
 
 @dataclass(frozen=True)
@@ -262,21 +231,15 @@ class DDPGConfig(AbstractReplayConfig):
 
     activation: Activation = "relu"
     initialiser: Initialiser = "uniform"
-    actor_rate: Scheduled = 1e-3
-    critic_rate: Scheduled = 1e-3
-    noise: Scheduled = 0.2
-    noise_kind: Literal["gaussian", "ornstein_uhlenbeck"] = "gaussian"
-    noise_pull: float = 0.15
+    actor_rate: Scheduled = declared(1e-3, low=0.0)
+    critic_rate: Scheduled = declared(1e-3, low=0.0)
+    noise: Scheduled = declared(0.2, low=0.0)
+    noise_kind: Literal["gaussian", "ornstein_uhlenbeck"] = declared(
+        "gaussian", choices=("gaussian", "ornstein_uhlenbeck")
+    )
+    noise_pull: float = declared(0.15, low=0.0, high=1.0)
     initial_bias: float = 0.0
-    saturation_cost: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse numbers outside their range."""
-        super().__post_init__()
-        for name in ("actor_rate", "critic_rate", "noise", "saturation_cost"):
-            self.within(name, 0.0, math.inf)
-        self.within("noise_pull", 0.0, 1.0)
-        self.one_of("noise_kind", ("gaussian", "ornstein_uhlenbeck"))
+    saturation_cost: float = declared(0.0, low=0.0)
 
 
 @dataclass(frozen=True)
@@ -297,19 +260,12 @@ class SACConfig(AbstractReplayConfig):
     activation: Activation = "relu"
     initialiser: Initialiser = "he"
     batch_size: int = 256
-    actor_rate: Scheduled = 3e-4
-    critic_rate: Scheduled = 1e-3
-    temperature_rate: Scheduled = 3e-4
-    initial_temperature: float = 0.2
+    actor_rate: Scheduled = declared(3e-4, low=0.0)
+    critic_rate: Scheduled = declared(1e-3, low=0.0)
+    temperature_rate: Scheduled = declared(3e-4, low=0.0)
+    initial_temperature: float = declared(0.2, low=0.0, above=True)
     target_entropy: float = -1.0
     initial_bias: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse numbers outside their range."""
-        super().__post_init__()
-        for name in ("actor_rate", "critic_rate", "temperature_rate"):
-            self.within(name, 0.0, math.inf)
-        self.within("initial_temperature", 0.0, math.inf, open_low=True)
 
 
 @dataclass(frozen=True)
@@ -324,15 +280,9 @@ class NAFConfig(AbstractReplayConfig):
 
     algorithm: ClassVar[str] = "naf"
 
-    learning_rate: Scheduled = 1e-3
-    noise: Scheduled = 0.3
+    learning_rate: Scheduled = declared(1e-3, low=0.0)
+    noise: Scheduled = declared(0.3, low=0.0)
     initial_bias: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse numbers outside their range."""
-        super().__post_init__()
-        for name in ("learning_rate", "noise"):
-            self.within(name, 0.0, math.inf)
 
 
 @dataclass(frozen=True)
@@ -351,24 +301,21 @@ class TabularConfig(AbstractConfig):
 
     algorithm: ClassVar[str] = "tabular"
 
-    bins: tuple[int, ...] = (10,)
+    bins: tuple[int, ...] = declared((10,), low=1)
     low: tuple[float, ...] = (-1.0,)
     high: tuple[float, ...] = (1.0,)
     initial_value: float = 0.0
-    learning_rate: Scheduled = 0.1
-    epsilon: Scheduled = 0.1
-    rollout: int = 32
+    learning_rate: Scheduled = declared(0.1, low=0.0, high=1.0)
+    epsilon: Scheduled = declared(0.1, low=0.0, high=1.0)
+    rollout: int = declared(32, low=1)
 
     def __post_init__(self) -> None:
         """Refuse numbers outside their range."""
         super().__post_init__()
-        self.within("learning_rate", 0.0, 1.0)
-        self.within("epsilon", 0.0, 1.0)
-        self.within("rollout", 1, math.inf)
         if self.normalise_observations or self.reward_scaling:
             name = "normalise_observations" if self.normalise_observations else "reward_scaling"
             raise InputError("a table does not need it", field=name, value=True, allowed="false")
-        if min(self.bins) < 1 or not all(a < b for a, b in zip(self.low, self.high, strict=False)):
+        if not all(a < b for a, b in zip(self.low, self.high, strict=False)):
             raise InputError(
                 "empty grid", field="bins, low, high", value=f"{self.bins} {self.low} {self.high}"
             )
@@ -403,26 +350,16 @@ class TeacherConfig(AbstractConfig):
     normalise_observations: bool = True
     gamma: float = 1.0
     max_gradient_norm: float | None = 0.5
-    worlds: int = 2_000
-    plans: int = 7
-    states: int = 60
-    batches: int = 12_000
-    batch_size: int = 1_024
-    imitation_rate: float = 1.5e-3
-    learning_rate: Scheduled = COSINE_LR
-    decisions: int = 38_400
-    imitation_weight: float = 0.3
-    late_per_s: float = 0.04
-
-    def __post_init__(self) -> None:
-        """Refuse numbers outside their range."""
-        super().__post_init__()
-        for name in ("worlds", "plans", "states", "batches", "batch_size"):
-            self.within(name, 1, math.inf)
-        self.within("decisions", 9_600, math.inf)
-        self.within("learning_rate", 0.0, 1.0)
-        for name in ("imitation_rate", "imitation_weight", "late_per_s"):
-            self.within(name, 0.0, math.inf)
+    worlds: int = declared(2_000, low=1)
+    plans: int = declared(7, low=1)
+    states: int = declared(60, low=1)
+    batches: int = declared(12_000, low=1)
+    batch_size: int = declared(1_024, low=1)
+    imitation_rate: float = declared(1.5e-3, low=0.0)
+    learning_rate: Scheduled = declared(COSINE_LR, low=0.0, high=1.0)
+    decisions: int = declared(38_400, low=9_600)
+    imitation_weight: float = declared(0.3, low=0.0)
+    late_per_s: float = declared(0.04, low=0.0)
 
 
 CONFIGS: dict[str, type[AbstractConfig]] = {

@@ -7,10 +7,10 @@ from typing import NamedTuple, final, no_type_check
 
 import numpy as np
 
+from metropilot._schema import check_fields, declared
 from metropilot._typing import Scalar
 from metropilot.convoy.drivers.base import AbstractFollower, command_for
 from metropilot.convoy.step import FollowerObservation
-from metropilot.errors import InputError
 from metropilot.physics import Vehicle, namespace
 
 LATE = 0.35
@@ -31,21 +31,13 @@ class FollowGapOptions:
         feedforward: Share of the acceleration of the trainset ahead that is fed forward.
     """
 
-    time_gap_s: float = 0.0
-    bandwidth_per_s: float = 0.0
-    damping: float = 1.0
-    feedforward: float = 1.0
+    time_gap_s: float = declared(0.0, unit="s", low=0.0, high=10.0)
+    bandwidth_per_s: float = declared(0.0, low=0.0, high=4.0)
+    damping: float = declared(1.0, low=0.3, high=3.0)
+    feedforward: float = declared(1.0, low=0.0, high=1.0)
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("time_gap_s", 0.0, 10.0),
-            ("bandwidth_per_s", 0.0, 4.0),
-            ("damping", 0.3, 3.0),
-            ("feedforward", 0.0, 1.0),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise InputError("out of range", field=name, value=value, allowed=f"{low:g} to {high:g}")
+        check_fields(self)
 
 
 class GapMemory(NamedTuple):

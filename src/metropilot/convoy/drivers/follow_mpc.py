@@ -15,10 +15,10 @@ from typing import Any, NamedTuple, final, no_type_check
 import numpy as np
 from numpy import ndarray
 
+from metropilot._schema import check_fields, declared
 from metropilot._typing import Scalar
 from metropilot.convoy.drivers.base import AbstractFollower, command_for, reachable
 from metropilot.convoy.step import FollowerObservation
-from metropilot.errors import InputError
 from metropilot.physics import Vehicle, namespace, scalars
 
 HORIZON = 15
@@ -39,16 +39,13 @@ class FollowMpcOptions:
         fading: Share of the acceleration ahead that remains one period later.
     """
 
-    gap: float = 1.0
-    speed: float = 1.0
-    change: float = 0.05
-    fading: float = 0.97
+    gap: float = declared(1.0, low=0.0, high=1e3)
+    speed: float = declared(1.0, low=0.0, high=1e3)
+    change: float = declared(0.05, low=0.0, high=1e3)
+    fading: float = declared(0.97, low=0.0, high=1.0)
 
     def __post_init__(self) -> None:
-        for name, high in (("gap", 1e3), ("speed", 1e3), ("change", 1e3), ("fading", 1.0)):
-            value = getattr(self, name)
-            if not 0.0 <= value <= high:
-                raise InputError("out of range", field=name, value=value, allowed=f"0 to {high:g}")
+        check_fields(self)
 
 
 class MpcMemory(NamedTuple):

@@ -7,12 +7,12 @@ from typing import final, no_type_check
 
 import numpy as np
 
+from metropilot._schema import check_fields, declared
 from metropilot._typing import Scalar
 from metropilot.control import Errors, Gains, incremental_pid
 from metropilot.convoy.drivers.base import AbstractFollower, waits
 from metropilot.convoy.gains import GAIN_HIGH, GAIN_LOW
 from metropilot.convoy.step import FollowerObservation
-from metropilot.errors import InputError
 from metropilot.physics import Vehicle, namespace
 
 
@@ -26,15 +26,12 @@ class FollowPidOptions:
         derivative: On the change of the change, 0 to 1.5.
     """
 
-    proportional: float = 5.0
-    integral: float = 1.5
-    derivative: float = 0.5
+    proportional: float = declared(5.0, low=GAIN_LOW.proportional, high=GAIN_HIGH.proportional)
+    integral: float = declared(1.5, low=GAIN_LOW.integral, high=GAIN_HIGH.integral)
+    derivative: float = declared(0.5, low=GAIN_LOW.derivative, high=GAIN_HIGH.derivative)
 
     def __post_init__(self) -> None:
-        for name in Gains._fields:
-            value, high = getattr(self, name), getattr(GAIN_HIGH, name)
-            if not getattr(GAIN_LOW, name) <= value <= high:
-                raise InputError("out of range", field=name, value=value, allowed=f"0 to {high:g}")
+        check_fields(self)
 
 
 @final

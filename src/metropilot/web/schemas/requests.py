@@ -148,7 +148,7 @@ class DriveIn(PlanIn, DisturbanceIn):
     options: dict[Word, Option] = {}
     arrivals: Annotated[list[ArrivalIn], Field(max_length=20)] = []
     dt_s: Annotated[float, Checked("dt_s", RUN_FIELDS["dt_s"])] = CONTROL_PERIOD_S
-    seed: Annotated[int, Field(ge=0, lt=2**53)] = 0
+    seed: Annotated[int, Field(lt=2**53), Checked("seed", RUN_FIELDS["seed"])] = 0
 
 
 class CompareIn(DriveIn):
@@ -214,7 +214,7 @@ class ConvoyIn(DriveIn, ConvoySettingsIn):
 
     trainsets: Annotated[int, Field(ge=2, le=6)] = 3
     follower: Id = "follow_gap"
-    disturbances: Annotated[list[DisturbanceIn], Field(max_length=6)] = []
+    disturbances: Annotated[list[DisturbanceIn], Field(max_length=6)] = []  # pyright: ignore[reportInvalidTypeForm]
     pace: Annotated[float, Field(ge=0, le=20)] = 1.0
 
 

@@ -24,6 +24,7 @@ from metropilot.planning import (
     JourneyPlan,
     Plan,
     PlanOptions,
+    check_running_time,
     minimum_running_time,
     optimal_plan,
     plan_journey,
@@ -116,14 +117,7 @@ def plan_of(request: RunSpec) -> dict[str, Any]:
     section, trainset = request.section(), request.loaded_trainset()
     fastest = minimum_running_time(section, trainset)
     time_s = request.time_s or section.planned_time_s or fastest * 1.1
-    if time_s < fastest:
-        raise Infeasible(
-            f"minimum running time is {fastest:.1f} s",
-            field="time_s",
-            value=time_s,
-            unit="s",
-            allowed=f"{fastest:.1f} s or more",
-        )
+    check_running_time(time_s, fastest)
     options = PlanOptions(objective=request.objective)
     return plan_out(optimal_plan(section, trainset, max(time_s, fastest * BARELY), options), fastest)
 
