@@ -91,7 +91,7 @@ def test_assists_are_met_by_notches():
     brake, pull = 149e3, float(effort_at(seen.vehicle, F(15.0)).traction_n)
     for wanted_n, notch_n in ((-100e3, -132e3), (-99e3, -99e3), (-1e3, -33e3), (60e3, 34e3), (30e3, 0.0)):
         share = wanted_n / (pull if wanted_n > 0 else brake)
-        met = float(action.settled(seen, F(share)))
+        met = float(action.round(seen, F(share)))
         assert met * (pull if met > 0 else brake) == pytest.approx(notch_n, abs=1.0)
     with pytest.raises(InputError, match="no table of notches"):
         NotchForceAction((-1.0, 1.0))
@@ -103,9 +103,9 @@ def test_a_notch_is_held_as_a_force():
     action = NotchForceAction()
     slow, fast = lu2023_sight(speed_mps=F(16.0)), lu2023_sight(speed_mps=F(18.0))
     share = action.command(slow, np.array(6), 3.0)
-    later = float(action.held(fast, np.array(6), share))
+    later = float(action.hold(fast, np.array(6), share))
     assert later > float(share)
     assert later * float(effort_at(fast.vehicle, F(18.0)).traction_n) == pytest.approx(34e3, abs=1.0)
-    assert float(action.settled(fast, F(later))) == pytest.approx(later)
+    assert float(action.round(fast, F(later))) == pytest.approx(later)
     # a command stays what was decided
-    assert RegimeAction().held(fast, np.array([1.0]), F(0.3)) == 0.3
+    assert RegimeAction().hold(fast, np.array([1.0]), F(0.3)) == 0.3

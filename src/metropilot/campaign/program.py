@@ -240,8 +240,8 @@ def _decide(
     wanted = perception.action.command(sight, action, perception.period_s)
     action, decided = jnp.where(due, action, before.action), jnp.where(due, count, before.decided)
     wanted = jnp.where(due, wanted.astype(sight.speed_mps.dtype), before.wanted)
-    command = perception.action.held(sight, action, wanted)
+    command = perception.action.hold(sight, action, wanted)
     command, stopping = apply_assists(perception.assists, sight, command, before.stopping, kind.dt)
-    command = perception.action.settled(sight, command).astype(sight.speed_mps.dtype)
+    command = perception.action.round(sight, command).astype(sight.speed_mps.dtype)
     after = before._replace(command=command, action=action, wanted=wanted, decided=decided, stopping=stopping)
     return after, broken

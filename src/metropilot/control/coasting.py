@@ -68,14 +68,13 @@ def forecast_of(model: Model, ceiling: Ceiling, deceleration_mps2: float) -> For
     for k in range(count - 1, -1, -1):
         top[k] = min(top[k], math.sqrt(top[k + 1] ** 2 + 2.0 * deceleration_mps2 * step))
     speeds = np.arange(0.0, float(vehicle.max_speed_mps) + 2.0, SPEED_STEP_MPS)
-    davis = [float(v * (vehicle.davis_n[1] + v * vehicle.davis_n[2])) / mass for v in speeds]
     return Forecast(
         step_m=step,
         length_m=length,
         ceiling_mps=top.tolist(),
         drag_mps2=drag,
-        traction_mps2=[float(effort_at(vehicle, v).traction_n) / mass for v in speeds],
-        davis_mps2=davis,
+        traction_mps2=(effort_at(vehicle, speeds).traction_n / mass).tolist(),
+        davis_mps2=(speeds * (vehicle.davis_n[1] + speeds * vehicle.davis_n[2]) / mass).tolist(),
         most_mps2=float(vehicle.max_acceleration_mps2),
     )
 

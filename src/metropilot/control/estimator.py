@@ -218,7 +218,7 @@ def record_command(belief: StateEstimate, share: float) -> StateEstimate:
 
 def _fuse(
     dt: float, belief: StateEstimate, position_m: float, speed_mps: float, acceleration_mps2: float
-) -> tuple[float, float, ndarray]:
+) -> tuple[float, float, Float[ndarray, "2 2"]]:
     """Kalman filter of position and speed, with the measured acceleration of the period as its input."""
     a = float(acceleration_mps2)
     position = belief.position_m + belief.speed_mps * dt + 0.5 * a * dt * dt

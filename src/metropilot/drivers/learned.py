@@ -121,9 +121,9 @@ class LearnedDriver(AbstractDriver):
             action = self.policy(seen) if mask is None else self.policy(seen, mask)
             wanted = np.float64(perception.action.command(sight, action, perception.period_s))
             decided = int((observation.time_s + DECISION_EARLY_S) / perception.period_s) + 1
-        command = perception.action.held(sight, action, wanted)
+        command = perception.action.hold(sight, action, wanted)
         command, stopping = self._apply_assists(memory, sight, command)
-        command = perception.action.settled(sight, command)
+        command = perception.action.round(sight, command)
         if memory.watch is not None:
             share, watch = watching.limit_by_protection(memory.watch, observation, float(command))
             memory = memory._replace(watch=watching.record_decision(watch, share))

@@ -49,18 +49,18 @@ class AbstractAction(ABC):
         del sight, period_s
         return None
 
-    def held(self, sight: FeatureContext, action: Array, command: Array) -> Array:
-        """The command later in the same decision: by default as decided; a force is held, not its share."""
+    def hold(self, sight: FeatureContext, action: Array, command: Array) -> Array:
+        """Hold a decision to its end: by default the command as decided; a force is held, not its share."""
         del sight, action
         return command
 
-    def settled(self, sight: FeatureContext, command: Array) -> Array:
-        """The command that is given where assists have made another of it; a notch may have to be met."""
+    def round(self, sight: FeatureContext, command: Array) -> Array:
+        """Round a command that assists have changed to one that can be given, a notch; by default itself."""
         del sight
         return command
 
 
-def _ordered(field: str, pair: tuple[float, float], allowed: str, *, equal: bool = False) -> None:
+def _check_order(field: str, pair: tuple[float, float], allowed: str, *, equal: bool = False) -> None:
     """Raise an error unless the second number is larger than the first."""
     low, high = pair
     if not (low <= high if equal else low < high):
@@ -105,8 +105,8 @@ class RegimeAction(AbstractAction):
 
     def __post_init__(self) -> None:
         """Check that the dead zone leaves a range for effort."""
-        _ordered("coast", (0.0, self.coast), "0 or more, below full", equal=True)
-        _ordered("full", (self.coast, self.full), "above coast")
+        _check_order("coast", (0.0, self.coast), "0 or more, below full", equal=True)
+        _check_order("full", (self.coast, self.full), "above coast")
 
     @property
     def space(self) -> ActionSpace:
@@ -135,7 +135,7 @@ class IncrementAction(AbstractAction):
 
     def __post_init__(self) -> None:
         """Check that the rate is positive."""
-        _ordered("rate_per_s", (0.0, self.rate_per_s), "above 0")
+        _check_order("rate_per_s", (0.0, self.rate_per_s), "above 0")
 
     @property
     def space(self) -> ActionSpace:
@@ -195,8 +195,8 @@ class GainsAction(AbstractAction):
         if not len(self.low) == len(self.high) == 2:
             raise InputError("not a range of two gains", field="high", value=len(self.high), allowed="2")
         for low, high in zip(self.low, self.high, strict=True):
-            _ordered("low", (0.0, low), "above 0, at most high")
-            _ordered("high", (low, high), "at least low", equal=True)
+            _check_order("low", (0.0, low), "above 0, at most high")
+            _check_order("high", (low, high), "at least low", equal=True)
 
     @property
     def space(self) -> ActionSpace:

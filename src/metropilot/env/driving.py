@@ -271,9 +271,9 @@ class DrivingTask(AbstractTask):
         )
 
         def decide(_: None, __: RunState) -> tuple[Command, tuple[Scalar, Flag]]:
-            wanted = config.action.held(sight, *decided)
+            wanted = config.action.hold(sight, *decided)
             command, stopping = apply_assists(config.assists, sight, wanted, state.stopping, config.dt)
-            command = config.action.settled(sight, command)
+            command = config.action.round(sight, command)
             if config.periods > 1:  # an episode that ends within a decision waits for the next one
                 command = jnp.where(state.outcome == RUNNING, command, -jnp.ones_like(command))
             return Command(command, jnp.zeros((), bool)), (command, stopping)

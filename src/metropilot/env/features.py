@@ -286,7 +286,7 @@ def efforts_ahead(sight: FeatureContext) -> Sequence[Array]:
 def coasting(sight: FeatureContext) -> Sequence[Array]:
     """Spare time if the trainset coasts from here to station-stop braking, and its least speed."""
     xp = sight.xp
-    taken, slowest = _coasted(sight, sight.speed_mps)
+    taken, slowest = _coast(sight, sight.speed_mps)
     return [*_spare(sight, taken), xp.tanh((sight.left_s - taken) / 2.0), slowest]
 
 
@@ -294,13 +294,13 @@ def coasting_faster(sight: FeatureContext) -> Sequence[Array]:
     """Spare time and least speed of coasting from a higher speed, to anticipate the coasting point."""
     xp, parts = sight.xp, []
     for more in FASTER_MPS:
-        taken, slowest = _coasted(sight, sight.speed_mps + more)
+        taken, slowest = _coast(sight, sight.speed_mps + more)
         spare = sight.left_s - taken
         parts += [xp.tanh(spare / 20.0), xp.tanh(spare / 3.0), slowest]
     return parts
 
 
-def _coasted(sight: FeatureContext, v: Array) -> tuple[Array, Array]:
+def _coast(sight: FeatureContext, v: Array) -> tuple[Array, Array]:
     """Time to the stop if the trainset coasts from here at a speed, and its least speed on the way.
 
     Kinetic energy at a few nodes ahead, falling by resistance and climb, below the permitted speed and the

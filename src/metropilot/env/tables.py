@@ -97,7 +97,7 @@ def build_tables(
         vehicle=stack(vehicles),
         track=stack(tracks),
         protection=stacked,
-        ground=np.stack([_padded(ground, nodes + ahead.size + 2) for ground in grounds]),
+        ground=np.stack([_pad(ground, nodes + ahead.size + 2) for ground in grounds]),
         to_go=np.stack([np.pad(t, ((0, 0), (0, _widest(tables) - t.shape[1])), mode="edge") for t in tables]),
         minimum_s=np.array([t[-1, 0] for t in tables]),
         length_m=np.array(lengths),
@@ -105,7 +105,7 @@ def build_tables(
         stop_mps2=np.array(stops),
         braked=np.stack([np.pad(b, ((0, nodes + ahead.size + 2 - len(b)), (0, 0))) for b in brakings]),
     )
-    return _mapped(lambda a: a if a.dtype.kind in "iub" else a.astype(dtype), whole)
+    return _map_tree(lambda a: a if a.dtype.kind in "iub" else a.astype(dtype), whole)
 
 
 def _rows(cases: Sequence[tuple[Section, Trainset, Bounds]], spacing_m: float, jobs: int) -> list[Any]:
@@ -133,7 +133,7 @@ def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float
     work = _stop_work(vehicle, at, pull, section.length_m)
     follow = _follow_mps(vehicle, at, pull, protection.permitted_mps[:used])
     braked = np.stack(
-        [work, follow, *_paced_s(at, np.minimum(follow, _stops_mps(work)), section.length_m)], axis=1
+        [work, follow, *_pace_times(at, np.minimum(follow, _stop_speed(work)), section.length_m)], axis=1
     )
     stop_mps2 = _stop_mps2(vehicle, track)
     return vehicle, track, protection, ground, table, section.length_m, stop_mps2, braked
@@ -158,24 +158,24 @@ def _stop_work(vehicle: Vehicle, at: np.ndarray, uphill: np.ndarray, length_m: f
     """
     mass, ends = float(vehicle.effective_mass_kg), float(vehicle.max_deceleration_mps2)
 
-    def taken_out(able: np.ndarray) -> np.ndarray:
+    def dissipated_work(able: np.ndarray) -> np.ndarray:
         work = np.concatenate([[0.0], np.cumsum(0.5 * (able[1:] + able[:-1]) * np.diff(at))])
         return np.interp(length_m, at, work) - work
 
-    work = taken_out(np.clip(_sure_brake(vehicle) + uphill, LEAST_STOP_MPS2, ends))
+    work = dissipated_work(np.clip(_sure_brake(vehicle) + uphill, LEAST_STOP_MPS2, ends))
     for _ in range(STOP_PASSES):
         speed = np.minimum(np.sqrt(2.0 * np.maximum(work, 0.0)), float(vehicle.max_speed_mps))
         sure = effort_at(vehicle, speed).brake_n + SURE_RESISTANCE * davis_n(vehicle, speed)
-        work = taken_out(np.clip(sure / mass + uphill, LEAST_STOP_MPS2, ends))
+        work = dissipated_work(np.clip(sure / mass + uphill, LEAST_STOP_MPS2, ends))
     return work
 
 
-def _stops_mps(work: np.ndarray) -> np.ndarray:
+def _stop_speed(work: np.ndarray) -> np.ndarray:
     """Speed from which station-stop braking stops, m/s; 0 beyond the stop."""
     return np.sqrt(2.0 * np.maximum(work, 0.0))
 
 
-def _paced_s(at: np.ndarray, most_mps: np.ndarray, length_m: float) -> list[np.ndarray]:
+def _pace_times(at: np.ndarray, most_mps: np.ndarray, length_m: float) -> list[np.ndarray]:
     """Time to the stop from each node at each of ``PACES_MPS``, or at the highest possible lower speed, s."""
     found = []
     for pace in PACES_MPS:
@@ -218,7 +218,7 @@ def _widest(tables: Sequence[np.ndarray]) -> int:
     return max(table.shape[1] for table in tables)
 
 
-def _padded(ground: np.ndarray, size: int) -> np.ndarray:
+def _pad(ground: np.ndarray, size: int) -> np.ndarray:
     """Beyond the map nothing may move: zero curves, the rest as at its end."""
     extra = np.repeat(ground[-1:], size - ground.shape[0], axis=0)
     extra[:, : PERMITTED_COLUMN + 1] = 0.0
@@ -245,9 +245,9 @@ def _stack_protection(protections: Sequence[Protection], ahead: np.ndarray) -> P
     )
 
 
-def _mapped(function: Any, tree: Any, *, traced: bool = False) -> Any:  # noqa: ANN401 (a tree of tuples)
+def _map_tree(function: Any, tree: Any, *, traced: bool = False) -> Any:  # noqa: ANN401 (a tree of tuples)
     if isinstance(tree, tuple):
-        values = [_mapped(function, entry, traced=traced) for entry in tree]
+        values = [_map_tree(function, entry, traced=traced) for entry in tree]
         return type(tree)(*values) if hasattr(tree, "_fields") else tuple(values)
     return function(tree if traced else np.asarray(tree))
 
@@ -281,15 +281,15 @@ class SectionRows:
         self.tables = tables
         none = np.zeros(self.count)
         small = tables._replace(ground=none, to_go=none, braked=none)
-        self._shared = _mapped(lambda a: not traced and bool((a == a[:1]).all()), small, traced=traced)
+        self._shared = _map_tree(lambda a: not traced and bool((a == a[:1]).all()), small, traced=traced)
         if traced:
-            self._small = _mapped(xp.asarray, small, traced=True)
+            self._small = _map_tree(xp.asarray, small, traced=True)
         else:
-            self._small = _mapped(lambda a: xp.asarray(a[0] if (a == a[:1]).all() else a), small)
+            self._small = _map_tree(lambda a: xp.asarray(a[0] if (a == a[:1]).all() else a), small)
 
     def case(self, case: Array) -> SectionTables:
         """The row of a case, without the large tables and with the whole track."""
-        return _picked(self._small, self._shared, case)
+        return _pick(self._small, self._shared, case)
 
     def node(self, case: Array, position_m: Array) -> tuple[Array, Array]:
         """Last node not beyond a position, and the fraction of the distance to the next."""
@@ -339,9 +339,9 @@ class SectionRows:
         return low * (1.0 - u) + high * u
 
 
-def _picked(tree: Any, shared: Any, case: Array) -> Any:  # noqa: ANN401 (a tree of tuples)
+def _pick(tree: Any, shared: Any, case: Array) -> Any:  # noqa: ANN401 (a tree of tuples)
     if isinstance(tree, tuple):
-        return type(tree)(*(_picked(a, b, case) for a, b in zip(tree, shared, strict=True)))
+        return type(tree)(*(_pick(a, b, case) for a, b in zip(tree, shared, strict=True)))
     return tree if shared else tree[case]
 
 

@@ -62,7 +62,7 @@ class NotchForceAction(AbstractAction):
         force_n = sight.xp.asarray(self.notches_n, np.float32)[action]
         return command_for_force(sight.vehicle, sight.speed_mps, force_n)
 
-    def held(self, sight: FeatureContext, action: Array, command: Array) -> Array:
+    def hold(self, sight: FeatureContext, action: Array, command: Array) -> Array:
         """The same force at another speed."""
         del command
         return self.command(sight, action, 0.0)
@@ -89,7 +89,7 @@ class NotchForceAction(AbstractAction):
         in_time = sight.left_s - period_s >= (1.0 + self.margin) * to_go
         return in_time | (notches >= notches[-1])
 
-    def settled(self, sight: FeatureContext, command: Array) -> Array:
+    def round(self, sight: FeatureContext, command: Array) -> Array:
         """The notch for a command the assists have changed: the weakest brake that is strong enough.
 
         Where no notch is (another trainset than the table is of), the stop needs the command as it is.
