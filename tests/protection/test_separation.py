@@ -133,6 +133,14 @@ def test_what_the_brake_may_miss_is_taken_off():
     assert separate(PairBounds(scatter_mps2=0.05), 0.2, 1.0).held_mps2 == pytest.approx(0.95)
 
 
+def test_the_trainset_ahead_may_be_slower_than_it_measured():
+    bounds = separate(PairBounds(1.0, 1.5, speed_error_mps=0.3), 0.2, 1.0)
+    fast, slow = (TrainAhead(*map(np.float64, (0.0, v, 0.0, 0.0)), bounds) for v in (15.0, 0.2))
+    assert leader_motion(fast).speed_mps == pytest.approx(14.7)
+    assert leader_motion(slow).speed_mps == 0.0
+    assert np.isnan(leader_motion(fast._replace(speed_mps=np.float64("nan"))).speed_mps)
+
+
 def test_the_margin_is_never_used_up():
     member = two()
 

@@ -10,7 +10,7 @@ from tests.protection.convoy_search import Convoys
 from tests.protection.optimiser import hunt, scatter, share
 from tests.protection.search import Field, places
 
-from metropilot.convoy import AttackCampaign
+from metropilot.convoy import EVERY_DISTURBANCE, MASS_AND_RESISTANCE, AttackCampaign
 
 PLACES, POPULATION, GENERATIONS = 9, 16, 12
 
@@ -63,8 +63,9 @@ def test_the_optimiser_finds_a_guard_that_is_missing(field):
     assert found.value.max() > 0.1
 
 
-def test_no_attack_makes_a_convoy_touch():
-    convoys = Convoys(AttackCampaign(seed=4))
+@pytest.mark.parametrize("disturbances", [MASS_AND_RESISTANCE, EVERY_DISTURBANCE], ids=["mass", "every"])
+def test_no_attack_makes_a_convoy_touch(disturbances):
+    convoys = Convoys(AttackCampaign(seed=4, disturbances=disturbances))
     found = convoys.search(np.arange(0, 24, 4), POPULATION, GENERATIONS, seed=4)
     assert found.value.max() < 0.0
     assert found.value.max() > -0.2

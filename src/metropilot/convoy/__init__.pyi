@@ -1,6 +1,7 @@
 from .attack import ATTACKED_HEADS as ATTACKED_HEADS
 from .attack import EVERY_DISTURBANCE as EVERY_DISTURBANCE
 from .attack import LONGEST_EMERGENCY_S as LONGEST_EMERGENCY_S
+from .attack import MASS_AND_RESISTANCE as MASS_AND_RESISTANCE
 from .attack import AttackArena as AttackArena
 from .attack import AttackCampaign as AttackCampaign
 from .attack import AttackCase as AttackCase
