@@ -1,3 +1,6 @@
+from .analysis import ConvoyService as ConvoyService
+from .analysis import needed_gap_m as needed_gap_m
+from .analysis import speed_gains as speed_gains
 from .attack import ATTACKED_HEADS as ATTACKED_HEADS
 from .attack import EVERY_DISTURBANCE as EVERY_DISTURBANCE
 from .attack import LONGEST_EMERGENCY_S as LONGEST_EMERGENCY_S
@@ -13,8 +16,6 @@ from .drivers.learned import FollowPolicyOptions as FollowPolicyOptions
 from .env import MAX_PERIODS as MAX_PERIODS
 from .env import ConvoyTask as ConvoyTask
 from .env import ConvoyTaskConfig as ConvoyTaskConfig
-from .headway import ConvoyService as ConvoyService
-from .headway import needed_gap_m as needed_gap_m
 from .kpis import ConvoyKpis as ConvoyKpis
 from .kpis import MemberKpis as MemberKpis
 from .kpis import convoy_kpis as convoy_kpis
@@ -33,4 +34,3 @@ from .rollout import ConvoyDrive as ConvoyDrive
 from .rollout import ConvoyRollout as ConvoyRollout
 from .rollout import HeadRun as HeadRun
 from .rollout import drive_convoy as drive_convoy
-from .stability import speed_gains as speed_gains

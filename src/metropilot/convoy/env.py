@@ -12,7 +12,7 @@ import numpy as np
 from metropilot._typing import Array
 from metropilot.control import Errors, incremental_pid
 from metropilot.convoy.batch import advance_members, exchange_messages, gaps_m, observe_members, stack_rows
-from metropilot.convoy.gains import chen2023b_state, gains_of
+from metropilot.convoy.drivers.follow_pid import chen2023b_state, gains_of
 from metropilot.convoy.leaders import recordings
 from metropilot.convoy.model import (
     CONVOY_PERIOD_S,

@@ -14,8 +14,8 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from metropilot.control import Errors, incremental_pid
+from metropilot.convoy.drivers.follow_pid import STATE, chen2023b_state, gains_of
 from metropilot.convoy.env import MAX_PERIODS, ConvoyTaskConfig, follow_terms
-from metropilot.convoy.gains import STATE, chen2023b_state, gains_of
 from metropilot.convoy.leaders import recordings
 from metropilot.convoy.model import Convoy, LinkQuality, Member, convoy_members
 from metropilot.convoy.step import (

@@ -11,8 +11,7 @@ import numpy as np
 from metropilot._typing import Scalar
 from metropilot.control import Errors
 from metropilot.convoy.drivers.base import AbstractFollower
-from metropilot.convoy.drivers.follow_pid import pid_step
-from metropilot.convoy.gains import STATE, chen2023b_state, gains_of
+from metropilot.convoy.drivers.follow_pid import STATE, chen2023b_state, gains_of, pid_step
 from metropilot.convoy.step import FollowerObservation
 from metropilot.errors import InputError
 from metropilot.physics import Vehicle, namespace, scalars
