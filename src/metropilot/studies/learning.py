@@ -15,6 +15,7 @@ from metropilot._processes import ONE_THREAD, environment, own_core
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
+    from metropilot._typing import Array
     from metropilot.env import AbstractTask
     from metropilot.learn import AbstractConfig, RunRecord
     from metropilot.policy import Policy
@@ -152,3 +153,75 @@ def _read(job: LearnJob, folder: Path) -> SeedResult:
     score = float("-inf") if record.score is None else record.score
     history = read_history(place / HISTORY_FILE)
     return SeedResult(job, policy, score, history, record.seconds, record.compile_seconds)
+
+
+def write_policy(path: Path, result: SeedResult, command: str, **about: Any) -> Path:  # noqa: ANN401 (plain values)
+    """Write the policy of a learning run on a driving task, so that every policy driver can load it.
+
+    Args:
+        path: File of the policy.
+        result: The run; the KPIs written are those of its best evaluation.
+        command: Command that repeats the run.
+        about: Further plain values of the file.
+    """
+    from metropilot._provenance import circumstances
+    from metropilot.env import DrivingTask
+    from metropilot.learn import config_to_mapping
+    from metropilot.policy import save_policy
+
+    job, task = result.job, result.job.task()
+    if not isinstance(task, DrivingTask):
+        raise TypeError("only a driving task has an interface for drivers")
+    best = int(np.nanargmax(result.history["evaluation.score"]))
+    kpis = {
+        name.removeprefix("evaluation."): round(float(column[best]), 4)
+        for name, column in result.history.items()
+        if name.startswith("evaluation.") and np.isfinite(column[best])
+    }
+    told = {
+        "perception": task.config.perception.as_dict(),
+        "algorithm": job.config.algorithm,
+        "config": config_to_mapping(job.config),
+        "seed": job.seed,
+        "kpis": kpis,
+        "provenance": {"command": command} | circumstances(),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_policy(path, result.policy, told | about)
+    return path
+
+
+def drive_to_end(
+    task: Any,  # noqa: ANN401 (a driving task)
+    act: Callable[[Array, Array | None], Array],
+    begin: tuple[Any, Array],
+    key: Array,
+    decisions: int,
+    gain: Callable[[Any, Any, Any], Array] = lambda before, after, found: found.reward,  # noqa: ARG005
+) -> tuple[Any, Array]:
+    """Drive one episode to its end, compiled with the learner; the state stays as it was at the end.
+
+    Args:
+        task: The task.
+        act: The policy: from an observation and a mask of choices to an action.
+        begin: First state and observation.
+        key: Key of the task's steps.
+        decisions: Number of decisions, enough for any episode.
+        gain: What a decision adds, from the states before and after it and its transition.
+
+    Returns:
+        The last state, and the sum of the gains.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    def decide(carry: tuple[Any, Array, Array, Array], _: None) -> tuple[Any, None]:
+        state, seen, going, total = carry
+        after, found = task.step(key, state, act(seen, task.allowed(state)))
+        total = total + jnp.where(going, gain(state, after, found), 0.0)
+        after = jax.tree.map(lambda new, old: jnp.where(going, new, old), after, state)
+        return (after, found.observation, going & ~found.terminated & ~found.truncated, total), None
+
+    first = (*begin, jnp.ones((), bool), jnp.zeros((), jnp.float32))
+    (state, _, _, total), _ = jax.lax.scan(decide, first, None, length=decisions)
+    return state, total

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from metropilot.env import (
     Assists,
@@ -26,6 +27,7 @@ from metropilot.env import (
 from metropilot.errors import InputError
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import CODES, Outcome, OutcomeRule
+from metropilot.studies.learning import drive_to_end
 from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:
@@ -132,15 +134,7 @@ def make_evaluation(config: AbstractConfig, task: AbstractTask) -> PolicyEvaluat
     decisions = int(longest / DECISION_S) + 2
 
     def evaluate(params: Params, key: Array) -> dict[str, Array]:
-        def decide(carry: tuple[Any, Array, Array, Array], _: None) -> tuple[Any, None]:
-            state, seen, alive, returned = carry
-            after, found = task.step(key, state, act(spec, params, seen, None))
-            moved = jax.tree.map(lambda new, old: jnp.where(alive, new, old), after, state)
-            returned = returned + jnp.where(alive, found.reward, 0.0)
-            return (moved, found.observation, alive & ~(found.terminated | found.truncated), returned), None
-
-        begun = (*task.begin(start), jnp.ones((), bool), jnp.zeros((), jnp.float32))
-        (state, _, _, returned), _ = jax.lax.scan(decide, begun, None, length=decisions)
+        state, returned = drive_to_end(task, partial(act, spec, params), task.begin(start), key, decisions)
         run = episode_of(task, state)
         arrived = run.outcome == CODES.index(Outcome.ARRIVED)
         return {

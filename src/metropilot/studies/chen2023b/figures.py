@@ -9,10 +9,14 @@ import numpy as np
 
 from metropilot.convoy import ConvoyDrive
 from metropilot.evaluate import BLACK, GREY, SERIES_STYLES
+from metropilot.studies.chen2023b.learning import NAMES
 from metropilot.studies.chen2023b.setting import PUBLISHED
+from metropilot.studies.report import Figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
+
+    from metropilot.studies.learning import SeedResult
 
 Histories = Mapping[str, Sequence[Mapping[str, np.ndarray]]]
 
@@ -23,7 +27,7 @@ def _panels(count: int, height: float, **options: Any) -> tuple[Drawing, Any]:  
     return plt.subplots(count, 1, figsize=(8, height), layout="constrained", **options)
 
 
-def learning(histories: Histories, columns: Mapping[str, str], label: str) -> Drawing:
+def draw_learning(histories: Histories, columns: Mapping[str, str], label: str) -> Drawing:
     """Draw a column of the history over environment steps: one panel per algorithm, one line per seed."""
     figure, axes = _panels(len(histories), 5.0, sharex=True)
     for (name, runs), panel, (colour, _) in zip(histories.items(), axes, SERIES_STYLES, strict=False):
@@ -35,7 +39,7 @@ def learning(histories: Histories, columns: Mapping[str, str], label: str) -> Dr
     return figure
 
 
-def profiles(drive: ConvoyDrive) -> Drawing:
+def draw_profiles(drive: ConvoyDrive) -> Drawing:
     """Draw the speeds of both trainsets over time."""
     figure, axes = _panels(1, 3.6)
     for k, t in enumerate(drive.trajectories):
@@ -47,7 +51,7 @@ def profiles(drive: ConvoyDrive) -> Drawing:
     return figure
 
 
-def gaps(drives: Mapping[str, ConvoyDrive]) -> Drawing:
+def draw_gaps(drives: Mapping[str, ConvoyDrive]) -> Drawing:
     """Draw the gaps over time and the published band."""
     figure, axes = _panels(1, 4.2)
     axes.axhspan(PUBLISHED["gap_min_m"], PUBLISHED["gap_max_m"], color="#EDEDED", zorder=0)
@@ -58,7 +62,7 @@ def gaps(drives: Mapping[str, ConvoyDrive]) -> Drawing:
     return figure
 
 
-def differences(drives: Mapping[str, ConvoyDrive]) -> Drawing:
+def draw_differences(drives: Mapping[str, ConvoyDrive]) -> Drawing:
     """Draw the speed differences over time and the published bound."""
     figure, axes = _panels(1, 4.2)
     bound = PUBLISHED["speed_difference_max_mps"]
@@ -72,7 +76,7 @@ def differences(drives: Mapping[str, ConvoyDrive]) -> Drawing:
     return figure
 
 
-def stability(gains: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Drawing:
+def draw_stability(gains: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Drawing:
     """Draw the ratio of the last trainset's speed amplitude to the head's over the oscillation period."""
     figure, axes = _panels(1, 4.0)
     for (name, (periods, values)), (colour, dashes) in zip(gains.items(), SERIES_STYLES, strict=False):
@@ -84,3 +88,48 @@ def stability(gains: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Drawing:
     axes.set_xscale("log")
     axes.legend()
     return figure
+
+
+def figures(
+    runs: dict[str, list[SeedResult]],
+    drives: dict[str, ConvoyDrive],
+    gains: dict[str, tuple[np.ndarray, np.ndarray]],
+) -> list[Figure]:
+    """Figures 3 to 9 of the paper, reproduced, and string stability."""
+    histories = {NAMES[algorithm]: [run.history for run in each] for algorithm, each in runs.items()}
+    losses = {"sac_pid": "actor_loss", "ddpg_pid_follow": "loss"}
+    curves = [
+        Figure(
+            "rewards",
+            "Figs. 3 and 4: return of the episodes while learning, one line a seed.",
+            lambda: draw_learning(histories, dict.fromkeys(histories, "return"), "return of an episode"),
+        ),
+        Figure(
+            "losses",
+            "Figs. 5 and 6: policy loss of SAC, critic loss of DDPG, one line a seed.",
+            lambda: draw_learning(histories, losses, "loss"),
+        ),
+    ]
+    return [
+        *(curves if runs else ()),
+        Figure(
+            "profiles",
+            "Fig. 7: speed of both trainsets under SAC-PID.",
+            lambda: draw_profiles(drives["sac_pid"]),
+        ),
+        Figure(
+            "gap",
+            "Fig. 8: gap of every follower; the band is the published 5.88 to 5.98 m.",
+            lambda: draw_gaps(drives),
+        ),
+        Figure(
+            "speed_difference",
+            "Fig. 9: speed difference of every follower; published: below 0.15 m/s.",
+            lambda: draw_differences(drives),
+        ),
+        Figure(
+            "string_stability",
+            "Beyond the paper: the last trainset's swing of speed over the head's; above 1 it grows.",
+            lambda: draw_stability(gains),
+        ),
+    ]

@@ -9,7 +9,6 @@ import numpy as np
 
 from metropilot.convoy import FOLLOWERS, AbstractFollower, ConvoyDrive, FollowPolicyOptions, drive_convoy
 from metropilot.errors import InputError
-from metropilot.studies.chen2023b import figures
 from metropilot.studies.chen2023b.beyond import (
     campaign_rows,
     capacity_rows,
@@ -17,10 +16,11 @@ from metropilot.studies.chen2023b.beyond import (
     stability,
     stability_rows,
 )
+from metropilot.studies.chen2023b.figures import figures
 from metropilot.studies.chen2023b.learning import ETAS, NAMES, jobs
 from metropilot.studies.chen2023b.setting import CITATION, PUBLISHED, SIMPLE, head_run, pair
 from metropilot.studies.chen2023b.words import DEVIATIONS, FIRST_RETURN, LAST_RETURN, remarks
-from metropilot.studies.report import Figure, ReportRow, StudyReport
+from metropilot.studies.report import ReportRow, StudyReport
 from metropilot.studies.study import Order, Study
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def reproduce(order: Order) -> StudyReport:
     return StudyReport(
         seeds=max((len(each) for each in runs.values()), default=len(seeds)),
         rows=rows,
-        figures=_figures(runs, shown, gains),
+        figures=figures(runs, shown, gains),
         deviations=DEVIATIONS,
         remarks=[*_missing_seeds(runs, seeds), *remarks(rows)],
     )
@@ -154,50 +154,6 @@ def _returns(run: SeedResult) -> tuple[float, float]:
     found = found[np.isfinite(found)]
     quarter = max(found.size // 4, 1)
     return float(found[:quarter].mean()), float(found[-quarter:].mean())
-
-
-def _figures(
-    runs: dict[str, list[SeedResult]],
-    drives: dict[str, ConvoyDrive],
-    gains: dict[str, tuple[np.ndarray, np.ndarray]],
-) -> list[Figure]:
-    histories = {NAMES[algorithm]: [run.history for run in each] for algorithm, each in runs.items()}
-    losses = {"sac_pid": "actor_loss", "ddpg_pid_follow": "loss"}
-    curves = [
-        Figure(
-            "rewards",
-            "Figs. 3 and 4: return of the episodes while learning, one line a seed.",
-            lambda: figures.learning(histories, dict.fromkeys(histories, "return"), "return of an episode"),
-        ),
-        Figure(
-            "losses",
-            "Figs. 5 and 6: policy loss of SAC, critic loss of DDPG, one line a seed.",
-            lambda: figures.learning(histories, losses, "loss"),
-        ),
-    ]
-    return [
-        *(curves if runs else ()),
-        Figure(
-            "profiles",
-            "Fig. 7: speed of both trainsets under SAC-PID.",
-            lambda: figures.profiles(drives["sac_pid"]),
-        ),
-        Figure(
-            "gap",
-            "Fig. 8: gap of every follower; the band is the published 5.88 to 5.98 m.",
-            lambda: figures.gaps(drives),
-        ),
-        Figure(
-            "speed_difference",
-            "Fig. 9: speed difference of every follower; published: below 0.15 m/s.",
-            lambda: figures.differences(drives),
-        ),
-        Figure(
-            "string_stability",
-            "Beyond the paper: the last trainset's swing of speed over the head's; above 1 it grows.",
-            lambda: figures.stability(gains),
-        ),
-    ]
 
 
 STUDY = Study(

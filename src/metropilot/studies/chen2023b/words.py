@@ -7,38 +7,35 @@ from collections.abc import Mapping, Sequence
 from metropilot.convoy import GAP_M
 from metropilot.studies.chen2023b.beyond import CONTACTS
 from metropilot.studies.chen2023b.setting import PUBLISHED
-from metropilot.studies.report import ReportRow
+from metropilot.studies.report import ReportRow, paragraphs
 
-DEVIATIONS = (
-    (
-        "Sign of the speed difference: with eq. 10 (own speed minus the speed ahead) the law of eq. "
-        "12 is unstable; the speed ahead minus the own speed is used."
-    ),
-    ("The text's largest gap error of 0.6 m contradicts its gap of 5.88 to 5.98 m; 0.06 m is assumed."),
-    "Eq. 18 rewards a gap of 0, a contact; the reward uses the gap minus the desired 5.92 m.",
-    "Eq. 17 bounds the command to [0, 1], which excludes braking; it is [-1, 1] here.",
-    (
-        "With eta = 1000 the reward is almost zero beyond a few millimetres; eta is 100 1/(m/s) and "
-        "200 1/m unless `--set eta=paper` selects 1000."
-    ),
-    (
-        "Train, time step, head's profile, network and learning rates are not printed: trainset "
-        "`cheng2023`, 0.1 s, an S-curve of 0.65 m/s² and 0.5 m/s³ in 100 s on YZQ–WHY, two layers of "
-        "64, batch 128, gamma 0.95. The profile leaves the follower some traction; with a PID on the "
-        "speed difference the gap error grows with the head's acceleration and with the time step."
-    ),
-    (
-        "The head's profile was chosen by its outcome: 0.8, 0.65 and 0.6 m/s² in 90 s gave `sac_pid` a "
-        "largest gap of 5.991, 5.983 and 5.985 m, just outside the published band; 0.65 m/s² in 100 s with a "
-        "time step of 0.1 s was the fourth try. `follow_pid`'s gains are the best of a grid of seven on the "
-        "same run."
-    ),
-    ("Disturbed runs and string stability are driven with the first seed's policy."),
-    (
-        "96,000 steps behind 24 different heads, a fifth of the episodes with other masses and links, "
-        "instead of 10,000 episodes behind one head; learned without protection, driven under it."
-    ),
-)
+DEVIATIONS = paragraphs("""
+Sign of the speed difference: with eq. 10 (own speed minus the speed ahead) the law of eq. 12 is
+unstable; the speed ahead minus the own speed is used.
+
+The text's largest gap error of 0.6 m contradicts its gap of 5.88 to 5.98 m; 0.06 m is assumed.
+
+Eq. 18 rewards a gap of 0, a contact; the reward uses the gap minus the desired 5.92 m.
+
+Eq. 17 bounds the command to [0, 1], which excludes braking; it is [-1, 1] here.
+
+With eta = 1000 the reward is almost zero beyond a few millimetres; eta is 100 1/(m/s) and 200 1/m
+unless `--set eta=paper` selects 1000.
+
+Train, time step, head's profile, network and learning rates are not printed: trainset `cheng2023`, 0.1
+s, an S-curve of 0.65 m/s² and 0.5 m/s³ in 100 s on YZQ–WHY, two layers of 64, batch 128, gamma 0.95.
+The profile leaves the follower some traction; with a PID on the speed difference the gap error grows
+with the head's acceleration and with the time step.
+
+The head's profile was chosen by its outcome: 0.8, 0.65 and 0.6 m/s² in 90 s gave `sac_pid` a largest
+gap of 5.991, 5.983 and 5.985 m, just outside the published band; 0.65 m/s² in 100 s with a time step of
+0.1 s was the fourth try. `follow_pid`'s gains are the best of a grid of seven on the same run.
+
+Disturbed runs and string stability are driven with the first seed's policy.
+
+96,000 steps behind 24 different heads, a fifth of the episodes with other masses and links, instead of
+10,000 episodes behind one head; learned without protection, driven under it.
+""")
 
 
 FIRST_RETURN = "return of an episode, first quarter of learning"

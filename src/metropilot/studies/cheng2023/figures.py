@@ -22,7 +22,7 @@ def _counted_mask(record: TrackRecord) -> np.ndarray:
     return np.asarray(record.counted, bool)
 
 
-def errors_figure(records: Records, field: str, label: str) -> Drawing:
+def draw_errors(records: Records, field: str, label: str) -> Drawing:
     """Draw an error over time in the base scenario, one line per driver."""
     from matplotlib import pyplot as plt
 
@@ -46,7 +46,7 @@ def errors_figure(records: Records, field: str, label: str) -> Drawing:
     return figure
 
 
-def profiles_figure(records: Records, scenarios: tuple[int, ...], over: str) -> Drawing:
+def draw_profiles(records: Records, scenarios: tuple[int, ...], over: str) -> Drawing:
     """Draw the speed of DDPG-PID with its reference in some scenarios, the error below."""
     from matplotlib import pyplot as plt
 
@@ -72,21 +72,21 @@ def figures(records: Records) -> tuple[Figure, ...]:
         Figure(
             "speed_errors",
             "Speed error over time in the base scenario, all drivers (Cheng23 fig. 7).",
-            lambda: errors_figure(records, "error_mps", "speed error in m/s"),
+            lambda: draw_errors(records, "error_mps", "speed error in m/s"),
         ),
         Figure(
             "position_errors",
             "Position error over time in the base scenario, all drivers (Cheng23 fig. 8).",
-            lambda: errors_figure(records, "distance_m", "position error in m"),
+            lambda: draw_errors(records, "distance_m", "position error in m"),
         ),
         Figure(
             "resistance",
             "DDPG-PID under half, plain and one and a half times the resistance (Cheng23 fig. 9).",
-            lambda: profiles_figure(records, (1, 2, 3), "time_s"),
+            lambda: draw_profiles(records, (1, 2, 3), "time_s"),
         ),
         Figure(
             "references",
             "DDPG-PID on the base, the faster and the slower reference (Cheng23 fig. 10).",
-            lambda: profiles_figure(records, (1, 4, 5), "position_m"),
+            lambda: draw_profiles(records, (1, 4, 5), "position_m"),
         ),
     )

@@ -11,52 +11,44 @@ from metropilot.physics import davis_n, effort_at
 from metropilot.studies.cheng2023.drives import Measured, median
 from metropilot.studies.cheng2023.setting import DT_S, KPIS, TABLE_1, TABLE_3, TABLE_4, course
 from metropilot.studies.cheng2023.tracking import JERK_WINDOW_S
+from metropilot.studies.report import paragraphs
 
-DEVIATIONS = (
-    (
-        "The reference is not printed. This study uses the S-curve usually assumed for it (0.9 and "
-        "0.8 m/s2, 0.5 m/s3, cruise 18.3 m/s), limited to 90 % of the available effort: the printed "
-        "curves give less than 0.9 m/s2 above 13 m/s and brake at less than 0.8 m/s2 above 16 m/s. "
-        "The unlimited curve is listed under other references. The faster and slower references "
-        "cruise at 19.7 and 17.2 m/s, which gives the published energies."
-    ),
-    (
-        "Total errors sum the absolute error over control periods of 0.2 s: with the 450 periods of "
-        "such a run this agrees with the averages of table 4 (3.51 over 450 is 0.008, printed 0.01; "
-        "10.32 over 450 is 0.023, printed 0.02)."
-    ),
-    (
-        "Jerk is the largest change of acceleration within 2 s, divided by 2 s: the paper's 'maximum "
-        "acceleration rate over the time span of 2s', with its unit."
-    ),
-    (
-        "Resistance coefficients are taken in N/kN with the speed in km/h; no rotating mass; energy "
-        "is traction work at the wheel. The paper states none of these."
-    ),
-    ("Eq. 3 adds the speed to its own change; this study uses the change alone."),
-    (
-        "The run ends when the trainset has stopped after the end of the reference, at the latest 3 "
-        "s later; the paper counts a trainset that still moves at the end as failed, which no pure "
-        "error controller can avoid."
-    ),
-    (
-        "Rewards are eqs. 17 to 22, but the errors are scaled (0.03 m/s, 0.25 m, 5 cm at the stop, "
-        "jerk 10 m/s3) where the paper has 1 throughout, parking has the weight 2 instead of 0.2, "
-        "and tracking and comfort are measured from their best value: with the paper's numbers the "
-        "reward of a run hardly depends on the gains. Energy is in kWh."
-    ),
-    (
-        "DDPG's sizes and rates are not printed; those used are in `studies/cheng2023/learning.py`. "
-        "In addition, 16 environments run in parallel, half of the episodes start during the run, "
-        "and the policy kept is the best of all evaluations on the base scenario from standstill."
-    ),
-    (
-        "Fuzzy rules are the textbook's 7 x 7 tables with its universes scaled to metro errors, the "
-        "neural network is the textbook's 4-5-3; the papers cited for them print neither. Each is "
-        "listed twice: with its textbook numbers around the paper's gains, and tuned by the same "
-        "search as the PID (differential evolution, 1200 runs on the base scenario)."
-    ),
-)
+DEVIATIONS = paragraphs("""
+The reference is not printed. This study uses the S-curve usually assumed for it (0.9 and 0.8 m/s2, 0.5
+m/s3, cruise 18.3 m/s), limited to 90 % of the available effort: the printed curves give less than 0.9
+m/s2 above 13 m/s and brake at less than 0.8 m/s2 above 16 m/s. The unlimited curve is listed under
+other references. The faster and slower references cruise at 19.7 and 17.2 m/s, which gives the
+published energies.
+
+Total errors sum the absolute error over control periods of 0.2 s: with the 450 periods of such a run
+this agrees with the averages of table 4 (3.51 over 450 is 0.008, printed 0.01; 10.32 over 450 is 0.023,
+printed 0.02).
+
+Jerk is the largest change of acceleration within 2 s, divided by 2 s: the paper's 'maximum acceleration
+rate over the time span of 2s', with its unit.
+
+Resistance coefficients are taken in N/kN with the speed in km/h; no rotating mass; energy is traction
+work at the wheel. The paper states none of these.
+
+Eq. 3 adds the speed to its own change; this study uses the change alone.
+
+The run ends when the trainset has stopped after the end of the reference, at the latest 3 s later; the
+paper counts a trainset that still moves at the end as failed, which no pure error controller can avoid.
+
+Rewards are eqs. 17 to 22, but the errors are scaled (0.03 m/s, 0.25 m, 5 cm at the stop, jerk 10 m/s3)
+where the paper has 1 throughout, parking has the weight 2 instead of 0.2, and tracking and comfort are
+measured from their best value: with the paper's numbers the reward of a run hardly depends on the
+gains. Energy is in kWh.
+
+DDPG's sizes and rates are not printed; those used are in `studies/cheng2023/learning.py`. In addition,
+16 environments run in parallel, half of the episodes start during the run, and the policy kept is the
+best of all evaluations on the base scenario from standstill.
+
+Fuzzy rules are the textbook's 7 x 7 tables with its universes scaled to metro errors, the neural
+network is the textbook's 4-5-3; the papers cited for them print neither. Each is listed twice: with its
+textbook numbers around the paper's gains, and tuned by the same search as the PID (differential
+evolution, 1200 runs on the base scenario).
+""")
 
 
 def find_shortfalls(measured: Measured, kind: str) -> list[str]:

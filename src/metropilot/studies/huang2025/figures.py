@@ -18,9 +18,7 @@ if TYPE_CHECKING:
     from metropilot.studies.learning import SeedResult
 
 
-def learning_drawing(
-    results: Sequence[SeedResult], column: str, label: str, lines: Sequence[float]
-) -> Drawing:
+def draw_learning(results: Sequence[SeedResult], column: str, label: str, lines: Sequence[float]) -> Drawing:
     """Draw one measure of case 1 over the training episodes: median and range of the seeds."""
     from matplotlib import pyplot as plt
 
@@ -40,7 +38,7 @@ def learning_drawing(
     return figure
 
 
-def speeds_drawing(found: Sequence[EvaluatedRun]) -> Drawing:
+def draw_speeds(found: Sequence[EvaluatedRun]) -> Drawing:
     """Draw speed over distance with the limit, one line per driver (its first drive)."""
     from matplotlib import pyplot as plt
 
@@ -60,7 +58,7 @@ def _label(one: EvaluatedRun, found: Sequence[EvaluatedRun]) -> str:
     return f"{one.case.name}" if same else one.driver
 
 
-def track_drawing(found: Sequence[EvaluatedRun]) -> Drawing:
+def draw_tracks(found: Sequence[EvaluatedRun]) -> Drawing:
     """Draw speed limit and gradient of sections, as averaged over the trainset (Figs. 4 and 12)."""
     from matplotlib import pyplot as plt
 
@@ -76,7 +74,7 @@ def track_drawing(found: Sequence[EvaluatedRun]) -> Drawing:
     return figure
 
 
-def stops_drawing(stops: Sequence) -> Drawing:
+def draw_stops(stops: Sequence) -> Drawing:
     """Draw stopping error and gain over repeated stops."""
     from matplotlib import pyplot as plt
 
@@ -91,7 +89,7 @@ def stops_drawing(stops: Sequence) -> Drawing:
     return figure
 
 
-def figures_of(
+def figures(
     found: Mapping[tuple[str, str], EvaluatedRun], learned: Sequence[SeedResult], stops: Sequence
 ) -> list[Figure]:
     """Figures for which there are results.
@@ -101,14 +99,14 @@ def figures_of(
         learned: EITOP's learning runs.
         stops: Repeated stops.
     """
-    figures: list[Figure] = []
+    drawn: list[Figure] = []
     if learned:
         for name, column, label, lines, number in (
             ("learning_energy", "case1_ie_jpkg", "Ie of case 1 in J/kg", LEARNED_IE, 5),
             ("learning_time", "case1_time_s", "running time of case 1 in s", (98.0, 104.0), 6),
         ):
             caption = f"{label} while EITOP learns (its Fig. {number}): median and range"
-            figures.append(Figure(name, caption, partial(learning_drawing, learned, column, label, lines)))
+            drawn.append(Figure(name, caption, partial(draw_learning, learned, column, label, lines)))
 
     def of(cases: Sequence[str], drivers: Sequence[str]) -> list[EvaluatedRun]:
         return [found[c, d] for c in cases for d in drivers if (c, d) in found]
@@ -130,10 +128,8 @@ def figures_of(
         ("case3_sjz_xc", "Case 3, SJZ to XC (its Fig. 13)", of(["sjz"], EXPERTS)),
         ("case3_xc_xhm", "Case 3, XC to XHM (its Fig. 13)", of(["xc"], EXPERTS)),
     )
-    figures += [Figure(name, caption, partial(speeds_drawing, many)) for name, caption, many in rows if many]
+    drawn += [Figure(name, caption, partial(draw_speeds, many)) for name, caption, many in rows if many]
     tracks = of(["101", "sjz", "xc"], ["eitoe"])
-    figures.append(
-        Figure("tracks", "Limits and gradients (its Figs. 4 and 12)", partial(track_drawing, tracks))
-    )
-    figures.append(Figure("stops", "Stops with a brake off by 30 %", partial(stops_drawing, stops)))
-    return figures
+    drawn.append(Figure("tracks", "Limits and gradients (its Figs. 4 and 12)", partial(draw_tracks, tracks)))
+    drawn.append(Figure("stops", "Stops with a brake off by 30 %", partial(draw_stops, stops)))
+    return drawn

@@ -7,8 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from metropilot.learn import (
     PPO_BASE,
     RECIPES,
@@ -21,12 +19,10 @@ from metropilot.learn import (
     Schedule,
 )
 from metropilot.studies.huang2025.setting import LEARNED, gentle
-from metropilot.studies.learning import LearnJob, SeedResult
+from metropilot.studies.learning import LearnJob, SeedResult, drive_to_end, write_policy
 from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from metropilot.env import DrivingTask
     from metropilot.learn import AbstractConfig, PolicyEvaluation
 
@@ -103,18 +99,11 @@ def make_evaluation(config: AbstractConfig, driver: str, task: Any) -> PolicyEva
     begin = jax.tree.map(lambda x: x[0], starts([0], [WATCHED_S]))
 
     def case1(params: Any, key: Any) -> dict[str, Any]:  # noqa: ANN401 (arrays)
-        def decide(carry: Any, _: None) -> Any:  # noqa: ANN401 (arrays)
-            state, seen, going, ie = carry
-            after, found = task.step(key, state, act(spec, params, seen, None))
-            plant, before = after.plant, state.plant
-            moved = plant.position_m - before.position_m
-            ie = ie + jnp.where(going, jnp.abs(plant.acceleration_mps2) * moved, 0.0)
-            after = jax.tree.map(lambda new, old: jnp.where(going, new, old), after, state)
-            return (after, found.observation, going & ~found.terminated & ~found.truncated, ie), None
+        def gain(before: Any, after: Any, _: Any) -> Any:  # noqa: ANN401 (arrays)
+            moved = after.plant.position_m - before.plant.position_m
+            return jnp.abs(after.plant.acceleration_mps2) * moved
 
-        state, seen = task.begin(begin)
-        first = (state, seen, jnp.ones((), bool), jnp.zeros((), jnp.float32))
-        (state, _, _, ie), _ = jax.lax.scan(decide, first, None, length=320)
+        state, ie = drive_to_end(task, partial(act, spec, params), task.begin(begin), key, 320, gain)
         took = running_time(state.run)
         return {"case1_ie_jpkg": ie, "case1_time_s": took, "case1_kwh": state.plant.traction_j / J_PER_KWH}
 
@@ -133,37 +122,10 @@ def job(driver: str, seed: int, budget: str) -> LearnJob:
     return LearnJob(name, config, partial(make_task, driver), seed, evaluation, {"driver": driver})
 
 
-def write_policy(folder: Path, result: SeedResult) -> Path:
-    """Write the policy of a learning run with the metadata that a driver requires."""
-    from metropilot._provenance import circumstances
-    from metropilot.learn import config_to_mapping
-    from metropilot.policy import save_policy
-
-    driver = str(result.job.about["driver"])
-    best = int(np.nanargmax(result.history["evaluation.score"]))
-    kpis = {
-        name.removeprefix("evaluation."): round(float(column[best]), 4)
-        for name, column in result.history.items()
-        if name.startswith("evaluation.")
-    }
-    about = {
-        "perception": make_task(driver).config.perception.as_dict(),
-        "task": "huang2025",
-        "algorithm": result.job.config.algorithm,
-        "config": config_to_mapping(result.job.config),
-        "seed": result.job.seed,
-        "kpis": {name: value for name, value in kpis.items() if np.isfinite(value)},
-        "provenance": {"command": COMMAND} | circumstances(),
-    }
+def write_result(folder: Path, result: SeedResult) -> Path:
+    """Write the policy of a learning run."""
     path = folder / f"{result.job.name}-{result.job.seed}.safetensors"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_policy(path, result.policy, about)
-    return path
-
-
-def best_of(results: Sequence[SeedResult]) -> SeedResult:
-    """Select the seed with the best evaluation."""
-    return max(results, key=lambda result: result.score)
+    return write_policy(path, result, COMMAND, task="huang2025")
 
 
 def jobs(seeds: range, budget: str) -> list[LearnJob]:

@@ -15,7 +15,7 @@ from metropilot.studies.huang2025.drives import (
     news_rows,
     rows_of,
 )
-from metropilot.studies.huang2025.figures import figures_of
+from metropilot.studies.huang2025.figures import figures
 from metropilot.studies.huang2025.setting import (
     CASES,
     CITATION,
@@ -64,20 +64,20 @@ def reproduce(order: Order) -> StudyReport:
     rows = _rows(found)
     learned = [r for r in results if r.job.about["driver"] == EITOP]
     rows += [*_learning_rows(results), *stop_rows(stops), *beyond_rows(policies)]
-    figures = figures_of(found, learned, stops)
+    drawn = figures(found, learned, stops)
     said = remarks(rows, budget=order.budget)
-    return StudyReport(len(seeds), rows, figures, DEVIATIONS, said)
+    return StudyReport(len(seeds), rows, drawn, DEVIATIONS, said)
 
 
 def _policies(folder: Path, results: Sequence[SeedResult], *, paper: bool) -> Mapping[str, Sequence[Path]]:
     """Policy files by driver: the shipped ones, or one per seed of the learning runs."""
-    from metropilot.studies.huang2025.learning import write_policy
+    from metropilot.studies.huang2025.learning import write_result
 
     if not paper:
         return {d: [shipped_policy(d)] for d in LEARNED}
     found: dict[str, list[Path]] = {}
     for result in results:
-        found.setdefault(str(result.job.about["driver"]), []).append(write_policy(folder, result))
+        found.setdefault(str(result.job.about["driver"]), []).append(write_result(folder, result))
     return found
 
 

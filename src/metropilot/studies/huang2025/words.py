@@ -17,67 +17,53 @@ from metropilot.studies.huang2025.setting import (
     TOOK,
     TOP,
 )
-from metropilot.studies.report import ReportRow
+from metropilot.studies.report import ReportRow, paragraphs
 
-DEVIATIONS = (
-    (
-        "Manual driving is the model `manual` with ten parameter sets, not the best of 100 recorded "
-        "drives, which are not public. Percentages relative to it are therefore not comparable with "
-        "the published ones."
-    ),
-    (
-        "Most equations and nearly all cells of Tables 1 to 4 exist only as pictures. Ie is sum |a| "
-        "v dt per kg, which gives the published 380 J/kg of EITOE for its published 19.49 m/s; Ic is "
-        "the sum of all changes of effort over mass, without a threshold; parking tolerance 0.3 m."
-    ),
-    (
-        "Gain 1, dead time 0.6 s and time constant 0.4 s are used for eq. 4, whose values are not "
-        "printed; there is no other limit on the change of effort, as in the paper. Gradients and "
-        "limits hold over the trainset's length of 118 m, and the sum of eq. 3 over the vehicles is "
-        "driven; a table at the end gives the motion of its six vehicles under the same efforts."
-    ),
-    (
-        "The window of eq. 14 compares the mean speed of a trainset that coasts from here, not the "
-        "speed itself, always to the destination. With the speed itself, or with a window for each "
-        "speed-limit interval as Algorithm 1 prints it, it cannot coast as long as the published "
-        "drive; the table at the end gives the energy of the latter."
-    ),
-    (
-        "Rule 4 is implemented as: no power beyond the speed that coasts to the next lower limit at "
-        "that limit, while the minimum-time curve leaves time for it."
-    ),
-    (
-        "A trainset that would be early even when coasting brakes gently (0.5 m/s²), as the paper's "
-        "EITOP does in Fig. 11; here EITOE does so, too. Inside the window, which eqs. 15 and 16 do "
-        "not define, EITOE powers until it would arrive on time, then coasts."
-    ),
-    (
-        "One interval of rule 3 is the control period of 0.2 s; the paper decides every 0.02 s, "
-        "which has a row of its own. From the safe speed on (eqs. 17 and 18) the brake follows that "
-        "speed's fall at 0.85 m/s² instead of full braking at once, and keeps clear of protection's "
-        "curves, which the paper's train does not."
-    ),
-    (
-        "EITOP may accelerate at 0.8 m/s², every other driver of the expert at the 0.6 of rule 2: "
-        "the published 364 J/kg corresponds to a peak of 19.08 m/s, which needs 0.8. Each is "
-        "compared with the optimum under its own limit, braking at most 1 m/s²."
-    ),
-    (
-        "The station stop is HOA in the form its description has, with balises 64, 36, 16, 4 and 0 m "
-        "before the stop; between them it also learns from the measured deceleration. Position is "
-        "measured exactly."
-    ),
-    (
-        "EITOP learns on four sections of the line (case 1 among them) and any time from 1.08 to "
-        "1.45 of the minimum, not on case 1 alone, without dead time and lag. The weights of eq. 26 "
-        "are chosen here: 1 per kWh, 3 per second of time error at the end, 0.2 for 1 m/s² of change."
-    ),
-    (
-        "ITOR, STON and STOD learn inside the same expert as EITOE, window included: a stronger "
-        "baseline than the published ones, whose own expert rules have none. Tables and networks are "
-        "chosen here, as none are printed."
-    ),
-)
+DEVIATIONS = paragraphs("""
+Manual driving is the model `manual` with ten parameter sets, not the best of 100 recorded drives, which
+are not public. Percentages relative to it are therefore not comparable with the published ones.
+
+Most equations and nearly all cells of Tables 1 to 4 exist only as pictures. Ie is sum |a| v dt per kg,
+which gives the published 380 J/kg of EITOE for its published 19.49 m/s; Ic is the sum of all changes of
+effort over mass, without a threshold; parking tolerance 0.3 m.
+
+Gain 1, dead time 0.6 s and time constant 0.4 s are used for eq. 4, whose values are not printed; there
+is no other limit on the change of effort, as in the paper. Gradients and limits hold over the
+trainset's length of 118 m, and the sum of eq. 3 over the vehicles is driven; a table at the end gives
+the motion of its six vehicles under the same efforts.
+
+The window of eq. 14 compares the mean speed of a trainset that coasts from here, not the speed itself,
+always to the destination. With the speed itself, or with a window for each speed-limit interval as
+Algorithm 1 prints it, it cannot coast as long as the published drive; the table at the end gives the
+energy of the latter.
+
+Rule 4 is implemented as: no power beyond the speed that coasts to the next lower limit at that limit,
+while the minimum-time curve leaves time for it.
+
+A trainset that would be early even when coasting brakes gently (0.5 m/s²), as the paper's EITOP does in
+Fig. 11; here EITOE does so, too. Inside the window, which eqs. 15 and 16 do not define, EITOE powers
+until it would arrive on time, then coasts.
+
+One interval of rule 3 is the control period of 0.2 s; the paper decides every 0.02 s, which has a row
+of its own. From the safe speed on (eqs. 17 and 18) the brake follows that speed's fall at 0.85 m/s²
+instead of full braking at once, and keeps clear of protection's curves, which the paper's train does
+not.
+
+EITOP may accelerate at 0.8 m/s², every other driver of the expert at the 0.6 of rule 2: the published
+364 J/kg corresponds to a peak of 19.08 m/s, which needs 0.8. Each is compared with the optimum under
+its own limit, braking at most 1 m/s².
+
+The station stop is HOA in the form its description has, with balises 64, 36, 16, 4 and 0 m before the
+stop; between them it also learns from the measured deceleration. Position is measured exactly.
+
+EITOP learns on four sections of the line (case 1 among them) and any time from 1.08 to 1.45 of the
+minimum, not on case 1 alone, without dead time and lag. The weights of eq. 26 are chosen here: 1 per
+kWh, 3 per second of time error at the end, 0.2 for 1 m/s² of change.
+
+ITOR, STON and STOD learn inside the same expert as EITOE, window included: a stronger baseline than the
+published ones, whose own expert rules have none. Tables and networks are chosen here, as none are
+printed.
+""")
 
 
 COMPARED = ("95", "101", "115", "sjz", "xc")

@@ -15,7 +15,7 @@ from metropilot.drivers import LearnedDriver
 from metropilot.evaluate import Kpis, comfort_band_shares, kpis_of
 from metropilot.planning import PlanOptions, optimal_plan
 from metropilot.policy import load_driving_policy, shipped_policy
-from metropilot.railway import load_line, load_trainset
+from metropilot.railway import load_trainset
 from metropilot.sim import AbstractDriver, Drive, Run, drive
 from metropilot.studies.lu2023.drivers import PidLu2023, PidLu2023Options
 from metropilot.studies.lu2023.notches import NotchOptions, notch_plan
@@ -50,9 +50,9 @@ class NotchFront:
 @cache
 def notch_front(plan: PlanCase) -> NotchFront:
     """Compute the optimum over the twelve notches about a plan's time (takes a few seconds)."""
-    section, trainset = load_line(plan.line).section("WHY", "WYJ"), load_trainset(TRAINSET)
+    trainset = load_trainset(TRAINSET)
     found = [
-        notch_plan(section, trainset, plan.scheduled_s + shift, trainset.notches[NOTCHES], MESH)
+        notch_plan(plan.section, trainset, plan.scheduled_s + shift, trainset.notches[NOTCHES], MESH)
         for shift in AROUND_S
     ]
     return NotchFront(
@@ -62,16 +62,18 @@ def notch_front(plan: PlanCase) -> NotchFront:
 
 def convex_j(plan: PlanCase, time_s: float) -> float:
     """Least traction energy over all forces up to the strongest notches, J."""
-    section, trainset = load_line(plan.line).section("WHY", "WYJ"), load_trainset(TRAINSET)
-    return optimal_plan(section, trainset, time_s, PlanOptions(spacing_m=5.0)).energy_wheel_j
+    trainset = load_trainset(TRAINSET)
+    return optimal_plan(plan.section, trainset, time_s, PlanOptions(spacing_m=5.0)).energy_wheel_j
 
 
 @cache
 def effort_j(plan: PlanCase) -> float:
     """Least traction and braking work (the paper's energy) over the notches, J."""
-    section, trainset = load_line(plan.line).section("WHY", "WYJ"), load_trainset(TRAINSET)
+    trainset = load_trainset(TRAINSET)
     options = NotchOptions(MESH.spacing_m, MESH.speeds, 1.0)
-    return notch_plan(section, trainset, plan.scheduled_s, trainset.notches[NOTCHES], options).energy_effort_j
+    return notch_plan(
+        plan.section, trainset, plan.scheduled_s, trainset.notches[NOTCHES], options
+    ).energy_effort_j
 
 
 POLICIES = Path(__file__).parent / "policies"
@@ -108,7 +110,7 @@ def load_driver(path: Path) -> LearnedDriver:
 
 def drive_plan(plan: PlanCase, name: str, driver: AbstractDriver) -> NotchRun:
     """Drive a plan on the host."""
-    run = Run(load_line(plan.line).section("WHY", "WYJ"), load_trainset(TRAINSET), plan.scheduled_s)
+    run = Run(plan.section, load_trainset(TRAINSET), plan.scheduled_s)
     found = drive(run, driver)
     return NotchRun(plan, name, found, kpis_of(found, None))
 

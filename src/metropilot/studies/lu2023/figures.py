@@ -26,7 +26,7 @@ def _episodes(result: SeedResult) -> np.ndarray:
     return np.cumsum(np.nan_to_num(np.asarray(result.history["episodes"], float)))
 
 
-def reward_drawing(runs: Mapping[str, Sequence[SeedResult]], plan_id: str) -> Drawing:
+def draw_rewards(runs: Mapping[str, Sequence[SeedResult]], plan_id: str) -> Drawing:
     """Draw the return without exploration over the training episodes: median and range of the seeds."""
     from matplotlib import pyplot as plt
 
@@ -45,7 +45,7 @@ def reward_drawing(runs: Mapping[str, Sequence[SeedResult]], plan_id: str) -> Dr
     return figure
 
 
-def drives_drawing(found: Sequence[NotchRun]) -> Drawing:
+def draw_drives(found: Sequence[NotchRun]) -> Drawing:
     """Draw speed over distance with the limit, and force below, one column per drive."""
     from matplotlib import pyplot as plt
 
@@ -75,7 +75,7 @@ def drives_drawing(found: Sequence[NotchRun]) -> Drawing:
     return figure
 
 
-def figures_of(
+def figures(
     drives: Sequence[NotchRun], runs: Mapping[str, Mapping[str, Sequence[SeedResult]]]
 ) -> list[Figure]:
     """Figures for which there are results.
@@ -84,17 +84,15 @@ def figures_of(
         drives: The drives of Table 5.
         runs: Learning runs by plan and driver.
     """
-    figures = []
+    drawn = []
     for number, plan_id in ((6, "120"), (7, "130")):
         if runs.get(plan_id):
             caption = f"Return over episodes, {plan_case(plan_id).name} (its Fig. {number}): median and range"
-            figures.append(
-                Figure(f"reward_{plan_id}", caption, partial(reward_drawing, runs[plan_id], plan_id))
-            )
+            drawn.append(Figure(f"reward_{plan_id}", caption, partial(draw_rewards, runs[plan_id], plan_id)))
     learned = [one for one in drives if one.driver == "improved_dqn"]
     caption = "Speed and notch over distance of the plans (its Fig. 8); grey is the limit"
-    figures.append(Figure("plans", caption, partial(drives_drawing, learned)))
+    drawn.append(Figure("plans", caption, partial(draw_drives, learned)))
     pair = [one for one in drives if one.plan.id == "130"]
     caption = "130 s: the learned drive, and the PID that tracks its curve (its Fig. 9)"
-    figures.append(Figure("pid", caption, partial(drives_drawing, pair)))
-    return figures
+    drawn.append(Figure("pid", caption, partial(draw_drives, pair)))
+    return drawn

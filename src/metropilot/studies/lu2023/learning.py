@@ -13,7 +13,7 @@ from numpy import ndarray
 from metropilot.env import episode_of, starts
 from metropilot.learn import AbstractConfig, DQNConfig, Recipe, Schedule
 from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M
-from metropilot.studies.learning import LearnJob
+from metropilot.studies.learning import LearnJob, drive_to_end
 from metropilot.studies.lu2023.setting import MARGIN, PERIOD_S, PLANS, PlanCase, plan_task, without_filter
 from metropilot.units import J_PER_KWH
 
@@ -64,18 +64,8 @@ def drive_plans(plans: tuple[PlanCase, ...], config: AbstractConfig, task: Any) 
     begin = starts([lines.index(plan.line) for plan in plans], [plan.scheduled_s for plan in plans])
 
     def one(params: Any, key: Any, start: Any) -> Any:  # noqa: ANN401 (arrays)
-        state, seen = task.begin(start)
-
-        def decide(carry: Any, _: None) -> Any:  # noqa: ANN401 (arrays)
-            state, seen, going, total = carry
-            action = act(spec, params, seen, task.allowed(state))
-            after, step = task.step(key, state, action)
-            after = jax.tree.map(lambda new, old: jnp.where(going, new, old), after, state)
-            total = total + jnp.where(going, step.reward, 0.0)
-            return (after, step.observation, going & ~step.terminated & ~step.truncated, total), None
-
-        first = (state, seen, jnp.ones((), bool), jnp.zeros((), jnp.float32))
-        (state, _, _, total), _ = jax.lax.scan(decide, first, None, length=config.evaluation_steps)
+        policy = partial(act, spec, params)
+        state, total = drive_to_end(task, policy, task.begin(start), key, config.evaluation_steps)
         return episode_of(task, state), total
 
     def evaluate(params: Any, key: Any) -> dict[str, Any]:  # noqa: ANN401 (arrays)

@@ -10,7 +10,7 @@ from metropilot.env import (
     DrivingTask,
     OnTime,
 )
-from metropilot.railway import load_line, load_trainset
+from metropilot.railway import Section, load_line, load_trainset
 from metropilot.studies.lu2023.env import (
     AccelerationComfort,
     EffortEnergy,
@@ -69,6 +69,11 @@ class PlanCase:
     def line(self) -> str:
         """Id of its line in the catalogue."""
         return "lu2023-restricted" if self.restricted else "lu2023"
+
+    @property
+    def section(self) -> Section:
+        """Its section."""
+        return load_line(self.line).section("WHY", "WYJ")
 
 
 PLANS = (
@@ -135,9 +140,8 @@ def without_filter(config: DrivingConfig) -> DrivingConfig:
 def plan_task(plan: PlanCase, *, filtered: bool) -> DrivingTask:
     """Make the task of one plan, as in the paper: one line, one scheduled time."""
     config = task_config() if filtered else without_filter(task_config())
-    section = load_line(plan.line).section("WHY", "WYJ")
     return DrivingTask(
-        replace(config, sections=(section,), scenarios=_times((plan.scheduled_s, plan.scheduled_s)))
+        replace(config, sections=(plan.section,), scenarios=_times((plan.scheduled_s, plan.scheduled_s)))
     )
 
 

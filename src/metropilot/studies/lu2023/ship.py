@@ -9,9 +9,8 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -44,36 +43,6 @@ def _shortfall(result: SeedResult, plans: Sequence[PlanCase]) -> float:
         total += kwh * J_PER_KWH / float(notch_front(plan).at(plan.scheduled_s + late)) - 1.0
         total += MISSED * (abs(late) > 2.9 or abs(stop) > 0.29)
     return total / len(plans)
-
-
-COMMAND = "metropilot reproduce lu2023 --budget paper"
-
-
-def write_policy(path: Path, result: SeedResult, plans: Sequence[PlanCase], command: str = COMMAND) -> None:
-    """Write a policy with its perception, so that every policy driver can load it."""
-    from metropilot._provenance import circumstances
-    from metropilot.policy import save_policy
-
-    job = result.job
-    kept = int(np.argmax(result.history["evaluation.score"]))
-    kpis = {
-        name.removeprefix("evaluation."): round(float(column[kept]), 4)
-        for name, column in result.history.items()
-        if name.startswith("evaluation.")
-    }
-    config: Any = job.config
-    about = {
-        "perception": job.task().config.perception.as_dict(),  # pyright: ignore[reportAttributeAccessIssue]
-        "task": "lu2023",
-        "plans": [plan.id for plan in plans],
-        "algorithm": config.algorithm,
-        "config": asdict(config),
-        "seed": job.seed,
-        "kpis": kpis,
-        "provenance": {"command": command} | circumstances(),
-    }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_policy(path, result.policy, about)
 
 
 def ship(folder: Path) -> list[Path]:

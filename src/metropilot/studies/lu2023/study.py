@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from metropilot.studies.learning import learn_seeds
+from metropilot.studies.learning import learn_seeds, write_policy
 from metropilot.studies.lu2023.drives import (
     NotchRun,
     arrival_rows,
@@ -16,7 +16,7 @@ from metropilot.studies.lu2023.drives import (
     shipped_policy_of,
     track_policy,
 )
-from metropilot.studies.lu2023.figures import figures_of
+from metropilot.studies.lu2023.figures import figures
 from metropilot.studies.lu2023.setting import (
     ABLATION,
     BEYOND,
@@ -28,7 +28,7 @@ from metropilot.studies.lu2023.setting import (
     TABLE,
     plan_case,
 )
-from metropilot.studies.lu2023.ship import best_of, write_policy
+from metropilot.studies.lu2023.ship import best_of
 from metropilot.studies.lu2023.words import DEVIATIONS, remarks
 from metropilot.studies.report import ReportRow, StudyReport
 from metropilot.studies.study import Study
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from metropilot.studies.lu2023.learning import Convergence
     from metropilot.studies.study import Order
 
+COMMAND = "metropilot reproduce lu2023 --budget paper"
 QUICK_STEPS = 8_000
 COMPARED = ("120", "130")
 ABLATED = "120"
@@ -96,7 +97,7 @@ def reproduce(order: Order) -> StudyReport:
     return StudyReport(
         seeds=len(seeds),
         rows=rows,
-        figures=figures_of(drives, runs),
+        figures=figures(drives, runs),
         deviations=DEVIATIONS,
         remarks=remarks(rows, budget=order.budget),
     )
@@ -112,7 +113,8 @@ def _drives(
             return shipped_policy_of(plan_id)
         kept = folder / f"{driver}-{plan_id}.safetensors"
         cases = PLANS if plan_id == "all" else (plan_case(plan_id),)
-        write_policy(kept, best_of(named[f"{driver}-{plan_id}"], cases), cases)
+        best, plans = best_of(named[f"{driver}-{plan_id}"], cases), [plan.id for plan in cases]
+        write_policy(kept, best, COMMAND, task="lu2023", plans=plans)
         return kept
 
     if paper:

@@ -79,7 +79,7 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
         )
     ]
     said.append(
-        "That optimum (dynamic programming, `metropilot.planning.notch_plan`) is within 1 % of the "
+        "That optimum (dynamic programming, `metropilot.studies.lu2023.notch_plan`) is within 1 % of the "
         "convex one over all forces: full traction, coasting and braking are notches."
     )
     said.append(
