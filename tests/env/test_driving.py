@@ -15,13 +15,13 @@ from metropilot.env import (
     starts,
     task_config,
 )
-from metropilot.env.optima import optima_of
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import (
     PlanOptions,
     fastest_time,
     minimum_running_time,
+    optima_of,
     optimal_plan,
     tabulate_time_to_go,
 )

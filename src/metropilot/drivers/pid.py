@@ -9,7 +9,6 @@ from typing import ClassVar, final
 
 from metropilot.control import CHENG2023_GAINS, Errors, Gains, incremental_pid
 from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions, TrackingView
-from metropilot.sim import Run
 
 TUNED_PID: Mapping[str, float] = MappingProxyType({"kp": 4.986, "ki": 1.4996, "kd": 0.1019})
 """Found on the base scenario of Cheng23 by differential evolution, 1200 runs
@@ -49,11 +48,6 @@ class Pid(AbstractTracker):
         options = replace(options, **TUNED_PID) if options.tuned else options
         super().__init__(options)
         self.gains = Gains(options.kp, options.ki, options.kd)
-
-    def fresh(self, run: Run) -> Errors:
-        """No errors yet."""
-        del run
-        return Errors(0.0, 0.0)
 
     def control(self, memory: Errors, seen: TrackingView) -> tuple[float, Errors]:
         """One period of the law."""

@@ -17,6 +17,7 @@ from metropilot._schema import check_fields, declared
 from metropilot._typing import Array
 from metropilot.control import (
     Ceiling,
+    Errors,
     Model,
     PredictedState,
     StateEstimate,
@@ -146,9 +147,10 @@ class AbstractTracker(AbstractDriver):
     def __init__(self, options: AbstractTrackingOptions) -> None:
         self.options = options
 
-    @abstractmethod
     def fresh(self, run: Run) -> Any:  # noqa: ANN401 (each controller has its own)
-        """The controller's memory at the start of a run."""
+        """The controller's memory at the start of a run: by default no errors yet."""
+        del run
+        return Errors(0.0, 0.0)
 
     @abstractmethod
     def control(self, memory: Any, seen: TrackingView) -> tuple[float, Any]:  # noqa: ANN401

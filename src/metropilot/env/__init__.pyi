@@ -26,9 +26,6 @@ from .interface import AbstractTask as AbstractTask
 from .interface import ActionSpace as ActionSpace
 from .interface import TaskState as TaskState
 from .interface import Transition as Transition
-from .optima import Optima as Optima
-from .optima import cached_optima as cached_optima
-from .optima import optima_of as optima_of
 from .policy_interface import PolicyInterface as PolicyInterface
 from .randomization import NOMINAL as NOMINAL
 from .randomization import DisturbanceDistribution as DisturbanceDistribution

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from metropilot._typing import Array
-from metropilot.env import DrivingTask, Optima, cached_optima, episode_of, starts
+from metropilot.env import DrivingTask, episode_of, starts
+from metropilot.planning import Optima, cached_optima
 from metropilot.policy import Params, PolicySpec, act
 from metropilot.sim import CODES, PUNCTUALITY_S, Episode, Outcome
 from metropilot.units import J_PER_KWH

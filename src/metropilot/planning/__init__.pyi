@@ -17,6 +17,9 @@ from .journey import timetable_waypoints as timetable_waypoints
 from .mesh import Mesh as Mesh
 from .mesh import build_mesh as build_mesh
 from .mesh import limit_at as limit_at
+from .optima import Optima as Optima
+from .optima import cached_optima as cached_optima
+from .optima import optima_of as optima_of
 from .optimal import START_STRETCH_M as START_STRETCH_M
 from .optimal import Front as Front
 from .optimal import Plan as Plan

@@ -24,7 +24,7 @@ from metropilot.studies.report import ReportRow
 from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:
-    from metropilot.env import Optima
+    from metropilot.planning import Optima
 
 Values = Float[ndarray, " chunks"]
 

@@ -96,8 +96,7 @@ def _courses(
 
 def _optimum() -> tuple[LeastEnergy, list[ReportRow]]:
     """Compute the certified front and the energy cost of the stop assist's braking."""
-    from metropilot.env import optima_of
-    from metropilot.planning import minimum_running_time, optimal_plan
+    from metropilot.planning import minimum_running_time, optima_of, optimal_plan
     from metropilot.studies.chen2023a.setting import STOP_MPS2, make_assisted
 
     (section, trainset), *_ = cases = make_assisted().config.cases

@@ -12,7 +12,6 @@ from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers import AbstractTracker, AbstractTrackingOptions, TrackingView
 from metropilot.errors import InputError
 from metropilot.policy import GuardedPolicy, load_policy, policy_path, shipped_policy
-from metropilot.sim import Run
 from metropilot.studies.cheng2023.env import gains_of
 from metropilot.studies.cheng2023.tracking import tracking_observation
 
@@ -90,11 +89,6 @@ class DdpgPid(AbstractTracker):
     def read_policy(self) -> object:
         """Read the policy that sets the gains."""
         return self.policy
-
-    def fresh(self, run: Run) -> Errors:
-        """No errors yet."""
-        del run
-        return Errors(0.0, 0.0)
 
     def control(self, memory: Errors, seen: TrackingView) -> tuple[float, Errors]:
         """One period: the policy's gains, then the law."""

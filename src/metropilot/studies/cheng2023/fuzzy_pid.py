@@ -20,7 +20,6 @@ from metropilot.control import CHENG2023_GAINS, CHENG2023_UPPER, Errors, Gains, 
 from metropilot.drivers import AbstractTracker, AbstractTrackingOptions, TrackingView
 from metropilot.errors import InputError
 from metropilot.physics import namespace
-from metropilot.sim import Run
 
 NB, NM, NS, ZO, PS, PM, PB = range(7)
 PROPORTIONAL = (
@@ -232,11 +231,6 @@ class FuzzyPid(AbstractTracker):
         self.universes = Universes(
             options.error_mps, options.change_mps, options.kp_span, options.ki_span, options.kd_span
         )
-
-    def fresh(self, run: Run) -> Errors:
-        """No errors yet."""
-        del run
-        return Errors(0.0, 0.0)
 
     def control(self, memory: Errors, seen: TrackingView) -> tuple[float, Errors]:
         """One period: rules, then law."""

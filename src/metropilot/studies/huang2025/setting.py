@@ -49,9 +49,9 @@ class PublishedCase:
         id: Short name.
         name: Name in tables.
         table: Table of the paper.
+        scheduled_s: Planned running time at departure.
         origin: Station code.
         destination: Station code.
-        scheduled_s: Planned running time at departure.
         drivers: Ids of the compared drivers.
         told_s: Time of the timetable update; None: no update.
         news_s: New planned running time of the update.
@@ -62,10 +62,10 @@ class PublishedCase:
     id: str
     name: str
     table: str
-    origin: str
-    destination: str
     scheduled_s: float
-    drivers: tuple[str, ...]
+    origin: str = "RJ"
+    destination: str = "WYJ"
+    drivers: tuple[str, ...] = EXPERTS
     told_s: float | None = None
     news_s: float | None = None
     restricted: Restriction | None = None
@@ -91,8 +91,6 @@ CASES: tuple[PublishedCase, ...] = (
         id="101",
         name="RJ to WYJ, 101 s",
         table=TABLE2,
-        origin="RJ",
-        destination="WYJ",
         scheduled_s=101.0,
         drivers=ALL,
         published={
@@ -107,8 +105,6 @@ CASES: tuple[PublishedCase, ...] = (
         id="95",
         name="RJ to WYJ, 95 s",
         table=TABLE2,
-        origin="RJ",
-        destination="WYJ",
         scheduled_s=95.0,
         drivers=ALL,
         published={
@@ -122,8 +118,6 @@ CASES: tuple[PublishedCase, ...] = (
         id="115",
         name="RJ to WYJ, 115 s",
         table=TABLE2,
-        origin="RJ",
-        destination="WYJ",
         scheduled_s=115.0,
         drivers=ALL,
         published={
@@ -138,10 +132,7 @@ CASES: tuple[PublishedCase, ...] = (
         id="later",
         name="101 s, 15 s later, sent at 30 s",
         table=TABLE3,
-        origin="RJ",
-        destination="WYJ",
         scheduled_s=101.0,
-        drivers=EXPERTS,
         told_s=30.0,
         news_s=116.0,
         published={EITOP: {TOOK: 114.0}},
@@ -150,10 +141,7 @@ CASES: tuple[PublishedCase, ...] = (
         id="earlier",
         name="101 s, 10 s earlier, sent at 10 s",
         table=TABLE3,
-        origin="RJ",
-        destination="WYJ",
         scheduled_s=101.0,
-        drivers=EXPERTS,
         told_s=10.0,
         news_s=91.0,
         published={EITOP: {TOOK: 88.0}},
@@ -162,10 +150,7 @@ CASES: tuple[PublishedCase, ...] = (
         id="restricted",
         name="115 s, 40 km/h from 700 to 900 m, sent at 30 s",
         table=TABLE3,
-        origin="RJ",
-        destination="WYJ",
         scheduled_s=115.0,
-        drivers=EXPERTS,
         told_s=30.0,
         restricted=Restriction(700.0, 900.0, 40.0 / KMH_PER_MPS),
     ),
@@ -173,10 +158,7 @@ CASES: tuple[PublishedCase, ...] = (
         id="restricted-101",
         name="101 s, 40 km/h from 700 to 900 m, sent at 30 s",
         table=TABLE3,
-        origin="RJ",
-        destination="WYJ",
         scheduled_s=101.0,
-        drivers=EXPERTS,
         told_s=30.0,
         restricted=Restriction(700.0, 900.0, 40.0 / KMH_PER_MPS),
     ),
@@ -187,7 +169,6 @@ CASES: tuple[PublishedCase, ...] = (
         origin="SJZ",
         destination="XC",
         scheduled_s=190.0,
-        drivers=EXPERTS,
         published={EITOE: {TOOK: 188.0}, EITOP: {TOOK: 189.0}},
     ),
     PublishedCase(
@@ -197,7 +178,6 @@ CASES: tuple[PublishedCase, ...] = (
         origin="XC",
         destination="XHM",
         scheduled_s=108.0,
-        drivers=EXPERTS,
         published={EITOE: {TOOK: 112.0}, EITOP: {TOOK: 109.0}},
     ),
 )

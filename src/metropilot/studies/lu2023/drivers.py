@@ -79,11 +79,6 @@ class PidLu2023(AbstractTracker):
         self.curve = sampled_profile(learned.position_m, learned.speed_mps, REFERENCE_PERIOD_S)
         return super().init(run)
 
-    def fresh(self, run: Run) -> Errors:
-        """No errors yet."""
-        del run
-        return Errors(0.0, 0.0)
-
     def control(self, memory: Errors, seen: TrackingView) -> tuple[float, Errors]:
         """One period of the law."""
         return incremental_pid(seen.command, self.gains, seen.error_mps, memory)

@@ -15,7 +15,7 @@ from scipy.interpolate import PchipInterpolator
 from metropilot._dirs import cache_folder
 from metropilot._tensors import read_tensors, write_tensors
 from metropilot.errors import InputError
-from metropilot.planning import PlanOptions, time_energy_front
+from metropilot.planning.optimal import PlanOptions, minimum_running_time, time_energy_front
 from metropilot.railway import Section, Trainset
 
 VERSION = 1
@@ -79,8 +79,6 @@ def optima_of(
         ratios: Running times over the minimum of the case, increasing.
         options: See :class:`metropilot.planning.PlanOptions`.
     """
-    from metropilot.planning import minimum_running_time
-
     fronts = []
     for section, trainset in cases:
         minimum = minimum_running_time(section, trainset)
