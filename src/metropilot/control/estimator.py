@@ -31,10 +31,9 @@ from metropilot.control.prediction import (
     Motion,
     PredictedState,
     acting_command,
-    lead_command,
     predict_motion,
 )
-from metropilot.physics import Vehicle, command_for_effort, curve_n, effort_limits
+from metropilot.physics import Vehicle, curve_n, effort_limits
 
 MAX_EXTRA_DELAY_S = 1.0
 """Largest dead time among the hypotheses beyond the nominal one."""
@@ -180,7 +179,13 @@ def initial_estimate(
 
 
 def update_estimate(
-    model: Model, belief: StateEstimate, position_m: float, speed_mps: float, acceleration_mps2: float
+    model: Model,
+    belief: StateEstimate,
+    position_m: float,
+    speed_mps: float,
+    acceleration_mps2: float,
+    *,
+    overruled: bool = False,
 ) -> StateEstimate:
     """Update the estimate with this period's measurements.
 
@@ -190,6 +195,7 @@ def update_estimate(
         position_m: Measured position.
         speed_mps: Measured speed, noisy.
         acceleration_mps2: Acceleration over the last period.
+        overruled: Protection overruled the last command: its answer says nothing about the plant.
     """
     if not belief.started:
         return belief._replace(
@@ -198,7 +204,9 @@ def update_estimate(
             acceleration_mps2=float(acceleration_mps2),
             started=True,
         )
-    bank, best = _learn(model, belief, float(acceleration_mps2))
+    bank, best = belief.bank, belief.best
+    if not overruled:
+        bank, best = _learn(model, belief, float(acceleration_mps2))
     position, speed, covariance = _fuse(model.dt, belief, position_m, speed_mps, acceleration_mps2)
     return belief._replace(
         position_m=position,
@@ -316,5 +324,4 @@ def share_for(
         A command in [-1, 1].
     """
     effort = wanted_mps2 + ahead.resistance_mps2 + ahead.gradient_mps2
-    share = command_for_effort(effort, ahead.traction_mps2, ahead.brake_mps2)
-    return lead_command(share, ahead.share, float(belief.bank.keep[belief.best]), lead)
+    return ahead.command_for(effort, float(belief.bank.keep[belief.best]), lead)

@@ -13,7 +13,7 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 
 from metropilot._typing import Scalar
-from metropilot.physics import Track, Vehicle, namespace, scalars
+from metropilot.physics import Track, Vehicle, command_for_effort, namespace, scalars
 
 LAG_LEAD = 0.7
 """Share of the lag that is compensated by a larger command; full compensation would amplify noise."""
@@ -57,6 +57,17 @@ class PredictedState(NamedTuple):
     gradient_mps2: float
     traction_mps2: float
     brake_mps2: float
+
+    def command_for(self, effort_mps2: float, keep: float, lead: float = LAG_LEAD) -> float:
+        """Command for a wheel effort per effective mass at the moment when it begins to act, in [-1, 1].
+
+        Args:
+            effort_mps2: Effort, traction positive.
+            keep: Share of the old effort that remains after a period of lag.
+            lead: Share of the lag that is compensated by a larger command, in [0, 1].
+        """
+        share = command_for_effort(effort_mps2, self.traction_mps2, self.brake_mps2)
+        return lead_command(share, self.share, keep, lead)
 
 
 class Motion(NamedTuple):

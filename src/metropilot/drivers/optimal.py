@@ -203,9 +203,8 @@ class Optimal(AbstractDriver):
             observation.position_m,
             observation.speed_mps,
             observation.acceleration_mps2,
+            overruled=memory.overruled,
         )
-        if memory.overruled:
-            belief = belief._replace(bank=memory.belief.bank, best=memory.belief.best)
         memory = replace(memory, belief=belief)
         if memory.braking and stands_short(memory):
             memory = replace(memory, braking=False)

@@ -184,9 +184,8 @@ class AbstractTracker(AbstractDriver):
             observation.position_m,
             observation.speed_mps,
             observation.acceleration_mps2,
+            overruled=memory.overruled,
         )
-        if memory.overruled:
-            belief = belief._replace(bank=memory.belief.bank, best=memory.belief.best)
         memory = self._follow_updates(replace(memory, belief=belief), observation)
         ahead = look_ahead(memory.model, belief)
         place, speed, _ = memory.reference.at(observation.time_s - memory.clock_s + ahead.seconds)

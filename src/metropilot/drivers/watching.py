@@ -126,12 +126,11 @@ def update_watch(watch: Watch, run: Run, observation: Observation) -> Watch:
         observation: Measurements of this period.
     """
     seen = observation.position_m, observation.speed_mps, observation.acceleration_mps2
-    belief = update_estimate(watch.model, watch.belief, *seen)
+    overruled = watch.care is not None and int(watch.care.watched.level) > 0
+    belief = update_estimate(watch.model, watch.belief, *seen, overruled=overruled)
     if watch.care is None:
         watch = watch._replace(belief=belief)
         return watch._replace(care=_care(watch, run, observation.section)) if departs(belief) else watch
-    if int(watch.care.watched.level) > 0:
-        belief = belief._replace(bank=watch.belief.bank, best=watch.belief.best)
     return watch._replace(belief=belief)
 
 

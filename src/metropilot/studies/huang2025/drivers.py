@@ -55,7 +55,6 @@ from metropilot.studies.huang2025.laws import (
     lead_s,
     legs_of,
     next_expert_rate,
-    share_of,
     stop_share,
     update_gain,
 )
@@ -178,7 +177,8 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
     if not braking:
         seen = _rate_inputs(memory, observation, ahead, curve)
         rate = _rate(memory, seen, change(seen))
-        share = share_of(actuation, ahead, _keep_safe(memory, observation, ahead, rate))
+        effort = _keep_safe(memory, observation, ahead, rate)
+        share = ahead.command_for(effort, actuation.keep)
     memory = memory._replace(
         actuation=actuation.issue(share),
         hoa=hoa._replace(braking=braking),

@@ -41,13 +41,12 @@ from metropilot.control import (
     Motion,
     PredictedState,
     StopCurve,
-    lead_command,
     predict_motion,
     required_with_build_up,
     stop_deceleration,
 )
 from metropilot.errors import InputError
-from metropilot.physics import command_for_effort, effort_at, felt_slopes, scalars
+from metropilot.physics import effort_at, felt_slopes, scalars
 from metropilot.planning import TO_GO_STEP_MPS, tabulate_time_to_go
 
 SEGMENTS = 16
@@ -392,18 +391,6 @@ class ExpertTrack(NamedTuple):
         return PredictedState(actuation.seconds, *motion, drag, 0.0, traction, brake)
 
 
-def share_of(actuation: CommandActuation, ahead: PredictedState, effort_mps2: float) -> float:
-    """The command that gives a wheel effort when it begins to act, in [-1, 1].
-
-    Args:
-        actuation: Commands on their way.
-        ahead: The state at that moment.
-        effort_mps2: Effort over mass, traction positive.
-    """
-    share = command_for_effort(effort_mps2, ahead.traction_mps2, ahead.brake_mps2)
-    return lead_command(share, ahead.share, actuation.keep)
-
-
 def expert_track(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTrack:
     """Tables of a section for a trainset.
 
@@ -707,7 +694,7 @@ def stop_share(
     """
     v, distance, plan = ahead.speed_mps, ground.length_m - ahead.position_m, curve.deceleration_mps2
     if v <= 0.0 and distance < STOP_OPTIONS.inch_m:
-        return share_of(actuation, ahead, -max(curve.end_mps2, STOP_OPTIONS.hold_mps2)), True
+        return ahead.command_for(-max(curve.end_mps2, STOP_OPTIONS.hold_mps2), actuation.keep), True
     if not hoa.braking and v * v < 2.0 * NEAR * plan * max(distance - 2.0 * v, 0.5):
         return 0.0, False
     dt, a = actuation.dt, ahead.acceleration_mps2
@@ -721,7 +708,7 @@ def stop_share(
     if _way(v, wanted, dt) > distance + PAST_M:
         short = v * v / (2.0 * distance) if distance > 0.0 else STRONGEST_MPS2
         wanted = max(wanted, min(short, curve.build_jerk_mps3 * dt))
-    return share_of(actuation, ahead, ahead.resistance_mps2 - wanted), True
+    return ahead.command_for(ahead.resistance_mps2 - wanted, actuation.keep), True
 
 
 def _way(speed_mps: float, deceleration_mps2: float, dt: float) -> float:
