@@ -15,7 +15,7 @@ def room(request):
     return DemonstrationGenerator(domain_sample(5, request.param), 1.25)
 
 
-def sight(room, position_m, speed_mps, left_s):
+def context(room, position_m, speed_mps, left_s):
     at, v = np.float64(position_m), np.float64(speed_mps)
     planned = DOMAIN_ASSISTS.planned_mps2(room.rows, 0, room.case.stop_mps2, at)
     case = room.case
@@ -61,19 +61,19 @@ def test_the_pace_takes_the_time_that_is_left(room):
     fastest, slowest = kept_s(room, PACES_MPS[-1], at), kept_s(room, PACES_MPS[0], at)
     for share in (0.05, 0.2, 0.5):
         left_s = fastest + share * (slowest - fastest)
-        wanted = float(FEATURES.get("pace")(sight(room, at, 12.0, left_s))[0]) * SPEED_MPS
+        wanted = float(FEATURES.get("pace")(context(room, at, 12.0, left_s))[0]) * SPEED_MPS
         assert kept_s(room, wanted, at) == pytest.approx(left_s, rel=0.01)
 
 
 def test_a_pace_that_must_be_reached_first_is_higher(room):
-    seen = sight(room, 0.0, 0.0, 1.3 * kept_s(room, PACES_MPS[-1], 0.0))
+    seen = context(room, 0.0, 0.0, 1.3 * kept_s(room, PACES_MPS[-1], 0.0))
     wanted, after, above, *_ = FEATURES.get("pace")(seen)
     assert after > wanted
     assert above > 0.0
 
 
 def test_coasting_from_a_higher_speed_takes_less_time(room):
-    seen = sight(room, 0.8 * room.length_m, 9.0, 0.2 * room.length_m / 9.0)
+    seen = context(room, 0.8 * room.length_m, 9.0, 0.2 * room.length_m / 9.0)
     plain, faster = FEATURES.get("coasting")(seen), FEATURES.get("coasting_faster")(seen)
     assert len(faster) == 3 * len(FASTER_MPS)
     assert np.tanh(float(plain[0]) * 50.0 / 20.0) < faster[0]
@@ -81,7 +81,7 @@ def test_coasting_from_a_higher_speed_takes_less_time(room):
 
 
 def test_coasting_takes_what_integration_gives(room):
-    seen = sight(room, 0.75 * room.length_m, 14.0, 200.0)
+    seen = context(room, 0.75 * room.length_m, 14.0, 200.0)
     vehicle, length = seen.vehicle, float(seen.left_m)
     way = np.linspace(0.0, length, 8001)
     climb = room.rows.ground_at(CLIMB_COLUMN, 0, seen.position_m + way)

@@ -68,7 +68,7 @@ def test_weights():
     assert float(Failure(price=1.0, per_m=0.0).value(FAILED)) == -1.0
 
 
-def sight():
+def context():
     rows = SectionRows(task_config("chen2023a").tables(np.float64), jax=False)
     case = rows.case(0)
     seen = {"case": 0, "command": F(0.4), "speed_mps": F(10.0), "position_m": F(300.0)}
@@ -77,7 +77,7 @@ def sight():
 
 
 def test_actions():
-    seen = sight()
+    seen = context()
     command = lambda action, value: float(action.command(seen, np.array(value), 0.5))  # noqa: E731
     regime = RegimeAction(coast=0.2, full=0.8)
     found = [command(regime, [x]) for x in (-1, -0.5, -0.1, 0.1, 0.5, 0.9)]

@@ -134,11 +134,11 @@ class Masked(AbstractTask):
 
     def step(self, key, state, action):
         del key
-        wrong = jnp.where(self.allowed(state)[action], 0.0, 1.0)
+        wrong = jnp.where(self.action_mask(state)[action], 0.0, 1.0)
         state = state + 1
         observation = jnp.stack([state.astype(jnp.float32) / 5.0, (state % 2).astype(jnp.float32)])
         reward = action.astype(jnp.float32) / 4.0
         return state, Transition(observation, reward, state >= 5, NO, {"choice": reward, "forbidden": wrong})
 
-    def allowed(self, state):
+    def action_mask(self, state):
         return jnp.arange(5) % 2 == state % 2

@@ -78,8 +78,8 @@ def test_labels_mean_the_commands_they_stand_for():
     action = RegimeAction()
     commands = np.linspace(-1.0, 1.0, 401)
     wanted = labels(action, commands)
-    sight = FeatureContext(SimpleNamespace(xp=np), *[None] * (len(FeatureContext._fields) - 1))
-    meant = np.array([action.command(sight, np.array([a]), 0.4) for a in wanted])
+    context = FeatureContext(SimpleNamespace(xp=np), *[None] * (len(FeatureContext._fields) - 1))
+    meant = np.array([action.command(context, np.array([a]), 0.4) for a in wanted])
     held = (np.abs(commands) > 0.02) & (np.abs(commands) < 0.95)
     assert np.abs(meant - commands)[held].max() < 1e-6
     assert np.abs(meant - commands).max() < 0.05

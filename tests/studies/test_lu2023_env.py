@@ -72,18 +72,18 @@ def test_minimum_arrival_time_filter():
     # Lu23 section 3.3.4: a choice after which even flat out is too late is chosen again
     action, period = NotchForceAction(margin=0.0), 2.0
     seen = lu2023_sight()
-    assert action.allowed(seen, period).all()
+    assert action.action_mask(seen, period).all()
     to_go = float(seen.to_go_s)
     tight = [lu2023_sight(scheduled_s=F(50.0 + to_go + spare)) for spare in (-1.0, 0.3, 1.0, 3.0)]
-    allowed = [int(action.allowed(s, period).sum()) for s in tight]
+    allowed = [int(action.action_mask(s, period).sum()) for s in tight]
     assert allowed[0] == 1  # late already: flat out is what is left
-    assert action.allowed(tight[0], period)[-1]
+    assert action.action_mask(tight[0], period)[-1]
     assert allowed == sorted(allowed)
     assert 1 < allowed[2] < allowed[3] == 12
     # whatever is allowed, stronger is allowed
-    assert all(np.diff(action.allowed(s, period).astype(int)).min() >= 0 for s in tight)
-    assert int(NotchForceAction(margin=0.1).allowed(tight[3], period).sum()) < 12
-    assert NotchForceAction(in_time=False).allowed(seen, period) is None
+    assert all(np.diff(action.action_mask(s, period).astype(int)).min() >= 0 for s in tight)
+    assert int(NotchForceAction(margin=0.1).action_mask(tight[3], period).sum()) < 12
+    assert NotchForceAction(in_time=False).action_mask(seen, period) is None
 
 
 def test_assists_are_met_by_notches():

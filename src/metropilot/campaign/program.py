@@ -181,7 +181,7 @@ def period(
     def decide(going: EpisodeState, run: RunState) -> tuple[Command, tuple[EpisodeState, Array]]:
         row, at = given.seen[told], run.plant.position_m
         found = seen.case(row)
-        sight = feature_context(
+        context = feature_context(
             seen,
             row,
             found,
@@ -193,7 +193,7 @@ def period(
             scheduled_s=params.scheduled_s,
             command=going.command,
         )
-        going, broken = _decide(kind, params_of_policy, sight, going)
+        going, broken = _decide(kind, params_of_policy, context, going)
         return Command(going.command, jnp.zeros((), bool)), (going, broken)
 
     run, (going, broken), record = control_period(params, before.run, before, decide, rule=RULE, noise=noise)
@@ -225,23 +225,23 @@ def period(
 
 
 def _decide(
-    kind: Kind, params: Params, sight: FeatureContext, before: EpisodeState
+    kind: Kind, params: Params, context: FeatureContext, before: EpisodeState
 ) -> tuple[EpisodeState, Array]:
     """Take a decision if one is due and apply the assists; also returns True if the output was not finite."""
     import jax.numpy as jnp
 
     perception, spec = kind.perception, kind.spec
-    output = network_output(spec, params, observe(perception.features, sight), jnp)
-    action = choose_action(spec, output, perception.action.allowed(sight, perception.period_s), jnp)
+    output = network_output(spec, params, observe(perception.features, context), jnp)
+    action = choose_action(spec, output, perception.action.action_mask(context, perception.period_s), jnp)
     action = action.astype(before.action.dtype)
-    due = sight.time_s >= before.decided * perception.period_s - DECISION_EARLY_S
+    due = context.time_s >= before.decided * perception.period_s - DECISION_EARLY_S
     broken = due & (jnp.all(jnp.isfinite(output)) ^ True)
-    count = ((sight.time_s + DECISION_EARLY_S) / perception.period_s).astype(jnp.int32) + 1
-    wanted = perception.action.command(sight, action, perception.period_s)
+    count = ((context.time_s + DECISION_EARLY_S) / perception.period_s).astype(jnp.int32) + 1
+    wanted = perception.action.command(context, action, perception.period_s)
     action, decided = jnp.where(due, action, before.action), jnp.where(due, count, before.decided)
-    wanted = jnp.where(due, wanted.astype(sight.speed_mps.dtype), before.wanted)
-    command = perception.action.hold(sight, action, wanted)
-    command, stopping = apply_assists(perception.assists, sight, command, before.stopping, kind.dt)
-    command = perception.action.round(sight, command).astype(sight.speed_mps.dtype)
+    wanted = jnp.where(due, wanted.astype(context.speed_mps.dtype), before.wanted)
+    command = perception.action.hold(context, action, wanted)
+    command, stopping = apply_assists(perception.assists, context, command, before.stopping, kind.dt)
+    command = perception.action.round(context, command).astype(context.speed_mps.dtype)
     after = before._replace(command=command, action=action, wanted=wanted, decided=decided, stopping=stopping)
     return after, broken

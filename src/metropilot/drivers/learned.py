@@ -112,18 +112,18 @@ class LearnedDriver(AbstractDriver):
             memory = memory._replace(watch=watch)
             if watching.is_outdated(watch, observation.time_s) and not memory.stopping:
                 memory = self._adapt_tables(memory, watch, observation.time_s)
-        sight = self._context(memory, observation)
+        context = self._context(memory, observation)
         perception = self.perception
         action, wanted, decided = memory.action, memory.wanted, memory.decided
         if observation.time_s >= decided * perception.period_s - DECISION_EARLY_S:
-            seen = observe(perception.features, sight)
-            mask = perception.action.allowed(sight, perception.period_s)
+            seen = observe(perception.features, context)
+            mask = perception.action.action_mask(context, perception.period_s)
             action = self.policy(seen) if mask is None else self.policy(seen, mask)
-            wanted = np.float64(perception.action.command(sight, action, perception.period_s))
+            wanted = np.float64(perception.action.command(context, action, perception.period_s))
             decided = int((observation.time_s + DECISION_EARLY_S) / perception.period_s) + 1
-        command = perception.action.hold(sight, action, wanted)
-        command, stopping = self._apply_assists(memory, sight, command)
-        command = perception.action.round(sight, command)
+        command = perception.action.hold(context, action, wanted)
+        command, stopping = self._apply_assists(memory, context, command)
+        command = perception.action.round(context, command)
         if memory.watch is not None:
             share, watch = watching.limit_by_protection(memory.watch, observation, float(command))
             memory = memory._replace(watch=watching.record_decision(watch, share))
@@ -133,18 +133,18 @@ class LearnedDriver(AbstractDriver):
         )
         return float(command), memory
 
-    def _apply_assists(self, memory: LearnedMemory, sight: FeatureContext, command: Any) -> tuple[Any, Any]:  # noqa: ANN401
+    def _apply_assists(self, memory: LearnedMemory, context: FeatureContext, command: Any) -> tuple[Any, Any]:  # noqa: ANN401
         """Apply the assists as learned, or the careful ones under plant mismatch."""
         assists, watch, dt = self.perception.assists, memory.watch, memory.run.dt
         if watch is None or watch.care is None:
-            return apply_assists(assists, sight, command, memory.stopping, dt)
-        planned = assists.stop_mps2 * watch.believed.brake or float(sight.stop_mps2)
+            return apply_assists(assists, context, command, memory.stopping, dt)
+        planned = assists.stop_mps2 * watch.believed.brake or float(context.stop_mps2)
         stopping, share, ahead = watching.station_stop_braking(watch, planned, bool(memory.stopping))
-        if stopping or sight.left_s < sight.to_go_s:
+        if stopping or context.left_s < context.to_go_s:
             command = np.float64(share if stopping else 1.0)
         if assists.ceiling:
             near = replace(assists, margin_mps=watching.MARGIN_MPS)
-            most = float(ceiling_mps2(near, sight, dt))
+            most = float(ceiling_mps2(near, context, dt))
             command = np.float64(watching.limit_to_ceiling(watch, ahead, float(command), most))
         return command, np.bool_(stopping)
 

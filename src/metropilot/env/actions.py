@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from typing import ClassVar, final
 
 import numpy as np
+from jaxtyping import Bool, Num
 
 from metropilot._registry import Registry, RegistryRow
-from metropilot._typing import Array
+from metropilot._typing import Array, Scalar
 from metropilot.env.features import FeatureContext
 from metropilot.env.interface import ActionSpace
 from metropilot.errors import InputError
@@ -35,28 +36,28 @@ class AbstractAction(ABC):
         """Action space."""
 
     @abstractmethod
-    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+    def command(self, context: FeatureContext, action: Num[Array, "*actions"], period_s: float) -> Scalar:
         """The command in [-1, 1] that an action asks for.
 
         Args:
-            sight: What the policy saw when it acted.
+            context: What the policy saw when it acted.
             action: Shape (size,), or an integer choice of shape ().
             period_s: Time between two decisions.
         """
 
-    def allowed(self, sight: FeatureContext, period_s: float) -> Array | None:
-        """Mask of the choices allowed in a context. Shape (count,); None: all."""
-        del sight, period_s
+    def action_mask(self, context: FeatureContext, period_s: float) -> Bool[Array, " choices"] | None:
+        """Mask of the choices allowed in a context. None: all."""
+        del context, period_s
         return None
 
-    def hold(self, sight: FeatureContext, action: Array, command: Array) -> Array:
+    def hold(self, context: FeatureContext, action: Num[Array, "*actions"], command: Scalar) -> Scalar:
         """Hold a decision to its end: by default the command as decided; a force is held, not its share."""
-        del sight, action
+        del context, action
         return command
 
-    def round(self, sight: FeatureContext, command: Array) -> Array:
+    def round(self, context: FeatureContext, command: Scalar) -> Scalar:
         """Round a command that assists have changed to one that can be given, a notch; by default itself."""
-        del sight
+        del context
         return command
 
 
@@ -79,10 +80,10 @@ class CommandAction(AbstractAction):
         """Action space of one number."""
         return ActionSpace(size=1)
 
-    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+    def command(self, context: FeatureContext, action: Num[Array, "*actions"], period_s: float) -> Scalar:
         """Clip the number to [-1, 1]."""
         del period_s
-        return sight.xp.clip(action[0], -1.0, 1.0)
+        return context.xp.clip(action[0], -1.0, 1.0)
 
 
 @final
@@ -113,11 +114,11 @@ class RegimeAction(AbstractAction):
         """Action space of one number."""
         return ActionSpace(size=1)
 
-    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+    def command(self, context: FeatureContext, action: Num[Array, "*actions"], period_s: float) -> Scalar:
         """Return 0 in the dead zone, then a linear rise to full effort."""
         del period_s
-        size = sight.xp.clip((sight.xp.abs(action[0]) - self.coast) / (self.full - self.coast), 0.0, 1.0)
-        return sight.xp.where(action[0] < 0.0, -size, size)
+        size = context.xp.clip((context.xp.abs(action[0]) - self.coast) / (self.full - self.coast), 0.0, 1.0)
+        return context.xp.where(action[0] < 0.0, -size, size)
 
 
 @final
@@ -142,10 +143,10 @@ class IncrementAction(AbstractAction):
         """Action space of one number."""
         return ActionSpace(size=1)
 
-    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+    def command(self, context: FeatureContext, action: Num[Array, "*actions"], period_s: float) -> Scalar:
         """Add the change to the last command."""
-        moved = sight.command + self.rate_per_s * period_s * sight.xp.clip(action[0], -1.0, 1.0)
-        return sight.xp.clip(moved, -1.0, 1.0)
+        moved = context.command + self.rate_per_s * period_s * context.xp.clip(action[0], -1.0, 1.0)
+        return context.xp.clip(moved, -1.0, 1.0)
 
 
 @final
@@ -168,11 +169,11 @@ class NotchAction(AbstractAction):
         """Action space with one choice a notch."""
         return ActionSpace(count=len(self.notches))
 
-    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+    def command(self, context: FeatureContext, action: Num[Array, "*actions"], period_s: float) -> Scalar:
         """Command of the notch; a force is limited to the available one."""
         del period_s
-        notch = sight.xp.asarray(self.notches, np.float32)[action]
-        return command_for_force(sight.vehicle, sight.speed_mps, notch) if self.forces else notch
+        notch = context.xp.asarray(self.notches, np.float32)[action]
+        return command_for_force(context.vehicle, context.speed_mps, notch) if self.forces else notch
 
 
 @final
@@ -203,17 +204,17 @@ class GainsAction(AbstractAction):
         """Action space of one number a gain."""
         return ActionSpace(size=len(self.low))
 
-    def gains(self, sight: FeatureContext, action: Array) -> Array:
+    def gains(self, context: FeatureContext, action: Num[Array, "*actions"]) -> Scalar:
         """Gains of an action. Shape (size,)."""
-        xp = sight.xp
+        xp = context.xp
         low, high = (np.log(np.asarray(ends, np.float32)) for ends in (self.low, self.high))
         return xp.exp(low + (high - low) * (0.5 + 0.5 * xp.clip(action, -1.0, 1.0)))
 
-    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+    def command(self, context: FeatureContext, action: Num[Array, "*actions"], period_s: float) -> Scalar:
         """Command of proportional control toward the share of the permitted speed."""
         del period_s
-        gain, share = self.gains(sight, action)
-        return sight.xp.clip(gain * (share * sight.permitted_mps - sight.speed_mps), -1.0, 1.0)
+        gain, share = self.gains(context, action)
+        return context.xp.clip(gain * (share * context.permitted_mps - context.speed_mps), -1.0, 1.0)
 
 
 ACTIONS: Registry[type[AbstractAction]] = Registry(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
 
-from metropilot._typing import Array
+from metropilot._typing import Flag, Index, Scalar
 from metropilot.control import (
     AT_ONCE_MPS3,
     STRONGEST_MPS2,
@@ -79,7 +79,7 @@ class Assists:
             if not low <= value <= high:
                 raise InputError("out of range", field=name, value=value, allowed=f"{low:g} to {high:g}")
 
-    def planned_mps2(self, rows: SectionRows, case: Array, sure_mps2: Array, position_m: Array) -> Array:
+    def planned_mps2(self, rows: SectionRows, case: Index, sure_mps2: Scalar, position_m: Scalar) -> Scalar:
         """Deceleration to plan the last braking with from a position.
 
         Args:
@@ -120,31 +120,31 @@ def stop_options(release_share: float) -> StopOptions:
 
 
 def apply_assists(
-    assists: Assists, sight: FeatureContext, command: Array, stopping: Array, dt: float
-) -> tuple[Array, Array]:
+    assists: Assists, context: FeatureContext, command: Scalar, stopping: Flag, dt: float
+) -> tuple[Scalar, Flag]:
     """The command after the assists, and whether the last braking is on.
 
     Args:
         assists: Which.
-        sight: What the driver sees.
+        context: What the driver sees.
         command: The policy's command.
         stopping: Whether the last braking was on.
         dt: Control period, s.
     """
     if not (assists.stop or assists.ceiling):
         return command, stopping
-    xp, limits = sight.xp, sight.effort_limits
+    xp, limits = context.xp, context.effort_limits
     if assists.stop_mps2 > 0.0:
-        sight = sight._replace(stop_mps2=xp.asarray(assists.stop_mps2, sight.speed_mps.dtype))
+        context = context._replace(stop_mps2=xp.asarray(assists.stop_mps2, context.speed_mps.dtype))
     ceiling = command
     if assists.ceiling:
-        ceiling = limits.command_for(ceiling_mps2(assists, sight, dt))
+        ceiling = limits.command_for(ceiling_mps2(assists, context, dt))
         command = xp.minimum(command, ceiling)
     if assists.stop:
-        stopping, wanted = stop_mps2(sight, stopping, dt, stop_options(assists.release))
+        stopping, wanted = stop_mps2(context, stopping, dt, stop_options(assists.release))
         entering = xp.asarray(False)
         if assists.late:
-            wanted, entering = late_mps2(assists, sight, wanted, dt)
+            wanted, entering = late_mps2(assists, context, wanted, dt)
         stop = limits.command_for(-wanted)
         highest = xp.minimum(stop, ceiling) if assists.ceiling else stop
         highest = xp.where(entering, xp.minimum(highest, command), highest)
@@ -152,48 +152,52 @@ def apply_assists(
     return command, stopping
 
 
-def ceiling_at(assists: Assists, rows: SectionRows, case: Array, position_m: Array) -> Array:
+def ceiling_at(assists: Assists, rows: SectionRows, case: Index, position_m: Scalar) -> Scalar:
     """The speed to keep under at a position, m/s."""
     if assists.late:
         return rows.follow_at(case, position_m)
     return rows.ground_at(PERMITTED_COLUMN, case, position_m)
 
 
-def ceiling_mps2(assists: Assists, sight: FeatureContext, dt: float) -> Array:
+def ceiling_mps2(assists: Assists, context: FeatureContext, dt: float) -> Scalar:
     """Largest acceleration that protection lets pass and the trainset's limits allow.
 
     An acceleration must stop in time for the reaction of the emergency brake even if the trainset is as
     light as the bounds allow (:func:`metropilot.protection.approach_margin`).
     """
-    xp, rates = sight.xp, sight.rates
-    v, x = sight.speed_mps, sight.position_m
+    xp, rates = context.xp, context.rates
+    v, x = context.speed_mps, context.position_m
     spread = rates.mass_high / rates.mass_low
 
-    def permitted(at: Array) -> Array:
-        return ceiling_at(assists, sight.rows, sight.case, at) - assists.margin_mps - rates.speed_error_mps
+    def permitted(at: Scalar) -> Scalar:
+        return (
+            ceiling_at(assists, context.rows, context.case, at) - assists.margin_mps - rates.speed_error_mps
+        )
 
-    jerk = xp.minimum(sight.vehicle.jerk_mps3, AT_ONCE_MPS3)
+    jerk = xp.minimum(context.vehicle.jerk_mps3, AT_ONCE_MPS3)
     ahead_s = dt + rates.reaction_s + 1.0 / jerk
     near = xp.minimum(permitted(x), permitted(x + v * dt)) - v
     later = permitted(x + v * ahead_s) - v
     rise = xp.maximum(xp.minimum(near, later), 0.0)
     upward = closing_acceleration(rise, dt + spread * rates.reaction_s, jerk)
     downward = xp.minimum(xp.minimum(near / dt, later / ahead_s), 0.0)
-    return xp.minimum(upward + downward, sight.vehicle.max_acceleration_mps2)
+    return xp.minimum(upward + downward, context.vehicle.max_acceleration_mps2)
 
 
-def stop_mps2(sight: FeatureContext, stopping: Array, dt: float, options: StopOptions) -> tuple[Array, Array]:
+def stop_mps2(
+    context: FeatureContext, stopping: Flag, dt: float, options: StopOptions
+) -> tuple[Flag, Scalar]:
     """State of the station stop, and the deceleration it needs now, m/s^2.
 
     Args:
-        sight: What the driver sees.
+        context: What the driver sees.
         stopping: Whether it was on.
         dt: Control period, s.
         options: Constants of the stop.
     """
-    xp, vehicle = sight.xp, sight.vehicle
-    v, a, s = sight.speed_mps, sight.acceleration_mps2, sight.length_m - sight.position_m
-    planned = sight.stop_mps2
+    xp, vehicle = context.xp, context.vehicle
+    v, a, s = context.speed_mps, context.acceleration_mps2, context.length_m - context.position_m
+    planned = context.stop_mps2
     curve = curve_for(vehicle, dt, planned, options)
     quick, gone, _ = build_up(v, a, planned, curve.build_jerk_mps3)
     reach = gone + braking_distance(quick, curve)
@@ -205,7 +209,7 @@ def stop_mps2(sight: FeatureContext, stopping: Array, dt: float, options: StopOp
     return stopping, xp.where(v > 0, demand.wanted_mps2, options.hold_mps2)
 
 
-def late_mps2(assists: Assists, sight: FeatureContext, wanted: Array, dt: float) -> tuple[Array, Array]:
+def late_mps2(assists: Assists, context: FeatureContext, wanted: Scalar, dt: float) -> tuple[Scalar, Flag]:
     """The deceleration that follows what the gradient leaves at each place, m/s^2; whether it only begins.
 
     Without a jerk limit it is the one that is on the stop curve at the end of the period, ``v'^2 = 2 b s'``
@@ -214,16 +218,17 @@ def late_mps2(assists: Assists, sight: FeatureContext, wanted: Array, dt: float)
 
     Args:
         assists: How the last braking is planned.
-        sight: What the driver sees.
+        context: What the driver sees.
         wanted: What a constant deceleration would be.
         dt: Control period, s.
     """
-    xp, v, s, planned = sight.xp, sight.speed_mps, sight.length_m - sight.position_m, sight.stop_mps2
-    _, able = sight.rows.stop_at(sight.case, sight.position_m + 0.5 * v * dt)
+    xp, v, planned = context.xp, context.speed_mps, context.stop_mps2
+    s = context.length_m - context.position_m
+    _, able = context.rows.stop_at(context.case, context.position_m + 0.5 * v * dt)
     shape = xp.where(s > SHARED_M, xp.clip(assists.stop_use * able / planned, 0.5, 2.0), 1.0)
     room, turn = 2.0 * s - v * dt, planned * dt
     after = 0.5 * (xp.sqrt(turn * turn + 4.0 * planned * xp.maximum(room, 0.0)) - turn)
     onto = xp.clip((v - after) / dt, 0.0, STRONGEST_MPS2)
-    at_once = (sight.vehicle.jerk_mps3 >= AT_ONCE_MPS3) & (v > turn) & (room > v * dt)
+    at_once = (context.vehicle.jerk_mps3 >= AT_ONCE_MPS3) & (v > turn) & (room > v * dt)
     found = shape * xp.where(at_once, onto, wanted)
     return xp.where(v > 0, found, wanted), at_once & (onto < LET_GO_SHARE * planned)

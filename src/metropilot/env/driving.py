@@ -169,7 +169,7 @@ class DrivingTask(AbstractTask):
         import jax.numpy as jnp
 
         config = self.config
-        wanted = config.action.command(self.sight(state), action, config.dt * config.periods)
+        wanted = config.action.command(self.context(state), action, config.dt * config.periods)
 
         def period(carry: tuple[DriveState, Scalar, Scalar], k: Index) -> tuple[Any, None]:
             now, overruled, overspeed = carry
@@ -210,18 +210,18 @@ class DrivingTask(AbstractTask):
         reward = sum(terms.values(), jnp.zeros((), jnp.float32))
         return after, Transition(self.observe(after), reward, terminated, truncated, terms)
 
-    def allowed(self, state: DriveState) -> Bool[Array, " choices"] | None:
+    def action_mask(self, state: DriveState) -> Bool[Array, " choices"] | None:
         """Mask of the choices that the action's filter allows. None: all."""
-        return self.config.action.allowed(self.sight(state), self.config.dt * self.config.periods)
+        return self.config.action.action_mask(self.context(state), self.config.dt * self.config.periods)
 
     def observe(self, state: DriveState) -> Float[Array, " features"]:
         """Observation of a state."""
         return self._traced_parts["observe"](state)
 
     def _observe(self, state: DriveState) -> Float[Array, " features"]:
-        return observe(self.config.features, self.sight(state))
+        return observe(self.config.features, self.context(state))
 
-    def sight(self, state: DriveState) -> FeatureContext:
+    def context(self, state: DriveState) -> FeatureContext:
         """Context of a state, the input of observers and actions."""
         plant, row = state.plant, self.row(state)
         case, assists = self.rows.case(row), self.config.assists
@@ -256,13 +256,13 @@ class DrivingTask(AbstractTask):
 
         config, start, plant = self.config, state.start, state.plant
         dt, row = jnp.float32(config.dt), self.row(state)
-        case, sight = self.rows.case(row), self.sight(state)
+        case, context = self.rows.case(row), self.context(state)
         noisy = config.scenarios.speed_noise_mps[1] > 0
         scenarios = config.scenarios
         drawn = {name: getattr(start, name) for name in scenarios.mismatches}
         params = RunParams(
             vehicle=true_vehicle(case.vehicle, **drawn),
-            track=sight.track,
+            track=context.track,
             protection=near_protection(self.rows, case.protection, row, plant.position_m),
             length_m=case.length_m,
             scheduled_s=scheduled_s(state),
@@ -271,9 +271,9 @@ class DrivingTask(AbstractTask):
         )
 
         def decide(_: None, __: RunState) -> tuple[Command, tuple[Scalar, Flag]]:
-            wanted = config.action.hold(sight, *decided)
-            command, stopping = apply_assists(config.assists, sight, wanted, state.stopping, config.dt)
-            command = config.action.round(sight, command)
+            wanted = config.action.hold(context, *decided)
+            command, stopping = apply_assists(config.assists, context, wanted, state.stopping, config.dt)
+            command = config.action.round(context, command)
             if config.periods > 1:  # an episode that ends within a decision waits for the next one
                 command = jnp.where(state.outcome == RUNNING, command, -jnp.ones_like(command))
             return Command(command, jnp.zeros((), bool)), (command, stopping)

@@ -12,9 +12,10 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from metropilot._registry import Registry, RegistryRow
-from metropilot._typing import Array
+from metropilot._typing import Array, Index, Scalar
 from metropilot.env.tables import (
     CLIMB_COLUMN,
     PACES_MPS,
@@ -70,19 +71,19 @@ class FeatureContext(NamedTuple):
     """
 
     rows: SectionRows
-    case: Array
+    case: Index
     vehicle: Vehicle
     track: Track
-    length_m: Array
-    load: Array
-    stop_mps2: Array
+    length_m: Scalar
+    load: Scalar
+    stop_mps2: Scalar
     rates: Guaranteed
-    time_s: Array
-    position_m: Array
-    speed_mps: Array
-    acceleration_mps2: Array
-    scheduled_s: Array
-    command: Array
+    time_s: Scalar
+    position_m: Scalar
+    speed_mps: Scalar
+    acceleration_mps2: Scalar
+    scheduled_s: Scalar
+    command: Scalar
 
     @property
     def xp(self) -> Any:  # noqa: ANN401 (a module)
@@ -90,7 +91,7 @@ class FeatureContext(NamedTuple):
         return self.rows.xp
 
     @property
-    def left_m(self) -> Array:
+    def left_m(self) -> Scalar:
         """Distance left, not below 0."""
         return self.xp.maximum(self.length_m - self.position_m, 0.0)
 
@@ -100,24 +101,24 @@ class FeatureContext(NamedTuple):
         return effort_limits(self.vehicle, self.track, self.position_m, self.speed_mps)
 
     @property
-    def to_go_s(self) -> Array:
+    def to_go_s(self) -> Scalar:
         """Flat-out time to the stop from here and now."""
         return self.rows.to_go_s(self.case, self.left_m, self.length_m, self.speed_mps)
 
     @property
-    def left_s(self) -> Array:
+    def left_s(self) -> Scalar:
         """Time left until the scheduled arrival."""
         return self.scheduled_s - self.time_s
 
     @property
-    def permitted_mps(self) -> Array:
+    def permitted_mps(self) -> Scalar:
         """Permitted speed here."""
         return self.rows.ground_at(PERMITTED_COLUMN, self.case, self.position_m)
 
 
 def feature_context(  # noqa: PLR0913 (the state of a run, field by field)
     rows: SectionRows,
-    case: Array,
+    case: Index,
     found: SectionTables,
     *,
     stop_mps2: Array,
@@ -162,160 +163,160 @@ def feature_context(  # noqa: PLR0913 (the state of a run, field by field)
     )
 
 
-Feature = Callable[[FeatureContext], Sequence[Array]]
+Feature = Callable[[FeatureContext], Sequence[Scalar]]
 
 
-def position(sight: FeatureContext) -> Sequence[Array]:
+def position(context: FeatureContext) -> Sequence[Scalar]:
     """Position over the section's length."""
-    return [sight.position_m / sight.length_m]
+    return [context.position_m / context.length_m]
 
 
-def speed(sight: FeatureContext) -> Sequence[Array]:
+def speed(context: FeatureContext) -> Sequence[Scalar]:
     """Speed."""
-    return [sight.speed_mps / SPEED_MPS]
+    return [context.speed_mps / SPEED_MPS]
 
 
-def acceleration(sight: FeatureContext) -> Sequence[Array]:
+def acceleration(context: FeatureContext) -> Sequence[Scalar]:
     """Acceleration over the last period."""
-    return [sight.acceleration_mps2]
+    return [context.acceleration_mps2]
 
 
-def command(sight: FeatureContext) -> Sequence[Array]:
+def command(context: FeatureContext) -> Sequence[Scalar]:
     """Last command."""
-    return [sight.command]
+    return [context.command]
 
 
-def distance_left(sight: FeatureContext) -> Sequence[Array]:
+def distance_left(context: FeatureContext) -> Sequence[Scalar]:
     """Distance left, and its square root, in which a braking speed is linear."""
-    return [sight.left_m / DISTANCE_M, sight.xp.sqrt(sight.left_m / DISTANCE_M)]
+    return [context.left_m / DISTANCE_M, context.xp.sqrt(context.left_m / DISTANCE_M)]
 
 
-def time_left(sight: FeatureContext) -> Sequence[Array]:
+def time_left(context: FeatureContext) -> Sequence[Scalar]:
     """Time left until the scheduled arrival."""
-    return [sight.left_s / TIME_S]
+    return [context.left_s / TIME_S]
 
 
-def elapsed(sight: FeatureContext) -> Sequence[Array]:
+def elapsed(context: FeatureContext) -> Sequence[Scalar]:
     """Time since departure (with position and speed Lu23's state)."""
-    return [sight.time_s / TIME_S]
+    return [context.time_s / TIME_S]
 
 
-def reserve(sight: FeatureContext) -> Sequence[Array]:
+def reserve(context: FeatureContext) -> Sequence[Scalar]:
     """Time left beyond the flat-out time to go: in tens of seconds, fine near zero, and as a share."""
-    xp = sight.xp
-    spare = sight.left_s - sight.to_go_s
-    share = spare / xp.maximum(sight.to_go_s, 2.0)
+    xp = context.xp
+    spare = context.left_s - context.to_go_s
+    share = spare / xp.maximum(context.to_go_s, 2.0)
     return [spare / RESERVE_S, xp.tanh(spare / 2.0), xp.clip(share, -1.0, 2.0)]
 
 
-def mean_speed(sight: FeatureContext) -> Sequence[Array]:
+def mean_speed(context: FeatureContext) -> Sequence[Scalar]:
     """Mean speed that the time left requires, and the excess of the speed over it."""
-    xp = sight.xp
-    mean = xp.clip(sight.left_m / xp.maximum(sight.left_s, 1.0), 0.0, 40.0)
-    return [mean / SPEED_MPS, (sight.speed_mps - mean) / SPEED_MPS]
+    xp = context.xp
+    mean = xp.clip(context.left_m / xp.maximum(context.left_s, 1.0), 0.0, 40.0)
+    return [mean / SPEED_MPS, (context.speed_mps - mean) / SPEED_MPS]
 
 
-def braking(sight: FeatureContext) -> Sequence[Array]:
+def braking(context: FeatureContext) -> Sequence[Scalar]:
     """Constant deceleration that stops at the stop from here."""
-    v = sight.speed_mps
-    return [sight.xp.minimum(v * v / (2.0 * sight.xp.maximum(sight.left_m, 0.1)), 2.0)]
+    v = context.speed_mps
+    return [context.xp.minimum(v * v / (2.0 * context.xp.maximum(context.left_m, 0.1)), 2.0)]
 
 
-def permitted(sight: FeatureContext) -> Sequence[Array]:
+def permitted(context: FeatureContext) -> Sequence[Scalar]:
     """Difference between permitted speed and speed, here."""
-    return [sight.xp.clip((sight.permitted_mps - sight.speed_mps) / 5.0, -2.0, 4.0)]
+    return [context.xp.clip((context.permitted_mps - context.speed_mps) / 5.0, -2.0, 4.0)]
 
 
-def permitted_ahead(sight: FeatureContext) -> Sequence[Array]:
+def permitted_ahead(context: FeatureContext) -> Sequence[Scalar]:
     """Permitted speed at several distances ahead."""
-    return _permitted_at(sight, AHEAD_M)
+    return _permitted_at(context, AHEAD_M)
 
 
-def permitted_far(sight: FeatureContext) -> Sequence[Array]:
+def permitted_far(context: FeatureContext) -> Sequence[Scalar]:
     """Permitted speed further ahead, and between the distances of ``permitted_ahead``."""
-    return _permitted_at(sight, FAR_M)
+    return _permitted_at(context, FAR_M)
 
 
-def _permitted_at(sight: FeatureContext, ahead_m: Sequence[float]) -> Sequence[Array]:
-    at = sight.position_m + _down(sight, ahead_m)
-    return list(sight.rows.ground_at(PERMITTED_COLUMN, sight.case, at) / SPEED_MPS)
+def _permitted_at(context: FeatureContext, ahead_m: Sequence[float]) -> Sequence[Scalar]:
+    at = context.position_m + _down(context, ahead_m)
+    return list(context.rows.ground_at(PERMITTED_COLUMN, context.case, at) / SPEED_MPS)
 
 
-def _down(sight: FeatureContext, values: Sequence[float] | np.ndarray) -> Array:
+def _down(context: FeatureContext, values: Sequence[float] | np.ndarray) -> Scalar:
     """Constants along a new first axis. Shape (K,), or (K, 1, ...) for many positions."""
-    position = sight.position_m
-    return sight.xp.asarray(values, position.dtype).reshape((-1,) + (1,) * position.ndim)
+    position = context.position_m
+    return context.xp.asarray(values, position.dtype).reshape((-1,) + (1,) * position.ndim)
 
 
-def climb_ahead(sight: FeatureContext) -> Sequence[Array]:
+def climb_ahead(context: FeatureContext) -> Sequence[Scalar]:
     """Mean of gradient and curve resistance over several distances ahead, and over the distance left."""
-    return climb_within(sight, (*AHEAD_M, np.inf))
+    return climb_within(context, (*AHEAD_M, np.inf))
 
 
-def climb_far(sight: FeatureContext) -> Sequence[Array]:
+def climb_far(context: FeatureContext) -> Sequence[Scalar]:
     """Mean of gradient and curve resistance over the distances of ``permitted_far``."""
-    return climb_within(sight, FAR_M)
+    return climb_within(context, FAR_M)
 
 
-def climb_within(sight: FeatureContext, ahead_m: Sequence[float]) -> Sequence[Array]:
+def climb_within(context: FeatureContext, ahead_m: Sequence[float]) -> Sequence[Scalar]:
     """Mean of gradient and curve resistance over distances ahead, at most up to the stop."""
-    here = sight.rows.ground_at(CLIMB_COLUMN, sight.case, sight.position_m)
-    way = sight.xp.minimum(sight.xp.maximum(sight.left_m, 1.0), _down(sight, ahead_m))
-    there = sight.rows.ground_at(CLIMB_COLUMN, sight.case, sight.position_m + way)
+    here = context.rows.ground_at(CLIMB_COLUMN, context.case, context.position_m)
+    way = context.xp.minimum(context.xp.maximum(context.left_m, 1.0), _down(context, ahead_m))
+    there = context.rows.ground_at(CLIMB_COLUMN, context.case, context.position_m + way)
     return list((there - here) / way * 5.0)
 
 
-def efforts(sight: FeatureContext) -> Sequence[Array]:
+def efforts(context: FeatureContext) -> Sequence[Scalar]:
     """Largest traction, largest braking and running resistance here, per kilogram."""
-    effort = effort_at(sight.vehicle, sight.speed_mps)
-    mass = sight.vehicle.effective_mass_kg * PER_KG
-    drag = davis_n(sight.vehicle, sight.speed_mps)
+    effort = effort_at(context.vehicle, context.speed_mps)
+    mass = context.vehicle.effective_mass_kg * PER_KG
+    drag = davis_n(context.vehicle, context.speed_mps)
     return [effort.traction_n / mass, effort.brake_n / mass, 10.0 * drag / mass]
 
 
-def efforts_ahead(sight: FeatureContext) -> Sequence[Array]:
+def efforts_ahead(context: FeatureContext) -> Sequence[Scalar]:
     """Largest traction and resistance at two fixed speeds, per kilogram; the planned stop deceleration."""
-    vehicle, parts = sight.vehicle, []
+    vehicle, parts = context.vehicle, []
     for speed_mps in CHECK_MPS:
-        v = 0.0 * sight.speed_mps + speed_mps
+        v = 0.0 * context.speed_mps + speed_mps
         parts += [effort_at(vehicle, v).traction_n, 10.0 * davis_n(vehicle, v)]
     parts = [part / vehicle.effective_mass_kg for part in parts]
-    return [*parts, sight.stop_mps2 + 0.0 * sight.speed_mps]
+    return [*parts, context.stop_mps2 + 0.0 * context.speed_mps]
 
 
-def coasting(sight: FeatureContext) -> Sequence[Array]:
+def coasting(context: FeatureContext) -> Sequence[Scalar]:
     """Spare time if the trainset coasts from here to station-stop braking, and its least speed."""
-    xp = sight.xp
-    taken, slowest = _coast(sight, sight.speed_mps)
-    return [*_spare(sight, taken), xp.tanh((sight.left_s - taken) / 2.0), slowest]
+    xp = context.xp
+    taken, slowest = _coast(context, context.speed_mps)
+    return [*_spare(context, taken), xp.tanh((context.left_s - taken) / 2.0), slowest]
 
 
-def coasting_faster(sight: FeatureContext) -> Sequence[Array]:
+def coasting_faster(context: FeatureContext) -> Sequence[Scalar]:
     """Spare time and least speed of coasting from a higher speed, to anticipate the coasting point."""
-    xp, parts = sight.xp, []
+    xp, parts = context.xp, []
     for more in FASTER_MPS:
-        taken, slowest = _coast(sight, sight.speed_mps + more)
-        spare = sight.left_s - taken
+        taken, slowest = _coast(context, context.speed_mps + more)
+        spare = context.left_s - taken
         parts += [xp.tanh(spare / 20.0), xp.tanh(spare / 3.0), slowest]
     return parts
 
 
-def _coast(sight: FeatureContext, v: Array) -> tuple[Array, Array]:
+def _coast(context: FeatureContext, v: Scalar) -> tuple[Array, Array]:
     """Time to the stop if the trainset coasts from here at a speed, and its least speed on the way.
 
     Kinetic energy at a few nodes ahead, falling by resistance and climb, below the permitted speed and the
     last braking. Resistance is made straight in the energy about the pass before (Newton's method): then the
     energy at every node is a sum, and two passes are right.
     """
-    xp, vehicle = sight.xp, sight.vehicle
-    length = xp.maximum(sight.left_m, 1.0)
-    way = _down(sight, COAST_NODES) * length
-    step, at = way[1:] - way[:-1], sight.position_m + way
-    climb = sight.rows.ground_at(CLIMB_COLUMN, sight.case, at)
+    xp, vehicle = context.xp, context.vehicle
+    length = xp.maximum(context.left_m, 1.0)
+    way = _down(context, COAST_NODES) * length
+    step, at = way[1:] - way[:-1], context.position_m + way
+    climb = context.rows.ground_at(CLIMB_COLUMN, context.case, at)
     climb = (climb - climb[:1]) * (vehicle.mass_kg / vehicle.effective_mass_kg)
     rise = climb[1:] - climb[:-1]
-    braked = xp.sqrt(2.0 * sight.stop_mps2 * (length - way) + 1e-6)
-    top = xp.minimum(sight.rows.ground_at(PERMITTED_COLUMN, sight.case, at), braked)
+    braked = xp.sqrt(2.0 * context.stop_mps2 * (length - way) + 1e-6)
+    top = xp.minimum(context.rows.ground_at(PERMITTED_COLUMN, context.case, at), braked)
     sums, start = xp.asarray(UP_TO, v.dtype), 0.5 * v * v
     energy = xp.maximum(start - climb, SLOWEST_J)
     for _ in range(COAST_PASSES):
@@ -333,32 +334,32 @@ def _coast(sight: FeatureContext, v: Array) -> tuple[Array, Array]:
     return taken, xp.min(speeds[:-3], 0) / SPEED_MPS
 
 
-def pace(sight: FeatureContext) -> Sequence[Array]:
+def pace(context: FeatureContext) -> Sequence[Scalar]:
     """Pace: the speed to hold, wherever limits and station-stop braking admit it, to arrive in the time left.
 
     Interpolated from the tabulated times at ``PACES_MPS``, linear in the inverse of the speed; once for the
     time left, and once less the time lost while reaching the pace under full traction.
     """
-    xp, v = sight.xp, sight.speed_mps
-    times = sight.rows.paced_s(sight.case, sight.position_m)
-    wanted, free = _pace(sight, times, sight.left_s)
-    effort = effort_at(sight.vehicle, v).traction_n - davis_n(sight.vehicle, v)
-    pull = xp.minimum(effort / sight.vehicle.effective_mass_kg, sight.vehicle.max_acceleration_mps2)
+    xp, v = context.xp, context.speed_mps
+    times = context.rows.paced_s(context.case, context.position_m)
+    wanted, free = _pace(context, times, context.left_s)
+    effort = effort_at(context.vehicle, v).traction_n - davis_n(context.vehicle, v)
+    pull = xp.minimum(effort / context.vehicle.effective_mass_kg, context.vehicle.max_acceleration_mps2)
     missing = xp.maximum(wanted - v, 0.0)
     lost = missing * missing / (2.0 * xp.maximum(pull, 0.1) * wanted)
-    after, _ = _pace(sight, times, sight.left_s - lost)
+    after, _ = _pace(context, times, context.left_s - lost)
     return [
         wanted / SPEED_MPS,
         after / SPEED_MPS,
         xp.clip((after - v) / 5.0, -4.0, 4.0),
         xp.tanh(after - v),
-        free / xp.maximum(sight.left_m, 1.0),
+        free / xp.maximum(context.left_m, 1.0),
     ]
 
 
-def _pace(sight: FeatureContext, times: Array, left_s: Array) -> tuple[Array, Array]:
+def _pace(context: FeatureContext, times: Array, left_s: Scalar) -> tuple[Array, Array]:
     """Pace whose time to the stop equals the time left, m/s, and the distance driven at it, m."""
-    xp = sight.xp
+    xp = context.xp
     slower, faster = times[..., :-1], times[..., 1:]
     rises = xp.asarray(RISES_SPM, times.dtype)
     share = (left_s[..., None] - faster) / xp.maximum(slower - faster, 1e-3)
@@ -371,38 +372,38 @@ def _pace(sight: FeatureContext, times: Array, left_s: Array) -> tuple[Array, Ar
     return 1.0 / inverse, free
 
 
-def steady(sight: FeatureContext) -> Sequence[Array]:
+def steady(context: FeatureContext) -> Sequence[Scalar]:
     """Spare time if the trainset holds its speed up to station-stop braking."""
-    v = sight.xp.maximum(sight.speed_mps, 1.0)
-    return _spare(sight, sight.left_m / v + 0.5 * v / sight.stop_mps2)
+    v = context.xp.maximum(context.speed_mps, 1.0)
+    return _spare(context, context.left_m / v + 0.5 * v / context.stop_mps2)
 
 
-def _spare(sight: FeatureContext, taken_s: Array) -> list[Array]:
+def _spare(context: FeatureContext, taken_s: Scalar) -> list[Scalar]:
     """Time left beyond a time taken: linear, with fine resolution near zero, and as a share."""
-    xp = sight.xp
-    spare = xp.clip(sight.left_s - taken_s, -200.0, 200.0)
-    share = xp.clip(spare / xp.maximum(sight.left_s, 5.0), -2.0, 2.0)
+    xp = context.xp
+    spare = xp.clip(context.left_s - taken_s, -200.0, 200.0)
+    share = xp.clip(spare / xp.maximum(context.left_s, 5.0), -2.0, 2.0)
     return [spare / 50.0, xp.tanh(spare / 10.0), share]
 
 
-def load(sight: FeatureContext) -> Sequence[Array]:
+def load(context: FeatureContext) -> Sequence[Scalar]:
     """Mass over the mean mass of all cases."""
-    return [3.0 * (sight.load - 1.0)]
+    return [3.0 * (context.load - 1.0)]
 
 
-def delay(sight: FeatureContext) -> Sequence[Array]:
+def delay(context: FeatureContext) -> Sequence[Scalar]:
     """Known dead time and lag of the actuation."""
-    return [sight.vehicle.delay_s, sight.vehicle.lag_s]
+    return [context.vehicle.delay_s, context.vehicle.lag_s]
 
 
-def build_up(sight: FeatureContext) -> Sequence[Array]:
+def build_up(context: FeatureContext) -> Sequence[Scalar]:
     """Time that the jerk limit takes to build up 1 m/s^2, s; 0 without a jerk limit."""
-    return [1.0 / sight.vehicle.jerk_mps3]
+    return [1.0 / context.vehicle.jerk_mps3]
 
 
-def position_m(sight: FeatureContext) -> Sequence[Array]:
+def position_m(context: FeatureContext) -> Sequence[Scalar]:
     """Absolute position, km (Chen23a's state with ``speed``)."""
-    return [sight.position_m / DISTANCE_M]
+    return [context.position_m / DISTANCE_M]
 
 
 FEATURES: Registry[Feature] = Registry(
@@ -502,7 +503,7 @@ OBSERVERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """Named observers: Chen23a's two numbers, Lu23's three, one for a section, two for any section."""
 
 
-def observe(features: Sequence[str], sight: FeatureContext) -> Array:
-    """Observation: every feature in order, float32. Shape (O,)."""
-    values = [value for name in features for value in FEATURES.get(name)(sight)]
-    return sight.xp.stack(values).astype(np.float32)
+def observe(features: Sequence[str], context: FeatureContext) -> Float[Array, " features"]:
+    """Observation: every feature in order, single precision."""
+    values = [value for name in features for value in FEATURES.get(name)(context)]
+    return context.xp.stack(values).astype(np.float32)

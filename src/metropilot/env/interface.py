@@ -71,7 +71,7 @@ class AbstractTask(ABC):
     ) -> tuple[TaskState, Transition]:
         """Take one step of the episode; steps after its end are undefined but finite."""
 
-    def allowed(self, state: TaskState) -> Bool[Array, " choices"] | None:
+    def action_mask(self, state: TaskState) -> Bool[Array, " choices"] | None:
         """Mask of the choices allowed in a state (Lu23's action filter). None: all."""
         del state
         return None

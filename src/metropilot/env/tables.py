@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-from metropilot._typing import Array
+from metropilot._typing import Array, Index, Scalar
 from metropilot.physics import (
     Track,
     Vehicle,
@@ -33,28 +34,28 @@ class SectionTables(NamedTuple):
         track: Section.
         protection: Its protection; the curves are in ``ground``.
         ground: At protection's nodes: its ``PROTECTION_CURVES``, and the climb from the origin (gradient and
-            curves, J/kg). Shape (C, N, 6).
-        to_go: Flat-out time to the stop, see :class:`metropilot.planning.TimeToGo`. Shape (C, R, V).
-        minimum_s: Minimum running time. Shape (C,).
-        length_m: Distance to the stop. Shape (C,).
-        load: Mass over the mean of all cases. Shape (C,).
-        stop_mps2: Surely available deceleration with which station-stop braking is planned. Shape (C,).
+            curves, J/kg).
+        to_go: Flat-out time to the stop, see :class:`metropilot.planning.TimeToGo`.
+        minimum_s: Minimum running time.
+        length_m: Distance to the stop.
+        load: Mass over the mean of all cases.
+        stop_mps2: Surely available deceleration with which station-stop braking is planned.
         braked: Braking curves at the same nodes: energy that the brakes surely dissipate from here to the
             stop, J/kg; speed from which they surely respect all permitted speeds ahead, m/s; and for each
             of ``PACES_MPS`` the time to the stop when that speed is held wherever these two curves admit
-            it, s. Shape (C, N, 2 + paces).
+            it, s.
     """
 
     vehicle: Vehicle
     track: Track
     protection: Protection
-    ground: Array
-    to_go: Array
-    minimum_s: Array
-    length_m: Array
-    load: Array
-    stop_mps2: Array
-    braked: Array
+    ground: Float[Array, "cases nodes 6"]
+    to_go: Float[Array, "cases distances speeds"]
+    minimum_s: Float[Array, " cases"]
+    length_m: Float[Array, " cases"]
+    load: Float[Array, " cases"]
+    stop_mps2: Float[Array, " cases"]
+    braked: Float[Array, "cases nodes curves"]
 
 
 STOP_STRETCH_M = 300.0
@@ -287,11 +288,11 @@ class SectionRows:
         else:
             self._small = _map_tree(lambda a: xp.asarray(a[0] if (a == a[:1]).all() else a), small)
 
-    def case(self, case: Array) -> SectionTables:
+    def case(self, case: Index) -> SectionTables:
         """The row of a case, without the large tables and with the whole track."""
         return _pick(self._small, self._shared, case)
 
-    def node(self, case: Array, position_m: Array) -> tuple[Array, Array]:
+    def node(self, case: Index, position_m: Scalar) -> tuple[Scalar, Scalar]:
         """Last node not beyond a position, and the fraction of the distance to the next."""
         xp = self.xp
         last = self.ground.shape[1] - self.ahead.size - 2.0
@@ -299,25 +300,25 @@ class SectionRows:
         whole = xp.minimum(xp.maximum(xp.floor(steps), 0.0), last)
         return whole.astype(np.int32), xp.minimum(xp.maximum(steps - whole, 0.0), 1.0)
 
-    def ground_at(self, column: int, case: Array, position_m: Array) -> Array:
+    def ground_at(self, column: int, case: Index, position_m: Scalar) -> Scalar:
         """Value of a column of ``ground`` at one or many positions, interpolated."""
         node, way = self.node(case, position_m)
         here = self.ground[case, node, column]
         return here + (self.ground[case, node + 1, column] - here) * way
 
-    def stop_at(self, case: Array, position_m: Array) -> tuple[Array, Array]:
+    def stop_at(self, case: Index, position_m: Scalar) -> tuple[Scalar, Scalar]:
         """Energy that the brakes surely dissipate to the stop, J/kg, and its rate here, m/s^2."""
         node, way = self.node(case, position_m)
         here, after = self.braked[case, node, 0], self.braked[case, node + 1, 0]
         return here + (after - here) * way, (here - after) / self.spacing_m
 
-    def follow_at(self, case: Array, position_m: Array) -> Array:
+    def follow_at(self, case: Index, position_m: Scalar) -> Scalar:
         """Speed from which the brakes surely respect all permitted speeds ahead, m/s."""
         node, way = self.node(case, position_m)
         here, after = self.braked[case, node, 1], self.braked[case, node + 1, 1]
         return here + (after - here) * way
 
-    def paced_s(self, case: Array, position_m: Array) -> Array:
+    def paced_s(self, case: Index, position_m: Scalar) -> Float[Array, "... paces"]:
         """Time to the stop at each of ``PACES_MPS``, or slower where limits and braking require it, s.
 
         Shape (..., paces).
@@ -326,7 +327,7 @@ class SectionRows:
         here, after = self.braked[case, node, 2:], self.braked[case, node + 1, 2:]
         return here + (after - here) * way[..., None]
 
-    def to_go_s(self, case: Array, distance_m: Array, length_m: Array, speed_mps: Array) -> Array:
+    def to_go_s(self, case: Index, distance_m: Scalar, length_m: Scalar, speed_mps: Scalar) -> Scalar:
         """Flat-out time to the stop, bilinear in speed and the square root of the distance left, s."""
         xp = self.xp
         rows, columns = self.to_go.shape[1:]
@@ -339,13 +340,13 @@ class SectionRows:
         return low * (1.0 - u) + high * u
 
 
-def _pick(tree: Any, shared: Any, case: Array) -> Any:  # noqa: ANN401 (a tree of tuples)
+def _pick(tree: Any, shared: Any, case: Index) -> Any:  # noqa: ANN401 (a tree of tuples)
     if isinstance(tree, tuple):
         return type(tree)(*(_pick(a, b, case) for a, b in zip(tree, shared, strict=True)))
     return tree if shared else tree[case]
 
 
-def near_track(track: Track, vehicle: Vehicle, position_m: Array) -> Track:
+def near_track(track: Track, vehicle: Vehicle, position_m: Scalar) -> Track:
     """Pieces of a track under head and tail: all that the plant needs at this position.
 
     Look-ups give the same numbers as on the whole track, which a compiled step need not hold.
@@ -356,7 +357,7 @@ def near_track(track: Track, vehicle: Vehicle, position_m: Array) -> Track:
     return track._replace(node_m=track.node_m[both], potential=track.potential[both], slope=track.slope[both])
 
 
-def near_protection(rows: SectionRows, protection: Protection, case: Array, position_m: Array) -> Protection:
+def near_protection(rows: SectionRows, protection: Protection, case: Index, position_m: Scalar) -> Protection:
     """Window of protection's curves that one decision at a position needs, from the node before it."""
     xp = rows.xp
     node, _ = rows.node(case, position_m)

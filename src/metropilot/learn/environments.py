@@ -101,7 +101,7 @@ def random_choices(key: Array, shape: tuple[int, int], mask: Array | None) -> Ar
 
 def masks(task: AbstractTask, state: TaskState) -> Array | None:
     """Choices allowed in each environment. Shape (N, count), or None where the task allows all."""
-    return jax.vmap(task.allowed)(state)
+    return jax.vmap(task.action_mask)(state)
 
 
 def step_environments(

@@ -131,7 +131,7 @@ class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]
         }
         columns |= {"reward": 1, "discount": 1, "next_observation": task.observation_size}
         # traced only: whether the task has a mask decides the width of a row
-        if jax.eval_shape(lambda key: task.allowed(task.reset(key)[0]), jax.random.key(0)) is not None:
+        if jax.eval_shape(lambda key: task.action_mask(task.reset(key)[0]), jax.random.key(0)) is not None:
             columns["next_mask"] = actions
         self.layout = replay.RowLayout(tuple(columns.items()))
         self.raw = replay.RowLayout((*columns.items(), ("done", 1)))

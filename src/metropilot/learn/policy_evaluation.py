@@ -103,7 +103,7 @@ class DrivingEvaluation:
 
         def one(carry: Any) -> Any:
             state, seen, alive, k = carry
-            mask = jax.vmap(task.allowed)(state)
+            mask = jax.vmap(task.action_mask)(state)
             action = jax.vmap(lambda x, m: act(self.spec, params, x, m))(seen, mask)
             keys = jax.random.split(jax.random.fold_in(key, k), alive.size)
             after, found = jax.vmap(task.step)(keys, state, action)

@@ -217,7 +217,7 @@ def drive_to_end(
 
     def decide(carry: tuple[Any, Array, Array, Array], _: None) -> tuple[Any, None]:
         state, seen, going, total = carry
-        after, found = task.step(key, state, act(seen, task.allowed(state)))
+        after, found = task.step(key, state, act(seen, task.action_mask(state)))
         total = total + jnp.where(going, gain(state, after, found), 0.0)
         after = jax.tree.map(lambda new, old: jnp.where(going, new, old), after, state)
         return (after, found.observation, going & ~found.terminated & ~found.truncated, total), None

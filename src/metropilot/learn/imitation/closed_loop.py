@@ -211,7 +211,7 @@ class ClosedLoop:
         """One control period as long as a decision, on the plant itself, under the ceiling of the assists."""
         dt, vehicle, plant = self.period_s, case.vehicle, now.run.plant
         at = plant.position_m
-        sight = feature_context(
+        context = feature_context(
             self.rows,
             begin.case,
             case,
@@ -225,12 +225,12 @@ class ClosedLoop:
         )
 
         def choose(_: None, __: RunState) -> tuple[Command, None]:
-            action = decide(params, observe(self.features, sight))
+            action = decide(params, observe(self.features, context))
             soft = jnp.clip(action[0], -1.0, 1.0)
-            command = self.action.command(sight, action, dt) + LEAK * (soft - jax.lax.stop_gradient(soft))
+            command = self.action.command(context, action, dt) + LEAK * (soft - jax.lax.stop_gradient(soft))
             # the station stop is counted in closed form below
             under = replace(self.assists, stop=False)
-            command, _ = apply_assists(under, sight, jnp.clip(command, -1.0, 1.0), jnp.zeros((), bool), dt)
+            command, _ = apply_assists(under, context, jnp.clip(command, -1.0, 1.0), jnp.zeros((), bool), dt)
             return Command(command, jnp.zeros((), bool)), None
 
         params_of_run = RunParams(

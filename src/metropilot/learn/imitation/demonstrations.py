@@ -115,7 +115,7 @@ class DemonstrationGenerator:
     ) -> Float[ndarray, "states features"]:
         """Features of the policy in these states, single precision."""
         case, nothing = self.case, np.zeros_like(position_m)
-        sight = FeatureContext(
+        context = FeatureContext(
             rows=self.rows,
             case=0,
             vehicle=case.vehicle,
@@ -132,7 +132,9 @@ class DemonstrationGenerator:
             command=nothing,
         )
         values = [
-            np.broadcast_to(v, position_m.shape) for name in FEATURE_NAMES for v in FEATURES.get(name)(sight)
+            np.broadcast_to(v, position_m.shape)
+            for name in FEATURE_NAMES
+            for v in FEATURES.get(name)(context)
         ]
         return np.stack(values, axis=1).astype(np.float32)
 

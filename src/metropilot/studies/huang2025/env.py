@@ -60,47 +60,47 @@ class View(NamedTuple):
     time_left_s: Array
 
 
-def view_of(sight: FeatureContext, rules: ExpertRules) -> View:
+def view_of(context: FeatureContext, rules: ExpertRules) -> View:
     """Window of the destination, and the effort limits at a state."""
-    xp, vehicle, v = sight.xp, sight.vehicle, sight.speed_mps
+    xp, vehicle, v = context.xp, context.vehicle, context.speed_mps
     mass = vehicle.effective_mass_kg
-    drag, traction, brake = sight.effort_limits[2:]
-    rate = sight.command * xp.where(sight.command >= 0.0, traction, brake)
+    drag, traction, brake = context.effort_limits[2:]
+    rate = context.command * xp.where(context.command >= 0.0, traction, brake)
     jerk = xp.minimum(vehicle.jerk_mps3, AT_ONCE_MPS3)
-    pulling = xp.maximum(sight.acceleration_mps2, 0.0)
+    pulling = xp.maximum(context.acceleration_mps2, 0.0)
     coasts_at = v + pulling * (vehicle.delay_s + vehicle.lag_s + 0.5 * pulling / jerk)
-    left = xp.maximum(sight.left_m, 1e-3)
-    at = sight.position_m + left / SEGMENTS * xp.arange(SEGMENTS + 1, dtype=left.dtype)
-    climb = sight.rows.ground_at(CLIMB_COLUMN, sight.case, at)
-    cap = xp.maximum(sight.rows.ground_at(PERMITTED_COLUMN, sight.case, at) - MARGIN_MPS, 0.0)
+    left = xp.maximum(context.left_m, 1e-3)
+    at = context.position_m + left / SEGMENTS * xp.arange(SEGMENTS + 1, dtype=left.dtype)
+    climb = context.rows.ground_at(CLIMB_COLUMN, context.case, at)
+    cap = xp.maximum(context.rows.ground_at(PERMITTED_COLUMN, context.case, at) - MARGIN_MPS, 0.0)
     stretch = ExpertStretch(left, climb, 0.5 * cap * cap, 0.0)
     davis = [vehicle.davis_n[k] / mass for k in range(3)]
     coasting = coasting_time(xp, davis, rules.brake_mps2, coasts_at, stretch)
-    time_left = sight.left_s - RELEASE_SHARE * rules.brake_mps2 / (RELEASE * jerk)
+    time_left = context.left_s - RELEASE_SHARE * rules.brake_mps2 / (RELEASE * jerk)
     window = expert_window(xp, rules, left, coasting, time_left)
     return View(window, rate, drag, traction, brake, time_left)
 
 
-def expert_features(sight: FeatureContext) -> Sequence[Array]:
+def expert_features(context: FeatureContext) -> Sequence[Array]:
     """State of Huang25 eq. 19, the rate, and the position in the window."""
-    view = view_of(sight, ExpertRules())
+    view = view_of(context, ExpertRules())
     return expert_state(
-        sight.xp,
+        context.xp,
         view.window,
-        sight.speed_mps,
-        sight.left_m,
+        context.speed_mps,
+        context.left_m,
         view.time_left_s,
         view.rate_mps2,
         view.traction_mps2,
     )
 
 
-def expert_command(sight: FeatureContext, rules: ExpertRules, change: Array, period_s: float) -> Array:
+def expert_command(context: FeatureContext, rules: ExpertRules, change: Array, period_s: float) -> Array:
     """The command after a change of the rate, which the rules bound."""
-    view, part = view_of(sight, rules), period_s / rules.interval_s
-    top = sight.xp.minimum(rules.start_mps2 + view.drag_mps2, view.traction_mps2)
+    view, part = view_of(context, rules), period_s / rules.interval_s
+    top = context.xp.minimum(rules.start_mps2 + view.drag_mps2, view.traction_mps2)
     most = rules.change_mps2 * part
-    rate = next_expert_rate(sight.xp, most, view.window, view.rate_mps2, change * most, top)
+    rate = next_expert_rate(context.xp, most, view.window, view.rate_mps2, change * most, top)
     return command_for_effort(rate, view.traction_mps2, view.brake_mps2)
 
 
@@ -148,10 +148,10 @@ class ExpertAction(AbstractExpertAction):
         """Wanted over largest change."""
         return action[0]
 
-    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+    def command(self, context: FeatureContext, action: Array, period_s: float) -> Array:
         """Command of the last rate with the change that the rules allow."""
-        change = sight.xp.clip(self.change(action), -1.0, 1.0)
-        return expert_command(sight, self.rules, change, period_s)
+        change = context.xp.clip(self.change(action), -1.0, 1.0)
+        return expert_command(context, self.rules, change, period_s)
 
 
 @final
@@ -177,6 +177,8 @@ class ExpertChoiceAction(AbstractExpertAction):
         """Wanted over largest change, of a choice on the host."""
         return self.changes[int(action)]
 
-    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+    def command(self, context: FeatureContext, action: Array, period_s: float) -> Array:
         """Command of the last rate with the change that the rules allow."""
-        return expert_command(sight, self.rules, sight.xp.asarray(self.changes, np.float32)[action], period_s)
+        return expert_command(
+            context, self.rules, context.xp.asarray(self.changes, np.float32)[action], period_s
+        )

@@ -56,18 +56,18 @@ class NotchForceAction(AbstractAction):
         """Action space with one choice a notch."""
         return ActionSpace(count=len(self.notches_n))
 
-    def command(self, sight: FeatureContext, action: Array, period_s: float) -> Array:
+    def command(self, context: FeatureContext, action: Array, period_s: float) -> Array:
         """Command of the notch, limited to the available force."""
         del period_s
-        force_n = sight.xp.asarray(self.notches_n, np.float32)[action]
-        return command_for_force(sight.vehicle, sight.speed_mps, force_n)
+        force_n = context.xp.asarray(self.notches_n, np.float32)[action]
+        return command_for_force(context.vehicle, context.speed_mps, force_n)
 
-    def hold(self, sight: FeatureContext, action: Array, command: Array) -> Array:
+    def hold(self, context: FeatureContext, action: Array, command: Array) -> Array:
         """The same force at another speed."""
         del command
-        return self.command(sight, action, 0.0)
+        return self.command(context, action, 0.0)
 
-    def allowed(self, sight: FeatureContext, period_s: float) -> Array | None:
+    def action_mask(self, context: FeatureContext, period_s: float) -> Array | None:
         """Mask of the choices after which the trainset can still arrive in time; the last is always allowed.
 
         The state after one decision at each notch (with the resistance at the present state) and the
@@ -77,30 +77,30 @@ class NotchForceAction(AbstractAction):
         """
         if not self.in_time:
             return None
-        xp, vehicle, v = sight.xp, sight.vehicle, sight.speed_mps
-        resistance, gradient = resistance_and_gradient(vehicle, sight.track, sight.position_m, v)
+        xp, vehicle, v = context.xp, context.vehicle, context.speed_mps
+        resistance, gradient = resistance_and_gradient(vehicle, context.track, context.position_m, v)
         effort = effort_at(vehicle, v)
         notches = xp.asarray(self.notches_n, np.float32)
         force = xp.clip(notches, -effort.brake_n, effort.traction_n)
         rate = (force - resistance - gradient) / vehicle.effective_mass_kg
         after = xp.maximum(v + rate * period_s, 0.0)
-        left_m = xp.maximum(sight.left_m - 0.5 * (v + after) * period_s, 0.0)
-        to_go = sight.rows.to_go_s(sight.case, left_m, sight.length_m, after)
-        in_time = sight.left_s - period_s >= (1.0 + self.margin) * to_go
+        left_m = xp.maximum(context.left_m - 0.5 * (v + after) * period_s, 0.0)
+        to_go = context.rows.to_go_s(context.case, left_m, context.length_m, after)
+        in_time = context.left_s - period_s >= (1.0 + self.margin) * to_go
         return in_time | (notches >= notches[-1])
 
-    def round(self, sight: FeatureContext, command: Array) -> Array:
+    def round(self, context: FeatureContext, command: Array) -> Array:
         """The notch for a command the assists have changed: the weakest brake that is strong enough.
 
         Where no notch is (another trainset than the table is of), the stop needs the command as it is.
         """
-        xp, effort = sight.xp, effort_at(sight.vehicle, sight.speed_mps)
+        xp, effort = context.xp, effort_at(context.vehicle, context.speed_mps)
         notches = xp.asarray(self.notches_n, np.float32)
         wanted = effort.force_n(command)
         reached = xp.clip(notches, -effort.brake_n, effort.traction_n)
         # the strongest notch not above what is wanted: a weaker pull, or a stronger brake
         index = xp.sum(reached <= wanted + ROUNDING_N) - 1
-        notch = command_for_force(sight.vehicle, sight.speed_mps, notches[xp.maximum(index, 0)])
+        notch = command_for_force(context.vehicle, context.speed_mps, notches[xp.maximum(index, 0)])
         return xp.where(index >= 0, notch, command)
 
 
