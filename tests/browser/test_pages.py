@@ -167,7 +167,7 @@ def test_a_good_upload_is_drawn_and_driven_on(visit, tmp_path):
 
 def test_learn_stop_and_resume(visit):
     page = visit("/learn")
-    page.get_by_label("Environment steps").fill("200000")
+    page.get_by_label("Environment steps").fill("100000")
     page.locator('[data-test="learn"]').click()
     status = page.locator('[data-test="status"]')
     expect(status).to_contain_text("steps/s", timeout=4 * PATIENCE_MS)
