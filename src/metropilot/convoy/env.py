@@ -204,6 +204,25 @@ class ConvoyTask(AbstractTask):
         state = self._exchange(state, jnp.ones((2, 2), f32))
         return state, self._observe(state)
 
+    def begin(self, row: Array) -> tuple[FollowState, Array]:
+        """Begin an undisturbed episode from standstill behind one of the heads."""
+        import jax.numpy as jnp
+
+        f32, at = jnp.float32, jnp.asarray(row, jnp.int32)
+        zero, never = jnp.zeros((), f32), jnp.asarray(jnp.inf, f32)
+        state = FollowState(
+            at,
+            jnp.zeros((), jnp.int32),
+            {name: jnp.asarray(low, f32) for name, (low, _) in NOMINAL.items()},
+            LinkQuality(zero, zero, zero, never),
+            never,
+            self._place(at, jnp.zeros((), jnp.int32), jnp.zeros((2,), f32)),
+            Errors(zero, zero),
+            jnp.zeros((), bool),
+        )
+        state = self._exchange(state, jnp.ones((2, 2), f32))
+        return state, self._observe(state)
+
     def step(self, key: Array, state: FollowState, action: Array) -> tuple[FollowState, Transition]:
         """Apply the gains for one control period, then exchange messages."""
         import jax
