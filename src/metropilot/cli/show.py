@@ -48,11 +48,11 @@ def show_command(
     """Show a line, a trainset, a driver, a policy or a run."""
     from metropilot.convoy import FOLLOWERS
     from metropilot.drivers import DRIVERS
-    from metropilot.railway import list_lines, list_trainsets, load_line, load_trainset
+    from metropilot.railway import list_lines, list_trainsets, load_line, load_trainset, parse_trainset
 
     if what in list_lines():
         return show_line(load_line(what), as_json=as_json)
-    if what.partition(":")[0] in list_trainsets():
+    if parse_trainset(what).is_named:
         return show_trainset(load_trainset(what), as_json=as_json)
     for registry in (DRIVERS, FOLLOWERS):
         if what in registry.ids():

@@ -15,6 +15,7 @@ from metropilot.evaluate.kpis import Kpis
 from metropilot.evaluate.optimum import Optimum
 from metropilot.evaluate.run_spec import FILES, POLICY, RunSpec, is_file
 from metropilot.policy import policy_path
+from metropilot.railway import parse_trainset
 from metropilot.sim import Drive
 
 
@@ -89,11 +90,12 @@ def write_run_toml(folder: Path, request: RunSpec) -> None:
 def copy_inputs(folder: Path, request: RunSpec) -> RunSpec:
     """Copy line, trainset and policy files into a folder; returns the request with their new names."""
     for kind in FILES:
-        source = Path(getattr(request, kind))
+        key = parse_trainset(getattr(request, kind))
+        source = Path(key.id)
         if is_file(source.name):
             name = f"{kind}{source.suffix.lower()}"
             shutil.copyfile(source, folder / name)
-            request = replace(request, **{kind: name})
+            request = replace(request, **{kind: str(key._replace(id=name))})
     if request.options.get(POLICY):
         source = policy_path(request.options[POLICY])
         shutil.copyfile(source, folder / source.name)

@@ -24,7 +24,7 @@ from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError, rename_fields
 from metropilot.evaluate.driver_options import make_driver, option_defaults, parse_driver
 from metropilot.planning import Objective
-from metropilot.railway import Restriction, Section, Trainset, load_line, load_trainset
+from metropilot.railway import Restriction, Section, Trainset, load_line, load_trainset, parse_trainset
 from metropilot.sim import CONTROL_PERIOD_S, AbstractDriver, Disturbance, Run, TimetableUpdate
 from metropilot.units import KINDS
 
@@ -69,7 +69,10 @@ class RunSpec:
         above=True,
         option="time",
     )
-    trainset: str = declared("dkz32", "Trainset: catalogue id or path, with its load as ID:LOAD.")
+    trainset: str = declared(
+        "dkz32",
+        "Trainset: catalogue id or path; ID:LOAD names its load, ID@DELAY,LAG another dead time and lag.",
+    )
     load: str | None = declared(None, "Load aboard, e.g. AW2.")
     driver: str = declared("optimal", "Driver id; see `metropilot drivers`.")
     options: Mapping[str, Any] = field(
@@ -294,7 +297,7 @@ def _short(number: float) -> str:
 
 def is_file(key: str) -> bool:
     """True if a line or trainset is given by a path and not by a catalogue id."""
-    return key.lower().endswith((".toml", ".json"))
+    return parse_trainset(key).is_file
 
 
 def run_from_toml(path: Path) -> RunSpec:

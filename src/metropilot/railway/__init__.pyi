@@ -1,3 +1,4 @@
+from .drawn import drawn_trainset as drawn_trainset
 from .effort import Efficiency as Efficiency
 from .effort import EffortCurve as EffortCurve
 from .effort import EffortPiece as EffortPiece
@@ -8,12 +9,14 @@ from .formats.ttobench_write import export_ttobench as export_ttobench
 from .journey import Journey as Journey
 from .journey import TimingPoint as TimingPoint
 from .journey import planned_journey as planned_journey
+from .library import TrainsetKey as TrainsetKey
 from .library import import_file as import_file
 from .library import list_lines as list_lines
 from .library import list_trainsets as list_trainsets
 from .library import load_journey as load_journey
 from .library import load_line as load_line
 from .library import load_trainset as load_trainset
+from .library import parse_trainset as parse_trainset
 from .line import RESTRICTION_KMH as RESTRICTION_KMH
 from .line import Curve as Curve
 from .line import Line as Line

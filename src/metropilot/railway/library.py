@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from metropilot._io import read_text
 from metropilot.errors import InputError
-from metropilot.railway.formats.reader import Node, nearest
+from metropilot.railway.drawn import NAME as DRAWN_NAME
+from metropilot.railway.drawn import drawn_trainset
+from metropilot.railway.formats.reader import ACTUATION_TIME, Node, nearest
 from metropilot.railway.formats.toml import read_journey, read_line
 from metropilot.railway.formats.toml_trainset import read_trainset
 from metropilot.railway.formats.ttobench import read_ttobench
@@ -115,11 +119,12 @@ def _load(key: str | Path, folder: str, what: str, kind: type[T]) -> T:
         found = _from_catalogue(folder, str(key))
         if isinstance(found, kind):
             return found
+    forms = f"; {KEY_WORDS}" if kind is Trainset else ""
     raise InputError(
         f"unknown {what}{nearest(str(key), ids)}",
         field=what,
         value=str(key),
-        allowed=", ".join(ids) + ", or a path ending in .toml or .json",
+        allowed=", ".join(ids) + ", or a path ending in .toml or .json" + forms,
     )
 
 
@@ -135,21 +140,93 @@ def load_line(id_or_path: str | Path) -> Line:
     return _load(id_or_path, "lines", "line", Line)
 
 
-def load_trainset(id_or_path: str | Path, load: str | None = None) -> Trainset:
-    """A trainset of the catalogue, or of a file, with one of its loads aboard.
+class TrainsetKey(NamedTuple):
+    """Key of a trainset, ``ID[@DELAY,LAG][:LOAD]``, in its parts; ``str`` joins them.
+
+    Attributes:
+        id: A catalogue id, ``drawn-SEED-NUMBER``, or a path ending in ``.toml`` or ``.json``.
+        actuation: Dead time and lag that the trainset declares instead of its own, s; None: its own.
+        load: The load aboard; None: the trainset's first.
+    """
+
+    id: str
+    actuation: tuple[float, float] | None = None
+    load: str | None = None
+
+    @property
+    def is_file(self) -> bool:
+        """True if the id is a path."""
+        return self.id.lower().endswith((".toml", ".json"))
+
+    @property
+    def is_named(self) -> bool:
+        """True if the id is one of the catalogue, or of a random trainset."""
+        return self.id in list_trainsets() or DRAWN_NAME.fullmatch(self.id) is not None
+
+    def __str__(self) -> str:
+        """The key as text."""
+        late = "" if self.actuation is None else "@{:.12g},{:.12g}".format(*self.actuation)
+        return f"{self.id}{late}" + ("" if self.load is None else f":{self.load}")
+
+
+NUMBER = r"\d+(?:\.\d*)?"
+KEY = re.compile(
+    rf"(?P<id>.+?\.(?:toml|json)|[\w-]+)(?:@(?P<delay>{NUMBER}),(?P<lag>{NUMBER}))?(?::(?P<load>.*))?",
+    re.IGNORECASE,
+)
+KEY_WORDS = "drawn-SEED-NUMBER is a random one; ID@DELAY,LAG declares another dead time and lag, s"
+
+
+def parse_trainset(key: str | Path) -> TrainsetKey:
+    """Take the key of a trainset apart; one that names nothing is an id as a whole.
 
     Args:
-        id_or_path: A catalogue id or a path, as for :func:`load_line`; ``ID:LOAD`` names the load as well.
+        key: As :func:`load_trainset` takes it.
+
+    Raises:
+        InputError: A dead time or lag that no trainset has.
+    """
+    text = str(key)
+    match = KEY.fullmatch(text)
+    plain = TrainsetKey(text if match is None else match["id"])
+    if match is None or not (plain.is_file or plain.is_named):
+        return TrainsetKey(text)
+    late = None
+    if match["delay"] is not None:
+        late = (float(match["delay"]), float(match["lag"]))
+        for name, value in zip(("dead time", "lag"), late, strict=True):
+            if not value <= ACTUATION_TIME.high:
+                allowed = f"0 to {ACTUATION_TIME.high:g} s"
+                raise InputError(f"{name} out of range", field="trainset", value=text, allowed=allowed)
+    return TrainsetKey(match["id"], late, match["load"] or None)
+
+
+def load_trainset(id_or_path: str | Path, load: str | None = None) -> Trainset:
+    """A trainset of the catalogue, of a file, or drawn at random, with one of its loads aboard.
+
+    Args:
+        id_or_path: A catalogue id or a path, as for :func:`load_line`, or ``drawn-SEED-NUMBER`` for a random
+            one; ``ID:LOAD`` names the load as well, and ``ID@DELAY,LAG`` declares another dead time and lag
+            than its own, in seconds.
         load: The load, e.g. ``AW2``; it wins over one named in ``id_or_path``.
 
     Raises:
         InputError: No such id or load, or the file is not usable.
     """
-    key = str(id_or_path)
-    head, colon, tail = key.rpartition(":")
-    if colon and (head in list_trainsets() or head.lower().endswith((".toml", ".json"))):
-        key, load = head, load or tail
-    trainset = _load(key, "trainsets", "trainset", Trainset)
+    key = parse_trainset(id_or_path)
+    drawn = DRAWN_NAME.fullmatch(key.id)
+    if drawn is not None:
+        trainset = drawn_trainset(int(drawn[1]), int(drawn[2]))
+    else:
+        trainset = _load(key.id, "trainsets", "trainset", Trainset)
+    load = load or key.load
+    if key.actuation is not None:
+        delay_s, lag_s = key.actuation
+        trainset = replace(
+            trainset,
+            id=str(key._replace(id=trainset.id, load=None)),
+            actuation=replace(trainset.actuation, delay_s=delay_s, lag_s=lag_s),
+        )
     return trainset if load is None else trainset.with_load(load)
 
 
