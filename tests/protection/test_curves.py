@@ -58,7 +58,7 @@ def test_emergency_curve_is_the_braking_parabola(slope_permil):
 def test_the_curves_keep_their_order_under_the_limit_everywhere():
     for trainset in (DKZ32, IDEAL):
         for section in LINE.sections():
-            protection = protect(section, trainset, Bounds.of(trainset, DT))
+            protection = protect(replace(section, authority=None), trainset, Bounds.of(trainset, DT))
             at = np.arange(0.0, section.length_m, 0.37)
             starts, speeds = restrictive_profile(section, trainset.length_m, trainset.max_speed_mps)
             limit = speeds[np.searchsorted(starts, at, side="right") - 1]
@@ -223,7 +223,8 @@ def test_at_a_change_of_limit_the_lower_one_counts():
 
 
 def test_the_map_ends_in_a_stop():
-    protection = protect(level(length_m=800.0), IDEAL, Bounds.of(IDEAL, DT))
+    section = replace(level(length_m=800.0), authority=None)
+    protection = protect(section, IDEAL, Bounds.of(IDEAL, DT))
     assert speed(protection, protection.emergency, 1300.0) == 0.0
     assert speed(protection, protection.emergency, 1290.0) == pytest.approx(np.sqrt(2 * 1.2 * 10.0), abs=1e-6)
 

@@ -11,12 +11,14 @@ import pytest
 from metropilot import physics
 from metropilot.physics import Command
 from metropilot.protection import LEVELS, Bounds, at_start, permitted_speed, protect, supervise
-from metropilot.railway import Restriction, Steps, load_line, load_trainset
+from metropilot.railway import MovementAuthority, Restriction, Steps, load_line, load_trainset
 
 LINE = load_line("yizhuang")
 SECTION = LINE.section("RJ", "WYJ")
 DKZ32 = load_trainset("dkz32")
 IDEAL = DKZ32.ideal()
+LATE = replace(DKZ32, actuation=replace(DKZ32.actuation, delay_s=1.0, lag_s=0.6))
+FALLING = replace(SECTION, gradient_permil=Steps(np.array([-500.0]), np.array([-35.0])))
 DT = 0.2
 
 
@@ -127,6 +129,34 @@ def test_the_end_of_the_authority_is_never_passed():
             assert ride.state.position_m <= end
             assert ride.state.position_m > end - 40.0
             assert ride.speeds[-1] < 0.5
+
+
+@pytest.mark.parametrize("trainset", [DKZ32, IDEAL, LATE], ids=["catalogue", "ideal", "late"])
+@pytest.mark.parametrize(("distance_m", "release_kmh"), [(2.0, 15.0), (0.0, 3.0), (20.0, 40.0)])
+def test_nobody_runs_far_past_the_end_of_the_authority_behind_a_stop(trainset, distance_m, release_kmh):
+    authority = MovementAuthority(distance_m, release_kmh / 3.6)
+    for section in (replace(SECTION, authority=authority), replace(FALLING, authority=authority)):
+        end = section.length_m + distance_m
+        for v in (0.0, 3.0, 12.0):
+            ride = Ride(trainset, section, x=0.0 if v == 12.0 else end - 60.0, v=v).go(1.0, 600)
+            assert ride.speeds[-1] == 0.0
+            pull = float(ride.protection.pull_mps2.max())
+            most = release_kmh / 3.6 + 0.4 * pull
+            assert ride.state.position_m <= end + 1.3 * most + most**2 / (2.0 * (1.2 - pull)) + 1.0
+            assert ride.memory.interventions > 0
+        # Whoever keeps to the limits but not to the stop is braked by the service brake first.
+        assert "service brake" in ride.levels
+
+
+def test_a_creep_past_the_end_of_the_authority_is_not_silent():
+    ride = Ride(x=SECTION.length_m - 3.0, v=1.0)
+    while ride.state.position_m <= SECTION.length_m + 2.0:
+        ride.go(0.02)
+    assert set(ride.levels) == {"none"}
+    assert ride.go(0.02, 30).levels[-1] == "emergency brake"
+    assert ride.speeds[-1] == 0.0
+    assert ride.memory.emergencies == 1
+    assert ride.state.position_m < SECTION.length_m + 4.0
 
 
 def test_a_restriction_announced_too_late_brakes_at_once_and_holds_where_it_can():

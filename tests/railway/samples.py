@@ -39,6 +39,11 @@ unit = "s"
 forward = [110, 80]
 backward = [112, 81]
 dwell = [30]
+
+[movement_authority]
+units = { distance = "m", release_speed = "km/h" }
+distance = 5
+release_speed = 10
 """
 
 TRAINSET = """

@@ -73,6 +73,9 @@ LINE = [
     ),
     ("dwell = [30]", "dwell = 30", "timetable.dwell", "30", None, "a list"),
     ('unit = "s"', 'unit = "days"', "timetable.unit", "days", None, "time in s, min, h"),
+    ("distance = 5", "distance = -1", "movement_authority.distance", "-1", "m", "0 to 300 m"),
+    ("distance = 5", "length = 5", "movement_authority.length", None, None, "distance, release_speed"),
+    ("speed = 10", "speed = 0", "movement_authority.release_speed", "0", "km/h", "3 to 40 km/h"),
 ]
 TRAINSET = [
     ("full = 300", "full = -300", "mass.loads.full", "-300", "t", "> 0 t"),

@@ -38,6 +38,8 @@ SERVICE_LATE_MPS2 = 0.1
 """And this much for every second of delay and lag, in which a driver's effort trails a changing gradient."""
 _RECENT: deque[tuple[Any, ...]] = deque(maxlen=4)
 """Last requests with their answers: a driver asks for what its host has just asked for."""
+LEAST_HOLD_MPS2 = 0.1
+"""Least deceleration assumed behind the end of the authority, where a gradient may take all of the brake."""
 MOST_NODES = 130_000
 BEFORE_M = 50.0
 AFTER_M = 500.0
@@ -62,7 +64,8 @@ def protect(
         section: Section with every restriction in force.
         trainset: Nominal trainset.
         bounds: Declared bounds of the plant.
-        stop_at_m: End of the movement authority: the speed limit is 0 from there on. None: line limits only.
+        stop_at_m: Another end of the movement authority than the section's, without a release speed: the
+            limit is 0 from there on.
         dtype: Number type.
         spacing_m: Distance between nodes.
         before_m: Distance before the origin at which the map begins.
@@ -92,6 +95,7 @@ def _protect(
     vehicle = vehicle_arrays(trainset)
     rates, usual = _rates(bounds), _service_rates(trainset, vehicle, bounds)
     field = track_grid(section, trainset, stop_at_m, spacing_m, bounds.resistance[0], before_m)
+    end = _authority_end(section, field, rates) if stop_at_m is None else AuthorityEnd(stop_at_m)
     if bounds.controlled:
         field = field._replace(pull_mps2=np.maximum(field.pull_mps2, 0.0))
     top, steepest = float(field.ceiling_mps.max()), float(field.pull_mps2.max())
@@ -103,9 +107,16 @@ def _protect(
     rounding = 16.0 * float(np.finfo(dtype).eps) * (np.abs(field.node_m[[0, -1]]).sum() + 0.5 * top * top)
     emergency = np.maximum(_emergency_curve(field, bounds, before) - rounding, 0.0)
     permitted = _permitted_curve(field, vehicle, rates, bounds, emergency, pull, ahead)
-    service = _service_curve(field, vehicle, usual, permitted, _over(rates, bounds))
+    # The permitted speed is that of the line: drivers brake to the stop by laws of their own. Only emergency
+    # and service curve see to it that the end of the authority behind the stop is not missed.
+    most = np.where(field.node_m > end.position_m, end.release_mps, np.inf)
+    most = np.where(field.node_m > end.last_m, 0.0, most)
+    field = field._replace(ceiling_mps=np.minimum(field.ceiling_mps, most[1:]))
+    emergency = np.maximum(_emergency_curve(field, bounds, before) - rounding, 0.0)
+    service = _service_curve(field, vehicle, usual, np.minimum(permitted, most), _over(rates, bounds))
     size = padded_size(permitted.size + ahead + 2, NODES)
     arrays = {
+        "authority_m": end.position_m,
         "start_m": field.node_m[0],
         "spacing_m": spacing_m,
         "emergency": _pad(emergency, size, 0.0),
@@ -123,6 +134,35 @@ def _protect(
         ahead=np.arange(ahead, dtype=np.int32),
         **{key: np.asarray(value, dtype)[()] for key, value in arrays.items()},
     )
+
+
+class AuthorityEnd(NamedTuple):
+    """End of the movement authority on a section.
+
+    Attributes:
+        position_m: Position of the end; infinite: none.
+        release_mps: Highest speed from there on; infinite: the line's.
+        last_m: Node at or behind the position where the emergency brake, applied at the end at the release
+            speed, has stopped any plant within the bounds; the speed limit is 0 from there on.
+    """
+
+    position_m: float = np.inf
+    release_mps: float = np.inf
+    last_m: float = np.inf
+
+
+def _authority_end(section: Section, field: TrackGrid, rates: Rates) -> AuthorityEnd:
+    if section.authority is None:
+        return AuthorityEnd()
+    end, release = section.length_m + section.authority.distance_m, section.authority.release_mps
+    behind = field.pull_mps2[field.node_m[1:] > end]
+    pull = max(float(behind.max()), 0.0) if behind.size else 0.0
+    # Near the release speed traction is cut before the end, so that only a gradient adds to the speed.
+    speed = release + pull * float(rates.reaction_s) + float(rates.speed_error_mps)
+    late_s = float(rates.reaction_s) + float(rates.brake_mps2) / float(rates.jerk_mps3)
+    rate = max(float(rates.brake_mps2) - pull, LEAST_HOLD_MPS2)
+    last = np.searchsorted(field.node_m, end + speed * late_s + speed * speed / (2.0 * rate))
+    return AuthorityEnd(end, release, float(field.node_m[min(int(last), field.node_m.size - 1)]))
 
 
 def _rates(bounds: Bounds) -> Rates:
@@ -270,7 +310,7 @@ def track_grid(
     Args:
         section: Section with every restriction in force.
         trainset: Nominal trainset.
-        stop_at_m: End of the movement authority, if there is one.
+        stop_at_m: End of the movement authority, if the limit is 0 from there on.
         spacing_m: Distance between nodes.
         resistance_low: Share of the curve resistance that is certain.
         before_m: Distance before the origin at which the grid begins.

@@ -35,7 +35,8 @@ def supervise(
     brake is still in time: that is the guarantee, by induction. Before that, the driver's command must leave
     time for the service brake, as the nominal plant has it; this only spares the emergency brake. The
     emergency brake stays on until standstill. A command that is not a finite number is a full service brake,
-    one out of range is clipped, and a measurement that is not finite brings the emergency brake.
+    one out of range is clipped, and a measurement that is not finite brings the emergency brake, as does a
+    position beyond the end of the movement authority.
 
     Behind another trainset the authority moves: the same brake must also keep clear of that trainset, however
     hard it brakes within what is declared of it (see :mod:`metropilot.protection.separation`).
@@ -64,7 +65,8 @@ def supervise(
     passes = check.passes(wanted, margin)
     level = unless(passes, 0, _milder, protection, memory, position_m, speed_mps, cut, ahead)
     moving = (speed_mps <= STANDSTILL_MPS + error) ^ True
-    emergency = (level == 3) | (memory.emergency & moving) | command.emergency
+    beyond = check.position_m > protection.authority_m
+    emergency = (level == 3) | (memory.emergency & moving) | command.emergency | beyond
     level = xp.where(emergency, 3, level)
     share = xp.where(level == 0, wanted, xp.where(level == 1, cut, full))
 

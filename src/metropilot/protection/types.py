@@ -57,6 +57,7 @@ class Protection(NamedTuple):
         rates: The emergency brake and the declared bounds: what the guarantee rests on.
         service_rates: The service brake of the nominal plant: what spares the emergency brake.
         fading: Fading of an effort.
+        authority_m: End of the movement authority; whoever is beyond it is braked. Infinite: none. 0-d.
         start_m: Position of the first node. 0-d.
         spacing_m: Distance between nodes. 0-d.
         emergency: Emergency braking curve: from anywhere under it the guaranteed brake alone keeps the limit
@@ -75,6 +76,7 @@ class Protection(NamedTuple):
     rates: Rates
     service_rates: Rates
     fading: Fading
+    authority_m: Scalar
     start_m: Scalar
     spacing_m: Scalar
     emergency: Float[Array, " nodes"]

@@ -20,6 +20,7 @@ from .library import parse_trainset as parse_trainset
 from .line import RESTRICTION_KMH as RESTRICTION_KMH
 from .line import Curve as Curve
 from .line import Line as Line
+from .line import MovementAuthority as MovementAuthority
 from .line import Restriction as Restriction
 from .line import Section as Section
 from .line import Station as Station

@@ -15,6 +15,10 @@ from metropilot.units import KMH_PER_MPS, tidy
 
 RESTRICTION_KMH = (5.0, 400.0)
 """Speeds a temporary restriction may have, km/h."""
+RELEASE_KMH = (3.0, 40.0)
+"""Release speeds that a line may have, km/h."""
+MOST_BEHIND_M = 300.0
+"""Largest distance of the end of the movement authority behind a stop, m."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +99,39 @@ class Restriction:
 
 
 @dataclass(frozen=True)
+class MovementAuthority:
+    """End of the movement authority behind every stop of a line, and its release speed.
+
+    Protection lets a trainset approach the end at up to the release speed, so that a stop at the platform is
+    not disturbed by a braking curve to a point a few metres behind it; whoever passes the end is braked by
+    the emergency brake. The head therefore comes to a stand no further behind the end than that brake needs
+    from the release speed.
+
+    Attributes:
+        distance_m: Distance of the end behind the stopping point, 0 to 300 m.
+        release_mps: Release speed, 3 to 40 km/h.
+    """
+
+    distance_m: float = 2.0
+    release_mps: float = 15.0 / KMH_PER_MPS
+
+    def __post_init__(self) -> None:
+        low, high = RELEASE_KMH
+        for name, value, unit, least, most in (
+            ("distance", self.distance_m, "m", 0.0, MOST_BEHIND_M),
+            ("release_speed", KMH_PER_MPS * self.release_mps, "km/h", low, high),
+        ):
+            if not least - 1e-6 <= value <= most + 1e-6:
+                raise InputError(
+                    "out of range",
+                    field=f"movement_authority.{name}",
+                    value=tidy(value),
+                    unit=unit,
+                    allowed=f"{least:g} to {most:g} {unit}",
+                )
+
+
+@dataclass(frozen=True)
 class Section:
     """The track from one stop to another, in positions local to its origin and in the direction of travel.
 
@@ -112,6 +149,7 @@ class Section:
         tunnels: Tunnels, local positions.
         planned_time_s: The timetable's running time, where the line knows it.
         restrictions: Temporary speed restrictions in force.
+        authority: End of the movement authority behind the stop; None: the authority does not end.
     """
 
     line_id: str
@@ -124,6 +162,7 @@ class Section:
     tunnels: tuple[Tunnel, ...] = ()
     planned_time_s: float | None = None
     restrictions: tuple[Restriction, ...] = ()
+    authority: MovementAuthority | None = MovementAuthority()
 
     def check_restriction(self, restriction: Restriction) -> Restriction:
         """A temporary speed restriction as it was entered, if it makes sense on this section.
@@ -185,6 +224,7 @@ class Line:
         planned_forward_s: Planned running time of each section, forward order, or empty.
         planned_backward_s: The same for the opposite direction, listed in *forward* section order
             (entry k is the section between stations k and k+1), or empty.
+        authority: End of the movement authority behind every stop.
         dwell_s: Planned dwell at each intermediate station, forward order, or empty.
         source: Citation of each block of data, by block name.
         notes: Corrections and remarks worth showing to a user.
@@ -203,6 +243,7 @@ class Line:
     planned_forward_s: tuple[float, ...] = ()
     planned_backward_s: tuple[float, ...] = ()
     dwell_s: tuple[float, ...] = ()
+    authority: MovementAuthority = MovementAuthority()
     source: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
@@ -341,6 +382,7 @@ def cut_section(line: Line, start: Station, end: Station) -> Section:
         curves=curves,
         tunnels=tunnels,
         planned_time_s=planned_s,
+        authority=line.authority,
     )
 
 

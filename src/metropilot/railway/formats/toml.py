@@ -16,16 +16,26 @@ from metropilot._io import atomic_write
 from metropilot.errors import InputError
 from metropilot.railway.formats.reader import ANY, NOT_NEGATIVE, POSITIVE, Column, Node, Range
 from metropilot.railway.journey import Journey, TimingPoint
-from metropilot.railway.line import Curve, Line, Station, Tunnel
+from metropilot.railway.line import (
+    MOST_BEHIND_M,
+    RELEASE_KMH,
+    Curve,
+    Line,
+    MovementAuthority,
+    Station,
+    Tunnel,
+)
 from metropilot.railway.profile import Steps
 from metropilot.railway.trainset import Trainset
-from metropilot.units import pick, tidy
+from metropilot.units import KMH_PER_MPS, pick, tidy
 
 T = TypeVar("T")
 SPEED_LIMIT = Range(0.0, 150.0, above=True)
 GRADIENT = Range(-150.0, 150.0)
 CURVATURE = Range(-0.1, 0.1)
 RADIUS = Range(infinite=True)
+BEHIND = Range(0.0, MOST_BEHIND_M)
+RELEASE = Range(*(speed / KMH_PER_MPS for speed in RELEASE_KMH))
 POINT_FIELDS = (("earliest", "time"), ("latest", "time"), ("slowest", "speed"), ("fastest", "speed"))
 _WIDTH = 110
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
@@ -134,7 +144,7 @@ def read_line(root: Node) -> Line:
     where = [s.position_m for s in stations]
     check_inside(root.table("stations"), where, "list[{}].position", limits, gradient)
     curves, tunnels = document.optional("curves"), document.optional("tunnels")
-    timetable = document.optional("timetable")
+    timetable, authority = document.optional("timetable"), document.optional("movement_authority")
     return document.build(
         Line,
         name=root.text("name"),
@@ -147,6 +157,15 @@ def read_line(root: Node) -> Line:
         planned_forward_s=timetable.quantities("forward", "time", POSITIVE) if timetable else (),
         planned_backward_s=timetable.quantities("backward", "time", POSITIVE) if timetable else (),
         dwell_s=timetable.quantities("dwell", "time", NOT_NEGATIVE) if timetable else (),
+        authority=_authority(authority) if authority else MovementAuthority(),
+    )
+
+
+def _authority(block: Node) -> MovementAuthority:
+    usual = MovementAuthority()
+    return MovementAuthority(
+        block.quantity("distance", "length", BEHIND, usual.distance_m),
+        block.quantity("release_speed", "speed", RELEASE, usual.release_mps),
     )
 
 
@@ -278,6 +297,13 @@ def line_document(line: Line) -> dict[str, Any]:
     planned = {"forward": line.planned_forward_s, "backward": line.planned_backward_s, "dwell": line.dwell_s}
     if any(planned.values()):
         document["timetable"] = {"unit": "s", **{k: list(v) for k, v in planned.items() if v}}
+    if line.authority != MovementAuthority():
+        value, of = pick("speed", [line.authority.release_mps], "km/h")
+        document["movement_authority"] = {
+            "units": {"distance": "m", "release_speed": of},
+            "distance": line.authority.distance_m,
+            "release_speed": value(line.authority.release_mps),
+        }
     return with_sources(document, line.source)
 
 
