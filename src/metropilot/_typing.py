@@ -7,7 +7,21 @@ dtype only: ``Float[Array, "nodes"]`` is an array of floats of either library wi
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+import sys
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+if TYPE_CHECKING or "jaxtyping" in sys.modules:
+    from jaxtyping import Bool, Float, Int, Num, Shaped
+else:
+    # Annotations are not evaluated unless jaxtyping's import hook is in use, as in the tests; importing
+    # jaxtyping for them alone would take a tenth of a second of every command.
+    class Shaped:
+        """Stand-in for an annotation with a shape."""
+
+        def __class_getitem__(cls, _: object) -> Any:  # noqa: ANN401
+            return Any
+
+    Bool = Float = Int = Num = Shaped
 
 Array: TypeAlias = Any
 """An array of NumPy or JAX, or a tracer; give it a shape: ``Float[Array, "nodes 3"]``."""

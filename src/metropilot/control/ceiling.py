@@ -10,10 +10,9 @@ import math
 from typing import NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot._typing import Scalar
+from metropilot._typing import Float, Scalar
 from metropilot.control.estimator import StateEstimate
 from metropilot.control.prediction import Model, PredictedState
 from metropilot.control.stopping import AT_ONCE_MPS3, StopCurve, required_with_build_up

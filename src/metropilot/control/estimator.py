@@ -22,9 +22,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Float
 from metropilot.control.prediction import (
     LAG_LEAD,
     Model,

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Float
 from metropilot.convoy.drivers import AbstractFollower
 from metropilot.convoy.leaders import record_leader
 from metropilot.convoy.model import Convoy, ConvoyGuard, convoy_members

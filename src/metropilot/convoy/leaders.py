@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Float
 from metropilot.physics import (
     Command,
     at_rest,

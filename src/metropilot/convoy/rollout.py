@@ -8,9 +8,9 @@ from time import perf_counter_ns
 from typing import Any, cast, final
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Float
 from metropilot.convoy.drivers import AbstractFollower
 from metropilot.convoy.model import Convoy, Link, Member, convoy_members
 from metropilot.convoy.step import (

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from typing import ClassVar, final
 
 import numpy as np
-from jaxtyping import Bool, Num
 
 from metropilot._registry import Registry, RegistryRow
-from metropilot._typing import Array, Scalar
+from metropilot._typing import Array, Bool, Num, Scalar
 from metropilot.env.features import FeatureContext
 from metropilot.env.interface import ActionSpace
 from metropilot.errors import InputError

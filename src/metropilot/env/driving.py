@@ -7,9 +7,8 @@ from functools import cached_property
 from typing import Any, NamedTuple, cast
 
 import numpy as np
-from jaxtyping import Bool, Float, Num
 
-from metropilot._typing import Array, Flag, Index, Key, Scalar
+from metropilot._typing import Array, Bool, Flag, Float, Index, Key, Num, Scalar
 from metropilot.env.assists import apply_assists
 from metropilot.env.config import DrivingConfig
 from metropilot.env.features import FeatureContext, feature_context, observe

@@ -12,10 +12,9 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from metropilot._registry import Registry, RegistryRow
-from metropilot._typing import Array, Index, Scalar
+from metropilot._typing import Array, Float, Index, Scalar
 from metropilot.env.tables import (
     CLIMB_COLUMN,
     PACES_MPS,

@@ -7,9 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from jaxtyping import Bool, Float, Num
-
-from metropilot._typing import Array, Flag, Key, Scalar
+from metropilot._typing import Array, Bool, Flag, Float, Key, Num, Scalar
 
 TaskState = Any
 

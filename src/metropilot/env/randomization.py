@@ -8,10 +8,9 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy.random import Generator
 
-from metropilot._typing import Array, Index, Key, Scalar
+from metropilot._typing import Array, Float, Index, Key, Scalar
 from metropilot.errors import InputError
 from metropilot.protection import Bounds
 from metropilot.railway import (

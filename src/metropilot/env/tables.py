@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
-from metropilot._typing import Array, Index, Scalar
+from metropilot._typing import Array, Float, Index, Scalar
 from metropilot.physics import (
     Track,
     Vehicle,

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Float
 from metropilot.evaluate.kpis import Kpis, kpis_of
 from metropilot.evaluate.optimum import Optimum, optimum_of
 from metropilot.evaluate.run_spec import RunSpec

@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Float
 from metropilot.evaluate import measures
 from metropilot.evaluate.measures import motion_energy_jpkg
 from metropilot.evaluate.optimum import Optimum

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Float
 from metropilot.evaluate.kpis import JERK_CHECK, Kpis
 from metropilot.evaluate.optimum import Optimum
 from metropilot.evaluate.style import (

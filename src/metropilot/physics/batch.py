@@ -19,9 +19,8 @@ from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float
 
-from metropilot._typing import Array, Scalar
+from metropilot._typing import Array, Float, Scalar
 from metropilot.physics.build import track_arrays, vehicle_arrays
 from metropilot.physics.plant import Command, step
 from metropilot.physics.types import Forces, State, Track, Vehicle

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Float
 from metropilot.errors import InputError
 from metropilot.physics.types import Track, Vehicle
 from metropilot.railway import Curve, Efficiency, EffortCurve, SafeBraking, Section, Trainset

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, no_type_check
 
-from jaxtyping import Float
-
-from metropilot._typing import Array, Index, Scalar
+from metropilot._typing import Array, Float, Index, Scalar
 from metropilot.physics.arrays import locate, namespace, scalars
 from metropilot.physics.types import Forces, Track, Vehicle
 

@@ -19,9 +19,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
-from metropilot._typing import Array, Scalar
+from metropilot._typing import Array, Float, Scalar
 from metropilot.errors import InputError
 from metropilot.physics.arrays import namespace
 from metropilot.physics.build import vehicle_arrays

@@ -7,9 +7,8 @@ from types import MappingProxyType
 from typing import NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Float
 
-from metropilot._typing import Array, Flag, Scalar
+from metropilot._typing import Array, Flag, Float, Scalar
 from metropilot.physics.arrays import namespace
 from metropilot.physics.forces import Effort, effort_at, resistance_and_gradient, step_energy
 from metropilot.physics.types import Forces, State, Track, Vehicle

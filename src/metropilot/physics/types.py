@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from jaxtyping import Float
-
-from metropilot._typing import Array, Scalar
+from metropilot._typing import Array, Float, Scalar
 
 
 class Vehicle(NamedTuple):

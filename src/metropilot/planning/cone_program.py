@@ -22,10 +22,10 @@ from typing import Any
 
 import clarabel as _clarabel
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from scipy import sparse
 
+from metropilot._typing import Float
 from metropilot.errors import SolverError
 from metropilot.planning.effort_table import Specific
 from metropilot.planning.mesh import Mesh

@@ -7,10 +7,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot._typing import Scalar
+from metropilot._typing import Float, Scalar
 from metropilot.errors import Infeasible, InputError
 from metropilot.physics import Track, Vehicle
 from metropilot.planning.effort_table import STEP_MPS, Specific, specific

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Float
 from metropilot.physics import Track, Vehicle
 
 GAUSS_X, GAUSS_W = np.polynomial.legendre.leggauss(4)

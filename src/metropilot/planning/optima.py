@@ -8,12 +8,12 @@ from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.interpolate import PchipInterpolator
 
 from metropilot._dirs import cache_folder
 from metropilot._tensors import read_tensors, write_tensors
+from metropilot._typing import Float, Int
 from metropilot.errors import InputError
 from metropilot.planning.optimal import PlanOptions, minimum_running_time, time_energy_front
 from metropilot.railway import Section, Trainset

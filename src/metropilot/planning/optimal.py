@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Float
 from metropilot.errors import Infeasible, InputError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
 from metropilot.planning.cone_program import Answer, Programme, TimeBound, solve, tangent

@@ -12,9 +12,9 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Float
 from metropilot.physics import Vehicle, map_value
 from metropilot.planning.effort_table import Specific
 

@@ -15,9 +15,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Float
 from metropilot.errors import InputError
 from metropilot.physics import Track, Vehicle
 from metropilot.planning.effort_table import Specific, specific

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from jaxtyping import Bool, Float, Num
 
 from metropilot._dirs import runs_folder
+from metropilot._typing import Bool, Float, Num
 from metropilot.env import PolicyInterface
 from metropilot.errors import InputError
 from metropilot.policy.file import load_policy

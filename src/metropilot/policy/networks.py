@@ -15,9 +15,8 @@ from types import ModuleType
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Num
 
-from metropilot._typing import Array, Index
+from metropilot._typing import Array, Bool, Float, Index, Num
 
 Params = dict[str, Float[Array, "..."]]
 Activation = Literal["tanh", "relu", "silu"]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from numpy.lib.stride_tricks import sliding_window_view
 
+from metropilot._typing import Float
 from metropilot.physics import Track, davis_n, felt_slopes
 from metropilot.protection.predict import highest_speed
 from metropilot.protection.types import Protection, Rates

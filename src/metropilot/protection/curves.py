@@ -6,10 +6,10 @@ from collections import deque
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from numpy.lib.stride_tricks import sliding_window_view
 
+from metropilot._typing import Float
 from metropilot.errors import InputError
 from metropilot.physics import (
     Vehicle,

@@ -9,10 +9,9 @@ from collections.abc import Callable
 from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot._typing import Array, Flag, Scalar
+from metropilot._typing import Array, Flag, Float, Scalar
 from metropilot.physics import Vehicle, davis_n, effort_at, namespace
 from metropilot.protection.types import Rates
 

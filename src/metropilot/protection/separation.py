@@ -13,9 +13,8 @@ from dataclasses import asdict, dataclass
 from typing import NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Float
 
-from metropilot._typing import Array, Scalar
+from metropilot._typing import Array, Float, Scalar
 from metropilot.errors import InputError
 from metropilot.physics import namespace, scalars
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
-from metropilot._typing import Array, Index, Scalar
+from metropilot._typing import Array, Float, Index, Scalar
 from metropilot.physics import Command, namespace, push_command, scalars, unless
 from metropilot.protection.predict import Forces, acceleration, fastest, stays_under
 from metropilot.protection.separation import TrainAhead, brake_motion, least_gap

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
 
-from metropilot._typing import Array, Flag, Index, Scalar
+from metropilot._typing import Array, Flag, Float, Index, Int, Scalar
 from metropilot.physics import Vehicle
 
 

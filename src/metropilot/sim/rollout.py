@@ -7,9 +7,9 @@ from time import perf_counter_ns
 from typing import Any, NamedTuple, cast, final
 
 import numpy as np
-from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from metropilot._typing import Bool, Float
 from metropilot.errors import InputError
 from metropilot.physics import Command, at_rest, delay_steps, track_arrays, vehicle_arrays
 from metropilot.protection import Protection, Verdict, at_start, permitted_speed, protect

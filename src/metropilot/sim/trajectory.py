@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Shaped
 from numpy import ndarray
 
+from metropilot._typing import Float, Shaped
 from metropilot.errors import InputError
 from metropilot.physics import Forces, State, Track, Vehicle
 from metropilot.sim.step import PeriodRecord

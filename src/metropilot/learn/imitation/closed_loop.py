@@ -16,9 +16,8 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Float, Shaped
 
-from metropilot._typing import Array, Flag, Index, Scalar
+from metropilot._typing import Array, Flag, Float, Index, Scalar, Shaped
 from metropilot.control import (
     AT_ONCE_MPS3,
     braking_distance,

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy import ndarray
 from numpy.random import Generator
 
 from metropilot._tensors import read_tensors, write_tensors
+from metropilot._typing import Float, Int
 from metropilot.env import (
     DOMAIN_ASSISTS,
     DOMAIN_OBSERVER,

@@ -7,10 +7,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot._typing import Array, Scalar
+from metropilot._typing import Array, Float, Scalar
 from metropilot.env import RegimeAction
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.networks import MLP

@@ -10,11 +10,10 @@ from itertools import pairwise
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
 from numpy import ndarray
 from numpy.random import Generator
 
-from metropilot._typing import Array
+from metropilot._typing import Array, Float, Int
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.imitation.closed_loop import Begin, ClosedLoop
 from metropilot.learn.imitation.demonstrations import Demonstrations

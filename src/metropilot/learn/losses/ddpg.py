@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Float
+
+from metropilot._typing import Float
 
 
 def critic_target(

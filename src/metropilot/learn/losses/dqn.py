@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Bool, Float, Int
 
+from metropilot._typing import Bool, Float, Int
 from metropilot.learn.networks import mask_values
 
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Bool, Float
+
+from metropilot._typing import Bool, Float
 
 
 def gae(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Float, Int
+
+from metropilot._typing import Float, Int
 
 
 def td_error(

@@ -10,10 +10,10 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from metropilot._schema import Range
+from metropilot._typing import Float
 from metropilot.errors import InputError
 from metropilot.units import Unit, tidy, unit
 

@@ -9,10 +9,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from jaxtyping import Float
 from numpy import ndarray
 
 from metropilot._io import atomic_write
+from metropilot._typing import Float
 from metropilot.errors import InputError
 from metropilot.railway.formats.reader import ANY, NOT_NEGATIVE, POSITIVE, Column, Node, Range
 from metropilot.railway.journey import Journey, TimingPoint

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
-from metropilot._typing import Array, Flag, Index, Key, Scalar
+from metropilot._typing import Array, Flag, Float, Index, Key, Scalar
 from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.env import AbstractTask, ActionSpace, Transition
 from metropilot.errors import InputError

@@ -11,9 +11,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
-from metropilot._typing import Array, Index, Scalar
+from metropilot._typing import Array, Float, Index, Scalar
 from metropilot.control import Errors
 from metropilot.drivers import TrackingView
 from metropilot.physics import (

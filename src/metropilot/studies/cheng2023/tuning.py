@@ -8,10 +8,9 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
-from metropilot._typing import Array
+from metropilot._typing import Array, Float
 from metropilot.control import CHENG2023_UPPER, Gains
 from metropilot.errors import InputError
 from metropilot.studies.cheng2023.drives import Start, fuzzy_control, neural_control, pid_control

@@ -8,9 +8,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
+from metropilot._typing import Float
 from metropilot.drivers import LearnedDriver
 from metropilot.evaluate import Kpis, comfort_band_shares, kpis_of
 from metropilot.planning import PlanOptions, optimal_plan

@@ -22,9 +22,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy import ndarray
 
+from metropilot._typing import Float, Int
 from metropilot.errors import Infeasible, InputError
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import STEP_MPS, Mesh, Specific, build_mesh, specific

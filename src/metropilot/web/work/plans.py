@@ -15,9 +15,9 @@ from threading import Thread
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from metropilot._processes import ONE_THREAD
+from metropilot._typing import Float
 from metropilot.errors import Infeasible, InputError
 from metropilot.evaluate import POLICY, RunSpec
 from metropilot.planning import (
