@@ -369,6 +369,22 @@ GUARDS = (
         ("test_supervisor.py::test_the_end_of_the_authority_is_never_passed",),
     ),
     Guard(
+        "release speed at the end of the authority behind a stop",
+        "H9",
+        CURVES,
+        "field = field._replace(ceiling_mps=np.minimum(field.ceiling_mps, most[1:]))",
+        "pass",
+        ("test_supervisor.py::test_nobody_runs_far_past_the_end_of_the_authority_behind_a_stop",),
+    ),
+    Guard(
+        "emergency brake beyond the end of the authority",
+        "H9",
+        SUPERVISOR,
+        "| command.emergency | beyond",
+        "| command.emergency",
+        ("test_supervisor.py::test_a_creep_past_the_end_of_the_authority_is_not_silent",),
+    ),
+    Guard(
         "the map ends in a stop",
         "H9",
         CURVES,

@@ -101,7 +101,7 @@ def flat(section):
 def test_commands_on_their_way(monkeypatch):
     attack = near_drop(delay_s=0.6)
     assert duel(attack) <= 0.0
-    monkeypatch.setattr(supervisor.CommandCheck, "kept", lambda _check, share: share)
+    monkeypatch.setattr(supervisor.CommandCheck, "share_bound", lambda _check, share: share)
     assert duel(attack) > 0.05
 
 

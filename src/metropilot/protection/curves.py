@@ -105,14 +105,17 @@ def _protect(
     pull = sliding_max(field.pull_mps2, before, reach)
     usual_pull = sliding_max(field.usual_pull_mps2, 0, int(np.ceil(top * usual.reaction_s / spacing_m)))
     rounding = 16.0 * float(np.finfo(dtype).eps) * (np.abs(field.node_m[[0, -1]]).sum() + 0.5 * top * top)
-    emergency = np.maximum(_emergency_curve(field, bounds, before) - rounding, 0.0)
-    permitted = _permitted_curve(field, vehicle, rates, bounds, emergency, pull, ahead)
+
+    def emergency_curve(field: TrackGrid) -> ndarray:
+        return np.maximum(_emergency_curve(field, bounds, before) - rounding, 0.0)
+
+    permitted = _permitted_curve(field, vehicle, rates, bounds, emergency_curve(field), pull, ahead)
     # The permitted speed is that of the line: drivers brake to the stop by laws of their own. Only emergency
     # and service curve see to it that the end of the authority behind the stop is not missed.
     most = np.where(field.node_m > end.position_m, end.release_mps, np.inf)
     most = np.where(field.node_m > end.last_m, 0.0, most)
     field = field._replace(ceiling_mps=np.minimum(field.ceiling_mps, most[1:]))
-    emergency = np.maximum(_emergency_curve(field, bounds, before) - rounding, 0.0)
+    emergency = emergency_curve(field)
     service = _service_curve(field, vehicle, usual, np.minimum(permitted, most), _over(rates, bounds))
     size = padded_size(permitted.size + ahead + 2, NODES)
     arrays = {
