@@ -374,7 +374,7 @@ GUARDS = (
         CURVES,
         "field = field._replace(ceiling_mps=np.minimum(field.ceiling_mps, most[1:]))",
         "pass",
-        ("test_supervisor.py::test_nobody_runs_far_past_the_end_of_the_authority_behind_a_stop",),
+        ("test_curves.py::test_the_curves_lead_to_the_release_speed_at_the_end_of_the_authority",),
     ),
     Guard(
         "emergency brake beyond the end of the authority",

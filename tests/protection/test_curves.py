@@ -17,7 +17,15 @@ from metropilot.protection import (
 )
 from metropilot.protection.predict import fastest, stays_under
 from metropilot.protection.supervisor import CommandCheck
-from metropilot.railway import EffortCurve, Restriction, SafeBraking, Steps, load_line, load_trainset
+from metropilot.railway import (
+    EffortCurve,
+    MovementAuthority,
+    Restriction,
+    SafeBraking,
+    Steps,
+    load_line,
+    load_trainset,
+)
 
 LINE = load_line("yizhuang")
 DKZ32 = load_trainset("dkz32")
@@ -220,6 +228,20 @@ def test_at_a_change_of_limit_the_lower_one_counts():
     protection = protect(section, point, Bounds.of(point, DT))
     for where in (1000.0, 1300.0):
         assert speed(protection, protection.emergency, where) <= 10.0
+
+
+def test_the_curves_lead_to_the_release_speed_at_the_end_of_the_authority():
+    section = replace(level(length_m=800.0), authority=MovementAuthority(5.0, 4.0))
+    protection = protect(section, IDEAL, Bounds.of(IDEAL, DT))
+    endless = protect(replace(section, authority=None), IDEAL, Bounds.of(IDEAL, DT))
+    assert protection.authority_m == 805.0
+    assert speed(protection, protection.emergency, 805.5) <= 4.0
+    assert speed(protection, protection.emergency, 795.0) == pytest.approx(
+        np.sqrt(16.0 + 2.4 * 10.0), abs=0.2
+    )
+    assert speed(protection, protection.emergency, 820.0) == 0.0
+    assert speed(endless, endless.emergency, 820.0) > 10.0
+    np.testing.assert_array_equal(protection.permitted_mps, endless.permitted_mps)
 
 
 def test_the_map_ends_in_a_stop():
