@@ -372,8 +372,8 @@ GUARDS = (
         "release speed at the end of the authority behind a stop",
         "H9",
         CURVES,
-        "field = field._replace(ceiling_mps=np.minimum(field.ceiling_mps, most[1:]))",
-        "pass",
+        "emergency_curve(field._replace(ceiling_mps=np.minimum(field.ceiling_mps, most[1:])))",
+        "emergency_curve(field)",
         ("test_curves.py::test_the_curves_lead_to_the_release_speed_at_the_end_of_the_authority",),
     ),
     Guard(

@@ -348,7 +348,10 @@ def _member(convoy: Convoy, k: int, before_m: float, dtype: type) -> Member:
     section = convoy.leader()[0] if k == 0 else convoy.section
     guard = None
     if convoy.guard != "none":
-        guard = protect(section, trainset, member_bounds(convoy, k), dtype=dtype, before_m=before_m)
+        # Coupled trainsets are guaranteed no harder brake than they stop with: an end of the authority
+        # behind the stop would disturb the stop itself.
+        endless = replace(section, authority=None)
+        guard = protect(endless, trainset, member_bounds(convoy, k), dtype=dtype, before_m=before_m)
     fall = 0.0 if guard is None else float(guard.pull_mps2.max())
     held = min(rates[k], trainset.safe_braking.emergency_deceleration_mps2 - max(fall, 0.0))
     return Member(

@@ -110,13 +110,12 @@ def _protect(
         return np.maximum(_emergency_curve(field, bounds, before) - rounding, 0.0)
 
     permitted = _permitted_curve(field, vehicle, rates, bounds, emergency_curve(field), pull, ahead)
-    # The permitted speed is that of the line: drivers brake to the stop by laws of their own. Only emergency
-    # and service curve see to it that the end of the authority behind the stop is not missed.
+    service = _service_curve(field, vehicle, usual, permitted, _over(rates, bounds))
+    # Permitted speed and service curve are those of the line: drivers brake to the stop by laws of their own,
+    # with all that the service brake has. Only the emergency brake looks after the end behind the stop.
     most = np.where(field.node_m > end.position_m, end.release_mps, np.inf)
     most = np.where(field.node_m > end.last_m, 0.0, most)
-    field = field._replace(ceiling_mps=np.minimum(field.ceiling_mps, most[1:]))
-    emergency = emergency_curve(field)
-    service = _service_curve(field, vehicle, usual, np.minimum(permitted, most), _over(rates, bounds))
+    emergency = emergency_curve(field._replace(ceiling_mps=np.minimum(field.ceiling_mps, most[1:])))
     size = padded_size(permitted.size + ahead + 2, NODES)
     arrays = {
         "authority_m": end.position_m,
