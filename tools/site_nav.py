@@ -19,6 +19,7 @@ SECTIONS = {
         "learned-driver.md",
         "generalist.md",
         "robustness.md",
+        "trainsets.md",
         "leaderboard.md",
         "robustness-testing.md",
         "benchmarks.md",

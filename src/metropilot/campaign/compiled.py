@@ -228,7 +228,7 @@ def _run_batch(
     keep_compiled()
     policy = loaded.policy.policy
     kind = Kind(policy.spec, loaded.perception, campaign.dt_s, GUARD_SPACING_M)
-    slots = most_slots(campaign.trainsets, campaign.dt_s)
+    slots = most_slots(campaign.trainset_keys, campaign.dt_s)
     tables, given = _episode_params(loaded, starts, slots)
     going = _at_departure(given, slots, policy.spec.discrete, policy.spec.actions)
     streams = [

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache
+from functools import cache, lru_cache
 from hashlib import sha256
 from itertools import product
 from math import prod
@@ -22,7 +22,7 @@ from metropilot._schema import field_specs
 from metropilot.drivers import DRIVERS, AbstractPolicyDriver
 from metropilot.evaluate import RunSpec, parse_driver
 from metropilot.planning import Objective
-from metropilot.railway import Restriction, load_trainset
+from metropilot.railway import Restriction, load_trainset, parse_trainset
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance, TimetableUpdate
 from metropilot.units import KMH_PER_MPS
 
@@ -32,6 +32,9 @@ LARGEST_SHARD = 50
 BATCH = 256
 """Runs of a compiled shard: the batch size of the program; a smaller shard is padded to it."""
 Engine = Literal["host", "compiled"]
+OWN = "own"
+"""Actuation that a trainset declares itself."""
+ActuationPair = tuple[float, float]
 DRAWN = tuple(name for name, spec in field_specs(Disturbance).items() if spec.range is not None)
 """Fields of a run's disturbance that a campaign may set or draw."""
 MEASURED = ("speed_noise_mps",)
@@ -49,6 +52,8 @@ class DisturbanceCase:
         restriction: A temporary speed restriction: from and to as shares of the section, limit in km/h, and
             when it is announced as a share of the scheduled time (None: before departure).
         arrival: A new running time over the scheduled one, and when it is announced as a share of that.
+        actuation: Dead time and lag that the trainset declares instead of its own, s: no disturbance to the
+            driver, who knows them.
     """
 
     name: str
@@ -56,6 +61,7 @@ class DisturbanceCase:
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     restriction: tuple[float, float, float, float | None] | None = None
     arrival: tuple[float, float] | None = None
+    actuation: ActuationPair | None = None
 
     @property
     def plant_is_nominal(self) -> bool:
@@ -72,11 +78,12 @@ class CampaignCase(NamedTuple):
         line: Line, with ``origin`` and ``destination``.
         origin: Station code.
         destination: Station code.
-        trainset: Trainset.
+        trainset: Trainset, with the actuation it declares instead of its own, if any (``ID@DELAY,LAG``).
         load: Load aboard.
         time: ``planned``, or the scheduled time over the minimum running time.
         disturbance: Disturbance of the run.
         number: Number of the seed.
+        period_s: Control period.
     """
 
     row: int
@@ -89,6 +96,7 @@ class CampaignCase(NamedTuple):
     time: float | str
     disturbance: DisturbanceCase
     number: int
+    period_s: float
 
 
 class Piece(NamedTuple):
@@ -101,6 +109,17 @@ class Piece(NamedTuple):
 
     driver: str
     chunk: int
+
+
+AXES = ("sections", "trainsets and loads", "times", "control periods", "disturbances", "seeds", "actuations")
+"""Axes of a matrix after the drivers, in words."""
+
+
+def declare_actuation(trainset: str, actuation: ActuationPair | None) -> str:
+    """Key of a trainset that declares another dead time and lag than its own; None: its own."""
+    if actuation is None:
+        return trainset
+    return str(parse_trainset(trainset)._replace(actuation=actuation))
 
 
 @dataclass(frozen=True)
@@ -118,6 +137,10 @@ class Campaign:
         first_seed: Base of all seeds.
         objective: Energy the optimum minimises.
         dt_s: Control period.
+        actuations: Dead times and lags, s, that each trainset declares instead of its own; None: its own.
+        periods: Control periods, each driven; empty: ``dt_s`` alone.
+        sample: Number of combinations of section, trainset, time, period, disturbance and seed drawn from the
+            matrix, each with every driver and every actuation; None: all of them.
         engine: ``host`` drives each run by itself, exactly as ``metropilot drive``; ``compiled`` drives
             those of learned policies on the nominal plant in batches.
     """
@@ -133,22 +156,43 @@ class Campaign:
     objective: Objective = "wheel"
     dt_s: float = CONTROL_PERIOD_S
     engine: Engine = "host"
+    actuations: tuple[ActuationPair | None, ...] = (None,)
+    periods: tuple[float, ...] = ()
+    sample: int | None = None
+
+    @property
+    def periods_s(self) -> tuple[float, ...]:
+        """Control periods."""
+        return self.periods or (self.dt_s,)
 
     @property
     def axes(self) -> tuple[int, ...]:
-        """Numbers of drivers, sections, trainsets, times, disturbances, seeds; the last vary fastest."""
-        lists = (self.drivers, self.sections, self.trainsets, self.times, self.disturbances)
-        return (*(len(axis) for axis in lists), self.seeds)
+        """Numbers of drivers and of each axis of :data:`AXES`; the last vary fastest."""
+        lists = (self.drivers, self.sections, self.trainsets, self.times, self.periods_s, self.disturbances)
+        return (*(len(axis) for axis in lists), self.seeds, len(self.actuations))
+
+    @property
+    def drawn(self) -> int:
+        """Number of combinations driven, each with every driver and every actuation."""
+        whole = prod(self.axes[1:-1])
+        return whole if self.sample is None else min(self.sample, whole)
 
     @property
     def cells(self) -> int:
         """Number of runs of one driver."""
-        return prod(self.axes[1:])
+        return self.drawn * len(self.actuations)
 
     @property
     def rows(self) -> int:
         """Number of runs."""
-        return prod(self.axes)
+        return len(self.drivers) * self.cells
+
+    @property
+    def trainset_keys(self) -> tuple[tuple[str, str], ...]:
+        """Trainset and load of each, with every actuation that it declares in this campaign."""
+        told = (*self.actuations, *(item.actuation for item in self.disturbances))
+        pairs = product(self.trainsets, dict.fromkeys(told))
+        return tuple((declare_actuation(name, late), load) for (name, load), late in pairs)
 
     def is_compiled(self, driver: str, disturbance: DisturbanceCase, trainset: tuple[str, str]) -> bool:
         """True if runs of a driver are driven as compiled batches.
@@ -163,6 +207,7 @@ class Campaign:
         kind = DRIVERS.get(parse_driver(driver)[0])
         if (
             self.engine != "compiled"
+            or self.periods
             or not issubclass(kind, AbstractPolicyDriver)
             or not disturbance.plant_is_nominal
         ):
@@ -171,7 +216,7 @@ class Campaign:
 
     def shard_rows(self, driver: str) -> int:
         """Number of rows in a shard of a driver; depends on driver and matrix only."""
-        pairs = product(self.disturbances, self.trainsets)
+        pairs = product(self.disturbances, self.trainset_keys)
         if any(self.is_compiled(driver, disturbance, trainset) for disturbance, trainset in pairs):
             return BATCH
         return min(max(-(-self.cells // SHARDS), 1), LARGEST_SHARD)
@@ -189,28 +234,76 @@ class Campaign:
 
     def case(self, row: int) -> CampaignCase:
         """The cell of a row."""
-        driver, section, trainset, time, disturbance, number = (
-            int(k) for k in np.unravel_index(row, self.axes)
-        )
+        driver, cell = divmod(row, self.cells)
+        combination, actuation = divmod(cell, len(self.actuations))
+        if self.drawn < prod(self.axes[1:-1]):
+            lines = tuple(line for line, _, _ in self.sections)
+            drawn = sample_combinations(lines, self.axes[1:-1], self.drawn, self.first_seed)
+            index = drawn[combination]
+        else:
+            index = np.unravel_index(combination, self.axes[1:-1])
+        section, trainset, time, period, disturbance, number = (int(k) for k in index)
+        (name, load), told = self.trainsets[trainset], self.disturbances[disturbance]
+        late = self.actuations[actuation] if told.actuation is None else told.actuation
         return CampaignCase(
             row,
             self.drivers[driver],
             *self.sections[section],
-            *self.trainsets[trainset],
+            declare_actuation(name, late),
+            load,
             self.times[time],
-            self.disturbances[disturbance],
+            told,
             number,
+            self.periods_s[period],
         )
 
     @property
     def text(self) -> str:
-        """The whole campaign as JSON, keys sorted."""
-        return json.dumps(asdict(self), sort_keys=True)
+        """The whole campaign as JSON, keys sorted; fields of later versions only where they say something."""
+        values = asdict(self)
+        for name, default in {"actuations": (None,), "periods": (), "sample": None}.items():
+            if values[name] == default:
+                del values[name]
+        for disturbance in values["disturbances"]:
+            if disturbance["actuation"] is None:
+                del disturbance["actuation"]
+        return json.dumps(values, sort_keys=True)
 
     @property
     def digest(self) -> str:
         """Identifier of the campaign: the same for the same cells, whatever the drivers."""
         return sha256(replace(self, drivers=()).text.encode()).hexdigest()[:16]
+
+
+@lru_cache(maxsize=8)
+def sample_combinations(
+    lines: tuple[str, ...], axes: tuple[int, ...], count: int, seed: int
+) -> tuple[tuple[int, ...], ...]:
+    """Combinations of a sample as indices into section, trainset, time, period, disturbance and seed.
+
+    Each value of an axis comes equally often, as far as the numbers allow: sections line by line.
+
+    Args:
+        lines: Line of each section.
+        axes: Size of each axis.
+        count: Number of combinations, all different; less than there are.
+        seed: Seed of the sample.
+    """
+    random = np.random.default_rng([seed, count])
+    by_line = [np.flatnonzero(np.array(lines) == line) for line in dict.fromkeys(lines)]
+    columns = [_in_turn([random.permutation(group) for group in by_line], count)]
+    columns += [_in_turn([random.permutation(size)], count) for size in axes[1:]]
+    shuffled = np.stack([random.permutation(column) for column in columns], axis=1)
+    found = dict.fromkeys(tuple(row) for row in shuffled.tolist())
+    while len(found) < count:
+        found.setdefault(tuple(int(random.integers(size)) for size in axes))
+    return tuple(found)
+
+
+def _in_turn(groups: list[np.ndarray], count: int) -> np.ndarray:
+    """Values from each group in turn, each group from its beginning again."""
+    chosen = (groups[k % len(groups)] for k in range(count))
+    return np.array([group[k // len(groups) % group.size] for k, group in enumerate(chosen)])
 
 
 def from_text(text: str) -> Campaign:
@@ -225,9 +318,12 @@ def from_text(text: str) -> Campaign:
 
 
 def seed_of(campaign: Campaign, case: CampaignCase) -> int:
-    """The seed of a row, from everything that identifies it but the driver."""
-    cell = case._replace(row=0, driver="", disturbance=DisturbanceCase(case.disturbance.name))
-    text = json.dumps([campaign.first_seed, cell._asdict()], sort_keys=True, default=lambda d: d.name)
+    """The seed of a row, from everything that identifies it but driver, declared actuation and period."""
+    name = str(parse_trainset(case.trainset)._replace(actuation=None))
+    told = DisturbanceCase(case.disturbance.name)
+    cell = case._replace(row=0, driver="", trainset=name, disturbance=told)._asdict()
+    del cell["period_s"]
+    text = json.dumps([campaign.first_seed, cell], sort_keys=True, default=lambda d: d.name)
     return int.from_bytes(sha256(text.encode()).digest()[:8], "big") >> 1
 
 
@@ -279,7 +375,7 @@ def case_request(campaign: Campaign, case: CampaignCase, scheduled_s: float, len
         disturbance=Disturbance(ideal=told.ideal, updates=tuple(updates), **draw_disturbance(told, seed)),
         restrictions=tuple(known),
         objective=campaign.objective,
-        dt_s=campaign.dt_s,
+        dt_s=case.period_s,
         seed=seed,
     )
 

@@ -10,8 +10,9 @@ from typing import Any
 
 from metropilot._io import atomic_write
 from metropilot._provenance import provenance
-from metropilot.campaign.page import POSSIBLE, open_database, query_rows
+from metropilot.campaign.page import POSSIBLE, matrix_words, open_database, query_rows
 from metropilot.campaign.store import stored_campaign
+from metropilot.campaign.trainsets_page import trainset_sections
 
 DASH = "–"
 LEGEND = """\
@@ -21,6 +22,8 @@ wheel above the certified optimum of the true plant for the running time achieve
 and the sum of command changes (Huang25's index, median). *Intervened*: runs in which protection intervened.
 *Failed*: the driver ended with an error. Ordered by runs on time, then by the gap.
 """
+NAMED = 12
+"""Trainsets that are named one by one in the head."""
 BY_SECTION = f"""
     SELECT origin || '-' || destination AS section, driver, median(optimality_gap_percent) AS gap,
         count(*) FILTER (success AND {POSSIBLE}) AS hits, count(*) FILTER ({POSSIBLE}) AS possible
@@ -59,6 +62,8 @@ def leaderboard(folder: Path, summary: Mapping[str, Any], seconds: float, comman
     )
     sections = len(campaign.sections)
     trainsets = ", ".join(f"{name} {load}" for name, load in campaign.trainsets)
+    if len(campaign.trainsets) > NAMED:
+        trainsets = f"{len({name for name, _ in campaign.trainsets})} trainsets ({matrix_words(campaign)})"
     lines = [f"# {campaign.name[:1].upper()}{campaign.name[1:]}", ""]
     compared = f"{len(campaign.drivers)} drivers on {sections} sections with {trainsets}"
     lines += [f"This page compares {compared}, all under protection.", ""]
@@ -72,7 +77,8 @@ def leaderboard(folder: Path, summary: Mapping[str, Any], seconds: float, comman
         lines += [f"## {disturbance.name[:1].upper()}{disturbance.name[1:]}", ""]
         lines += [f"{ranges}.", ""] if ranges else []
         lines += [*_table(rows), ""]
-    lines += _by_section(folder, campaign.disturbances[0].name)
+    about_trainsets = trainset_sections(folder, campaign)
+    lines += about_trainsets or _by_section(folder, campaign.disturbances[0].name)
     lines += _failures(summary["worst"])
     return "\n".join(lines).rstrip() + "\n"
 

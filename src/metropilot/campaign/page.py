@@ -5,12 +5,13 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from metropilot._io import atomic_write
-from metropilot.campaign.declared import Campaign
-from metropilot.campaign.rows import FAILED, INFEASIBLE
+from metropilot.campaign.declared import AXES, Campaign
+from metropilot.campaign.rows import FAILED, INFEASIBLE, RESULTS, TIMINGS
 from metropilot.campaign.store import PARTS_FOLDER, TIMINGS_FOLDER, CampaignStore, stored_campaign
 from metropilot.campaign.worst import drive_worst, worst_table
 from metropilot.errors import InputError
@@ -78,7 +79,11 @@ def _parts(folder: Path, kind: str) -> str:
     quoted = [name.replace("'", "''") for name in campaign.drivers]
     names = ", ".join(f"'{name}'" for name in quoted)
     parts = str(folder / kind / "*" / "*.parquet").replace("'", "''")
+    columns = RESULTS if kind == PARTS_FOLDER else TIMINGS
+    # parts of an earlier version lack the columns of a later one
+    whole = ", ".join(f"NULL::{sql} AS {name}" for name, sql in {"row": "BIGINT", **columns}.items())
     return (
+        f"SELECT {whole} WHERE false UNION ALL BY NAME "
         f"SELECT (list_position([{names}], driver) - 1) * {campaign.cells} + cell AS row, * "
         f"FROM read_parquet('{parts}', union_by_name=true) WHERE driver IN ({names})"
     )
@@ -258,8 +263,7 @@ def write_campaign_report(folder: Path, summary: Mapping[str, Any], about: Mappi
 
 
 def _head(campaign: Campaign, summary: Mapping[str, Any], about: Mapping[str, str]) -> str:
-    axes = ("drivers", "sections", "trainsets and loads", "times", "disturbances", "seeds")
-    matrix = " × ".join(f"{count} {name}" for count, name in zip(campaign.axes, axes, strict=True))
+    matrix = matrix_words(campaign)
     lines = [f"{summary['done']} of {summary['rows']} runs: {matrix}."]
     cost = summary["cost"]
     if cost:
@@ -270,6 +274,19 @@ def _head(campaign: Campaign, summary: Mapping[str, Any], about: Mapping[str, st
     lines.append(f"Checksum of the results: <code>{summary['checksum']}</code>.")
     lines += [f"{escape(name)}: {escape(text)}." for name, text in about.items()]
     return "".join(f"<p>{line}</p>" for line in lines)
+
+
+def matrix_words(campaign: Campaign) -> str:
+    """The matrix of a campaign in words: its axes with their sizes, and the sample if there is one."""
+    sizes = zip(("drivers", *AXES), campaign.axes, strict=True)
+    words = " × ".join(f"{count} {name}" for name, count in sizes if count > 1 or name not in SINGLE)
+    if campaign.cells < prod(campaign.axes[1:]):
+        words += f", a sample of {campaign.drawn} combinations with every driver and actuation"
+    return words
+
+
+SINGLE = ("control periods", "actuations")
+"""Axes that most campaigns do not have."""
 
 
 def _legend() -> str:

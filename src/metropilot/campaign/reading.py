@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from metropilot._io import read_text
 from metropilot._schema import field_specs
-from metropilot.campaign.declared import DRAWN, Campaign, DisturbanceCase
+from metropilot.campaign.declared import DRAWN, OWN, Campaign, DisturbanceCase
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError, rename_fields
 from metropilot.evaluate import is_file, make_driver, run_fields
@@ -51,12 +51,27 @@ class _Disturbance(_Ranges):
     ideal: bool = False
     restriction: _Restriction | None = None
     arrival: _Arrival | None = None
+    actuation: tuple[Annotated[float, Field(ge=0, le=5)], Annotated[float, Field(ge=0, le=5)]] | None = None
+
+
+class _Drawn(_Strict):
+    drawn: Annotated[int, Field(ge=1, le=10**6)]
+    seed: Annotated[int, Field(ge=0, lt=10**9)] = 0
+
+
+Seconds = Annotated[float, Field(ge=0, le=5)]
+Late = tuple[Seconds, Seconds]
+LEAST, MOST = "least", "most"
+"""The lightest and the heaviest load of any trainset."""
 
 
 class _Matrix(_Strict):
     drivers: Annotated[list[str], Field(min_length=1)] | Literal["all"]
     sections: Annotated[list[str], Field(min_length=1)]
-    trainsets: Annotated[list[str], Field(min_length=1)] = ["dkz32"]
+    trainsets: Annotated[list[str | _Drawn], Field(min_length=1)] | _Drawn = ["dkz32"]
+    actuation: Annotated[list[Literal["own"] | Late], Field(min_length=1)] = ["own"]
+    periods: Annotated[list[float], Field(min_length=1)] | None = None
+    sample: Annotated[int, Field(ge=1, le=10**9)] | None = None
     loads: Annotated[list[str], Field(min_length=1)] | Literal["all"] = "all"
     times: Annotated[list[Literal["planned"] | Annotated[float, Field(ge=1, le=10)]], Field(min_length=1)] = [
         "planned"
@@ -92,6 +107,7 @@ def campaign_from_toml(path: Path) -> Campaign:
         raise _input_error(path, error) from None
     with rename_fields({"dt_s": "dt_s"}, path):
         run_fields()["dt_s"].check("dt_s", found.dt_s)
+    periods = _periods(path, found)
     names = [item.name for item in found.disturbance]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
@@ -106,13 +122,28 @@ def campaign_from_toml(path: Path) -> Campaign:
         seeds=found.matrix.seeds,
         first_seed=found.matrix.first_seed,
         objective=found.objective,
-        dt_s=found.dt_s,
+        dt_s=periods[0],
         engine=found.engine,
+        actuations=tuple(None if late == OWN else late for late in _once(found.matrix.actuation)),
+        periods=periods if len(periods) > 1 else (),
+        sample=found.matrix.sample,
     )
     if not campaign.rows:
         empty = next(name for name, values in vars(campaign).items() if values == ())
         raise InputError("nothing to drive: the list is empty", file=path, field=empty)
     return campaign
+
+
+def _periods(path: Path, found: _File) -> tuple[float, ...]:
+    """Control periods of the matrix, or the one of the campaign."""
+    if found.matrix.periods is None:
+        return (found.dt_s,)
+    if "dt_s" in found.model_fields_set:
+        raise InputError("excludes matrix.periods", file=path, field="dt_s", value=found.dt_s)
+    with rename_fields({"dt_s": "matrix.periods"}, path):
+        for period in found.matrix.periods:
+            run_fields()["dt_s"].check("dt_s", period)
+    return _once(found.matrix.periods)
 
 
 def _input_error(path: Path, error: ValidationError) -> InputError:
@@ -173,14 +204,24 @@ def _words(path: Path, text: str) -> list[str]:
     return words
 
 
-def _trainsets(path: Path, wanted: list[str], loads: list[str] | str) -> tuple[tuple[str, str], ...]:
+def _trainsets(
+    path: Path, wanted: list[str | _Drawn] | _Drawn, loads: list[str] | str
+) -> tuple[tuple[str, str], ...]:
+    """Trainset and load of each; ``least`` and ``most`` are the lightest and the heaviest of a trainset."""
+    names: list[str] = []
+    for item in wanted if isinstance(wanted, list) else [wanted]:
+        numbers = range(1, item.drawn + 1) if isinstance(item, _Drawn) else ()
+        names += [item] if isinstance(item, str) else [f"drawn-{item.seed}-{k}" for k in numbers]
     found = []
-    for name in wanted:
+    for name in names:
         place = _place(path, name)
         try:
             trainset = load_trainset(place)
-            named = list(trainset.loads) if isinstance(loads, str) else loads
-            found += [(place, trainset.with_load(load).load) for load in named]
+            masses = trainset.loads
+            ends = {LEAST: min(masses, key=masses.__getitem__), MOST: max(masses, key=masses.__getitem__)}
+            named = list(masses) if isinstance(loads, str) else loads
+            told = [load if load in masses else ends.get(load, load) for load in named]
+            found += [(place, trainset.with_load(load).load) for load in told]
         except InputError as error:
             raise _at(path, "matrix.trainsets", error) from None
     return _once(found)
@@ -207,6 +248,9 @@ def _disturbance(path: Path, item: _Disturbance) -> DisturbanceCase:
         if low > high:
             raise InputError("ends before it begins", file=path, field=field, value=f"{low:g} to {high:g}")
         ranges[name] = (float(low), float(high))
+    if item.ideal and item.actuation is not None:
+        field = f"disturbance {item.name}.actuation"
+        raise InputError("excludes ideal actuation", file=path, field=field, value=str(item.actuation))
     limit, arrival = item.restriction, item.arrival
     if limit is not None and limit.start >= limit.end:
         raise InputError("ends before it begins", file=path, field=f"disturbance {item.name}.restriction")
@@ -216,6 +260,7 @@ def _disturbance(path: Path, item: _Disturbance) -> DisturbanceCase:
         ranges=ranges,
         restriction=None if limit is None else (limit.start, limit.end, limit.kmh, limit.announced),
         arrival=None if arrival is None else (arrival.factor, arrival.announced),
+        actuation=item.actuation,
     )
 
 
@@ -232,12 +277,13 @@ def shipped_campaigns() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
 
 
-def read_campaign(name_or_path: str, drivers: str | None = None) -> Campaign:
+def read_campaign(name_or_path: str, drivers: str | None = None, sample: int | None = None) -> Campaign:
     """A campaign by the name of one that ships, or by its file.
 
     Args:
         name_or_path: Name of a campaign that ships, or path of a TOML file.
         drivers: Drivers to run instead of the file's own, separated by commas.
+        sample: Size of the sample instead of the file's own; 0: the whole matrix.
 
     Raises:
         InputError: No such campaign, or something in it cannot be used.
@@ -250,6 +296,10 @@ def read_campaign(name_or_path: str, drivers: str | None = None) -> Campaign:
         allowed = f"a TOML file, or one of {', '.join(shipped_campaigns())}"
         raise InputError("no such campaign", field="campaign", value=name_or_path, allowed=allowed)
     campaign = campaign_from_toml(path)
+    if sample is not None:
+        if sample < 0:
+            raise InputError("out of range", field="sample", value=sample, allowed=">= 0")
+        campaign = replace(campaign, sample=sample or None)
     if drivers is None:
         return campaign
     names = tuple(dict.fromkeys(word.strip() for word in drivers.split(",") if word.strip()))

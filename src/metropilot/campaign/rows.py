@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 from metropilot.campaign.declared import (
     DRAWN,
+    OWN,
     PLANNED,
     Campaign,
     CampaignCase,
@@ -35,7 +36,7 @@ from metropilot.evaluate import (
     optimum_of,
 )
 from metropilot.planning import Objective, Plan, PlanOptions, minimum_running_time, optimal_plan
-from metropilot.railway import Section, Trainset, load_line, load_trainset
+from metropilot.railway import Section, Trainset, load_line, load_trainset, parse_trainset
 from metropilot.sim import Drive, Run, drive
 
 STEP = 0.02
@@ -121,6 +122,8 @@ class Curves:
 
 
 WORDS = ("driver", "line", "origin", "destination", "trainset", "load", "time", "disturbance")
+PLANT = ("period_s", "trainset_delay_s", "trainset_lag_s")
+"""Control period, and dead time and lag that the trainset declares."""
 NUMBERS = (
     "minimum_running_time_s",
     "running_time_s",
@@ -142,6 +145,8 @@ TRUTHS = ("safe", "punctual")
 RESULTS: Mapping[str, str] = {
     "cell": "BIGINT",
     **dict.fromkeys(WORDS, "VARCHAR"),
+    "actuation": "VARCHAR",
+    **dict.fromkeys(PLANT, "DOUBLE"),
     "number": "INTEGER",
     "seed": "BIGINT",
     "length_m": "DOUBLE",
@@ -237,7 +242,10 @@ def new_result(campaign: Campaign, case: CampaignCase) -> tuple[dict[str, Any], 
     """Result and timing of a row before its run: the cell only."""
     cell = case.row % campaign.cells
     result: dict[str, Any] = {name: str(getattr(case, name)) for name in WORDS[:-1]}
+    key = parse_trainset(case.trainset)
+    late = OWN if key.actuation is None else "{:g} s, {:g} s".format(*key.actuation)
     result |= {"cell": cell, "disturbance": case.disturbance.name, "number": case.number}
+    result |= {"trainset": str(key._replace(actuation=None)), "actuation": late, "period_s": case.period_s}
     return result | {"success": False, "engine": "host"}, {"cell": cell, "driver": case.driver}
 
 
@@ -261,7 +269,10 @@ def prepare_run(campaign: Campaign, case: CampaignCase, result: dict[str, Any]) 
     request = case_request(campaign, case, scheduled, section.length_m)
     result |= {"seed": request.seed, "length_m": section.length_m, "scheduled_time_s": scheduled}
     result |= {name: value for name in DRAWN if (value := getattr(request.disturbance, name)) != float("inf")}
-    return request, request.run(fastest_s(*case[2:7]))
+    run = request.run(fastest_s(*case[2:7]))
+    declared = run.disturbance.nominal(run.trainset).actuation
+    result |= {"trainset_delay_s": declared.delay_s, "trainset_lag_s": declared.lag_s}
+    return request, run
 
 
 def add_kpis(campaign: Campaign, driven: Drive, optimum: Optimum | None, result: dict[str, Any]) -> Kpis:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 WORST = "worst"
 DASH = "–"
-NAMES = ("driver", "from", "to", "load", "time", "disturbance", "outcome")
+NAMES = ("driver", "from", "to", "trainset", "load", "actuation", "time", "disturbance", "outcome")
 NUMBERS = {"time error s": "time_error_s", "stop m": "stopping_error_m", "gap %": "optimality_gap_percent"}
 WIDTH_IN, HEIGHT_IN = 5.6, 2.5
 
@@ -103,8 +103,8 @@ def worst_table(worst: Sequence[Mapping[str, Any]], again: Sequence[Again]) -> s
     heads = "".join(f"<th class='text'>{name}</th>" for name in ("", *NAMES, *NUMBERS, "drive it again"))
     lines, pictures = [], []
     for place, (row, found) in enumerate(zip(worst, again, strict=True), 1):
-        keys = ("driver", "origin", "destination", "load", "time", "disturbance", "outcome")
-        words = [str(place), *(str(row[key]) for key in keys)]
+        keys = ("driver", "origin", "destination", "trainset", "load", "actuation", "time")
+        words = [str(place), *(str(row[key] or DASH) for key in (*keys, "disturbance", "outcome"))]
         if row["error"]:
             words[-1] = f"{words[-1]}: {row['error']}"
         numbers = [row[name] for name in NUMBERS.values()]

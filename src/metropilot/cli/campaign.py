@@ -23,6 +23,7 @@ EXAMPLES = {
         "metropilot campaign robustness.toml --workers 2 --json",
         "metropilot campaign robustness.toml --cluster local --workers 2",
         "metropilot campaign leaderboard --write-docs docs/leaderboard.md",
+        "metropilot campaign trainsets --sample 400 --out trainsets",
     ),
 }
 SAY_EVERY_S = 5.0
@@ -41,6 +42,10 @@ def campaign_command(
     ] = None,
     drivers: Annotated[
         str | None, typer.Option(help="Drivers instead of the file's own, separated by commas.")
+    ] = None,
+    sample: Annotated[
+        int | None,
+        typer.Option(min=0, help="Size of the sample instead of the file's own; 0: the whole matrix."),
     ] = None,
     write_docs: Annotated[
         Path | None, typer.Option(metavar="PAGE.md", help="Also write the page of the documentation.")
@@ -61,7 +66,7 @@ def campaign_command(
         write_leaderboard,
     )
 
-    campaign = read_campaign(file, drivers)
+    campaign = read_campaign(file, drivers, sample)
     folder = out or Path("campaigns") / Path(file).stem
     if write_docs is not None and write_docs.suffix != ".md":
         raise InputError(
@@ -74,7 +79,9 @@ def campaign_command(
     summary |= call_summary(progress, workers, cluster)
     write_campaign_report(folder, summary, circumstances(progress, workers, cluster))
     if write_docs is not None:
-        write_leaderboard(write_docs, folder, summary, perf_counter() - began, f"metropilot campaign {file}")
+        write_leaderboard(
+            write_docs, folder, summary, perf_counter() - began, campaign_line(file, drivers, sample)
+        )
     if as_json:
         print_json(summary)
     else:
@@ -83,6 +90,14 @@ def campaign_command(
         row["successes"] == row["possible"] and row["safe"] == row["driven"] for row in summary["drivers"]
     ]
     return 0 if all(good) else 1
+
+
+def campaign_line(file: str, drivers: str | None, sample: int | None) -> str:
+    """The command line, as a page quotes it."""
+    told = ("" if drivers is None else f" --drivers {drivers}") + (
+        "" if sample is None else f" --sample {sample}"
+    )
+    return f"metropilot campaign {file}{told}"
 
 
 class _Saying:
