@@ -300,8 +300,8 @@ GUARDS = (
         "gradient in the braking curve",
         "H7",
         CURVES,
-        "rate = bounds.emergency_mps2 - sliding_max(field.pull_mps2, before, 1)[:-1]",
-        "rate = bounds.emergency_mps2 + 0.0 * sliding_max(field.pull_mps2, before, 1)[:-1]",
+        "rate = rate_mps2 - sliding_max(field.pull_mps2, before, 1)[:-1]",
+        "rate = rate_mps2 + 0.0 * sliding_max(field.pull_mps2, before, 1)[:-1]",
         ("test_curves.py::test_emergency_curve_is_the_braking_parabola",),
     ),
     Guard(
@@ -372,8 +372,8 @@ GUARDS = (
         "release speed at the end of the authority behind a stop",
         "H9",
         CURVES,
-        "emergency_curve(field._replace(ceiling_mps=np.minimum(field.ceiling_mps, most[1:])))",
-        "emergency_curve(field)",
+        "field._replace(ceiling_mps=np.minimum(field.ceiling_mps, most[1:]))",
+        "field",
         ("test_curves.py::test_the_curves_lead_to_the_release_speed_at_the_end_of_the_authority",),
     ),
     Guard(
@@ -396,8 +396,8 @@ GUARDS = (
         "rounding of the number type",
         "H10",
         CURVES,
-        "np.maximum(_emergency_curve(field, bounds, before) - rounding, 0.0)",
-        "np.maximum(_emergency_curve(field, bounds, before), 0.0)",
+        "np.maximum(_emergency_curve(field, bounds, rate_mps2, before) - rounding, 0.0)",
+        "np.maximum(_emergency_curve(field, bounds, rate_mps2, before), 0.0)",
         ("test_curves.py::test_curves_keep_clear_of_their_number_types_rounding",),
     ),
     Guard(

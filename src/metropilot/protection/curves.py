@@ -106,16 +106,20 @@ def _protect(
     usual_pull = sliding_max(field.usual_pull_mps2, 0, int(np.ceil(top * usual.reaction_s / spacing_m)))
     rounding = 16.0 * float(np.finfo(dtype).eps) * (np.abs(field.node_m[[0, -1]]).sum() + 0.5 * top * top)
 
-    def emergency_curve(field: TrackGrid) -> ndarray:
-        return np.maximum(_emergency_curve(field, bounds, before) - rounding, 0.0)
+    def emergency_curve(field: TrackGrid, rate_mps2: float) -> ndarray:
+        return np.maximum(_emergency_curve(field, bounds, rate_mps2, before) - rounding, 0.0)
 
-    permitted = _permitted_curve(field, vehicle, rates, bounds, emergency_curve(field), pull, ahead)
+    emergency = emergency_curve(field, bounds.emergency_mps2)
+    permitted = _permitted_curve(field, vehicle, rates, bounds, emergency, pull, ahead)
     service = _service_curve(field, vehicle, usual, permitted, _over(rates, bounds))
     # Permitted speed and service curve are those of the line: drivers brake to the stop by laws of their own,
     # with all that the service brake has. Only the emergency brake looks after the end behind the stop.
     most = np.where(field.node_m > end.position_m, end.release_mps, np.inf)
     most = np.where(field.node_m > end.last_m, 0.0, most)
-    emergency = emergency_curve(field._replace(ceiling_mps=np.minimum(field.ceiling_mps, most[1:])))
+    released = field._replace(ceiling_mps=np.minimum(field.ceiling_mps, most[1:]))
+    # A trainset may be guaranteed a weaker emergency brake than the service brake it stops with.
+    able = float(effort_at(vehicle, np.linspace(0.0, top, 64)).brake_n.max() / vehicle.effective_mass_kg)
+    emergency = np.minimum(emergency, emergency_curve(released, max(bounds.emergency_mps2, able)))
     size = padded_size(permitted.size + ahead + 2, NODES)
     arrays = {
         "authority_m": end.position_m,
@@ -225,10 +229,10 @@ def _over(rates: Rates, bounds: Bounds) -> float:
     return SERVICE_OVER_MPS2 * float(rates.reaction_s) + late + bounds.speed_error_mps
 
 
-def _emergency_curve(field: TrackGrid, bounds: Bounds, before: int) -> ndarray:
-    """Backward from the limits with the guaranteed rate on the worst gradient; the map's end is a stop."""
+def _emergency_curve(field: TrackGrid, bounds: Bounds, rate_mps2: float, before: int) -> ndarray:
+    """Backward from the limits with a braking rate on the worst gradient; the map's end is a stop."""
     spacing = field.node_m[1] - field.node_m[0]
-    rate = bounds.emergency_mps2 - sliding_max(field.pull_mps2, before, 1)[:-1]
+    rate = rate_mps2 - sliding_max(field.pull_mps2, before, 1)[:-1]
     ceiling = field.ceiling_mps
     limit = 0.5 * np.minimum(np.append(ceiling[0], ceiling), np.append(ceiling, 0.0)) ** 2
     curve = np.zeros_like(limit)
