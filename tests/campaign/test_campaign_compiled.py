@@ -8,8 +8,10 @@ from metropilot.campaign import Campaign, DisturbanceCase
 from metropilot.campaign.compiled import drive_batch
 from metropilot.campaign.declared import BATCH
 from metropilot.campaign.rows import RESULTS, EnergyCurve, drive_row, drive_shard, parquet
+from metropilot.evaluate import attainable_of, driving_limits
 from metropilot.planning import optimal_plan
 from metropilot.railway import load_line, load_trainset, write_trainset
+from metropilot.sim import Run
 
 MATRIX = Campaign(
     "both ways",
@@ -61,7 +63,10 @@ def test_a_compiled_row_is_the_row_of_the_host(driven):
             assert found[name] == pytest.approx(host[name], abs=room), (case, name)
         for name in ("energy_wheel_kwh", "energy_line_kwh"):
             assert found[name] == pytest.approx(host[name], rel=1e-5), (case, name)
-        assert found["optimal_energy_kwh"] == pytest.approx(host["optimal_energy_kwh"], rel=3e-4)
+        for name in ("optimal_energy_kwh", "attainable_energy_kwh"):
+            assert found[name] == pytest.approx(host[name], rel=5e-4), (case, name)
+        # between two solved times the looser of their bounds counts
+        assert 0.995 < found["attainable_bound_kwh"] / host["attainable_bound_kwh"] < 1.0005, case
         assert (found["engine"], host["engine"]) == ("compiled", "host")
 
 
@@ -146,9 +151,17 @@ def test_a_shard_of_both_engines_has_the_rows_of_each_in_their_order():
 @pytest.mark.parametrize("objective", ["wheel", "line"])
 def test_the_optimum_read_between_two_solved_ones_is_the_solved_one(objective):
     section, trainset = load_line("yizhuang").section("RJ", "WYJ"), load_trainset("dkz32", "AW2")
-    curve = EnergyCurve(section, trainset, objective)
+    limits = driving_limits(Run(section, trainset, 110.0), section)
+    curve = EnergyCurve(section, trainset, objective, limits)
     for ratio in (1.005, 1.03, 1.111, 1.35):
         time_s = ratio * curve.fastest_s
         solved = optimal_plan(section, trainset, time_s, curve.options)
-        assert curve.at(time_s).plan.energy_j == pytest.approx(solved.energy_j, rel=2e-4)
+        found = curve.at(time_s)
+        assert found.plan.energy_j == pytest.approx(solved.energy_j, rel=2e-4)
+        best = attainable_of(section, trainset, time_s, limits, solved, objective)
+        if best is None:
+            assert found.attainable is None
+            continue
+        assert found.attainable.energy_j == pytest.approx(best.energy_j, rel=1e-3)
+        assert found.attainable.bound_j == pytest.approx(best.bound_j, rel=5e-3)
     assert sorted(curve.knots) == [1, 2, 5, 6, 17, 18]

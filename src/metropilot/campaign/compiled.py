@@ -162,9 +162,9 @@ def drive_batch(
 def _optimum(campaign: Campaign, start: CompiledStart, drive: Drive) -> Optimum | None:
     """The optimum of a run, from the energy curve of its plant, which the seeds share."""
     place = start.setting.places[int(drive.section is start.setting.sections[1])]
-    plant = (place.section, place.trainset, campaign.objective)
+    plant = (place, campaign.objective)
     try:
-        curve = CURVES.get(plant, drive.section, drive.trainset, campaign.objective)
+        curve = CURVES.get(plant, drive.section, drive.trainset, campaign.objective, drive.run)
         arrived = drive.outcome is Outcome.ARRIVED
         return curve.at(drive.running_time_s if arrived else drive.scheduled_time_s)
     except Infeasible:

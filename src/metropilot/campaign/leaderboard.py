@@ -18,7 +18,9 @@ DASH = "–"
 LEGEND = """\
 *Safe*: never above a limit, never beyond the stop. *On time*: also arrived within 0.3 m and 3 s, out of the
 runs whose time the true plant could have kept with every restriction known in advance. *Gap*: energy at the
-wheel above the certified optimum of the true plant for the running time achieved. *Comfort*: largest jerk,
+wheel above the certified optimum of the true plant for the running time achieved. *Trainset*: the part of it
+that jerk limit, dead time and lag cost at best under the permitted speed; *driver*: energy above that
+[attainable optimum](planning.md#the-attainable-optimum). *Comfort*: largest jerk,
 and the sum of command changes (Huang25's index, median). *Intervened*: runs in which protection intervened.
 *Failed*: the driver ended with an error. Ordered by runs on time, then by the gap.
 """
@@ -97,6 +99,9 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             "gap median %",
             "95th %",
             "worst %",
+            "trainset median %",
+            "driver median %",
+            "worst %",
             "time error: median s",
             "worst s",
         ),
@@ -114,6 +119,9 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             _number(row["gap_median"], 2),
             _number(row["gap_95"], 1),
             _number(row["gap_worst"], 1),
+            _number(row["trainset_median"], 2),
+            _number(row["driver_median"], 2),
+            _number(row["driver_worst"], 1),
             _number(row["late_median_s"], 2),
             _number(row["late_worst_s"], 2),
             _number(row["stop_worst_m"], 3),

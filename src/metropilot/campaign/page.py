@@ -42,6 +42,9 @@ NUMBERS = f"""
     median(optimality_gap_percent) AS gap_median,
     quantile_cont(optimality_gap_percent, 0.95) AS gap_95,
     max(optimality_gap_percent) AS gap_worst,
+    median(trainset_gap_percent) AS trainset_median,
+    median(driver_gap_percent) AS driver_median,
+    max(driver_gap_percent) AS driver_worst,
     median(abs(time_error_s)) FILTER (outcome = 'arrived' AND {POSSIBLE}) AS late_median_s,
     max(abs(time_error_s)) FILTER (outcome = 'arrived' AND {POSSIBLE}) AS late_worst_s,
     max(abs(stopping_error_m)) FILTER (outcome = 'arrived') AS stop_worst_m,
@@ -293,7 +296,9 @@ def _legend() -> str:
     return (
         "<p>On time: arrived, safe and within 3 s, out of the runs whose time was possible, with the 95 % "
         "interval. Gap: energy over the certified optimum for the time achieved, median with its "
-        "95 % interval, 95th percentile and worst. Time and stop: error of the runs that arrived.</p>"
+        "95 % interval, 95th percentile and worst; of it trainset: what jerk limit, dead time and lag cost "
+        "at best under the permitted speed, driver: energy over that attainable optimum. Time and stop: "
+        "error of the runs that arrived.</p>"
     )
 
 
@@ -306,6 +311,9 @@ COLUMNS = (
     ("gap", "gap median %", 2),
     ("gap_95", "95 %", 1),
     ("gap_worst", "worst %", 1),
+    ("trainset_median", "trainset median %", 2),
+    ("driver_median", "driver median %", 2),
+    ("driver_worst", "driver worst %", 1),
     ("late_median_s", "time error median s", 2),
     ("late_worst_s", "worst s", 2),
     ("stop_worst_m", "stop worst m", 3),

@@ -24,13 +24,17 @@ SHOWN: tuple[tuple[str, str, float, int], ...] = (
     ("energy_wheel_kwh", "wheel kWh", 1.0, 2),
     ("energy_line_kwh", "line kWh", 1.0, 2),
     ("optimality_gap_percent", "optimum %", 1.0, 2),
+    ("trainset_gap_percent", "trainset %", 1.0, 2),
+    ("driver_gap_percent", "driver %", 1.0, 2),
     ("max_jerk_mps3", "jerk m/s³", 1.0, 2),
     ("comfort_huang2025", "Σ|Δu|", 1.0, 2),
     ("regime_switches", "switches", 1.0, 0),
     ("decision_time_us_median", "µs", 1.0, 0),
 )
-SPARE = ("µs", "switches", "Σ|Δu|", "line kWh", "stop cm")
+SPARE = ("µs", "switches", "Σ|Δu|", "line kWh", "trainset %", "stop cm")
 """Columns that may be left out on a narrow screen, in this order."""
+UNJUDGED = ("trainset_gap_percent",)
+"""Columns in which no driver is better than another."""
 MAX_SEEDS = 10_000
 EXAMPLES = {
     "compare": (
@@ -110,7 +114,7 @@ def report(request: RunSpec, entries: Sequence[Entry], seeds: int) -> None:
     known = request.resolve()
     where = f"{known.line} {known.origin} → {known.destination}, {known.trainset} {known.load}"
     title = f"{where}, scheduled {known.time_s:g} s" + (f", {seeds} seeds" if seeds > 1 else "")
-    winners = {name: best(entries, name) for name, *_ in SHOWN}
+    winners = {name: None if name in UNJUDGED else best(entries, name) for name, *_ in SHOWN}
     rows = []
     for entry in entries:
         cells = [_cell(entry, name, factor, digits, winners[name]) for name, _, factor, digits in SHOWN]
@@ -118,7 +122,10 @@ def report(request: RunSpec, entries: Sequence[Entry], seeds: int) -> None:
     columns = ["driver", "outcome", *(words for _, words, _, _ in SHOWN)]
     out = console()
     out.print(table(title, columns, rows, right=range(2, len(columns)), spare=SPARE))
-    legend = "time and stop: error; optimum: energy above it for the time achieved; µs: time of a decision"
+    legend = (
+        "time and stop: error; optimum: energy above it for the time achieved, of which trainset: by its "
+        "jerk limit, dead time and lag under protection, driver: the rest; µs: time of a decision"
+    )
     out.print(legend + ("; small: 95 % interval over the seeds" if seeds > 1 else ""), style="dim")
     if any(winners.values()):
         out.print("* best of those that always met every requirement", style="dim")

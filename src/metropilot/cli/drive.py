@@ -118,6 +118,7 @@ def rows(kpis: Kpis) -> list[tuple[str, str, str]]:
         ),
         (f"optimum {objective}", number(kpis.optimal_energy_kwh, 2, "kWh"), certificate),
         ("above the optimum", number(share, 2, "%"), "for the running time achieved"),
+        *attainable_rows(kpis),
         ("highest speed", number(KMH_PER_MPS * kpis.max_speed_mps, 1, "km/h"), ""),
         (
             "acceleration",
@@ -128,4 +129,16 @@ def rows(kpis: Kpis) -> list[tuple[str, str, str]]:
         ("sum of command changes", number(kpis.comfort_huang2025, 2), "comfort as in Huang25"),
         ("coasting", number(kpis.coasting_distance_m, 0, "m"), f"{kpis.regime_switches} changes of regime"),
         ("decision time", number(kpis.decision_time_us_median, 0, "µs"), "median"),
+    ]
+
+
+def attainable_rows(kpis: Kpis) -> list[tuple[str, str, str]]:
+    """Rows of what the trainset can attain, and of the gap split into trainset and driver."""
+    if kpis.attainable_energy_kwh is None:
+        return []
+    about = f"with jerk limit, dead time, lag and protection; at least {kpis.attainable_bound_kwh:.2f} kWh"
+    return [
+        ("attainable", number(kpis.attainable_energy_kwh, 2, "kWh"), about),
+        ("lost by the trainset", number(kpis.trainset_gap_percent, 2, "%"), "attainable above the optimum"),
+        ("lost by the driver", number(kpis.driver_gap_percent, 2, "%"), "this run above the attainable"),
     ]

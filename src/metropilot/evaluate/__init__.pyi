@@ -35,7 +35,10 @@ from .measures import command_variation as command_variation
 from .measures import max_jerk as max_jerk
 from .optimum import OPTIMUM_SPACING_M as OPTIMUM_SPACING_M
 from .optimum import OPTIMUM_TOLERANCE as OPTIMUM_TOLERANCE
+from .optimum import DrivingLimits as DrivingLimits
 from .optimum import Optimum as Optimum
+from .optimum import attainable_of as attainable_of
+from .optimum import driving_limits as driving_limits
 from .optimum import optimum_of as optimum_of
 from .picture import draw_speed as draw_speed
 from .picture import set_distance as set_distance

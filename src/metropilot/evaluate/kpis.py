@@ -115,6 +115,11 @@ class Kpis:
         bound_energy_kwh: The certificate: no drive of the convex problem needs less.
         certificate_gap_percent: Largest possible excess of the optimal plan over the true optimum.
         optimality_gap_percent: Excess of this drive over the optimal plan.
+        attainable_energy_kwh: Least such energy with the trainset's jerk limit, dead time and lag, under the
+            permitted speed.
+        attainable_bound_kwh: No drive within jerk limit and permitted speed needs less.
+        trainset_gap_percent: Excess of the attainable energy over the optimal plan.
+        driver_gap_percent: Excess of this drive over the attainable energy.
         max_overspeed_mps: Largest excess over the limit in force, 0 if none.
         interventions: Number of interventions of protection.
         max_speed_mps: Highest speed.
@@ -152,6 +157,10 @@ class Kpis:
     bound_energy_kwh: float | None
     certificate_gap_percent: float | None
     optimality_gap_percent: float | None
+    attainable_energy_kwh: float | None
+    attainable_bound_kwh: float | None
+    trainset_gap_percent: float | None
+    driver_gap_percent: float | None
     max_overspeed_mps: float
     interventions: int
     max_speed_mps: float
@@ -237,24 +246,39 @@ def kpis_of(drive: Drive, optimum: Optimum | None, objective: Objective = "wheel
     )
 
 
+AGAINST = (
+    "optimal_energy_kwh",
+    "bound_energy_kwh",
+    "certificate_gap_percent",
+    "optimality_gap_percent",
+    "attainable_energy_kwh",
+    "attainable_bound_kwh",
+    "trainset_gap_percent",
+    "driver_gap_percent",
+)
+
+
 def _against(drive: Drive, optimum: Optimum | None, objective: Objective) -> dict[str, float | None]:
     """The KPIs that need the optimum; None where the run did not arrive or has no plan."""
+    found: dict[str, float | None] = dict.fromkeys(AGAINST)
     if optimum is None or drive.outcome is not Outcome.ARRIVED:
-        names = (
-            "optimal_energy_kwh",
-            "bound_energy_kwh",
-            "certificate_gap_percent",
-            "optimality_gap_percent",
-        )
-        return dict.fromkeys(names)
-    t, plan = drive.trajectory, optimum.plan
+        return found
+    t, plan, attainable = drive.trajectory, optimum.plan, optimum.attainable
     used = float((t.energy_line_j if objective == "line" else t.energy_wheel_j)[-1])
-    return {
+    found |= {
         "optimal_energy_kwh": plan.energy_j / J_PER_KWH,
         "bound_energy_kwh": plan.bound_j / J_PER_KWH,
         "certificate_gap_percent": 100.0 * (plan.energy_j / plan.bound_j - 1.0),
         "optimality_gap_percent": 100.0 * (used / plan.energy_j - 1.0),
     }
+    if attainable is not None:
+        found |= {
+            "attainable_energy_kwh": attainable.energy_kwh,
+            "attainable_bound_kwh": attainable.bound_j / J_PER_KWH,
+            "trainset_gap_percent": 100.0 * (attainable.energy_j / plan.energy_j - 1.0),
+            "driver_gap_percent": 100.0 * (used / attainable.energy_j - 1.0),
+        }
+    return found
 
 
 class Check(NamedTuple):

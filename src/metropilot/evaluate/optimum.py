@@ -1,27 +1,74 @@
-"""Optimal plan of a run in hindsight."""
+"""Optimal plan of a run in hindsight, and what the actuation of its trainset leaves of it."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
 from metropilot.errors import Infeasible
-from metropilot.planning import Objective, Plan, PlanOptions, minimum_running_time, optimal_plan
-from metropilot.sim import Drive, Outcome
+from metropilot.physics import track_arrays, vehicle_arrays
+from metropilot.planning import (
+    Attainable,
+    Objective,
+    Plan,
+    PlanOptions,
+    attainable_plan,
+    minimum_running_time,
+    optimal_plan,
+)
+from metropilot.protection import permitted_speed, protect
+from metropilot.railway import Section, Trainset
+from metropilot.sim import Drive, Outcome, Run, declared_bounds
 
 OPTIMUM_TOLERANCE = 1e-4
 OPTIMUM_SPACING_M = 5.0
+CAP_SPACING_M = 1.0
 
 
 class Optimum(NamedTuple):
-    """The plan a drive is compared with.
+    """The plans a drive is compared with.
 
     Attributes:
-        plan: The optimal plan.
+        plan: The optimal plan of an ideal trainset.
         minimum_time_s: Running time of the flat-out run under the same limits.
+        attainable: The plan that knows jerk limit, dead time, lag and permitted speed; None if the run did
+            not arrive, or the actuation does not allow its running time.
     """
 
     plan: Plan
     minimum_time_s: float
+    attainable: Attainable | None = None
+
+
+class DrivingLimits(NamedTuple):
+    """What a drive is held to beyond the limits of line and trainset.
+
+    Attributes:
+        position_m: Positions. Shape (N,).
+        permitted_mps: Permitted speed of protection there. Shape (N,).
+        error_mps: Largest error of the measured speed.
+        dt: Control period, s.
+    """
+
+    position_m: Float[ndarray, " grid"]
+    permitted_mps: Float[ndarray, " grid"]
+    error_mps: float
+    dt: float
+
+
+def driving_limits(run: Run, section: Section) -> DrivingLimits:
+    """Permitted speed of a run's protection and its control period.
+
+    Args:
+        run: The run.
+        section: The section with every restriction announced.
+    """
+    guard = protect(section, run.disturbance.nominal(run.trainset), declared_bounds(run))
+    at = np.arange(0.0, section.length_m + CAP_SPACING_M, CAP_SPACING_M)
+    return DrivingLimits(at, permitted_speed(guard, at), float(guard.rates.speed_error_mps), run.dt)
 
 
 def optimum_of(drive: Drive, objective: Objective = "wheel") -> Optimum | None:
@@ -30,16 +77,61 @@ def optimum_of(drive: Drive, objective: Objective = "wheel") -> Optimum | None:
     It is computed in hindsight, for the true plant (mass and resistance of the disturbance) on the section
     with every restriction that was announced. Acceleration and deceleration limits hold;
     delay, lag and jerk limit do not, so the plan bounds every drive from below. A drive that did not arrive
-    is compared with the plan for its scheduled time.
+    is compared with the plan for its scheduled time. ``attainable`` is the second figure, which knows delay,
+    lag, jerk limit and permitted speed: see :func:`attainable_of`.
 
     Returns:
         None where no plan exists, not even at the minimum running time.
     """
     options = PlanOptions(objective=objective, spacing_m=OPTIMUM_SPACING_M)
+    arrived = drive.outcome is Outcome.ARRIVED
     try:
         fastest = minimum_running_time(drive.section, drive.trainset)
-        wanted = drive.running_time_s if drive.outcome is Outcome.ARRIVED else drive.scheduled_time_s
+        wanted = drive.running_time_s if arrived else drive.scheduled_time_s
         wanted = max(wanted, fastest * (1.0 + OPTIMUM_TOLERANCE))
-        return Optimum(optimal_plan(drive.section, drive.trainset, wanted, options), fastest)
+        plan = optimal_plan(drive.section, drive.trainset, wanted, options)
     except Infeasible:
         return None
+    if not arrived:
+        return Optimum(plan, fastest)
+    limits = driving_limits(drive.run, drive.section)
+    found = attainable_of(drive.section, drive.trainset, wanted, limits, plan, objective)
+    return Optimum(plan, fastest, found)
+
+
+def attainable_of(
+    section: Section,
+    trainset: Trainset,
+    time_s: float,
+    limits: DrivingLimits,
+    ideal: Plan,
+    objective: Objective = "wheel",
+) -> Attainable | None:
+    """Energy that the trainset needs for a running time with its actuation and under protection.
+
+    Args:
+        section: The section with every restriction announced.
+        trainset: True plant.
+        time_s: Running time, s.
+        limits: Permitted speed and control period.
+        ideal: The optimal plan for the same time.
+        objective: Energy minimised.
+
+    Returns:
+        None where the actuation does not allow the running time.
+    """
+    options = PlanOptions(
+        objective=objective,
+        spacing_m=OPTIMUM_SPACING_M,
+        cap_m=limits.position_m,
+        cap_mps=limits.permitted_mps,
+    )
+    return attainable_plan(
+        vehicle_arrays(trainset),
+        track_arrays(section, trainset),
+        time_s,
+        options,
+        limits.dt,
+        ideal,
+        limits.error_mps,
+    )

@@ -1,3 +1,8 @@
+from .attainable import Attainable as Attainable
+from .attainable import Ramp as Ramp
+from .attainable import attainable_plan as attainable_plan
+from .attainable import departure_ramp as departure_ramp
+from .attainable import stop_ramp as stop_ramp
 from .effort_table import STEP_MPS as STEP_MPS
 from .effort_table import Specific as Specific
 from .effort_table import specific as specific

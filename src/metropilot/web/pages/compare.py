@@ -32,13 +32,15 @@ SHOWN = (
     ("energy_wheel_kwh", "wheel (kWh)", 1.0, 2),
     ("energy_line_kwh", "line (kWh)", 1.0, 2),
     ("optimality_gap_percent", "gap (%)", 1.0, 2),
+    ("trainset_gap_percent", "trainset (%)", 1.0, 2),
+    ("driver_gap_percent", "driver (%)", 1.0, 2),
     ("max_jerk_mps3", "jerk (m/s³)", 1.0, 2),
     ("comfort_huang2025", "Σ|Δu|", 1.0, 2),
     ("regime_switches", "switches", 1.0, 0),
     ("interventions", "interventions", 1.0, 0),
     ("decision_time_us_median", "decision (µs)", 1.0, 0),
 )
-UNJUDGED = ("decision_time_us_median",)
+UNJUDGED = ("decision_time_us_median", "trainset_gap_percent")
 POLL_S = 0.4
 
 
@@ -249,7 +251,8 @@ def compare_table(entries: list[dict[str, Any]]) -> None:
     columns = ("driver", "outcome", *(words for _, words, _, _ in SHOWN))
     table(columns, rows, right=range(2, len(columns)), name="Comparison")
     note = (
-        "Time and stop are errors; gap: energy above the optimum for the time achieved. "
+        "Time and stop are errors; gap: energy above the optimum for the time achieved, split into what "
+        "the trainset's actuation costs under protection and what the driver adds. "
         "Bold: best of the drivers that met every requirement."
     )
     seeds = "" if all(e["seeds"] == 1 for e in entries) else " In brackets: 95 % interval over the seeds."

@@ -398,6 +398,13 @@ def kpis_table(k: dict[str, Any]) -> None:
         ),
         (f"optimum at the {objective}", number(k["optimal_energy_kwh"], 2, "kWh"), "for the time achieved"),
         ("above the optimum", number(k["optimality_gap_percent"], 2, "%"), ""),
+        (
+            "attainable",
+            number(k.get("attainable_energy_kwh"), 2, "kWh"),
+            "with jerk limit, dead time, lag and protection",
+        ),
+        ("lost by the trainset", number(k.get("trainset_gap_percent"), 2, "%"), ""),
+        ("lost by the driver", number(k.get("driver_gap_percent"), 2, "%"), ""),
         ("highest speed", number(KMH_PER_MPS * k["max_speed_mps"], 1, "km/h"), ""),
         ("largest jerk", number(k["max_jerk_mps3"], 2, "m/s³"), k["comfort_band"]),
         ("coasting", number(k["coasting_distance_m"], 0, "m"), f"{k['regime_switches']} changes of regime"),
