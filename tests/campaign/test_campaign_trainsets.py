@@ -189,9 +189,8 @@ def test_parts_of_an_earlier_version_are_reported_too(tmp_path, campaign):
     old = {name: kind for name, kind in RESULTS.items() if name not in {"actuation", *PLANT}}
     store = CampaignStore(tmp_path, campaign)
     for piece in campaign.pieces():
-        cells = [
-            {"cell": row, "driver": "flat_out", "outcome": "infeasible"} for row in campaign.shard(piece)
-        ]
+        row: dict[str, object] = {"driver": "flat_out", "outcome": "infeasible", "processor_s": 1.0}
+        cells = [row | {"cell": number} for number in campaign.shard(piece)]
         store.keep(Shard(piece, len(cells), parquet(old, cells), parquet(TIMINGS, cells), "0"))
     collect_parts(tmp_path)
     write_leaderboard(tmp_path / "page.md", tmp_path, summarise(tmp_path), 1.0, "made")
