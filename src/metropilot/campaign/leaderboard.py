@@ -79,9 +79,11 @@ def leaderboard(folder: Path, summary: Mapping[str, Any], seconds: float, comman
         lines += [f"## {disturbance.name[:1].upper()}{disturbance.name[1:]}", ""]
         lines += [f"{ranges}.", ""] if ranges else []
         lines += [*_table(rows), ""]
-    about_trainsets = trainset_sections(folder, campaign)
-    lines += about_trainsets or _by_section(folder, campaign.disturbances[0].name)
-    lines += _failures(summary["worst"])
+    by_trainset = trainset_sections(folder, campaign)
+    if not by_trainset:
+        by_section = _by_section(folder, campaign.disturbances[0].name)
+        return "\n".join(lines + by_section + _failures(summary["worst"])).rstrip() + "\n"
+    lines += by_trainset
     return "\n".join(lines).rstrip() + "\n"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from itertools import groupby
@@ -15,6 +16,8 @@ from metropilot.campaign.rows import FAILED
 DASH = "–"
 JERK_MARGIN = 1.05
 """Jerk over the trainset's limit above which a run is counted."""
+FOLDERS = re.compile(r"\S*/(?=[^/\s])")
+"""Folders of a path in an error: they differ from machine to machine."""
 SHOWN = 12
 """Failures listed of each driver."""
 NOMINAL = DisturbanceCase("nominal")
@@ -139,7 +142,7 @@ def _failed_runs(campaign: Campaign, lost: Sequence[Mapping[str, Any]]) -> list[
     lines += [f"Not safe, or late although that time was possible; up to {SHOWN} of each driver.", ""]
     for driver, rows in groupby(lost, lambda row: row["driver"]):
         found = list(rows)
-        lines += [f"`{driver}`, {len(found)} runs:", "", "```text"]
+        lines += [f"`{driver}`: {len(found)}", "", "```text"]
         lines += [failure_line(campaign.case(row["row"]), row) for row in found[:SHOWN]]
         lines += ["```", ""]
     return lines
@@ -153,11 +156,13 @@ def failure_line(case: CampaignCase, row: Mapping[str, Any]) -> str:
         row: Its result.
     """
     options = {"time": row["scheduled_time_s"], "trainset": case.trainset, "load": case.load}
-    options |= {"driver": case.driver, "dt": case.period_s, "seed": row["seed"]}
+    options |= {"driver": case.driver, "dt": case.period_s}
+    options |= {} if case.disturbance == NOMINAL else {"seed": row["seed"]}
     words = ["metropilot", "drive", case.line, case.origin, case.destination]
     for name, value in options.items():
         words += [f"--{name}", f"{value:.12g}" if isinstance(value, float) else str(value)]
-    told = str(row["error"] or "") if row["outcome"] == FAILED else outcome_words(row)
+    error = FOLDERS.sub("", str(row["error"] or ""))
+    told = error if row["outcome"] == FAILED else outcome_words(row)
     more = "" if case.disturbance == NOMINAL else f"with disturbance {case.disturbance.name}, "
     return f"{shlex.join(words)}  # {more}{row['outcome']}: {told[:100]}"
 
