@@ -34,6 +34,7 @@ LAYERS = (
     "evaluate",
     "campaign",
     "convoy",
+    "fit",
     "studies",
     "cli",
     "web",

@@ -28,6 +28,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "campaign": ("metropilot.cli.campaign", "Drive a declared matrix of runs, resumable, and report it."),
     "plan": ("metropilot.cli.plan", "Compute the optimal plan, its certificate, the time-energy front."),
+    "fit": ("metropilot.cli.fit", "Estimate a trainset's parameters from logs of runs."),
     "learn": ("metropilot.cli.learn", "Learn a driver, or resume a run."),
     "runs": ("metropilot.cli.runs", "List the learning runs, the newest first."),
     "export": ("metropilot.cli.export", "Write a learned driver's policy in another format."),
