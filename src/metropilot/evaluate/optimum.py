@@ -44,7 +44,7 @@ class Optimum(NamedTuple):
 
 
 class DrivingLimits(NamedTuple):
-    """What a drive is held to beyond the limits of line and trainset.
+    """Limits of a drive beyond those of line and trainset.
 
     Attributes:
         position_m: Positions. Shape (N,).
