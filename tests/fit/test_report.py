@@ -45,7 +45,9 @@ def test_the_written_trainset_says_where_it_comes_from_and_can_be_driven(fitted,
 
 
 def test_the_tables_name_parameters_and_intervals(trajectory_file, tmp_path):
-    code, out, _ = commands.run("fit", str(trajectory_file), *WHERE, "--keep", "brake", cwd=tmp_path)
+    code, out, _ = commands.run(
+        "fit", str(trajectory_file), *WHERE, "--keep", "brake", "--keep", "lag", cwd=tmp_path
+    )
     assert code == 0
     for word in ("dead time", "95 % interval", "kept", "resistance at 40 km/h", "--out DIR"):
         assert word in out

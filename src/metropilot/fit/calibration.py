@@ -85,7 +85,7 @@ _KINDS = {
     "davis_b": _Kind("resistance", 0.5, 0.0, 8.0, 3e-3),
     "davis_c": _Kind("resistance", 0.5, 0.0, 8.0, 3e-3),
     "delay_s": _Kind("delay", 0.5, 0.0, MAX_DELAY_S, 2e-2),
-    "keep": _Kind("lag", 0.4, 0.0, 1.0, 1e-2),
+    "keep": _Kind("lag", 0.8, 0.0, 1.0, 1e-2),
 }
 _DAVIS = ("davis_a", "davis_b", "davis_c")
 _WORDS = {"keep": "lag", "delay_s": "dead time"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -197,7 +198,8 @@ def write_fit(found: Calibration, folder: Path) -> Path:
     Raises:
         InputError: The folder cannot be written.
     """
-    name = f"{found.nominal.id.rpartition('/')[2]}-fitted"
+    # an id may name a delay and a lag (dkz32@0.4,0.2), which is no name for a file
+    name = re.sub(r"[^\w-]+", "-", f"{found.nominal.id}-fitted")
     with fill_folder(folder) as scratch:
         write_trainset(fitted_trainset(found, name), scratch / f"{name}.toml")
         write_json(scratch / "fit.json", fit_json(found))
