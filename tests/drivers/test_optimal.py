@@ -9,7 +9,7 @@ from metropilot.drivers import DRIVERS
 from metropilot.errors import Infeasible
 from metropilot.planning import minimum_running_time, optimal_plan
 from metropilot.railway import Actuation, Restriction, Steps, load_line, load_trainset
-from metropilot.sim import Disturbance, Outcome, Rollout, Run, TimetableUpdate, drive
+from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate, drive
 
 LATE = {"delay_s": 0.6, "lag_s": 0.4, "speed_noise_mps": 0.05}
 
@@ -157,24 +157,6 @@ def test_it_uses_what_it_observes_of_the_mass(mass, most):
     assert gap(done) <= most
     coasting = np.abs(done.trajectory.command) < 1e-6
     assert np.count_nonzero(np.diff(coasting)) <= 24
-
-
-@pytest.mark.parametrize("driver", ["optimal", "mpc"])
-@pytest.mark.parametrize("trainset", [load_trainset("dkz32"), LATE_TRAINSET])
-def test_nobody_is_left_standing_short_of_the_stop(driver, trainset):
-    """An emergency brake on the way, however near to the stop, is followed by a drive to the mark."""
-    section = load_line("yizhuang").section("RJ", "WYJ")
-    for left_m in (300.0, 25.0, 6.0):
-        rollout = Rollout(Run(section, trainset, 101.0), DRIVERS.make(driver))
-        braked = False
-        while rollout.outcome is None:
-            moment = rollout.advance()
-            if not braked and section.length_m - moment.position_m < left_m:
-                braked = True
-                latched = rollout.state.supervision._replace(emergency=np.bool_(True))
-                rollout.state = rollout.state._replace(supervision=latched)
-        assert rollout.outcome is Outcome.ARRIVED, left_m
-        assert moment.time_s < 125.0, left_m
 
 
 def test_a_lower_limit_is_met_without_intervention_where_commands_act_late():

@@ -46,6 +46,7 @@ from .stopping import build_up as build_up
 from .stopping import comfortable_deceleration as comfortable_deceleration
 from .stopping import curve_for as curve_for
 from .stopping import deceleration_to as deceleration_to
+from .stopping import draws_up as draws_up
 from .stopping import release as release
 from .stopping import required_deceleration as required_deceleration
 from .stopping import required_with_build_up as required_with_build_up

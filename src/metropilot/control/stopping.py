@@ -408,11 +408,22 @@ def stop_command(
     if v <= 0 and distance < options.inch_m:
         wanted = -max(curve.end_mps2, options.hold_mps2)
         return Stop(share_for(belief, ahead, wanted), 0.0, ahead, distance)
-    drawing = 2.0 * options.draw_up_share * options.draw_up_mps2 * distance
-    if distance >= options.inch_m and v * v < drawing:
+    if draws_up(v, distance, options):
         return Stop(share_for(belief, ahead, options.draw_up_mps2), 0.0, ahead, distance)
     demand = stop_deceleration(v, ahead.acceleration_mps2, distance, curve, model.dt, options)
     return Stop(share_for(belief, ahead, -demand.wanted_mps2), demand.required_mps2, ahead, distance)
+
+
+def draws_up(speed_mps: float, distance_m: float, options: StopOptions = STOP_OPTIONS) -> bool:
+    """Tell if a trainset is so slow before the stop that it has to be drawn up to it.
+
+    Args:
+        speed_mps: Speed.
+        distance_m: Distance to the stop.
+        options: Constants of the stop.
+    """
+    most = 2.0 * options.draw_up_share * options.draw_up_mps2 * distance_m
+    return bool(distance_m >= options.inch_m and speed_mps * speed_mps < most)
 
 
 def deceleration_to(model: Model, belief: StateEstimate, stop: Stop) -> float:

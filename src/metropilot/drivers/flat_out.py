@@ -78,6 +78,7 @@ class FlatOut(AbstractDriver):
             observation.position_m,
             observation.speed_mps,
             observation.acceleration_mps2,
+            overruled=observation.intervention > 0,
         )
         share, braking = self._share(memory, belief)
         return share, memory._replace(belief=record_command(belief, share), braking_mps2=braking)

@@ -136,6 +136,7 @@ class Manual(AbstractDriver):
             observation.position_m,
             observation.speed_mps,
             observation.acceleration_mps2,
+            overruled=observation.intervention > 0,
         )
         intent = _review_timing(memory, belief, observation)
         wanted, intent = _decide(memory._replace(belief=belief, intent=intent))

@@ -203,7 +203,7 @@ class Optimal(AbstractDriver):
             observation.position_m,
             observation.speed_mps,
             observation.acceleration_mps2,
-            overruled=memory.overruled,
+            overruled=memory.overruled or observation.intervention > 0,
         )
         memory = replace(memory, belief=belief)
         if memory.braking and stands_short(memory):

@@ -184,7 +184,7 @@ class AbstractTracker(AbstractDriver):
             observation.position_m,
             observation.speed_mps,
             observation.acceleration_mps2,
-            overruled=memory.overruled,
+            overruled=memory.overruled or observation.intervention > 0,
         )
         memory = self._follow_updates(replace(memory, belief=belief), observation)
         ahead = look_ahead(memory.model, belief)

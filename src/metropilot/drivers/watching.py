@@ -126,7 +126,7 @@ def update_watch(watch: Watch, run: Run, observation: Observation) -> Watch:
         observation: Measurements of this period.
     """
     seen = observation.position_m, observation.speed_mps, observation.acceleration_mps2
-    overruled = watch.care is not None and int(watch.care.watched.level) > 0
+    overruled = watch.care is not None and (int(watch.care.watched.level) > 0 or observation.intervention > 0)
     belief = update_estimate(watch.model, watch.belief, *seen, overruled=overruled)
     if watch.care is None:
         watch = watch._replace(belief=belief)
@@ -209,7 +209,7 @@ def station_stop_braking(
     stop = stop_command(model, watch.belief, target, curve, options)
     left = stop.left_m
     early = stop.required_mps2 < LET_GO * rate and left > LET_GO_M
-    short = stop.ahead.speed_mps <= 0 and left > options.inch_m
+    short = stop.ahead.speed_mps <= 0 and left > LET_GO_M
     begins = stop.required_mps2 >= BEGIN * rate
     share = stand(model, watch.belief, stop, NEAR_ENOUGH_M, NEAR_ENOUGH_M, options)
     return (begins or (stopping and not early)) and not short, share, stop.ahead

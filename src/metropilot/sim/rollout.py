@@ -295,6 +295,7 @@ def observation_of(params: RunParams, state: RunState, section: Section, permitt
         scheduled_time_s=params.scheduled_s,
         permitted_mps=permitted_mps,
         section=section,
+        intervention=0 if state.supervision is None else int(state.supervision.level),
     )
 
 

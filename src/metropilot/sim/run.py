@@ -62,6 +62,8 @@ class Observation(NamedTuple):
         scheduled_time_s: Scheduled running time in force.
         permitted_mps: Permitted speed at the position.
         section: The section with every restriction announced so far.
+        intervention: Level of protection's intervention in the last period, an index into
+            :data:`metropilot.protection.LEVELS`; 0: the command passed.
     """
 
     time_s: float
@@ -71,3 +73,4 @@ class Observation(NamedTuple):
     scheduled_time_s: float
     permitted_mps: float
     section: Section
+    intervention: int = 0

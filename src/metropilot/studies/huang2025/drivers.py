@@ -167,7 +167,10 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
         memory = fresh._replace(actuation=memory.actuation, rate_mps2=memory.rate_mps2)
     ground, actuation = memory.ground, memory.actuation
     state = (observation.position_m, observation.speed_mps, observation.acceleration_mps2)
-    hoa = update_gain(memory.hoa, ground, actuation, state, memory.before_mps2)
+    hoa = memory.hoa
+    if observation.intervention == 0:
+        # The answer to an intervention says nothing about the brake that the driver commands.
+        hoa = update_gain(hoa, ground, actuation, state, memory.before_mps2)
     ahead = ground.ahead(actuation, state, hoa.gain)
     brake, downhill = ground.brake(ahead.speed_mps), ground.downhill(ahead.position_m)
     plan = hoa.plan_mps2(brake, downhill, ground.most_mps2)

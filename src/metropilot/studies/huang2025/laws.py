@@ -41,6 +41,7 @@ from metropilot.control import (
     Motion,
     PredictedState,
     StopCurve,
+    draws_up,
     predict_motion,
     required_with_build_up,
     stop_deceleration,
@@ -595,6 +596,8 @@ USE = 0.97
 NEAR = 0.4
 COARSE = 0.05
 """A period in which braking changes the speed by more than twice this share is no measure of distance."""
+DRAW_UP_M = 8.0
+"""A trainset that stands no farther short of the stop than this is drawn up to it."""
 PAST_M = 0.1
 """Farther past the stop than this it is better to stand with all the jerk limit allows."""
 
@@ -695,6 +698,12 @@ def stop_share(
     v, distance, plan = ahead.speed_mps, ground.length_m - ahead.position_m, curve.deceleration_mps2
     if v <= 0.0 and distance < STOP_OPTIONS.inch_m:
         return ahead.command_for(-max(curve.end_mps2, STOP_OPTIONS.hold_mps2), actuation.keep), True
+    if hoa.braking and ahead.acceleration_mps2 >= 0.0 and draws_up(v, distance):
+        # After an intervention the trainset stands short of the stop: far from it the rules drive on.
+        if distance > DRAW_UP_M:
+            return 0.0, False
+        wanted = STOP_OPTIONS.draw_up_mps2 + ahead.resistance_mps2
+        return ahead.command_for(wanted, actuation.keep), True
     if not hoa.braking and v * v < 2.0 * NEAR * plan * max(distance - 2.0 * v, 0.5):
         return 0.0, False
     dt, a = actuation.dt, ahead.acceleration_mps2
