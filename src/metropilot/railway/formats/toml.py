@@ -35,7 +35,7 @@ GRADIENT = Range(-150.0, 150.0)
 CURVATURE = Range(-0.1, 0.1)
 RADIUS = Range(infinite=True)
 BEHIND = Range(0.0, MOST_BEHIND_M)
-RELEASE = Range(*(speed / KMH_PER_MPS for speed in RELEASE_KMH))
+RELEASE = Range(RELEASE_KMH[0] / KMH_PER_MPS, RELEASE_KMH[1] / KMH_PER_MPS)
 POINT_FIELDS = (("earliest", "time"), ("latest", "time"), ("slowest", "speed"), ("fastest", "speed"))
 _WIDTH = 110
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
