@@ -156,8 +156,11 @@ def curve_for(
         deceleration_mps2: Deceleration to hold.
         options: Constants of the stop.
     """
-    jerk = vehicle.jerk_mps3
-    xp = namespace(jerk, deceleration_mps2)
+    xp = namespace(vehicle.jerk_mps3, deceleration_mps2)
+    # Without a jerk limit the lag alone shapes build-up and release: a ramp with the same mean delay.
+    lagged = deceleration_mps2 / (2.0 * xp.maximum(vehicle.lag_s, 1e-6))
+    jerk = xp.where(vehicle.jerk_mps3 < AT_ONCE_MPS3, vehicle.jerk_mps3, lagged)
+    jerk = xp.where(vehicle.lag_s > 0.0, jerk, vehicle.jerk_mps3)
     end = xp.minimum(options.end_share * jerk * dt, deceleration_mps2)
     return StopCurve(deceleration_mps2, options.build_share * jerk, options.release_share * jerk, end)
 

@@ -293,6 +293,8 @@ def expert_safe_speed(
 
 
 STEP_M = 4.0
+UNLIMITED_MPS2 = 1.0
+"""Acceleration and deceleration in service of a trainset that declares no limit, as of most metros."""
 EFFORT_STEP_MPS = 0.25
 BEYOND_M = 60.0
 FOR_LIMITS = 0.85
@@ -416,9 +418,14 @@ def expert_track(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTr
         traction_mps2=[max(float(e.traction_n), 1.0) / mass for e in effort],
         brake_mps2=[max(float(e.brake_n), 1.0) / mass for e in effort],
         davis=tuple(float(d) / mass for d in vehicle.davis_n),  # pyright: ignore[reportArgumentType]
-        most_mps2=float(vehicle.max_acceleration_mps2),
+        most_mps2=_limited(float(vehicle.max_acceleration_mps2)),
         jerk_mps3=float(vehicle.jerk_mps3),
     )
+
+
+def _limited(limit_mps2: float) -> float:
+    """Limit of a trainset on its acceleration or deceleration, or the usual one where it declares none."""
+    return limit_mps2 if math.isfinite(limit_mps2) else UNLIMITED_MPS2
 
 
 def _downhill(at: np.ndarray, climb: np.ndarray, length_m: float) -> np.ndarray:
@@ -442,7 +449,7 @@ def _safe(model: Model, ceiling: Ceiling, rules: ExpertRules, at: np.ndarray) ->
     here = limits[np.clip(np.searchsorted(begins, at, side="right") - 1, 0, limits.size - 1)]
     safe = np.minimum(here, [ceiling.at(float(x)) for x in at])
     for place, lower in drops(model):
-        most = float(model.vehicle.max_deceleration_mps2)
+        most = _limited(float(model.vehicle.max_deceleration_mps2))
         kept = min(lower, ceiling.at(place)) - UNDER_MPS
         begins = place - lower * lead_s(model)
         before = expert_safe_speed(np, rules, FOR_LIMITS * most, kept / rules.safe_share, begins - at, here)
@@ -454,9 +461,9 @@ def _interpolate(values: list[float], steps: float) -> float:
     """A table at a place between its entries, held beyond its ends."""
     if steps <= 0.0:
         return values[0]
-    k = int(steps)
-    if k >= len(values) - 1:
+    if steps >= len(values) - 1:
         return values[-1]
+    k = int(steps)
     low = values[k]
     return low + (values[k + 1] - low) * (steps - k)
 
