@@ -290,8 +290,15 @@ def _learn(model: Model, belief: StateEstimate, answer: float) -> tuple[Hypothes
     return learned, best
 
 
-def look_ahead(model: Model, belief: StateEstimate) -> PredictedState:
-    """Predict the state when a command given now begins to act, with the commands still in the pipeline."""
+def look_ahead(model: Model, belief: StateEstimate, coming: float | None = None) -> PredictedState:
+    """Predict the state when a command given now begins to act, with the commands still in the pipeline.
+
+    Args:
+        model: Nominal trainset and section.
+        belief: The estimate.
+        coming: Command given now: with a dead time that is no whole number of periods, a part of it acts before
+            that state. None: the last one goes on.
+    """
     bank, best = belief.bank, belief.best
     age, keep = float(bank.delay_steps[best]), float(bank.keep[best])
     up, down, drag = (float(k) for k in bank.gains[best])
@@ -301,7 +308,7 @@ def look_ahead(model: Model, belief: StateEstimate) -> PredictedState:
     if age > 0:
         acting = up * traction, down * brake, drag * resistance + gradient
         commands, jerk = belief.commands.tolist(), float(model.vehicle.jerk_mps3)
-        motion = predict_motion(motion, commands, age, keep, acting, jerk, model.dt)
+        motion = predict_motion(motion, commands, age, keep, acting, jerk, model.dt, coming)
         limits = effort_limits(model.vehicle, model.track, motion.position_m, motion.speed_mps)
         resistance, gradient, _, traction, brake = map(float, limits)
     return PredictedState(

@@ -141,6 +141,7 @@ def predict_motion(
     limits_mps2: tuple[float, float, float],
     jerk_mps3: float,
     dt: float,
+    coming: float | None = None,
 ) -> Motion:
     """Predict the motion when a command given now begins to act.
 
@@ -153,13 +154,15 @@ def predict_motion(
             prediction, which is short.
         jerk_mps3: Jerk limit.
         dt: Control period, s.
+        coming: Command of this period; None: not known yet.
     """
     x, v, a, share = motion
     traction, brake, drag = limits_mps2
     room = jerk_mps3 * dt
     for k in range(math.ceil(delay_steps)):
-        # The command of this period is not known yet: where a part of it acts already, the newest is used.
-        acting = acting_command(commands, max(delay_steps - 1 - k, 0.0))
+        # Where the command of this period acts in part and is not known yet, the newest goes on.
+        age = delay_steps - k
+        acting = acting_command([commands[0] if coming is None else coming, *commands], age)
         share = acting + (share - acting) * keep
         wanted = share * (traction if share > 0.0 else brake) - drag
         a = min(max(wanted, a - room), a + room)

@@ -40,6 +40,10 @@ STRONGEST_MPS2 = 3.0
 """Deceleration larger than that of any brake, for a target that is too near to stop at."""
 LEAST_MPS2 = 0.05
 """Least deceleration that is solved for; a stop never begins with less."""
+PART = 0.01
+"""Part of a control period in a dead time that is not neglected."""
+PARTIAL_PASSES = 3
+"""Passes for a command of which a part acts before the state it is computed for."""
 NEAREST_M = 1e-3
 """Distance below which the target is reached."""
 
@@ -406,7 +410,26 @@ def stop_command(
         curve: Shape of the stop; deviations from its deceleration are corrected with a small gain.
         options: Constants of the stop.
     """
-    ahead = look_ahead(model, belief)
+    stop = _stop_from(look_ahead(model, belief), model, belief, target_m, curve, options)
+    if float(belief.bank.delay_steps[belief.best]) % 1.0 > PART:
+        # A part of the command acts before the state it is computed for: a fixed point, with damping.
+        share = stop.share
+        for _ in range(PARTIAL_PASSES):
+            stop = _stop_from(look_ahead(model, belief, share), model, belief, target_m, curve, options)
+            share = 0.5 * (share + stop.share)
+        stop = stop._replace(share=share)
+    return stop
+
+
+def _stop_from(
+    ahead: PredictedState,
+    model: Model,
+    belief: StateEstimate,
+    target_m: float,
+    curve: StopCurve,
+    options: StopOptions,
+) -> Stop:
+    """Command of this period from the state in which it begins to act; see :func:`stop_command`."""
     v, distance = ahead.speed_mps, target_m - ahead.position_m
     if v <= 0 and distance < options.inch_m:
         wanted = -max(curve.end_mps2, options.hold_mps2)
