@@ -37,7 +37,7 @@ def test_a_link_to_a_convoy_restores_all_of_it(visit, server):
         "load": "AW3",
         "trainsets": 2,
         "gap_m": 8,
-        "loss": 0.2,
+        "link_loss": 0.2,
         "guard": "independent",
         "pace": 20,
     }

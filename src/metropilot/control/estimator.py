@@ -296,8 +296,8 @@ def look_ahead(model: Model, belief: StateEstimate, coming: float | None = None)
     Args:
         model: Nominal trainset and section.
         belief: The estimate.
-        coming: Command given now: with a dead time that is no whole number of periods, a part of it acts before
-            that state. None: the last one goes on.
+        coming: Command given now: with a dead time that is no whole number of periods, a part of it acts
+            before that state. None: the last one goes on.
     """
     bank, best = belief.bank, belief.best
     age, keep = float(bank.delay_steps[best]), float(bank.keep[best])

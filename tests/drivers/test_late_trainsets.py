@@ -1,0 +1,47 @@
+"""Drives of trainsets with dead time and lag that once failed; the campaign trainsets found them."""
+
+import pytest
+
+from metropilot.evaluate import RunSpec
+from metropilot.sim import Outcome, drive
+
+PLACES = {
+    "falls": ("zurich-stadelhofen", "ZUE", "ZSTH", 151.018),
+    "steep": ("zurich-stadelhofen", "ZAS", "ZHDB", 155.764),
+    "cheng2023": ("zurich-stadelhofen", "ZHDB", "ZAS", 166.307),
+    "long": ("yizhuang-ttobench", "XC", "SJZ", 208.193),
+    "longer": ("yizhuang-ttobench", "TJN", "JHL", 179.305),
+    "lu2023": ("lu2023", "WHY", "WYJ", 160.012),
+    "short": ("yizhuang", "YZHC", "CQ", 113.119),
+    "brisk": ("yizhuang-ttobench", "CQN", "CQ", 92.762),
+    "slow period": ("yizhuang", "YZQ", "WHY", 91.466),
+}
+
+
+@pytest.mark.parametrize(
+    ("driver", "trainset", "load", "place", "dt"),
+    [
+        # neither a jerk limit nor, in part, limits of acceleration, but a lag
+        ("generalist", "drawn-0-21@1,0.6", "most", "falls", 0.2),
+        ("generalist", "cheng2023@1,0.6", None, "cheng2023", 0.5),
+        ("optimal", "drawn-0-11@1,0.6", "least", "long", 0.2),
+        ("generalist", "drawn-0-11@0.6,0.4", "least", "long", 0.2),
+        ("mpc", "drawn-0-8@1,0.6", "most", "lu2023", 0.2),
+        ("optimal", "cn_beijing_subway@1,0.6", None, "short", 0.1),
+        # no limit of acceleration: the experts divided infinities
+        ("eitoe", "drawn-0-23@0,0", "most", "longer", 0.5),
+        ("eitop", "cn_beijing_subway@0.3,0.2", None, "brisk", 0.1),
+        ("itor", "cn_beijing_subway@0.6,0.4", None, "brisk", 0.1),
+        ("eitoe", "cn_beijing_subway@1,0.6", None, "brisk", 0.1),
+        # a dead time that is no whole number of periods
+        ("optimal", "dkz32@0.3,0.2", "AW3", "steep", 0.5),
+        ("optimal", "drawn-0-1@0.6,0.4", "most", "slow period", 1.0),
+    ],
+)
+def test_stops_at_the_mark_and_in_time(driver, trainset, load, place, dt):
+    *where, time_s = PLACES[place]
+    request = RunSpec(*where, time_s, trainset=trainset, load=load, driver=driver, dt_s=dt)
+    done = drive(request.run(), request.make_driver())
+    assert done.outcome is Outcome.ARRIVED
+    assert done.max_overspeed_mps == 0.0
+    assert abs(done.running_time_s - time_s) <= 2.0
