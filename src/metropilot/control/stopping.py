@@ -70,6 +70,7 @@ class StopOptions:
         draw_up_mps2: Acceleration toward the target from a standstill short of it, m/s^2.
         draw_up_share: Share of that acceleration; drawing up ends when a deceleration of this size would
             stop at the target.
+        lag_ramp: True if a lag without a jerk limit shapes the curve; else its user allows for the lag.
         passes: Passes of the fixed point for the build-up; each divides the error by about four.
         newton_steps: Newton steps from the deceleration without a release; six are accurate to 1e-5 m/s^2,
             three to 0.1 where the release takes nearly the whole distance.
@@ -88,6 +89,7 @@ class StopOptions:
     creep_m: float = 0.0
     draw_up_mps2: float = 0.3
     draw_up_share: float = 0.3
+    lag_ramp: bool = True
     passes: int = 3
     newton_steps: int = 6
 
@@ -161,10 +163,11 @@ def curve_for(
         options: Constants of the stop.
     """
     xp = namespace(vehicle.jerk_mps3, deceleration_mps2)
-    # Without a jerk limit the lag alone shapes build-up and release: a ramp with the same mean delay.
-    lagged = deceleration_mps2 / (2.0 * xp.maximum(vehicle.lag_s, 1e-6))
-    jerk = xp.where(vehicle.jerk_mps3 < AT_ONCE_MPS3, vehicle.jerk_mps3, lagged)
-    jerk = xp.where(vehicle.lag_s > 0.0, jerk, vehicle.jerk_mps3)
+    jerk = vehicle.jerk_mps3
+    if options.lag_ramp:
+        # Without a jerk limit the lag alone shapes build-up and release: a ramp with the same mean delay.
+        lagged = deceleration_mps2 / (2.0 * xp.maximum(vehicle.lag_s, 1e-6))
+        jerk = xp.where((jerk >= AT_ONCE_MPS3) & (vehicle.lag_s > 0.0), lagged, jerk)
     end = xp.minimum(options.end_share * jerk * dt, deceleration_mps2)
     return StopCurve(deceleration_mps2, options.build_share * jerk, options.release_share * jerk, end)
 

@@ -22,6 +22,7 @@ from metropilot.control import (
     Model,
     PredictedState,
     StopCurve,
+    StopOptions,
     actuation_of,
     ceiling_of,
     curve_for,
@@ -67,6 +68,8 @@ EASE_PER_S = 2.0
 """Deceleration taken off for each m/s below a safe speed that falls."""
 CLEAR_MPS = 3.0
 """Farther below the safe speed than this nothing needs to be eased off."""
+HOA_STOP = StopOptions(lag_ramp=False)
+"""The heuristic online algorithm begins earlier by half the lag instead."""
 MARGIN_MPS = 0.25
 """Distance of the ceiling from the permitted speed."""
 TIGHT = 1.03
@@ -174,7 +177,7 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
     ahead = ground.ahead(actuation, state, hoa.gain)
     brake, downhill = ground.brake(ahead.speed_mps), ground.downhill(ahead.position_m)
     plan = hoa.plan_mps2(brake, downhill, ground.most_mps2)
-    curve = curve_for(memory.model.vehicle, actuation.dt, plan)
+    curve = curve_for(memory.model.vehicle, actuation.dt, plan, HOA_STOP)
     share, braking = stop_share(hoa, ground, actuation, ahead, curve)
     rate = 0.0
     if not braking:
