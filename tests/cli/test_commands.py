@@ -310,7 +310,7 @@ ELSEWHERE = (
     "--from",
     "import",
     ".toml",
-    *(f"metropilot {c}" for c in ("campaign", "reproduce", "learn", "export", "serve")),
+    *(f"metropilot {c}" for c in ("campaign", "reproduce", "learn", "export", "fit", "serve")),
 )
 """Examples that need a file, or learn for minutes: the tests of their own packages run those."""
 

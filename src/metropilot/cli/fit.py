@@ -72,11 +72,11 @@ def fit_command(
     out: opt.Out = None,
     as_json: opt.Json = False,
 ) -> int:
-    """Estimate a trainset's parameters from logs of runs, with 95 % intervals.
+    """Estimate a trainset's parameters from logs of runs.
 
-    Estimates mass, service brake, running resistance, dead time and lag. With --out: the fitted trainset as
-    TOML, which every command reads, residual plots and fit.json. Exit code 0: fitted; 2: the logs cannot be
-    used or do not determine the parameters.
+    Mass, service brake, running resistance, dead time and lag, with 95 % intervals. With --out: the fitted
+    trainset as TOML, which every command reads, residual plots and fit.json. Exit code 0: fitted; 2: the logs
+    cannot be used or do not determine the parameters.
     """
     from metropilot._io import check_writable
     from metropilot.fit import GROUPS, SOURCES, fit_json, fit_trainset, read_log, write_fit

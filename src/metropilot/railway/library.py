@@ -219,7 +219,7 @@ def load_trainset(id_or_path: str | Path, load: str | None = None) -> Trainset:
         trainset = drawn_trainset(int(drawn[1]), int(drawn[2]))
     else:
         trainset = _load(key.id, "trainsets", "trainset", Trainset)
-    load = load or key.load
+    load = key.load if load is None else load
     if key.actuation is not None:
         delay_s, lag_s = key.actuation
         trainset = replace(
