@@ -1,4 +1,4 @@
-"""Which checks a function of metropilot gets while the tests run: shapes where it has any, types always.
+"""Checks of metropilot's functions while the tests run: shapes where there are any, types always.
 
 jaxtyping's wrapper binds a call's arguments anew to give its axes names; of a drive's millions of small calls
 between floats that is two thirds of the time, for nothing: without axes there is nothing to name. Those get
@@ -27,7 +27,7 @@ def install(package: str) -> None:
 
 
 def _jaxtyped(fn: Any = None, *, typechecker: Any = None) -> Any:
-    """What the import hook decorates every function and class with, instead of jaxtyping's own."""
+    """Decorator of the import hook for every function and class, instead of jaxtyping's own."""
     if fn is None:
         return functools.partial(_jaxtyped, typechecker=typechecker)
     if inspect.isclass(fn) and dataclasses.is_dataclass(fn) and _is_plain(fn.__init__):
@@ -43,7 +43,7 @@ def _jaxtyped(fn: Any = None, *, typechecker: Any = None) -> Any:
 
 
 def _is_plain(fn: Any) -> bool:
-    """Whether it is a function that returns what its annotation says: no generator, no coroutine."""
+    """True for a function that returns what its annotation says: no generator, no coroutine."""
     return (
         inspect.isfunction(fn)
         and not inspect.isgeneratorfunction(fn)
@@ -65,7 +65,7 @@ def _hints(fn: types.FunctionType) -> dict[str, Any]:
 
 
 def _has_axes(hint: Any) -> bool:
-    """Whether a type is, or is made of, one of jaxtyping's."""
+    """True if a type is, or is made of, one of jaxtyping's."""
     if isinstance(hint, (list, tuple)):
         return any(map(_has_axes, hint))
     if isinstance(hint, (str, typing.ForwardRef, typing.TypeVar)):

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 
 class Said(NamedTuple):
-    """What a command answered."""
+    """Answer of a command."""
 
     code: int
     out: str

@@ -1,4 +1,4 @@
-"""What every test runs under: checked shapes and types, strict numerics, reproducible searches.
+"""Conditions of every test: checked shapes and types, strict numerics, reproducible searches.
 
 Nothing here imports JAX, so that a test of lines and trainsets does not pay for it.
 """

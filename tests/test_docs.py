@@ -75,7 +75,7 @@ def check(command: list[str], code: int, said: tuple[int, str, str]) -> None:
 
 
 def run_program(command: list[str], cwd: Path) -> tuple[int, str, str]:
-    """What a line says with the command of this environment, started as a user does."""
+    """Output of a line with the command of this environment, started as a user does."""
     program = Path(sys.executable).with_name(command[0])
     done = subprocess.run([program, *command[1:]], capture_output=True, text=True, check=False, cwd=cwd)
     return done.returncode, done.stdout, done.stderr

@@ -11,7 +11,7 @@ RIDDLE = re.compile(r"(What|How|Whether|That|Where|Why|Who|Whoever|Whatever)\b")
 
 def test_a_docstring_begins_with_a_noun_phrase_or_an_imperative():
     found = []
-    folders = (SOURCES, *(ROOT / name for name in ("benchmarks", "examples", "tools")))
+    folders = (SOURCES, *(ROOT / name for name in ("benchmarks", "examples", "tests", "tools")))
     for path in (path for folder in folders for path in folder.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module):

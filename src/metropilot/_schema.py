@@ -114,7 +114,7 @@ class FieldSpec:
         return value
 
 
-def declared(default: Any, help: str = "", **more: Any) -> Any:  # noqa: A002, ANN401 (as dataclasses.field)
+def declare(default: Any, help: str = "", **more: Any) -> Any:  # noqa: A002, ANN401 (as dataclasses.field)
     """A dataclass field with its :class:`FieldSpec`.
 
     Args:

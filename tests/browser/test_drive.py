@@ -42,7 +42,7 @@ def depart(page, pace="10 ×"):
 
 
 def drawn(page, name):
-    """How many points a curve of the picture has."""
+    """Number of points of a curve of the picture."""
     script = """name => { const el = document.querySelector('[data-test=live] .js-plotly-plot');
         const curve = el?.data?.find(t => t.name === name);
         return curve ? curve.x.length : 0; }"""
@@ -50,7 +50,7 @@ def drawn(page, name):
 
 
 def drawn_from(page, name):
-    """Where a curve of the picture begins."""
+    """Beginning of a curve of the picture."""
     script = """name => document.querySelector('[data-test=live] .js-plotly-plot')
         .data.find(t => t.name === name).x[0]"""
     return page.evaluate(script, name)

@@ -45,7 +45,7 @@ def driven():
 
 
 def test_a_compiled_row_is_the_row_of_the_host(driven):
-    """Whatever leaves the plant as told; both engines take the same draws and the same noise."""
+    """Disturbances that leave the plant as told; both engines take the same draws and the same noise."""
     cases, results = driven
     for case, found in list(zip(cases, results, strict=True))[:: MATRIX.rows // 5]:
         host, _ = drive_row(MATRIX, case)

@@ -27,7 +27,7 @@ LIMIT = Restriction(400.0, 600.0, 40.0 / 3.6)
 
 @pytest.fixture
 def service(tmp_path):
-    """What answers the HTTP API."""
+    """Service behind the HTTP API."""
     return Service(Settings(tmp_path))
 
 
@@ -143,12 +143,12 @@ def test_every_entry_refuses_in_the_same_words(tmp_path, metropilot, name):
     with pytest.raises(InputError) as in_campaign:
         campaign_from_toml(path := campaign_file(tmp_path, f"{name} = {value}"))
     assert in_campaign.value.line() == f"{path}: disturbance it.{name}{said}"
-    error = answered({name: value})
+    error = read_error({name: value})
     shown = InputError(error.pop("message"), **error).line()
     assert shown == f"{name}{said}"
 
 
-def answered(values, body=DriveIn):
+def read_error(values, body=DriveIn):
     """The error that the HTTP API answers a body with."""
     server = FastAPI()
     install(server)
@@ -223,7 +223,7 @@ def test_each_trainset_of_a_convoy_may_have_its_own_disturbance(service, from_co
 
 @pytest.mark.parametrize("name", ["mass_factor", "delay_s", "link_delay_s", "link_loss", "gap_m"])
 def test_every_entry_of_a_convoy_refuses_in_the_same_words(metropilot, name):
-    error = answered({name: -1.0}, ConvoyIn)
+    error = read_error({name: -1.0}, ConvoyIn)
     said = InputError(error.pop("message"), **error).line().removeprefix(name)
     own = f"--{name.removesuffix('_s').removesuffix('_m').replace('_', '-')}"
     typed = metropilot("convoy", *WHERE.values(), f"{own}=-1")

@@ -66,7 +66,7 @@ def words(name, folder):
 
 
 def obeying(commands, work):
-    """What the commands answer to somebody whom permissions bind."""
+    """Run the commands as a user whom permissions bind."""
     told = {**os.environ, "METROPILOT_HOME": str(work / "home")}
     done = subprocess.run(
         [sys.executable, PROGRAM],
@@ -85,7 +85,7 @@ def obeying(commands, work):
 
 @pytest.fixture(scope="module")
 def answers(tmp_path_factory):
-    """What each writer says, and what its folder holds before and after: over its own results, and anew."""
+    """Answer of each writer, and its folder before and after: over its own results, and anew."""
     work = tmp_path_factory.mktemp("work")
     (work / "mine.toml").write_text(CAMPAIGN)
     write_line(load_line("yizhuang"), work / "line.toml")

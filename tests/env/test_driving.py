@@ -1,4 +1,4 @@
-"""What a task promises: stops, endings, disturbances, and tables that agree with the planner."""
+"""Promises of a task: stops, endings, disturbances, and tables that agree with the planner."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What single precision, batch size and padding do to whole drives of a learned policy: next to nothing.
+"""Single precision, batch size and padding change next to nothing in drives of a learned policy.
 
 The compiled task counts in float32, the host loop in float64. A case is driven alone, among six others, and
 among 63 of which most are there to fill the batch; and with tables of its own section, not padded to those of

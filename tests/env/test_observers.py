@@ -1,4 +1,4 @@
-"""What a policy on any line sees of time: paces against integration, coasting from a higher speed."""
+"""Features of time on any line: paces against integration, coasting from a higher speed."""
 
 import numpy as np
 import pytest

@@ -83,7 +83,7 @@ def test_early_is_arrived_but_no_success(driven):
     assert failed == ["on time"]
 
 
-def judged(driven, **changes):
+def judge(driven, **changes):
     """A drive on time that met every requirement, but for some of its figures."""
     good = {"time_error_s": 0.0, "punctual": True, "interventions": 0, "max_jerk_mps3": 1.0}
     return replace(kpis_of(driven, None), **good | changes)
@@ -113,7 +113,7 @@ def judged(driven, **changes):
     ],
 )
 def test_headline_verdict_and_json_name_every_requirement_that_failed(driven, changes, said, failed):
-    kpis = judged(driven, **changes)
+    kpis = judge(driven, **changes)
     assert verdict(kpis) == said
     assert kpis.success == (not failed)
     told = kpis.as_dict()
@@ -121,7 +121,7 @@ def test_headline_verdict_and_json_name_every_requirement_that_failed(driven, ch
 
 
 def test_campaigns_count_as_before_what_arrived_safely_and_on_time(driven):
-    kpis = judged(driven, interventions=2, max_jerk_mps3=6.0)
+    kpis = judge(driven, interventions=2, max_jerk_mps3=6.0)
     assert kpis.on_time
     assert not kpis.success
 

@@ -1,4 +1,4 @@
-"""What a user asks for: parsed, resolved, refused in one line."""
+"""A user's request: parsed, resolved, refused in one line."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from metropilot.planning import minimum_running_time
 from metropilot.sim import TimetableUpdate
 
 
-def changed(spec, **values):
+def change_values(spec, **values):
     """The run with some of its plain values changed."""
     return RunSpec.from_values(spec.values() | values)
 
@@ -43,11 +43,11 @@ def test_bad_times(request_rj, time_s):
 )
 def test_bad_scenarios(request_rj, change):
     with pytest.raises(InputError):
-        changed(request_rj, **change).run()
+        change_values(request_rj, **change).run()
 
 
 def test_a_restriction_makes_late_but_not_impossible(request_rj):
-    run = changed(request_rj, restrictions=("400-600@36",)).run()
+    run = change_values(request_rj, restrictions=("400-600@36",)).run()
     assert minimum_running_time(run.section, run.trainset) > run.scheduled_time_s
 
 
@@ -79,7 +79,7 @@ def test_restrictions(request_rj):
     known = parse_restriction("400-600@36")
     assert (known.from_m, known.to_m, known.limit_mps) == (400, 600, 10)
     assert parse_restriction("400-600@36@30.5") == TimetableUpdate(30.5, restriction=known)
-    asked = changed(request_rj, restrictions=("400-600@36", "700-800@54@20"))
+    asked = change_values(request_rj, restrictions=("400-600@36", "700-800@54@20"))
     assert [r.from_m for r in asked.section().restrictions] == [400]
     assert [n.at_s for n in asked.run().disturbance.updates] == [20]
 
@@ -94,15 +94,15 @@ def test_restrictions(request_rj):
 )
 def test_bad_restrictions(request_rj, text):
     with pytest.raises(InputError, match="restriction"):
-        changed(request_rj, restrictions=(text,)).run()
+        change_values(request_rj, restrictions=(text,)).run()
 
 
 def test_a_restriction_beside_another_is_held_to_the_lines_own_limit(request_rj):
-    twice = changed(request_rj, restrictions=("400-600@36", "400-600@36@20", "300-700@50")).run()
+    twice = change_values(request_rj, restrictions=("400-600@36", "400-600@36@20", "300-700@50")).run()
     assert [r.limit_mps for r in twice.section.restrictions] == [pytest.approx(10), pytest.approx(50 / 3.6)]
     assert len(twice.disturbance.updates) == 1
     with pytest.raises(InputError, match=r"no effect.*5 to below 80 km/h"):
-        changed(request_rj, restrictions=("400-600@36", "400-600@80@20")).run()
+        change_values(request_rj, restrictions=("400-600@36", "400-600@80@20")).run()
 
 
 def test_arrivals():

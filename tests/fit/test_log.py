@@ -77,6 +77,11 @@ def test_a_row_without_a_speed_is_a_gap(tmp_path):
             {(7, 1): "fast"},
             "line 9, column 'speed [m/s]': not a number",
         ),
+        (
+            ("time [s]", "speed [m/s]", "command"),
+            {(7, 1): "nan"},
+            "a finite number, or an empty cell for a gap",
+        ),
         (("time [s]", "speed [m/s]", "command"), {(7, 1): 300}, "speed out of range"),
         (("time [s]", "speed [m/s]", "command"), {(7, 2): 50}, "command out of range"),
         (("speed [m/s]", "speed [km/h]", "time [s]"), {}, "two columns of one quantity"),

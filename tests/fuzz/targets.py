@@ -94,7 +94,7 @@ class Target:
 
 
 def _read_railway(path: Path) -> None:
-    """What is accepted can be looked at, and written and read again without a change."""
+    """Read a file; an accepted one is shown, written and read again without a change."""
     from metropilot.railway import Line, Trainset, import_file, write_journey, write_line, write_trainset
 
     found = import_file(path)
@@ -304,7 +304,7 @@ TARGETS = {
 
 @cache
 def place(name: str) -> Path:
-    """Where a target's file is written, in memory where the machine can; gone with the process."""
+    """File of a target, in memory where the machine can; gone with the process."""
     ram = Path("/dev/shm")
     folder = tempfile.TemporaryDirectory(prefix="metropilot-fuzz-", dir=ram if ram.is_dir() else None)
     _KEPT.append(folder)

@@ -1,4 +1,4 @@
-"""Whatever is done to a file, one line comes out or something usable; what once broke one is replayed."""
+"""A changed file gives one error line or something usable; inputs that once broke a loader are replayed."""
 
 import os
 from pathlib import Path

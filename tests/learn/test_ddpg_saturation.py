@@ -13,7 +13,7 @@ from metropilot.learn.off_policy import Batch
 
 
 def asked_after(cost, steps=200):
-    """How far into the ends an actor asks after some steps under a critic that does not care."""
+    """Depth in the ends of an actor's actions after some steps under a critic that does not care."""
     config = DDPGConfig(saturation_cost=cost, initial_bias=4.0, critic_rate=0.0, actor_rate=1e-2, hidden=(8,))
     learner = DDPG(config, DoubleIntegrator())
     networks = learner.fresh(jax.random.key(0))

@@ -67,7 +67,7 @@ def test_acceleration_changes_no_faster_than_the_jerk_limit_while_moving(seed):
 
 
 def available(state, vehicle):
-    """Whether the wheel force was strictly inside what there is, so that only the jerk limit shaped it."""
+    """True if the wheel force was strictly inside its limits, so that only the jerk limit shaped it."""
     f = state.forces
     force = f.traction_n - f.electric_brake_n - f.friction_brake_n
     earlier = state.speed_mps - state.acceleration_mps2 * DT

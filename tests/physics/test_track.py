@@ -1,4 +1,4 @@
-"""What a trainset feels of the track over its length, and what padding must not change."""
+"""Track as felt over the length of a trainset; padding changes nothing."""
 
 import numpy as np
 import pytest

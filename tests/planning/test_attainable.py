@@ -1,4 +1,4 @@
-"""What jerk limit, dead time and lag cost at best: ramps against brute force, bounds in order."""
+"""Attainable optimum: ramps against brute force, bounds in order."""
 
 import math
 from dataclasses import replace
@@ -116,7 +116,7 @@ def test_a_ramp_takes_the_time_it_loses_far_from_the_stop():
     assert late == pytest.approx(ramp.lost_s, abs=1e-3)
 
 
-def attained(section, trainset, ratio, dt=DT, objective="wheel"):
+def solve_both(section, trainset, ratio, dt=DT, objective="wheel"):
     time_s = ratio * minimum_running_time(section, trainset)
     options = PlanOptions(objective=objective, spacing_m=5.0)
     ideal = optimal_plan(section, trainset, time_s, options)
@@ -129,7 +129,7 @@ def test_ideal_bound_bound_and_attainable_are_in_order(actuation, objective):
     trainset = acting(cases.contest(), *actuation)
     for section in cases.yizhuang().sections()[:5]:
         for ratio in (1.06, 1.3):
-            ideal, found = attained(section, trainset, ratio, objective=objective)
+            ideal, found = solve_both(section, trainset, ratio, objective=objective)
             if found is None:  # 1.06 of the minimum of a short section is less than the dead time
                 assert ratio < 1.1
                 continue
@@ -139,7 +139,7 @@ def test_ideal_bound_bound_and_attainable_are_in_order(actuation, objective):
 
 def test_an_immediate_trainset_attains_the_optimum():
     section = cases.yizhuang().section("RJ", "WYJ")
-    ideal, found = attained(section, cases.contest().ideal(), 1.2)
+    ideal, found = solve_both(section, cases.contest().ideal(), 1.2)
     assert found.energy_j == pytest.approx(ideal.energy_j, rel=1e-6)
     assert found.bound_j == pytest.approx(ideal.bound_j, rel=1e-6)
     assert found.departure_s == found.stop_s == 0.0
@@ -148,12 +148,12 @@ def test_an_immediate_trainset_attains_the_optimum():
 def test_later_and_softer_never_costs_less():
     section, last = cases.yizhuang().section("RJ", "WYJ"), 0.0
     for actuation in ((0.0, 0.0, 2.0), (0.0, 0.0, 1.0), (0.4, 0.0, 1.0), (0.4, 0.4, 1.0), (1.0, 0.4, 0.5)):
-        _, found = attained(section, acting(cases.contest(), *actuation), 1.15)
+        _, found = solve_both(section, acting(cases.contest(), *actuation), 1.15)
         assert found.energy_j > last
         last = found.energy_j
 
 
 def test_a_time_the_actuation_does_not_allow_has_none():
     section = cases.yizhuang().section("RJ", "WYJ")
-    _, found = attained(section, acting(cases.contest(), 1.0, 0.5, 0.5), 1.001)
+    _, found = solve_both(section, acting(cases.contest(), 1.0, 0.5, 0.5), 1.001)
     assert found is None

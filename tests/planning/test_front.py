@@ -1,4 +1,4 @@
-"""What a second costs: the time-energy front and its slope."""
+"""The time-energy front and its slope, the worth of a second."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What must hold for any section and trainset."""
+"""Properties that hold for any section and trainset."""
 
 import dataclasses
 import itertools

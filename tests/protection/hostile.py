@@ -41,7 +41,7 @@ BEYOND_M = 60.0
 
 
 class Attack(NamedTuple):
-    """What one lane attacks with: a plant at a corner of the bounds, a policy, and where it starts."""
+    """Means of one lane: a plant at a corner of the bounds, a policy, and a start."""
 
     vehicle: physics.Vehicle
     policy: jax.Array
@@ -64,7 +64,7 @@ class Lane(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """What a campaign found. ``over_mps``: largest speed above the limit, negative if none."""
+    """Result of a campaign. ``over_mps``: largest speed above the limit, negative if none."""
 
     steps: int
     over_mps: float
@@ -112,7 +112,7 @@ def line_sections(name: str = LINE) -> tuple[Section, ...]:
     return line.sections() + line.sections(backward=True)
 
 
-def restricted(section: Section, random: np.random.Generator) -> Section:
+def add_restrictions(section: Section, random: np.random.Generator) -> Section:
     """The section with one or two temporary restrictions, now and then shorter than the reaction distance."""
     for _ in range(int(random.integers(1, 3))):
         start = random.uniform(0.0, section.length_m - 30.0)
@@ -163,7 +163,7 @@ def arena(campaign: Campaign):
     for k, free in enumerate(line_sections()[: campaign.sections]):
         trainset = campaign.trainset.with_load(loads[(k + campaign.seed) % len(loads)])
         slower = campaign.restrictions and random.random() < 0.5
-        section = restricted(free, random) if slower else free
+        section = add_restrictions(free, random) if slower else free
         believed = protect(section, trainset, campaign.believed or bounds, dtype=dtype)
         protections.append(campaign.mutate(believed))
         tracks.append(physics.track_arrays(section, trainset, dtype))

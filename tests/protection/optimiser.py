@@ -19,7 +19,7 @@ WIDTH = 0.35
 
 
 class Worst(NamedTuple):
-    """What a search found in each place (P), after each generation (G).
+    """Best of a search in each place (P), after each generation (G).
 
     Attributes:
         value: The worst value. Shape (P,).

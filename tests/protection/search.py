@@ -17,10 +17,10 @@ import numpy as np
 from tests.protection.hostile import (
     CURVES,
     Campaign,
+    add_restrictions,
     line_sections,
     overspeed,
     padded,
-    restricted,
     tree_stack,
 )
 from tests.protection.optimiser import Worst, hunt, scatter, share
@@ -60,7 +60,7 @@ STEEP_PERMIL = 35.0
 
 
 class Place(NamedTuple):
-    """Where attacks are flown: one row a place, all in one compiled program.
+    """Places of attacks: one row a place, all in one compiled program.
 
     Attributes:
         protection: Protection of each section.
@@ -100,7 +100,7 @@ def places(campaign: Campaign, count: int, authority: bool) -> Place:
     loads, rows = list(campaign.trainset.loads), []
     for k in range(count):
         section = free[int(random.integers(len(free)))]
-        section = (lambda s, _: s, restricted, rough)[k % 3](section, random)
+        section = (lambda s, _: s, add_restrictions, rough)[k % 3](section, random)
         trainset = campaign.trainset.with_load(loads[int(random.integers(len(loads)))])
         end = section.length_m * random.uniform(0.4, 1.0) if authority else None
         protection = protect(section, trainset, campaign.believed or campaign.bounds, stop_at_m=end)

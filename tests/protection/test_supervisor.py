@@ -1,4 +1,4 @@
-"""What the supervisor does to one command after another."""
+"""Answer of the supervisor to one command after another."""
 
 from dataclasses import replace
 from itertools import pairwise

@@ -1,4 +1,4 @@
-"""What is written reads back equal; whatever is done to a file, only InputError comes out."""
+"""Written files read back equal; a broken one gives nothing but an InputError."""
 
 import json
 import math

@@ -57,7 +57,7 @@ def step_mean(starts: list[float], values: list[float], low: float, high: float)
 
 @dataclass
 class ReferenceState:
-    """What the simulator knows after each step."""
+    """State of the simulator after each step."""
 
     time_s: float = 0.0
     position_m: float = 0.0

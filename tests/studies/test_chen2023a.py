@@ -121,7 +121,7 @@ def test_rows_stand_beside_what_the_paper_says():
 
 
 def history(one: DriveCourse) -> dict[str, np.ndarray]:
-    """What the learning run of a course would have written."""
+    """Files that the learning run of a course would have written."""
     seconds, part = one.learning["running_time_s"], one.learning
     found = {
         "episodes": np.full(CHUNKS, 100.0),

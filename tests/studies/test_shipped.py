@@ -1,4 +1,4 @@
-"""What a shipped policy was learned with is what its recipe says today: the recipe learns it again."""
+"""A shipped policy was learned with what its recipe says today: the recipe learns it again."""
 
 import jax
 import pytest
@@ -18,7 +18,7 @@ BY_STUDY = {"ddpg_pid", "ddpg_pid_follow", "sac_pid"}
 """These learn no driving task; their study declares task and learner."""
 
 
-def declared(about):
+def declare(about):
     """The learner's configuration as a policy's file has it."""
     return config_from_mapping(about["algorithm"], about["config"])
 
@@ -41,7 +41,7 @@ def test_a_shipped_policy_was_learned_by_its_recipe(driver):
     policy, about = load_policy(POLICIES / f"{driver}.safetensors")
     recipe = RECIPES.get(driver)
     task = recipe.make_task()
-    assert declared(about) == recipe.paper
+    assert declare(about) == recipe.paper
     assert PolicyInterface.from_dict(about["perception"]) == task.config.perception
     assert policy.spec == spec_of(recipe.paper, task)
     name = about["task"] if isinstance(about["task"], str) else about["task"]["name"]
@@ -50,7 +50,7 @@ def test_a_shipped_policy_was_learned_by_its_recipe(driver):
 
 def test_the_policy_of_ddpg_pid_was_learned_as_its_study_says():
     policy, about = load_policy(POLICIES / "ddpg_pid.safetensors")
-    assert declared(about) == cheng2023.config()
+    assert declare(about) == cheng2023.config()
     assert policy.spec == spec_of(cheng2023.config(), cheng2023.task())
     options = STUDIES.get("cheng2023").check_options({})
     expected = {"name": "cheng2023", "rewards": repr(cheng2023.REWARDS), **options}
@@ -60,10 +60,10 @@ def test_the_policy_of_ddpg_pid_was_learned_as_its_study_says():
 @pytest.mark.parametrize("algorithm", list(chen2023b.NAMES))
 def test_the_policies_of_followers_were_learned_as_their_study_says(algorithm):
     policy, about = load_policy(POLICIES / f"{chen2023b.NAMES[algorithm]}.safetensors")
-    assert declared(about) == chen2023b.config(algorithm, "paper")
+    assert declare(about) == chen2023b.config(algorithm, "paper")
     task = chen2023b.task(about["task"]["eta"])
     with jax.numpy_dtype_promotion("standard"):
-        assert policy.spec == spec_of(declared(about), task)
+        assert policy.spec == spec_of(declare(about), task)
     assert about["period_s"] == task.config.dt
     assert about["task"]["eta"] == STUDIES.get("chen2023b").check_options({})["eta"]
 
@@ -73,6 +73,6 @@ def test_the_policies_of_one_plan_were_learned_as_the_study_says(plan):
     policy, about = load_policy(lu2023.policy_file(f"improved_dqn-{plan.id}"))
     job = plan_job("improved_dqn", plan, 0, steps=ALL_STEPS if plan.restricted else LEARNING.steps)
     task = job.task()
-    assert declared(about) == job.config
+    assert declare(about) == job.config
     assert PolicyInterface.from_dict(about["perception"]) == task.config.perception
     assert policy.spec == spec_of(job.config, task)

@@ -19,7 +19,7 @@ WHERE = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ", "time_s": 101
 
 
 def told_at(time_s, scheduled_s):
-    """What a run says to a new running time, and when it then arrives."""
+    """Answer of a run to a new running time, and its arrival."""
     engine = Engine(RunSpec("yizhuang", "RJ", "WYJ", time_s=101.0))
     while engine.time_s < time_s:
         engine.advance()
@@ -62,7 +62,7 @@ def until(engine, time_s):
 
 
 def planned_j(time_s, position_m, *restrictions):
-    """What the optimal plan from departure to the stop has used at a position, found without a live run."""
+    """Energy of the optimal plan from departure up to a position, found without a live run."""
     section = load_line("yizhuang").section("RJ", "WYJ")
     for restriction in restrictions:
         section = section.with_restriction(restriction)
@@ -77,7 +77,7 @@ def planned_j(time_s, position_m, *restrictions):
 
 
 def compared(row):
-    """Where a run is, and what its row says the reference plan has used there."""
+    """Position of a run, and the energy of the reference plan there by its row."""
     return row[ROW["position_m"]], row[ROW["plan_energy_wheel_j"]]
 
 

@@ -1,4 +1,4 @@
-"""What every request passes first: host, origin, token, size."""
+"""Checks that every request passes first: host, origin, token, size."""
 
 import asyncio
 

@@ -48,7 +48,7 @@ def rows(seen):
 
 
 def returned(kind, data):
-    """Whether an event says that the driver has the lever."""
+    """True if an event says that the driver has the lever."""
     return kind == "event" and "returned to the driver" in data["words"]
 
 
@@ -153,7 +153,7 @@ def test_a_run_that_is_stopped_goes_on_where_it_was(server):
 
 
 def watch_now(server, live):
-    """What was said so far of a run that waits."""
+    """Events so far of a run that waits."""
     return watch(server, live, until=lambda kind, data: kind == "rows" and data["pace"] == 0)
 
 

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from metropilot._schema import FieldSpec, Range, check_fields, declared
+from metropilot._schema import FieldSpec, Range, check_fields, declare
 from metropilot._typing import Array
 from metropilot.errors import InputError
 from metropilot.physics import Track, Vehicle, effort_at, namespace, track_arrays, vehicle_arrays
@@ -34,7 +34,7 @@ class Link:
         silent_from_s: Time from which all messages are lost (infinite: never).
     """
 
-    delay_s: float = declared(
+    delay_s: float = declare(
         0.0,
         "Time a message takes.",
         unit="s",
@@ -44,7 +44,7 @@ class Link:
         label="Delay (s)",
         step=0.1,
     )
-    jitter_s: float = declared(
+    jitter_s: float = declare(
         0.0,
         "Largest additional time.",
         unit="s",
@@ -54,10 +54,8 @@ class Link:
         label="Jitter (s)",
         step=0.1,
     )
-    loss: float = declared(
-        0.0, "Share of messages lost.", low=0.0, high=1.0, option="link-loss", label="Lost"
-    )
-    silent_from_s: float = declared(
+    loss: float = declare(0.0, "Share of messages lost.", low=0.0, high=1.0, option="link-loss", label="Lost")
+    silent_from_s: float = declare(
         float("inf"),
         "Time from which all messages are lost.",
         unit="s",
@@ -185,16 +183,16 @@ class ConvoySettings:
         disturbances: One of each trainset, or one for all; empty: none. Timetable updates are the head's.
     """
 
-    gap_m: float = declared(GAP_M, "Desired gap.", unit="m", low=0.5, high=2000.0)
-    start_gap_m: float | None = declared(
+    gap_m: float = declare(GAP_M, "Desired gap.", unit="m", low=0.5, high=2000.0)
+    start_gap_m: float | None = declare(
         None, "Gap at departure: the convoy couples on the move.", unit="m", low=0.5, high=5000.0
     )
-    apart_m: float = declared(100.0, "Desired gap once uncoupled.", unit="m", low=0.5, high=2000.0)
-    uncouple_at_m: float = declared(
+    apart_m: float = declare(100.0, "Desired gap once uncoupled.", unit="m", low=0.5, high=2000.0)
+    uncouple_at_m: float = declare(
         float("inf"), "Where the head begins to uncouple, from the origin.", unit="m", low=0.0, infinite=True
     )
     link: Link = field(default_factory=Link)
-    guard: str = declared("coupled", f"What protection relies on: {', '.join(GUARDS)}.", choices=GUARDS)
+    guard: str = declare("coupled", f"What protection relies on: {', '.join(GUARDS)}.", choices=GUARDS)
     disturbances: tuple[Disturbance, ...] = ()
 
 

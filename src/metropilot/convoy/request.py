@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from metropilot._schema import FieldSpec, check_fields, declared, field_specs, from_table
+from metropilot._schema import FieldSpec, check_fields, declare, field_specs, from_table
 from metropilot.convoy.drivers import FOLLOWERS, AbstractFollower
 from metropilot.convoy.model import TRAINSETS, Convoy, ConvoySettings, Link
 from metropilot.convoy.rollout import ConvoyDrive, HeadRun, drive_convoy
@@ -34,11 +34,11 @@ class ConvoyRequest(ConvoySettings):
 
     head: RunSpec
     count: int = field(default=2, metadata={FieldSpec: TRAINSETS})
-    follower: str = declared(
+    follower: str = declare(
         "follow_gap", "Driver of the followers; see `metropilot drivers --followers`.", option="driver"
     )
     options: Mapping[str, Any] = field(default_factory=dict)
-    emergency_s: float = declared(
+    emergency_s: float = declare(
         float("inf"),
         "When the head makes an emergency brake.",
         unit="s",

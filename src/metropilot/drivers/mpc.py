@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, final, get_args
 
-from metropilot._schema import check_fields, declared
+from metropilot._schema import check_fields, declare
 from metropilot.drivers.optimal import FollowingMemory, Optimal, OptimalOptions
 from metropilot.planning import Objective
 from metropilot.sim import AbstractDriver, Observation, Run
@@ -34,11 +34,11 @@ class MpcOptions:
         spacing_m: Mesh of the plan.
     """
 
-    objective: Objective = declared("wheel", choices=get_args(Objective))
-    period_s: float = declared(3.0, unit="s", low=0.0, above=True)
-    brake_use: float = declared(0.97, low=0.0, high=1.0, above=True)
-    reserve_s: float = declared(0.0, unit="s", low=0.0)
-    spacing_m: float = declared(12.5, unit="m", low=1.0, high=200.0)
+    objective: Objective = declare("wheel", choices=get_args(Objective))
+    period_s: float = declare(3.0, unit="s", low=0.0, above=True)
+    brake_use: float = declare(0.97, low=0.0, high=1.0, above=True)
+    reserve_s: float = declare(0.0, unit="s", low=0.0)
+    spacing_m: float = declare(12.5, unit="m", low=1.0, high=200.0)
 
     def __post_init__(self) -> None:
         check_fields(self)

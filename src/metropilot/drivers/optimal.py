@@ -8,7 +8,7 @@ from typing import ClassVar, get_args
 
 import numpy as np
 
-from metropilot._schema import check_fields, declared
+from metropilot._schema import check_fields, declare
 from metropilot.control import (
     STOP_OPTIONS,
     Adaptation,
@@ -82,26 +82,26 @@ class OptimalOptions:
         spacing_m: Mesh of the plan.
     """
 
-    objective: Objective = declared("wheel", choices=get_args(Objective))
+    objective: Objective = declare("wheel", choices=get_args(Objective))
     speed_gain_per_s: float = 0.8
     coast_band_mps2: float = 0.1
     time_band_s: float = 0.1
     speed_band_mps: float = 0.3
     learned_band: tuple[float, float, float] = (0.02, 0.04, 0.03)
     patience_s: float = 2.0
-    period_s: float = declared(math.inf, unit="s", low=0.0, above=True, infinite=True)
+    period_s: float = declare(math.inf, unit="s", low=0.0, above=True, infinite=True)
     last_plan_m: float = 30.0
     release_share: float = 0.95
     late_release_share: float = 0.5
-    brake_use: float = declared(0.995, low=0.0, high=1.0, above=True)
-    careful_brake_use: float = declared(0.97, low=0.0, high=1.0, above=True)
+    brake_use: float = declare(0.995, low=0.0, high=1.0, above=True)
+    careful_brake_use: float = declare(0.97, low=0.0, high=1.0, above=True)
     handover_m: float = 60.0
     alarm: float = 1.15
     careful_alarm: float = 0.95
     near_enough_m: float = 0.04
     cap_margin_mps: float = 0.05
-    reserve_s: float = declared(0.0, unit="s", low=0.0)
-    spacing_m: float = declared(12.5, unit="m", low=1.0, high=200.0)
+    reserve_s: float = declare(0.0, unit="s", low=0.0)
+    spacing_m: float = declare(12.5, unit="m", low=1.0, high=200.0)
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -13,7 +13,7 @@ from abc import abstractmethod
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
-from metropilot._schema import check_fields, declared
+from metropilot._schema import check_fields, declare
 from metropilot._typing import Array
 from metropilot.control import (
     Ceiling,
@@ -90,13 +90,13 @@ class AbstractTrackingOptions:
         slip_m: A distance behind or ahead of the reference that calls for a new one.
     """
 
-    reference: str = declared("s_curve", choices=KINDS)
-    acceleration_mps2: float = declared(0.9, unit="m/s^2", low=0.0, high=3.0, above=True)
-    deceleration_mps2: float = declared(0.8, unit="m/s^2", low=0.0, high=3.0, above=True)
-    jerk_mps3: float = declared(0.5, unit="m/s^3", low=0.0, above=True)
-    effort_share: float = declared(0.9, low=0.0, high=1.0, above=True)
+    reference: str = declare("s_curve", choices=KINDS)
+    acceleration_mps2: float = declare(0.9, unit="m/s^2", low=0.0, high=3.0, above=True)
+    deceleration_mps2: float = declare(0.8, unit="m/s^2", low=0.0, high=3.0, above=True)
+    jerk_mps3: float = declare(0.5, unit="m/s^3", low=0.0, above=True)
+    effort_share: float = declare(0.9, low=0.0, high=1.0, above=True)
     station_stop: bool = True
-    slip_m: float = declared(5.0, unit="m", low=0.0, infinite=True)
+    slip_m: float = declare(5.0, unit="m", low=0.0, infinite=True)
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -169,15 +169,15 @@ def ceiling_mps2(assists: Assists, context: FeatureContext, dt: float) -> Scalar
     v, x = context.speed_mps, context.position_m
     spread = rates.mass_high / rates.mass_low
 
-    def permitted(at: Scalar) -> Scalar:
+    def ceiling(at: Scalar) -> Scalar:
         return (
             ceiling_at(assists, context.rows, context.case, at) - assists.margin_mps - rates.speed_error_mps
         )
 
     jerk = xp.minimum(context.vehicle.jerk_mps3, AT_ONCE_MPS3)
     ahead_s = dt + rates.reaction_s + 1.0 / jerk
-    near = xp.minimum(permitted(x), permitted(x + v * dt)) - v
-    later = permitted(x + v * ahead_s) - v
+    near = xp.minimum(ceiling(x), ceiling(x + v * dt)) - v
+    later = ceiling(x + v * ahead_s) - v
     rise = xp.maximum(xp.minimum(near, later), 0.0)
     upward = closing_acceleration(rise, dt + spread * rates.reaction_s, jerk)
     downward = xp.minimum(xp.minimum(near / dt, later / ahead_s), 0.0)

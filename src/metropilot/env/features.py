@@ -237,11 +237,11 @@ def permitted_far(context: FeatureContext) -> Sequence[Scalar]:
 
 
 def _permitted_at(context: FeatureContext, ahead_m: Sequence[float]) -> Sequence[Scalar]:
-    at = context.position_m + _down(context, ahead_m)
+    at = context.position_m + _as_rows(context, ahead_m)
     return list(context.rows.ground_at(PERMITTED_COLUMN, context.case, at) / SPEED_MPS)
 
 
-def _down(context: FeatureContext, values: Sequence[float] | np.ndarray) -> Scalar:
+def _as_rows(context: FeatureContext, values: Sequence[float] | np.ndarray) -> Scalar:
     """Constants along a new first axis. Shape (K,), or (K, 1, ...) for many positions."""
     position = context.position_m
     return context.xp.asarray(values, position.dtype).reshape((-1,) + (1,) * position.ndim)
@@ -260,7 +260,7 @@ def climb_far(context: FeatureContext) -> Sequence[Scalar]:
 def climb_within(context: FeatureContext, ahead_m: Sequence[float]) -> Sequence[Scalar]:
     """Mean of gradient and curve resistance over distances ahead, at most up to the stop."""
     here = context.rows.ground_at(CLIMB_COLUMN, context.case, context.position_m)
-    way = context.xp.minimum(context.xp.maximum(context.left_m, 1.0), _down(context, ahead_m))
+    way = context.xp.minimum(context.xp.maximum(context.left_m, 1.0), _as_rows(context, ahead_m))
     there = context.rows.ground_at(CLIMB_COLUMN, context.case, context.position_m + way)
     return list((there - here) / way * 5.0)
 
@@ -309,7 +309,7 @@ def _coast(context: FeatureContext, v: Scalar) -> tuple[Array, Array]:
     """
     xp, vehicle = context.xp, context.vehicle
     length = xp.maximum(context.left_m, 1.0)
-    way = _down(context, COAST_NODES) * length
+    way = _as_rows(context, COAST_NODES) * length
     step, at = way[1:] - way[:-1], context.position_m + way
     climb = context.rows.ground_at(CLIMB_COLUMN, context.case, at)
     climb = (climb - climb[:1]) * (vehicle.mass_kg / vehicle.effective_mass_kg)

@@ -16,7 +16,7 @@ from metropilot._schema import (
     check_fields,
     check_name,
     convert,
-    declared,
+    declare,
     field_specs,
     field_type,
 )
@@ -58,10 +58,10 @@ class RunSpec:
         seed: Seed of all random draws.
     """
 
-    line: str = declared(MISSING, "Line: catalogue id or path to a .toml or .json file.")
-    origin: str = declared(MISSING, "Station of departure: code or name.")
-    destination: str = declared(MISSING, "Station of arrival: code or name.")
-    time_s: float | None = declared(
+    line: str = declare(MISSING, "Line: catalogue id or path to a .toml or .json file.")
+    origin: str = declare(MISSING, "Station of departure: code or name.")
+    destination: str = declare(MISSING, "Station of arrival: code or name.")
+    time_s: float | None = declare(
         None,
         "Running time; the line's planned time if not given.",
         unit="s",
@@ -69,29 +69,29 @@ class RunSpec:
         above=True,
         option="time",
     )
-    trainset: str = declared(
+    trainset: str = declare(
         "dkz32",
         "Trainset: catalogue id or path; ID:LOAD names its load, ID@DELAY,LAG another dead time and lag.",
     )
-    load: str | None = declared(None, "Load aboard, e.g. AW2.")
-    driver: str = declared("optimal", "Driver id; see `metropilot drivers`.")
+    load: str | None = declare(None, "Load aboard, e.g. AW2.")
+    driver: str = declare("optimal", "Driver id; see `metropilot drivers`.")
     options: Mapping[str, Any] = field(
         default_factory=dict,
         metadata={FieldSpec: FieldSpec("Option of the driver; repeatable.", option="set", form="NAME=VALUE")},
     )
     disturbance: Disturbance = field(default_factory=Disturbance)
-    restrictions: tuple[Restriction, ...] = declared(
+    restrictions: tuple[Restriction, ...] = declare(
         (),
         "Temporary speed restriction, m from the origin and 5 to 400 km/h; @T: announced T s after "
         "departure.",
         option="restriction",
         form="FROM-TO@KMH[@T]",
     )
-    objective: Objective = declared("wheel", "Energy to minimise: wheel or line.", choices=OBJECTIVES)
+    objective: Objective = declare("wheel", "Energy to minimise: wheel or line.", choices=OBJECTIVES)
     dt_s: float = field(
         default=CONTROL_PERIOD_S, metadata={FieldSpec: replace(field_specs(Run)["dt"], option="dt")}
     )
-    seed: int = declared(0, "Seed of everything random.", low=0, high=2**63 - 1, label="Seed", step=1.0)
+    seed: int = declare(0, "Seed of everything random.", low=0, high=2**63 - 1, label="Seed", step=1.0)
 
     def __post_init__(self) -> None:
         check_fields(self)

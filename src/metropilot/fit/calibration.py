@@ -489,7 +489,7 @@ def _check_moving(runs: Runs, groups: Sequence[str], source: Source) -> None:
     if high - low < CONSTANT_MPS:
         told = [name for name in groups if name in {"mass", "brake", "resistance", "delay", "lag"}]
         raise InputError(
-            f"the speed is constant: {_listed(told)} cannot be told apart",
+            f"the speed is constant: {_join_words(told)} cannot be told apart",
             field="logs",
             value=f"{KMH_PER_MPS * low:.1f} to {KMH_PER_MPS * high:.1f}",
             unit="km/h",
@@ -497,7 +497,7 @@ def _check_moving(runs: Runs, groups: Sequence[str], source: Source) -> None:
         )
 
 
-def _listed(words: Sequence[str]) -> str:
+def _join_words(words: Sequence[str]) -> str:
     return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else words[0]
 
 
@@ -527,7 +527,7 @@ def _check_identifiable(
         return
     weight = np.sqrt((unknown**2).sum(axis=0))
     named = [name for name, w in zip(names, weight, strict=True) if w > INVOLVED]
-    words = _listed([_WORDS.get(name, name.replace("_", " ")) for name in named])
+    words = _join_words([_WORDS.get(name, name.replace("_", " ")) for name in named])
     verb = "cannot be told apart" if len(named) > 1 else "cannot be estimated"
     options = list(dict.fromkeys(_KINDS[name].group for name in named))
     missing = _missing(problem.runs, problem.effort)
@@ -555,7 +555,7 @@ def _missing(runs: Runs, effort: bool) -> str:
         missing = ["a constant input", *missing]
     if runs.row_mps.size < 150:
         missing.append(f"{runs.row_mps.size} samples only")
-    return _listed(missing) if missing else ""
+    return _join_words(missing) if missing else ""
 
 
 def _covariance(

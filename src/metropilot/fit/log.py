@@ -186,17 +186,18 @@ def _numbers(
 ) -> Float[ndarray, " rows"]:
     """Numbers of a column in SI; an empty cell is NaN."""
     cells = [row[index].strip() if index < len(row) else "" for row in rows]
-    try:
-        return of.to_si(np.array([float(cell) if cell else np.nan for cell in cells]))
-    except ValueError:
-        for line, cell in enumerate(cells, 2):
-            try:
-                float(cell or "0")
-            except ValueError:
-                raise InputError(
-                    "not a number", file=path, field=f"line {line}, column {header[index]!r}", value=cell
-                ) from None
-        raise
+    values = np.full(len(cells), np.nan)
+    for k, cell in enumerate(cells):
+        try:
+            values[k] = float(cell or "nan")
+        except ValueError:
+            values[k] = np.inf
+        # A gap is an empty cell: the word NaN may also stand for a failed computation.
+        if cell and not np.isfinite(values[k]):
+            where = f"line {k + 2}, column {header[index]!r}"
+            allowed = "a finite number, or an empty cell for a gap"
+            raise InputError("not a number", file=path, field=where, value=cell, allowed=allowed)
+    return of.to_si(values)
 
 
 def _check_rows(path: Path, values: Mapping[str, ndarray], lines: ndarray) -> None:

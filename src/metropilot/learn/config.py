@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from typing import Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
-from metropilot._schema import FieldSpec, Range, declared, field_specs
+from metropilot._schema import FieldSpec, Range, declare, field_specs
 from metropilot.errors import InputError
 from metropilot.learn.networks import Initialiser
 from metropilot.learn.schedules import Schedule, Scheduled, highest, read_schedule
@@ -46,19 +46,19 @@ class AbstractConfig(ABC):
 
     algorithm: ClassVar[str]
 
-    steps: int = declared(100_000, low=1)
-    environments: int = declared(8, low=1)
-    evaluations: int = declared(20, low=1)
-    evaluation_episodes: int = declared(16, low=1)
-    evaluation_steps: int = declared(1_000, low=1)
-    keep: Keep = declared("best", choices=get_args(Keep))
-    gamma: float = declared(0.99, low=0.0, high=1.0)
+    steps: int = declare(100_000, low=1)
+    environments: int = declare(8, low=1)
+    evaluations: int = declare(20, low=1)
+    evaluation_episodes: int = declare(16, low=1)
+    evaluation_steps: int = declare(1_000, low=1)
+    keep: Keep = declare("best", choices=get_args(Keep))
+    gamma: float = declare(0.99, low=0.0, high=1.0)
     reward_factor: float = 1.0
     reward_scaling: bool = False
     normalise_observations: bool = False
-    hidden: tuple[int, ...] = declared((64, 64), low=1)
-    activation: Activation = declared("tanh", choices=get_args(Activation))
-    initialiser: Initialiser = declared("orthogonal", choices=get_args(Initialiser))
+    hidden: tuple[int, ...] = declare((64, 64), low=1)
+    activation: Activation = declare("tanh", choices=get_args(Activation))
+    initialiser: Initialiser = declare("orthogonal", choices=get_args(Initialiser))
     max_gradient_norm: float | None = None
 
     def __post_init__(self) -> None:
@@ -94,13 +94,13 @@ class AbstractReplayConfig(AbstractConfig):
     """
 
     environments: int = 1
-    collect: int = declared(1, low=1)
-    updates: int = declared(1, low=1)
-    buffer_size: int = declared(100_000, low=1)
-    batch_size: int = declared(64, low=1)
-    warmup: int = declared(1_000, low=1)
-    n_step: int = declared(1, low=1)
-    tau: float = declared(0.005, low=0.0, high=1.0, above=True)
+    collect: int = declare(1, low=1)
+    updates: int = declare(1, low=1)
+    buffer_size: int = declare(100_000, low=1)
+    batch_size: int = declare(64, low=1)
+    warmup: int = declare(1_000, low=1)
+    n_step: int = declare(1, low=1)
+    tau: float = declare(0.005, low=0.0, high=1.0, above=True)
 
     def __post_init__(self) -> None:
         """Refuse numbers outside their range, and a buffer that is not filled evenly."""
@@ -146,17 +146,17 @@ class PPOConfig(AbstractConfig):
 
     environments: int = 64
     max_gradient_norm: float | None = 0.5
-    rollout: int = declared(128, low=1)
-    epochs: int = declared(10, low=1)
-    minibatches: int = declared(16, low=1)
-    learning_rate: Scheduled = declared(3e-4, low=0.0)
-    lambda_: float = declared(0.95, low=0.0, high=1.0)
-    clip: Scheduled = declared(0.2, low=0.0, high=1.0, above=True)
+    rollout: int = declare(128, low=1)
+    epochs: int = declare(10, low=1)
+    minibatches: int = declare(16, low=1)
+    learning_rate: Scheduled = declare(3e-4, low=0.0)
+    lambda_: float = declare(0.95, low=0.0, high=1.0)
+    clip: Scheduled = declare(0.2, low=0.0, high=1.0, above=True)
     entropy: Scheduled = 0.0
     value_weight: float = 0.5
     normalise_advantages: bool = True
     initial_std: float = 0.6
-    min_std: Scheduled = declared(0.01, low=0.0)
+    min_std: Scheduled = declare(0.01, low=0.0)
     initial_bias: float = 0.0
 
     def __post_init__(self) -> None:
@@ -193,17 +193,17 @@ class DQNConfig(AbstractReplayConfig):
     activation: Activation = "relu"
     initialiser: Initialiser = "he"
     max_gradient_norm: float | None = 10.0
-    learning_rate: Scheduled = declared(5e-4, low=0.0)
+    learning_rate: Scheduled = declare(5e-4, low=0.0)
     double: bool = False
     dueling: bool = False
     prioritised: bool = False
-    priority_exponent: float = declared(0.6, low=0.0)
-    priority_floor: float = declared(1e-3, low=0.0, above=True)
-    importance: Scheduled = declared(BETA_ANNEALING, low=0.0, high=1.0)
+    priority_exponent: float = declare(0.6, low=0.0)
+    priority_floor: float = declare(1e-3, low=0.0, above=True)
+    importance: Scheduled = declare(BETA_ANNEALING, low=0.0, high=1.0)
     mask_targets: bool = True
-    epsilon: Scheduled = declared(EPSILON_DECAY, low=0.0, high=1.0)
-    target_period: int = declared(200, low=0)
-    huber: float | None = declared(1.0, low=0.0, above=True)
+    epsilon: Scheduled = declare(EPSILON_DECAY, low=0.0, high=1.0)
+    target_period: int = declare(200, low=0)
+    huber: float | None = declare(1.0, low=0.0, above=True)
 
     def __post_init__(self) -> None:
         """Refuse numbers outside their range."""
@@ -231,15 +231,15 @@ class DDPGConfig(AbstractReplayConfig):
 
     activation: Activation = "relu"
     initialiser: Initialiser = "uniform"
-    actor_rate: Scheduled = declared(1e-3, low=0.0)
-    critic_rate: Scheduled = declared(1e-3, low=0.0)
-    noise: Scheduled = declared(0.2, low=0.0)
-    noise_kind: Literal["gaussian", "ornstein_uhlenbeck"] = declared(
+    actor_rate: Scheduled = declare(1e-3, low=0.0)
+    critic_rate: Scheduled = declare(1e-3, low=0.0)
+    noise: Scheduled = declare(0.2, low=0.0)
+    noise_kind: Literal["gaussian", "ornstein_uhlenbeck"] = declare(
         "gaussian", choices=("gaussian", "ornstein_uhlenbeck")
     )
-    noise_pull: float = declared(0.15, low=0.0, high=1.0)
+    noise_pull: float = declare(0.15, low=0.0, high=1.0)
     initial_bias: float = 0.0
-    saturation_cost: float = declared(0.0, low=0.0)
+    saturation_cost: float = declare(0.0, low=0.0)
 
 
 @dataclass(frozen=True)
@@ -260,10 +260,10 @@ class SACConfig(AbstractReplayConfig):
     activation: Activation = "relu"
     initialiser: Initialiser = "he"
     batch_size: int = 256
-    actor_rate: Scheduled = declared(3e-4, low=0.0)
-    critic_rate: Scheduled = declared(1e-3, low=0.0)
-    temperature_rate: Scheduled = declared(3e-4, low=0.0)
-    initial_temperature: float = declared(0.2, low=0.0, above=True)
+    actor_rate: Scheduled = declare(3e-4, low=0.0)
+    critic_rate: Scheduled = declare(1e-3, low=0.0)
+    temperature_rate: Scheduled = declare(3e-4, low=0.0)
+    initial_temperature: float = declare(0.2, low=0.0, above=True)
     target_entropy: float = -1.0
     initial_bias: float = 0.0
 
@@ -280,8 +280,8 @@ class NAFConfig(AbstractReplayConfig):
 
     algorithm: ClassVar[str] = "naf"
 
-    learning_rate: Scheduled = declared(1e-3, low=0.0)
-    noise: Scheduled = declared(0.3, low=0.0)
+    learning_rate: Scheduled = declare(1e-3, low=0.0)
+    noise: Scheduled = declare(0.3, low=0.0)
     initial_bias: float = 0.0
 
 
@@ -301,13 +301,13 @@ class TabularConfig(AbstractConfig):
 
     algorithm: ClassVar[str] = "tabular"
 
-    bins: tuple[int, ...] = declared((10,), low=1)
+    bins: tuple[int, ...] = declare((10,), low=1)
     low: tuple[float, ...] = (-1.0,)
     high: tuple[float, ...] = (1.0,)
     initial_value: float = 0.0
-    learning_rate: Scheduled = declared(0.1, low=0.0, high=1.0)
-    epsilon: Scheduled = declared(0.1, low=0.0, high=1.0)
-    rollout: int = declared(32, low=1)
+    learning_rate: Scheduled = declare(0.1, low=0.0, high=1.0)
+    epsilon: Scheduled = declare(0.1, low=0.0, high=1.0)
+    rollout: int = declare(32, low=1)
 
     def __post_init__(self) -> None:
         """Refuse numbers outside their range."""
@@ -350,16 +350,16 @@ class TeacherConfig(AbstractConfig):
     normalise_observations: bool = True
     gamma: float = 1.0
     max_gradient_norm: float | None = 0.5
-    worlds: int = declared(2_000, low=1)
-    plans: int = declared(7, low=1)
-    states: int = declared(60, low=1)
-    batches: int = declared(12_000, low=1)
-    batch_size: int = declared(1_024, low=1)
-    imitation_rate: float = declared(1.5e-3, low=0.0)
-    learning_rate: Scheduled = declared(COSINE_LR, low=0.0, high=1.0)
-    decisions: int = declared(38_400, low=9_600)
-    imitation_weight: float = declared(0.3, low=0.0)
-    late_per_s: float = declared(0.04, low=0.0)
+    worlds: int = declare(2_000, low=1)
+    plans: int = declare(7, low=1)
+    states: int = declare(60, low=1)
+    batches: int = declare(12_000, low=1)
+    batch_size: int = declare(1_024, low=1)
+    imitation_rate: float = declare(1.5e-3, low=0.0)
+    learning_rate: Scheduled = declare(COSINE_LR, low=0.0, high=1.0)
+    decisions: int = declare(38_400, low=9_600)
+    imitation_weight: float = declare(0.3, low=0.0)
+    late_per_s: float = declare(0.04, low=0.0)
 
 
 CONFIGS: dict[str, type[AbstractConfig]] = {

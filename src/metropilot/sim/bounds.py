@@ -42,7 +42,7 @@ def declared_bounds(run: Run) -> Bounds:
 
 def _resistance_ratios(run: Run) -> tuple[float, float]:
     """Least and largest true running resistance over the nominal one, at any speed."""
-    known, actual = _known(run), run.disturbance.true_plant(run.trainset)
+    known, actual = _nominal(run), run.disturbance.true_plant(run.trainset)
     speed = np.linspace(0.0, known.max_speed_mps, 65)
     powers = np.stack([np.ones_like(speed), speed, speed * speed])
     true_n, nominal_n = (np.array(t.davis.newtons(t.mass_kg)) @ powers for t in (actual, known))
@@ -53,12 +53,12 @@ def _resistance_ratios(run: Run) -> tuple[float, float]:
 
 def _braking_share(run: Run) -> float:
     """Least ratio of true to nominal service braking force over all speeds."""
-    known, actual = (vehicle_arrays(t) for t in (_known(run), run.disturbance.true_plant(run.trainset)))
+    known, actual = (vehicle_arrays(t) for t in (_nominal(run), run.disturbance.true_plant(run.trainset)))
     speeds = np.linspace(0.0, float(known.max_speed_mps), 65)
     return float(np.min(brake_available_n(actual, speeds) / brake_available_n(known, speeds)))
 
 
-def _known(run: Run) -> Trainset:
+def _nominal(run: Run) -> Trainset:
     return run.disturbance.nominal(run.trainset)
 
 

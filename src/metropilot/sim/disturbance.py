@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, no_type_check
 
-from metropilot._schema import check_fields, declared
+from metropilot._schema import check_fields, declare
 from metropilot._typing import Array, Scalar
 from metropilot.physics import Vehicle, namespace
 from metropilot.railway import Actuation, Davis, EffortCurve, Restriction, Trainset
@@ -127,8 +127,8 @@ class Disturbance:
         updates: New arrival times and temporary speed restrictions announced during the run.
     """
 
-    ideal: bool = declared(False, "Ideal actuation: no delay, lag or jerk limit.", label="Ideal actuation")
-    mass_factor: float = declared(
+    ideal: bool = declare(False, "Ideal actuation: no delay, lag or jerk limit.", label="Ideal actuation")
+    mass_factor: float = declare(
         1.0,
         "True mass over nominal mass.",
         low=0.5,
@@ -136,7 +136,7 @@ class Disturbance:
         label="True mass / nominal",
         step=0.05,
     )
-    resistance_factor: float = declared(
+    resistance_factor: float = declare(
         1.0,
         "True over nominal Davis resistance.",
         low=0.0,
@@ -144,7 +144,7 @@ class Disturbance:
         label="True resistance / nominal",
         step=0.1,
     )
-    delay_s: float = declared(
+    delay_s: float = declare(
         0.0,
         "Additional dead time.",
         unit="s",
@@ -153,7 +153,7 @@ class Disturbance:
         label="Additional dead time",
         step=0.1,
     )
-    lag_s: float = declared(
+    lag_s: float = declare(
         0.0,
         "Additional lag.",
         unit="s",
@@ -162,7 +162,7 @@ class Disturbance:
         label="Additional lag",
         step=0.1,
     )
-    speed_noise_mps: float = declared(
+    speed_noise_mps: float = declare(
         0.0,
         "Standard deviation of the measured speed.",
         unit="m/s",
@@ -171,7 +171,7 @@ class Disturbance:
         label="Speed noise, 1σ",
         step=0.01,
     )
-    headwind_mps: float = declared(
+    headwind_mps: float = declare(
         0.0,
         "Wind from ahead; below 0 from behind.",
         unit="m/s",
@@ -180,7 +180,7 @@ class Disturbance:
         label="Headwind",
         step=1.0,
     )
-    adhesion: float = declared(
+    adhesion: float = declare(
         float("inf"),
         "Traction or electric braking over weight at which the driven wheels slip, e.g. 0.06.",
         low=0.05,
@@ -188,7 +188,7 @@ class Disturbance:
         label="Adhesion (empty: dry rail)",
         step=0.01,
     )
-    brake_factor: float = declared(
+    brake_factor: float = declare(
         1.0,
         "True over nominal service braking force.",
         low=0.5,

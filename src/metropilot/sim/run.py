@@ -6,7 +6,7 @@ from dataclasses import MISSING, dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
-from metropilot._schema import check_fields, declared
+from metropilot._schema import check_fields, declare
 from metropilot.railway import Section, Trainset
 from metropilot.sim.disturbance import Disturbance
 
@@ -42,9 +42,9 @@ class Run:
 
     section: Section
     trainset: Trainset
-    scheduled_time_s: float = declared(MISSING, "Running time.", unit="s", low=0.0, above=True, option="time")
+    scheduled_time_s: float = declare(MISSING, "Running time.", unit="s", low=0.0, above=True, option="time")
     disturbance: Disturbance = field(default_factory=Disturbance)
-    dt: float = declared(CONTROL_PERIOD_S, "Control period.", unit="s", low=0.01, high=1.0)
+    dt: float = declare(CONTROL_PERIOD_S, "Control period.", unit="s", low=0.01, high=1.0)
     seed: int = 0
 
     def __post_init__(self) -> None:

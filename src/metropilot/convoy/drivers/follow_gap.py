@@ -7,7 +7,7 @@ from typing import NamedTuple, final, no_type_check
 
 import numpy as np
 
-from metropilot._schema import check_fields, declared
+from metropilot._schema import check_fields, declare
 from metropilot._typing import Scalar
 from metropilot.convoy.drivers.base import AbstractFollower, command_for
 from metropilot.convoy.step import FollowerObservation
@@ -31,10 +31,10 @@ class FollowGapOptions:
         feedforward: Share of the acceleration of the trainset ahead that is fed forward.
     """
 
-    time_gap_s: float = declared(0.0, unit="s", low=0.0, high=10.0)
-    bandwidth_per_s: float = declared(0.0, low=0.0, high=4.0)
-    damping: float = declared(1.0, low=0.3, high=3.0)
-    feedforward: float = declared(1.0, low=0.0, high=1.0)
+    time_gap_s: float = declare(0.0, unit="s", low=0.0, high=10.0)
+    bandwidth_per_s: float = declare(0.0, low=0.0, high=4.0)
+    damping: float = declare(1.0, low=0.3, high=3.0)
+    feedforward: float = declare(1.0, low=0.0, high=1.0)
 
     def __post_init__(self) -> None:
         check_fields(self)

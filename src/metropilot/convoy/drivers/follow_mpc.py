@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, final, no_type_check
 import numpy as np
 from numpy import ndarray
 
-from metropilot._schema import check_fields, declared
+from metropilot._schema import check_fields, declare
 from metropilot._typing import Scalar
 from metropilot.convoy.drivers.base import AbstractFollower, command_for, reachable
 from metropilot.convoy.step import FollowerObservation
@@ -39,10 +39,10 @@ class FollowMpcOptions:
         fading: Share of the acceleration ahead that remains one period later.
     """
 
-    gap: float = declared(1.0, low=0.0, high=1e3)
-    speed: float = declared(1.0, low=0.0, high=1e3)
-    change: float = declared(0.05, low=0.0, high=1e3)
-    fading: float = declared(0.97, low=0.0, high=1.0)
+    gap: float = declare(1.0, low=0.0, high=1e3)
+    speed: float = declare(1.0, low=0.0, high=1e3)
+    change: float = declare(0.05, low=0.0, high=1e3)
+    fading: float = declare(0.97, low=0.0, high=1.0)
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -7,7 +7,7 @@ from typing import final, no_type_check
 
 import numpy as np
 
-from metropilot._schema import check_fields, declared
+from metropilot._schema import check_fields, declare
 from metropilot._typing import Array, Scalar
 from metropilot.control import Errors, Gains, incremental_pid
 from metropilot.convoy.drivers.base import AbstractFollower, waits
@@ -62,9 +62,9 @@ class FollowPidOptions:
         derivative: On the change of the change, 0 to 1.5.
     """
 
-    proportional: float = declared(5.0, low=GAIN_LOW.proportional, high=GAIN_HIGH.proportional)
-    integral: float = declared(1.5, low=GAIN_LOW.integral, high=GAIN_HIGH.integral)
-    derivative: float = declared(0.5, low=GAIN_LOW.derivative, high=GAIN_HIGH.derivative)
+    proportional: float = declare(5.0, low=GAIN_LOW.proportional, high=GAIN_HIGH.proportional)
+    integral: float = declare(1.5, low=GAIN_LOW.integral, high=GAIN_HIGH.integral)
+    derivative: float = declare(0.5, low=GAIN_LOW.derivative, high=GAIN_HIGH.derivative)
 
     def __post_init__(self) -> None:
         check_fields(self)

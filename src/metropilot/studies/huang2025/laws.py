@@ -418,12 +418,12 @@ def expert_track(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTr
         traction_mps2=[max(float(e.traction_n), 1.0) / mass for e in effort],
         brake_mps2=[max(float(e.brake_n), 1.0) / mass for e in effort],
         davis=tuple(float(d) / mass for d in vehicle.davis_n),  # pyright: ignore[reportArgumentType]
-        most_mps2=_limited(float(vehicle.max_acceleration_mps2)),
+        most_mps2=_service_limit(float(vehicle.max_acceleration_mps2)),
         jerk_mps3=float(vehicle.jerk_mps3),
     )
 
 
-def _limited(limit_mps2: float) -> float:
+def _service_limit(limit_mps2: float) -> float:
     """Limit of a trainset on its acceleration or deceleration, or the usual one where it declares none."""
     return limit_mps2 if math.isfinite(limit_mps2) else UNLIMITED_MPS2
 
@@ -449,7 +449,7 @@ def _safe(model: Model, ceiling: Ceiling, rules: ExpertRules, at: np.ndarray) ->
     here = limits[np.clip(np.searchsorted(begins, at, side="right") - 1, 0, limits.size - 1)]
     safe = np.minimum(here, [ceiling.at(float(x)) for x in at])
     for place, lower in drops(model):
-        most = _limited(float(model.vehicle.max_deceleration_mps2))
+        most = _service_limit(float(model.vehicle.max_deceleration_mps2))
         kept = min(lower, ceiling.at(place)) - UNDER_MPS
         begins = place - lower * lead_s(model)
         before = expert_safe_speed(np, rules, FOR_LIMITS * most, kept / rules.safe_share, begins - at, here)
