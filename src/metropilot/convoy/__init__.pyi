@@ -11,8 +11,9 @@ from .attack import AttackCase as AttackCase
 from .drivers import FOLLOWERS as FOLLOWERS
 from .drivers import AbstractFollower as AbstractFollower
 from .drivers import register_follower as register_follower
-from .drivers.learned import AbstractGainFollower as AbstractGainFollower
-from .drivers.learned import FollowPolicyOptions as FollowPolicyOptions
+from .drivers.follow_pid import chen2023b_state as chen2023b_state
+from .drivers.follow_pid import gains_of as gains_of
+from .drivers.follow_pid import pid_step as pid_step
 from .env import MAX_PERIODS as MAX_PERIODS
 from .env import ConvoyTask as ConvoyTask
 from .env import ConvoyTaskConfig as ConvoyTaskConfig
@@ -34,3 +35,4 @@ from .rollout import ConvoyDrive as ConvoyDrive
 from .rollout import ConvoyRollout as ConvoyRollout
 from .rollout import HeadRun as HeadRun
 from .rollout import drive_convoy as drive_convoy
+from .step import FollowerObservation as FollowerObservation

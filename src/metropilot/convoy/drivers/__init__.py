@@ -7,7 +7,7 @@ from metropilot.convoy.drivers.base import AbstractFollower, register_follower
 FOLLOWERS.add(
     {
         "ddpg_pid_follow": RegistryRow(
-            "metropilot.convoy.drivers.learned:DdpgPidFollow",
+            "metropilot.studies.chen2023b.drivers:DdpgPidFollow",
             "PID on the speed difference, gains by a policy of DDPG",
             "Chen23b",
         ),
@@ -27,7 +27,7 @@ FOLLOWERS.add(
             "Chen23b eq. 12, gains tuned within its bounds",
         ),
         "sac_pid": RegistryRow(
-            "metropilot.convoy.drivers.learned:SacPid",
+            "metropilot.studies.chen2023b.drivers:SacPid",
             "PID on the speed difference, gains by a policy of soft actor-critic",
             "Chen23b",
         ),

@@ -14,7 +14,6 @@ from metropilot._io import load_or_compute
 from metropilot.convoy import (
     GAP_M,
     AbstractFollower,
-    AbstractGainFollower,
     AttackArena,
     AttackCampaign,
     ConvoyService,
@@ -22,6 +21,7 @@ from metropilot.convoy import (
     needed_gap_m,
     speed_gains,
 )
+from metropilot.studies.chen2023b.drivers import AbstractGainFollower
 from metropilot.studies.chen2023b.setting import head_run, pair
 from metropilot.studies.report import ReportRow
 from metropilot.units import KMH_PER_MPS

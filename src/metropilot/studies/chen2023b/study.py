@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metropilot.convoy import FOLLOWERS, AbstractFollower, ConvoyDrive, FollowPolicyOptions, drive_convoy
+from metropilot.convoy import FOLLOWERS, AbstractFollower, ConvoyDrive, drive_convoy
 from metropilot.errors import InputError
 from metropilot.studies.chen2023b.beyond import (
     campaign_rows,
@@ -16,6 +16,7 @@ from metropilot.studies.chen2023b.beyond import (
     stability,
     stability_rows,
 )
+from metropilot.studies.chen2023b.drivers import FollowPolicyOptions
 from metropilot.studies.chen2023b.figures import figures
 from metropilot.studies.chen2023b.learning import ETAS, NAMES, jobs
 from metropilot.studies.chen2023b.setting import CITATION, PUBLISHED, SIMPLE, head_run, pair

@@ -1,4 +1,4 @@
-"""Followers with a PID whose gains a policy sets (Chen23b), each policy from one checked file."""
+"""Followers of the paper: a PID whose gains a policy sets, each policy from one checked file."""
 
 from __future__ import annotations
 
@@ -10,13 +10,20 @@ import numpy as np
 
 from metropilot._typing import Scalar
 from metropilot.control import Errors
-from metropilot.convoy.drivers.base import AbstractFollower
-from metropilot.convoy.drivers.follow_pid import STATE, chen2023b_state, gains_of, pid_step
-from metropilot.convoy.step import FollowerObservation
+from metropilot.convoy import (
+    AbstractFollower,
+    FollowerObservation,
+    chen2023b_state,
+    gains_of,
+    pid_step,
+)
 from metropilot.errors import InputError
 from metropilot.physics import Vehicle, namespace, scalars
 from metropilot.policy import Policy, load_policy, policy_path, shipped_policy
 from metropilot.policy import act as policy_act
+
+STATE_SIZE, GAINS = 6, 3
+"""Chen23b eqs. 15 and 16."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +58,13 @@ class AbstractGainFollower(AbstractFollower):
         path = policy_path(self.options.policy) if self.options.policy else shipped
         policy, _ = load_policy(path)
         size, gains = policy.spec.observation_size, policy.spec.actions
-        if size != len(STATE) or gains != 3 or policy.spec.discrete:
+        if size != STATE_SIZE or gains != GAINS or policy.spec.discrete:
             raise InputError(
                 "not a policy that sets a follower's gains",
                 file=path,
                 field="policy",
                 value=f"{size} observations, {gains} actions",
-                allowed=f"{len(STATE)} observations, 3 actions",
+                allowed=f"{STATE_SIZE} observations, {GAINS} actions",
             )
         return policy
 

@@ -1,0 +1,2 @@
+from .drivers import FollowPolicyOptions as FollowPolicyOptions
+from .drivers import SacPid as SacPid
