@@ -133,7 +133,7 @@ def test_a_type_that_is_named_before_it_is_there_is_not_checked(checked):
 
 
 def test_metropilot_itself_is_checked():
-    from metropilot.planning import stated_s
+    from metropilot.planning import round_up_time
 
     with pytest.raises(jaxtyping.TypeCheckError):
-        stated_s("fast")
+        round_up_time("fast")

@@ -25,15 +25,15 @@ def driven(scenario, commands):
     actual = scenario.true_plant(trainset)
     vehicle, track = vehicle_arrays(actual), track_arrays(section, actual)
     state = at_rest(vehicle, delay_steps=delay_steps(float(vehicle.delay_s), DT))
-    belief, rng, rows = initial_estimate(model), np.random.default_rng(7), []
+    estimate, rng, rows = initial_estimate(model), np.random.default_rng(7), []
     for command in commands:
         noise = scenario.speed_noise_mps * np.clip(rng.standard_normal(), -3, 3)
         speed = max(float(state.speed_mps + noise), 0.0)
-        belief = update_estimate(
-            model, belief, float(state.position_m), speed, float(state.acceleration_mps2)
+        estimate = update_estimate(
+            model, estimate, float(state.position_m), speed, float(state.acceleration_mps2)
         )
-        belief = record_command(belief, command)
-        rows.append((belief, state))
+        estimate = record_command(estimate, command)
+        rows.append((estimate, state))
         state = step(vehicle, track, state, Command(np.float64(command), False), DT)
     return model, rows
 
@@ -47,18 +47,18 @@ def test_gains_delay_and_resistance_are_learned(mass):
         mass_factor=mass, resistance_factor=1.5, delay_s=0.6, lag_s=0.4, speed_noise_mps=0.05
     )
     _, rows = driven(scenario, COMMANDS)
-    belief = rows[-1][0]
-    assert belief.traction_gain == pytest.approx(1 / mass, rel=0.03)
+    estimate = rows[-1][0]
+    assert estimate.traction_gain == pytest.approx(1 / mass, rel=0.03)
     # The brake weighs its load: 100 % is the service rate whatever the mass.
-    assert belief.brake_gain == pytest.approx(1.0, rel=0.05)
-    assert belief.resistance_factor == pytest.approx(1.5 / mass, rel=0.15)
-    assert belief.bank.delay_steps[belief.best] == 3
-    assert belief.bank.keep[belief.best] == pytest.approx(np.exp(-DT / 0.4))
+    assert estimate.brake_gain == pytest.approx(1.0, rel=0.05)
+    assert estimate.resistance_factor == pytest.approx(1.5 / mass, rel=0.15)
+    assert estimate.bank.delay_steps[estimate.best] == 3
+    assert estimate.bank.keep[estimate.best] == pytest.approx(np.exp(-DT / 0.4))
 
 
 def test_speed_is_filtered_tenfold():
     _, rows = driven(Disturbance(speed_noise_mps=0.05), COMMANDS)
-    errors = [belief.speed_mps - float(state.speed_mps) for belief, state in rows[20:]]
+    errors = [estimate.speed_mps - float(state.speed_mps) for estimate, state in rows[20:]]
     assert np.std(errors) < 0.01
     assert np.abs(errors).max() < 0.02
 
@@ -66,9 +66,9 @@ def test_speed_is_filtered_tenfold():
 def test_look_ahead_predicts_the_state_the_command_will_meet():
     scenario = Disturbance(mass_factor=1.2, delay_s=0.6, lag_s=0.4)
     model, rows = driven(scenario, COMMANDS)
-    # The belief kept in a row has the command just given; look at the moment before.
-    (belief, _), (_, later) = rows[100], rows[103]
-    ahead = look_ahead(model, belief._replace(commands=np.append(belief.commands[1:], 0.0)))
+    # The estimate kept in a row has the command just given; look at the moment before.
+    (estimate, _), (_, later) = rows[100], rows[103]
+    ahead = look_ahead(model, estimate._replace(commands=np.append(estimate.commands[1:], 0.0)))
     assert ahead.seconds == pytest.approx(0.6)
     assert ahead.position_m == pytest.approx(float(later.position_m), abs=0.02)
     assert ahead.speed_mps == pytest.approx(float(later.speed_mps), abs=0.02)
@@ -76,9 +76,9 @@ def test_look_ahead_predicts_the_state_the_command_will_meet():
 
 def test_share_for_gives_the_acceleration_asked_for():
     model, rows = driven(Disturbance(ideal=False), COMMANDS)
-    belief, state = rows[60]
-    ahead = look_ahead(model, belief)
-    share = share_for(belief, ahead, 0.3)
+    estimate, state = rows[60]
+    ahead = look_ahead(model, estimate)
+    share = share_for(estimate, ahead, 0.3)
     after = step(model.vehicle, model.track, state, Command(np.float64(share), False), DT)
     # Within what the jerk limit lets change in one period.
     limit = float(model.vehicle.jerk_mps3) * DT

@@ -83,9 +83,9 @@ def test_a_tracker_hears_news():
 def test_a_reference_keeps_to_time_jerk_limits_and_effort():
     trainset = load_trainset("dkz32")
     line = section("XC-SJZ")
-    ground = ReferenceTrack(vehicle_arrays(trainset), track_arrays(line, trainset))
+    constraints = ReferenceTrack(vehicle_arrays(trainset), track_arrays(line, trainset))
     shape = ReferenceShape(0.9, 0.8, 0.5)
-    found = reference_under_for_time(ground, shape, 190.0)
+    found = reference_under_for_time(constraints, shape, 190.0)
     assert found.duration_s == pytest.approx(190.0, abs=0.01)
     assert found.position_m[-1] == pytest.approx(line.length_m)
     assert np.abs(np.diff(found.acceleration_mps2)).max() <= 0.5 * found.period_s + 1e-9
@@ -96,9 +96,9 @@ def test_a_reference_keeps_to_time_jerk_limits_and_effort():
 def test_where_nothing_binds_it_is_the_trapezoid_drawn_by_hand():
     trainset = load_trainset("cheng2023").ideal()
     line = section("RJ-WYJ")
-    ground = ReferenceTrack(vehicle_arrays(trainset), track_arrays(line, trainset))
+    constraints = ReferenceTrack(vehicle_arrays(trainset), track_arrays(line, trainset))
     shape = ReferenceShape(0.5, 0.5)
-    found = reference_under_for_time(ground, shape, 130.0, 0.2)
+    found = reference_under_for_time(constraints, shape, 130.0, 0.2)
     by_hand = sample_reference(reference_for_time(line.length_m, 130.0, shape, 20.0), 0.2)
     assert np.abs(found.speed_mps - by_hand.speed_mps).max() < 0.01
     assert np.abs(found.position_m - by_hand.position_m).max() < 0.2

@@ -24,7 +24,7 @@ from metropilot.policy import (
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, Run, drive, register
 
-PERCEPTION = task_config("drive").perception
+INTERFACE = task_config("drive").interface
 SIZE = 14
 """Numbers in the observation of the task ``drive``."""
 
@@ -38,10 +38,10 @@ def policy_of(seed=0, size=SIZE, **fields):
     return Policy(spec, params)
 
 
-def file_of(folder, policy=None, perception=PERCEPTION, **changes):
+def file_of(folder, policy=None, interface=INTERFACE, **changes):
     path = folder / "mine.safetensors"
-    told = perception.as_dict() | changes if perception else {}
-    save_policy(path, policy or policy_of(), {"perception": told} if perception else {})
+    told = interface.as_dict() | changes if interface else {}
+    save_policy(path, policy or policy_of(), {"perception": told} if interface else {})
     return path
 
 
@@ -54,24 +54,24 @@ def test_a_file_drives_as_the_policy_in_it(tmp_path):
     policy = policy_of()
     path = file_of(tmp_path, policy)
     run = run_of(ideal=True)
-    direct = drive(run, LearnedDriver(policy, PERCEPTION)).trajectory
+    direct = drive(run, LearnedDriver(policy, INTERFACE)).trajectory
     driven = drive(run, make_driver("learned", {"policy": str(path)})).trajectory
     np.testing.assert_array_equal(driven.command, direct.command)
     assert np.ptp(direct.command) > 0.5
     path.rename(tmp_path / "policy.safetensors")
-    assert make_driver(f"learned:policy={tmp_path}").loaded.perception == PERCEPTION
+    assert make_driver(f"learned:policy={tmp_path}").loaded.interface == INTERFACE
 
 
 @pytest.mark.parametrize("name", ["drive", "drive_notches", "drive_increment", "chen2023a"])
 def test_perception_survives_json(name):
-    perception = task_config(name).perception
-    assert PolicyInterface.from_dict(json.loads(json.dumps(perception.as_dict()))) == perception
+    interface = task_config(name).interface
+    assert PolicyInterface.from_dict(json.loads(json.dumps(interface.as_dict()))) == interface
 
 
 def test_every_action_survives_json():
     for kind in map(ACTIONS.get, ACTIONS):
-        perception = replace(PERCEPTION, action=kind())
-        assert PolicyInterface.from_dict(json.loads(json.dumps(perception.as_dict()))) == perception
+        interface = replace(INTERFACE, action=kind())
+        assert PolicyInterface.from_dict(json.loads(json.dumps(interface.as_dict()))) == interface
 
 
 REGIME = {"kind": "regime", "coast": 0.2, "full": 0.8}
@@ -120,7 +120,7 @@ def test_a_file_that_says_what_cannot_be_driven_is_refused(tmp_path, changes, wo
 
 def test_a_file_without_perception_is_refused(tmp_path):
     with pytest.raises(InputError, match="does not say what the policy sees"):
-        load_driving_policy(file_of(tmp_path, perception=None))
+        load_driving_policy(file_of(tmp_path, interface=None))
 
 
 def test_features_that_do_not_fit_the_network_are_refused_when_driving(tmp_path):
@@ -131,13 +131,13 @@ def test_features_that_do_not_fit_the_network_are_refused_when_driving(tmp_path)
 
 @pytest.mark.parametrize("output", ["clip", "argmax"])
 def test_an_answer_that_is_not_a_number_never_becomes_a_command(tmp_path, output):
-    notches = task_config("drive_notches").perception
+    notches = task_config("drive_notches").interface
     policy = policy_of(
         output=output, activation="relu", **({} if output == "clip" else {"actions": 9, "width": 9})
     )
     for name, value in policy.params.items():
         policy.params[name] = np.full_like(value, 3e38)
-    path = file_of(tmp_path, policy, PERCEPTION if output == "clip" else notches)
+    path = file_of(tmp_path, policy, INTERFACE if output == "clip" else notches)
     with pytest.raises(InputError, match="answers what is not a number"):
         drive(run_of(), make_driver("learned", {"policy": str(path)}))
 
@@ -217,7 +217,7 @@ def test_a_policy_goes_with_the_run_it_drove(tmp_path):
     moved = out.rename(tmp_path / "elsewhere")
     again = run_from_toml(moved / "run.toml")
     assert again.driver == "learned"
-    assert again.make_driver().loaded.perception == PERCEPTION
+    assert again.make_driver().loaded.interface == INTERFACE
 
 
 @pytest.mark.parametrize("driver", ["generalist", "ppo"])

@@ -91,7 +91,7 @@ def stopped(trainset, scenario, seed):
     state = at_rest(
         vehicle, delay_steps=delay_steps(float(vehicle.delay_s), DT), position_m=start, speed_mps=speed
     )
-    belief, gradient = initial_estimate(model, start, speed), weakest_gradient(model, LENGTH_M)
+    estimate, gradient = initial_estimate(model, start, speed), weakest_gradient(model, LENGTH_M)
     track = track_arrays(section, actual)
     held, rows = 0.0, [0.0]
     while state.speed_mps > 0:
@@ -101,15 +101,15 @@ def stopped(trainset, scenario, seed):
             max(float(state.speed_mps + noise), 0.0),
             float(state.acceleration_mps2),
         )
-        belief = update_estimate(model, belief, *seen)
-        comfortable = held or comfortable_deceleration(model, belief, gradient)
-        stop = stop_command(model, belief, LENGTH_M, curve_for(model.vehicle, DT, comfortable))
-        ahead = look_ahead(model, belief)
+        estimate = update_estimate(model, estimate, *seen)
+        comfortable = held or comfortable_deceleration(model, estimate, gradient)
+        stop = stop_command(model, estimate, LENGTH_M, curve_for(model.vehicle, DT, comfortable))
+        ahead = look_ahead(model, estimate)
         if held or stop.required_mps2 >= comfortable:
             held, share = comfortable, stop.share
         else:
-            share = share_for(belief, ahead, float(np.clip(0.5 * (speed - ahead.speed_mps), -0.5, 0.9)))
-        belief = record_command(belief, share)
+            share = share_for(estimate, ahead, float(np.clip(0.5 * (speed - ahead.speed_mps), -0.5, 0.9)))
+        estimate = record_command(estimate, share)
         state = step(vehicle, track, state, Command(np.float64(share), False), DT)
         if held:
             rows.append(float(state.acceleration_mps2))

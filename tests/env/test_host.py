@@ -90,7 +90,7 @@ def test_same_policy(observer):
     rows, kpis = episode(task, lambda o, _: jnp.tanh(o @ weights + 0.8)[None], 110.0)
     config = task.config
     run = Run(config.sections[0], config.trainsets[0], 110.0, Disturbance(ideal=True), config.dt)
-    done = drive(run, LearnedDriver(policy, config.perception))
+    done = drive(run, LearnedDriver(policy, config.interface))
     assert done.outcome is CODES[int(kpis.outcome)]
     compare(rows, kpis, done)
 
@@ -104,19 +104,19 @@ def test_decisions_are_held_over_shorter_periods():
         return np.ones(1, np.float32)
 
     run = Run(config.sections[0], config.trainsets[0], 110.0, Disturbance(ideal=True), 0.2)
-    done = drive(run, LearnedDriver(policy, config.perception))
+    done = drive(run, LearnedDriver(policy, config.interface))
     assert done.outcome.value == "arrived"
     assert done.interventions == 0
-    assert abs(len(seen) - done.running_time_s / config.perception.period_s) < 2
+    assert abs(len(seen) - done.running_time_s / config.interface.period_s) < 2
 
 
 @pytest.mark.parametrize("name", ["drive", "drive_notches", "drive_increment"])
 def test_perception_survives_as_plain_values(name):
-    perception = task_config(name).perception
-    assert PolicyInterface.from_dict(perception.as_dict()) == perception
+    interface = task_config(name).interface
+    assert PolicyInterface.from_dict(interface.as_dict()) == interface
     with pytest.raises(Exception, match="feature"):
-        PolicyInterface.from_dict(perception.as_dict() | {"features": ["colour"]})
-    assert replace(perception, period_s=1.0) != perception
+        PolicyInterface.from_dict(interface.as_dict() | {"features": ["colour"]})
+    assert replace(interface, period_s=1.0) != interface
 
 
 @pytest.mark.parametrize("release", [0.5, 0.95])
@@ -128,7 +128,7 @@ def test_a_late_stop_is_at_the_point_however_the_brake_is_let_go(release, ends):
     config = config_of(False, action=CommandAction(), assists=assists)
     done = drive(
         Run(section, trainset, 150.0),
-        LearnedDriver(lambda _: np.ones(1, np.float32), config.perception),
+        LearnedDriver(lambda _: np.ones(1, np.float32), config.interface),
     )
     assert done.outcome.value == "arrived"
     assert abs(float(done.trajectory.position_m[-1]) - section.length_m) < 0.03
@@ -141,7 +141,7 @@ def test_letting_the_brake_go_sooner_takes_longer():
     def taken_s(release):
         assists = Assists(margin_mps=0.05, stop_use=0.99, release=release, late=True)
         config = config_of(False, action=CommandAction(), assists=assists)
-        driver = LearnedDriver(lambda _: np.ones(1, np.float32), config.perception)
+        driver = LearnedDriver(lambda _: np.ones(1, np.float32), config.interface)
         return drive(Run(section, trainset, 150.0), driver).running_time_s
 
     assert 0.2 < taken_s(0.5) - taken_s(0.95) < 0.8

@@ -33,7 +33,7 @@ pytestmark = pytest.mark.slow
 @cache
 def program(sections):
     """Whole drives over the first so many sections: the task, and a function of starts."""
-    seen = LOADED.perception
+    seen = LOADED.interface
     config = DrivingConfig(
         tuple(SECTIONS[:sections]),
         tuple(TRAINSETS),
@@ -87,7 +87,7 @@ def test_single_precision_drives_as_double_precision_does():
     rows, config = driven([*range(len(CASES))]), program(EVERY)[0].config
     for (section, trainset), time_s, single in zip(CASES, TIMES, rows, strict=True):
         run = Run(section, trainset, time_s, Disturbance(ideal=True), config.dt)
-        double = drive(run, LearnedDriver(LOADED.policy, config.perception)).trajectory
+        double = drive(run, LearnedDriver(LOADED.policy, config.interface)).trajectory
         wanted = np.stack([getattr(double, name)[1:] for name in COLUMNS], axis=1)
         assert wanted.dtype == np.float64
         near(

@@ -52,7 +52,7 @@ def kept_s(room, pace_mps, position_m):
 def test_tabled_paces_are_what_integration_gives(room):
     for share in (0.0, 0.37, 0.8):
         x = share * room.length_m
-        for pace, found in zip(PACES_MPS, room.rows.paced_s(0, np.float64(x)), strict=True):
+        for pace, found in zip(PACES_MPS, room.rows.pace_times_s(0, np.float64(x)), strict=True):
             assert float(found) == pytest.approx(kept_s(room, pace, x), rel=0.01, abs=0.2)
 
 
@@ -84,14 +84,14 @@ def test_coasting_takes_what_integration_gives(room):
     seen = context(room, 0.75 * room.length_m, 14.0, 200.0)
     vehicle, length = seen.vehicle, float(seen.left_m)
     way = np.linspace(0.0, length, 8001)
-    climb = room.rows.ground_at(CLIMB_COLUMN, 0, seen.position_m + way)
+    climb = room.rows.curve_at(CLIMB_COLUMN, 0, seen.position_m + way)
     climb = (climb - climb[0]) * float(vehicle.mass_kg / vehicle.effective_mass_kg)
     energy = np.full(way.size, 0.5 * 14.0**2)
     for k in range(way.size - 1):
         drag = float(davis_n(vehicle, np.sqrt(2.0 * energy[k])) / vehicle.effective_mass_kg)
         energy[k + 1] = max(energy[k] - (climb[k + 1] - climb[k]) - drag * way[1], 0.5)
-    braked = np.sqrt(2.0 * float(seen.stop_mps2) * (length - way) + 1e-6)
-    top = np.minimum(room.rows.ground_at(PERMITTED_COLUMN, 0, seen.position_m + way), braked)
+    stop_mps = np.sqrt(2.0 * float(seen.stop_mps2) * (length - way) + 1e-6)
+    top = np.minimum(room.rows.curve_at(PERMITTED_COLUMN, 0, seen.position_m + way), stop_mps)
     speed = np.minimum(np.sqrt(2.0 * energy), top)
     taken = float(np.sum(2.0 * way[1] / (speed[1:] + speed[:-1] + 0.1)))
     spare = float(FEATURES.get("coasting")(seen)[0]) * 50.0

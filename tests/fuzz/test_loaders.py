@@ -77,14 +77,14 @@ def test_pipes_and_files_without_end_are_refused(tmp_path, read):
 @pytest.mark.parametrize("task", ["drive", "drive_notches"])
 def test_weights_that_mean_harm_stay_under_protection(tmp_path, task):
     """Weights of a stranger, far out of any learned range and all for power: protection has the last word."""
-    perception = task_config(task).perception
-    space, rng, scale = perception.action.space, np.random.default_rng(1), 1e3
+    interface = task_config(task).interface
+    space, rng, scale = interface.action.space, np.random.default_rng(1), 1e3
     output, width = ("argmax", space.count) if space.discrete else ("clip", 1)
     spec = PolicySpec(output, SIZE, width if space.discrete else 1, (8,), "tanh", width)
     params = {n: (scale * rng.normal(size=s)).astype(np.float32) for n, s in spec.shapes().items()}
     params["policy.1.bias"] = np.linspace(1.0, 2.0, width).astype(np.float32) * np.float32(100 * scale)
     path = tmp_path / "theirs.safetensors"
-    save_policy(path, Policy(spec, params), {"perception": perception.as_dict()})
+    save_policy(path, Policy(spec, params), {"perception": interface.as_dict()})
     done = drive(RunSpec("yizhuang", "RJ", "WYJ", 110.0).run(), make_driver("learned", {"policy": str(path)}))
     seen = done.trajectory
     assert (seen.speed_mps <= seen.limit_mps + 1e-9).all()

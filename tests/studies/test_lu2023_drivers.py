@@ -33,7 +33,7 @@ def restless(observation, mask):
 @pytest.mark.parametrize("policy", [lazy, restless])
 def test_any_policy_is_in_time_by_notches_alone(policy):
     # at 115 s there are 11 s to idle away at the origin: fewer than the 20 s that count as stalled
-    found = drive(run(115.0), LearnedDriver(policy, task_config("lu2023").perception))
+    found = drive(run(115.0), LearnedDriver(policy, task_config("lu2023").interface))
     kpis = kpis_of(found, None)
     assert found.outcome is Outcome.ARRIVED
     assert abs(kpis.stopping_error_m) <= 0.3
@@ -54,7 +54,7 @@ def random_policy(path):
     spec = PolicySpec("dueling", size, 12, (8,), "relu", 12, normalised=False)
     rng = np.random.default_rng(5)
     params = {name: rng.normal(size=shape).astype(np.float32) for name, shape in spec.shapes().items()}
-    save_policy(path, Policy(spec, params), {"perception": config.perception.as_dict()})
+    save_policy(path, Policy(spec, params), {"perception": config.interface.as_dict()})
     return path
 
 

@@ -42,7 +42,7 @@ def test_a_shipped_policy_was_learned_by_its_recipe(driver):
     recipe = RECIPES.get(driver)
     task = recipe.make_task()
     assert declare(about) == recipe.paper
-    assert PolicyInterface.from_dict(about["perception"]) == task.config.perception
+    assert PolicyInterface.from_dict(about["perception"]) == task.config.interface
     assert policy.spec == spec_of(recipe.paper, task)
     name = about["task"] if isinstance(about["task"], str) else about["task"]["name"]
     assert name == recipe.task
@@ -74,5 +74,5 @@ def test_the_policies_of_one_plan_were_learned_as_the_study_says(plan):
     job = plan_job("improved_dqn", plan, 0, steps=ALL_STEPS if plan.restricted else LEARNING.steps)
     task = job.task()
     assert declare(about) == job.config
-    assert PolicyInterface.from_dict(about["perception"]) == task.config.perception
+    assert PolicyInterface.from_dict(about["perception"]) == task.config.interface
     assert policy.spec == spec_of(job.config, task)

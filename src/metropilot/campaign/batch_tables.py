@@ -60,34 +60,34 @@ class TableCache:
 
 def guard_tables(section: Section, run: Run) -> SectionTables:
     """Protection of a section on the grid of the host loop, and its track; no leading axis."""
-    believed = run.disturbance.nominal(run.trainset)
-    guard = protect(section, believed, declared_bounds(run))
+    nominal = run.disturbance.nominal(run.trainset)
+    guard = protect(section, nominal, declared_bounds(run))
     curves = [getattr(guard, name) for name in PROTECTION_CURVES]
     none = np.float64(0.0)
     return SectionTables(
-        vehicle=vehicle_arrays(believed),
-        track=_track(section, believed),
+        vehicle=vehicle_arrays(nominal),
+        track=_track(section, nominal),
         protection=guard._replace(**dict.fromkeys(PROTECTION_CURVES, none)),
-        ground=np.stack([*curves, np.zeros_like(curves[0])], axis=1),
+        node_curves=np.stack([*curves, np.zeros_like(curves[0])], axis=1),
         to_go=np.zeros((2, 2)),
         minimum_s=none,
         length_m=np.float64(section.length_m),
         load=none,
         stop_mps2=none,
-        braked=np.zeros((1, 2)),
+        braking_curves=np.zeros((1, 2)),
     )
 
 
-def make_feature_tables(perception: PolicyInterface) -> Callable[[Section, Run], SectionTables]:
+def make_feature_tables(interface: PolicyInterface) -> Callable[[Section, Run], SectionTables]:
     """A function that makes the tables of a policy, as the driver does in the host loop."""
 
     def make(section: Section, run: Run) -> SectionTables:
-        believed = run.disturbance.nominal(run.trainset)
-        case = (section, believed, declared_bounds(run))
-        tables = map_tree(lambda a: a[0], build_tables([case], perception.spacing_m, np.float64))
+        nominal = run.disturbance.nominal(run.trainset)
+        case = (section, nominal, declared_bounds(run))
+        tables = map_tree(lambda a: a[0], build_tables([case], interface.spacing_m, np.float64))
         guard = tables.protection._replace(ahead=np.zeros(1, np.int32), slots=np.zeros(1))
-        load = np.float64(believed.mass_kg / perception.mean_mass_kg)
-        return tables._replace(load=load, protection=guard, track=_track(section, believed))
+        load = np.float64(nominal.mass_kg / interface.mean_mass_kg)
+        return tables._replace(load=load, protection=guard, track=_track(section, nominal))
 
     return make
 
@@ -99,9 +99,9 @@ def _track(section: Section, trainset: Trainset) -> Track:
 
 
 @lru_cache(maxsize=8)
-def table_cache(perception: PolicyInterface | None) -> TableCache:
+def table_cache(interface: PolicyInterface | None) -> TableCache:
     """This worker's cache of the tables of a policy interface, or (None) of protection."""
-    return TableCache(guard_tables if perception is None else make_feature_tables(perception))
+    return TableCache(guard_tables if interface is None else make_feature_tables(interface))
 
 
 def stack_tables(tables: Sequence[SectionTables], nodes: Sequence[int], slots: int) -> SectionTables:
@@ -113,7 +113,7 @@ def stack_tables(tables: Sequence[SectionTables], nodes: Sequence[int], slots: i
         slots: Largest number of commands in the dead time of any run.
     """
     rows = [*tables, *[tables[0]] * (padded_size(len(tables), CASES) - len(tables))]
-    size = padded_size(max(t.ground.shape[0] for t in tables) + 4, nodes)
+    size = padded_size(max(t.node_curves.shape[0] for t in tables) + 4, nodes)
     columns = padded_size(max(t.to_go.shape[1] for t in tables), SPEEDS)
     ahead = np.arange(max(t.protection.ahead.size for t in tables), dtype=np.int32)
     count = len(rows)
@@ -127,9 +127,9 @@ def stack_tables(tables: Sequence[SectionTables], nodes: Sequence[int], slots: i
             ahead=np.repeat(ahead[None], count, axis=0),
             slots=np.zeros((count, slots)),
         ),
-        ground=np.stack([np.pad(t.ground, ((0, size - t.ground.shape[0]), (0, 0)), "edge") for t in rows]),
+        node_curves=np.stack([_pad_curves(t.node_curves, size) for t in rows]),
         to_go=np.stack([np.pad(t.to_go, ((0, 0), (0, columns - t.to_go.shape[1])), "edge") for t in rows]),
-        braked=np.stack([_pad_curves(t.braked, size) for t in rows]),
+        braking_curves=np.stack([_pad_curves(t.braking_curves, size) for t in rows]),
         **{
             name: np.array([getattr(t, name) for t in rows])
             for name in ("minimum_s", "length_m", "load", "stop_mps2")
@@ -137,9 +137,9 @@ def stack_tables(tables: Sequence[SectionTables], nodes: Sequence[int], slots: i
     )
 
 
-def _pad_curves(braked: np.ndarray, size: int) -> np.ndarray:
-    """Pad braking curves to a size; the tables of protection have none."""
-    return np.pad(braked, ((0, size - len(braked) if len(braked) > 1 else 0), (0, 0)), "edge")
+def _pad_curves(curves: np.ndarray, size: int) -> np.ndarray:
+    """Pad curves to a size; the tables of protection have one row in place of the braking curves."""
+    return np.pad(curves, ((0, size - len(curves) if len(curves) > 1 else 0), (0, 0)), "edge")
 
 
 def map_tree(function: Callable[..., Any], tree: Any) -> Any:  # noqa: ANN401 (a tree of tuples)

@@ -227,7 +227,7 @@ def _run_batch(
 
     keep_compiled()
     policy = loaded.policy.policy
-    kind = Kind(policy.spec, loaded.perception, campaign.dt_s, GUARD_SPACING_M)
+    kind = Kind(policy.spec, loaded.interface, campaign.dt_s, GUARD_SPACING_M)
     slots = most_slots(campaign.trainset_keys, campaign.dt_s)
     tables, given = _episode_params(loaded, starts, slots)
     going = _at_departure(given, slots, policy.spec.discrete, policy.spec.actions)
@@ -259,7 +259,7 @@ def _episode_params(
     loaded: LoadedPolicy, starts: Sequence[CompiledStart], slots: int
 ) -> tuple[Any, EpisodeParams]:
     """Tables of protection and of the policy, and the runs' parameters; the first run pads the batch."""
-    kinds = table_cache(None), table_cache(loaded.perception)
+    kinds = table_cache(None), table_cache(loaded.interface)
     numbers: dict[Place, int] = {}
     found: tuple[list[Any], list[Any]] = ([], [])
     rows = []

@@ -112,13 +112,13 @@ class Kind:
 
     Attributes:
         spec: Architecture of the policy.
-        perception: Features, actions and assists of the policy.
+        interface: Features, actions and assists of the policy.
         dt: Control period, s.
         guard_spacing_m: Distance between the nodes of the tables of protection.
     """
 
     spec: PolicySpec
-    perception: PolicyInterface
+    interface: PolicyInterface
     dt: float
     guard_spacing_m: float
 
@@ -141,7 +141,7 @@ def program(kind: Kind) -> Callable[..., tuple[EpisodeState, CompiledRow]]:
         noise: Array,
     ) -> tuple[EpisodeState, CompiledRow]:
         guard = SectionRows(tables[0], jax=True, spacing_m=kind.guard_spacing_m)
-        seen = SectionRows(tables[1], jax=True, spacing_m=kind.perception.spacing_m)
+        seen = SectionRows(tables[1], jax=True, spacing_m=kind.interface.spacing_m)
 
         def all_runs(going: EpisodeState, noise: Array) -> tuple[EpisodeState, CompiledRow]:
             return jax.vmap(lambda a, b, c: period(kind, params, guard, seen, a, b, c))(given, going, noise)
@@ -185,7 +185,7 @@ def period(
             seen,
             row,
             found,
-            stop_mps2=kind.perception.assists.planned_mps2(seen, row, found.stop_mps2, at),
+            stop_mps2=kind.interface.assists.planned_mps2(seen, row, found.stop_mps2, at),
             time_s=run.plant.time_s,
             position_m=run.plant.position_m,
             speed_mps=run.measured_mps,
@@ -215,7 +215,7 @@ def period(
         line_j=after.line_j,
         recovered_j=after.recovered_j,
         command=record.command.share,
-        permitted_mps=guard.ground_at(PERMITTED_COLUMN, place, plant.position_m),
+        permitted_mps=guard.curve_at(PERMITTED_COLUMN, place, plant.position_m),
         overruled=record.intervened,
         told=told,
         overspeed_mps=record.overspeed_mps,
@@ -230,18 +230,18 @@ def _decide(
     """Take a decision if one is due and apply the assists; also returns True if the output was not finite."""
     import jax.numpy as jnp
 
-    perception, spec = kind.perception, kind.spec
-    output = network_output(spec, params, observe(perception.features, context), jnp)
-    action = choose_action(spec, output, perception.action.action_mask(context, perception.period_s), jnp)
+    interface, spec = kind.interface, kind.spec
+    output = network_output(spec, params, observe(interface.features, context), jnp)
+    action = choose_action(spec, output, interface.action.action_mask(context, interface.period_s), jnp)
     action = action.astype(before.action.dtype)
-    due = context.time_s >= before.decided * perception.period_s - DECISION_EARLY_S
+    due = context.time_s >= before.decided * interface.period_s - DECISION_EARLY_S
     broken = due & (jnp.all(jnp.isfinite(output)) ^ True)
-    count = ((context.time_s + DECISION_EARLY_S) / perception.period_s).astype(jnp.int32) + 1
-    wanted = perception.action.command(context, action, perception.period_s)
+    count = ((context.time_s + DECISION_EARLY_S) / interface.period_s).astype(jnp.int32) + 1
+    wanted = interface.action.command(context, action, interface.period_s)
     action, decided = jnp.where(due, action, before.action), jnp.where(due, count, before.decided)
     wanted = jnp.where(due, wanted.astype(context.speed_mps.dtype), before.wanted)
-    command = perception.action.hold(context, action, wanted)
-    command, stopping = apply_assists(perception.assists, context, command, before.stopping, kind.dt)
-    command = perception.action.round(context, command).astype(context.speed_mps.dtype)
+    command = interface.action.hold(context, action, wanted)
+    command, stopping = apply_assists(interface.assists, context, command, before.stopping, kind.dt)
+    command = interface.action.round(context, command).astype(context.speed_mps.dtype)
     after = before._replace(command=command, action=action, wanted=wanted, decided=decided, stopping=stopping)
     return after, broken

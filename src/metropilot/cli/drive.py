@@ -97,13 +97,13 @@ def report(request: RunSpec, kpis: Kpis) -> None:
 
 def rows(kpis: Kpis) -> list[tuple[str, str, str]]:
     """Rows of the printed KPIs: name, value with unit, remark."""
-    from metropilot.planning import stated_s
+    from metropilot.planning import round_up_time
 
     share, gap = kpis.optimality_gap_percent, kpis.certificate_gap_percent
     objective = "at the wheel" if kpis.energy_objective == "wheel" else "net at the line"
     certificate = "" if gap is None else f"certified within {max(gap, 0.001):.3f} %"
     least = kpis.minimum_running_time_s
-    fastest = number(None if least is None else stated_s(least), 2, "s")
+    fastest = number(None if least is None else round_up_time(least), 2, "s")
     return [
         (
             "running time",

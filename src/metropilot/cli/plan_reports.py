@@ -19,7 +19,6 @@ from metropilot.planning import (
     minimum_running_time,
     optimal_plan,
     plan_journey,
-    stated_s,
     time_energy_front,
     timetable_waypoints,
 )
@@ -80,7 +79,7 @@ def run(asked: PlanArguments, section: Section, time_s: float | None) -> int:
             (
                 "running time",
                 number(plan.running_time_s, 2, "s"),
-                f"asked {time_s:g} s, minimum {stated_s(fastest):.2f} s",
+                f"asked {time_s:g} s, minimum {round_up_time(fastest):.2f} s",
             ),
             *energy_rows(plan, asked.options),
         ]

@@ -89,7 +89,7 @@ def policy_json(file: PolicyFile) -> dict[str, Any]:
 
 
 def say_policy(file: PolicyFile) -> None:
-    """Print network, perception, KPIs and provenance."""
+    """Print network, policy interface, KPIs and provenance."""
     from metropilot.cli.learn_report import kpi_rows
 
     out, about, spec = console(), file.about, file.policy.spec

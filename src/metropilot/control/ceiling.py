@@ -131,27 +131,27 @@ def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ce
 
 
 def largest_admissible_command(
-    guard: Protection, watched: Memory, position_m: float, speed_mps: float, share: float
+    guard: Protection, supervision: Memory, position_m: float, speed_mps: float, share: float
 ) -> tuple[float, Memory]:
     """Largest command up to ``share`` that protection admits, and the memory of protection after it.
 
     Args:
         guard: Protection of the section.
-        watched: Memory of protection.
+        supervision: Memory of protection.
         position_m: Position.
         speed_mps: Measured speed.
         share: Wanted command in [-1, 1].
     """
     seen = position_m, speed_mps
-    _, after, verdict = supervise(guard, watched, *seen, Command(share, False))
+    _, after, verdict = supervise(guard, supervision, *seen, Command(share, False))
     if int(verdict.level) == 0:
         return share, after
     low, high = -1.0, share
     for _ in range(CLEARING_STEPS):
         middle = 0.5 * (low + high)
-        _, _, verdict = supervise(guard, watched, *seen, Command(middle, False))
+        _, _, verdict = supervise(guard, supervision, *seen, Command(middle, False))
         low, high = (middle, high) if int(verdict.level) == 0 else (low, middle)
-    _, after, _ = supervise(guard, watched, *seen, Command(low, False))
+    _, after, _ = supervise(guard, supervision, *seen, Command(low, False))
     return low, after
 
 
@@ -185,25 +185,25 @@ def ceiling_acceleration(
     return wanted
 
 
-def traction_limit(belief: StateEstimate, ahead: PredictedState, ceiling: Ceiling) -> float:
+def traction_limit(estimate: StateEstimate, ahead: PredictedState, ceiling: Ceiling) -> float:
     """Largest traction command that protection admits now and when the command begins to act.
 
     Protection evaluates a command with the nominal trainset and the lightest admissible one, without dead
     time; a command that holds the speed is always admitted.
 
     Args:
-        belief: The estimate.
+        estimate: State and plant as estimated.
         ahead: The state when the command begins to act.
         ceiling: Speed ceiling.
     """
     drag = ahead.resistance_mps2 + ahead.gradient_mps2
-    here_mps = ceiling.at(belief.position_m, ceiling.look_s * belief.speed_mps)
-    here = ceiling.acceleration_under(here_mps - belief.speed_mps)
+    here_mps = ceiling.at(estimate.position_m, ceiling.look_s * estimate.speed_mps)
+    here = ceiling.acceleration_under(here_mps - estimate.speed_mps)
     there_mps = ceiling.at(ahead.position_m, ceiling.look_s * ahead.speed_mps)
     there = ceiling.acceleration_under(there_mps - ahead.speed_mps)
-    believed = ahead.traction_mps2 / belief.traction_gain
+    nominal_mps2 = ahead.traction_mps2 / estimate.traction_gain
     hold = drag / ahead.traction_mps2 if ahead.speed_mps <= there_mps else 0.0
-    return min(max((min(here, there) + drag) / believed, hold, 0.0), 1.0)
+    return min(max((min(here, there) + drag) / nominal_mps2, hold, 0.0), 1.0)
 
 
 def lowest_ahead(ahead: PredictedState, ceiling: Ceiling, curve: StopCurve) -> tuple[float, float] | None:

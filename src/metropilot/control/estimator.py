@@ -180,7 +180,7 @@ def initial_estimate(
 
 def update_estimate(
     model: Model,
-    belief: StateEstimate,
+    estimate: StateEstimate,
     position_m: float,
     speed_mps: float,
     acceleration_mps2: float,
@@ -191,24 +191,24 @@ def update_estimate(
 
     Args:
         model: Nominal trainset and section.
-        belief: The estimate of the period before, after :func:`record_command`.
+        estimate: The estimate of the period before, after :func:`record_command`.
         position_m: Measured position.
         speed_mps: Measured speed, noisy.
         acceleration_mps2: Acceleration over the last period.
         overruled: Protection overruled the last command: its answer says nothing about the plant.
     """
-    if not belief.started:
-        return belief._replace(
+    if not estimate.started:
+        return estimate._replace(
             position_m=float(position_m),
             speed_mps=float(speed_mps),
             acceleration_mps2=float(acceleration_mps2),
             started=True,
         )
-    bank, best = belief.bank, belief.best
+    bank, best = estimate.bank, estimate.best
     if not overruled:
-        bank, best = _learn(model, belief, float(acceleration_mps2))
-    position, speed, covariance = _fuse(model.dt, belief, position_m, speed_mps, acceleration_mps2)
-    return belief._replace(
+        bank, best = _learn(model, estimate, float(acceleration_mps2))
+    position, speed, covariance = _fuse(model.dt, estimate, position_m, speed_mps, acceleration_mps2)
+    return estimate._replace(
         position_m=position,
         speed_mps=speed,
         acceleration_mps2=float(acceleration_mps2),
@@ -218,22 +218,22 @@ def update_estimate(
     )
 
 
-def record_command(belief: StateEstimate, share: float) -> StateEstimate:
+def record_command(estimate: StateEstimate, share: float) -> StateEstimate:
     """Add the command just given to the estimate."""
-    commands = np.concatenate([[min(max(float(share), -1.0), 1.0)], belief.commands[:-1]])
-    return belief._replace(commands=commands)
+    commands = np.concatenate([[min(max(float(share), -1.0), 1.0)], estimate.commands[:-1]])
+    return estimate._replace(commands=commands)
 
 
 def _fuse(
-    dt: float, belief: StateEstimate, position_m: float, speed_mps: float, acceleration_mps2: float
+    dt: float, estimate: StateEstimate, position_m: float, speed_mps: float, acceleration_mps2: float
 ) -> tuple[float, float, Float[ndarray, "2 2"]]:
     """Kalman filter of position and speed, with the measured acceleration of the period as its input."""
     a = float(acceleration_mps2)
-    position = belief.position_m + belief.speed_mps * dt + 0.5 * a * dt * dt
-    speed = belief.speed_mps + a * dt
+    position = estimate.position_m + estimate.speed_mps * dt + 0.5 * a * dt * dt
+    speed = estimate.speed_mps + a * dt
     move = np.array([[1.0, dt], [0.0, 1.0]])
     push = np.array([0.5 * dt * dt, dt]) * 0.5 * ANSWER_SIGMA_MPS2
-    p = move @ belief.covariance @ move.T + np.outer(push, push)
+    p = move @ estimate.covariance @ move.T + np.outer(push, push)
     noise = np.diag([POSITION_SIGMA_M**2, SPEED_SIGMA_MPS**2])
     gain = p @ np.linalg.inv(p + noise)
     miss = np.array([position_m - position, speed_mps - speed])
@@ -245,15 +245,15 @@ def _fuse(
     )
 
 
-def _learn(model: Model, belief: StateEstimate, answer: float) -> tuple[HypothesisBank, int]:
+def _learn(model: Model, estimate: StateEstimate, answer: float) -> tuple[HypothesisBank, int]:
     """Update every hypothesis with the measured acceleration, and select the best.
 
     A recursive least-squares step with forgetting; the cost of a hypothesis is its prediction error.
     """
-    vehicle, bank, v = model.vehicle, belief.bank, belief.speed_mps
-    acting = acting_command(belief.commands, bank.delay_steps)
+    vehicle, bank, v = model.vehicle, estimate.bank, estimate.speed_mps
+    acting = acting_command(estimate.commands, bank.delay_steps)
     share = acting + (bank.share - acting) * bank.keep
-    limits = effort_limits(vehicle, model.track, belief.position_m, v)
+    limits = effort_limits(vehicle, model.track, estimate.position_m, v)
     features = np.stack(
         [
             np.maximum(share, 0.0) * limits.traction_mps2,
@@ -264,7 +264,7 @@ def _learn(model: Model, belief: StateEstimate, answer: float) -> tuple[Hypothes
     )
     free = np.einsum("hk,hk->h", bank.gains, features) - limits.gradient_mps2
     room = float(vehicle.jerk_mps3) * model.dt
-    expected = np.clip(free, belief.acceleration_mps2 - room, belief.acceleration_mps2 + room)
+    expected = np.clip(free, estimate.acceleration_mps2 - room, estimate.acceleration_mps2 + room)
     standing = v < 0.05
     if standing:
         expected = np.maximum(expected, 0.0)
@@ -286,28 +286,30 @@ def _learn(model: Model, belief: StateEstimate, answer: float) -> tuple[Hypothes
         cost=cost,
     )
     challenger = int(np.argmin(cost))
-    best = challenger if cost[challenger] < cost[belief.best] - SWITCH_MARGIN else belief.best
+    best = challenger if cost[challenger] < cost[estimate.best] - SWITCH_MARGIN else estimate.best
     return learned, best
 
 
-def look_ahead(model: Model, belief: StateEstimate, coming: float | None = None) -> PredictedState:
+def look_ahead(model: Model, estimate: StateEstimate, coming: float | None = None) -> PredictedState:
     """Predict the state when a command given now begins to act, with the commands still in the pipeline.
 
     Args:
         model: Nominal trainset and section.
-        belief: The estimate.
+        estimate: State and plant as estimated.
         coming: Command given now: with a dead time that is no whole number of periods, a part of it acts
             before that state. None: the last one goes on.
     """
-    bank, best = belief.bank, belief.best
+    bank, best = estimate.bank, estimate.best
     age, keep = float(bank.delay_steps[best]), float(bank.keep[best])
     up, down, drag = (float(k) for k in bank.gains[best])
-    motion = Motion(belief.position_m, belief.speed_mps, belief.acceleration_mps2, float(bank.share[best]))
+    motion = Motion(
+        estimate.position_m, estimate.speed_mps, estimate.acceleration_mps2, float(bank.share[best])
+    )
     limits = effort_limits(model.vehicle, model.track, motion.position_m, motion.speed_mps)
     resistance, gradient, _, traction, brake = map(float, limits)
     if age > 0:
         acting = up * traction, down * brake, drag * resistance + gradient
-        commands, jerk = belief.commands.tolist(), float(model.vehicle.jerk_mps3)
+        commands, jerk = estimate.commands.tolist(), float(model.vehicle.jerk_mps3)
         motion = predict_motion(motion, commands, age, keep, acting, jerk, model.dt, coming)
         limits = effort_limits(model.vehicle, model.track, motion.position_m, motion.speed_mps)
         resistance, gradient, _, traction, brake = map(float, limits)
@@ -317,12 +319,12 @@ def look_ahead(model: Model, belief: StateEstimate, coming: float | None = None)
 
 
 def share_for(
-    belief: StateEstimate, ahead: PredictedState, wanted_mps2: float, lead: float = LAG_LEAD
+    estimate: StateEstimate, ahead: PredictedState, wanted_mps2: float, lead: float = LAG_LEAD
 ) -> float:
     """Command for an acceleration at the moment when it begins to act.
 
     Args:
-        belief: The estimate.
+        estimate: State and plant as estimated.
         ahead: The state at that moment, from :func:`look_ahead`.
         wanted_mps2: Wanted acceleration.
         lead: Share of the lag that is compensated by a larger command, in [0, 1].
@@ -331,4 +333,4 @@ def share_for(
         A command in [-1, 1].
     """
     effort = wanted_mps2 + ahead.resistance_mps2 + ahead.gradient_mps2
-    return ahead.command_for(effort, float(belief.bank.keep[belief.best]), lead)
+    return ahead.command_for(effort, float(estimate.bank.keep[estimate.best]), lead)

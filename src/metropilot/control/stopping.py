@@ -132,22 +132,23 @@ def weakest_gradient(model: Model, target_m: float, stretch_m: float = 400.0) ->
 
 
 def comfortable_deceleration(
-    model: Model, belief: StateEstimate, gradient_mps2: float, use: float = SERVICE_USE
+    model: Model, estimate: StateEstimate, gradient_mps2: float, use: float = SERVICE_USE
 ) -> float:
     """Deceleration for planning a stop: the surely available one, at most the trainset's limit, m/s^2.
 
     Args:
         model: Nominal trainset and section.
-        belief: The estimate; the gain of the brake counts less 1.5 standard deviations, and at most 1.
+        estimate: State and plant as estimated; the gain of the brake counts less 1.5 standard deviations,
+            and at most 1.
         gradient_mps2: Mean gradient from :func:`weakest_gradient`.
         use: Share of the available deceleration to plan with.
     """
     vehicle = model.vehicle
-    speeds = (0.0, belief.speed_mps)
+    speeds = (0.0, estimate.speed_mps)
     effort = min(float(effort_at(vehicle, np.float64(v)).brake_n) for v in speeds) / float(
         vehicle.effective_mass_kg
     )
-    sure = min(belief.brake_gain - 1.5 * belief.brake_gain_sigma, 1.0)
+    sure = min(estimate.brake_gain - 1.5 * estimate.brake_gain_sigma, 1.0)
     return max(use * min(effort * sure + gradient_mps2, float(vehicle.max_deceleration_mps2)), 0.2)
 
 
@@ -399,7 +400,7 @@ class Stop(NamedTuple):
 
 def stop_command(
     model: Model,
-    belief: StateEstimate,
+    estimate: StateEstimate,
     target_m: float,
     curve: StopCurve,
     options: StopOptions = STOP_OPTIONS,
@@ -408,17 +409,17 @@ def stop_command(
 
     Args:
         model: Nominal trainset and section.
-        belief: Estimate from :func:`metropilot.control.estimator.update_estimate`.
+        estimate: From :func:`metropilot.control.estimator.update_estimate`.
         target_m: Position of the stop.
         curve: Shape of the stop; deviations from its deceleration are corrected with a small gain.
         options: Constants of the stop.
     """
-    stop = _stop_from(look_ahead(model, belief), model, belief, target_m, curve, options)
-    if float(belief.bank.delay_steps[belief.best]) % 1.0 > PART:
+    stop = _stop_from(look_ahead(model, estimate), model, estimate, target_m, curve, options)
+    if float(estimate.bank.delay_steps[estimate.best]) % 1.0 > PART:
         # A part of the command acts before the state it is computed for: a fixed point, with damping.
         share = stop.share
         for _ in range(PARTIAL_PASSES):
-            stop = _stop_from(look_ahead(model, belief, share), model, belief, target_m, curve, options)
+            stop = _stop_from(look_ahead(model, estimate, share), model, estimate, target_m, curve, options)
             share = 0.5 * (share + stop.share)
         stop = stop._replace(share=share)
     return stop
@@ -427,7 +428,7 @@ def stop_command(
 def _stop_from(
     ahead: PredictedState,
     model: Model,
-    belief: StateEstimate,
+    estimate: StateEstimate,
     target_m: float,
     curve: StopCurve,
     options: StopOptions,
@@ -436,11 +437,11 @@ def _stop_from(
     v, distance = ahead.speed_mps, target_m - ahead.position_m
     if v <= 0 and distance < options.inch_m:
         wanted = -max(curve.end_mps2, options.hold_mps2)
-        return Stop(share_for(belief, ahead, wanted), 0.0, ahead, distance)
+        return Stop(share_for(estimate, ahead, wanted), 0.0, ahead, distance)
     if draws_up(v, distance, options):
-        return Stop(share_for(belief, ahead, options.draw_up_mps2), 0.0, ahead, distance)
+        return Stop(share_for(estimate, ahead, options.draw_up_mps2), 0.0, ahead, distance)
     demand = stop_deceleration(v, ahead.acceleration_mps2, distance, curve, model.dt, options)
-    return Stop(share_for(belief, ahead, -demand.wanted_mps2), demand.required_mps2, ahead, distance)
+    return Stop(share_for(estimate, ahead, -demand.wanted_mps2), demand.required_mps2, ahead, distance)
 
 
 def draws_up(speed_mps: float, distance_m: float, options: StopOptions = STOP_OPTIONS) -> bool:
@@ -455,7 +456,7 @@ def draws_up(speed_mps: float, distance_m: float, options: StopOptions = STOP_OP
     return bool(distance_m >= options.inch_m and speed_mps * speed_mps < most)
 
 
-def deceleration_to(model: Model, belief: StateEstimate, stop: Stop) -> float:
+def deceleration_to(model: Model, estimate: StateEstimate, stop: Stop) -> float:
     """Constant deceleration that full service braking can hold from a state to the stop, m/s^2.
 
     Braking is an exchange of energy, so it is the least mean deceleration over all remaining distances, with
@@ -463,7 +464,7 @@ def deceleration_to(model: Model, belief: StateEstimate, stop: Stop) -> float:
 
     Args:
         model: Nominal trainset and section.
-        belief: The estimate; gain of the brake and factor on resistance count as at most 1.
+        estimate: State and plant as estimated; gain of the brake and factor on resistance count as at most 1.
         stop: The stop from :func:`stop_command`.
     """
     vehicle, ahead = model.vehicle, stop.ahead
@@ -472,14 +473,14 @@ def deceleration_to(model: Model, belief: StateEstimate, stop: Stop) -> float:
     at = ahead.position_m + done * max(stop.left_m, 0.0)
     resistance, gradient = resistance_and_gradient(vehicle, model.track, at, speeds)
     effort = min(float(effort_at(vehicle, v).brake_n) for v in speeds)
-    held = min(belief.resistance_factor, 1.0) * resistance + gradient
+    held = min(estimate.resistance_factor, 1.0) * resistance + gradient
     rests = np.cumsum(held[::-1]) / np.arange(1, held.size + 1)
-    return (min(belief.brake_gain, 1.0) * effort + float(rests.min())) / float(vehicle.effective_mass_kg)
+    return (min(estimate.brake_gain, 1.0) * effort + float(rests.min())) / float(vehicle.effective_mass_kg)
 
 
 def stand(
     model: Model,
-    belief: StateEstimate,
+    estimate: StateEstimate,
     stop: Stop,
     near_enough_m: float,
     creep_m: float,
@@ -489,7 +490,7 @@ def stand(
 
     Args:
         model: Nominal trainset and section.
-        belief: The estimate.
+        estimate: State and plant as estimated.
         stop: The stop from :func:`stop_command`.
         near_enough_m: Largest stop error that is accepted without a correction in the last period.
         creep_m: Distance to the target below which a creeping trainset is stopped.
@@ -499,7 +500,7 @@ def stand(
     rate, drop = -ahead.acceleration_mps2, float(model.vehicle.jerk_mps3) * dt
     last = 0 < ahead.speed_mps <= rate * dt and rate <= drop
     if last and abs(left_m - ahead.speed_mps**2 / (2 * rate)) <= near_enough_m:
-        return share_for(belief, ahead, -rate)
+        return share_for(estimate, ahead, -rate)
     if ahead.speed_mps < options.creep_mps and abs(left_m) < creep_m and math.isfinite(drop):
-        return share_for(belief, ahead, -options.drop_share * drop)
+        return share_for(estimate, ahead, -options.drop_share * drop)
     return stop.share

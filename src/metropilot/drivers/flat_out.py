@@ -36,7 +36,7 @@ class FlatOutMemory(NamedTuple):
         model: Trainset and section as believed.
         ceiling: Speeds to keep under.
         gradient_mps2: Steepest downhill before the stop.
-        belief: The observer's.
+        estimate: State and plant as estimated.
         braking_mps2: Deceleration of the final braking, 0 before it.
     """
 
@@ -45,7 +45,7 @@ class FlatOutMemory(NamedTuple):
     model: Model
     ceiling: Ceiling
     gradient_mps2: float
-    belief: StateEstimate
+    estimate: StateEstimate
     braking_mps2: float
 
 
@@ -64,7 +64,7 @@ class FlatOut(AbstractDriver):
             model=model,
             ceiling=ceiling_of(run, run.section),
             gradient_mps2=weakest_gradient(model, run.section.length_m),
-            belief=initial_estimate(model),
+            estimate=initial_estimate(model),
             braking_mps2=0.0,
         )
 
@@ -72,31 +72,31 @@ class FlatOut(AbstractDriver):
         """Full speed until the final braking has to begin, then stop."""
         memory = self._follow_updates(memory, observation)
         model = memory.model
-        belief = update_estimate(
+        estimate = update_estimate(
             model,
-            memory.belief,
+            memory.estimate,
             observation.position_m,
             observation.speed_mps,
             observation.acceleration_mps2,
             overruled=observation.intervention > 0,
         )
-        share, braking = self._share(memory, belief)
-        return share, memory._replace(belief=record_command(belief, share), braking_mps2=braking)
+        share, braking = self._share(memory, estimate)
+        return share, memory._replace(estimate=record_command(estimate, share), braking_mps2=braking)
 
-    def _share(self, memory: FlatOutMemory, belief: StateEstimate) -> tuple[float, float]:
+    def _share(self, memory: FlatOutMemory, estimate: StateEstimate) -> tuple[float, float]:
         model, target = memory.model, memory.section.length_m
-        comfortable = memory.braking_mps2 or comfortable_deceleration(model, belief, memory.gradient_mps2)
+        comfortable = memory.braking_mps2 or comfortable_deceleration(model, estimate, memory.gradient_mps2)
         curve = curve_for(model.vehicle, model.dt, comfortable)
         if memory.braking_mps2:
-            return stop_command(model, belief, target, curve).share, comfortable
-        ahead = look_ahead(model, belief)
+            return stop_command(model, estimate, target, curve).share, comfortable
+        ahead = look_ahead(model, estimate)
         wanted = ceiling_acceleration(model, ahead, memory.ceiling, float("inf"), curve)
         required, _ = required_with_build_up(
             ahead.speed_mps, ahead.acceleration_mps2, target - ahead.position_m, curve
         )
         if required >= comfortable:
-            return stop_command(model, belief, target, curve).share, comfortable
-        return min(share_for(belief, ahead, wanted), traction_limit(belief, ahead, memory.ceiling)), 0.0
+            return stop_command(model, estimate, target, curve).share, comfortable
+        return min(share_for(estimate, ahead, wanted), traction_limit(estimate, ahead, memory.ceiling)), 0.0
 
     def _follow_updates(self, memory: FlatOutMemory, observation: Observation) -> FlatOutMemory:
         """Take note of a restriction announced on the way."""

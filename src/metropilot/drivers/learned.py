@@ -3,7 +3,7 @@
 The policy is any function from an observation to an action; :class:`metropilot.policy.Policy` is one. What it
 sees and what its action means is a :class:`metropilot.env.PolicyInterface`, and the same functions as in the
 task read it. A policy decides once in its decision period; the assists act at the run's own control period.
-Under plant mismatch :mod:`metropilot.drivers.watching` takes over part of the work.
+Under plant mismatch :mod:`metropilot.drivers.mismatch` takes over part of the work.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from metropilot.control import Adaptation, adapt_trainset, look_ahead
-from metropilot.drivers import watching
-from metropilot.drivers.watching import Watch
+from metropilot.drivers import mismatch
+from metropilot.drivers.mismatch import PlantMonitor
 from metropilot.env import (
     FeatureContext,
     PolicyInterface,
@@ -53,7 +53,7 @@ class LearnedMemory(NamedTuple):
         wanted: Command it asked for.
         decided: Decisions taken.
         stopping: True once the station-stop braking has begun.
-        watch: Estimate of the plant; None where no assist would use it.
+        monitor: Estimate of the plant; None where no assist would use it.
     """
 
     run: Run
@@ -66,7 +66,7 @@ class LearnedMemory(NamedTuple):
     wanted: np.float64
     decided: int
     stopping: np.bool_
-    watch: Watch | None
+    monitor: PlantMonitor | None
 
 
 @final
@@ -75,20 +75,20 @@ class LearnedDriver(AbstractDriver):
 
     Args:
         policy: From an observation to an action.
-        perception: Features, action and assists of the policy.
+        interface: Features, action and assists of the policy.
     """
 
     id = "learned"
 
-    def __init__(self, policy: PolicyFunction, perception: PolicyInterface) -> None:
+    def __init__(self, policy: PolicyFunction, interface: PolicyInterface) -> None:
         self.policy = policy
-        self.perception = perception
+        self.interface = interface
 
     def init(self, run: Run) -> LearnedMemory:
         """Build the tables the policy sees."""
         nominal = self._tables(run, run.section, run.disturbance.nominal(run.trainset))
         rows, zero = SectionRows(nominal, jax=False), np.float64(0.0)
-        watch = watching.first_watch(run) if self.perception.assists.stop else None
+        monitor = mismatch.start_monitor(run) if self.interface.assists.stop else None
         return LearnedMemory(
             run=run,
             section=run.section,
@@ -100,34 +100,34 @@ class LearnedDriver(AbstractDriver):
             wanted=zero,
             decided=0,
             stopping=np.bool_(False),
-            watch=watch,
+            monitor=monitor,
         )
 
     def act(self, memory: LearnedMemory, observation: Observation) -> tuple[float, LearnedMemory]:
         """Decide if it is time to, then apply the assists."""
         if observation.section is not memory.section:
             memory = self._set_section(memory, observation.section)
-        if memory.watch is not None:
-            watch = watching.update_watch(memory.watch, memory.run, observation)
-            memory = memory._replace(watch=watch)
-            if watching.is_outdated(watch, observation.time_s) and not memory.stopping:
-                memory = self._adapt_tables(memory, watch, observation.time_s)
+        if memory.monitor is not None:
+            monitor = mismatch.update_monitor(memory.monitor, memory.run, observation)
+            memory = memory._replace(monitor=monitor)
+            if mismatch.is_outdated(monitor, observation.time_s) and not memory.stopping:
+                memory = self._adapt_tables(memory, monitor, observation.time_s)
         context = self._context(memory, observation)
-        perception = self.perception
+        interface = self.interface
         action, wanted, decided = memory.action, memory.wanted, memory.decided
-        if observation.time_s >= decided * perception.period_s - DECISION_EARLY_S:
-            seen = observe(perception.features, context)
-            mask = perception.action.action_mask(context, perception.period_s)
+        if observation.time_s >= decided * interface.period_s - DECISION_EARLY_S:
+            seen = observe(interface.features, context)
+            mask = interface.action.action_mask(context, interface.period_s)
             action = self.policy(seen) if mask is None else self.policy(seen, mask)
-            wanted = np.float64(perception.action.command(context, action, perception.period_s))
-            decided = int((observation.time_s + DECISION_EARLY_S) / perception.period_s) + 1
-        command = perception.action.hold(context, action, wanted)
+            wanted = np.float64(interface.action.command(context, action, interface.period_s))
+            decided = int((observation.time_s + DECISION_EARLY_S) / interface.period_s) + 1
+        command = interface.action.hold(context, action, wanted)
         command, stopping = self._apply_assists(memory, context, command)
-        command = perception.action.round(context, command)
-        if memory.watch is not None:
-            share, watch = watching.limit_by_protection(memory.watch, observation, float(command))
-            memory = memory._replace(watch=watching.record_decision(watch, share))
-            command = command if watch.care is None else np.float64(share)
+        command = interface.action.round(context, command)
+        if memory.monitor is not None:
+            share, monitor = mismatch.limit_by_protection(memory.monitor, observation, float(command))
+            memory = memory._replace(monitor=mismatch.record_decision(monitor, share))
+            command = command if monitor.protection is None else np.float64(share)
         memory = memory._replace(
             command=command, action=action, wanted=wanted, decided=decided, stopping=stopping
         )
@@ -135,65 +135,68 @@ class LearnedDriver(AbstractDriver):
 
     def _apply_assists(self, memory: LearnedMemory, context: FeatureContext, command: Any) -> tuple[Any, Any]:  # noqa: ANN401
         """Apply the assists as learned, or the careful ones under plant mismatch."""
-        assists, watch, dt = self.perception.assists, memory.watch, memory.run.dt
-        if watch is None or watch.care is None:
+        assists, monitor, dt = self.interface.assists, memory.monitor, memory.run.dt
+        if monitor is None or monitor.protection is None:
             return apply_assists(assists, context, command, memory.stopping, dt)
-        planned = assists.stop_mps2 * watch.believed.brake or float(context.stop_mps2)
-        stopping, share, ahead = watching.station_stop_braking(watch, planned, bool(memory.stopping))
+        planned = assists.stop_mps2 * monitor.adaptation.brake or float(context.stop_mps2)
+        stopping, share, ahead = mismatch.station_stop_braking(monitor, planned, bool(memory.stopping))
         if stopping or context.left_s < context.to_go_s:
             command = np.float64(share if stopping else 1.0)
         if assists.ceiling:
-            near = replace(assists, margin_mps=watching.MARGIN_MPS)
+            near = replace(assists, margin_mps=mismatch.MARGIN_MPS)
             most = float(ceiling_mps2(near, context, dt))
-            command = np.float64(watching.limit_to_ceiling(watch, ahead, float(command), most))
+            command = np.float64(mismatch.limit_to_ceiling(monitor, ahead, float(command), most))
         return command, np.bool_(stopping)
 
     def _tables(self, run: Run, section: Section, trainset: Trainset) -> SectionTables:
         """One section and a trainset, in float64."""
         tables = build_tables(
-            [(section, trainset, declared_bounds(run))], self.perception.spacing_m, np.float64
+            [(section, trainset, declared_bounds(run))], self.interface.spacing_m, np.float64
         )
-        return tables._replace(load=np.array([trainset.mass_kg / self.perception.mean_mass_kg]))
+        return tables._replace(load=np.array([trainset.mass_kg / self.interface.mean_mass_kg]))
 
     def _set_section(self, memory: LearnedMemory, section: Section) -> LearnedMemory:
         """Change to a section with a restriction that has just been announced."""
         nominal = self._tables(memory.run, section, memory.run.disturbance.nominal(memory.run.trainset))
         memory = memory._replace(section=section, nominal=nominal, rows=SectionRows(nominal, jax=False))
-        if memory.watch is not None:
-            watch = watching.set_section(memory.watch, memory.run, section)
-            memory = memory._replace(watch=watch)
-            if watch.adapted != Adaptation():
-                return self._adapt_tables(memory, watch, watch.adapted_at_s)
+        if memory.monitor is not None:
+            monitor = mismatch.set_section(memory.monitor, memory.run, section)
+            memory = memory._replace(monitor=monitor)
+            if monitor.adapted != Adaptation():
+                return self._adapt_tables(memory, monitor, monitor.adapted_at_s)
         return memory._replace(case=memory.rows.case(0))
 
-    def _adapt_tables(self, memory: LearnedMemory, watch: Watch, time_s: float) -> LearnedMemory:
+    def _adapt_tables(self, memory: LearnedMemory, monitor: PlantMonitor, time_s: float) -> LearnedMemory:
         """Build tables of the estimated trainset, under protection of the nominal one."""
-        nominal, shown = memory.nominal, watch.believed
+        nominal, shown = memory.nominal, monitor.adaptation
         trainset = adapt_trainset(memory.run.disturbance.nominal(memory.run.trainset), shown)
         tables = self._tables(memory.run, memory.section, trainset)
-        size = nominal.braked.shape[1]
-        braked = np.pad(tables.braked, ((0, 0), (0, size), (0, 0)), "edge")[:, :size]
-        braked[..., 1] = np.minimum(braked[..., 1], nominal.braked[..., 1])
+        size = nominal.braking_curves.shape[1]
+        braking_curves = np.pad(tables.braking_curves, ((0, 0), (0, size), (0, 0)), "edge")[:, :size]
+        braking_curves[..., 1] = np.minimum(braking_curves[..., 1], nominal.braking_curves[..., 1])
         rows = SectionRows(
-            tables._replace(ground=nominal.ground, protection=nominal.protection, braked=braked), jax=False
+            tables._replace(
+                node_curves=nominal.node_curves, protection=nominal.protection, braking_curves=braking_curves
+            ),
+            jax=False,
         )
-        watch = watch._replace(adapted=shown, adapted_at_s=time_s)
-        return memory._replace(rows=rows, case=rows.case(0), watch=watch)
+        monitor = monitor._replace(adapted=shown, adapted_at_s=time_s)
+        return memory._replace(rows=rows, case=rows.case(0), monitor=monitor)
 
     def _context(self, memory: LearnedMemory, observation: Observation) -> FeatureContext:
         """Features' context: the state as it is, or as it will be when its command begins to act."""
-        case, watch = memory.case, memory.watch
+        case, monitor = memory.case, memory.monitor
         time, x, v, a = observation[:4]
         scheduled = observation.scheduled_time_s
-        if watch is not None and watch.care is not None:
-            ahead = look_ahead(watch.model, watch.belief)
+        if monitor is not None and monitor.protection is not None:
+            ahead = look_ahead(monitor.model, monitor.estimate)
             time, x, v, a = time + ahead.seconds, ahead.position_m, ahead.speed_mps, ahead.acceleration_mps2
-            scheduled -= watching.RESERVE_S
+            scheduled -= mismatch.RESERVE_S
         return feature_context(
             memory.rows,
             0,
             case,
-            stop_mps2=self.perception.assists.planned_mps2(memory.rows, 0, case.stop_mps2, np.float64(x)),
+            stop_mps2=self.interface.assists.planned_mps2(memory.rows, 0, case.stop_mps2, np.float64(x)),
             time_s=np.float64(time),
             position_m=np.float64(x),
             speed_mps=np.float64(v),

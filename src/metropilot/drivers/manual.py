@@ -111,7 +111,7 @@ class ManualMemory(NamedTuple):
     ceiling: Ceiling
     curve: StopCurve
     forecast: Forecast
-    belief: StateEstimate
+    estimate: StateEstimate
     lever: LeverPosition
     intent: Intent
 
@@ -130,18 +130,18 @@ class Manual(AbstractDriver):
     def act(self, memory: ManualMemory, observation: Observation) -> tuple[float, ManualMemory]:
         """Look, decide, and move the lever when the hand is there."""
         memory = _follow_updates(memory, observation)
-        belief = update_estimate(
+        estimate = update_estimate(
             memory.model,
-            memory.belief,
+            memory.estimate,
             observation.position_m,
             observation.speed_mps,
             observation.acceleration_mps2,
             overruled=observation.intervention > 0,
         )
-        intent = _review_timing(memory, belief, observation)
-        wanted, intent = _decide(memory._replace(belief=belief, intent=intent))
+        intent = _review_timing(memory, estimate, observation)
+        wanted, intent = _decide(memory._replace(estimate=estimate, intent=intent))
         lever = _move_lever(memory.lever, wanted, observation.time_s, memory.habits, intent)
-        memory = memory._replace(belief=record_command(belief, lever.share), intent=intent, lever=lever)
+        memory = memory._replace(estimate=record_command(estimate, lever.share), intent=intent, lever=lever)
         return lever.share, memory
 
 
@@ -176,7 +176,7 @@ def _begin(run: Run, section: Section, scheduled_s: float, habits: Habits) -> Ma
         ceiling=ceiling,
         curve=curve_for(model.vehicle, run.dt, habits.deceleration_mps2),
         forecast=forecast,
-        belief=initial_estimate(model),
+        estimate=initial_estimate(model),
         lever=LeverPosition(),
         intent=Intent(cruise, coast),
     )
@@ -206,15 +206,15 @@ def _follow_updates(memory: ManualMemory, observation: Observation) -> ManualMem
         return memory
     fresh = _begin(memory.run, observation.section, observation.scheduled_time_s, memory.habits)
     intent = memory.intent._replace(looks_at_s=0.0)
-    return fresh._replace(belief=memory.belief, lever=memory.lever, intent=intent)
+    return fresh._replace(estimate=memory.estimate, lever=memory.lever, intent=intent)
 
 
-def _review_timing(memory: ManualMemory, belief: StateEstimate, observation: Observation) -> Intent:
+def _review_timing(memory: ManualMemory, estimate: StateEstimate, observation: Observation) -> Intent:
     """Adapt the cruising speed and the coasting point to the time left, every few seconds."""
     intent, now = memory.intent, observation.time_s
     if intent.braking or now < intent.looks_at_s:
         return intent
-    x, v, forecast = belief.position_m, belief.speed_mps, memory.forecast
+    x, v, forecast = estimate.position_m, estimate.speed_mps, memory.forecast
     standing = v < 1.0
     left = memory.scheduled_time_s - now + memory.habits.clock_s - RESERVE_S
     left -= _overhead_s(memory.model, memory.habits, standing=standing)
@@ -231,22 +231,22 @@ def _review_timing(memory: ManualMemory, belief: StateEstimate, observation: Obs
 
 def _decide(memory: ManualMemory) -> tuple[float, Intent]:
     """Choose the lever position and the intention behind it."""
-    model, belief, intent, curve = memory.model, memory.belief, memory.intent, memory.curve
+    model, estimate, intent, curve = memory.model, memory.estimate, memory.intent, memory.curve
     target = memory.section.length_m + memory.habits.aim_m
     if intent.braking:
-        return _to_notch(stop_command(model, belief, target, curve).share), intent
-    ahead = look_ahead(model, belief)
+        return _to_notch(stop_command(model, estimate, target, curve).share), intent
+    ahead = look_ahead(model, estimate)
     hand_s = max(memory.habits.reaction_s, model.dt)
     early_m = ahead.speed_mps * (hand_s + memory.habits.onset_s)
     required, _ = required_with_build_up(
         ahead.speed_mps, ahead.acceleration_mps2, target - ahead.position_m - early_m, curve
     )
     if required >= curve.deceleration_mps2:
-        return _to_notch(stop_command(model, belief, target, curve).share), intent._replace(braking=True)
+        return _to_notch(stop_command(model, estimate, target, curve).share), intent._replace(braking=True)
     sooner = ahead._replace(position_m=ahead.position_m + ahead.speed_mps * hand_s)
     limited = ceiling_acceleration(model, sooner, memory.ceiling, math.inf, curve)
     if limited < -0.05:
-        return _to_notch(min(share_for(belief, ahead, limited), 0.0)), intent._replace(powering=False)
+        return _to_notch(min(share_for(estimate, ahead, limited), 0.0)), intent._replace(powering=False)
     return _hold_speed(memory, ahead, limited)
 
 
@@ -262,9 +262,9 @@ def _hold_speed(memory: ManualMemory, ahead: PredictedState, limited_mps2: float
         return -GENTLE_BRAKE, intent._replace(powering=False)
     if not powering:
         return 0.0, intent._replace(powering=False)
-    full = share_for(memory.belief, ahead, limited_mps2)
+    full = share_for(memory.estimate, ahead, limited_mps2)
     share = full if missing > 6.0 * band else min(full, HOLD_NOTCH)
-    share = min(share, traction_limit(memory.belief, ahead, memory.ceiling))
+    share = min(share, traction_limit(memory.estimate, ahead, memory.ceiling))
     return _to_notch(share), intent._replace(powering=True)
 
 

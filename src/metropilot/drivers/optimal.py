@@ -114,10 +114,10 @@ class FollowingMemory:
     Attributes:
         trainset: The trainset as it is known.
         run: The run.
-        watched: State of protection, kept alongside.
+        supervision: State of protection, kept alongside.
         ceiling: Largest speed and acceleration under protection.
         model: Nominal trainset and section.
-        belief: Estimate of the state and of the plant.
+        estimate: Estimate of the state and of the plant.
         plan: The plan in force.
         clock_s: Start of the plan.
         curve: Shape of the stop.
@@ -132,10 +132,10 @@ class FollowingMemory:
 
     trainset: Trainset
     run: Run
-    watched: Memory
+    supervision: Memory
     ceiling: Ceiling
     model: Model
-    belief: StateEstimate
+    estimate: StateEstimate
     plan: Plan
     clock_s: float
     curve: StopCurve
@@ -180,10 +180,10 @@ class Optimal(AbstractDriver):
         return FollowingMemory(
             trainset=trainset,
             run=run,
-            watched=at_start(ceiling.guard),
+            supervision=at_start(ceiling.guard),
             ceiling=ceiling,
             model=model,
-            belief=initial_estimate(model, weighed_brakes=weighs_load(vehicle)),
+            estimate=initial_estimate(model, weighed_brakes=weighs_load(vehicle)),
             plan=plan,
             clock_s=0.0,
             curve=curve,
@@ -197,36 +197,36 @@ class Optimal(AbstractDriver):
 
     def act(self, memory: FollowingMemory, observation: Observation) -> tuple[float, FollowingMemory]:
         """Re-plan if need be, then follow the plan or the stop."""
-        belief = update_estimate(
+        estimate = update_estimate(
             memory.model,
-            memory.belief,
+            memory.estimate,
             observation.position_m,
             observation.speed_mps,
             observation.acceleration_mps2,
             overruled=memory.overruled or observation.intervention > 0,
         )
-        memory = replace(memory, belief=belief)
+        memory = replace(memory, estimate=estimate)
         if memory.braking and stands_short(memory):
             memory = replace(memory, braking=False)
         if self._departs(memory, observation):
             memory = self._replan(memory, observation)
         target = float(memory.model.track.length_m)
-        stop = stop_command(memory.model, belief, target, memory.curve)
+        stop = stop_command(memory.model, estimate, target, memory.curve)
         available = self._available(memory, stop)
         braking = memory.braking or self._takes_over(memory, stop, available)
         if braking and available < memory.curve.deceleration_mps2:
             curve = memory.curve._replace(deceleration_mps2=available)
-            stop = stop_command(memory.model, belief, target, curve)
+            stop = stop_command(memory.model, estimate, target, curve)
         share = self._brake(memory, stop) if braking else self._follow(memory)
-        share, watched = largest_admissible_command(
-            memory.ceiling.guard, memory.watched, observation.position_m, observation.speed_mps, share
+        share, supervision = largest_admissible_command(
+            memory.ceiling.guard, memory.supervision, observation.position_m, observation.speed_mps, share
         )
         return share, replace(
             memory,
-            belief=record_command(belief, share),
-            watched=watched,
+            estimate=record_command(estimate, share),
+            supervision=supervision,
             braking=braking,
-            overruled=int(watched.level) > 0,
+            overruled=int(supervision.level) > 0,
         )
 
     @staticmethod
@@ -251,18 +251,18 @@ class Optimal(AbstractDriver):
         if stop.required_mps2 < WATCHED_SHARE * memory.curve.deceleration_mps2:
             return math.inf
         use = self._brake_use(memory.model.vehicle, memory.adapted, memory.ceiling)
-        return use * deceleration_to(memory.model, memory.belief, stop)
+        return use * deceleration_to(memory.model, memory.estimate, stop)
 
     def _brake(self, memory: FollowingMemory, stop: Stop) -> float:
         """The stop's command; in the last period the deceleration in force, where it ends near enough."""
-        return stand(memory.model, memory.belief, stop, self.options.near_enough_m, CREEP_M)
+        return stand(memory.model, memory.estimate, stop, self.options.near_enough_m, CREEP_M)
 
     def _follow(self, memory: FollowingMemory) -> float:
         """The command that keeps to the plan's speed at the state where it begins to act."""
         plan, dt = memory.plan, memory.model.dt
-        ahead = look_ahead(memory.model, memory.belief)
+        ahead = look_ahead(memory.model, memory.estimate)
         # The plan counts on no stronger brake than the nominal one; neither may the command that follows it.
-        ahead = ahead._replace(brake_mps2=ahead.brake_mps2 / max(memory.belief.brake_gain, 1.0))
+        ahead = ahead._replace(brake_mps2=ahead.brake_mps2 / max(memory.estimate.brake_gain, 1.0))
         here = plan_speed(plan, ahead.position_m)
         step = 0.5 * (here + ahead.speed_mps) * dt
         start = max(ahead.position_m, float(plan.position_m[0]))
@@ -283,7 +283,7 @@ class Optimal(AbstractDriver):
         coasts = (plan.traction_n[k] + plan.brake_n[k]) / mass < 1e-3
         if coasts and abs(effort) < self.options.coast_band_mps2:
             return 0.0
-        return share_for(memory.belief, ahead, wanted)
+        return share_for(memory.estimate, ahead, wanted)
 
     def _departs(self, memory: FollowingMemory, observation: Observation) -> bool:
         """Tell if the run has left the plan in force."""
@@ -295,16 +295,16 @@ class Optimal(AbstractDriver):
             return since_s >= self.options.patience_s
         if memory.braking or since_s < min(self.options.patience_s, self.options.period_s):
             return False
-        plan, belief = memory.plan, memory.belief
-        if float(memory.model.track.length_m) - belief.position_m < self.options.last_plan_m + braking_room(
+        plan, estimate = memory.plan, memory.estimate
+        if float(memory.model.track.length_m) - estimate.position_m < self.options.last_plan_m + braking_room(
             memory
         ):
             return False
         if since_s >= self.options.period_s:
             return True
-        late = observation.time_s - memory.clock_s - plan_time(plan, belief.position_m)
-        off = belief.speed_mps - plan_speed(plan, belief.position_m)
-        learned = np.abs(np.subtract(self._adaptation(belief), memory.adapted))
+        late = observation.time_s - memory.clock_s - plan_time(plan, estimate.position_m)
+        off = estimate.speed_mps - plan_speed(plan, estimate.position_m)
+        learned = np.abs(np.subtract(self._adaptation(estimate), memory.adapted))
         return (
             abs(late) > self.options.time_band_s
             or abs(off) > self.options.speed_band_mps
@@ -313,14 +313,14 @@ class Optimal(AbstractDriver):
 
     def _replan(self, memory: FollowingMemory, observation: Observation) -> FollowingMemory:
         """Make a plan from the current state, with the estimated plant."""
-        model, belief = memory.model, memory.belief
+        model, estimate = memory.model, memory.estimate
         ceiling = memory.ceiling
         if observation.section is not memory.section:
             model = model._replace(track=track_arrays(observation.section, memory.trainset))
             ceiling = ceiling_of(memory.run, observation.section, self.options.cap_margin_mps)
-        adapted = self._adaptation(belief)
+        adapted = self._adaptation(estimate)
         # What is in flight cannot be changed: the plan begins where a command given now begins to act.
-        ahead = look_ahead(model, belief)
+        ahead = look_ahead(model, estimate)
         clock_s = observation.time_s + ahead.seconds
         left = max(observation.scheduled_time_s - self.options.reserve_s - clock_s, 1.0)
         options = replace(
@@ -347,9 +347,9 @@ class Optimal(AbstractDriver):
             return updated
         return replace(updated, plan=plan, clock_s=clock_s, curve=self._curve(model, plan, ceiling))
 
-    def _adaptation(self, belief: StateEstimate) -> Adaptation:
+    def _adaptation(self, estimate: StateEstimate) -> Adaptation:
         """Plant to plan with: the estimated one, with a brake no stronger than nominal."""
-        return Adaptation(belief.traction_gain, min(belief.brake_gain, 1.0), belief.resistance_factor)
+        return Adaptation(estimate.traction_gain, min(estimate.brake_gain, 1.0), estimate.resistance_factor)
 
     def _brake_use(self, vehicle: Vehicle, adapted: Adaptation, ceiling: Ceiling) -> float:
         """Share of the braking force to plan with."""
@@ -401,16 +401,16 @@ def _plan(
 
 def stands_short(memory: FollowingMemory) -> bool:
     """Tell if the trainset stands, once departed, so far from the stop that it takes a plan to get there."""
-    belief = memory.belief
-    left = float(memory.model.track.length_m) - belief.position_m
+    estimate = memory.estimate
+    left = float(memory.model.track.length_m) - estimate.position_m
     return (
-        belief.speed_mps < STOP_OPTIONS.creep_mps
+        estimate.speed_mps < STOP_OPTIONS.creep_mps
         and left > LAST_METRES_M
-        and belief.position_m > LAST_METRES_M
+        and estimate.position_m > LAST_METRES_M
     )
 
 
 def braking_room(memory: FollowingMemory) -> float:
     """Distance the stop needs from the present speed."""
-    v = memory.belief.speed_mps
+    v = memory.estimate.speed_mps
     return v * v / (2 * memory.curve.deceleration_mps2) + v

@@ -66,7 +66,7 @@ class AbstractPolicyDriver(AbstractDriver):
 
     @cached_property
     def _driver(self) -> LearnedDriver:
-        return LearnedDriver(self.loaded.policy, self.loaded.perception)
+        return LearnedDriver(self.loaded.policy, self.loaded.interface)
 
     def init(self, run: Run) -> LearnedMemory:
         """Read the policy, and build the tables it sees."""

@@ -43,7 +43,7 @@ from metropilot.planning import (
     TimedReference,
     plan_arrays,
     reference_under_for_time,
-    sampled_profile,
+    sample_profile,
 )
 from metropilot.protection import Memory, at_start
 from metropilot.railway import Section
@@ -111,9 +111,9 @@ class TrackingMemory:
         section: The section the reference was laid for.
         scheduled_s: The scheduled time it was laid for.
         model: Nominal trainset and section.
-        watched: State of protection, kept alongside.
+        supervision: State of protection, kept alongside.
         ceiling: Largest speed and acceleration under protection.
-        belief: Estimate of the state and of the plant.
+        estimate: Estimate of the state and of the plant.
         reference: Reference in force.
         clock_s: Start of the reference.
         controller: The controller's own memory.
@@ -126,9 +126,9 @@ class TrackingMemory:
     section: Section
     scheduled_s: float
     model: Model
-    watched: Memory
+    supervision: Memory
     ceiling: Ceiling
-    belief: StateEstimate
+    estimate: StateEstimate
     reference: TimedReference
     clock_s: float
     controller: Any
@@ -165,9 +165,9 @@ class AbstractTracker(AbstractDriver):
             section=run.section,
             scheduled_s=run.scheduled_time_s,
             model=model,
-            watched=at_start(ceiling.guard),
+            supervision=at_start(ceiling.guard),
             ceiling=ceiling,
-            belief=initial_estimate(model),
+            estimate=initial_estimate(model),
             reference=self._lay_reference(model, ceiling, run.scheduled_time_s, 0.0, 0.0),
             clock_s=0.0,
             controller=self.fresh(run),
@@ -178,16 +178,16 @@ class AbstractTracker(AbstractDriver):
 
     def act(self, memory: TrackingMemory, observation: Observation) -> tuple[float, TrackingMemory]:
         """Take the errors, let the controller or the stop's law answer, ask protection."""
-        belief = update_estimate(
+        estimate = update_estimate(
             memory.model,
-            memory.belief,
+            memory.estimate,
             observation.position_m,
             observation.speed_mps,
             observation.acceleration_mps2,
             overruled=memory.overruled or observation.intervention > 0,
         )
-        memory = self._follow_updates(replace(memory, belief=belief), observation)
-        ahead = look_ahead(memory.model, belief)
+        memory = self._follow_updates(replace(memory, estimate=estimate), observation)
+        ahead = look_ahead(memory.model, estimate)
         place, speed, _ = memory.reference.at(observation.time_s - memory.clock_s + ahead.seconds)
         seen = TrackingView(
             speed - ahead.speed_mps, place - ahead.position_m, ahead.speed_mps, speed, memory.command
@@ -198,19 +198,19 @@ class AbstractTracker(AbstractDriver):
         if memory.stop is not None:
             share = self._stop(memory, memory.stop).share
         else:
-            share = lead_command(memory.command, ahead.share, float(belief.bank.keep[belief.best]))
-        share, watched = largest_admissible_command(
-            memory.ceiling.guard, memory.watched, observation.position_m, observation.speed_mps, share
+            share = lead_command(memory.command, ahead.share, float(estimate.bank.keep[estimate.best]))
+        share, supervision = largest_admissible_command(
+            memory.ceiling.guard, memory.supervision, observation.position_m, observation.speed_mps, share
         )
         return share, replace(
             memory,
-            belief=record_command(belief, share),
-            watched=watched,
-            overruled=int(watched.level) > 0,
+            estimate=record_command(estimate, share),
+            supervision=supervision,
+            overruled=int(supervision.level) > 0,
         )
 
     def _stop(self, memory: TrackingMemory, curve: StopCurve) -> Stop:
-        return stop_command(memory.model, memory.belief, float(memory.model.track.length_m), curve)
+        return stop_command(memory.model, memory.estimate, float(memory.model.track.length_m), curve)
 
     def _hand_over(self, memory: TrackingMemory, ahead: PredictedState) -> TrackingMemory:
         """Give the last metres to the stop's own law, from the deceleration that is in force there."""
@@ -233,7 +233,7 @@ class AbstractTracker(AbstractDriver):
         slipped = (
             clock > PATIENCE_S
             and memory.stop is None
-            and abs(place - memory.belief.position_m) > self.options.slip_m
+            and abs(place - memory.estimate.position_m) > self.options.slip_m
         )
         if not (news or slipped):
             return memory
@@ -245,7 +245,7 @@ class AbstractTracker(AbstractDriver):
             ceiling = ceiling_of(memory.run, section, CAP_MARGIN_MPS)
         left = max(observation.scheduled_time_s - observation.time_s, 1.0)
         reference = self._lay_reference(
-            model, ceiling, left, memory.belief.position_m, memory.belief.speed_mps
+            model, ceiling, left, memory.estimate.position_m, memory.estimate.speed_mps
         )
         return replace(
             memory,
@@ -272,11 +272,11 @@ class AbstractTracker(AbstractDriver):
                 late_w=500.0,
             )
             plan = plan_arrays(model.vehicle, model.track, left_s, plan_options)
-            return sampled_profile(plan.position_m, plan.speed_mps, REFERENCE_PERIOD_S)
+            return sample_profile(plan.position_m, plan.speed_mps, REFERENCE_PERIOD_S)
         jerk = options.jerk_mps3 if options.reference == "s_curve" else math.inf
         jerk = min(jerk, 0.8 * float(model.vehicle.jerk_mps3))
         shape = ReferenceShape(options.acceleration_mps2, options.deceleration_mps2, jerk)
-        ground = ReferenceTrack(
+        constraints = ReferenceTrack(
             model.vehicle,
             model.track,
             ceiling.position_m,
@@ -285,4 +285,4 @@ class AbstractTracker(AbstractDriver):
             start,
             max(start_mps, 0.0),
         )
-        return reference_under_for_time(ground, shape, left_s, REFERENCE_PERIOD_S)
+        return reference_under_for_time(constraints, shape, left_s, REFERENCE_PERIOD_S)

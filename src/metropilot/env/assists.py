@@ -156,7 +156,7 @@ def ceiling_at(assists: Assists, rows: SectionRows, case: Index, position_m: Sca
     """The speed to keep under at a position, m/s."""
     if assists.late:
         return rows.follow_at(case, position_m)
-    return rows.ground_at(PERMITTED_COLUMN, case, position_m)
+    return rows.curve_at(PERMITTED_COLUMN, case, position_m)
 
 
 def ceiling_mps2(assists: Assists, context: FeatureContext, dt: float) -> Scalar:

@@ -94,7 +94,7 @@ class DrivingConfig:
         return tuple((section, trainset) for section in self.sections for trainset in known)
 
     @property
-    def perception(self) -> PolicyInterface:
+    def interface(self) -> PolicyInterface:
         """Interface with which a driver runs a policy of this task on the host."""
         mean = float(np.mean([trainset.mass_kg for _, trainset in self.cases]))
         return PolicyInterface(

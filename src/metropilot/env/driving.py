@@ -302,7 +302,7 @@ class DrivingTask(AbstractTask):
         chance, place, speed = shares[0], shares[1], shares[2]
         length = self.rows.case(start.case).length_m
         position = 0.9 * length * place
-        permitted = self.rows.ground_at(PERMITTED_COLUMN, start.case, position)
+        permitted = self.rows.curve_at(PERMITTED_COLUMN, start.case, position)
         stops = jnp.sqrt(2.0 * 0.7 * self.rows.case(start.case).stop_mps2 * (length - position))
         speed = speed * jnp.maximum(jnp.minimum(permitted - 1.0, stops), 0.0)
         to_go = self.rows.to_go_s(start.case, length - position, length, speed)

@@ -112,7 +112,7 @@ class FeatureContext(NamedTuple):
     @property
     def permitted_mps(self) -> Scalar:
         """Permitted speed here."""
-        return self.rows.ground_at(PERMITTED_COLUMN, self.case, self.position_m)
+        return self.rows.curve_at(PERMITTED_COLUMN, self.case, self.position_m)
 
 
 def feature_context(  # noqa: PLR0913 (the state of a run, field by field)
@@ -238,7 +238,7 @@ def permitted_far(context: FeatureContext) -> Sequence[Scalar]:
 
 def _permitted_at(context: FeatureContext, ahead_m: Sequence[float]) -> Sequence[Scalar]:
     at = context.position_m + _as_rows(context, ahead_m)
-    return list(context.rows.ground_at(PERMITTED_COLUMN, context.case, at) / SPEED_MPS)
+    return list(context.rows.curve_at(PERMITTED_COLUMN, context.case, at) / SPEED_MPS)
 
 
 def _as_rows(context: FeatureContext, values: Sequence[float] | np.ndarray) -> Scalar:
@@ -259,9 +259,9 @@ def climb_far(context: FeatureContext) -> Sequence[Scalar]:
 
 def climb_within(context: FeatureContext, ahead_m: Sequence[float]) -> Sequence[Scalar]:
     """Mean of gradient and curve resistance over distances ahead, at most up to the stop."""
-    here = context.rows.ground_at(CLIMB_COLUMN, context.case, context.position_m)
+    here = context.rows.curve_at(CLIMB_COLUMN, context.case, context.position_m)
     way = context.xp.minimum(context.xp.maximum(context.left_m, 1.0), _as_rows(context, ahead_m))
-    there = context.rows.ground_at(CLIMB_COLUMN, context.case, context.position_m + way)
+    there = context.rows.curve_at(CLIMB_COLUMN, context.case, context.position_m + way)
     return list((there - here) / way * 5.0)
 
 
@@ -311,11 +311,11 @@ def _coast(context: FeatureContext, v: Scalar) -> tuple[Array, Array]:
     length = xp.maximum(context.left_m, 1.0)
     way = _as_rows(context, COAST_NODES) * length
     step, at = way[1:] - way[:-1], context.position_m + way
-    climb = context.rows.ground_at(CLIMB_COLUMN, context.case, at)
+    climb = context.rows.curve_at(CLIMB_COLUMN, context.case, at)
     climb = (climb - climb[:1]) * (vehicle.mass_kg / vehicle.effective_mass_kg)
     rise = climb[1:] - climb[:-1]
-    braked = xp.sqrt(2.0 * context.stop_mps2 * (length - way) + 1e-6)
-    top = xp.minimum(context.rows.ground_at(PERMITTED_COLUMN, context.case, at), braked)
+    stop_mps = xp.sqrt(2.0 * context.stop_mps2 * (length - way) + 1e-6)
+    top = xp.minimum(context.rows.curve_at(PERMITTED_COLUMN, context.case, at), stop_mps)
     sums, start = xp.asarray(UP_TO, v.dtype), 0.5 * v * v
     energy = xp.maximum(start - climb, SLOWEST_J)
     for _ in range(COAST_PASSES):
@@ -340,7 +340,7 @@ def pace(context: FeatureContext) -> Sequence[Scalar]:
     time left, and once less the time lost while reaching the pace under full traction.
     """
     xp, v = context.xp, context.speed_mps
-    times = context.rows.paced_s(context.case, context.position_m)
+    times = context.rows.pace_times_s(context.case, context.position_m)
     wanted, free = _pace(context, times, context.left_s)
     effort = effort_at(context.vehicle, v).traction_n - davis_n(context.vehicle, v)
     pull = xp.minimum(effort / context.vehicle.effective_mass_kg, context.vehicle.max_acceleration_mps2)

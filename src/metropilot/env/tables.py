@@ -13,8 +13,8 @@ from metropilot.physics import (
     Vehicle,
     davis_n,
     effort_at,
-    felt_slopes,
     locate,
+    mean_slopes,
     namespace,
     stack,
     track_arrays,
@@ -31,30 +31,30 @@ class SectionTables(NamedTuple):
     Attributes:
         vehicle: Trainset as the driver knows it.
         track: Section.
-        protection: Its protection; the curves are in ``ground``.
-        ground: At protection's nodes: its ``PROTECTION_CURVES``, and the climb from the origin (gradient and
-            curves, J/kg).
+        protection: Its protection; the curves are in ``node_curves``.
+        node_curves: At protection's nodes: its ``PROTECTION_CURVES``, and the climb from the origin (gradient
+            and curves, J/kg).
         to_go: Flat-out time to the stop, see :class:`metropilot.planning.TimeToGo`.
         minimum_s: Minimum running time.
         length_m: Distance to the stop.
         load: Mass over the mean of all cases.
         stop_mps2: Surely available deceleration with which station-stop braking is planned.
-        braked: Braking curves at the same nodes: energy that the brakes surely dissipate from here to the
-            stop, J/kg; speed from which they surely respect all permitted speeds ahead, m/s; and for each
-            of ``PACES_MPS`` the time to the stop when that speed is held wherever these two curves admit
-            it, s.
+        braking_curves: Braking curves at the same nodes: energy that the brakes surely dissipate from here
+            to the stop, J/kg; speed from which they surely respect all permitted speeds ahead, m/s; and for
+            each of ``PACES_MPS`` the time to the stop when that speed is held wherever these two curves
+            admit it, s.
     """
 
     vehicle: Vehicle
     track: Track
     protection: Protection
-    ground: Float[Array, "cases nodes 6"]
+    node_curves: Float[Array, "cases nodes 6"]
     to_go: Float[Array, "cases distances speeds"]
     minimum_s: Float[Array, " cases"]
     length_m: Float[Array, " cases"]
     load: Float[Array, " cases"]
     stop_mps2: Float[Array, " cases"]
-    braked: Float[Array, "cases nodes curves"]
+    braking_curves: Float[Array, "cases nodes curves"]
 
 
 STOP_STRETCH_M = 300.0
@@ -68,7 +68,7 @@ PACES_MPS = (3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, 17.0, 19.5, 22.5, 26.5, 32.0)
 SLOWEST_MPS = 0.3
 """Least sum of the speeds at two nodes that a tabled time counts with."""
 PROTECTION_CURVES = ("emergency", "service", "permitted_mps", "pull_mps2", "usual_pull_mps2")
-"""Protection's curves in ``SectionTables.ground``, in this order; the climb comes last."""
+"""Protection's curves in ``SectionTables.node_curves``, in this order; the climb comes last."""
 PERMITTED_COLUMN, CLIMB_COLUMN = 2, 5
 
 
@@ -88,8 +88,8 @@ def build_tables(
     """
     masses = [trainset.mass_kg for _, trainset, _ in cases]
     rows = _rows(cases, spacing_m, jobs)
-    vehicles, tracks, protections, grounds, tables, lengths, stops, brakings = zip(*rows, strict=True)
-    nodes = max(ground.shape[0] for ground in grounds)
+    vehicles, tracks, protections, node_curves, tables, lengths, stops, braking = zip(*rows, strict=True)
+    nodes = max(node_curves.shape[0] for node_curves in node_curves)
     ahead = np.arange(max(_look_ahead(protection) for protection in protections), dtype=np.int32)
     small = [p._replace(**dict.fromkeys(PROTECTION_CURVES, 0.0)) for p in protections]
     stacked = _stack_protection(small, ahead)
@@ -97,13 +97,13 @@ def build_tables(
         vehicle=stack(vehicles),
         track=stack(tracks),
         protection=stacked,
-        ground=np.stack([_pad(ground, nodes + ahead.size + 2) for ground in grounds]),
+        node_curves=np.stack([_pad(node_curves, nodes + ahead.size + 2) for node_curves in node_curves]),
         to_go=np.stack([np.pad(t, ((0, 0), (0, _widest(tables) - t.shape[1])), mode="edge") for t in tables]),
         minimum_s=np.array([t[-1, 0] for t in tables]),
         length_m=np.array(lengths),
         load=np.array(masses) / np.mean(masses),
         stop_mps2=np.array(stops),
-        braked=np.stack([np.pad(b, ((0, nodes + ahead.size + 2 - len(b)), (0, 0))) for b in brakings]),
+        braking_curves=np.stack([np.pad(b, ((0, nodes + ahead.size + 2 - len(b)), (0, 0))) for b in braking]),
     )
     return _map_tree(lambda a: a if a.dtype.kind in "iub" else a.astype(dtype), whole)
 
@@ -124,19 +124,19 @@ def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float
     protection = protect(section, trainset, bounds, spacing_m=spacing_m)
     used = int(np.flatnonzero(protection.permitted_mps)[-1]) + 2
     at = protection.start_m + spacing_m * np.arange(used)
-    gradient, curve, _ = felt_slopes(vehicle, track, at)
+    gradient, curve, _ = mean_slopes(vehicle, track, at)
     weight = (vehicle.gravity_mps2 * gradient + curve) * spacing_m
     climb = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]))])
-    ground = np.stack([*(getattr(protection, name)[:used] for name in PROTECTION_CURVES), climb], axis=1)
+    node_curves = np.stack([*(getattr(protection, name)[:used] for name in PROTECTION_CURVES), climb], axis=1)
     table = tabulate_time_to_go(vehicle, track).time_s
     pull = weight / spacing_m * float(vehicle.mass_kg) / float(vehicle.effective_mass_kg)
     work = _stop_work(vehicle, at, pull, section.length_m)
     follow = _follow_mps(vehicle, at, pull, protection.permitted_mps[:used])
-    braked = np.stack(
+    braking_curves = np.stack(
         [work, follow, *_pace_times(at, np.minimum(follow, _stop_speed(work)), section.length_m)], axis=1
     )
     stop_mps2 = _stop_mps2(vehicle, track)
-    return vehicle, track, protection, ground, table, section.length_m, stop_mps2, braked
+    return vehicle, track, protection, node_curves, table, section.length_m, stop_mps2, braking_curves
 
 
 def _follow_mps(vehicle: Vehicle, at: np.ndarray, pull: np.ndarray, permitted: np.ndarray) -> np.ndarray:
@@ -195,7 +195,7 @@ def _sure_brake(vehicle: Vehicle) -> float:
 def _stop_mps2(vehicle: Vehicle, track: Track) -> float:
     """Surely available deceleration over the last stretch at any speed, at most the service limit, m/s^2."""
     at = float(track.length_m) - np.linspace(0.0, STOP_STRETCH_M, 41)
-    gradient, curve, _ = felt_slopes(vehicle, track, at)
+    gradient, curve, _ = mean_slopes(vehicle, track, at)
     pull = (vehicle.gravity_mps2 * gradient + curve) * vehicle.mass_kg / vehicle.effective_mass_kg
     means = np.cumsum(pull) / np.arange(1, at.size + 1)
     sure = min(_sure_brake(vehicle) + float(means[5:].min()), float(vehicle.max_deceleration_mps2))
@@ -218,11 +218,11 @@ def _widest(tables: Sequence[np.ndarray]) -> int:
     return max(table.shape[1] for table in tables)
 
 
-def _pad(ground: np.ndarray, size: int) -> np.ndarray:
+def _pad(node_curves: np.ndarray, size: int) -> np.ndarray:
     """Beyond the map nothing may move: zero curves, the rest as at its end."""
-    extra = np.repeat(ground[-1:], size - ground.shape[0], axis=0)
+    extra = np.repeat(node_curves[-1:], size - node_curves.shape[0], axis=0)
     extra[:, : PERMITTED_COLUMN + 1] = 0.0
-    return np.concatenate([ground, extra])
+    return np.concatenate([node_curves, extra])
 
 
 def _stack_protection(protections: Sequence[Protection], ahead: np.ndarray) -> Protection:
@@ -274,13 +274,13 @@ class SectionRows:
         self.start_m = xp.asarray(tables.protection.start_m)
         self.ahead = tables.protection.ahead[0]
         self.slots = int(tables.protection.slots.shape[1])
-        self.ground = xp.asarray(tables.ground)
+        self.node_curves = xp.asarray(tables.node_curves)
         self.to_go = xp.asarray(tables.to_go)
-        self.braked = xp.asarray(tables.braked)
+        self.braking_curves = xp.asarray(tables.braking_curves)
         self.length_m = xp.asarray(tables.length_m)
         self.tables = tables
         none = np.zeros(self.count)
-        small = tables._replace(ground=none, to_go=none, braked=none)
+        small = tables._replace(node_curves=none, to_go=none, braking_curves=none)
         self._shared = _map_tree(lambda a: not traced and bool((a == a[:1]).all()), small, traced=traced)
         if traced:
             self._small = _map_tree(xp.asarray, small, traced=True)
@@ -294,36 +294,36 @@ class SectionRows:
     def node(self, case: Index, position_m: Scalar) -> tuple[Scalar, Scalar]:
         """Last node not beyond a position, and the fraction of the distance to the next."""
         xp = self.xp
-        last = self.ground.shape[1] - self.ahead.size - 2.0
+        last = self.node_curves.shape[1] - self.ahead.size - 2.0
         steps = (position_m - self.start_m[case]) / self.spacing_m
         whole = xp.minimum(xp.maximum(xp.floor(steps), 0.0), last)
         return whole.astype(np.int32), xp.minimum(xp.maximum(steps - whole, 0.0), 1.0)
 
-    def ground_at(self, column: int, case: Index, position_m: Scalar) -> Scalar:
-        """Value of a column of ``ground`` at one or many positions, interpolated."""
+    def curve_at(self, column: int, case: Index, position_m: Scalar) -> Scalar:
+        """Value of a column of ``node_curves`` at one or many positions, interpolated."""
         node, way = self.node(case, position_m)
-        here = self.ground[case, node, column]
-        return here + (self.ground[case, node + 1, column] - here) * way
+        here = self.node_curves[case, node, column]
+        return here + (self.node_curves[case, node + 1, column] - here) * way
 
     def stop_at(self, case: Index, position_m: Scalar) -> tuple[Scalar, Scalar]:
         """Energy that the brakes surely dissipate to the stop, J/kg, and its rate here, m/s^2."""
         node, way = self.node(case, position_m)
-        here, after = self.braked[case, node, 0], self.braked[case, node + 1, 0]
+        here, after = self.braking_curves[case, node, 0], self.braking_curves[case, node + 1, 0]
         return here + (after - here) * way, (here - after) / self.spacing_m
 
     def follow_at(self, case: Index, position_m: Scalar) -> Scalar:
         """Speed from which the brakes surely respect all permitted speeds ahead, m/s."""
         node, way = self.node(case, position_m)
-        here, after = self.braked[case, node, 1], self.braked[case, node + 1, 1]
+        here, after = self.braking_curves[case, node, 1], self.braking_curves[case, node + 1, 1]
         return here + (after - here) * way
 
-    def paced_s(self, case: Index, position_m: Scalar) -> Float[Array, "... paces"]:
+    def pace_times_s(self, case: Index, position_m: Scalar) -> Float[Array, "... paces"]:
         """Time to the stop at each of ``PACES_MPS``, or slower where limits and braking require it, s.
 
         Shape (..., paces).
         """
         node, way = self.node(case, position_m)
-        here, after = self.braked[case, node, 2:], self.braked[case, node + 1, 2:]
+        here, after = self.braking_curves[case, node, 2:], self.braking_curves[case, node + 1, 2:]
         return here + (after - here) * way[..., None]
 
     def to_go_s(self, case: Index, distance_m: Scalar, length_m: Scalar, speed_mps: Scalar) -> Scalar:
@@ -361,7 +361,7 @@ def near_protection(rows: SectionRows, protection: Protection, case: Index, posi
     xp = rows.xp
     node, _ = rows.node(case, position_m)
     count = rows.ahead.size + 2
-    window = rows.ground[case, node + xp.arange(count)]
+    window = rows.node_curves[case, node + xp.arange(count)]
     return protection._replace(
         start_m=protection.start_m + node.astype(window.dtype) * rows.spacing_m,
         **{name: window[:, column] for column, name in enumerate(PROTECTION_CURVES)},

@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from metropilot.errors import InputError
 from metropilot.fit.log import Log
-from metropilot.physics import Track, Vehicle, felt_slopes
+from metropilot.physics import Track, Vehicle, mean_slopes
 
 MAX_STEP_S = 0.25
 """Longest step of the simulation; logs with fewer samples are simulated between them."""
@@ -220,7 +220,7 @@ def _track_at(log: Log, vehicle: Vehicle, track: Track | None) -> Float[ndarray,
     else:
         known = np.isfinite(position)
         position = np.interp(log.time_s, log.time_s[known], position[known])
-    return np.stack([np.asarray(x) * np.ones(rows) for x in felt_slopes(vehicle, track, position)], axis=1)
+    return np.stack([np.asarray(x) * np.ones(rows) for x in mean_slopes(vehicle, track, position)], axis=1)
 
 
 def _knots(piece: _Piece, start_s: float, spacing: float) -> tuple[ndarray, ndarray]:

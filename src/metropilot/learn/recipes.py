@@ -132,8 +132,8 @@ def _request(driver: str, config: AbstractConfig, task: str, seed: int, command:
     from metropilot.learn.train import RunRequest
 
     made = recipe(driver).make_task(task)
-    perception = made.config.perception
-    return RunRequest(config, made, task, seed, driver=driver, perception=perception, command=command)
+    interface = made.config.interface
+    return RunRequest(config, made, task, seed, driver=driver, interface=interface, command=command)
 
 
 def evaluation_of(request: RunRequest) -> PolicyEvaluation:

@@ -241,7 +241,7 @@ class RunRequest:
         about: Identification of the task: line, section, trainset.
         tensorboard: Also write event files.
         driver: Id of the driver that is learned; empty where it has none.
-        perception: Knowledge a driver needs to use the policy; None: it cannot be driven.
+        interface: Knowledge a driver needs to use the policy; None: it cannot be driven.
         command: The command line that asks for it.
     """
 
@@ -252,7 +252,7 @@ class RunRequest:
     about: Mapping[str, Any] | None = None
     tensorboard: bool = False
     driver: str = ""
-    perception: PolicyInterface | None = None
+    interface: PolicyInterface | None = None
     command: str = ""
 
 
@@ -343,12 +343,12 @@ def _learn(
         steps=steps,
         kpis=kpis,
     )
-    save_policy(folder / POLICY_FILE, learned.policy, policy_about(record, request.perception))
+    save_policy(folder / POLICY_FILE, learned.policy, policy_about(record, request.interface))
     store.save(record)
     return record, learned
 
 
-def policy_about(record: RunRecord, perception: PolicyInterface | None) -> dict[str, Any]:
+def policy_about(record: RunRecord, interface: PolicyInterface | None) -> dict[str, Any]:
     """Metadata of a policy file: all that a driver needs, and its origin."""
     about: dict[str, Any] = {
         "driver": record.driver,
@@ -369,7 +369,7 @@ def policy_about(record: RunRecord, perception: PolicyInterface | None) -> dict[
             "versions": dict(record.versions),
         },
     }
-    return about | ({"perception": perception.as_dict()} if perception else {})
+    return about | ({"perception": interface.as_dict()} if interface else {})
 
 
 EVALUATION = "evaluation."

@@ -26,8 +26,8 @@ from .forces import davis_n as davis_n
 from .forces import effort_at as effort_at
 from .forces import effort_limits as effort_limits
 from .forces import electric_available_n as electric_available_n
-from .forces import felt_slopes as felt_slopes
 from .forces import map_value as map_value
+from .forces import mean_slopes as mean_slopes
 from .forces import resistance_and_gradient as resistance_and_gradient
 from .forces import step_energy as step_energy
 from .forces import traction_available_n as traction_available_n

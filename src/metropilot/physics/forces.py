@@ -110,7 +110,7 @@ def command_for_force(vehicle: Vehicle, speed_mps: Scalar, force_n: Scalar) -> S
     return command_for_effort(force_n, xp.maximum(effort.traction_n, 1.0), xp.maximum(effort.brake_n, 1.0))
 
 
-def felt_slopes(vehicle: Vehicle, track: Track, position_m: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+def mean_slopes(vehicle: Vehicle, track: Track, position_m: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     """Mean slope of each potential between tail and head; the slope at the head for a point mass.
 
     Returns:
@@ -125,13 +125,13 @@ def felt_slopes(vehicle: Vehicle, track: Track, position_m: Scalar) -> tuple[Sca
     is_point = vehicle.length_m <= 0
 
     @no_type_check
-    def felt(j: int) -> Scalar:
+    def mean_over_length(j: int) -> Scalar:
         at_head = track.slope[head, j]
         rise = track.potential[head, j] - track.potential[tail, j]
         rise = rise + at_head * past_head - track.slope[tail, j] * past_tail
         return xp.where(is_point, at_head, rise * per_length)
 
-    return felt(0), felt(1), felt(2)
+    return mean_over_length(0), mean_over_length(1), mean_over_length(2)
 
 
 def davis_n(vehicle: Vehicle, speed_mps: Scalar) -> Scalar:
@@ -147,7 +147,7 @@ def resistance_and_gradient(
     Sources: Huang25 eq. 3 (force balance), Chen23a eqs. 5 and 7. A gradient acts as the difference in
     altitude between head and tail over the length.
     """
-    gradient, curve_n_per_kg, tunnel = felt_slopes(vehicle, track, position_m)
+    gradient, curve_n_per_kg, tunnel = mean_slopes(vehicle, track, position_m)
     track_n = vehicle.mass_kg * curve_n_per_kg + tunnel * speed_mps * speed_mps
     return davis_n(vehicle, speed_mps) + track_n, vehicle.mass_kg * vehicle.gravity_mps2 * gradient
 

@@ -11,7 +11,7 @@ from .fastest import TO_GO_STEP_MPS as TO_GO_STEP_MPS
 from .fastest import TimeToGo as TimeToGo
 from .fastest import check_running_time as check_running_time
 from .fastest import fastest_profile as fastest_profile
-from .fastest import stated_s as stated_s
+from .fastest import round_up_time as round_up_time
 from .fastest import tabulate_time_to_go as tabulate_time_to_go
 from .journey import Call as Call
 from .journey import JourneyPlan as JourneyPlan
@@ -48,5 +48,5 @@ from .timed_reference import ReferenceTrack as ReferenceTrack
 from .timed_reference import TimedReference as TimedReference
 from .timed_reference import reference_under as reference_under
 from .timed_reference import reference_under_for_time as reference_under_for_time
+from .timed_reference import sample_profile as sample_profile
 from .timed_reference import sample_reference as sample_reference
-from .timed_reference import sampled_profile as sampled_profile

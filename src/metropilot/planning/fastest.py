@@ -29,7 +29,7 @@ TO_GO_SPACING_M = 5.0
 TO_GO_ROWS = 97
 
 
-def stated_s(minimum_s: float) -> float:
+def round_up_time(minimum_s: float) -> float:
     """Minimum running time to show to a user: rounded up, so that asking for it is enough."""
     return math.ceil(100.0 * minimum_s) / 100.0
 
@@ -53,7 +53,7 @@ def check_running_time(
         raise Infeasible(
             f"{what} is without end: the trainset stalls on the way", field=field, value=time_s, unit="s"
         )
-    least, most = stated_s(minimum_s), math.floor(LONGEST_RATIO * minimum_s)
+    least, most = round_up_time(minimum_s), math.floor(LONGEST_RATIO * minimum_s)
     allowed = f"{least:.2f} to {most} s"
     if not time_s <= most:
         words = f"running time out of range, {what} is {least:.2f} s"

@@ -45,7 +45,9 @@ def potential_at(track: Track, position_m: Float[ndarray, "..."]) -> Float[ndarr
     return track.potential[k] + track.slope[k] * (position_m - track.node_m[k])[..., None]
 
 
-def felt_at(vehicle: Vehicle, track: Track, position_m: Float[ndarray, "..."]) -> Float[ndarray, "... 3"]:
+def mean_slopes_at(
+    vehicle: Vehicle, track: Track, position_m: Float[ndarray, "..."]
+) -> Float[ndarray, "... 3"]:
     """Gradient (1), curve resistance (N/kg) and tunnel coefficient felt over the trainset's length."""
     if vehicle.length_m > 0:
         return (
@@ -102,7 +104,7 @@ def build_mesh(
     nodes = _fill(nodes, spacing_m)
     length = np.diff(nodes)
     points = nodes[:-1, None] + 0.5 * length[:, None] * (1 + GAUSS_X)
-    felt = np.einsum("skp,k->sp", felt_at(vehicle, track, points), GAUSS_W / 2)
+    slopes = np.einsum("skp,k->sp", mean_slopes_at(vehicle, track, points), GAUSS_W / 2)
     ratio = vehicle.mass_kg / vehicle.effective_mass_kg
     cap = limit_at(track, 0.5 * (nodes[:-1] + nodes[1:]))
     node_cap = np.minimum(np.append(cap, cap[-1]), np.append(cap[0], cap))
@@ -112,8 +114,8 @@ def build_mesh(
         node_m=nodes,
         length_m=length,
         cap_mps=node_cap,
-        slope_mps2=ratio * (vehicle.gravity_mps2 * felt[:, 0] + felt[:, 1]),
-        tunnel_n=felt[:, 2],
+        slope_mps2=ratio * (vehicle.gravity_mps2 * slopes[:, 0] + slopes[:, 1]),
+        tunnel_n=slopes[:, 2],
         stop=np.searchsorted(nodes, np.asarray(stops_m)),
     )
 

@@ -21,7 +21,7 @@ from metropilot._typing import Float
 from metropilot.errors import InputError
 from metropilot.physics import Track, Vehicle
 from metropilot.planning.effort_table import Specific, specific
-from metropilot.planning.mesh import felt_at, limit_at
+from metropilot.planning.mesh import limit_at, mean_slopes_at
 from metropilot.planning.references import Reference, ReferenceShape
 
 CELL_M = 1.0
@@ -96,7 +96,7 @@ def sample_reference(reference: Reference, period_s: float) -> TimedReference:
     return TimedReference(period_s, x, v, np.where(v > 0, a, 0.0), reference.duration_s)
 
 
-def sampled_profile(
+def sample_profile(
     position_m: Float[ndarray, " nodes"],
     speed_mps: Float[ndarray, " nodes"],
     period_s: float,
@@ -140,37 +140,37 @@ def sampled_profile(
 
 
 def reference_under(
-    ground: ReferenceTrack, shape: ReferenceShape, cruise_mps: float, period_s: float = 0.05
+    constraints: ReferenceTrack, shape: ReferenceShape, cruise_mps: float, period_s: float = 0.05
 ) -> TimedReference:
     """The fastest reference under a cruising speed, the limits and the effort at hand.
 
     Args:
-        ground: Section, trainset and what else bounds it.
+        constraints: Section, trainset and what else bounds it.
         shape: Largest acceleration, deceleration and jerk.
         cruise_mps: Speed not to exceed.
         period_s: Step of time of the result.
     """
-    at, cap, slope, table = _ground(ground, shape)
-    speed = _profile(ground, shape, np.minimum(cap, cruise_mps), slope, table, at)
-    return sampled_profile(at, speed, period_s, _window_s(shape))
+    at, cap, slope, table = _sample_constraints(constraints, shape)
+    speed = _profile(constraints, shape, np.minimum(cap, cruise_mps), slope, table, at)
+    return sample_profile(at, speed, period_s, _window_s(shape))
 
 
 def reference_under_for_time(
-    ground: ReferenceTrack, shape: ReferenceShape, time_s: float, period_s: float = 0.05
+    constraints: ReferenceTrack, shape: ReferenceShape, time_s: float, period_s: float = 0.05
 ) -> TimedReference:
     """The reference that takes a running time; the fastest there is where that takes longer.
 
     Args:
-        ground: Section, trainset and what else bounds it.
+        constraints: Section, trainset and what else bounds it.
         shape: Largest acceleration, deceleration and jerk.
         time_s: Running time from here.
         period_s: Step of time of the result.
     """
-    at, cap, slope, table = _ground(ground, shape)
+    at, cap, slope, table = _sample_constraints(constraints, shape)
     step = np.diff(at)
 
     def profile(cruise: float) -> tuple[ndarray, float]:
-        speed = _profile(ground, shape, np.minimum(cap, cruise), slope, table, at)
+        speed = _profile(constraints, shape, np.minimum(cap, cruise), slope, table, at)
         return speed, float((2 * step / np.maximum(speed[1:] + speed[:-1], 1e-6)).sum())
 
     wanted, low, high = time_s - _window_s(shape), SLOWEST_MPS, float(cap.max())
@@ -181,7 +181,7 @@ def reference_under_for_time(
             speed, took = profile(middle)
             low, high = (middle, high) if took > wanted else (low, middle)
             best = speed if took <= wanted else best
-    return sampled_profile(at, best, period_s, _window_s(shape))
+    return sample_profile(at, best, period_s, _window_s(shape))
 
 
 def _window_s(shape: ReferenceShape) -> float:
@@ -189,21 +189,23 @@ def _window_s(shape: ReferenceShape) -> float:
     return max(shape.acceleration_mps2, shape.deceleration_mps2) / shape.jerk_mps3
 
 
-def _ground(ground: ReferenceTrack, shape: ReferenceShape) -> tuple[ndarray, ndarray, ndarray, Specific]:
+def _sample_constraints(
+    constraints: ReferenceTrack, shape: ReferenceShape
+) -> tuple[ndarray, ndarray, ndarray, Specific]:
     """Nodes, speeds to keep under, what slopes and curves take (m/s^2), and the effort table."""
-    vehicle, track = ground.vehicle, ground.track
+    vehicle, track = constraints.vehicle, constraints.track
     end = float(track.length_m)
-    start = min(ground.start_m + 0.5 * ground.start_mps * _window_s(shape), end - CELL_M)
+    start = min(constraints.start_m + 0.5 * constraints.start_mps * _window_s(shape), end - CELL_M)
     count = max(int(np.ceil((end - start) / CELL_M)), 2)
     at = np.linspace(start, end, count + 1)
     cap = np.minimum(limit_at(track, at), float(vehicle.max_speed_mps))
-    if ground.cap_m is not None and ground.cap_mps is not None:
-        cap = np.minimum(cap, np.interp(at, ground.cap_m, ground.cap_mps))
-    felt = felt_at(vehicle, track, at)
+    if constraints.cap_m is not None and constraints.cap_mps is not None:
+        cap = np.minimum(cap, np.interp(at, constraints.cap_m, constraints.cap_mps))
+    slopes = mean_slopes_at(vehicle, track, at)
     table = specific(vehicle)
     slope = (
-        float(vehicle.mass_kg) * (float(vehicle.gravity_mps2) * felt[:, 0] + felt[:, 1])
-        + felt[:, 2] * np.minimum(cap, 20.0) ** 2
+        float(vehicle.mass_kg) * (float(vehicle.gravity_mps2) * slopes[:, 0] + slopes[:, 1])
+        + slopes[:, 2] * np.minimum(cap, 20.0) ** 2
     ) / table.mass_kg
     return at, _narrow(cap, at, _window_s(shape)), slope, table
 
@@ -218,19 +220,24 @@ def _narrow(cap: ndarray, at: ndarray, window_s: float) -> ndarray:
 
 
 def _profile(
-    ground: ReferenceTrack, shape: ReferenceShape, cap: ndarray, slope: ndarray, table: Specific, at: ndarray
+    constraints: ReferenceTrack,
+    shape: ReferenceShape,
+    cap: ndarray,
+    slope: ndarray,
+    table: Specific,
+    at: ndarray,
 ) -> ndarray:
     """The fastest speeds under a cap: forward with the traction at hand, backward with the brake."""
     grid = table.speed_mps
     davis = table.davis[0] + grid * (table.davis[1] + grid * table.davis[2])
-    up = (ground.effort_share * table.traction - davis).tolist()
-    down = (ground.effort_share * table.braking + davis).tolist()
+    up = (constraints.effort_share * table.traction - davis).tolist()
+    down = (constraints.effort_share * table.braking + davis).tolist()
     scale, last, cell = 1.0 / float(grid[1]), grid.size - 1, 2.0 * float(at[1] - at[0])
     most_up = min(shape.acceleration_mps2, table.acceleration)
     most_down = min(shape.deceleration_mps2, table.deceleration)
     limit, slopes = (cap**2).tolist(), slope.tolist()
     energy = limit[:]
-    energy[0] = min(ground.start_mps**2, energy[0])
+    energy[0] = min(constraints.start_mps**2, energy[0])
     for k in range(1, len(energy)):
         before = energy[k - 1]
         rate = min(most_up, up[min(int(before**0.5 * scale), last)] - slopes[k - 1])

@@ -63,13 +63,13 @@ class LoadedPolicy:
 
     Attributes:
         policy: From an observation to an action.
-        perception: Its features, the meaning of its actions, its assists.
+        interface: Its features, the meaning of its actions, its assists.
         about: Further facts that the file gives: task, algorithm, seed, KPIs, provenance.
         path: The file.
     """
 
     policy: GuardedPolicy
-    perception: PolicyInterface
+    interface: PolicyInterface
     about: Mapping[str, Any]
     path: Path
 
@@ -97,12 +97,12 @@ def load_driving_policy(given: str | Path) -> LoadedPolicy:
     policy, about = load_policy(path)
     if "perception" not in about:
         raise InputError("does not say what the policy sees", file=path, field="perception")
-    perception = PolicyInterface.from_dict(about["perception"], file=path)
-    space, spec = perception.action.space, policy.spec
+    interface = PolicyInterface.from_dict(about["perception"], file=path)
+    space, spec = interface.action.space, policy.spec
     if (space.discrete, space.count or space.size) != (spec.discrete, spec.actions):
         wanted = f"{space.count} choices" if space.discrete else f"{space.size} numbers"
         value = f"{spec.actions} {'choices' if spec.discrete else 'numbers'}"
         raise InputError(
             "the policy's output is not the action's", file=path, field="policy", value=value, allowed=wanted
         )
-    return LoadedPolicy(GuardedPolicy(policy, path), perception, about, path)
+    return LoadedPolicy(GuardedPolicy(policy, path), interface, about, path)

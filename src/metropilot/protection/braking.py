@@ -9,7 +9,7 @@ from numpy import ndarray
 from numpy.lib.stride_tricks import sliding_window_view
 
 from metropilot._typing import Float
-from metropilot.physics import Track, davis_n, felt_slopes
+from metropilot.physics import Track, davis_n, mean_slopes
 from metropilot.protection.predict import highest_speed
 from metropilot.protection.types import Protection, Rates
 
@@ -64,7 +64,7 @@ def permitted_before_service(
 def _weight_n(protection: Protection, track: Track, position_m: ndarray) -> ndarray:
     """Force that gradient and curves ask for, N."""
     vehicle = protection.vehicle
-    gradient, curve, _ = felt_slopes(vehicle, track, position_m)
+    gradient, curve, _ = mean_slopes(vehicle, track, position_m)
     return vehicle.mass_kg * (vehicle.gravity_mps2 * gradient + curve)
 
 

@@ -16,7 +16,7 @@ from metropilot.physics import (
     davis_n,
     delay_steps,
     effort_at,
-    felt_slopes,
+    mean_slopes,
     padded_size,
     restrictive_profile,
     track_arrays,
@@ -326,7 +326,7 @@ def track_grid(
     """
     nodes = _nodes(section, stop_at_m, spacing_m, before_m)
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
-    gradient, curve, _ = felt_slopes(vehicle, track, nodes)
+    gradient, curve, _ = mean_slopes(vehicle, track, nodes)
     return TrackGrid(
         node_m=nodes,
         ceiling_mps=_ceilings(nodes, section, trainset, stop_at_m),
@@ -378,7 +378,7 @@ def _cell_pulls(nodes: ndarray, section: Section, trainset: Trainset, resistance
     breaks = track.node_m[np.isfinite(track.node_m)]
     kinks = np.concatenate([breaks, breaks + trainset.length_m])
     points = np.unique(np.concatenate([nodes, kinks[(kinks > nodes[0]) & (kinks < nodes[-1])]]))
-    gradient, curve, _ = felt_slopes(vehicle, track, points)
+    gradient, curve, _ = mean_slopes(vehicle, track, points)
     inertia = trainset.mass_kg / trainset.effective_mass_kg
     pull = -inertia * (vehicle.gravity_mps2 * gradient + resistance * curve)
     at = np.searchsorted(points, nodes)

@@ -131,8 +131,8 @@ def _learn(job: LearnJob, folder: Path) -> str:
     if current_process().name != "MainProcess":
         own_core()
     task, store = job.task(), RunStore(folder, indexed=False)
-    perception = task.config.perception if isinstance(task, DrivingTask) else None
-    request = RunRequest(job.config, task, job.name, job.seed, job.about, perception=perception)
+    interface = task.config.interface if isinstance(task, DrivingTask) else None
+    request = RunRequest(job.config, task, job.name, job.seed, job.about, interface=interface)
     checkpoint = store.folder(job.run_id) / CHECKPOINT_FILE
     if _record(job, folder) is None:
         checkpoint.unlink(missing_ok=True)
@@ -179,7 +179,7 @@ def write_policy(path: Path, result: SeedResult, command: str, **about: Any) -> 
         if name.startswith("evaluation.") and np.isfinite(column[best])
     }
     told = {
-        "perception": task.config.perception.as_dict(),
+        "perception": task.config.interface.as_dict(),
         "algorithm": job.config.algorithm,
         "config": config_to_mapping(job.config),
         "seed": job.seed,

@@ -79,12 +79,12 @@ class DemonstrationGenerator:
         self.length_m = float(self.case.length_m)
         self.scheduled_s = scheduled_ratio * float(self.case.minimum_s)
         self._at = np.arange(0.0, self.length_m + SPACING_M, SPACING_M)
-        cap = self.rows.ground_at(PERMITTED_COLUMN, 0, self._at) - BELOW_PERMITTED_MPS
+        cap = self.rows.curve_at(PERMITTED_COLUMN, 0, self._at) - BELOW_PERMITTED_MPS
         self._cap = np.maximum(cap, 0.5)
 
     def most_mps(self, position_m: float) -> float:
         """Largest permitted speed at a position from which the station-stop braking still stops."""
-        permitted = float(self.rows.ground_at(PERMITTED_COLUMN, 0, np.array(position_m)))
+        permitted = float(self.rows.curve_at(PERMITTED_COLUMN, 0, np.array(position_m)))
         work, _ = self.rows.stop_at(0, np.array(position_m))
         stops = float(np.sqrt(2.0 * SAFE_SHARE * DOMAIN_ASSISTS.stop_use * max(float(work), 0.0)))
         return max(min(permitted - BELOW_PERMITTED_MPS - 0.05, stops), SLOWEST_MPS)

@@ -18,8 +18,8 @@ from metropilot.planning import (
     plan_arrays,
     reference,
     reference_under,
+    sample_profile,
     sample_reference,
-    sampled_profile,
 )
 from metropilot.railway import Section, Steps, Trainset, load_line, load_trainset
 from metropilot.studies.cheng2023.tracking import ReferenceCourse, course_of
@@ -134,7 +134,7 @@ def reference_of(kind: str, speed: str = "base") -> TimedReference:
     if kind == "optimal":
         time_s = reference_of("s_curve", speed).duration_s
         plan = plan_arrays(vehicle, track, time_s, PlanOptions())
-        return sampled_profile(plan.position_m, plan.speed_mps, DT_S)
+        return sample_profile(plan.position_m, plan.speed_mps, DT_S)
     shape = GENTLE if kind == "gentle" else SHAPE
     shape = replace(shape, jerk_mps3=math.inf) if kind == "trapezoid" else shape
     return reference_under(ReferenceTrack(vehicle, track, effort_share=EFFORT_SHARE), shape, cruise, DT_S)

@@ -389,7 +389,7 @@ class AbstractExpertPolicyDriver(AbstractDriver):
             InputError: The file cannot be used, or its policy did not learn inside the expert.
         """
         loaded = load_driving_policy(self.path)
-        action, seen = loaded.perception.action, loaded.perception.features
+        action, seen = loaded.interface.action, loaded.interface.features
         if not isinstance(action, ExpertAction | ExpertChoiceAction) or seen != ("expert",):
             raise InputError("did not learn inside the expert", file=self.path, field="perception.action")
         return loaded
@@ -400,7 +400,7 @@ class AbstractExpertPolicyDriver(AbstractDriver):
 
     @cached_property
     def _action(self) -> ExpertAction | ExpertChoiceAction:
-        return cast("ExpertAction | ExpertChoiceAction", self.loaded.perception.action)
+        return cast("ExpertAction | ExpertChoiceAction", self.loaded.interface.action)
 
     def init(self, run: Run) -> PolicyMemory:
         """Read the policy, and build the tables of the section."""
@@ -408,7 +408,7 @@ class AbstractExpertPolicyDriver(AbstractDriver):
 
     def act(self, memory: PolicyMemory, observation: Observation) -> tuple[float, PolicyMemory]:
         """One decision of the expert; the policy is asked once in its own period."""
-        period, chosen = self.loaded.perception.period_s, memory.change
+        period, chosen = self.loaded.interface.period_s, memory.change
         decided = memory.decided
 
         def change(seen: RateInputs) -> float:

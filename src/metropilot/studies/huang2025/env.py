@@ -71,8 +71,8 @@ def view_of(context: FeatureContext, rules: ExpertRules) -> View:
     coasts_at = v + pulling * (vehicle.delay_s + vehicle.lag_s + 0.5 * pulling / jerk)
     left = xp.maximum(context.left_m, 1e-3)
     at = context.position_m + left / SEGMENTS * xp.arange(SEGMENTS + 1, dtype=left.dtype)
-    climb = context.rows.ground_at(CLIMB_COLUMN, context.case, at)
-    cap = xp.maximum(context.rows.ground_at(PERMITTED_COLUMN, context.case, at) - MARGIN_MPS, 0.0)
+    climb = context.rows.curve_at(CLIMB_COLUMN, context.case, at)
+    cap = xp.maximum(context.rows.curve_at(PERMITTED_COLUMN, context.case, at) - MARGIN_MPS, 0.0)
     stretch = ExpertStretch(left, climb, 0.5 * cap * cap, 0.0)
     davis = [vehicle.davis_n[k] / mass for k in range(3)]
     coasting = coasting_time(xp, davis, rules.brake_mps2, coasts_at, stretch)

@@ -47,7 +47,7 @@ from metropilot.control import (
     stop_deceleration,
 )
 from metropilot.errors import InputError
-from metropilot.physics import effort_at, felt_slopes, scalars
+from metropilot.physics import effort_at, mean_slopes, scalars
 from metropilot.planning import TO_GO_STEP_MPS, tabulate_time_to_go
 
 SEGMENTS = 16
@@ -405,7 +405,7 @@ def expert_track(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTr
     vehicle, track = model.vehicle, model.track
     mass = float(vehicle.effective_mass_kg)
     at = np.arange(0.0, float(track.length_m) + BEYOND_M, STEP_M)
-    gradient, curve, _ = felt_slopes(vehicle, track, at)
+    gradient, curve, _ = mean_slopes(vehicle, track, at)
     pull = (float(vehicle.gravity_mps2) * gradient + curve) * float(vehicle.mass_kg) / mass
     climb = np.concatenate([[0.0], np.cumsum(0.5 * (pull[1:] + pull[:-1]) * STEP_M)])
     speeds = np.arange(0.0, float(vehicle.max_speed_mps) + 3.0, EFFORT_STEP_MPS)

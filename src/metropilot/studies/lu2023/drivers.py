@@ -15,7 +15,7 @@ from metropilot.drivers import (
     TrackingMemory,
     TrackingView,
 )
-from metropilot.planning import TimedReference, sampled_profile
+from metropilot.planning import TimedReference, sample_profile
 from metropilot.sim import Run, simulate_nominal
 
 
@@ -76,7 +76,7 @@ class PidLu2023(AbstractTracker):
     def init(self, run: Run) -> TrackingMemory:
         """Let improved DQN drive the run ahead of departure, and take its curve as the reference."""
         learned = simulate_nominal(run, self.learned)
-        self.curve = sampled_profile(learned.position_m, learned.speed_mps, REFERENCE_PERIOD_S)
+        self.curve = sample_profile(learned.position_m, learned.speed_mps, REFERENCE_PERIOD_S)
         return super().init(run)
 
     def control(self, memory: Errors, seen: TrackingView) -> tuple[float, Errors]:

@@ -105,7 +105,7 @@ def policy_file(name: str) -> Path:
 def load_driver(path: Path) -> LearnedDriver:
     """Load a policy file as a driver."""
     loaded = load_driving_policy(path)
-    return LearnedDriver(loaded.policy, loaded.perception)
+    return LearnedDriver(loaded.policy, loaded.interface)
 
 
 def drive_plan(plan: PlanCase, name: str, driver: AbstractDriver) -> NotchRun:

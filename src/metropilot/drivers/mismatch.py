@@ -2,7 +2,7 @@
 
 A policy and its assists see the nominal plant and the current state. Under plant mismatch (a command that
 acts late, a heavier trainset, a stronger resistance) their station-stop braking begins too late and their
-ceiling is too high. So every run is watched by the estimator of :mod:`metropilot.control.estimator`. As
+ceiling is too high. The estimator of every run is that of :mod:`metropilot.control.estimator`. As
 long as protection's bounds hold neither dead time nor lag, and the estimator finds nothing, nothing of it is
 acted upon, and the drive is the policy's own to the last bit. With a dead time or lag, in the bounds or
 found, or efforts that are off by more than ``LEAST`` and by more than doubt allows, the policy sees the state
@@ -68,84 +68,89 @@ MARGIN_MPS = 0.05
 """Distance of the ceiling below the permitted speed, besides the error of a measurement."""
 
 
-class Care(NamedTuple):
+class ProtectionCopy(NamedTuple):
     """Protection kept alongside, to stay clear of it.
 
     Attributes:
-        watched: State of protection.
+        supervision: State of protection.
         ceiling: Largest speed and acceleration under it.
     """
 
-    watched: Memory
+    supervision: Memory
     ceiling: Ceiling
 
 
-class Watch(NamedTuple):
+class PlantMonitor(NamedTuple):
     """Estimate of the plant during a run.
 
     Attributes:
         model: Nominal trainset and section.
-        belief: Estimate of the state and of the plant.
-        care: Protection kept alongside; None as long as nothing departs from the nominal plant and nothing is
-            late.
+        estimate: Estimate of the state and of the plant.
+        protection: Protection kept alongside; None as long as nothing departs from the nominal plant and
+            nothing is late.
         adapted: Plant that the tables in force assume.
         adapted_at_s: Since when.
     """
 
     model: Model
-    belief: StateEstimate
-    care: Care | None
+    estimate: StateEstimate
+    protection: ProtectionCopy | None
     adapted: Adaptation
     adapted_at_s: float
 
     @property
-    def believed(self) -> Adaptation:
+    def adaptation(self) -> Adaptation:
         """Estimated plant; a brake stronger than nominal counts as nominal."""
-        belief = self.belief
-        return Adaptation(belief.traction_gain, min(belief.brake_gain, 1.0), belief.resistance_factor)
+        estimate = self.estimate
+        return Adaptation(estimate.traction_gain, min(estimate.brake_gain, 1.0), estimate.resistance_factor)
 
 
-def first_watch(run: Run) -> Watch:
+def start_monitor(run: Run) -> PlantMonitor:
     """Estimate before departure."""
     trainset = run.disturbance.nominal(run.trainset)
     vehicle = vehicle_arrays(trainset)
     model = Model(vehicle, track_arrays(run.section, trainset), run.dt)
-    belief = initial_estimate(model, weighed_brakes=weighs_load(vehicle))
-    watch = Watch(model, belief, None, Adaptation(), -np.inf)
-    return (
-        watch._replace(care=_care(watch, run, run.section)) if answers_late(declared_bounds(run)) else watch
-    )
+    estimate = initial_estimate(model, weighed_brakes=weighs_load(vehicle))
+    late = answers_late(declared_bounds(run))
+    protection = _copy_protection(estimate, run, run.section) if late else None
+    return PlantMonitor(model, estimate, protection, Adaptation(), -np.inf)
 
 
-def update_watch(watch: Watch, run: Run, observation: Observation) -> Watch:
+def update_monitor(monitor: PlantMonitor, run: Run, observation: Observation) -> PlantMonitor:
     """Update the estimate with this period's measurements.
 
     Args:
-        watch: Estimate before, the command of the last period included.
+        monitor: Estimate before, the command of the last period included.
         run: The run.
         observation: Measurements of this period.
     """
     seen = observation.position_m, observation.speed_mps, observation.acceleration_mps2
-    overruled = watch.care is not None and (int(watch.care.watched.level) > 0 or observation.intervention > 0)
-    belief = update_estimate(watch.model, watch.belief, *seen, overruled=overruled)
-    if watch.care is None:
-        watch = watch._replace(belief=belief)
-        return watch._replace(care=_care(watch, run, observation.section)) if departs(belief) else watch
-    return watch._replace(belief=belief)
+    protection = monitor.protection
+    overruled = protection is not None and (
+        int(protection.supervision.level) > 0 or observation.intervention > 0
+    )
+    estimate = update_estimate(monitor.model, monitor.estimate, *seen, overruled=overruled)
+    if protection is None and departs(estimate):
+        protection = _copy_protection(estimate, run, observation.section)
+    return monitor._replace(estimate=estimate, protection=protection)
 
 
-def set_section(watch: Watch, run: Run, section: Section) -> Watch:
+def set_section(monitor: PlantMonitor, run: Run, section: Section) -> PlantMonitor:
     """Change to a section with a restriction that has just been announced."""
     trainset = run.disturbance.nominal(run.trainset)
-    watch = watch._replace(model=watch.model._replace(track=track_arrays(section, trainset)))
-    if watch.care is None:
-        return watch
-    return watch._replace(care=_care(watch, run, section)._replace(watched=watch.care.watched))
+    monitor = monitor._replace(model=monitor.model._replace(track=track_arrays(section, trainset)))
+    if monitor.protection is None:
+        return monitor
+    return monitor._replace(
+        protection=_copy_protection(monitor.estimate, run, section)._replace(
+            supervision=monitor.protection.supervision
+        )
+    )
 
 
-def record_decision(watch: Watch, share: float) -> Watch:
+def record_decision(monitor: PlantMonitor, share: float) -> PlantMonitor:
     """Add a command that has been given to the estimate."""
-    return watch._replace(belief=record_command(watch.belief, share))
+    return monitor._replace(estimate=record_command(monitor.estimate, share))
 
 
 def answers_late(declared: Bounds) -> bool:
@@ -153,86 +158,90 @@ def answers_late(declared: Bounds) -> bool:
     return declared.delay_s > 0.0 or declared.lag_s > 0.0
 
 
-def stop_options(watch: Watch) -> StopOptions:
+def stop_options(monitor: PlantMonitor) -> StopOptions:
     """Constants of the station stop, soft where protection's bounds hold late commands."""
-    late = watch.care is not None and watch.care.ceiling.late_s > 0.0
+    late = monitor.protection is not None and monitor.protection.ceiling.late_s > 0.0
     return LATE_STOP if late else CAREFUL_STOP
 
 
-def departs(belief: StateEstimate) -> bool:
+def departs(estimate: StateEstimate) -> bool:
     """Tell if the plant surely departs from the nominal one."""
-    if belief.best != 0:
+    if estimate.best != 0:
         return True
-    gains, covariance = belief.bank.gains[belief.best], belief.bank.covariance[belief.best]
+    gains, covariance = estimate.bank.gains[estimate.best], estimate.bank.covariance[estimate.best]
     off, sigma = np.abs(gains - 1.0), np.sqrt(np.diagonal(covariance))
     least = np.array([LEAST, LEAST, LEAST_RESISTANCE])
     return bool((off > np.maximum(least, SURE * sigma)).any())
 
 
-def is_outdated(watch: Watch, time_s: float) -> bool:
+def is_outdated(monitor: PlantMonitor, time_s: float) -> bool:
     """Tell if the tables in force are of another plant than the one estimated since."""
-    if watch.care is None or time_s - watch.adapted_at_s < PATIENCE_S:
+    if monitor.protection is None or time_s - monitor.adapted_at_s < PATIENCE_S:
         return False
-    off = np.abs(np.subtract(watch.believed, watch.adapted))
+    off = np.abs(np.subtract(monitor.adaptation, monitor.adapted))
     return bool((off > (LEAST, LEAST, LEAST_RESISTANCE)).any())
 
 
-def limit_to_ceiling(watch: Watch, ahead: PredictedState, share: float, most_mps2: float) -> float:
+def limit_to_ceiling(monitor: PlantMonitor, ahead: PredictedState, share: float, most_mps2: float) -> float:
     """Limit a command to stay under the ceiling.
 
     Args:
-        watch: Estimate of the plant.
+        monitor: Estimate of the plant.
         ahead: State in which a command given now begins to act.
         share: Command wanted.
         most_mps2: Largest acceleration for other reasons.
     """
-    if watch.care is None:
+    if monitor.protection is None:
         return share
-    most = min(watch.care.ceiling.approach(ahead), most_mps2)
-    return min(share, share_for(watch.belief, ahead, most))
+    most = min(monitor.protection.ceiling.approach(ahead), most_mps2)
+    return min(share, share_for(monitor.estimate, ahead, most))
 
 
 def station_stop_braking(
-    watch: Watch, planned_mps2: float, stopping: bool
+    monitor: PlantMonitor, planned_mps2: float, stopping: bool
 ) -> tuple[bool, float, PredictedState]:
     """Decide on the station-stop braking: True if it is on, its command, and the state in which that acts.
 
     Args:
-        watch: Estimate of the plant.
+        monitor: Estimate of the plant.
         planned_mps2: Deceleration the policy's station-stop braking is planned with.
         stopping: True if it was on.
     """
-    model, rate = watch.model, CAREFUL_USE * planned_mps2
+    model, rate = monitor.model, CAREFUL_USE * planned_mps2
     target = float(model.track.length_m)
-    options = stop_options(watch)
+    options = stop_options(monitor)
     curve = curve_for(model.vehicle, model.dt, rate, options)
-    stop = stop_command(model, watch.belief, target, curve, options)
+    stop = stop_command(model, monitor.estimate, target, curve, options)
     left = stop.left_m
     early = stop.required_mps2 < LET_GO * rate and left > LET_GO_M
     short = stop.ahead.speed_mps <= 0 and left > LET_GO_M
     begins = stop.required_mps2 >= BEGIN * rate
-    share = stand(model, watch.belief, stop, NEAR_ENOUGH_M, NEAR_ENOUGH_M, options)
+    share = stand(model, monitor.estimate, stop, NEAR_ENOUGH_M, NEAR_ENOUGH_M, options)
     return (begins or (stopping and not early)) and not short, share, stop.ahead
 
 
-def limit_by_protection(watch: Watch, observation: Observation, share: float) -> tuple[float, Watch]:
+def limit_by_protection(
+    monitor: PlantMonitor, observation: Observation, share: float
+) -> tuple[float, PlantMonitor]:
     """Limit a command to the largest that protection lets pass."""
-    if watch.care is None:
-        return share, watch
-    care = watch.care
+    if monitor.protection is None:
+        return share, monitor
+    protection = monitor.protection
     seen = observation.position_m, observation.speed_mps
-    share, watched = largest_admissible_command(care.ceiling.guard, care.watched, *seen, share)
-    return float(share), watch._replace(care=care._replace(watched=watched))
-
-
-def _care(watch: Watch, run: Run, section: Section) -> Care:
-    """Set up protection on a section, with the commands that are on their way."""
-    ceiling, belief = ceiling_of(run, section, MARGIN_MPS), watch.belief
-    watched = at_start(ceiling.guard)
-    count, known = np.size(watched.recent), belief.commands.size
-    watched = watched._replace(
-        recent=np.pad(belief.commands, (0, max(count - known, 0)), "edge")[:count],
-        share=np.float64(belief.bank.share[belief.best]),
-        acceleration_mps2=np.float64(belief.acceleration_mps2),
+    share, supervision = largest_admissible_command(
+        protection.ceiling.guard, protection.supervision, *seen, share
     )
-    return Care(watched, ceiling)
+    return float(share), monitor._replace(protection=protection._replace(supervision=supervision))
+
+
+def _copy_protection(estimate: StateEstimate, run: Run, section: Section) -> ProtectionCopy:
+    """Set up protection on a section, with the commands that are on their way."""
+    ceiling = ceiling_of(run, section, MARGIN_MPS)
+    supervision = at_start(ceiling.guard)
+    count, known = np.size(supervision.recent), estimate.commands.size
+    supervision = supervision._replace(
+        recent=np.pad(estimate.commands, (0, max(count - known, 0)), "edge")[:count],
+        share=np.float64(estimate.bank.share[estimate.best]),
+        acceleration_mps2=np.float64(estimate.acceleration_mps2),
+    )
+    return ProtectionCopy(supervision, ceiling)

@@ -26,7 +26,7 @@ def driven(run, name):
     rollout, began = Rollout(run, make_driver(name)), None
     while rollout.outcome is None:
         rollout.advance()
-        if began is None and rollout.memory.watch.care is not None:
+        if began is None and rollout.memory.monitor.protection is not None:
             began = rollout.recorder.trajectory(rollout.params.track, 0.0).time_s[-1]
     return rollout.drive(), began
 
