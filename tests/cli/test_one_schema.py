@@ -1,18 +1,26 @@
 """One declaration of a run: every entry gives every field of it, and refuses it in the same words."""
 
 import asyncio
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import httpx
 import pytest
 from fastapi import FastAPI
 
-from metropilot._schema import field_specs
+from metropilot._schema import field_specs, field_type
 from metropilot.campaign import campaign_from_toml, case_request
 from metropilot.cli import app
-from metropilot.convoy import ConvoyRequest, Link
+from metropilot.convoy import FOLLOWERS, ConvoyRequest, Link
+from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
-from metropilot.evaluate import RunSpec, run_fields, run_from_toml
+from metropilot.evaluate import (
+    RunSpec,
+    option_class,
+    option_defaults,
+    run_fields,
+    run_from_toml,
+    with_options,
+)
 from metropilot.railway import Restriction
 from metropilot.sim import Disturbance, TimetableUpdate
 from metropilot.web import ConvoyIn, DriveIn, Service, Settings, install
@@ -228,3 +236,46 @@ def test_every_entry_of_a_convoy_refuses_in_the_same_words(metropilot, name):
     own = f"--{name.removesuffix('_s').removesuffix('_m').replace('_', '-')}"
     typed = metropilot("convoy", *WHERE.values(), f"{own}=-1")
     assert (typed.code, typed.err) == (2, f"metropilot: {own}{said}\n")
+
+
+OPTIONS = sorted({kind for r in (DRIVERS, FOLLOWERS) for d in r if (kind := option_class(r.get(d)))}, key=str)
+
+
+@pytest.mark.parametrize("kind", OPTIONS, ids=lambda kind: kind.__name__)
+def test_every_option_of_a_driver_declares_what_it_may_be(kind):
+    specs = field_specs(kind)
+    assert list(specs) == [f.name for f in fields(kind)]
+    for name, spec in specs.items():
+        if field_type(kind, name) in {int, float}:
+            assert spec.range is not None, name
+            outside = [float("nan"), spec.range.low if spec.range.above else spec.range.low - 1.0]
+            outside += [] if spec.range.infinite else [spec.range.high + 1.0, float("inf")]
+            for value in outside:
+                with pytest.raises(InputError, match=f"^{name}: out of range: .* .allowed: "):
+                    kind(**{name: value})
+
+
+@pytest.mark.parametrize("registry", [DRIVERS, FOLLOWERS], ids=["drivers", "followers"])
+def test_every_driver_takes_the_defaults_of_its_options(registry):
+    for name in registry:
+        driver = registry.get(name)
+        if defaults := option_defaults(driver):
+            assert isinstance(with_options(driver, defaults), driver)
+
+
+@pytest.mark.parametrize(
+    ("driver", "given", "allowed"),
+    [
+        ("pid", "kp=-1", "0 to 100"),
+        ("fuzzy_pid", "ki=2", "0 to 1.5"),
+        ("neural_pid", "momentum=1.5", "0 to 1"),
+        ("optimal", "alarm=0", "> 0 and <= 10"),
+        ("eitoe", "start_mps2=2.5", "> 0 m/s^2 and <= 2 m/s^2"),
+    ],
+)
+def test_a_driver_refuses_an_option_in_one_line(metropilot, driver, given, allowed):
+    name, value = given.split("=")
+    typed = metropilot("drive", *WHERE.values(), "--driver", driver, "--set", given)
+    unit = " m/s^2" if name.endswith("mps2") else ""
+    told = f"metropilot: --set {name}: out of range: {float(value)}{unit} (allowed: {allowed})\n"
+    assert (typed.code, typed.err) == (2, told)

@@ -9,6 +9,7 @@ from .shipped import AbstractPolicyDriver as AbstractPolicyDriver
 from .shipped import AbstractShippedDriver as AbstractShippedDriver
 from .shipped import PolicyOptions as PolicyOptions
 from .tracking import REFERENCE_PERIOD_S as REFERENCE_PERIOD_S
+from .tracking import AbstractPidOptions as AbstractPidOptions
 from .tracking import AbstractTracker as AbstractTracker
 from .tracking import AbstractTrackingOptions as AbstractTrackingOptions
 from .tracking import TrackingMemory as TrackingMemory

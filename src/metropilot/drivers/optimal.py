@@ -52,6 +52,9 @@ from metropilot.protection import Memory, at_start
 from metropilot.railway import Section, Trainset
 from metropilot.sim import AbstractDriver, Observation, Run
 
+LEARNED_BAND = (0.02, 0.04, 0.03)
+"""Departures of traction, brake and resistance from those planned with that call for a new plan."""
+
 
 @dataclass(frozen=True)
 class OptimalOptions:
@@ -63,7 +66,6 @@ class OptimalOptions:
         coast_band_mps2: Efforts below this are not given where the plan coasts.
         time_band_s: A departure in time that calls for a new plan.
         speed_band_mps: A departure in speed that calls for a new plan.
-        learned_band: Departures of traction, brake and resistance from those planned with that call for one.
         patience_s: Least time between two plans that a departure calls for.
         period_s: A new plan at least this often, with what was learned of the trainset by then.
         last_plan_m: No new plan this close to the braking point.
@@ -83,23 +85,22 @@ class OptimalOptions:
     """
 
     objective: Objective = declare("wheel", choices=get_args(Objective))
-    speed_gain_per_s: float = 0.8
-    coast_band_mps2: float = 0.1
-    time_band_s: float = 0.1
-    speed_band_mps: float = 0.3
-    learned_band: tuple[float, float, float] = (0.02, 0.04, 0.03)
-    patience_s: float = 2.0
+    speed_gain_per_s: float = declare(0.8, unit="1/s", low=0.0, high=10.0)
+    coast_band_mps2: float = declare(0.1, unit="m/s^2", low=0.0, high=3.0)
+    time_band_s: float = declare(0.1, unit="s", low=0.0, infinite=True)
+    speed_band_mps: float = declare(0.3, unit="m/s", low=0.0, infinite=True)
+    patience_s: float = declare(2.0, unit="s", low=0.0, infinite=True)
     period_s: float = declare(math.inf, unit="s", low=0.0, above=True, infinite=True)
-    last_plan_m: float = 30.0
-    release_share: float = 0.95
-    late_release_share: float = 0.5
+    last_plan_m: float = declare(30.0, unit="m", low=0.0, infinite=True)
+    release_share: float = declare(0.95, low=0.0, high=1.0, above=True)
+    late_release_share: float = declare(0.5, low=0.0, high=1.0, above=True)
     brake_use: float = declare(0.995, low=0.0, high=1.0, above=True)
     careful_brake_use: float = declare(0.97, low=0.0, high=1.0, above=True)
-    handover_m: float = 60.0
-    alarm: float = 1.15
-    careful_alarm: float = 0.95
-    near_enough_m: float = 0.04
-    cap_margin_mps: float = 0.05
+    handover_m: float = declare(60.0, unit="m", low=0.0, infinite=True)
+    alarm: float = declare(1.15, low=0.0, high=10.0, above=True)
+    careful_alarm: float = declare(0.95, low=0.0, high=10.0, above=True)
+    near_enough_m: float = declare(0.04, unit="m", low=0.0, high=1.0)
+    cap_margin_mps: float = declare(0.05, unit="m/s", low=0.0, high=5.0)
     reserve_s: float = declare(0.0, unit="s", low=0.0)
     spacing_m: float = declare(12.5, unit="m", low=1.0, high=200.0)
 
@@ -308,7 +309,7 @@ class Optimal(AbstractDriver):
         return (
             abs(late) > self.options.time_band_s
             or abs(off) > self.options.speed_band_mps
-            or bool((learned > self.options.learned_band).any())
+            or bool((learned > LEARNED_BAND).any())
         )
 
     def _replan(self, memory: FollowingMemory, observation: Observation) -> FollowingMemory:

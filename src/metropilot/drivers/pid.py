@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import ClassVar, final
 
-from metropilot.control import CHENG2023_GAINS, Errors, Gains, incremental_pid
-from metropilot.drivers.tracking import AbstractTracker, AbstractTrackingOptions, TrackingView
+from metropilot._schema import declare
+from metropilot.control import Errors, Gains, incremental_pid
+from metropilot.drivers.tracking import AbstractPidOptions, AbstractTracker, TrackingView
 
 TUNED_PID: Mapping[str, float] = MappingProxyType({"kp": 4.986, "ki": 1.4996, "kd": 0.1019})
 """Found on the base scenario of Cheng23 by differential evolution, 1200 runs
@@ -17,20 +18,14 @@ TUNED_PID: Mapping[str, float] = MappingProxyType({"kp": 4.986, "ki": 1.4996, "k
 
 @final
 @dataclass(frozen=True)
-class PidOptions(AbstractTrackingOptions):
-    """Options of ``pid``: the reference, and gains for a control period of 0.2 s.
+class PidOptions(AbstractPidOptions):
+    """Options of ``pid``: the reference and the gains.
 
     Attributes:
-        kp: Gain on the change of the error, 1/(m/s).
-        ki: Gain on the error, 1/(m/s) and period.
-        kd: Gain on the change of the change, 1/(m/s).
         tuned: Take the gains that were found by search instead.
     """
 
-    kp: float = CHENG2023_GAINS.proportional
-    ki: float = CHENG2023_GAINS.integral
-    kd: float = CHENG2023_GAINS.derivative
-    tuned: bool = False
+    tuned: bool = declare(False)
 
 
 @final

@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import ClassVar, final
 
+from metropilot._schema import declare
 from metropilot.drivers.learned import LearnedDriver, LearnedMemory
 from metropilot.errors import InputError
 from metropilot.policy import LoadedPolicy, load_driving_policy, shipped_policy
@@ -26,7 +27,7 @@ class PolicyOptions:
         policy: A policy file, or the folder or id of a learning run; empty: the one shipped with the driver.
     """
 
-    policy: str = ""
+    policy: str = declare("")
 
 
 class AbstractPolicyDriver(AbstractDriver):

@@ -16,6 +16,7 @@ from typing import Any, Literal, NamedTuple
 from metropilot._schema import check_fields, declare
 from metropilot._typing import Array
 from metropilot.control import (
+    CHENG2023_GAINS,
     Ceiling,
     Errors,
     Model,
@@ -95,11 +96,26 @@ class AbstractTrackingOptions:
     deceleration_mps2: float = declare(0.8, unit="m/s^2", low=0.0, high=3.0, above=True)
     jerk_mps3: float = declare(0.5, unit="m/s^3", low=0.0, above=True)
     effort_share: float = declare(0.9, low=0.0, high=1.0, above=True)
-    station_stop: bool = True
+    station_stop: bool = declare(True)
     slip_m: float = declare(5.0, unit="m", low=0.0, infinite=True)
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+
+@dataclass(frozen=True)
+class AbstractPidOptions(AbstractTrackingOptions):
+    """Options of a tracking driver with an incremental PID, for a control period of 0.2 s.
+
+    Attributes:
+        kp: Gain on the change of the error, 1/(m/s).
+        ki: Gain on the error, 1/(m/s) and period.
+        kd: Gain on the change of the change, 1/(m/s).
+    """
+
+    kp: float = declare(CHENG2023_GAINS.proportional, low=0.0, high=100.0)
+    ki: float = declare(CHENG2023_GAINS.integral, low=0.0, high=100.0)
+    kd: float = declare(CHENG2023_GAINS.derivative, low=0.0, high=100.0)
 
 
 @dataclass(frozen=True)

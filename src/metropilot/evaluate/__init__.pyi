@@ -5,6 +5,7 @@ from .comparison import best as best
 from .comparison import compare as compare
 from .comparison import jobs as jobs
 from .driver_options import make_driver as make_driver
+from .driver_options import option_class as option_class
 from .driver_options import option_defaults as option_defaults
 from .driver_options import parse_driver as parse_driver
 from .driver_options import parse_option as parse_option

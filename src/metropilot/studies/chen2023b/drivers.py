@@ -8,6 +8,7 @@ from typing import final, no_type_check
 
 import numpy as np
 
+from metropilot._schema import declare
 from metropilot._typing import Scalar
 from metropilot.control import Errors
 from metropilot.convoy import (
@@ -34,7 +35,7 @@ class FollowPolicyOptions:
         policy: A policy file, or the folder or id of a learning run; empty: the one shipped with the driver.
     """
 
-    policy: str = ""
+    policy: str = declare("")
 
 
 class AbstractGainFollower(AbstractFollower):

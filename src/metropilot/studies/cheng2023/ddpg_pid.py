@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, final
 
+from metropilot._schema import declare
 from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers import AbstractTracker, AbstractTrackingOptions, TrackingView
 from metropilot.errors import InputError
@@ -59,7 +60,7 @@ class DdpgPidOptions(AbstractTrackingOptions):
         policy: A policy file, or the folder or id of a learning run; empty: the one shipped.
     """
 
-    policy: str = ""
+    policy: str = declare("")
 
 
 @final

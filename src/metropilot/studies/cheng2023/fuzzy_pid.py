@@ -15,10 +15,10 @@ from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
+from metropilot._schema import declare
 from metropilot._typing import Array
 from metropilot.control import CHENG2023_GAINS, CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers import AbstractTracker, AbstractTrackingOptions, TrackingView
-from metropilot.errors import InputError
 from metropilot.physics import namespace
 
 NB, NM, NS, ZO, PS, PM, PB = range(7)
@@ -194,23 +194,15 @@ class FuzzyPidOptions(AbstractTrackingOptions):
         tuned: Take gains and universes that were found by search instead.
     """
 
-    kp: float = CHENG2023_GAINS.proportional
-    ki: float = CHENG2023_GAINS.integral
-    kd: float = CHENG2023_GAINS.derivative
-    error_mps: float = ASSUMED_UNIVERSES.error_mps
-    change_mps: float = ASSUMED_UNIVERSES.change_mps
-    kp_span: float = ASSUMED_UNIVERSES.proportional
-    ki_span: float = ASSUMED_UNIVERSES.integral
-    kd_span: float = ASSUMED_UNIVERSES.derivative
-    tuned: bool = False
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("error_mps", "change_mps"):
-            if not getattr(self, name) > 0:
-                raise InputError(
-                    "out of range", field=name, value=getattr(self, name), unit="m/s", allowed="> 0"
-                )
+    kp: float = declare(CHENG2023_GAINS.proportional, low=0.0, high=CHENG2023_UPPER.proportional)
+    ki: float = declare(CHENG2023_GAINS.integral, low=0.0, high=CHENG2023_UPPER.integral)
+    kd: float = declare(CHENG2023_GAINS.derivative, low=0.0, high=CHENG2023_UPPER.derivative)
+    error_mps: float = declare(ASSUMED_UNIVERSES.error_mps, unit="m/s", low=0.0, high=10.0, above=True)
+    change_mps: float = declare(ASSUMED_UNIVERSES.change_mps, unit="m/s", low=0.0, high=10.0, above=True)
+    kp_span: float = declare(ASSUMED_UNIVERSES.proportional, low=0.0, high=CHENG2023_UPPER.proportional)
+    ki_span: float = declare(ASSUMED_UNIVERSES.integral, low=0.0, high=CHENG2023_UPPER.integral)
+    kd_span: float = declare(ASSUMED_UNIVERSES.derivative, low=0.0, high=CHENG2023_UPPER.derivative)
+    tuned: bool = declare(False)
 
 
 @final

@@ -15,10 +15,10 @@ from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
+from metropilot._schema import declare
 from metropilot._typing import Array
 from metropilot.control import CHENG2023_GAINS, CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers import AbstractTracker, AbstractTrackingOptions, TrackingView
-from metropilot.errors import InputError
 from metropilot.physics import namespace
 from metropilot.sim import Run
 
@@ -161,20 +161,13 @@ class NeuralPidOptions(AbstractTrackingOptions):
         tuned: Take gains and rates that were found by search instead.
     """
 
-    kp: float = CHENG2023_GAINS.proportional
-    ki: float = CHENG2023_GAINS.integral
-    kd: float = CHENG2023_GAINS.derivative
-    learning_rate: float = TEXTBOOK_RATES.learning
-    momentum: float = TEXTBOOK_RATES.momentum
-    error_mps: float = TEXTBOOK_RATES.error_scale_mps
-    tuned: bool = False
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.error_mps > 0:
-            raise InputError(
-                "out of range", field="error_mps", value=self.error_mps, unit="m/s", allowed="> 0"
-            )
+    kp: float = declare(CHENG2023_GAINS.proportional, low=0.0, high=CHENG2023_UPPER.proportional)
+    ki: float = declare(CHENG2023_GAINS.integral, low=0.0, high=CHENG2023_UPPER.integral)
+    kd: float = declare(CHENG2023_GAINS.derivative, low=0.0, high=CHENG2023_UPPER.derivative)
+    learning_rate: float = declare(TEXTBOOK_RATES.learning, low=0.0, high=100.0)
+    momentum: float = declare(TEXTBOOK_RATES.momentum, low=0.0, high=1.0)
+    error_mps: float = declare(TEXTBOOK_RATES.error_scale_mps, unit="m/s", low=0.0, high=10.0, above=True)
+    tuned: bool = declare(False)
 
 
 @final

@@ -16,6 +16,7 @@ from typing import ClassVar, NamedTuple, cast, final
 
 import numpy as np
 
+from metropilot._schema import check_fields, declare
 from metropilot.control import (
     Ceiling,
     CommandActuation,
@@ -305,15 +306,13 @@ class EitoeOptions:
         intervals: Keep to a time for each speed-limit interval, as Algorithm 1 prints it.
     """
 
-    start_mps2: float = 0.6
-    brake_gain: float = 1.0
-    brake_known: bool = True
-    intervals: bool = False
+    start_mps2: float = declare(0.6, unit="m/s^2", low=0.0, high=2.0, above=True)
+    brake_gain: float = declare(1.0, low=GAIN[0], high=GAIN[1])
+    brake_known: bool = declare(True)
+    intervals: bool = declare(False)
 
     def __post_init__(self) -> None:
-        if not GAIN[0] <= self.brake_gain <= GAIN[1]:
-            allowed = f"{GAIN[0]:g} to {GAIN[1]:g}"
-            raise InputError("out of range", field="brake_gain", value=self.brake_gain, allowed=allowed)
+        check_fields(self)
 
     @property
     def hoa(self) -> Hoa:

@@ -31,6 +31,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from metropilot._schema import check_fields, declare
 from metropilot._typing import Array
 from metropilot.control import (
     STOP_OPTIONS,
@@ -46,7 +47,6 @@ from metropilot.control import (
     required_with_build_up,
     stop_deceleration,
 )
-from metropilot.errors import InputError
 from metropilot.physics import effort_at, mean_slopes, scalars
 from metropilot.planning import TO_GO_STEP_MPS, tabulate_time_to_go
 
@@ -78,28 +78,16 @@ class ExpertRules:
             to the time of each. Otherwise the window is always that of the destination; see the study.
     """
 
-    start_mps2: float = 0.6
-    change_mps2: float = 0.3
-    interval_s: float = 0.2
-    tolerance_s: float = 3.0
-    brake_mps2: float = 0.9
-    safe_share: float = 0.95
+    start_mps2: float = declare(0.6, unit="m/s^2", low=0.0, high=2.0, above=True)
+    change_mps2: float = declare(0.3, unit="m/s^2", low=0.0, high=2.0, above=True)
+    interval_s: float = declare(0.2, unit="s", low=0.0, high=5.0, above=True)
+    tolerance_s: float = declare(3.0, unit="s", low=0.0, high=30.0, above=True)
+    brake_mps2: float = declare(0.9, unit="m/s^2", low=0.0, high=2.0, above=True)
+    safe_share: float = declare(0.95, low=0.0, high=1.0, above=True)
     intervals: bool = False
 
     def __post_init__(self) -> None:
-        for name, high in (
-            ("start_mps2", 2.0),
-            ("change_mps2", 2.0),
-            ("interval_s", 5.0),
-            ("tolerance_s", 30.0),
-            ("brake_mps2", 2.0),
-            ("safe_share", 1.0),
-        ):
-            value = getattr(self, name)
-            if not 0.0 < value <= high:
-                raise InputError(
-                    "out of range", field=name, value=value, allowed=f"above 0, at most {high:g}"
-                )
+        check_fields(self)
 
 
 class ExpertStretch(NamedTuple):

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, final
 
-from metropilot.control import CHENG2023_GAINS, Ceiling, Errors, Gains, Model, incremental_pid
+from metropilot._schema import declare
+from metropilot.control import Ceiling, Errors, Gains, Model, incremental_pid
 from metropilot.drivers import (
     REFERENCE_PERIOD_S,
+    AbstractPidOptions,
     AbstractShippedDriver,
     AbstractTracker,
-    AbstractTrackingOptions,
     PolicyOptions,
     TrackingMemory,
     TrackingView,
@@ -35,20 +36,14 @@ class ImprovedDqn(AbstractShippedDriver):
 
 @final
 @dataclass(frozen=True)
-class PidLu2023Options(AbstractTrackingOptions):
+class PidLu2023Options(AbstractPidOptions):
     """Options of ``pid-lu2023``: the tracked curve, and gains (the paper gives none; these are Cheng23's).
 
     Attributes:
         policy: Policy file whose drive is tracked; empty: that of ``improved_dqn``.
-        kp: Gain on the change of the error, 1/(m/s).
-        ki: Gain on the error, 1/(m/s) and period.
-        kd: Gain on the change of the change, 1/(m/s).
     """
 
-    policy: str = ""
-    kp: float = CHENG2023_GAINS.proportional
-    ki: float = CHENG2023_GAINS.integral
-    kd: float = CHENG2023_GAINS.derivative
+    policy: str = declare("")
 
 
 @final
