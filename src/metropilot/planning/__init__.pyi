@@ -13,12 +13,16 @@ from .fastest import check_running_time as check_running_time
 from .fastest import fastest_profile as fastest_profile
 from .fastest import round_up_time as round_up_time
 from .fastest import tabulate_time_to_go as tabulate_time_to_go
+from .joint import couple_trainsets as couple_trainsets
+from .joint import joint_minimum_running_time as joint_minimum_running_time
+from .joint import joint_plan as joint_plan
 from .journey import Call as Call
 from .journey import JourneyPlan as JourneyPlan
 from .journey import Waypoint as Waypoint
 from .journey import journey_waypoints as journey_waypoints
 from .journey import plan_journey as plan_journey
 from .journey import timetable_waypoints as timetable_waypoints
+from .mesh import Coupled as Coupled
 from .mesh import Mesh as Mesh
 from .mesh import build_mesh as build_mesh
 from .mesh import limit_at as limit_at

@@ -14,6 +14,7 @@ from metropilot.physics import Track, Vehicle, delay_steps
 from metropilot.planning.cone_program import Programme, TimeBound
 from metropilot.planning.effort_table import Specific, specific
 from metropilot.planning.fastest import fastest_profile, relaxed_cap
+from metropilot.planning.loads import build_loads
 from metropilot.planning.mesh import Mesh, build_mesh
 from metropilot.planning.optimal import (
     Plan,
@@ -260,13 +261,16 @@ def attainable_bound(
     if options.objective == "line" and is_mapped(vehicle):
         return -np.inf
     ends = np.array([0.0, float(track.length_m)])
-    mesh = build_mesh(vehicle, track, ends, options.spacing_m, options.cap_mps, options.cap_m)
+    cap = options.cap_mps, options.cap_m
+    mesh = build_mesh(vehicle, track, ends, options.spacing_m, *cap, options.coupled)
     energy = fastest_profile(table, mesh)
     energy = np.minimum(energy, np.interp(mesh.node_m, ideal.position_m, 0.5 * ideal.speed_mps**2))
+    loads = build_loads(vehicle, table, mesh)
     programme = Programme(
         mesh=mesh,
         table=table,
-        prices=prices_at(vehicle, table, options.objective, energy, None),
+        loads=loads,
+        prices=prices_at(loads, options.objective, energy, None),
         start_mps=0.0,
         end_mps=0.0,
         cap_mps=relaxed_cap(table, mesh, 0.0),

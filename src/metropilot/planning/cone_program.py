@@ -12,13 +12,16 @@ time ``t`` on each segment, all per kg of effective mass::
 ``e`` (recovered braking) exists only if it is worth something. The effort curves ``F, B, R`` are replaced by
 their tangents at the last iterate; a few passes settle them. The bound on jerk, if any, is linearised the
 same way: the change of acceleration between neighbouring segments over the time between their middles.
+
+Trainsets coupled behind the first share ``E, v, t``; the dynamics and the forces ``f, b, e`` are there once
+for each load (see :mod:`metropilot.planning.loads`), weighted by mass in the objective.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import clarabel as _clarabel
 import numpy as np
@@ -28,6 +31,8 @@ from scipy import sparse
 from metropilot._typing import Float
 from metropilot.errors import SolverError
 from metropilot.planning.effort_table import Specific
+from metropilot.planning.fastest import lowest_service_rate
+from metropilot.planning.loads import Loads
 from metropilot.planning.mesh import Mesh
 from metropilot.planning.prices import Prices
 
@@ -110,6 +115,7 @@ class Programme:
     Attributes:
         mesh: Mesh.
         table: Trainset.
+        loads: Forces to decide on: those of the trainset and of the ones coupled behind it.
         prices: Objective.
         start_mps: Speed at the first node.
         end_mps: Speed at the last node.
@@ -128,6 +134,7 @@ class Programme:
 
     mesh: Mesh
     table: Specific
+    loads: Loads
     prices: Prices
     start_mps: float
     end_mps: float
@@ -150,9 +157,9 @@ class Answer:
     Attributes:
         energy: Kinetic energy per kg at the nodes. Shape (N+1,).
         speed: The programme's speeds at the nodes, at most ``sqrt(2 energy)``. Shape (N+1,).
-        traction: Per kg, on each segment. Shape (N,).
-        braking: Per kg, on each segment. Shape (N,).
-        recovered: Per kg, the electric part that is recovered. Shape (N,).
+        traction: Per kg, of each load. Shape (U,).
+        braking: Per kg, of each load. Shape (U,).
+        recovered: Per kg, the electric part that is recovered. Shape (U,).
         time: On each segment. Shape (N,).
         dwell: Dwell at each free stop. Shape (D,).
         second: Cost of one second less: the multiplier of the last upper time bound, W per kg.
@@ -164,9 +171,9 @@ class Answer:
 
     energy: Float[ndarray, " nodes"]
     speed: Float[ndarray, " nodes"]
-    traction: Float[ndarray, " segments"]
-    braking: Float[ndarray, " segments"]
-    recovered: Float[ndarray, " segments"]
+    traction: Float[ndarray, " loads"]
+    braking: Float[ndarray, " loads"]
+    recovered: Float[ndarray, " loads"]
     time: Float[ndarray, " segments"]
     dwell: Float[ndarray, " dwells"]
     second: float
@@ -176,8 +183,20 @@ class Answer:
     status: str
 
 
-def tangent(table: Specific, values: ndarray, energy: ndarray) -> tuple[ndarray, ndarray]:
-    """Value and slope over kinetic energy of a tabulated effort at the last iterate's mid energies."""
+Effort = Literal["traction", "braking", "electric"]
+
+
+def tangents(loads: Loads, effort: Effort, energy: ndarray) -> tuple[ndarray, ndarray]:
+    """Value and slope over kinetic energy of an effort of each load at the mid energies of the segments."""
+    parts = [
+        _tangent(table, getattr(table, effort), energy[loads.segment[loads.of_kind(kind)]])
+        for kind, table in enumerate(loads.tables)
+    ]
+    value, slope = zip(*parts, strict=True)
+    return np.concatenate(value), np.concatenate(slope)
+
+
+def _tangent(table: Specific, values: ndarray, energy: ndarray) -> tuple[ndarray, ndarray]:
     speed = np.sqrt(2 * np.maximum(energy, 0.0))
     step = table.speed_mps[1]
     value = np.interp(speed, table.speed_mps, values)
@@ -194,7 +213,7 @@ def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
         SolverError: The solver did not finish (also if the timing cannot be met: check that first).
     """
     p = programme
-    n = p.mesh.length_m.size
+    n, loads = p.mesh.length_m.size, p.loads.segment.size
     recovers = bool(np.any(p.prices.recovered.slope > 0))
     wanted = {
         "e": recovers,
@@ -204,9 +223,9 @@ def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
         "gain": recovers and not p.prices.recovered.single,
     }
     names = ["E", "v", "f", "b", "t", *(name for name, there in wanted.items() if there)]
-    sizes = {"E": n + 1, "v": n + 1, "w": len(p.dwells), "late": 1}
-    starts = np.cumsum([0, *(sizes.get(k, n) for k in names)])
-    at = {k: s + np.arange(sizes.get(k, n)) for k, s in zip(names, starts[:-1], strict=True)}
+    sizes = {"E": n + 1, "v": n + 1, "t": n, "w": len(p.dwells), "late": 1}
+    starts = np.cumsum([0, *(sizes.get(k, loads) for k in names)])
+    at = {k: s + np.arange(sizes.get(k, loads)) for k, s in zip(names, starts[:-1], strict=True)}
     total = int(starts[-1])
     cost, constant = _objective(p, at, total)
 
@@ -243,7 +262,7 @@ def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
         speed=np.maximum(x[at["v"]], 0.0),
         traction=np.maximum(x[at["f"]], 0.0),
         braking=np.maximum(x[at["b"]], 0.0),
-        recovered=x[at["e"]] if recovers else np.zeros(n),
+        recovered=x[at["e"]] if recovers else np.zeros(loads),
         time=x[at["t"]],
         dwell=x[at["w"]] if p.dwells else np.zeros(0),
         second=float(solution.z[clock]) if clock is not None else 0.0,
@@ -256,10 +275,11 @@ def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
 
 def _objective(p: Programme, at: dict[str, ndarray], total: int) -> tuple[ndarray, float]:
     """Cost of each variable and the constant beside it."""
-    ds, prices = p.mesh.length_m, p.prices
+    segment, prices = p.loads.segment, p.prices
+    ds = p.loads.weight * p.mesh.length_m[segment]
     cost = np.zeros(total)
-    cost[at["E"][1:]] += 0.5 * ds * prices.energy
-    cost[at["E"][:-1]] += 0.5 * ds * prices.energy
+    np.add.at(cost, at["E"][1:][segment], 0.5 * ds * prices.energy)
+    np.add.at(cost, at["E"][:-1][segment], 0.5 * ds * prices.energy)
     if "cost" in at:
         cost[at["cost"]] = ds
     else:
@@ -287,21 +307,20 @@ def _price_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray]) -> N
 
 def _equalities(p: Programme, rows: ConstraintRows, at: dict[str, ndarray]) -> None:
     """Dynamics on each segment, and the speeds at the ends and stops."""
-    ds, (a, b, c) = p.mesh.length_m, p.table.davis
-    n = ds.size
-    quad = c + p.mesh.tunnel_n / p.table.mass_kg
+    here = p.loads.segment
+    ds, (a, b, quad) = p.mesh.length_m[here], p.loads.davis
     e, v = at["E"], at["v"]
     rows.add(
         [
-            (e[1:], 1 / ds + quad),
-            (e[:-1], -1 / ds + quad),
-            (v[1:], 0.5 * b),
-            (v[:-1], 0.5 * b),
+            (e[here + 1], 1 / ds + quad),
+            (e[here], -1 / ds + quad),
+            (v[here + 1], 0.5 * b),
+            (v[here], 0.5 * b),
             (at["f"], -1.0),
             (at["b"], 1.0),
         ],
-        -a - p.mesh.slope_mps2,
-        n,
+        -a - p.loads.slope_mps2,
+        here.size,
     )
     nodes = _pinned_nodes(p)
     speeds = np.zeros(nodes.size)
@@ -318,16 +337,16 @@ def _pinned_nodes(p: Programme) -> ndarray:
 
 def _effort_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray], energy: ndarray) -> None:
     """``f <= F(E), b <= B(E), e <= R(E), e <= b`` by tangents; everything at least zero."""
-    n = p.mesh.length_m.size
-    middle = 0.5 * (energy[1:] + energy[:-1])
-    e = at["E"]
-    pairs = [("f", p.table.traction), ("b", p.table.braking)]
+    here, middle = p.loads.segment, 0.5 * (energy[1:] + energy[:-1])
+    n, e = here.size, at["E"]
+    efforts: list[tuple[str, Effort]] = [("f", "traction"), ("b", "braking")]
     if "e" in at:
-        pairs.append(("e", p.table.electric))
+        efforts.append(("e", "electric"))
         rows.add([(at["e"], 1.0), (at["b"], -1.0)], 0.0, n)
-    for name, values in pairs:
-        value, slope = tangent(p.table, values, middle)
-        rows.add([(at[name], 1.0), (e[1:], -0.5 * slope), (e[:-1], -0.5 * slope)], value - slope * middle, n)
+    for name, effort in efforts:
+        value, slope = tangents(p.loads, effort, middle)
+        terms = [(at[name], 1.0), (e[here + 1], -0.5 * slope), (e[here], -0.5 * slope)]
+        rows.add(terms, value - slope * middle[here], n)
         rows.add([(at[name], -1.0)], 0.0, n)
 
 
@@ -340,11 +359,14 @@ def _motion_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray]) -> 
     if p.floor_mps is not None:
         above = inner[p.floor_mps[inner] > 0]
         rows.add([(at["v"][above], -1.0)], -p.floor_mps[above], above.size)
-    if np.isfinite(p.table.acceleration):
-        rows.add([(e[1:], 1 / ds), (e[:-1], -1 / ds)], p.table.acceleration, n)
-    if np.isfinite(p.table.deceleration):
+    acceleration, deceleration = (
+        lowest_service_rate(p.table, p.mesh, braking=braking) for braking in (False, True)
+    )
+    if np.isfinite(acceleration):
+        rows.add([(e[1:], 1 / ds), (e[:-1], -1 / ds)], acceleration, n)
+    if np.isfinite(deceleration):
         lifted = p.cap_mps[1:] > p.mesh.cap_mps[1:]
-        rows.add([(e[1:], -1 / ds), (e[:-1], 1 / ds)], p.table.deceleration + np.where(lifted, 0.5, 0.0), n)
+        rows.add([(e[1:], -1 / ds), (e[:-1], 1 / ds)], deceleration + np.where(lifted, 0.5, 0.0), n)
 
 
 def _jerk_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray], energy: ndarray) -> None:
@@ -384,7 +406,8 @@ def _jerk_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray], energ
 
 def _brake_release_rows(p: Programme) -> ndarray:
     """Changes of acceleration that lie where the brake is let go before the last stop."""
-    rate = min(p.table.deceleration, float(p.table.braking[0]))
+    rate = lowest_service_rate(p.table, p.mesh, braking=True)
+    rate = min(rate, *(float(table.braking[0]) for table in p.loads.tables))
     stretch = rate**3 / (6.0 * float(p.release_mps3 or 1.0) ** 2)
     return p.mesh.node_m[1:-1] > p.mesh.node_m[-1] - stretch
 

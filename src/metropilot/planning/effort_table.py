@@ -37,6 +37,14 @@ class Specific(NamedTuple):
     mass_kg: float
 
 
+def same_efforts(table: Specific, other: Specific) -> bool:
+    """True if two tables have the same efforts and resistance per kg; limits in service may differ."""
+    if table is other:
+        return True
+    pairs = zip(table[1:5], other[1:5], strict=True)
+    return table.mass_kg == other.mass_kg and all(np.array_equal(a, b) for a, b in pairs)
+
+
 def specific(vehicle: Vehicle) -> Specific:
     """Tabulate a trainset on a grid of ``STEP_MPS`` up to 20 % above its design speed."""
     mass = float(vehicle.effective_mass_kg)

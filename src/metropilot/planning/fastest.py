@@ -12,7 +12,7 @@ from numpy import ndarray
 from metropilot._typing import Float, Scalar
 from metropilot.errors import Infeasible, InputError
 from metropilot.physics import Track, Vehicle
-from metropilot.planning.effort_table import STEP_MPS, Specific, specific
+from metropilot.planning.effort_table import STEP_MPS, Specific, same_efforts, specific
 from metropilot.planning.mesh import Mesh, build_mesh
 
 LONGEST_RATIO = 30.0
@@ -107,6 +107,30 @@ def relaxed_cap(table: Specific, mesh: Mesh, start_mps: float) -> Float[ndarray,
     return np.maximum(mesh.cap_mps, np.sqrt(2 * braking_energy(table, mesh, start_mps)))
 
 
+def lowest_service_rate(table: Specific, mesh: Mesh, *, braking: bool) -> float:
+    """Largest acceleration (or deceleration) in service that every trainset of the mesh has."""
+    tables = [table, *(each.table for each in mesh.coupled)]
+    return min(own.deceleration if braking else own.acceleration for own in tables)
+
+
+def _weakest(table: Specific, mesh: Mesh, *, steepest: bool) -> list[tuple[Specific, ndarray, ndarray]]:
+    """Trainsets with the slope and the tunnel of each segment, without those that are never the weakest.
+
+    Of trainsets with the same efforts, the one on the steepest climb is weakest under traction, and that on
+    the steepest fall under braking.
+    """
+    worst = np.maximum if steepest else np.minimum
+    found = [(table, mesh.slope_mps2, mesh.tunnel_n)]
+    for each in mesh.coupled:
+        for k, (own, slope, tunnel) in enumerate(found):
+            if same_efforts(own, each.table) and np.array_equal(tunnel, each.tunnel_n):
+                found[k] = own, worst(slope, each.slope_mps2), tunnel
+                break
+        else:
+            found.append((each.table, each.slope_mps2, each.tunnel_n))
+    return found
+
+
 def _rates(
     table: Specific, mesh: Mesh, *, braking: bool, passes: int, many: bool = False
 ) -> Callable[[int, Scalar], Scalar]:
@@ -121,21 +145,27 @@ def _rates(
         passes: 1 takes effort and resistance at that end; each further one in the middle that the last gave.
         many: True for arrays of energies. Single ones are read from lists, ten times as fast.
     """
-    effort, most = (table.braking, table.deceleration) if braking else (table.traction, table.acceleration)
-    a, b, c = (float(x) for x in table.davis)
-    quad, slope, length = c + mesh.tunnel_n / table.mass_kg, mesh.slope_mps2, mesh.length_m
-    sign, last = 1.0 if braking else -1.0, effort.size - 1
+    sign = 1.0 if braking else -1.0
+    length, most = mesh.length_m, lowest_service_rate(table, mesh, braking=braking)
     sqrt, least, largest, whole = np.sqrt, np.minimum, np.maximum, np.int64
+    weakest = [
+        (own.braking if braking else own.traction, own.davis, own.davis[2] + tunnel / own.mass_kg, slope)
+        for own, slope, tunnel in _weakest(table, mesh, steepest=not braking)
+    ]
     if not many:
-        effort, quad, slope, length = (x.tolist() for x in (effort, quad, slope, length))
+        length = length.tolist()
+        weakest = [tuple(x.tolist() for x in each) for each in weakest]
         sqrt, least, largest, whole = math.sqrt, min, max, int
+    weakest = [(effort, len(effort) - 1, *davis[:2], quad, slope) for effort, davis, quad, slope in weakest]
 
     def rate_at(k: int, energy: Scalar) -> Scalar:
         middle, rate = energy, 0.0
         for _ in range(passes):
             v = sqrt(2.0 * middle)
-            drag = a + v * (b + v * quad[k]) + slope[k]
-            rate = least(effort[whole(least(v / STEP_MPS + 0.5, last))] + sign * drag, most)
+            rate = most
+            for effort, last, a, b, quad, slope in weakest:
+                drag = a + v * (b + v * quad[k]) + slope[k]
+                rate = least(effort[whole(least(v / STEP_MPS + 0.5, last))] + sign * drag, rate)
             middle = largest(energy + 0.5 * rate * length[k], 0.0)
         return rate
 

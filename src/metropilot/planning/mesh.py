@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy import ndarray
 
 from metropilot._typing import Float
 from metropilot.physics import Track, Vehicle
+from metropilot.planning.effort_table import Specific
 
 GAUSS_X, GAUSS_W = np.polynomial.legendre.leggauss(4)
 NEAREST_M = 2.5
@@ -17,6 +19,36 @@ BEND_MPS2 = 0.2
 """A cap whose slope rises by more than this has a node there: between nodes the plan runs along the chord."""
 END_NODES = 9
 END_STRETCH_M = 12.0
+
+
+class Coupled(NamedTuple):
+    """A trainset that keeps a constant distance behind the one that a plan is for: a member of a convoy.
+
+    Attributes:
+        vehicle: Trainset.
+        table: The same, per kg.
+        track: Track under it, at the positions of the head (see :func:`shift_track`).
+    """
+
+    vehicle: Vehicle
+    table: Specific
+    track: Track
+
+
+class CoupledMeans(NamedTuple):
+    """A coupled trainset with what the track asks of it on each segment.
+
+    Attributes:
+        vehicle: Trainset.
+        table: The same, per kg of its own effective mass.
+        slope_mps2: As ``Mesh.slope_mps2``. Shape (N,).
+        tunnel_n: As ``Mesh.tunnel_n``. Shape (N,).
+    """
+
+    vehicle: Vehicle
+    table: Specific
+    slope_mps2: Float[ndarray, " segments"]
+    tunnel_n: Float[ndarray, " segments"]
 
 
 class Mesh(NamedTuple):
@@ -29,6 +61,7 @@ class Mesh(NamedTuple):
         slope_mps2: Mean force of gradient and curves on each segment, per kg of effective mass. Shape (N,).
         tunnel_n: Mean tunnel coefficient of each segment, N/(m/s)^2. Shape (N,).
         stop: Indices of the nodes where the trainset stands or a time is fixed, increasing. Shape (S,).
+        coupled: Trainsets coupled behind it, which move at the same speed.
     """
 
     node_m: Float[ndarray, " nodes"]
@@ -37,6 +70,12 @@ class Mesh(NamedTuple):
     slope_mps2: Float[ndarray, " segments"]
     tunnel_n: Float[ndarray, " segments"]
     stop: ndarray
+    coupled: tuple[CoupledMeans, ...] = ()
+
+
+def shift_track(track: Track, offset_m: float) -> Track:
+    """The track under a trainset ``offset_m`` behind the head (front to front), at the head's positions."""
+    return track._replace(node_m=track.node_m + offset_m, limit_from_m=track.limit_from_m + offset_m)
 
 
 def potential_at(track: Track, position_m: Float[ndarray, "..."]) -> Float[ndarray, "... 3"]:
@@ -75,6 +114,7 @@ def build_mesh(
     spacing_m: float = 12.5,
     cap_mps: Float[ndarray, " grid"] | None = None,
     cap_at_m: Float[ndarray, " grid"] | None = None,
+    coupled: Sequence[Coupled] = (),
 ) -> Mesh:
     """Nodes at every stop, limit change and (where not too close) gradient change, dense near the stops.
 
@@ -85,9 +125,11 @@ def build_mesh(
         spacing_m: Largest segment.
         cap_mps: Further speed cap, e.g. what protection permits, at the positions ``cap_at_m``.
         cap_at_m: Positions of ``cap_mps``.
+        coupled: Trainsets coupled behind it; the speed limits of all hold.
     """
+    tracks = [(vehicle, track), *((each.vehicle, each.track) for each in coupled)]
     first, last = float(stops_m[0]), float(stops_m[-1])
-    limits = track.limit_from_m[np.isfinite(track.limit_from_m)]
+    limits = np.concatenate([each.limit_from_m[np.isfinite(each.limit_from_m)] for _, each in tracks])
     jumps = np.zeros(0)
     if cap_mps is not None and cap_at_m is not None:
         leaps = np.flatnonzero(np.abs(np.diff(cap_mps)) > JUMP_MPS)
@@ -96,17 +138,16 @@ def build_mesh(
     needed = np.concatenate([stops_m, limits, jumps])
     needed = np.unique(needed[(needed >= first) & (needed <= last)])
     near = np.concatenate([np.concatenate([s + end_spacing(), s - end_spacing()]) for s in stops_m])
-    slopes = track.node_m[np.isfinite(track.node_m)]
-    breaks = np.concatenate([slopes, slopes + float(vehicle.length_m)])
+    breaks = np.concatenate([_slope_changes(*each) for each in tracks])
     nodes = _merge(needed, near, gap=0.01)
     nodes = _merge(nodes, breaks, gap=NEAREST_M)
     nodes = nodes[(nodes >= first) & (nodes <= last)]
     nodes = _fill(nodes, spacing_m)
     length = np.diff(nodes)
     points = nodes[:-1, None] + 0.5 * length[:, None] * (1 + GAUSS_X)
-    slopes = np.einsum("skp,k->sp", mean_slopes_at(vehicle, track, points), GAUSS_W / 2)
-    ratio = vehicle.mass_kg / vehicle.effective_mass_kg
-    cap = limit_at(track, 0.5 * (nodes[:-1] + nodes[1:]))
+    means = [_means(*each, points) for each in tracks]
+    middle = 0.5 * (nodes[:-1] + nodes[1:])
+    cap = np.min([limit_at(each, middle) for _, each in tracks], axis=0)
     node_cap = np.minimum(np.append(cap, cap[-1]), np.append(cap[0], cap))
     if cap_mps is not None and cap_at_m is not None:
         node_cap = np.minimum(node_cap, np.interp(nodes, cap_at_m, cap_mps))
@@ -114,10 +155,26 @@ def build_mesh(
         node_m=nodes,
         length_m=length,
         cap_mps=node_cap,
-        slope_mps2=ratio * (vehicle.gravity_mps2 * slopes[:, 0] + slopes[:, 1]),
-        tunnel_n=slopes[:, 2],
+        slope_mps2=means[0][0],
+        tunnel_n=means[0][1],
         stop=np.searchsorted(nodes, np.asarray(stops_m)),
+        coupled=tuple(
+            CoupledMeans(own.vehicle, own.table, *mean) for own, mean in zip(coupled, means[1:], strict=True)
+        ),
     )
+
+
+def _slope_changes(vehicle: Vehicle, track: Track) -> ndarray:
+    """Positions of the head at which front or rear passes a change of slope."""
+    slopes = track.node_m[np.isfinite(track.node_m)]
+    return np.concatenate([slopes, slopes + float(vehicle.length_m)])
+
+
+def _means(vehicle: Vehicle, track: Track, points: ndarray) -> tuple[ndarray, ndarray]:
+    """Mean of gradient and curves (per kg of effective mass) and of the tunnel on segments."""
+    slopes = np.einsum("skp,k->sp", mean_slopes_at(vehicle, track, points), GAUSS_W / 2)
+    ratio = vehicle.mass_kg / vehicle.effective_mass_kg
+    return ratio * (vehicle.gravity_mps2 * slopes[:, 0] + slopes[:, 1]), slopes[:, 2]
 
 
 def _merge(kept: ndarray, extra: ndarray, gap: float) -> ndarray:

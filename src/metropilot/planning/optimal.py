@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -12,11 +13,12 @@ from numpy import ndarray
 from metropilot._typing import Float
 from metropilot.errors import Infeasible, InputError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
-from metropilot.planning.cone_program import Answer, Programme, TimeBound, solve, tangent
+from metropilot.planning.cone_program import Answer, Effort, Programme, TimeBound, solve, tangents
 from metropilot.planning.effort_table import Specific, specific
 from metropilot.planning.fastest import braking_energy, fastest_profile, relaxed_cap, times
 from metropilot.planning.follow_map import follow_map
-from metropilot.planning.mesh import Mesh, build_mesh
+from metropilot.planning.loads import all_trainsets, build_loads, total_weight
+from metropilot.planning.mesh import Coupled, CoupledMeans, Mesh, build_mesh
 from metropilot.planning.prices import Objective, cost_per_metre, is_mapped, prices_at
 from metropilot.railway import Section, Trainset
 from metropilot.units import J_PER_KWH
@@ -53,10 +55,13 @@ class PlanOptions:
         end_mps: Speed at the destination.
         jerk_mps3: Bound on jerk the plan allows for, or None.
         release_mps3: Jerk at which the last brake is let go, or None for ``jerk_mps3``.
-        late_w: Price of a second later than asked for, W per kg of effective mass; None forbids it. A driver
+        late_w: Price of a second later than asked for, W per kg of effective mass (of all trainsets); None
+            forbids it. A driver
             that re-plans on the way sets it: then there is a plan even when the time cannot be met.
         cap_m: Positions of a further speed cap, or None.
         cap_mps: The cap at those positions (for instance what protection permits).
+        coupled: Trainsets coupled behind at constant distances, for which the plan is made too: energies and
+            bound are sums over all, speed and acceleration keep the limits of each.
         acceleration_mps2: Acceleration limit, or None for the trainset's.
         deceleration_mps2: Deceleration limit, or None for the trainset's.
         passes: Most passes of the linearisation; the second one is within 0.06 % of the last.
@@ -73,6 +78,7 @@ class PlanOptions:
     late_w: float | None = None
     cap_m: Float[ndarray, " grid"] | None = None
     cap_mps: Float[ndarray, " grid"] | None = None
+    coupled: tuple[Coupled, ...] = ()
     acceleration_mps2: float | None = None
     deceleration_mps2: float | None = None
     passes: int = PASSES
@@ -86,8 +92,8 @@ class Plan:
         position_m: Nodes. Shape (N+1,).
         speed_mps: Speed at the nodes. Shape (N+1,).
         time_s: Time since the start at the nodes, dwells included. Shape (N+1,).
-        traction_n: Traction force on each segment. Shape (N,).
-        brake_n: Braking force on each segment. Shape (N,).
+        traction_n: Traction force of the (first) trainset on each segment. Shape (N,).
+        brake_n: Its braking force. Shape (N,).
         running_time_s: Total time, dwells included.
         energy_j: Objective of the plan, evaluated on its own speed profile.
         bound_j: Dual value: no drive of the convex problem costs less (if it may be late: no drive as late).
@@ -97,6 +103,7 @@ class Plan:
         effort_excess: Largest share by which a force of the plan exceeds the effort curve at its own speed.
         passes: Linearisation passes used.
         dwell_s: Dwell at each free stop, in order.
+        trainset_energy_j: Part of each coupled trainset in ``energy_j``, the head first.
     """
 
     position_m: Float[ndarray, " nodes"]
@@ -113,6 +120,7 @@ class Plan:
     effort_excess: float
     passes: int
     dwell_s: tuple[float, ...] = ()
+    trainset_energy_j: tuple[float, ...] = ()
 
     @property
     def gap(self) -> float:
@@ -242,6 +250,8 @@ def _ramp_times(mesh: Mesh, options: PlanOptions) -> ndarray:
 
 def limit_acceleration(table: Specific, options: PlanOptions) -> Specific:
     """The trainset's table with the acceleration limits of the options."""
+    if options.acceleration_mps2 is None and options.deceleration_mps2 is None:
+        return table
     return table._replace(
         acceleration=options.acceleration_mps2 or table.acceleration,
         deceleration=options.deceleration_mps2 or table.deceleration,
@@ -259,7 +269,8 @@ def _mesh(vehicle: Vehicle, track: Track, options: PlanOptions, spacing_m: float
             allowed=f"0 to {length:g} m",
         )
     ends = np.array([options.start_m, length])
-    return build_mesh(vehicle, track, ends, spacing_m, options.cap_mps, options.cap_m)
+    cap = options.cap_mps, options.cap_m
+    return build_mesh(vehicle, track, ends, spacing_m, *cap, options.coupled)
 
 
 def explain_stall(mesh: Mesh, energy: ndarray) -> None:
@@ -270,7 +281,8 @@ def explain_stall(mesh: Mesh, energy: ndarray) -> None:
     """
     stalled = np.flatnonzero((energy[:-1] <= 0) & (energy[1:] <= 0))
     where = float(mesh.node_m[stalled[0]]) if stalled.size else float("nan")
-    force = float(mesh.slope_mps2[stalled[0]]) if stalled.size else float("nan")
+    steepest = np.max([mesh.slope_mps2, *(each.slope_mps2 for each in mesh.coupled)], axis=0)
+    force = float(steepest[stalled[0]]) if stalled.size else float("nan")
     raise Infeasible(
         f"the trainset stalls at {where:.0f} m, where gradient and curve take {force:.3f} N/kg",
         field="section",
@@ -291,10 +303,14 @@ def iterate(
 
     Prices of an efficiency map move along with it: see :func:`follow_map`.
     """
+    loads = build_loads(vehicle, table, mesh)
+    # the programme counts per kg of the first trainset
+    late_w = None if options.late_w is None else options.late_w * total_weight(loads)
     base = Programme(
         mesh=mesh,
         table=table,
-        prices=prices_at(vehicle, table, options.objective, energy, None),
+        loads=loads,
+        prices=prices_at(loads, options.objective, energy, None),
         start_mps=options.start_mps,
         end_mps=options.end_mps,
         cap_mps=relaxed_cap(table, mesh, options.start_mps),
@@ -305,11 +321,11 @@ def iterate(
         start_mps2=options.start_mps2,
         stands=options.start_mps == 0,
         release_mps3=options.release_mps3,
-        late_w=options.late_w,
+        late_w=late_w,
     )
-    if options.objective == "line" and is_mapped(vehicle):
-        answer, count = follow_map(vehicle, base, energy)
-        return _evaluate(vehicle, table, mesh, answer, options, count)
+    if options.objective == "line" and any(map(is_mapped, loads.vehicles)):
+        answer, count = follow_map(base, energy)
+        return _evaluate(vehicle, table, mesh, answer, options, count, late_w)
     answer, count = solve_until_settled(base, energy, options.passes)
     if _uses_less_time(base, answer):
         answer, count = _use_full_running_time(base, answer), count + 1
@@ -318,7 +334,7 @@ def iterate(
         strict = replace(base, strictly_early=True)
         kept, more = solve_until_settled(strict, answer.energy, options.passes)
         answer, count = replace(kept, dual=answer.dual), count + more
-    return _evaluate(vehicle, table, mesh, answer, options, count)
+    return _evaluate(vehicle, table, mesh, answer, options, count, late_w)
 
 
 def solve_until_settled(base: Programme, energy: ndarray, passes: int = PASSES) -> tuple[Answer, int]:
@@ -339,13 +355,18 @@ def _curves_fit(base: Programme, energy: ndarray, answer: Answer) -> bool:
     """
     if base.jerk_mps3 is not None or base.strictly_early:
         return float(np.max(np.abs(answer.energy - energy))) < ENERGY_TOLERANCE * float(answer.energy.max())
+    here = base.loads.segment
     before, after = (0.5 * (e[1:] + e[:-1]) for e in (energy, answer.energy))
-    moved = np.abs(after - before) > ENERGY_TOLERANCE * float(after.max())
-    curves = (base.table.traction, answer.traction), (base.table.braking, answer.braking)
-    curves = (*curves, (base.table.electric, answer.recovered))
-    for values, force in curves:
-        value, slope = tangent(base.table, values, before)
-        binds = force > value + slope * (after - before) - BINDING_TOLERANCE * value.max()
+    change = (after - before)[here]
+    moved = np.abs(change) > ENERGY_TOLERANCE * float(after.max())
+    efforts: list[tuple[Effort, ndarray]] = [
+        ("traction", answer.traction),
+        ("braking", answer.braking),
+        ("electric", answer.recovered),
+    ]
+    for effort, force in efforts:
+        value, slope = tangents(base.loads, effort, before)
+        binds = force > value + slope * change - BINDING_TOLERANCE * value.max()
         if np.any(binds & moved & (force > 0)):
             return False
     return True
@@ -374,53 +395,88 @@ def _use_full_running_time(base: Programme, answer: Answer) -> Answer:
     Where going slower saves nothing, as on a section that is all downhill, the optimum may arrive early; a
     negligible price on kinetic energy breaks the tie. The bound stays that of the programme itself.
     """
-    slow = np.full(base.mesh.length_m.size, SLOW_PER_M)
+    slow = np.full(base.loads.segment.size, SLOW_PER_M)
     prices = base.prices._replace(energy=slow, energy_at=np.zeros_like(slow))
     return replace(solve(replace(base, prices=prices), answer.energy), dual=answer.dual)
 
 
 def _evaluate(
-    vehicle: Vehicle, table: Specific, mesh: Mesh, answer: Answer, options: PlanOptions, passes: int
+    vehicle: Vehicle,
+    table: Specific,
+    mesh: Mesh,
+    answer: Answer,
+    options: PlanOptions,
+    passes: int,
+    late_w: float | None,
 ) -> Plan:
     """Evaluate the answer's speed profile by itself: forces from the dynamics, times from the speeds."""
-    ds = mesh.length_m
     speed = np.sqrt(2 * answer.energy)
     speed[0], speed[-1] = options.start_mps, options.end_mps
     energy = 0.5 * speed**2
+    duration = times(mesh, energy)
+    duration[[0, -1]] += _ramp_times(mesh, options)
+    needs = [
+        _evaluate_forces(each, mesh.length_m, speed, duration, options.objective)
+        for each in all_trainsets(vehicle, table, mesh)
+    ]
+    head = needs[0]
+    slack = (2 * answer.energy - answer.speed**2) / max(float(2 * answer.energy.max()), 1e-9)
+    clock = np.concatenate([[0.0], np.cumsum(duration)])
+    return Plan(
+        position_m=mesh.node_m,
+        speed_mps=speed,
+        time_s=clock,
+        traction_n=head.traction * table.mass_kg,
+        brake_n=head.brake * table.mass_kg,
+        running_time_s=float(clock[-1]),
+        energy_j=sum(each.cost_j for each in needs),
+        bound_j=(answer.dual - (late_w or 0.0) * answer.late) * table.mass_kg,
+        energy_wheel_j=sum(each.wheel_j for each in needs),
+        second_w=answer.second * table.mass_kg,
+        tightness=float(slack.max()),
+        effort_excess=max(each.excess for each in needs),
+        passes=passes,
+        dwell_s=tuple(float(w) for w in answer.dwell),
+        trainset_energy_j=tuple(each.cost_j for each in needs),
+    )
+
+
+class _Needs(NamedTuple):
+    """Forces that a trainset needs for a speed profile, per kg, and what they cost, J."""
+
+    traction: ndarray
+    brake: ndarray
+    wheel_j: float
+    cost_j: float
+    excess: float
+
+
+def _evaluate_forces(
+    own: CoupledMeans, ds: ndarray, speed: ndarray, duration: ndarray, objective: Objective
+) -> _Needs:
+    """Forces of one trainset from the dynamics."""
+    table, energy = own.table, 0.5 * speed**2
     a, b, c = table.davis
-    quad = c + mesh.tunnel_n / table.mass_kg
-    drag = a + 0.5 * b * (speed[1:] + speed[:-1]) + quad * (energy[1:] + energy[:-1]) + mesh.slope_mps2
+    quad = c + own.tunnel_n / table.mass_kg
+    drag = a + 0.5 * b * (speed[1:] + speed[:-1]) + quad * (energy[1:] + energy[:-1]) + own.slope_mps2
     effort = np.diff(energy) / ds + drag
     traction, brake = np.maximum(effort, 0.0), np.maximum(-effort, 0.0)
     recovered = np.minimum(
         brake, np.interp(np.sqrt(energy[1:] + energy[:-1]), table.speed_mps, table.electric)
     )
-    duration = times(mesh, energy)
-    duration[[0, -1]] += _ramp_times(mesh, options)
-    wheel = float(np.sum(traction * ds))
     middle = 0.5 * (energy[1:] + energy[:-1])
-    cost = float(np.sum(ds * cost_per_metre(vehicle, table, options.objective, middle, traction, recovered)))
-    if options.objective == "line":
-        cost += float(vehicle.auxiliary_w) / table.mass_kg * float(duration.sum())
-    slack = (2 * answer.energy - answer.speed**2) / max(float(2 * answer.energy.max()), 1e-9)
-    clock = np.concatenate([[0.0], np.cumsum(duration)])
+    work = cost_per_metre(own.vehicle, table, objective, middle, traction, recovered)
+    cost = float(np.sum(ds * work))
+    if objective == "line":
+        cost += float(own.vehicle.auxiliary_w) / table.mass_kg * float(duration.sum())
     available = np.interp(np.sqrt(2 * middle), table.speed_mps, table.traction)
     excess = traction / np.maximum(available, 1e-9) - 1.0
-    return Plan(
-        position_m=mesh.node_m,
-        speed_mps=speed,
-        time_s=clock,
-        traction_n=traction * table.mass_kg,
-        brake_n=brake * table.mass_kg,
-        running_time_s=float(clock[-1]),
-        energy_j=cost * table.mass_kg,
-        bound_j=(answer.dual - (options.late_w or 0.0) * answer.late) * table.mass_kg,
-        energy_wheel_j=wheel * table.mass_kg,
-        second_w=answer.second * table.mass_kg,
-        tightness=float(slack.max()),
-        effort_excess=float(np.max(np.where(traction > 1e-6, excess, 0.0))),
-        passes=passes,
-        dwell_s=tuple(float(w) for w in answer.dwell),
+    return _Needs(
+        traction,
+        brake,
+        float(np.sum(traction * ds)) * table.mass_kg,
+        cost * table.mass_kg,
+        float(np.max(np.where(traction > 1e-6, excess, 0.0))),
     )
 
 

@@ -17,6 +17,7 @@ from numpy import ndarray
 from metropilot._typing import Float
 from metropilot.physics import Vehicle, map_value
 from metropilot.planning.effort_table import Specific
+from metropilot.planning.loads import Loads
 
 Objective = Literal["wheel", "line"]
 """Energy that a plan makes least: at the wheel, or at the line less what is recovered."""
@@ -27,12 +28,12 @@ class Facets(NamedTuple):
     """Straight lines over a force per kg: a cost is at least the highest, a gain at most the lowest.
 
     Attributes:
-        slope: J at the line per J at the wheel. Shape (K, N).
-        offset: Value at force zero, m/s^2. Shape (K, N).
+        slope: J at the line per J at the wheel. Shape (K, U).
+        offset: Value at force zero, m/s^2. Shape (K, U).
     """
 
-    slope: Float[ndarray, "lines segments"]
-    offset: Float[ndarray, "lines segments"]
+    slope: Float[ndarray, "lines loads"]
+    offset: Float[ndarray, "lines loads"]
 
     @property
     def single(self) -> bool:
@@ -41,22 +42,22 @@ class Facets(NamedTuple):
 
 
 class Prices(NamedTuple):
-    """Prices in the objective, per kg of effective mass.
+    """Prices in the objective, per kg of effective mass: for each load of the programme.
 
     Attributes:
         traction: Cost of traction at the wheel.
         recovered: Worth of electric braking at the wheel.
-        second_w: Cost of a second, W per kg (auxiliaries).
+        second_w: Cost of a second, W per kg of the head (auxiliaries of all trainsets).
         energy: Change of cost per metre with the kinetic energy in the middle of a segment, since efficiency
-            depends on speed. Shape (N,).
-        energy_at: The kinetic energy it is taken at. Shape (N,).
+            depends on speed. Shape (U,).
+        energy_at: The kinetic energy it is taken at. Shape (U,).
     """
 
     traction: Facets
     recovered: Facets
     second_w: float
-    energy: Float[ndarray, " segments"]
-    energy_at: Float[ndarray, " segments"]
+    energy: Float[ndarray, " loads"]
+    energy_at: Float[ndarray, " loads"]
 
 
 def constant_line(value: float, segments: int) -> Facets:
@@ -89,25 +90,59 @@ def cost_per_metre(
 
 
 def prices_at(
-    vehicle: Vehicle,
-    table: Specific,
+    loads: Loads,
     objective: str,
     energy: Float[ndarray, " nodes"],
     forces: tuple[ndarray, ndarray] | None,
     *,
     averaged: bool = False,
 ) -> Prices:
-    """Prices about an iterate.
+    """Prices of every load about an iterate.
 
     Args:
-        vehicle: Trainset.
-        table: The same, per kg.
+        loads: Loads.
         objective: ``wheel`` or ``line``.
         energy: Kinetic energy per kg at the nodes of the last iterate.
-        forces: Its traction and electric braking per kg, or None before the first.
-        averaged: One price a segment, the average at these forces, instead of convex hulls over the force.
+        forces: Traction and electric braking of the loads per kg there, or None before the first.
+        averaged: One price a load, the average at these forces, instead of convex hulls over the force.
     """
-    middle = 0.5 * (energy[1:] + energy[:-1])
+    middle = 0.5 * (energy[1:] + energy[:-1])[loads.segment]
+    parts = []
+    for kind, (vehicle, table) in enumerate(zip(loads.vehicles, loads.tables, strict=True)):
+        own = loads.of_kind(kind)
+        of = None if forces is None else (forces[0][own], forces[1][own])
+        prices = _prices_of(vehicle, table, objective, middle[own], of, averaged=averaged)
+        seconds = prices.second_w * float(np.sum(loads.weight[own], where=loads.segment[own] == 0))
+        parts.append(prices._replace(second_w=seconds))
+    if len(parts) == 1:
+        return parts[0]
+    traction, recovered, second_w, slope, at = zip(*parts, strict=True)
+    return Prices(
+        _join_lines(traction),
+        _join_lines(recovered),
+        sum(second_w),
+        np.concatenate(slope),
+        np.concatenate(at),
+    )
+
+
+def _join_lines(parts: tuple[Facets, ...]) -> Facets:
+    """Lines of several kinds side by side; of a kind with fewer lines the last one repeats."""
+    most = max(part.slope.shape[0] for part in parts)
+    filled = [[np.pad(x, ((0, most - x.shape[0]), (0, 0)), "edge") for x in part] for part in parts]
+    return Facets(*(np.concatenate(x, axis=1) for x in zip(*filled, strict=True)))
+
+
+def _prices_of(
+    vehicle: Vehicle,
+    table: Specific,
+    objective: str,
+    middle: ndarray,
+    forces: tuple[ndarray, ndarray] | None,
+    *,
+    averaged: bool,
+) -> Prices:
+    """Prices of the loads of one kind of trainset at their kinetic energies."""
     n, none = middle.size, np.zeros(middle.size)
     if objective == "wheel":
         return Prices(constant_line(1.0, n), constant_line(0.0, n), 0.0, none, middle)
