@@ -75,7 +75,8 @@ class FieldSpec:
         option: Name of the command line's option, without dashes, where it is not the field's without unit.
         form: Form of the option's text, where it is not a number or a word.
         label: Label in a form of the console; empty where a form does not show it.
-        step: Step of that form's field.
+        step: Step of that form's field, in SI.
+        shown: Unit of that field and of errors, where it is not SI.
     """
 
     help: str = ""
@@ -86,13 +87,19 @@ class FieldSpec:
     form: str = ""
     label: str = ""
     step: float = 0.0
+    shown: Unit | None = None
+
+    @property
+    def shown_unit(self) -> Unit | None:
+        """Unit of errors and of the console's field; None where the number has none."""
+        return self.shown or (Unit(self.unit, "") if self.unit else None)
 
     @property
     def allowed(self) -> str:
         """Allowed values in words."""
         if self.range is None:
             return ", ".join(self.choices)
-        return self.range.words(Unit(self.unit, "") if self.unit else None)
+        return self.range.words(self.shown_unit)
 
     def check(self, name: str, value: Any) -> Any:  # noqa: ANN401 (a value passes as it came)
         """The value, where it is allowed.
@@ -109,8 +116,9 @@ class FieldSpec:
         if self.choices and value not in self.choices:
             raise InputError(f"unknown {name}", field=name, value=value, allowed=self.allowed)
         if self.range is not None and not self.range.admit(value):
-            unit = self.unit or None
-            raise InputError("out of range", field=name, value=value, unit=unit, allowed=self.allowed)
+            unit, shown = self.shown_unit, value if self.shown is None else self.shown.from_si(value)
+            unit_name = unit.name if unit else None
+            raise InputError("out of range", field=name, value=shown, unit=unit_name, allowed=self.allowed)
         return value
 
 

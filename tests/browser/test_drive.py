@@ -91,7 +91,7 @@ def test_a_restriction_added_on_the_way(visit):
     live = depart(page, "real time")
     page.get_by_label("From (m)").fill("800")
     page.get_by_label("To (m)").fill("900")
-    page.get_by_label("km/h", exact=True).fill("30")
+    page.get_by_label("Speed (km/h)").fill("30")
     page.locator('[data-test="restrict"]').click()
     expect(page.locator('[data-mp="log"]')).to_contain_text(
         "restriction announced: 30 km/h from 800 to 900 m"

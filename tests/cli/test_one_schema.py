@@ -238,6 +238,32 @@ def test_every_entry_of_a_convoy_refuses_in_the_same_words(metropilot, name):
     assert (typed.code, typed.err) == (2, f"metropilot: {own}{said}\n")
 
 
+@pytest.mark.parametrize(("name", "beyond"), [("from_m", -1.0), ("to_m", 2e5 + 1), ("limit_mps", 1.0)])
+def test_http_refuses_a_restriction_in_the_words_of_its_declaration(name, beyond):
+    values = {"from_m": 400.0, "to_m": 600.0, "limit_mps": 9.0} | {name: beyond}
+    with pytest.raises(InputError) as refused:
+        Restriction(**values)
+    error = read_error({"restrictions": [values]})
+    assert InputError(error.pop("message"), **error).line() == f"restrictions[0].{refused.value.line()}"
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "beyond"), [("at_s", "told_s", 36_001.0), ("scheduled_time_s", "scheduled_time_s", 0.0)]
+)
+def test_http_refuses_a_timetable_update_in_the_words_of_its_declaration(name, key, beyond):
+    with pytest.raises(InputError) as refused:
+        TimetableUpdate(**{"at_s": 30.0, "scheduled_time_s": 116.0} | {name: beyond})
+    error = read_error({"arrivals": [{"told_s": 30.0, "scheduled_time_s": 116.0} | {key: beyond}]})
+    said = refused.value.line().removeprefix(name)
+    assert InputError(error.pop("message"), **error).line() == f"arrivals[0].{key}{said}"
+
+
+def test_an_announcement_too_late_is_refused(metropilot):
+    typed = metropilot("drive", *WHERE.values(), "--arrive=99999@36001")
+    assert typed.err == "metropilot: --arrive: out of range: 36001.0 s (allowed: 0 to 36000 s)\n"
+    assert typed.code == 2
+
+
 OPTIONS = sorted({kind for r in (DRIVERS, FOLLOWERS) for d in r if (kind := option_class(r.get(d)))}, key=str)
 
 

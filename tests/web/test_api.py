@@ -13,6 +13,7 @@ from metropilot.policy import shipped_policy
 from metropilot.railway import load_line, write_line
 
 SECTION = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ"}
+LIMIT = "restrictions[0].limit_mps"
 ERROR = {"message", "file", "field", "value", "unit", "allowed"}
 
 
@@ -96,12 +97,10 @@ def test_a_comparison(server):
         ({**SECTION, "time_s": "nan"}, "time_s"),
         ({**SECTION, "colour": "red"}, "colour"),
         ({**SECTION, "restrictions": [{"from_m": 5, "to_m": 5, "limit_mps": 3}]}, "to_m"),
-        (
-            {**SECTION, "restrictions": [{"from_m": 5, "to_m": 9, "limit_mps": 0}]},
-            "restrictions[0].limit_mps",
-        ),
-        ({**SECTION, "restrictions": [{"from_m": 5, "to_m": 9, "limit_mps": 1e-4}]}, "restriction"),
-        ({**SECTION, "restrictions": [{"from_m": 5, "to_m": 9, "limit_mps": 500 / 3.6}]}, "restriction"),
+        ({**SECTION, "restrictions": [{"from_m": 5, "to_m": 9, "limit_mps": 0}]}, LIMIT),
+        ({**SECTION, "restrictions": [{"from_m": -5, "to_m": 9, "limit_mps": 9}]}, "restrictions[0].from_m"),
+        ({**SECTION, "restrictions": [{"from_m": 5, "to_m": 9, "limit_mps": 1e-4}]}, LIMIT),
+        ({**SECTION, "restrictions": [{"from_m": 5, "to_m": 9, "limit_mps": 500 / 3.6}]}, LIMIT),
         ({**SECTION, "restrictions": [{"from_m": 5, "to_m": 9000, "limit_mps": 10}]}, "restriction"),
     ],
 )

@@ -7,15 +7,23 @@ from nicegui import Client, core, ui
 from nicegui.page import page
 from starlette.requests import Request
 
+from metropilot._schema import field_default, field_specs
+from metropilot.convoy import ConvoyRequest, Link
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
-from metropilot.evaluate import SERIES_STYLES, driver_styles
+from metropilot.evaluate import SERIES_STYLES, RunSpec, driver_styles
+from metropilot.railway import Restriction
+from metropilot.sim import Disturbance, TimetableUpdate
+from metropilot.units import KINDS
 from metropilot.web.pages.compare import outcome
-from metropilot.web.pages.convoy import member_outcome
+from metropilot.web.pages.convoy import ConvoyPage, member_outcome
+from metropilot.web.pages.drive import DrivePage
 from metropilot.web.pages.form import describe_range, validate
 from metropilot.web.pages.frame import frame
 from metropilot.web.pages.plots import compare_figure, convoy_figure, driven_convoy_figure, front_figure
 from metropilot.web.schemas.requests import ConvoyIn, DriveIn, JourneyIn, LearnIn, NewLink
+from metropilot.web.service import Service
+from metropilot.web.settings import Settings
 
 
 @pytest.mark.parametrize(
@@ -47,6 +55,47 @@ def test_what_is_not_allowed_is_refused_in_one_line(kind, values, scales, told):
     error = refused.value
     assert (error.field, error.value, error.allowed) == (told[0], pytest.approx(told[1]), told[2])
     assert "\n" not in str(error)
+
+
+def test_a_form_shows_what_is_declared(monkeypatch, tmp_path):
+    """Every field has the label, unit, step, range and default of the declaration that also checks it."""
+    shown = {}
+
+    def record(label, **more):
+        made = number(label=label, **more)
+        assert shown.setdefault(label, made) is made
+        return made
+
+    number = ui.number
+    monkeypatch.setattr(ui, "number", record)
+
+    async def build():
+        core.loop = asyncio.get_running_loop()
+        service = Service(Settings(tmp_path))
+        scope = {"type": "http", "method": "GET", "path": "/", "headers": [], "query_string": b""}
+        with Client(page("/form"), request=Request(scope)):
+            DrivePage(service, None).build_news()
+            convoy = ConvoyPage(service, None)
+            convoy.build()
+
+    asyncio.run(build())
+    defaults = {"count": 3, "from_m": 700.0, "to_m": 900.0, "limit_mps": 40 / 3.6, "scheduled_time_s": 101.0}
+    for kind in (Disturbance, Restriction, TimetableUpdate, Link, ConvoyRequest, RunSpec):
+        for name, spec in field_specs(kind).items():
+            if not spec.label or spec.range is None:
+                continue
+            unit = KINDS["share"]["%"] if name == "loss" else spec.shown_unit
+            field = shown.pop(f"{spec.label} ({unit.name})" if unit else spec.label)
+            displayed = unit.from_si if unit else float
+            hint = field.props["hint"].replace(" ", "")
+            assert f"{displayed(spec.range.low):.10g}" in hint, name
+            if spec.range.high < 1e9 and name != "count":  # the server has its own bound of that
+                assert f"{displayed(spec.range.high):.10g}" in hint, name
+            assert field.props["step"] == pytest.approx(displayed(spec.step)), name
+            default = defaults.get(name, field_default(kind, name))
+            value = None if default is None or default == float("inf") else pytest.approx(displayed(default))
+            assert field.value == value, name
+    assert shown == {}
 
 
 def test_half_a_trainset_is_refused():

@@ -19,6 +19,7 @@ from metropilot.planning import (
     minimum_running_time,
     optimal_plan,
     plan_journey,
+    round_up_time,
     time_energy_front,
     timetable_waypoints,
 )

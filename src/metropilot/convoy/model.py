@@ -41,7 +41,7 @@ class Link:
         low=0.0,
         high=2.0,
         option="link-delay",
-        label="Delay (s)",
+        label="Delay",
         step=0.1,
     )
     jitter_s: float = declare(
@@ -51,10 +51,12 @@ class Link:
         low=0.0,
         high=1.0,
         option="link-jitter",
-        label="Jitter (s)",
+        label="Jitter",
         step=0.1,
     )
-    loss: float = declare(0.0, "Share of messages lost.", low=0.0, high=1.0, option="link-loss", label="Lost")
+    loss: float = declare(
+        0.0, "Share of messages lost.", low=0.0, high=1.0, option="link-loss", label="Lost", step=0.05
+    )
     silent_from_s: float = declare(
         float("inf"),
         "Time from which all messages are lost.",
@@ -161,7 +163,9 @@ GAP_M = 5.92
 HEAD_MPS2, TAIL_MPS2, STEP_MPS2 = 0.8, 1.15, 0.35
 """Brake rates of a coupled convoy at head and tail, and largest step between trainsets. Each rate is above
 that of the trainset ahead, so that every trainset can brake harder than the one ahead. Our choice."""
-TRAINSETS = FieldSpec("How many trainsets.", range=Range(2, 16), option="trainsets")
+TRAINSETS = FieldSpec(
+    "How many trainsets.", range=Range(2, 16), option="trainsets", label="Trainsets", step=1.0
+)
 FAR_M = 1e6
 LEADER_SHARE = 0.85
 """Share of its brake and of 1 m/s^2 that the head uses in service, so that the others can follow."""
@@ -183,7 +187,9 @@ class ConvoySettings:
         disturbances: One of each trainset, or one for all; empty: none. Timetable updates are the head's.
     """
 
-    gap_m: float = declare(GAP_M, "Desired gap.", unit="m", low=0.5, high=2000.0)
+    gap_m: float = declare(
+        GAP_M, "Desired gap.", unit="m", low=0.5, high=2000.0, label="Desired gap", step=1.0
+    )
     start_gap_m: float | None = declare(
         None, "Gap at departure: the convoy couples on the move.", unit="m", low=0.5, high=5000.0
     )

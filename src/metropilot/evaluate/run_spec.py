@@ -256,9 +256,11 @@ def parse_restriction(text: str) -> Restriction | TimetableUpdate:
             allowed="FROM-TO@KMH or FROM-TO@KMH@T, e.g. 400-600@40 or 400-600@40@30 (m, m, km/h, s)",
         )
     start, end, kmh = (float(x) for x in match.groups()[:3])
-    with rename_fields({"restriction": "restrictions"}):
+    with rename_fields(
+        dict.fromkeys((*field_specs(Restriction), *field_specs(TimetableUpdate)), "restrictions")
+    ):
         restriction = Restriction(start, end, SPEED_UNIT.to_si(kmh))
-    return restriction if match[4] is None else TimetableUpdate(float(match[4]), restriction=restriction)
+        return restriction if match[4] is None else TimetableUpdate(float(match[4]), restriction=restriction)
 
 
 def parse_arrival(text: str) -> TimetableUpdate:
@@ -275,7 +277,8 @@ def parse_arrival(text: str) -> TimetableUpdate:
             value=text,
             allowed="S@T with S later than T, e.g. 116@30: arrive after 116 s, sent after 30 s",
         )
-    return TimetableUpdate(float(match[2]), scheduled_time_s=float(match[1]))
+    with rename_fields(dict.fromkeys(field_specs(TimetableUpdate), "arrivals")):
+        return TimetableUpdate(float(match[2]), scheduled_time_s=float(match[1]))
 
 
 def _restriction_text(restriction: Restriction, at_s: float | None = None) -> str:

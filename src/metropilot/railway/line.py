@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import MISSING, dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from metropilot._schema import check_fields, declare
 from metropilot.errors import InputError
 from metropilot.railway.profile import Steps
-from metropilot.units import KMH_PER_MPS, tidy
+from metropilot.units import KINDS, KMH_PER_MPS, tidy
 
 RESTRICTION_KMH = (5.0, 400.0)
 """Speeds a temporary restriction may have, km/h."""
+FARTHEST_M = 200_000.0
+"""Largest position that a restriction may have in a section."""
 RELEASE_KMH = (3.0, 40.0)
 """Release speeds that a line may have, km/h."""
 MOST_BEHIND_M = 300.0
@@ -74,28 +77,41 @@ class Restriction:
         limit_mps: The restricted speed, 5 to 400 km/h.
     """
 
-    from_m: float
-    to_m: float
-    limit_mps: float
+    from_m: float = declare(
+        MISSING,
+        "Start, from the section's origin.",
+        unit="m",
+        low=0.0,
+        high=FARTHEST_M,
+        label="From",
+        step=50.0,
+    )
+    to_m: float = declare(
+        MISSING,
+        "End, from the section's origin.",
+        unit="m",
+        low=0.0,
+        high=FARTHEST_M,
+        above=True,
+        label="To",
+        step=50.0,
+    )
+    limit_mps: float = declare(
+        MISSING,
+        "Restricted speed.",
+        unit="m/s",
+        low=RESTRICTION_KMH[0] / KMH_PER_MPS,
+        high=RESTRICTION_KMH[1] / KMH_PER_MPS,
+        shown=KINDS["speed"]["km/h"],
+        label="Speed",
+        step=5.0 / KMH_PER_MPS,
+    )
 
     def __post_init__(self) -> None:
-        if not (np.isfinite([self.from_m, self.to_m]).all() and self.from_m < self.to_m):
-            raise InputError(
-                "a restriction must end after it begins",
-                field="restriction",
-                value=f"{self.from_m:g} to {self.to_m:g}",
-                unit="m",
-                allowed="from < to, finite",
-            )
-        low, high = RESTRICTION_KMH
-        if not low - 1e-6 <= KMH_PER_MPS * self.limit_mps <= high + 1e-6:
-            raise InputError(
-                "a restriction needs a speed that can be driven",
-                field="restriction",
-                value=tidy(KMH_PER_MPS * self.limit_mps),
-                unit="km/h",
-                allowed=f"{low:g} to {high:g} km/h",
-            )
+        check_fields(self)
+        if self.from_m >= self.to_m:
+            words, allowed = "a restriction must end after it begins", f"> {self.from_m:g} m"
+            raise InputError(words, field="to_m", value=self.to_m, unit="m", allowed=allowed)
 
 
 @dataclass(frozen=True)
@@ -178,8 +194,6 @@ class Section:
             "unit": "m",
         }
         within = f"0 to {self.length_m:g} m"
-        if restriction.from_m < 0:
-            raise InputError("a restriction begins before the departure", allowed=within, **where)
         if restriction.from_m >= self.length_m:
             raise InputError("a restriction begins beyond the stop", allowed=within, **where)
         if restriction.to_m > self.length_m:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, replace
 from typing import Any, no_type_check
 
 from metropilot._schema import check_fields, declare
@@ -85,6 +85,8 @@ def _mismatch_cap(pieces: Array, most_n: Array) -> Array:
     return xp.concatenate([pieces[:, :5], xp.minimum(pieces[:, 5:], most_n)], axis=1)
 
 
+LATEST_S = 36_000.0
+"""Latest announcement of an update: ten hours after departure."""
 NOISE_CUT = 3.0
 """Standard deviations at which the noise of the measured speed is cut, so that protection can bound it."""
 
@@ -99,9 +101,20 @@ class TimetableUpdate:
         restriction: New temporary speed restriction; None: none.
     """
 
-    at_s: float
-    scheduled_time_s: float | None = None
+    at_s: float = declare(MISSING, "When it is announced, after departure.", unit="s", low=0.0, high=LATEST_S)
+    scheduled_time_s: float | None = declare(
+        None,
+        "New running time.",
+        unit="s",
+        low=0.0,
+        above=True,
+        label="Arrive after",
+        step=1.0,
+    )
     restriction: Restriction | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True)

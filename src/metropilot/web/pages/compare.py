@@ -71,7 +71,7 @@ class ComparePage:
             self.drivers.props("outlined dense options-dense use-chips")
             self.form.problem.beside("drivers", self.drivers).props('data-test="drivers"')
             self.form.problem.beside("driver", self.drivers)
-            self.seeds = number_field("Seeds of each driver", CompareIn, "seeds", value=1, step=1)
+            self.seeds = number_field(CompareIn, "seeds", label="Seeds of each driver", step=1)
             self.form.problem.beside("seeds", self.seeds)
             self.disturbances.build(self.form.problem)
             with ui.element("div").classes("mp-row"):

@@ -9,7 +9,7 @@ from nicegui import events, ui
 
 from metropilot.convoy import FOLLOWERS
 from metropilot.errors import MetropilotError
-from metropilot.units import KMH_PER_MPS
+from metropilot.units import KINDS, KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
 from metropilot.web.pages.drive import checks_table
@@ -66,8 +66,8 @@ class ConvoyPage:
                 problem = self.form.problem
                 followers = list(FOLLOWERS.ids())
                 with ui.element("div").classes("mp-row"):
-                    self.count = number_field("Trainsets", ConvoyIn, "trainsets", value=3, step=1)
-                    self.gap = number_field("Desired gap (m)", ConvoyIn, "gap_m", value=5.92, step=1)
+                    self.count = number_field(ConvoyIn, "trainsets")
+                    self.gap = number_field(ConvoyIn, "gap_m")
                 with ui.element("div").classes("mp-row"):
                     self.head = ui.select(driver_names(self.service), value="optimal", label="Head")
                     self.follower = ui.select(followers, value="follow_gap", label="Followers")
@@ -105,9 +105,9 @@ class ConvoyPage:
         with card("The link", "From each trainset to the one behind it; changes act at once.", late=True):
             self.news = Problem()
             with ui.element("div").classes("mp-row"):
-                self.delay = number_field("Delay (s)", NewLink, "delay_s", value=0.0, step=0.1)
-                self.jitter = number_field("Jitter (s)", NewLink, "jitter_s", value=0.0, step=0.1)
-                self.loss = number_field("Lost (%)", NewLink, "loss", 100.0, value=0, step=5)
+                self.delay = number_field(NewLink, "delay_s")
+                self.jitter = number_field(NewLink, "jitter_s")
+                self.loss = number_field(NewLink, "loss", KINDS["share"]["%"])
                 for name, element in (
                     ("delay_s", self.delay),
                     ("jitter_s", self.jitter),

@@ -9,7 +9,6 @@ from fastapi.responses import RedirectResponse
 from nicegui import events, ui
 
 from metropilot.errors import InputError, MetropilotError
-from metropilot.railway import RESTRICTION_KMH
 from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
@@ -158,19 +157,16 @@ class DrivePage:
         with card("During the run", "New arrival times and speed restrictions for the driver.", late=True):
             self.news = Problem()
             with ui.element("div").classes("mp-row"):
-                self.arrival = number_field(
-                    "Arrive after (s)", NewArrival, "scheduled_time_s", value=101, step=1
-                )
+                self.arrival = number_field(NewArrival, "scheduled_time_s", value=101)
                 self.news.beside("scheduled_time_s", self.arrival)
                 ui.button("Tell", on_click=self.tell_arrival).props('outline data-test="tell-arrival"')
             with ui.element("div").classes("mp-row"):
                 ui.button("10 s earlier", on_click=lambda: self.shift(-10)).props("flat dense no-caps")
                 ui.button("10 s later", on_click=lambda: self.shift(10)).props("flat dense no-caps")
             with ui.element("div").classes("mp-row"):
-                self.from_m = ui.number("From (m)", value=700, step=50)
-                self.to_m = ui.number("To (m)", value=900, step=50)
-                low, high = RESTRICTION_KMH
-                self.kmh = ui.number("km/h", value=40, step=5).props(f'hint="{low:g} to {high:g}"')
+                self.from_m = number_field(NewRestriction, "from_m", value=700)
+                self.to_m = number_field(NewRestriction, "to_m", value=900)
+                self.kmh = number_field(NewRestriction, "limit_mps", value=40)
                 for name, element in (("from_m", self.from_m), ("to_m", self.to_m), ("limit_mps", self.kmh)):
                     self.news.beside(name, element.props("outlined dense"))
             ui.button("Add speed restriction", on_click=self.restrict).props('outline data-test="restrict"')
@@ -328,7 +324,7 @@ class DrivePage:
                 "to_m": self.to_m.value,
                 "limit_mps": (self.kmh.value or 0) / KMH_PER_MPS,
             }
-            asked = validate(NewRestriction, values, limit_mps=KMH_PER_MPS)
+            asked = validate(NewRestriction, values)
             await self.ask({"kind": "restriction", **asked.model_dump()})
 
     async def change_pace(self) -> None:

@@ -11,11 +11,11 @@ from pydantic import BaseModel, ValidationError
 
 from metropilot.errors import InputError, MetropilotError
 from metropilot.evaluate import POLICY, parse_driver, run_fields
-from metropilot.units import KMH_PER_MPS
+from metropilot.units import KMH_PER_MPS, Unit
 from metropilot.web import catalogue
 from metropilot.web.pages.frame import Problem, number
 from metropilot.web.pages.strip import names
-from metropilot.web.schemas.requests import DriveIn, PlanIn
+from metropilot.web.schemas.requests import DriveIn, PlanIn, spec_of
 from metropilot.web.service import Service
 
 SLOWEST = 1.6
@@ -41,20 +41,32 @@ def describe_range(kind: type[BaseModel], name: str, scale: float = 1.0) -> str:
     least, most = (f"{scale * bound:,.10g}".replace(",", " ") for bound in (low, high))
     least = least if "minimum" in told else f"above {least}"
     most = most if "maximum" in told else f"below {most}"
-    return f"{least} or more" if high >= COUNTLESS else f"{least} to {most}"
+    if high < COUNTLESS:
+        return f"{least} to {most}"
+    return f"{least} or more" if "minimum" in told else least
 
 
-def number_field(words: str, kind: type[BaseModel], name: str, scale: float = 1.0, **more: Any) -> ui.number:  # noqa: ANN401
+def number_field(kind: type[BaseModel], name: str, unit: Unit | None = None, **more: Any) -> ui.number:  # noqa: ANN401
     """Place a number field that shows its range; a value out of range is refused, not clipped.
 
+    Label, unit, step and first value are those of the declaration, where nothing else is given.
+
     Args:
-        words: Label.
         kind: Type of the request.
         name: Name of the field.
-        scale: Displayed value over the field's.
-        more: ``value``, ``step``, ``on_change`` of NiceGUI.
+        unit: Unit of the displayed value, where it is not the declaration's.
+        more: ``label``, ``value``, ``step``, ``on_change`` of NiceGUI.
     """
-    made = ui.number(words, **more)
+    spec = spec_of(kind, name)
+    unit = unit or spec.shown_unit
+    scale = 1.0 if unit is None else unit.denominator / unit.numerator
+    field = kind.model_fields[name]
+    declared = {
+        "label": f"{spec.label} ({unit.name})" if unit else spec.label,
+        "value": None if field.is_required() else field.get_default(),
+        "step": (unit.from_si(spec.step) if unit else spec.step) or None,
+    }
+    made = ui.number(**declared | more)
     return made.props(f'outlined dense hint="{describe_range(kind, name, scale)}"')
 
 
@@ -286,28 +298,20 @@ def describe_hidden(kept: dict[str, Any], options: dict[str, Any]) -> str:
 class DisturbanceForm:
     """Fields of the disturbance."""
 
-    FIELDS = tuple(
-        (name, f"{spec.label} ({spec.unit})" if spec.unit else spec.label, spec.step)
-        for name, spec in run_fields().items()
-        if spec.label and spec.range is not None
-    )
+    FIELDS = tuple(name for name, spec in run_fields().items() if spec.label and spec.range is not None)
 
     def build(self, problem: Problem) -> None:
         """Place the fields in a closed expansion."""
         self.inputs: dict[str, ui.number] = {}
         self.fold = ui.expansion("Disturbances").props("dense").classes("mp-soft")
         with self.fold, ui.element("div").classes("mp-stack"):
-            for name, words, step in self.FIELDS:
-                made = number_field(words, DriveIn, name, value=self.defaults()[name], step=step)
-                self.inputs[name] = problem.beside(name, made, self.fold)
+            for name in self.FIELDS:
+                self.inputs[name] = problem.beside(name, number_field(DriveIn, name), self.fold)
             self.ideal = ui.checkbox(run_fields()["ideal"].help.rstrip("."))
 
     def defaults(self) -> dict[str, Any]:
         """Values of the fields of a run without disturbance."""
-        return {
-            name: DriveIn.model_fields[name].get_default()
-            for name in (*(name for name, *_ in self.FIELDS), "ideal")
-        }
+        return {name: DriveIn.model_fields[name].get_default() for name in (*self.FIELDS, "ideal")}
 
     def values(self) -> dict[str, Any]:
         """Values of the fields for a request; an empty field has its default."""

@@ -50,7 +50,9 @@ class JourneyPage:
             for name, element in fields.items():
                 self.problem.beside(name, element.props("outlined dense options-dense"))
             self.way = ui.radio(WAYS, value="optimum").props("dense")
-            self.total = number_field("Whole journey, dwells included (s)", JourneyIn, "total_s", step=10)
+            self.total = number_field(
+                JourneyIn, "total_s", label="Whole journey, dwells included (s)", step=10
+            )
             self.problem.beside("total_s", self.total).props('data-test="total"')
             self.problem.beside("journey", self.total)
             ui.button("Plan", on_click=self.plan).props('unelevated data-test="plan"')

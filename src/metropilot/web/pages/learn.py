@@ -43,8 +43,8 @@ class LearnPage:
                     ["quick", "paper"], value="quick", label="Budget", on_change=self.say_recipe
                 )
                 self.words = ui.label("").classes("mp-soft")
-                self.steps = number_field("Environment steps", LearnIn, "steps", step=50_000)
-                self.seed = number_field("Seed", LearnIn, "seed", value=0, step=1)
+                self.steps = number_field(LearnIn, "steps", label="Environment steps", step=50_000)
+                self.seed = number_field(LearnIn, "seed", label="Seed", step=1)
                 self.problem = Problem()
                 fields = (
                     ("driver", self.driver),

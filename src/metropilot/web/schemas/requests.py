@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from dataclasses import MISSING, dataclass, fields, replace
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, create_model
 from pydantic_core import CoreSchema, core_schema
 
-from metropilot._schema import FieldSpec, field_default, field_specs, field_type
+from metropilot._schema import FieldSpec, Range, field_default, field_specs, field_type
 from metropilot.convoy import ConvoyRequest, Link
-from metropilot.errors import InputError
 from metropilot.evaluate import POLICY, RunSpec, parse_driver, run_fields
 from metropilot.railway import Restriction
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance, TimetableUpdate
@@ -28,8 +27,6 @@ DriverName = Annotated[
 """Id of a driver, with the learning run or upload that holds its policy."""
 StationKey = Annotated[str, Field(min_length=1, max_length=80, examples=["RJ"])]
 Seconds = Annotated[float, Field(gt=0, le=36_000, description="s")]
-Metres = Annotated[float, Field(ge=0, le=200_000, description="m from the section's origin")]
-Speed = Annotated[float, Field(gt=0, le=150, description="m/s")]
 Option = bool | int | float | Id
 RUN_FIELDS = run_fields()
 
@@ -84,43 +81,56 @@ def declared_fields(kind: type[Any], *left_out: str, prefix: str = "") -> dict[s
         prefix: Prefix of their names.
     """
     found: dict[str, Any] = {}
+    needed = {f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING}
     for name, spec in field_specs(kind).items():
         default, endless = field_default(kind, name), spec.range is not None and spec.range.infinite
         hint: Any = Annotated[field_type(kind, name), Checked(prefix + name, spec)]
-        if name not in left_out:
+        if name in needed - {*left_out}:
+            found[prefix + name] = (hint, ...)
+        elif name not in left_out:
             found[prefix + name] = (hint | None, None) if endless or default is None else (hint, default)
     return found
+
+
+def spec_of(kind: type[BaseModel], name: str) -> FieldSpec:
+    """Declaration of a field of a body; an empty one where the body declares it itself."""
+    field = kind.model_fields[name]
+    hints = (field.annotation, *get_args(field.annotation))
+    metadata = [*field.metadata, *(item for hint in hints for item in getattr(hint, "__metadata__", ()))]
+    return next((item.spec for item in metadata if isinstance(item, Checked)), FieldSpec())
 
 
 DisturbanceIn = create_model("DisturbanceIn", __base__=RequestBody, **declared_fields(Disturbance))
 
 
-class RestrictionIn(RequestBody):
+UPDATE_FIELDS = field_specs(TimetableUpdate)
+ToldAt = Annotated[float, Checked("told_s", UPDATE_FIELDS["at_s"])]
+
+
+class NewRestriction(create_model("RestrictionFields", __base__=RequestBody, **declared_fields(Restriction))):
+    """A temporary speed restriction ahead, sent now."""
+
+
+class RestrictionIn(NewRestriction):
     """A temporary speed restriction, sent ``told_s`` after departure, or known before it."""
 
-    from_m: Metres
-    to_m: Metres
-    limit_mps: Speed
-    told_s: Annotated[float, Field(ge=0, le=36_000)] | None = None
+    told_s: ToldAt | None = None
 
     def restriction(self) -> Restriction:
         """Convert to :class:`metropilot.railway.Restriction`."""
-        if self.to_m <= self.from_m:
-            raise InputError(
-                "a restriction must end after it begins",
-                field="to_m",
-                value=self.to_m,
-                unit="m",
-                allowed=f"> {self.from_m:g} m",
-            )
-        return Restriction(self.from_m, self.to_m, self.limit_mps)
+        return Restriction(**self.model_dump(exclude={"told_s"}))
 
 
-class ArrivalIn(RequestBody):
+class NewArrival(RequestBody):
+    """A new scheduled running time, sent now."""
+
+    scheduled_time_s: Annotated[float, Checked("scheduled_time_s", UPDATE_FIELDS["scheduled_time_s"])]
+
+
+class ArrivalIn(NewArrival):
     """A new scheduled running time, sent ``told_s`` after departure."""
 
-    scheduled_time_s: Seconds
-    told_s: Annotated[float, Field(ge=0, le=36_000)]
+    told_s: ToldAt
 
 
 class SectionIn(RequestBody):
@@ -198,6 +208,8 @@ class LiveIn(DriveIn):
     pace: Annotated[float, Field(ge=0, le=100)] = 1.0
 
 
+TRAINSETS = replace(field_specs(ConvoyRequest)["count"], range=Range(2, 6))
+"""Trainsets of a live convoy: as many as a server drives in real time."""
 ConvoySettingsIn = create_model(
     "ConvoySettingsIn",
     __base__=RequestBody,
@@ -212,7 +224,7 @@ class ConvoyIn(DriveIn, ConvoySettingsIn):
     Its disturbance acts on every trainset, unless each has one of its own.
     """
 
-    trainsets: Annotated[int, Field(ge=2, le=6)] = 3
+    trainsets: Annotated[int, Checked("trainsets", TRAINSETS)] = 3
     follower: Id = "follow_gap"
     disturbances: Annotated[list[DisturbanceIn], Field(max_length=6)] = []  # pyright: ignore[reportInvalidTypeForm]
     pace: Annotated[float, Field(ge=0, le=20)] = 1.0
@@ -222,20 +234,6 @@ class NewLink(create_model("LinkIn", __base__=RequestBody, **declared_fields(Lin
     """New delay, jitter and loss of the link of a convoy."""
 
     silent: bool = False
-
-
-class NewArrival(RequestBody):
-    """A new scheduled running time, sent now."""
-
-    scheduled_time_s: Seconds
-
-
-class NewRestriction(RequestBody):
-    """A temporary speed restriction ahead, sent now."""
-
-    from_m: Metres
-    to_m: Metres
-    limit_mps: Speed
 
 
 class Lever(RequestBody):
