@@ -78,7 +78,9 @@ def test_labels_mean_the_commands_they_stand_for():
     action = RegimeAction()
     commands = np.linspace(-1.0, 1.0, 401)
     wanted = labels(action, commands)
-    context = FeatureContext(SimpleNamespace(xp=np), *[None] * (len(FeatureContext._fields) - 1))
+    context = FeatureContext(
+        SimpleNamespace(xp=np, namespace=lambda _: np), *[None] * (len(FeatureContext._fields) - 1)
+    )
     meant = np.array([action.command(context, np.array([a]), 0.4) for a in wanted])
     held = (np.abs(commands) > 0.02) & (np.abs(commands) < 0.95)
     assert np.abs(meant - commands)[held].max() < 1e-6

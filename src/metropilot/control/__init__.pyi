@@ -8,7 +8,9 @@ from .ceiling import closing_acceleration as closing_acceleration
 from .ceiling import largest_admissible_command as largest_admissible_command
 from .ceiling import model_of as model_of
 from .ceiling import traction_limit as traction_limit
+from .coasting import COAST_SHARES as COAST_SHARES
 from .coasting import Forecast as Forecast
+from .coasting import coast as coast
 from .coasting import coast_point_for as coast_point_for
 from .coasting import cruise_for as cruise_for
 from .coasting import forecast_of as forecast_of

@@ -171,7 +171,7 @@ class NotchAction(AbstractAction):
     def command(self, context: FeatureContext, action: Num[Array, "*actions"], period_s: float) -> Scalar:
         """Command of the notch; a force is limited to the available one."""
         del period_s
-        notch = context.xp.asarray(self.notches, np.float32)[action]
+        notch = context.rows.xp.asarray(self.notches, np.float32)[action]
         return command_for_force(context.vehicle, context.speed_mps, notch) if self.forces else notch
 
 
@@ -205,7 +205,7 @@ class GainsAction(AbstractAction):
 
     def gains(self, context: FeatureContext, action: Num[Array, "*actions"]) -> Scalar:
         """Gains of an action. Shape (size,)."""
-        xp = context.xp
+        xp = context.rows.xp
         low, high = (np.log(np.asarray(ends, np.float32)) for ends in (self.low, self.high))
         return xp.exp(low + (high - low) * (0.5 + 0.5 * xp.clip(action, -1.0, 1.0)))
 

@@ -90,10 +90,11 @@ class Assists:
         """
         if not self.late:
             return sure_mps2 * (self.stop_use / STOP_USE)
-        position_m = rows.xp.minimum(position_m, rows.length_m[case] - SHORTEST_M)
+        xp = rows.namespace(position_m)
+        position_m = xp.minimum(position_m, rows.length_m[case] - SHORTEST_M)
         left_m = rows.length_m[case] - position_m
         work, _ = rows.stop_at(case, position_m)
-        return self.stop_use * rows.xp.maximum(work / left_m, LEAST_STOP_MPS2)
+        return self.stop_use * xp.maximum(work / left_m, LEAST_STOP_MPS2)
 
 
 @lru_cache
@@ -135,14 +136,14 @@ def apply_assists(
         return command, stopping
     xp, limits = context.xp, context.effort_limits
     if assists.stop_mps2 > 0.0:
-        context = context._replace(stop_mps2=xp.asarray(assists.stop_mps2, context.speed_mps.dtype))
+        context = context._replace(stop_mps2=assists.stop_mps2 + 0.0 * context.speed_mps)
     ceiling = command
     if assists.ceiling:
         ceiling = limits.command_for(ceiling_mps2(assists, context, dt))
         command = xp.minimum(command, ceiling)
     if assists.stop:
         stopping, wanted = stop_mps2(context, stopping, dt, stop_options(assists.release))
-        entering = xp.asarray(False)
+        entering = False
         if assists.late:
             wanted, entering = late_mps2(assists, context, wanted, dt)
         stop = limits.command_for(-wanted)

@@ -6,6 +6,7 @@ and one row of :data:`FEATURES`; an observer is a list of their names.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
@@ -15,6 +16,7 @@ import numpy as np
 
 from metropilot._registry import Registry, RegistryRow
 from metropilot._typing import Array, Float, Index, Scalar
+from metropilot.control import COAST_SHARES, coast
 from metropilot.env.tables import (
     CLIMB_COLUMN,
     PACES_MPS,
@@ -23,22 +25,24 @@ from metropilot.env.tables import (
     SectionTables,
     near_track,
 )
-from metropilot.physics import EffortLimits, Track, Vehicle, davis_n, effort_at, effort_limits
+from metropilot.physics import (
+    EffortLimits,
+    Track,
+    Vehicle,
+    davis_n,
+    effort_at,
+    effort_limits,
+    scalars,
+)
 from metropilot.protection import Rates as Guaranteed
 
 AHEAD_M = (20.0, 50.0, 100.0, 200.0, 350.0, 600.0, 1000.0)
 FAR_M = (35.0, 75.0, 150.0, 275.0, 475.0, 800.0, 1500.0, 2200.0, 3500.0)
-COAST_NODES = np.linspace(0.0, 1.0, 49, dtype=np.float32)
-UP_TO = np.tri(COAST_NODES.size, COAST_NODES.size - 1, -1, dtype=np.float32)
-"""Matrix that sums the segments up to each node; compiled, it is several times faster than a running sum."""
-COAST_PASSES = 2
-NEARBY = 0.05
-"""Relative change of speed for the derivative of resistance."""
-MOST_LOST = 12.0
-"""Largest exponent of the energy's decay; nothing of the energy is left there."""
 FASTER_MPS = (2.0,)
 """Increases of speed before coasting in ``coasting_faster``."""
-SLOWEST_J = 0.5
+INCREASES_MPS = (0.0, *FASTER_MPS)
+CRAWL_MPS = 0.1
+"""Least sum of the speeds at two nodes that the time of coasting counts with."""
 CHECK_MPS = (12.0, 20.0)
 RISES_SPM = tuple(1.0 / slower - 1.0 / faster for slower, faster in itertools.pairwise(PACES_MPS))
 """Increase of the time for one metre from each pace to the next slower one, s/m."""
@@ -49,8 +53,8 @@ RESERVE_S = 10.0
 PER_KG = 1.0
 
 
-class FeatureContext(NamedTuple):
-    """Context of a state: the input of features, actions and assists. Numbers are 0-d.
+class _State(NamedTuple):
+    """Fields of a :class:`FeatureContext`.
 
     Attributes:
         rows: The task's tables.
@@ -84,35 +88,67 @@ class FeatureContext(NamedTuple):
     scheduled_s: Scalar
     command: Scalar
 
-    @property
-    def xp(self) -> Any:  # noqa: ANN401 (a module)
-        """Array namespace: NumPy or JAX's."""
-        return self.rows.xp
 
-    @property
+class FeatureContext(_State):
+    """Context of a state: the input of features, actions and assists. Numbers are 0-d.
+
+    What several features need is computed once. The fields are those of ``_State``.
+    """
+
+    @functools.cached_property
+    def xp(self) -> Any:  # noqa: ANN401 (a module)
+        """Array namespace of the state's numbers: JAX's, NumPy for many states, ``scalars`` for one."""
+        return self.rows.namespace(self.position_m)
+
+    @functools.cached_property
     def left_m(self) -> Scalar:
         """Distance left, not below 0."""
         return self.xp.maximum(self.length_m - self.position_m, 0.0)
 
-    @property
+    @functools.cached_property
     def effort_limits(self) -> EffortLimits:
         """Resistance and available efforts here and now."""
         return effort_limits(self.vehicle, self.track, self.position_m, self.speed_mps)
 
-    @property
+    @functools.cached_property
     def to_go_s(self) -> Scalar:
         """Flat-out time to the stop from here and now."""
         return self.rows.to_go_s(self.case, self.left_m, self.length_m, self.speed_mps)
 
-    @property
+    @functools.cached_property
     def left_s(self) -> Scalar:
         """Time left until the scheduled arrival."""
         return self.scheduled_s - self.time_s
 
-    @property
+    @functools.cached_property
     def permitted_mps(self) -> Scalar:
         """Permitted speed here."""
         return self.rows.curve_at(PERMITTED_COLUMN, self.case, self.position_m)
+
+    @functools.cached_property
+    def coasting(self) -> tuple[Array, Array]:
+        """Times to the stop if the trainset coasts from here, and its least speeds on the way.
+
+        The first entries are for its speed, the others for speeds higher by ``FASTER_MPS``.
+        """
+        xp, vehicle, rows, case = self.rows.xp, self.vehicle, self.rows, self.case
+        v, start, left = self.speed_mps, _along(self.position_m), _along(self.left_m)
+        way = xp.asarray(COAST_SHARES, getattr(v, "dtype", float)) * xp.maximum(left, 1.0)
+        climb = rows.curve_at(CLIMB_COLUMN, case, start + way)
+        stop_mps = xp.sqrt(2.0 * _along(self.stop_mps2) * (way[..., -1:] - way) + 1e-6)
+        top = xp.minimum(rows.curve_at(PERMITTED_COLUMN, case, start + way), stop_mps)
+        davis = [vehicle.davis_n[k] / vehicle.effective_mass_kg for k in range(3)]
+        climb = climb * (vehicle.mass_kg / vehicle.effective_mass_kg)
+        speeds = coast(v + _as_rows(self, INCREASES_MPS), way[None], climb[None], davis)
+        speeds = xp.minimum(speeds, top[None])
+        step = (way[..., 1:] - way[..., :-1])[None]
+        taken = (2.0 * step / (speeds[..., 1:] + speeds[..., :-1] + CRAWL_MPS)).sum(-1)
+        return taken, speeds[..., :-3].min(-1) / SPEED_MPS
+
+
+def _along(value: Scalar) -> Scalar:
+    """Values of many states along a new last axis; a single number as it is."""
+    return value[..., None] if getattr(value, "ndim", 0) else value
 
 
 def feature_context(  # noqa: PLR0913 (the state of a run, field by field)
@@ -243,6 +279,8 @@ def _permitted_at(context: FeatureContext, ahead_m: Sequence[float]) -> Sequence
 
 def _as_rows(context: FeatureContext, values: Sequence[float] | np.ndarray) -> Scalar:
     """Constants along a new first axis. Shape (K,), or (K, 1, ...) for many positions."""
+    if context.xp is scalars:
+        return np.asarray(values, float)
     position = context.position_m
     return context.xp.asarray(values, position.dtype).reshape((-1,) + (1,) * position.ndim)
 
@@ -260,7 +298,7 @@ def climb_far(context: FeatureContext) -> Sequence[Scalar]:
 def climb_within(context: FeatureContext, ahead_m: Sequence[float]) -> Sequence[Scalar]:
     """Mean of gradient and curve resistance over distances ahead, at most up to the stop."""
     here = context.rows.curve_at(CLIMB_COLUMN, context.case, context.position_m)
-    way = context.xp.minimum(context.xp.maximum(context.left_m, 1.0), _as_rows(context, ahead_m))
+    way = context.rows.xp.minimum(context.xp.maximum(context.left_m, 1.0), _as_rows(context, ahead_m))
     there = context.rows.curve_at(CLIMB_COLUMN, context.case, context.position_m + way)
     return list((there - here) / way * 5.0)
 
@@ -285,52 +323,17 @@ def efforts_ahead(context: FeatureContext) -> Sequence[Scalar]:
 
 def coasting(context: FeatureContext) -> Sequence[Scalar]:
     """Spare time if the trainset coasts from here to station-stop braking, and its least speed."""
-    xp = context.xp
-    taken, slowest = _coast(context, context.speed_mps)
-    return [*_spare(context, taken), xp.tanh((context.left_s - taken) / 2.0), slowest]
+    taken, slowest = context.coasting
+    return [*_spare(context, taken[0]), context.xp.tanh((context.left_s - taken[0]) / 2.0), slowest[0]]
 
 
 def coasting_faster(context: FeatureContext) -> Sequence[Scalar]:
     """Spare time and least speed of coasting from a higher speed, to anticipate the coasting point."""
     xp, parts = context.xp, []
-    for more in FASTER_MPS:
-        taken, slowest = _coast(context, context.speed_mps + more)
+    for taken, slowest in zip(*(found[1:] for found in context.coasting), strict=True):
         spare = context.left_s - taken
         parts += [xp.tanh(spare / 20.0), xp.tanh(spare / 3.0), slowest]
     return parts
-
-
-def _coast(context: FeatureContext, v: Scalar) -> tuple[Array, Array]:
-    """Time to the stop if the trainset coasts from here at a speed, and its least speed on the way.
-
-    Kinetic energy at a few nodes ahead, falling by resistance and climb, below the permitted speed and the
-    last braking. Resistance is made straight in the energy about the pass before (Newton's method): then the
-    energy at every node is a sum, and two passes are right.
-    """
-    xp, vehicle = context.xp, context.vehicle
-    length = xp.maximum(context.left_m, 1.0)
-    way = _as_rows(context, COAST_NODES) * length
-    step, at = way[1:] - way[:-1], context.position_m + way
-    climb = context.rows.curve_at(CLIMB_COLUMN, context.case, at)
-    climb = (climb - climb[:1]) * (vehicle.mass_kg / vehicle.effective_mass_kg)
-    rise = climb[1:] - climb[:-1]
-    stop_mps = xp.sqrt(2.0 * context.stop_mps2 * (length - way) + 1e-6)
-    top = xp.minimum(context.rows.curve_at(PERMITTED_COLUMN, context.case, at), stop_mps)
-    sums, start = xp.asarray(UP_TO, v.dtype), 0.5 * v * v
-    energy = xp.maximum(start - climb, SLOWEST_J)
-    for _ in range(COAST_PASSES):
-        about = 0.5 * (energy[1:] + energy[:-1])
-        speed = xp.sqrt(2.0 * about)
-        drag = davis_n(vehicle, speed) / vehicle.effective_mass_kg
-        more = davis_n(vehicle, speed * (1.0 + NEARBY)) / vehicle.effective_mass_kg
-        rate = (more - drag) / (NEARBY * 2.0 * about)
-        lost = xp.minimum(xp.tensordot(sums, rate * step, 1), MOST_LOST)
-        middle = 0.5 * (lost[1:] + lost[:-1])
-        spent = xp.tensordot(sums, xp.exp(middle) * (rise + (drag - rate * about) * step), 1)
-        energy = xp.maximum(xp.exp(-lost) * (start - spent), SLOWEST_J)
-    speeds = xp.minimum(xp.sqrt(2.0 * energy), top)
-    taken = xp.sum(2.0 * step / (speeds[1:] + speeds[:-1] + 0.1), 0)
-    return taken, xp.min(speeds[:-3], 0) / SPEED_MPS
 
 
 def pace(context: FeatureContext) -> Sequence[Scalar]:
@@ -358,17 +361,14 @@ def pace(context: FeatureContext) -> Sequence[Scalar]:
 
 def _pace(context: FeatureContext, times: Array, left_s: Scalar) -> tuple[Array, Array]:
     """Pace whose time to the stop equals the time left, m/s, and the distance driven at it, m."""
-    xp = context.xp
+    xp = context.rows.xp
     slower, faster = times[..., :-1], times[..., 1:]
     rises = xp.asarray(RISES_SPM, times.dtype)
-    share = (left_s[..., None] - faster) / xp.maximum(slower - faster, 1e-3)
+    left_s = left_s if context.xp is scalars else left_s[..., None]
+    share = (left_s - faster) / xp.maximum(slower - faster, 1e-3)
     share = xp.minimum(xp.maximum(share, 0.0), 1.0)
     driven = xp.where((share > 0.0) & (share < 1.0), (slower - faster) / rises, 0.0)
-    more = share * rises
-    inverse, free = 1.0 / PACES_MPS[-1] + 0.0 * left_s, 0.0 * left_s
-    for k in range(len(RISES_SPM)):
-        inverse, free = inverse + more[..., k], free + driven[..., k]
-    return 1.0 / inverse, free
+    return 1.0 / (1.0 / PACES_MPS[-1] + (share * rises).sum(-1)), driven.sum(-1)
 
 
 def steady(context: FeatureContext) -> Sequence[Scalar]:
@@ -505,4 +505,6 @@ OBSERVERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 def observe(features: Sequence[str], context: FeatureContext) -> Float[Array, " features"]:
     """Observation: every feature in order, single precision."""
     values = [value for name in features for value in FEATURES.get(name)(context)]
+    if context.xp is scalars:
+        return np.array(values, np.float32)
     return context.xp.stack(values).astype(np.float32)

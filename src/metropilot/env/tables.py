@@ -16,6 +16,7 @@ from metropilot.physics import (
     locate,
     mean_slopes,
     namespace,
+    scalars,
     stack,
     track_arrays,
     vehicle_arrays,
@@ -281,26 +282,42 @@ class SectionRows:
         self.tables = tables
         none = np.zeros(self.count)
         small = tables._replace(node_curves=none, to_go=none, braking_curves=none)
+        if xp is np:
+            count = self.node_curves.shape[1]
+            self._nodes_m = self.start_m[:, None] + self.spacing_m * np.arange(count)
+            self._columns = np.ascontiguousarray(self.node_curves.transpose(0, 2, 1))
         self._shared = _map_tree(lambda a: not traced and bool((a == a[:1]).all()), small, traced=traced)
         if traced:
             self._small = _map_tree(xp.asarray, small, traced=True)
         else:
-            self._small = _map_tree(lambda a: xp.asarray(a[0] if (a == a[:1]).all() else a), small)
+            # single numbers as such on the host: arithmetic on arrays without dimensions is ten times as slow
+            number = (lambda a: a.item() if a.ndim == 0 else a) if xp is np else xp.asarray
+            self._small = _map_tree(lambda a: number(np.asarray(a[0] if (a == a[:1]).all() else a)), small)
 
     def case(self, case: Index) -> SectionTables:
         """The row of a case, without the large tables and with the whole track."""
         return _pick(self._small, self._shared, case)
+
+    def namespace(self, position_m: Scalar) -> Any:  # noqa: ANN401 (a module)
+        """Array namespace for states: JAX's, or NumPy for many positions and ``scalars`` for one."""
+        return scalars if self.xp is np and namespace(position_m) is scalars else self.xp
 
     def node(self, case: Index, position_m: Scalar) -> tuple[Scalar, Scalar]:
         """Last node not beyond a position, and the fraction of the distance to the next."""
         xp = self.xp
         last = self.node_curves.shape[1] - self.ahead.size - 2.0
         steps = (position_m - self.start_m[case]) / self.spacing_m
+        if type(steps) in {float, np.float64}:
+            node = int(min(max(steps, 0.0), last))
+            return node, min(max(steps - node, 0.0), 1.0)
         whole = xp.minimum(xp.maximum(xp.floor(steps), 0.0), last)
         return whole.astype(np.int32), xp.minimum(xp.maximum(steps - whole, 0.0), 1.0)
 
     def curve_at(self, column: int, case: Index, position_m: Scalar) -> Scalar:
         """Value of a column of ``node_curves`` at one or many positions, interpolated."""
+        if self.xp is np and np.ndim(position_m) and np.ndim(case) == 0:
+            curve = self._columns[case, column, : self.node_curves.shape[1] - self.ahead.size]
+            return np.interp(position_m, self._nodes_m[case, : curve.size], curve)
         node, way = self.node(case, position_m)
         here = self.node_curves[case, node, column]
         return here + (self.node_curves[case, node + 1, column] - here) * way
@@ -324,16 +341,20 @@ class SectionRows:
         """
         node, way = self.node(case, position_m)
         here, after = self.braking_curves[case, node, 2:], self.braking_curves[case, node + 1, 2:]
-        return here + (after - here) * way[..., None]
+        return here + (after - here) * (way[..., None] if np.ndim(way) or self.xp is not np else way)
 
     def to_go_s(self, case: Index, distance_m: Scalar, length_m: Scalar, speed_mps: Scalar) -> Scalar:
         """Flat-out time to the stop, bilinear in speed and the square root of the distance left, s."""
-        xp = self.xp
+        xp = self.namespace(distance_m + speed_mps)
         rows, columns = self.to_go.shape[1:]
         u = (rows - 1.0) * xp.sqrt(xp.clip(distance_m / length_m, 0.0, 1.0))
         w = xp.clip(speed_mps / TO_GO_STEP_MPS, 0.0, columns - 1.0)
-        i, j = xp.minimum(xp.floor(u), rows - 2.0), xp.minimum(xp.floor(w), columns - 2.0)
-        u, w, i, j = u - i, w - j, i.astype(np.int32), j.astype(np.int32)
+        if xp is scalars:
+            i, j = min(int(u), rows - 2), min(int(w), columns - 2)
+            u, w = u - i, w - j
+        else:
+            i, j = xp.minimum(xp.floor(u), rows - 2.0), xp.minimum(xp.floor(w), columns - 2.0)
+            u, w, i, j = u - i, w - j, i.astype(np.int32), j.astype(np.int32)
         low = self.to_go[case, i, j] * (1.0 - w) + self.to_go[case, i, j + 1] * w
         high = self.to_go[case, i + 1, j] * (1.0 - w) + self.to_go[case, i + 1, j + 1] * w
         return low * (1.0 - u) + high * u

@@ -25,6 +25,7 @@ class scalars:  # noqa: N801 -- stands where a module does: numpy, jax.numpy, sc
     abs = abs
     exp = np.exp
     sqrt = math.sqrt
+    tanh = math.tanh
 
     @staticmethod
     def maximum(a: Scalar, b: Scalar) -> Scalar:

@@ -62,7 +62,7 @@ class View(NamedTuple):
 
 def view_of(context: FeatureContext, rules: ExpertRules) -> View:
     """Window of the destination, and the effort limits at a state."""
-    xp, vehicle, v = context.xp, context.vehicle, context.speed_mps
+    xp, vehicle, v = context.rows.xp, context.vehicle, context.speed_mps
     mass = vehicle.effective_mass_kg
     drag, traction, brake = context.effort_limits[2:]
     rate = context.command * xp.where(context.command >= 0.0, traction, brake)
@@ -180,5 +180,5 @@ class ExpertChoiceAction(AbstractExpertAction):
     def command(self, context: FeatureContext, action: Array, period_s: float) -> Array:
         """Command of the last rate with the change that the rules allow."""
         return expert_command(
-            context, self.rules, context.xp.asarray(self.changes, np.float32)[action], period_s
+            context, self.rules, context.rows.xp.asarray(self.changes, np.float32)[action], period_s
         )

@@ -59,7 +59,7 @@ class NotchForceAction(AbstractAction):
     def command(self, context: FeatureContext, action: Array, period_s: float) -> Array:
         """Command of the notch, limited to the available force."""
         del period_s
-        force_n = context.xp.asarray(self.notches_n, np.float32)[action]
+        force_n = context.rows.xp.asarray(self.notches_n, np.float32)[action]
         return command_for_force(context.vehicle, context.speed_mps, force_n)
 
     def hold(self, context: FeatureContext, action: Array, command: Array) -> Array:
@@ -77,7 +77,7 @@ class NotchForceAction(AbstractAction):
         """
         if not self.in_time:
             return None
-        xp, vehicle, v = context.xp, context.vehicle, context.speed_mps
+        xp, vehicle, v = context.rows.xp, context.vehicle, context.speed_mps
         resistance, gradient = resistance_and_gradient(vehicle, context.track, context.position_m, v)
         effort = effort_at(vehicle, v)
         notches = xp.asarray(self.notches_n, np.float32)
@@ -94,7 +94,7 @@ class NotchForceAction(AbstractAction):
 
         Where no notch is (another trainset than the table is of), the stop needs the command as it is.
         """
-        xp, effort = context.xp, effort_at(context.vehicle, context.speed_mps)
+        xp, effort = context.rows.xp, effort_at(context.vehicle, context.speed_mps)
         notches = xp.asarray(self.notches_n, np.float32)
         wanted = effort.force_n(command)
         reached = xp.clip(notches, -effort.brake_n, effort.traction_n)
