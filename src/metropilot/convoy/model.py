@@ -289,6 +289,13 @@ class Convoy(ConvoySettings):
             max_deceleration_mps2=min(head.max_deceleration_mps2, LEADER_SHARE * rate),
         )
 
+    def coupled(self) -> tuple[tuple[Trainset, float], ...]:
+        """Nominal trainsets that a coupled head plans for too, and their distances behind it."""
+        if self.guard != "coupled":
+            return ()
+        known = [self.disturbance(k).nominal(each) for k, each in enumerate(self.trainsets)]
+        return tuple((each, -start) for each, start in zip(known, self.starts_m, strict=True))[1:]
+
 
 def extend_limits(section: Section, extra_m: float) -> Section:
     """Extend every speed limit of a section forwards by a distance."""

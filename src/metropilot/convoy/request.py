@@ -14,7 +14,7 @@ from metropilot.convoy.model import TRAINSETS, Convoy, ConvoySettings, Link
 from metropilot.convoy.rollout import ConvoyDrive, HeadRun, drive_convoy
 from metropilot.errors import rename_fields
 from metropilot.evaluate import RunSpec, make_driver, with_options
-from metropilot.planning import minimum_running_time
+from metropilot.planning import joint_minimum_running_time
 from metropilot.sim import Disturbance, Run, drive
 
 
@@ -99,7 +99,9 @@ class ConvoyRequest(ConvoySettings):
             Infeasible: The time is below the convoy's minimum running time, which the message names.
         """
         section, trainset = convoy.leader()
-        fastest_s = minimum_running_time(section, trainset)
+        coupled = convoy.coupled()
+        trainsets, offsets_m = zip((trainset, 0.0), *coupled, strict=True)
+        fastest_s = joint_minimum_running_time(section, trainsets, offsets_m, limits_extended=True)
         alone = self.head.run(fastest_s, "minimum running time of the convoy")
         longer_m = convoy.cleared_after_m
         updates = tuple(
@@ -109,7 +111,7 @@ class ConvoyRequest(ConvoySettings):
             for each in alone.disturbance.updates
         )
         disturbance = replace(convoy.disturbance(0), updates=updates)
-        return replace(alone, section=section, trainset=trainset, disturbance=disturbance)
+        return replace(alone, section=section, trainset=trainset, disturbance=disturbance, coupled=coupled)
 
     def scheduled_time_s(self, convoy: Convoy) -> float:
         """Scheduled running time of the head after every new arrival time."""

@@ -19,6 +19,7 @@ from metropilot.control import (
     Stop,
     StopCurve,
     StopOptions,
+    adapt_trainset,
     adapt_vehicle,
     ceiling_of,
     curve_for,
@@ -37,10 +38,13 @@ from metropilot.errors import SolverError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
 from metropilot.planning import (
     START_STRETCH_M,
+    Coupled,
     Objective,
     Plan,
     PlanOptions,
     check_running_time,
+    couple_trainsets,
+    coupled_acceleration,
     fastest_time,
     plan_arrays,
     plan_speed,
@@ -82,6 +86,8 @@ class OptimalOptions:
         cap_margin_mps: Distance of the plan below the permitted speed.
         reserve_s: Time before the scheduled one at which the plan arrives.
         spacing_m: Mesh of the plan.
+        joint: At the head of a convoy, plan for the trainsets behind too.
+        coupled_use: Share of their efforts that this plan counts on; the rest is for their corrections.
     """
 
     objective: Objective = declare("wheel", choices=get_args(Objective))
@@ -103,6 +109,8 @@ class OptimalOptions:
     cap_margin_mps: float = declare(0.05, unit="m/s", low=0.0, high=5.0)
     reserve_s: float = declare(0.0, unit="s", low=0.0)
     spacing_m: float = declare(12.5, unit="m", low=1.0, high=200.0)
+    joint: bool = declare(True)
+    coupled_use: float = declare(0.97, low=0.0, high=1.0, above=True)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -129,6 +137,7 @@ class FollowingMemory:
         scheduled_s: The scheduled time the plan was made for.
         section: The section the plan was made for.
         planned_at_s: Time at which the plan was made.
+        coupled: Trainsets behind, for which the plan is made too.
     """
 
     trainset: Trainset
@@ -146,6 +155,7 @@ class FollowingMemory:
     scheduled_s: float
     section: Section
     planned_at_s: float
+    coupled: tuple[Coupled, ...] = ()
 
 
 LATE_W = 500.0
@@ -173,11 +183,14 @@ class Optimal(AbstractDriver):
         vehicle, track = vehicle_arrays(trainset), track_arrays(run.section, trainset)
         model = Model(vehicle, track, run.dt)
         ceiling = ceiling_of(run, run.section, self.options.cap_margin_mps)
-        options = self._plan_options(model, ceiling)
-        check_running_time(run.scheduled_time_s, fastest_time(vehicle, track, PlanOptions()))
-        careful = adapt_vehicle(vehicle, Adaptation(brake=self._brake_use(vehicle, Adaptation(), ceiling)))
+        coupled = self._couple(run, run.section)
+        options = self._plan_options(model, ceiling, coupled)
+        least = PlanOptions(coupled=_couple(run, run.section, Adaptation()))
+        check_running_time(run.scheduled_time_s, fastest_time(vehicle, track, least))
+        use = self._brake_use(vehicle, Adaptation(), ceiling, coupled)
+        careful = adapt_vehicle(vehicle, Adaptation(brake=use))
         plan = _plan(careful, track, run.scheduled_time_s - self.options.reserve_s, options)
-        curve = self._curve(model, plan, ceiling)
+        curve = self._curve(model, plan, ceiling, coupled)
         return FollowingMemory(
             trainset=trainset,
             run=run,
@@ -194,6 +207,7 @@ class Optimal(AbstractDriver):
             scheduled_s=run.scheduled_time_s,
             section=run.section,
             planned_at_s=0.0,
+            coupled=coupled,
         )
 
     def act(self, memory: FollowingMemory, observation: Observation) -> tuple[float, FollowingMemory]:
@@ -251,7 +265,7 @@ class Optimal(AbstractDriver):
         """The deceleration the stop may count on; infinite while it is far off."""
         if stop.required_mps2 < WATCHED_SHARE * memory.curve.deceleration_mps2:
             return math.inf
-        use = self._brake_use(memory.model.vehicle, memory.adapted, memory.ceiling)
+        use = self._brake_use(memory.model.vehicle, memory.adapted, memory.ceiling, memory.coupled)
         return use * deceleration_to(memory.model, memory.estimate, stop)
 
     def _brake(self, memory: FollowingMemory, stop: Stop) -> float:
@@ -269,12 +283,13 @@ class Optimal(AbstractDriver):
         start = max(ahead.position_m, float(plan.position_m[0]))
         then = plan_speed(plan, start + max(step, 1e-3))
         planned = (then * then - here * here) / (2 * max(step, 1e-3))
-        if np.isfinite(memory.model.vehicle.jerk_mps3):
+        if np.isfinite(lowest_jerk(memory.model.vehicle, memory.coupled)):
             planned = ramped_acceleration(plan, start + 0.5 * step)
         if float(plan.speed_mps[0]) == 0.0 and start - float(plan.position_m[0]) < START_STRETCH_M:
             planned = pull_away(plan, start + step)
         wanted = planned + self.options.speed_gain_per_s * (here - ahead.speed_mps)
         most = min(memory.ceiling.approach(ahead), float(memory.model.vehicle.max_acceleration_mps2))
+        most = min(most, coupled_acceleration(memory.coupled, ahead.position_m, ahead.speed_mps))
         wanted = max(min(wanted, most), -float(memory.model.vehicle.max_deceleration_mps2))
         effort = wanted + ahead.resistance_mps2 + ahead.gradient_mps2
         k = min(
@@ -315,22 +330,23 @@ class Optimal(AbstractDriver):
     def _replan(self, memory: FollowingMemory, observation: Observation) -> FollowingMemory:
         """Make a plan from the current state, with the estimated plant."""
         model, estimate = memory.model, memory.estimate
-        ceiling = memory.ceiling
+        ceiling, coupled = memory.ceiling, memory.coupled
         if observation.section is not memory.section:
             model = model._replace(track=track_arrays(observation.section, memory.trainset))
             ceiling = ceiling_of(memory.run, observation.section, self.options.cap_margin_mps)
+            coupled = self._couple(memory.run, observation.section)
         adapted = self._adaptation(estimate)
         # What is in flight cannot be changed: the plan begins where a command given now begins to act.
         ahead = look_ahead(model, estimate)
         clock_s = observation.time_s + ahead.seconds
         left = max(observation.scheduled_time_s - self.options.reserve_s - clock_s, 1.0)
         options = replace(
-            self._plan_options(model, ceiling),
+            self._plan_options(model, ceiling, coupled),
             start_m=max(ahead.position_m, 0.0),
             start_mps=max(ahead.speed_mps, 0.0),
             start_mps2=ahead.acceleration_mps2,
         )
-        use = self._brake_use(model.vehicle, adapted, ceiling)
+        use = self._brake_use(model.vehicle, adapted, ceiling, coupled)
         vehicle = adapt_vehicle(model.vehicle, adapted._replace(brake=adapted.brake * use))
         updated = replace(
             memory,
@@ -341,40 +357,49 @@ class Optimal(AbstractDriver):
             planned_at_s=observation.time_s,
             adapted=adapted,
             braking=False,
+            coupled=coupled,
         )
         try:
             plan = _plan(vehicle, model.track, left, options, memory.plan)
         except SolverError:
             return updated
-        return replace(updated, plan=plan, clock_s=clock_s, curve=self._curve(model, plan, ceiling))
+        return replace(updated, plan=plan, clock_s=clock_s, curve=self._curve(model, plan, ceiling, coupled))
 
     def _adaptation(self, estimate: StateEstimate) -> Adaptation:
         """Plant to plan with: the estimated one, with a brake no stronger than nominal."""
         return Adaptation(estimate.traction_gain, min(estimate.brake_gain, 1.0), estimate.resistance_factor)
 
-    def _brake_use(self, vehicle: Vehicle, adapted: Adaptation, ceiling: Ceiling) -> float:
+    def _couple(self, run: Run, section: Section) -> tuple[Coupled, ...]:
+        """The trainsets behind, with the part of their efforts that the plan counts on."""
+        use = self.options.coupled_use
+        return _couple(run, section, Adaptation(use, use)) if self.options.joint else ()
+
+    def _brake_use(
+        self, vehicle: Vehicle, adapted: Adaptation, ceiling: Ceiling, coupled: tuple[Coupled, ...]
+    ) -> float:
         """Share of the braking force to plan with."""
-        nominal = ceiling.late_s == 0.0 and abs(adapted.traction - 1.0) <= SURPRISE
+        nominal = not acts_late(ceiling, coupled) and abs(adapted.traction - 1.0) <= SURPRISE
         sure = nominal and weighs_load(vehicle, spare=1.0)
         return self.options.brake_use if sure else self.options.careful_brake_use
 
-    def _release_share(self, ceiling: Ceiling) -> float:
-        """Jerk of the last brake's release over the trainset's limit."""
-        return self.options.late_release_share if ceiling.late_s > 0.0 else self.options.release_share
+    def _release_share(self, ceiling: Ceiling, coupled: tuple[Coupled, ...]) -> float:
+        """Jerk of the last brake's release over the lowest jerk limit."""
+        late = acts_late(ceiling, coupled)
+        return self.options.late_release_share if late else self.options.release_share
 
-    def _curve(self, model: Model, plan: Plan, ceiling: Ceiling) -> StopCurve:
+    def _curve(self, model: Model, plan: Plan, ceiling: Ceiling, coupled: tuple[Coupled, ...]) -> StopCurve:
         """The stop the plan ends with: the deceleration it brakes at before it lets go."""
-        vehicle = model.vehicle
+        vehicle = model.vehicle._replace(jerk_mps3=lowest_jerk(model.vehicle, coupled))
         braking = -np.diff(plan.speed_mps**2) / (2 * np.diff(plan.position_m))
         last = plan.position_m[1:] > float(plan.position_m[-1]) - LAST_STRETCH_M
         rate = float(braking[last].max())
         rate = min(max(rate, 0.3), float(vehicle.max_deceleration_mps2))
-        shape = StopOptions(release_share=self._release_share(ceiling))
+        shape = StopOptions(release_share=self._release_share(ceiling, coupled))
         return curve_for(vehicle, model.dt, rate, shape)
 
-    def _plan_options(self, model: Model, ceiling: Ceiling) -> PlanOptions:
-        """Plans allow for the jerk limit, and stay below the ceiling over a control period."""
-        jerk = float(model.vehicle.jerk_mps3)
+    def _plan_options(self, model: Model, ceiling: Ceiling, coupled: tuple[Coupled, ...]) -> PlanOptions:
+        """Plans allow for the lowest jerk limit, and stay below the ceiling over a control period."""
+        jerk = lowest_jerk(model.vehicle, coupled)
         limited = bool(np.isfinite(jerk))
         cap = ceiling.speed_mps
         held = int(np.ceil(float(cap.max()) * model.dt))
@@ -384,10 +409,29 @@ class Optimal(AbstractDriver):
             spacing_m=self.options.spacing_m,
             late_w=LATE_W,
             jerk_mps3=jerk if limited else None,
-            release_mps3=self._release_share(ceiling) * jerk if limited else None,
+            release_mps3=self._release_share(ceiling, coupled) * jerk if limited else None,
             cap_m=ceiling.position_m,
             cap_mps=np.min(late, axis=0),
+            coupled=coupled,
         )
+
+
+def _couple(run: Run, section: Section, adapted: Adaptation) -> tuple[Coupled, ...]:
+    """Trainsets coupled behind that of a run, with their efforts scaled."""
+    behind = [adapt_trainset(trainset, adapted) for trainset, _ in run.coupled]
+    at = [offset_m for _, offset_m in run.coupled]
+    return couple_trainsets(section, [run.trainset, *behind], [0.0, *at], limits_extended=True)
+
+
+def lowest_jerk(vehicle: Vehicle, coupled: tuple[Coupled, ...]) -> float:
+    """Lowest jerk limit of a trainset and of those coupled behind it, m/s^3."""
+    return min(float(each.jerk_mps3) for each in (vehicle, *(each.vehicle for each in coupled)))
+
+
+def acts_late(ceiling: Ceiling, coupled: tuple[Coupled, ...]) -> bool:
+    """True if the commands of a trainset, or of one coupled behind it, act after a dead time or a lag."""
+    behind = max((float(each.vehicle.delay_s + each.vehicle.lag_s) for each in coupled), default=0.0)
+    return max(ceiling.late_s, behind) > 0.0
 
 
 def _plan(

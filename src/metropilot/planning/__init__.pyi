@@ -14,6 +14,7 @@ from .fastest import fastest_profile as fastest_profile
 from .fastest import round_up_time as round_up_time
 from .fastest import tabulate_time_to_go as tabulate_time_to_go
 from .joint import couple_trainsets as couple_trainsets
+from .joint import coupled_acceleration as coupled_acceleration
 from .joint import joint_minimum_running_time as joint_minimum_running_time
 from .joint import joint_plan as joint_plan
 from .journey import Call as Call

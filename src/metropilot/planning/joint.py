@@ -6,16 +6,22 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
+
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning.effort_table import specific
-from metropilot.planning.mesh import Coupled, shift_track
+from metropilot.planning.mesh import Coupled, mean_slopes_at, shift_track
 from metropilot.planning.optimal import Plan, PlanOptions, fastest_time, optimal_plan
 from metropilot.railway import Section, Trainset
 
 
 def couple_trainsets(
-    section: Section, trainsets: Sequence[Trainset], offsets_m: Sequence[float]
+    section: Section,
+    trainsets: Sequence[Trainset],
+    offsets_m: Sequence[float],
+    *,
+    limits_extended: bool = False,
 ) -> tuple[Coupled, ...]:
     """Trainsets coupled behind the head, as ``PlanOptions.coupled`` takes them.
 
@@ -23,6 +29,8 @@ def couple_trainsets(
         section: Section.
         trainsets: Trainsets with their loads, the head first.
         offsets_m: Distance of the front of each from that of the head: 0 of the head itself, then increasing.
+        limits_extended: True if the section's limits hold for the head until the last has cleared them: then
+            those behind add only their design speeds.
 
     Raises:
         InputError: No trainset, or the distances do not fit.
@@ -41,8 +49,28 @@ def couple_trainsets(
         else:
             vehicle = vehicle_arrays(trainset)
             table = specific(vehicle)
-        found.append(Coupled(vehicle, table, shift_track(track_arrays(section, trainset), offset_m)))
+        track = track_arrays(section, trainset)
+        if limits_extended:
+            top = np.full_like(track.limit_mps, trainset.max_speed_mps)
+            track = track._replace(
+                limit_from_m=np.where(track.limit_from_m < np.inf, -np.inf, np.inf), limit_mps=top
+            )
+        found.append(Coupled(vehicle, table, shift_track(track, offset_m)))
     return tuple(found)
+
+
+def coupled_acceleration(coupled: Sequence[Coupled], position_m: float, speed_mps: float) -> float:
+    """Largest acceleration that every coupled trainset has at a position and a speed of the head, m/s^2."""
+    least = np.inf
+    for each in coupled:
+        table, vehicle = each.table, each.vehicle
+        gradient, curve, tunnel = mean_slopes_at(vehicle, each.track, np.array([position_m]))[0]
+        slope = vehicle.mass_kg / vehicle.effective_mass_kg * (vehicle.gravity_mps2 * gradient + curve)
+        a, b, c = table.davis
+        drag = a + speed_mps * (b + speed_mps * (c + tunnel / table.mass_kg)) + slope
+        traction = np.interp(speed_mps, table.speed_mps, table.traction)
+        least = min(least, table.acceleration, float(traction - drag))
+    return float(least)
 
 
 def joint_plan(
@@ -74,7 +102,11 @@ def joint_plan(
 
 
 def joint_minimum_running_time(
-    section: Section, trainsets: Sequence[Trainset], offsets_m: Sequence[float]
+    section: Section,
+    trainsets: Sequence[Trainset],
+    offsets_m: Sequence[float],
+    *,
+    limits_extended: bool = False,
 ) -> float:
     """Running time of the flat-out run of a convoy whose trainsets keep their distances, s.
 
@@ -82,9 +114,11 @@ def joint_minimum_running_time(
         section: Section.
         trainsets: Trainsets with their loads, the head first.
         offsets_m: As for :func:`joint_plan`.
+        limits_extended: As for :func:`couple_trainsets`.
 
     Raises:
         InputError: No trainset, or the distances do not fit.
     """
-    options = PlanOptions(coupled=couple_trainsets(section, trainsets, offsets_m))
+    coupled = couple_trainsets(section, trainsets, offsets_m, limits_extended=limits_extended)
+    options = PlanOptions(coupled=coupled)
     return fastest_time(vehicle_arrays(trainsets[0]), track_arrays(section, trainsets[0]), options)

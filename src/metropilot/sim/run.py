@@ -38,6 +38,8 @@ class Run:
         disturbance: Disturbance, unknown to the driver.
         dt: Control period, s.
         seed: Seed of all random numbers of the run.
+        coupled: Nominal trainsets virtually coupled behind, each with the distance of its front from that of
+            this trainset. The section's limits hold until the last of them has cleared them.
     """
 
     section: Section
@@ -46,6 +48,7 @@ class Run:
     disturbance: Disturbance = field(default_factory=Disturbance)
     dt: float = declare(CONTROL_PERIOD_S, "Control period.", unit="s", low=0.01, high=1.0)
     seed: int = 0
+    coupled: tuple[tuple[Trainset, float], ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
