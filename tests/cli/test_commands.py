@@ -155,6 +155,23 @@ def test_a_convoy_leaves_a_trajectory_of_every_trainset(typed, tmp_path):
     assert not (tmp_path / "out" / "trajectory-4.csv").exists()
 
 
+def test_a_convoy_is_driven_again(typed, tmp_path):
+    """Every value of a request is in its file: masses, a link that loses, options, a restriction."""
+    words = ("--trainset", "cheng2023", "--time", "125", "--mass-factors", "1,1.1", "--link-delay", "0.3")
+    words += ("--link-loss", "0.1", "--set", "time_gap_s=0.5", "--restriction", "400-600@50@20")
+    words += ("--seed", "3", "--speed-noise", "0.02")
+    asked = ("convoy", "yizhuang", "YZQ", "WHY", *words, "--out", "out", "--json")
+    code = typed(*asked).code
+    kpis = json.loads((tmp_path / "out" / "kpis.json").read_text())
+    again = answer(typed("convoy", "--from", "out/run.json", "--out", "again", "--json"), code)
+    for told in (kpis, again):
+        for member in told["trainsets"]:
+            del member["decision_time_us_median"]
+    assert again == kpis
+    runs = [json.loads((tmp_path / name / "run.json").read_text())["run"] for name in ("out", "again")]
+    assert runs[0] == runs[1]
+
+
 def test_plan_of_a_run(metropilot, tmp_path):
     plan = answer(metropilot("plan", *RUN, "--out", tmp_path, "--json"))
     assert plan["running_time_s"] == pytest.approx(101, abs=0.01)

@@ -37,6 +37,9 @@ BAD = [
     ((*RUN, "--seed", "-1"), "seed"),
     ((*RUN, "--from", "run.toml"), "at once"),
     (("drive", "--from", "nowhere/run.toml"), "cannot be read"),
+    (("convoy", "--from", "nowhere/run.json"), "cannot be read"),
+    (("convoy", "yizhuang", "--from", "run.json"), "at once"),
+    (("convoy", "yizhuang", "RJ"), "LINE ORIGIN DESTINATION, or --from RUN.JSON"),
     ((*RUN, "--nonsense"), "No such option"),
     (("drvie",), "Did you mean 'drive'"),
     (("compare", "yizhuang", "RJ", "WYJ", "--drivers", ","), "no driver given"),
@@ -175,6 +178,30 @@ def test_a_complaint_about_a_run_file_names_file_and_key(metropilot, tmp_path, t
     said = metropilot("drive", "--from", path)
     assert (said.code, said.err.count("\n")) == (2, 1)
     assert f"{path}: {words}" in said.err
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[]", 'no object "run"'),
+        ('{"run": {}}', 'no "head"'),
+        ("{", "not a run.json of a convoy ("),
+        ('{"run": {"head": {HEAD}, "gap_m": 0}}', "run.gap_m: out of range: 0.0 m (allowed: 0.5 to 2000 m)"),
+        ('{"run": {"head": {HEAD}, "gap": 8}}', "run.gap: unknown key"),
+        ('{"run": {"head": {HEAD, "lag_s": 9}}}', "run.head.lag_s: out of range"),
+        ('{"run": {"head": {HEAD}, "link": {"loss": 2}}}', "run.link.loss: out of range"),
+        ('{"run": {"head": {HEAD}, "disturbances": [{"delay_s": 9}]}}', "run.disturbances.0.delay_s: out of"),
+        ('{"run": {"head": {HEAD}, "follower": "follow"}}', "run.follower: unknown follower"),
+        ('{"run": {"head": {HEAD, "time_s": 10}}}', "run.head.time_s: minimum running time of the convoy is"),
+    ],
+)
+def test_a_complaint_about_a_convoy_file_names_file_and_key(metropilot, tmp_path, text, words):
+    path = tmp_path / "run.json"
+    path.write_text(text.replace("HEAD", '"line": "yizhuang", "origin": "RJ", "destination": "WYJ"'))
+    said = metropilot("convoy", "--from", path)
+    assert (said.code, said.err.count("\n")) == (2, 1)
+    assert said.err.startswith(f"metropilot: {path}: ")
+    assert words in said.err
 
 
 def test_too_few_steps_are_refused_with_the_least_there_are(metropilot, tmp_path):

@@ -12,7 +12,7 @@ import typer
 from metropilot._schema import FieldSpec, field_default, field_specs, field_type
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, number, print_json, requirements, show_activity, table
-from metropilot.convoy import ConvoyRequest, Link
+from metropilot.convoy import ConvoyRequest, Link, convoy_from_json, in_run_json
 from metropilot.errors import InputError, rename_fields
 from metropilot.sim import Disturbance
 
@@ -25,6 +25,7 @@ EXAMPLES = {
         "metropilot convoy yizhuang RJ WYJ --time 115 --driver follow_mpc --link-delay 0.3 --out convoy",
         "metropilot convoy yizhuang RJ WYJ --time 130 --start-gap 200 --uncouple-at 900",
         "metropilot convoy yizhuang YZQ WHY --trainset cheng2023 --mass-factors 1,1.2 --head-emergency 40",
+        "metropilot convoy --from convoy/run.json",
     ),
 }
 CONVOY, LINK = "The convoy", "The link between trainsets"
@@ -41,9 +42,12 @@ def _convoy_options() -> Iterator[Parameter]:
 
 @opt.with_run_options("driver", more=tuple(_convoy_options()), dt_s=0.1)
 def convoy_command(
-    line: opt.LineArgument,
-    origin: opt.OriginArgument,
-    destination: opt.DestinationArgument,
+    line: Annotated[str | None, opt.LINE] = None,
+    origin: Annotated[str | None, opt.ORIGIN] = None,
+    destination: Annotated[str | None, opt.DESTINATION] = None,
+    again: Annotated[
+        Path | None, typer.Option("--from", metavar="RUN.JSON", help="Repeat the run of this file.")
+    ] = None,
     mass_factors: Annotated[
         str | None,
         typer.Option(
@@ -61,6 +65,11 @@ def convoy_command(
     Disturbances act on every trainset. Exit code 0: every trainset met every requirement shown; 1: not;
     2: invalid input.
     """
+    opt.check_source(again, "run.json", line, origin, destination)
+    if again is not None:
+        request = convoy_from_json(again)
+        with in_run_json(again):
+            return run_and_report(request, out, as_json=as_json)
     values = {name: given.pop(name) for name in ("options", *field_specs(ConvoyRequest))}
     values["link"] = {name: given.pop(f"link_{name}") for name in field_specs(Link)}
     values["head"] = {"line": line, "origin": origin, "destination": destination}

@@ -9,7 +9,6 @@ import typer
 
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, number, print_json, requirements, show_activity, table
-from metropilot.errors import InputError
 from metropilot.units import KMH_PER_MPS
 
 if TYPE_CHECKING:
@@ -42,15 +41,11 @@ def drive_command(
     """
     from metropilot.evaluate import RunSpec, in_run_toml, run_from_toml
 
+    opt.check_source(again, "run.toml", line, origin, destination)
     if again is not None:
-        if line is not None:
-            raise InputError("a line and a run.toml cannot be driven at once", field="from", value=str(again))
         spec = run_from_toml(again)
         with in_run_toml(again):
             return run_and_report(spec, out, as_json=as_json)
-    if line is None or origin is None or destination is None:
-        missing = "line" if line is None else "origin" if origin is None else "destination"
-        raise InputError("missing", field=missing, allowed="LINE ORIGIN DESTINATION, or --from RUN.TOML")
     spec = RunSpec.from_values({"line": line, "origin": origin, "destination": destination, **given})
     return run_and_report(spec, out, as_json=as_json)
 

@@ -13,6 +13,7 @@ import typer
 
 from metropilot._schema import FieldSpec
 from metropilot.cli import complete
+from metropilot.errors import InputError
 
 Command = TypeVar("Command", bound=Callable[..., int])
 UNIT = re.compile(r"_(s|m|mps|mps2|mps3|mb)$")
@@ -39,6 +40,27 @@ COMPLETIONS = {
     "follower": complete.followers,
 }
 POSITIONAL = ("line", "origin", "destination")
+
+
+def check_source(again: Path | None, file: str, *ends: str | None) -> None:
+    """Check that a command was given a line and two stations, or a file whose run it repeats.
+
+    Args:
+        again: The file.
+        file: Name that such a file has.
+        ends: Line, origin and destination.
+
+    Raises:
+        InputError: Neither is given in full, or both are.
+    """
+    if again is not None:
+        if ends[0] is not None:
+            raise InputError(f"a line and a {file} cannot be driven at once", field="from", value=str(again))
+        return
+    for name, end in zip(POSITIONAL, ends, strict=True):
+        if end is None:
+            allowed = f"LINE ORIGIN DESTINATION, or --from {file.upper()}"
+            raise InputError("missing", field=name, allowed=allowed)
 
 
 def with_run_options(

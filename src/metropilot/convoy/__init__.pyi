@@ -32,6 +32,8 @@ from .model import LinkQuality as LinkQuality
 from .model import convoy_members as convoy_members
 from .pettingzoo import ConvoyParallelEnv as ConvoyParallelEnv
 from .request import ConvoyRequest as ConvoyRequest
+from .request import convoy_from_json as convoy_from_json
+from .request import in_run_json as in_run_json
 from .rollout import ConvoyDrive as ConvoyDrive
 from .rollout import ConvoyRollout as ConvoyRollout
 from .rollout import HeadRun as HeadRun

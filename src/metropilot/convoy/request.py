@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from metropilot._io import read_text
 from metropilot._schema import FieldSpec, check_fields, declare, field_specs, from_table
 from metropilot.convoy.drivers import FOLLOWERS, AbstractFollower
 from metropilot.convoy.model import TRAINSETS, Convoy, ConvoySettings, Link
 from metropilot.convoy.rollout import ConvoyDrive, HeadRun, drive_convoy
-from metropilot.errors import rename_fields
-from metropilot.evaluate import RunSpec, make_driver, with_options
+from metropilot.errors import InputError, rename_fields
+from metropilot.evaluate import RunSpec, locate_files, locate_policy, make_driver, run_fields, with_options
 from metropilot.planning import joint_minimum_running_time
 from metropilot.sim import Disturbance, Run, drive
 
@@ -157,6 +161,41 @@ class ConvoyRequest(ConvoySettings):
         ]
         values = own | {"head": self.head.values(), "link": asdict(self.link), "disturbances": given}
         return _finite(values)
+
+
+def convoy_from_json(path: Path) -> ConvoyRequest:
+    """Read a convoy back from the `run.json` of its folder; paths in it count from that folder.
+
+    Raises:
+        InputError: Not readable, not a `run.json`, an unknown key (the nearest one is named) or a value of
+            the wrong kind or outside its range.
+    """
+    try:
+        table = json.loads(read_text(path, "from"))["run"]
+    except InputError:
+        raise
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        reason = 'no object "run"' if isinstance(error, KeyError | TypeError) else str(error)
+        raise InputError(f"not a run.json of a convoy ({reason})", file=path, field="from") from None
+    if not isinstance(table, dict) or not isinstance(table.get("head"), dict):
+        raise InputError('not a run.json of a convoy (no "head" in "run")', file=path, field="from")
+    with in_run_json(path, table):
+        request = ConvoyRequest.from_values(table)
+    options = locate_policy(request.options, path.parent)
+    return replace(request, head=locate_files(request.head, path.parent), options=options)
+
+
+def in_run_json(path: Path, table: Mapping[str, Any] | None = None) -> AbstractContextManager[None]:
+    """Let errors about a convoy that was read from a `run.json` name the file and the key in it."""
+    table = table or {}
+    own = {*field_specs(ConvoyRequest), *table} - {"head"}
+    names = {key: f"run.head.{key}" for key in (*run_fields(), *table.get("head", ()))}
+    names |= {key: f"run.{key}" for key in own}
+    names |= {f"link_{key}": f"run.link.{key}" for key in (*field_specs(Link), *table.get("link", ()))}
+    for k, each in enumerate(table.get("disturbances", ())):
+        keys = (*field_specs(Disturbance), *each)
+        names |= {f"disturbances.{k}.{key}": f"run.disturbances.{k}.{key}" for key in keys}
+    return rename_fields(names | {"set": "run.options"}, path)
 
 
 def _finite(value: Any) -> Any:  # noqa: ANN401 (plain values)

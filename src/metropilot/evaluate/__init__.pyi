@@ -48,6 +48,8 @@ from .run_spec import RunSpec as RunSpec
 from .run_spec import in_run_toml as in_run_toml
 from .run_spec import is_file as is_file
 from .run_spec import key_type as key_type
+from .run_spec import locate_files as locate_files
+from .run_spec import locate_policy as locate_policy
 from .run_spec import run_fields as run_fields
 from .run_spec import run_from_toml as run_from_toml
 from .style import BLACK as BLACK

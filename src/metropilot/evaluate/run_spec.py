@@ -321,15 +321,25 @@ def run_from_toml(path: Path) -> RunSpec:
         raise InputError("not a run.toml (no table [run])", file=path, field="from")
     with in_run_toml(path, *table):
         spec = RunSpec.from_values(table)
-    places: dict[str, Any] = {k: str(path.parent / v) for k in FILES if is_file(v := getattr(spec, k))}
-    policy = spec.options.get(POLICY)
-    if isinstance(policy, str) and policy:
-        from metropilot.policy import policy_path
+    return locate_files(spec, path.parent)
 
-        near = path.parent / policy
-        meant = near if near.exists() else policy_path(policy)
-        places["options"] = {**spec.options, POLICY: str(meant if meant.exists() else near)}
-    return replace(spec, **places)
+
+def locate_files(spec: RunSpec, folder: Path) -> RunSpec:
+    """The same run with line, trainset and policy files found from a folder."""
+    places: dict[str, Any] = {k: str(folder / v) for k in FILES if is_file(v := getattr(spec, k))}
+    return replace(spec, **places, options=locate_policy(spec.options, folder))
+
+
+def locate_policy(options: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
+    """Options of a driver with its policy file found from a folder, or a learning run of that id."""
+    policy = options.get(POLICY)
+    if not isinstance(policy, str) or not policy:
+        return options
+    from metropilot.policy import policy_path
+
+    near = folder / policy
+    meant = near if near.exists() else policy_path(policy)
+    return {**options, POLICY: str(meant if meant.exists() else near)}
 
 
 def in_run_toml(path: Path, *keys: str) -> AbstractContextManager[None]:
