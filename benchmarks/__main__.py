@@ -1,6 +1,16 @@
 """Run all benchmarks, or those named: ``python -m benchmarks plant --write docs/benchmarks.md``."""
 
-from benchmarks import learn, learned, plan, plant, startup, task
+from benchmarks import joint_plan, learn, learned, plan, plant, startup, task
 from benchmarks.report import run
 
-run([plan.BENCHMARK, plant.BENCHMARK, startup.BENCHMARK, task.BENCHMARK, learn.BENCHMARK, learned.BENCHMARK])
+run(
+    [
+        plan.BENCHMARK,
+        joint_plan.BENCHMARK,
+        plant.BENCHMARK,
+        startup.BENCHMARK,
+        task.BENCHMARK,
+        learn.BENCHMARK,
+        learned.BENCHMARK,
+    ]
+)
