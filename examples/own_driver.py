@@ -51,7 +51,7 @@ class Cruise(AbstractDriver):
             coasts = ahead.speed_mps >= hold
             wanted = control.ceiling_acceleration(model, ahead, ceiling, 99.0 if coasts else hold, curve)
             most = 0.0 if coasts else control.traction_limit(estimate, ahead, ceiling)
-            share = min(control.share_for(estimate, ahead, wanted), most)
+            share = min(ahead.share_for(wanted), most)
         memory = memory._replace(estimate=control.record_command(estimate, share))
         return share, memory._replace(hold_mps=hold, braking=braking)
 

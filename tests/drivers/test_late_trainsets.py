@@ -15,6 +15,8 @@ PLACES = {
     "short": ("yizhuang", "YZHC", "CQ", 113.119),
     "brisk": ("yizhuang-ttobench", "CQN", "CQ", 92.762),
     "slow period": ("yizhuang", "YZQ", "WHY", 91.466),
+    "heavy": ("yizhuang", "RJ", "WYJ", 115.121),
+    "second": ("yizhuang", "SJZ", "XC", 190.0),
 }
 
 
@@ -36,6 +38,15 @@ PLACES = {
         # a dead time that is no whole number of periods
         ("optimal", "dkz32@0.3,0.2", "AW3", "steep", 0.5),
         ("optimal", "drawn-0-1@0.6,0.4", "most", "slow period", 1.0),
+        ("generalist", "drawn-0-5@0.3,0.2", "most", "heavy", 1.0),
+        ("generalist", "drawn-0-1@0.3,0.2", "most", "slow period", 1.0),
+        ("ston", "drawn-0-1@0.6,0.4", "most", "slow period", 1.0),
+        ("optimal", "dkz32@0.3,0.2", None, "second", 1.0),
+        ("optimal", "dkz32@0.5,0.3", None, "second", 1.0),
+        ("optimal", "dkz32@0.7,0.3", None, "second", 1.0),
+        ("generalist", "dkz32@0.6,0.4", None, "second", 0.5),
+        ("generalist", "dkz32@0.7,0.3", None, "second", 1.0),
+        ("eitoe", "dkz32@0.7,0.3", None, "second", 1.0),
     ],
 )
 def test_stops_at_the_mark_and_in_time(driver, trainset, load, place, dt):

@@ -8,7 +8,6 @@ from metropilot.control import (
     initial_estimate,
     look_ahead,
     record_command,
-    share_for,
     update_estimate,
 )
 from metropilot.physics import Command, at_rest, delay_steps, step, track_arrays, vehicle_arrays
@@ -78,7 +77,7 @@ def test_share_for_gives_the_acceleration_asked_for():
     model, rows = driven(Disturbance(ideal=False), COMMANDS)
     estimate, state = rows[60]
     ahead = look_ahead(model, estimate)
-    share = share_for(estimate, ahead, 0.3)
+    share = ahead.share_for(0.3)
     after = step(model.vehicle, model.track, state, Command(np.float64(share), False), DT)
     # Within what the jerk limit lets change in one period.
     limit = float(model.vehicle.jerk_mps3) * DT

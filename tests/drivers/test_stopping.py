@@ -17,7 +17,6 @@ from metropilot.control import (
     record_command,
     release,
     required_deceleration,
-    share_for,
     stop_command,
     update_estimate,
     weakest_gradient,
@@ -108,7 +107,7 @@ def stopped(trainset, scenario, seed):
         if held or stop.required_mps2 >= comfortable:
             held, share = comfortable, stop.share
         else:
-            share = share_for(estimate, ahead, float(np.clip(0.5 * (speed - ahead.speed_mps), -0.5, 0.9)))
+            share = ahead.share_for(float(np.clip(0.5 * (speed - ahead.speed_mps), -0.5, 0.9)))
         estimate = record_command(estimate, share)
         state = step(vehicle, track, state, Command(np.float64(share), False), DT)
         if held:

@@ -19,7 +19,6 @@ from .estimator import StateEstimate as StateEstimate
 from .estimator import initial_estimate as initial_estimate
 from .estimator import look_ahead as look_ahead
 from .estimator import record_command as record_command
-from .estimator import share_for as share_for
 from .estimator import update_estimate as update_estimate
 from .estimator import weighs_load as weighs_load
 from .incremental_pid import CHENG2023_GAINS as CHENG2023_GAINS
@@ -32,12 +31,12 @@ from .prediction import Model as Model
 from .prediction import Motion as Motion
 from .prediction import PredictedState as PredictedState
 from .prediction import actuation_of as actuation_of
-from .prediction import lead_command as lead_command
 from .prediction import predict_motion as predict_motion
 from .stopping import AT_ONCE_MPS3 as AT_ONCE_MPS3
 from .stopping import SERVICE_USE as SERVICE_USE
 from .stopping import STOP_OPTIONS as STOP_OPTIONS
 from .stopping import STRONGEST_MPS2 as STRONGEST_MPS2
+from .stopping import WATCHED_SHARE as WATCHED_SHARE
 from .stopping import Stop as Stop
 from .stopping import StopCurve as StopCurve
 from .stopping import StopDemand as StopDemand
@@ -55,4 +54,5 @@ from .stopping import required_with_build_up as required_with_build_up
 from .stopping import stand as stand
 from .stopping import stop_command as stop_command
 from .stopping import stop_deceleration as stop_deceleration
+from .stopping import way_in_period as way_in_period
 from .stopping import weakest_gradient as weakest_gradient

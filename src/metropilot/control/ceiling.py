@@ -57,6 +57,7 @@ class Ceiling(NamedTuple):
         reaction_s: Time for which protection assumes that an acceleration continues, s.
         quadratic: Coefficient of the further gain of speed while it decays, s^3/m.
         late_s: Largest dead time and lag of a service command, s.
+        period_s: Control period, s.
     """
 
     guard: Protection
@@ -65,6 +66,7 @@ class Ceiling(NamedTuple):
     reaction_s: float
     quadratic: float
     late_s: float
+    period_s: float
 
     @property
     def look_s(self) -> float:
@@ -91,6 +93,9 @@ class Ceiling(NamedTuple):
     def approach(self, ahead: PredictedState) -> float:
         """Largest acceleration at a predicted state, m/s^2."""
         here_mps = float(np.interp(ahead.position_m, self.position_m, self.speed_mps))
+        if ahead.part > 0.0:
+            # A part of the command acts for another period, whatever the next one says.
+            here_mps = min(here_mps, self.at(ahead.position_m, 2.0 * ahead.speed_mps * self.period_s))
         return self.acceleration_under(here_mps - ahead.speed_mps)
 
 
@@ -127,6 +132,7 @@ def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ce
         reaction_s=ratio * (float(rates.reaction_s) + late),
         quadratic=0.5 * ratio**2 / float(rates.jerk_mps3) + 0.5 / jerk,
         late_s=late,
+        period_s=run.dt,
     )
 
 

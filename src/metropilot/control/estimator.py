@@ -12,8 +12,8 @@ The model, per unit of nominal effective mass (Huang25 eqs. 3 and 4, Chen23a eq.
     a = gain_traction * f_traction(u, v) + gain_brake * f_brake(u, v) - factor * r(x, v) - g(x)
 
 All functions are pure over :class:`StateEstimate`. One control period calls :func:`update_estimate`, then
-:func:`look_ahead` and :func:`share_for` as needed, then :func:`record_command` with the command that was
-given.
+:func:`look_ahead` and ``share_for`` of the state it predicts as needed, then :func:`record_command` with the
+command that was given.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from numpy import ndarray
 
 from metropilot._typing import Float
 from metropilot.control.prediction import (
-    LAG_LEAD,
     Model,
     Motion,
     PredictedState,
     acting_command,
+    periods_before,
     predict_motion,
 )
 from metropilot.physics import Vehicle, curve_n, effort_limits
@@ -290,14 +290,12 @@ def _learn(model: Model, estimate: StateEstimate, answer: float) -> tuple[Hypoth
     return learned, best
 
 
-def look_ahead(model: Model, estimate: StateEstimate, coming: float | None = None) -> PredictedState:
+def look_ahead(model: Model, estimate: StateEstimate) -> PredictedState:
     """Predict the state when a command given now begins to act, with the commands still in the pipeline.
 
     Args:
         model: Nominal trainset and section.
         estimate: State and plant as estimated.
-        coming: Command given now: with a dead time that is no whole number of periods, a part of it acts
-            before that state. None: the last one goes on.
     """
     bank, best = estimate.bank, estimate.best
     age, keep = float(bank.delay_steps[best]), float(bank.keep[best])
@@ -310,27 +308,11 @@ def look_ahead(model: Model, estimate: StateEstimate, coming: float | None = Non
     if age > 0:
         acting = up * traction, down * brake, drag * resistance + gradient
         commands, jerk = estimate.commands.tolist(), float(model.vehicle.jerk_mps3)
-        motion = predict_motion(motion, commands, age, keep, acting, jerk, model.dt, coming)
+        motion = predict_motion(motion, commands, age, keep, acting, jerk, model.dt)
         limits = effort_limits(model.vehicle, model.track, motion.position_m, motion.speed_mps)
         resistance, gradient, _, traction, brake = map(float, limits)
+    before = periods_before(age)
+    actuation = float(estimate.commands[0]), max(age - before, 0.0), keep
     return PredictedState(
-        math.ceil(age) * model.dt, *motion, drag * resistance, gradient, up * traction, down * brake
+        before * model.dt, *motion, *actuation, drag * resistance, gradient, up * traction, down * brake
     )
-
-
-def share_for(
-    estimate: StateEstimate, ahead: PredictedState, wanted_mps2: float, lead: float = LAG_LEAD
-) -> float:
-    """Command for an acceleration at the moment when it begins to act.
-
-    Args:
-        estimate: State and plant as estimated.
-        ahead: The state at that moment, from :func:`look_ahead`.
-        wanted_mps2: Wanted acceleration.
-        lead: Share of the lag that is compensated by a larger command, in [0, 1].
-
-    Returns:
-        A command in [-1, 1].
-    """
-    effort = wanted_mps2 + ahead.resistance_mps2 + ahead.gradient_mps2
-    return ahead.command_for(effort, float(estimate.bank.keep[estimate.best]), lead)

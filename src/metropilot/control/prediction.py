@@ -1,7 +1,8 @@
 """Prediction over dead time, lag and jerk limit: the state when a command given now begins to act.
 
 All drivers compensate the actuation with it (Huang25 eq. 4, Chen23a eq. 1). A dead time that is not a whole
-number of periods blends two commands, as the plant does.
+number of periods blends two commands, as the plant does: a command acts with one part in a first period and
+with the rest in the second. It is meant for the period in which at least half of it acts.
 """
 
 from __future__ import annotations
@@ -17,6 +18,15 @@ from metropilot.physics import Track, Vehicle, command_for_effort, namespace, sc
 
 LAG_LEAD = 0.7
 """Share of the lag that is compensated by a larger command; full compensation would amplify noise."""
+
+
+def periods_before(delay_steps: float) -> int:
+    """Whole periods from a command to the one in which at least half of it acts.
+
+    Args:
+        delay_steps: Dead time in control periods, not always whole.
+    """
+    return math.ceil(delay_steps - 0.5)
 
 
 class Model(NamedTuple):
@@ -42,6 +52,9 @@ class PredictedState(NamedTuple):
         speed_mps: Speed.
         acceleration_mps2: Acceleration in the period before.
         share: Command after delay and lag in the period before.
+        older: Command given in the period before.
+        part: Part of that command that acts beside a command given now.
+        keep: Share of the old effort that remains after a period of lag.
         resistance_mps2: Estimated resistance there, per effective mass, factor included.
         gradient_mps2: Gradient force there, per effective mass, positive uphill.
         traction_mps2: Largest traction there, per effective mass, gain included.
@@ -53,21 +66,46 @@ class PredictedState(NamedTuple):
     speed_mps: float
     acceleration_mps2: float
     share: float
+    older: float
+    part: float
+    keep: float
     resistance_mps2: float
     gradient_mps2: float
     traction_mps2: float
     brake_mps2: float
 
-    def command_for(self, effort_mps2: float, keep: float, lead: float = LAG_LEAD) -> float:
+    def command_for(self, effort_mps2: float, lead: float = LAG_LEAD) -> float:
         """Command for a wheel effort per effective mass at the moment when it begins to act, in [-1, 1].
 
         Args:
             effort_mps2: Effort, traction positive.
-            keep: Share of the old effort that remains after a period of lag.
             lead: Share of the lag that is compensated by a larger command, in [0, 1].
         """
-        share = command_for_effort(effort_mps2, self.traction_mps2, self.brake_mps2)
-        return lead_command(share, self.share, keep, lead)
+        return self.lead(command_for_effort(effort_mps2, self.traction_mps2, self.brake_mps2), lead)
+
+    def share_for(self, wanted_mps2: float, lead: float = LAG_LEAD) -> float:
+        """Command for an acceleration at that moment, in [-1, 1].
+
+        Args:
+            wanted_mps2: Wanted acceleration.
+            lead: Share of the lag that is compensated by a larger command, in [0, 1].
+        """
+        return self.command_for(wanted_mps2 + self.resistance_mps2 + self.gradient_mps2, lead)
+
+    def lead(self, share: float, lead: float = LAG_LEAD) -> float:
+        """Command that compensates part of the lag and of the older command, in [-1, 1].
+
+        Args:
+            share: Command that should act.
+            lead: Share of both that is compensated, in [0, 1].
+        """
+        kept, beside = lead * self.keep, lead * self.part
+        acting = (share - kept * self.share) / (1.0 - kept)
+        low, high = -1.0, 1.0
+        if beside > 0.0:
+            # No traction where braking should act, nor the reverse: all of it acts a period later.
+            low, high = low * (acting < 0.0), high * (acting > 0.0)
+        return min(max((acting - beside * self.older) / (1.0 - beside), low), high)
 
 
 class Motion(NamedTuple):
@@ -100,8 +138,13 @@ class CommandActuation(NamedTuple):
 
     @property
     def seconds(self) -> float:
-        """Whole periods until a command given now begins to act."""
-        return math.ceil(self.delay_steps) * self.dt
+        """Whole periods until a command given now begins to act, s."""
+        return periods_before(self.delay_steps) * self.dt
+
+    @property
+    def part(self) -> float:
+        """Part of the command before it that acts beside a command given now."""
+        return max(self.delay_steps - periods_before(self.delay_steps), 0.0)
 
     def issue(self, command: float) -> CommandActuation:
         """Add a command for the coming period."""
@@ -141,7 +184,6 @@ def predict_motion(
     limits_mps2: tuple[float, float, float],
     jerk_mps3: float,
     dt: float,
-    coming: float | None = None,
 ) -> Motion:
     """Predict the motion when a command given now begins to act.
 
@@ -154,15 +196,13 @@ def predict_motion(
             prediction, which is short.
         jerk_mps3: Jerk limit.
         dt: Control period, s.
-        coming: Command of this period; None: not known yet.
     """
     x, v, a, share = motion
     traction, brake, drag = limits_mps2
     room = jerk_mps3 * dt
-    for k in range(math.ceil(delay_steps)):
-        # Where the command of this period acts in part and is not known yet, the newest goes on.
-        age = delay_steps - k
-        acting = acting_command([commands[0] if coming is None else coming, *commands], age)
+    for k in range(periods_before(delay_steps)):
+        # Where less than half of this period's command acts, which is not known yet, the newest goes on.
+        acting = acting_command([commands[0], *commands], delay_steps - k)
         share = acting + (share - acting) * keep
         wanted = share * (traction if share > 0.0 else brake) - drag
         a = min(max(wanted, a - room), a + room)
@@ -170,16 +210,3 @@ def predict_motion(
         after = max(v + a * dt, 0.0)
         x, v = x + 0.5 * (v + after) * dt, after
     return Motion(x, v, a, share)
-
-
-def lead_command(share: float, acting: float, keep: float, lead: float = LAG_LEAD) -> float:
-    """Command that compensates part of the trainset's lag, in [-1, 1].
-
-    Args:
-        share: Command that should act.
-        acting: Command after delay and lag in the period before.
-        keep: Share of the old effort that remains after a period of lag.
-        lead: Share of the lag that is compensated, in [0, 1].
-    """
-    kept = lead * keep
-    return min(max((share - kept * acting) / (1.0 - kept), -1.0), 1.0)

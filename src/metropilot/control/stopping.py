@@ -28,7 +28,7 @@ from typing import Any, NamedTuple, no_type_check
 import numpy as np
 
 from metropilot._typing import Scalar
-from metropilot.control.estimator import StateEstimate, look_ahead, share_for
+from metropilot.control.estimator import StateEstimate, look_ahead
 from metropilot.control.prediction import Model, PredictedState
 from metropilot.physics import Vehicle, effort_at, namespace, resistance_and_gradient, scalars
 
@@ -40,10 +40,8 @@ STRONGEST_MPS2 = 3.0
 """Deceleration larger than that of any brake, for a target that is too near to stop at."""
 LEAST_MPS2 = 0.05
 """Least deceleration that is solved for; a stop never begins with less."""
-PART = 0.01
-"""Part of a control period in a dead time that is not neglected."""
-PARTIAL_PASSES = 3
-"""Passes for a command of which a part acts before the state it is computed for."""
+WATCHED_SHARE = 0.5
+"""Below this share of the planned deceleration the stop is not near enough to ask what the brake can give."""
 NEAREST_M = 1e-3
 """Distance below which the target is reached."""
 
@@ -67,6 +65,7 @@ class StopOptions:
         hold_mps2: Least deceleration requested at standstill, m/s^2.
         creep_mps: Speed below which the stop is no longer corrected within ``creep_m``, m/s.
         creep_m: Distance to the target below which a creeping trainset is stopped, m.
+        past_m: Farther past the target than this it is better to stand with all the jerk limit allows, m.
         draw_up_mps2: Acceleration toward the target from a standstill short of it, m/s^2.
         draw_up_share: Share of that acceleration; drawing up ends when a deceleration of this size would
             stop at the target.
@@ -87,6 +86,7 @@ class StopOptions:
     hold_mps2: float = 0.1
     creep_mps: float = 0.06
     creep_m: float = 0.0
+    past_m: float = 0.1
     draw_up_mps2: float = 0.3
     draw_up_share: float = 0.3
     lag_ramp: bool = True
@@ -352,6 +352,8 @@ def stop_deceleration(
     xp = namespace(v, acceleration_mps2, s, curve.end_mps2)
     required, falling = required_with_build_up(v, acceleration_mps2, s, curve, 0.0, options)
     gain = xp.where(curve.release_jerk_mps3 < AT_ONCE_MPS3, options.return_gain, options.at_once_gain)
+    # A departure is not corrected at the cost of the last periods: they would have to make up for it.
+    gain = gain * xp.clip(0.5 * v / (xp.maximum(required, LEAST_MPS2) * dt) - 1.0, 0.0, 1.0)
     held = xp.maximum(required + gain * (required - curve.deceleration_mps2), 0.0)
     released = required - 0.5 * falling * dt
     last = v * v / (2.0 * xp.maximum(s, NEAREST_M))
@@ -361,7 +363,24 @@ def stop_deceleration(
     creeps = (v < options.creep_mps) & (s < options.creep_m)
     wanted = xp.where(creeps, xp.maximum(wanted, options.hold_mps2), wanted)
     wanted = xp.where(s > NEAREST_M, wanted, STRONGEST_MPS2)
-    return StopDemand(xp.minimum(wanted, strongest(v, curve, dt, options)), required, falling)
+    wanted = xp.minimum(wanted, strongest(v, curve, dt, options))
+    # A release within two periods is too coarse to end at the target: a constant deceleration does, and a
+    # trainset that would go past the target stands with all that the jerk limit allows.
+    drop = xp.minimum(curve.build_jerk_mps3 / options.build_share, AT_ONCE_MPS3) * dt
+    ends = (s > options.push_m) & (s <= v * dt) & (last <= drop)
+    past = (v > 0.0) & (way_in_period(v, wanted, dt) > s + options.past_m)
+    wanted = xp.where(ends, last, wanted)
+    wanted = xp.where(past, xp.maximum(xp.minimum(last, drop), wanted), wanted)
+    return StopDemand(wanted, required, falling)
+
+
+@no_type_check
+def way_in_period(speed_mps: Scalar, deceleration_mps2: Scalar, dt: float) -> Scalar:
+    """Distance gone in a period, or to the stand in it, m."""
+    xp = namespace(speed_mps, deceleration_mps2)
+    v, b = speed_mps, deceleration_mps2
+    stands_s = xp.minimum(v / xp.maximum(b, 1e-9), dt)
+    return (v - 0.5 * b * stands_s) * stands_s
 
 
 @no_type_check
@@ -388,12 +407,15 @@ class Stop(NamedTuple):
         share: The command.
         required_mps2: Deceleration that must be held for the curve to end at the target, build-up included;
             braking begins when it reaches the planned deceleration.
+        later_mps2: The same if braking waits another period; it begins before that exceeds what the brake
+            gives.
         ahead: Predicted state for which it was computed.
         left_m: Distance to the target from that state.
     """
 
     share: float
     required_mps2: float
+    later_mps2: float
     ahead: PredictedState
     left_m: float
 
@@ -414,34 +436,20 @@ def stop_command(
         curve: Shape of the stop; deviations from its deceleration are corrected with a small gain.
         options: Constants of the stop.
     """
-    stop = _stop_from(look_ahead(model, estimate), model, estimate, target_m, curve, options)
-    if float(estimate.bank.delay_steps[estimate.best]) % 1.0 > PART:
-        # A part of the command acts before the state it is computed for: a fixed point, with damping.
-        share = stop.share
-        for _ in range(PARTIAL_PASSES):
-            stop = _stop_from(look_ahead(model, estimate, share), model, estimate, target_m, curve, options)
-            share = 0.5 * (share + stop.share)
-        stop = stop._replace(share=share)
-    return stop
-
-
-def _stop_from(
-    ahead: PredictedState,
-    model: Model,
-    estimate: StateEstimate,
-    target_m: float,
-    curve: StopCurve,
-    options: StopOptions,
-) -> Stop:
-    """Command of this period from the state in which it begins to act; see :func:`stop_command`."""
+    ahead = look_ahead(model, estimate)
     v, distance = ahead.speed_mps, target_m - ahead.position_m
     if v <= 0 and distance < options.inch_m:
         wanted = -max(curve.end_mps2, options.hold_mps2)
-        return Stop(share_for(estimate, ahead, wanted), 0.0, ahead, distance)
+        return Stop(ahead.share_for(wanted), 0.0, 0.0, ahead, distance)
     if draws_up(v, distance, options):
-        return Stop(share_for(estimate, ahead, options.draw_up_mps2), 0.0, ahead, distance)
+        return Stop(ahead.share_for(options.draw_up_mps2), 0.0, 0.0, ahead, distance)
     demand = stop_deceleration(v, ahead.acceleration_mps2, distance, curve, model.dt, options)
-    return Stop(share_for(estimate, ahead, -demand.wanted_mps2), demand.required_mps2, ahead, distance)
+    required = later = float(demand.required_mps2)
+    if required >= WATCHED_SHARE * curve.deceleration_mps2:
+        a = ahead.acceleration_mps2
+        waits_m = way_in_period(v, min(-a, 0.0), model.dt)
+        later = float(required_with_build_up(v, a, distance - waits_m, curve, 0.0, options)[0])
+    return Stop(ahead.share_for(-demand.wanted_mps2), required, later, ahead, distance)
 
 
 def draws_up(speed_mps: float, distance_m: float, options: StopOptions = STOP_OPTIONS) -> bool:
@@ -480,7 +488,6 @@ def deceleration_to(model: Model, estimate: StateEstimate, stop: Stop) -> float:
 
 def stand(
     model: Model,
-    estimate: StateEstimate,
     stop: Stop,
     near_enough_m: float,
     creep_m: float,
@@ -490,7 +497,6 @@ def stand(
 
     Args:
         model: Nominal trainset and section.
-        estimate: State and plant as estimated.
         stop: The stop from :func:`stop_command`.
         near_enough_m: Largest stop error that is accepted without a correction in the last period.
         creep_m: Distance to the target below which a creeping trainset is stopped.
@@ -500,7 +506,7 @@ def stand(
     rate, drop = -ahead.acceleration_mps2, float(model.vehicle.jerk_mps3) * dt
     last = 0 < ahead.speed_mps <= rate * dt and rate <= drop
     if last and abs(left_m - ahead.speed_mps**2 / (2 * rate)) <= near_enough_m:
-        return share_for(estimate, ahead, -rate)
+        return ahead.share_for(-rate)
     if ahead.speed_mps < options.creep_mps and abs(left_m) < creep_m and math.isfinite(drop):
-        return share_for(estimate, ahead, -options.drop_share * drop)
+        return ahead.share_for(-options.drop_share * drop)
     return stop.share

@@ -17,7 +17,6 @@ from metropilot.control import (
     model_of,
     record_command,
     required_with_build_up,
-    share_for,
     stop_command,
     traction_limit,
     update_estimate,
@@ -96,7 +95,7 @@ class FlatOut(AbstractDriver):
         )
         if required >= comfortable:
             return stop_command(model, estimate, target, curve).share, comfortable
-        return min(share_for(estimate, ahead, wanted), traction_limit(estimate, ahead, memory.ceiling)), 0.0
+        return min(ahead.share_for(wanted), traction_limit(estimate, ahead, memory.ceiling)), 0.0
 
     def _follow_updates(self, memory: FlatOutMemory, observation: Observation) -> FlatOutMemory:
         """Take note of a restriction announced on the way."""

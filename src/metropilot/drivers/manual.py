@@ -37,7 +37,6 @@ from metropilot.control import (
     model_of,
     record_command,
     required_with_build_up,
-    share_for,
     stop_command,
     time_to_go,
     traction_limit,
@@ -246,7 +245,7 @@ def _decide(memory: ManualMemory) -> tuple[float, Intent]:
     sooner = ahead._replace(position_m=ahead.position_m + ahead.speed_mps * hand_s)
     limited = ceiling_acceleration(model, sooner, memory.ceiling, math.inf, curve)
     if limited < -0.05:
-        return _to_notch(min(share_for(estimate, ahead, limited), 0.0)), intent._replace(powering=False)
+        return _to_notch(min(ahead.share_for(limited), 0.0)), intent._replace(powering=False)
     return _hold_speed(memory, ahead, limited)
 
 
@@ -262,7 +261,7 @@ def _hold_speed(memory: ManualMemory, ahead: PredictedState, limited_mps2: float
         return -GENTLE_BRAKE, intent._replace(powering=False)
     if not powering:
         return 0.0, intent._replace(powering=False)
-    full = share_for(memory.estimate, ahead, limited_mps2)
+    full = ahead.share_for(limited_mps2)
     share = full if missing > 6.0 * band else min(full, HOLD_NOTCH)
     share = min(share, traction_limit(memory.estimate, ahead, memory.ceiling))
     return _to_notch(share), intent._replace(powering=True)

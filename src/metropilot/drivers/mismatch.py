@@ -28,7 +28,6 @@ from metropilot.control import (
     initial_estimate,
     largest_admissible_command,
     record_command,
-    share_for,
     stand,
     stop_command,
     update_estimate,
@@ -51,6 +50,8 @@ CAREFUL_USE = 0.97
 """Share of the policy's own station-stop deceleration that is planned with."""
 BEGIN = 0.97
 """The station-stop braking begins where it needs this share of the deceleration planned."""
+LATEST = 1.05
+"""...or where it would need this share of it after another period."""
 LET_GO = 0.75
 """Below this share of it the braking was too early, and the policy drives on..."""
 LET_GO_M = 60.0
@@ -194,7 +195,7 @@ def limit_to_ceiling(monitor: PlantMonitor, ahead: PredictedState, share: float,
     if monitor.protection is None:
         return share
     most = min(monitor.protection.ceiling.approach(ahead), most_mps2)
-    return min(share, share_for(monitor.estimate, ahead, most))
+    return min(share, ahead.share_for(most))
 
 
 def station_stop_braking(
@@ -215,8 +216,8 @@ def station_stop_braking(
     left = stop.left_m
     early = stop.required_mps2 < LET_GO * rate and left > LET_GO_M
     short = stop.ahead.speed_mps <= 0 and left > LET_GO_M
-    begins = stop.required_mps2 >= BEGIN * rate
-    share = stand(model, monitor.estimate, stop, NEAR_ENOUGH_M, NEAR_ENOUGH_M, options)
+    begins = stop.required_mps2 >= BEGIN * rate or stop.later_mps2 >= LATEST * planned_mps2
+    share = stand(model, stop, NEAR_ENOUGH_M, NEAR_ENOUGH_M, options)
     return (begins or (stopping and not early)) and not short, share, stop.ahead
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from metropilot._schema import check_fields, declare
 from metropilot.control import (
     STOP_OPTIONS,
+    WATCHED_SHARE,
     Adaptation,
     Ceiling,
     Model,
@@ -28,7 +29,6 @@ from metropilot.control import (
     largest_admissible_command,
     look_ahead,
     record_command,
-    share_for,
     stand,
     stop_command,
     update_estimate,
@@ -163,8 +163,8 @@ LAST_METRES_M = 8.0
 CREEP_M = 0.05
 LAST_STRETCH_M = 30.0
 EARLY_S = 1e-6
-WATCHED_SHARE = 0.5
-"""Below this share of the planned deceleration the stop is not near enough to ask what the brake can give."""
+LATEST = 1.05
+"""Braking begins where waiting a period would take more than this share of the largest deceleration."""
 SURPRISE = 0.05
 """A traction gain this far from 1 says that the mass is not nominal."""
 
@@ -257,9 +257,8 @@ class Optimal(AbstractDriver):
             needed = self.options.careful_alarm * rate
         else:
             needed = rate if left <= self.options.handover_m else self.options.alarm * rate
-        # Where the brake has nothing to spare, half a period's wait is more than it can make up for.
-        due = stop.required_mps2 * left / max(left - 0.5 * stop.ahead.speed_mps * memory.model.dt, 0.1)
-        return bool(left <= LAST_METRES_M or stop.required_mps2 >= needed or due >= available_mps2)
+        most = min(available_mps2, LATEST * float(memory.model.vehicle.max_deceleration_mps2))
+        return bool(left <= LAST_METRES_M or stop.required_mps2 >= needed or stop.later_mps2 >= most)
 
     def _available(self, memory: FollowingMemory, stop: Stop) -> float:
         """The deceleration the stop may count on; infinite while it is far off."""
@@ -270,7 +269,7 @@ class Optimal(AbstractDriver):
 
     def _brake(self, memory: FollowingMemory, stop: Stop) -> float:
         """The stop's command; in the last period the deceleration in force, where it ends near enough."""
-        return stand(memory.model, memory.estimate, stop, self.options.near_enough_m, CREEP_M)
+        return stand(memory.model, stop, self.options.near_enough_m, CREEP_M)
 
     def _follow(self, memory: FollowingMemory) -> float:
         """The command that keeps to the plan's speed at the state where it begins to act."""
@@ -299,7 +298,7 @@ class Optimal(AbstractDriver):
         coasts = (plan.traction_n[k] + plan.brake_n[k]) / mass < 1e-3
         if coasts and abs(effort) < self.options.coast_band_mps2:
             return 0.0
-        return share_for(memory.estimate, ahead, wanted)
+        return ahead.share_for(wanted)
 
     def _departs(self, memory: FollowingMemory, observation: Observation) -> bool:
         """Tell if the run has left the plan in force."""

@@ -28,7 +28,6 @@ from metropilot.control import (
     curve_for,
     initial_estimate,
     largest_admissible_command,
-    lead_command,
     look_ahead,
     model_of,
     record_command,
@@ -214,7 +213,7 @@ class AbstractTracker(AbstractDriver):
         if memory.stop is not None:
             share = self._stop(memory, memory.stop).share
         else:
-            share = lead_command(memory.command, ahead.share, float(estimate.bank.keep[estimate.best]))
+            share = ahead.lead(memory.command)
         share, supervision = largest_admissible_command(
             memory.ceiling.guard, memory.supervision, observation.position_m, observation.speed_mps, share
         )

@@ -185,7 +185,7 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
         seen = _rate_inputs(memory, observation, ahead, curve)
         rate = _rate(memory, seen, change(seen))
         effort = _keep_safe(memory, observation, ahead, rate)
-        share = ahead.command_for(effort, actuation.keep)
+        share = ahead.command_for(effort)
     memory = memory._replace(
         actuation=actuation.issue(share),
         hoa=hoa._replace(braking=braking),

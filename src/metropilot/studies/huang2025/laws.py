@@ -35,7 +35,6 @@ from metropilot._schema import check_fields, declare
 from metropilot._typing import Array
 from metropilot.control import (
     STOP_OPTIONS,
-    STRONGEST_MPS2,
     Ceiling,
     CommandActuation,
     Model,
@@ -46,6 +45,7 @@ from metropilot.control import (
     predict_motion,
     required_with_build_up,
     stop_deceleration,
+    way_in_period,
 )
 from metropilot.physics import effort_at, mean_slopes, scalars
 from metropilot.planning import TO_GO_STEP_MPS, tabulate_time_to_go
@@ -379,7 +379,8 @@ class ExpertTrack(NamedTuple):
             x, v = motion.position_m, motion.speed_mps
             limits = self.traction(v), brake_gain * self.brake(v), self.drag(x, v)
         traction, brake, drag = limits
-        return PredictedState(actuation.seconds, *motion, drag, 0.0, traction, brake)
+        lagging = actuation.commands[0], actuation.part, actuation.keep
+        return PredictedState(actuation.seconds, *motion, *lagging, drag, 0.0, traction, brake)
 
 
 def expert_track(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTrack:
@@ -593,8 +594,6 @@ COARSE = 0.05
 """A period in which braking changes the speed by more than twice this share is no measure of distance."""
 DRAW_UP_M = 8.0
 """A trainset that stands no farther short of the stop than this is drawn up to it."""
-PAST_M = 0.1
-"""Farther past the stop than this it is better to stand with all the jerk limit allows."""
 
 
 class Hoa(NamedTuple):
@@ -692,31 +691,21 @@ def stop_share(
     """
     v, distance, plan = ahead.speed_mps, ground.length_m - ahead.position_m, curve.deceleration_mps2
     if v <= 0.0 and distance < STOP_OPTIONS.inch_m:
-        return ahead.command_for(-max(curve.end_mps2, STOP_OPTIONS.hold_mps2), actuation.keep), True
+        return ahead.command_for(-max(curve.end_mps2, STOP_OPTIONS.hold_mps2)), True
     if hoa.braking and ahead.acceleration_mps2 >= 0.0 and draws_up(v, distance):
         # After an intervention the trainset stands short of the stop: far from it the rules drive on.
         if distance > DRAW_UP_M:
             return 0.0, False
         wanted = STOP_OPTIONS.draw_up_mps2 + ahead.resistance_mps2
-        return ahead.command_for(wanted, actuation.keep), True
+        return ahead.command_for(wanted), True
     if not hoa.braking and v * v < 2.0 * NEAR * plan * max(distance - 2.0 * v, 0.5):
         return 0.0, False
     dt, a = actuation.dt, ahead.acceleration_mps2
     if not hoa.braking:
         early_m = v * (0.5 * actuation.lag_s + 0.25 * dt)
         sooner, _ = required_with_build_up(v, a, distance - early_m, curve)
-        later, _ = required_with_build_up(v, a, distance - _way(v, -max(a, 0.0), dt), curve)
+        later, _ = required_with_build_up(v, a, distance - way_in_period(v, -max(a, 0.0), dt), curve)
         if sooner < plan and later <= plan / USE:
             return 0.0, False
     wanted = stop_deceleration(v, a, distance, curve, dt).wanted_mps2
-    if _way(v, wanted, dt) > distance + PAST_M:
-        short = v * v / (2.0 * distance) if distance > 0.0 else STRONGEST_MPS2
-        wanted = max(wanted, min(short, curve.build_jerk_mps3 * dt))
-    return ahead.command_for(ahead.resistance_mps2 - wanted, actuation.keep), True
-
-
-def _way(speed_mps: float, deceleration_mps2: float, dt: float) -> float:
-    """Distance gone in a period, or to the stand in it."""
-    if speed_mps <= deceleration_mps2 * dt:
-        return 0.5 * speed_mps * speed_mps / deceleration_mps2 if deceleration_mps2 > 0.0 else 0.0
-    return (speed_mps - 0.5 * deceleration_mps2 * dt) * dt
+    return ahead.command_for(ahead.resistance_mps2 - wanted), True
