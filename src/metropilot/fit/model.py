@@ -1,7 +1,8 @@
-"""Speed of a trainset over a run for many sets of parameters at once: the plant's own force balance.
+"""Speed of a trainset over a run for many sets of parameters at once, by the force balance of the plant.
 
-The same equations as :func:`metropilot.physics.step` (acceleration held over a step, dead time, lag, jerk
-limit, standstill), with what the log tells about the track read off beforehand. A test compares the two.
+Efforts, jerk limit, resistance and standstill are the functions of :mod:`metropilot.physics`. Dead time and
+lag are estimated numbers here, and the track is what the log tells of it, read off beforehand; a test
+compares the result with :func:`metropilot.physics.step`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,15 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from metropilot.fit.runs import Runs
-from metropilot.physics import Vehicle, curve_n
+from metropilot.physics import (
+    Effort,
+    Vehicle,
+    curve_n,
+    davis_n,
+    limit_effort,
+    stays_at_rest,
+    wheel_force,
+)
 
 TABLE_STEP_MPS = 0.01
 """Step of the tables of the effort curves."""
@@ -62,16 +71,13 @@ def simulate_speeds(
     sets = parameters.delay_s.size
     delays, which = np.unique(parameters.delay_s, return_inverse=True)
     given = np.stack([runs.input_over(0.0 if effort else float(delay)) for delay in delays])[which]
-    mass = (vehicle.mass_kg * parameters.mass_factor)[:, None]
-    inertia = (vehicle.effective_mass_kg * parameters.mass_factor)[:, None]
-    a, b, c = (np.asarray(x)[:, None] for x in parameters[2:5])
+    plants, effort_of = _true_plants(vehicle, parameters), _EffortTable(vehicle, parameters)
+    rolls_off = np.isin(np.arange(steps), runs.starts[runs.rolling])
     keep = parameters.keep[:, None]
-    force_of = _WheelForce(vehicle, parameters)
     outside = vehicle.gravity_mps2 * runs.gradient + runs.curve_n_per_kg
     speeds = np.empty((steps + 1, sets, count))
     speed = np.array(np.broadcast_to(start_mps, (sets, count)), dtype=float)
     share, accel = given[:, 0].copy(), np.zeros((sets, count))
-    room = float(vehicle.jerk_mps3) * runs.step_s
     for k in range(steps):
         speeds[k] = speed
         acting = given[:, k]
@@ -79,20 +85,19 @@ def simulate_speeds(
         before = k < runs.starts
         if before.all():
             continue
-        resisting = a + speed * (b + speed * (c + runs.tunnel_n_per_mps2[k])) + mass * outside[k]
-        if effort:
-            wanted = (share - resisting) / inertia
-        else:
-            traction, brake = force_of(speed)
-            wanted = (np.where(share > 0.0, share * traction, share * brake) - resisting) / inertia
-            if np.isfinite(room):
-                # A run that begins at speed has no acceleration yet: the first step is free.
-                reach = np.where((k == runs.starts) & runs.rolling, np.inf, room)
-                wanted = np.clip(wanted, accel - reach, accel + reach)
-                wanted = np.clip(wanted, (-brake - resisting) / inertia, (traction - resisting) / inertia)
-        held = (speed <= 0.0) & ((wanted <= 0.0) | (share <= 0.0))
+        resisting = davis_n(plants, speed) + runs.tunnel_n_per_mps2[k] * speed * speed
+        resisting = resisting + plants.mass_kg * outside[k]
+        force = share
+        if not effort:
+            plant = plants
+            if rolls_off[k]:
+                # A run that begins at speed has no acceleration yet: its first step is free.
+                first = (k == runs.starts) & runs.rolling
+                plant = plants._replace(jerk_mps3=np.where(first, np.inf, vehicle.jerk_mps3))
+            force = wheel_force(plant, accel, effort_of(plant, speed), share, False, resisting, runs.step_s)
+        wanted = (force - resisting) / plants.effective_mass_kg
+        moving = ~(stays_at_rest(speed, wanted, share) | before)
         after = np.maximum(speed + wanted * runs.step_s, 0.0)
-        moving = ~(held | before)
         accel = np.where(moving, wanted, 0.0)
         speed = np.where(moving, after, np.where(before, speed, 0.0))
     speeds[steps] = speed
@@ -101,32 +106,41 @@ def simulate_speeds(
     return (first + (second - first) * runs.row_part[:, None]).T
 
 
-class _WheelForce:
-    """Largest traction and service braking force at each speed, for every set of parameters.
+def _true_plants(vehicle: Vehicle, parameters: PlantParameters) -> Vehicle:
+    """The plant of every set of parameters; its numbers have the shape (sets, 1)."""
+    mass, brake = (np.asarray(x)[:, None] for x in parameters[:2])
+    weighed = bool(np.isfinite(vehicle.service_n))
+    return vehicle._replace(
+        mass_kg=vehicle.mass_kg * mass,
+        effective_mass_kg=vehicle.effective_mass_kg * mass,
+        adhesion_n=vehicle.adhesion_n * mass,
+        service_n=vehicle.service_n * mass * brake if weighed else vehicle.service_n,
+        friction_n=vehicle.friction_n * (1.0 if weighed else brake),
+        davis_n=np.stack([np.asarray(x)[:, None] for x in parameters[2:5]]),
+    )
 
-    The curves are tabulated every centimetre per second: fetched tens of thousands of times, they would
-    otherwise take most of the time of a fit.
+
+class _EffortTable:
+    """Forces available at each speed, the curves tabulated every centimetre per second.
+
+    They are looked up tens of thousands of times, and would otherwise take most of the time of a fit.
     """
 
     def __init__(self, vehicle: Vehicle, parameters: PlantParameters) -> None:
-        mass, brake = (np.asarray(x)[:, None] for x in parameters[:2])
-        self.adhesion = vehicle.adhesion_n * mass
         weighed = bool(np.isfinite(vehicle.service_n))
-        self.service = vehicle.service_n * mass * brake if weighed else np.inf
-        self.brake_gain = 1.0 if weighed else brake
+        self.brake_gain = 1.0 if weighed else np.asarray(parameters.brake_factor)[:, None]
         speeds = np.arange(0.0, 1.5 * float(vehicle.max_speed_mps), TABLE_STEP_MPS)
         traction = curve_n(vehicle.traction_from_mps, vehicle.traction, speeds)
-        brakes = curve_n(vehicle.brake_from_mps, vehicle.brake, speeds) + vehicle.friction_n
-        self.table = np.stack([traction[:-1], brakes[:-1]])
-        self.slope = np.stack([np.diff(traction), np.diff(brakes)])
+        electric = curve_n(vehicle.brake_from_mps, vehicle.brake, speeds)
+        self.table = np.stack([traction[:-1], electric[:-1]])
+        self.slope = np.stack([np.diff(traction), np.diff(electric)])
 
-    def __call__(self, speed: Float[ndarray, "sets runs"]) -> tuple[ndarray, ndarray]:
+    def __call__(self, plants: Vehicle, speed: Float[ndarray, "sets runs"]) -> Effort:
         place = speed * (1.0 / TABLE_STEP_MPS)
         index = np.minimum(place.astype(np.intp), self.table.shape[1] - 1)
         part = np.minimum(place - index, 1.0)
-        traction, full = (
+        traction, electric = (
             values.take(index) + slopes.take(index) * part
             for values, slopes in zip(self.table, self.slope, strict=True)
         )
-        brake = np.minimum(np.minimum(full * self.brake_gain, self.service), self.adhesion)
-        return np.minimum(traction, self.adhesion), brake
+        return limit_effort(plants, traction, electric * self.brake_gain)

@@ -26,6 +26,7 @@ from .forces import davis_n as davis_n
 from .forces import effort_at as effort_at
 from .forces import effort_limits as effort_limits
 from .forces import electric_available_n as electric_available_n
+from .forces import limit_effort as limit_effort
 from .forces import map_value as map_value
 from .forces import mean_slopes as mean_slopes
 from .forces import resistance_and_gradient as resistance_and_gradient
@@ -45,7 +46,9 @@ from .plant import at_rest as at_rest
 from .plant import delay_steps as delay_steps
 from .plant import limit_deceleration as limit_deceleration
 from .plant import push_command as push_command
+from .plant import stays_at_rest as stays_at_rest
 from .plant import step as step
+from .plant import wheel_force as wheel_force
 from .types import Forces as Forces
 from .types import State as State
 from .types import Track as Track

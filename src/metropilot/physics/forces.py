@@ -65,12 +65,17 @@ class Effort(NamedTuple):
 
 def effort_at(vehicle: Vehicle, speed_mps: Scalar) -> Effort:
     """The three forces available at a speed, each curve looked up once."""
-    xp = namespace(vehicle.adhesion_n, speed_mps)
     traction = curve_n(vehicle.traction_from_mps, vehicle.traction, speed_mps)
     electric = curve_n(vehicle.brake_from_mps, vehicle.brake, speed_mps)
-    brake = xp.minimum(electric + vehicle.friction_n, vehicle.service_n)
+    return limit_effort(vehicle, traction, electric)
+
+
+def limit_effort(vehicle: Vehicle, traction_n: Scalar, electric_n: Scalar) -> Effort:
+    """The forces available of those that the curves give: friction brake, service rate and adhesion."""
+    xp = namespace(vehicle.adhesion_n, traction_n)
+    brake = xp.minimum(electric_n + vehicle.friction_n, vehicle.service_n)
     most = vehicle.adhesion_n
-    return Effort(xp.minimum(traction, most), xp.minimum(electric, most), xp.minimum(brake, most))
+    return Effort(xp.minimum(traction_n, most), xp.minimum(electric_n, most), xp.minimum(brake, most))
 
 
 def traction_available_n(vehicle: Vehicle, speed_mps: Scalar) -> Scalar:

@@ -141,23 +141,38 @@ def actuate(
 
 def wheel_force(
     vehicle: Vehicle,
-    state: State,
+    acceleration_mps2: Scalar,
     effort: Effort,
     share: Scalar,
     emergency: Flag,
     resisting_n: Scalar,
     dt: Scalar,
 ) -> Scalar:
-    """Signed wheel force of this step: the effort asked for, reached no faster than the jerk limit allows."""
-    xp = namespace(state.position_m, share)
+    """Signed wheel force of this step: the effort asked for, reached no faster than the jerk limit allows.
+
+    Args:
+        vehicle: The trainset.
+        acceleration_mps2: Acceleration of the step before.
+        effort: Forces available at this speed.
+        share: Command after dead time and lag.
+        emergency: True for the emergency brake.
+        resisting_n: Resistance and gradient.
+        dt: Control period, s.
+    """
+    xp = namespace(acceleration_mps2, share)
     wanted = xp.where(emergency, -vehicle.emergency_n, effort.force_n(share))
     jerk = xp.where(emergency, vehicle.emergency_jerk_mps3, vehicle.jerk_mps3)
     target = (wanted - resisting_n) / vehicle.effective_mass_kg
     room = jerk * dt
-    accel = xp.clip(target, state.acceleration_mps2 - room, state.acceleration_mps2 + room)
+    accel = xp.clip(target, acceleration_mps2 - room, acceleration_mps2 + room)
     force = accel * vehicle.effective_mass_kg + resisting_n
     floor = xp.where(emergency, vehicle.emergency_n, effort.brake_n)
     return xp.clip(force, -floor, effort.traction_n)
+
+
+def stays_at_rest(speed_mps: Scalar, acceleration_mps2: Scalar, share: Scalar) -> Flag:
+    """True if a holding brake keeps a trainset at rest: no traction is asked for, or it is too weak."""
+    return (speed_mps <= 0) & ((acceleration_mps2 <= 0) | (share <= 0))
 
 
 def split(effort: Effort, force_n: Scalar) -> tuple[Scalar, Scalar, Scalar]:
@@ -195,7 +210,7 @@ def step(
     effort = effort_at(vehicle, v)
     # The clock is a sum of periods and rounded; a thousandth of one decides in favour of the brake.
     emergency = command.emergency & (state.emergency_s >= vehicle.emergency_delay_s - 1e-3 * dt)
-    force = wheel_force(vehicle, state, effort, share, emergency, resistance + gradient, dt)
+    force = wheel_force(vehicle, state.acceleration_mps2, effort, share, emergency, resistance + gradient, dt)
     accel = (force - resistance - gradient) / vehicle.effective_mass_kg
 
     @no_type_check
@@ -211,7 +226,7 @@ def step(
     stops = after < 0
     # The exact stop: constant deceleration takes ``v / -mean``, and ``v / 2`` times that is the distance.
     stop_s = xp.where(stops, v / xp.maximum(-mean, 1e-9), dt)
-    held_still = (v <= 0) & ((accel <= 0) | (share <= 0))
+    held_still = stays_at_rest(v, accel, share)
     duration = xp.where(held_still, dt, xp.where(stops, stop_s, dt))
     zero = xp.zeros_like(v)
     moved = xp.where(held_still, zero, xp.where(stops, 0.5 * v * stop_s, moved))
