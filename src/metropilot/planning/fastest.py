@@ -63,7 +63,7 @@ def check_running_time(
 
 
 def fastest_profile(
-    table: Specific, mesh: Mesh, start_mps: float = 0.0, end_mps: float = 0.0
+    table: Specific, mesh: Mesh, start_mps: float = 0.0, end_mps: float = 0.0, *, passes: int = 3
 ) -> Float[ndarray, " nodes"]:
     """Highest kinetic energy per kg reachable at each node: forward under traction, backward under braking.
 
@@ -75,6 +75,7 @@ def fastest_profile(
         mesh: Mesh, its caps in force.
         start_mps: Speed at the first node; above the caps it is braked down at the service rate.
         end_mps: Speed at the last node.
+        passes: 1 evaluates them at the beginning of the segment, which is enough for very short ones.
 
     Returns:
         ``v^2/2`` at each node, J/kg.
@@ -83,9 +84,9 @@ def fastest_profile(
     cap = 0.5 * relaxed_cap(table, mesh, start_mps) ** 2
     cap[-1] = min(cap[-1], 0.5 * end_mps**2)
     cap[0] = start
-    back = _sweep(table, mesh, cap, end=True)
+    back = _sweep(table, mesh, cap, end=True, passes=passes)
     back[0] = min(back[0], start)
-    return _sweep(table, mesh, back, end=False)
+    return _sweep(table, mesh, back, end=False, passes=passes)
 
 
 def braking_energy(table: Specific, mesh: Mesh, start_mps: float) -> Float[ndarray, " nodes"]:
