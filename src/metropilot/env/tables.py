@@ -21,7 +21,7 @@ from metropilot.physics import (
     track_arrays,
     vehicle_arrays,
 )
-from metropilot.planning import TO_GO_STEP_MPS, tabulate_time_to_go
+from metropilot.planning import interpolate_time_to_go, tabulate_time_to_go
 from metropilot.protection import Bounds, Protection, protect
 from metropilot.railway import Section, Trainset
 
@@ -344,20 +344,11 @@ class SectionRows:
         return here + (after - here) * (way[..., None] if np.ndim(way) or self.xp is not np else way)
 
     def to_go_s(self, case: Index, distance_m: Scalar, length_m: Scalar, speed_mps: Scalar) -> Scalar:
-        """Flat-out time to the stop, bilinear in speed and the square root of the distance left, s."""
-        xp = self.namespace(distance_m + speed_mps)
-        rows, columns = self.to_go.shape[1:]
-        u = (rows - 1.0) * xp.sqrt(xp.clip(distance_m / length_m, 0.0, 1.0))
-        w = xp.clip(speed_mps / TO_GO_STEP_MPS, 0.0, columns - 1.0)
-        if xp is scalars:
-            i, j = min(int(u), rows - 2), min(int(w), columns - 2)
-            u, w = u - i, w - j
-        else:
-            i, j = xp.minimum(xp.floor(u), rows - 2.0), xp.minimum(xp.floor(w), columns - 2.0)
-            u, w, i, j = u - i, w - j, i.astype(np.int32), j.astype(np.int32)
-        low = self.to_go[case, i, j] * (1.0 - w) + self.to_go[case, i, j + 1] * w
-        high = self.to_go[case, i + 1, j] * (1.0 - w) + self.to_go[case, i + 1, j + 1] * w
-        return low * (1.0 - u) + high * u
+        """Flat-out time to the stop, s."""
+        share = distance_m / length_m
+        return interpolate_time_to_go(
+            lambda row, column: self.to_go[case, row, column], self.to_go.shape[1:], share, speed_mps
+        )
 
 
 def _pick(tree: Any, shared: Any, case: Index) -> Any:  # noqa: ANN401 (a tree of tuples)

@@ -7,10 +7,10 @@ from .effort_table import STEP_MPS as STEP_MPS
 from .effort_table import Specific as Specific
 from .effort_table import specific as specific
 from .fastest import LONGEST_RATIO as LONGEST_RATIO
-from .fastest import TO_GO_STEP_MPS as TO_GO_STEP_MPS
 from .fastest import TimeToGo as TimeToGo
 from .fastest import check_running_time as check_running_time
 from .fastest import fastest_profile as fastest_profile
+from .fastest import interpolate_time_to_go as interpolate_time_to_go
 from .fastest import round_up_time as round_up_time
 from .fastest import tabulate_time_to_go as tabulate_time_to_go
 from .joint import couple_trainsets as couple_trainsets

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, no_type_check
 
 import numpy as np
 from numpy import ndarray
 
-from metropilot._typing import Float, Scalar
+from metropilot._typing import Float, Index, Scalar
 from metropilot.errors import Infeasible, InputError
-from metropilot.physics import Track, Vehicle
+from metropilot.physics import Track, Vehicle, namespace, scalars
 from metropilot.planning.effort_table import STEP_MPS, Specific, same_efforts, specific
 from metropilot.planning.mesh import Mesh, build_mesh
 
@@ -205,6 +205,33 @@ class TimeToGo(NamedTuple):
 
     time_s: Float[ndarray, "rows speeds"]
     top_mps: Float[ndarray, " rows"]
+
+
+@no_type_check
+def interpolate_time_to_go(
+    time_at: Callable[[Index, Index], Scalar], shape: tuple[int, int], left_share: Scalar, speed_mps: Scalar
+) -> Scalar:
+    """Flat-out time to the stop from a table: bilinear in speed and the square root of the distance left, s.
+
+    Args:
+        time_at: Entry of a table of :func:`tabulate_time_to_go`, by row and column.
+        shape: Rows and columns of the table.
+        left_share: Distance left over the section's length.
+        speed_mps: Speed.
+    """
+    xp = namespace(left_share, speed_mps)
+    rows, columns = shape
+    u = (rows - 1.0) * xp.sqrt(xp.clip(left_share, 0.0, 1.0))
+    w = xp.clip(speed_mps / TO_GO_STEP_MPS, 0.0, columns - 1.0)
+    if xp is scalars:
+        i, j = min(int(u), rows - 2), min(int(w), columns - 2)
+        u, w = u - i, w - j
+    else:
+        i, j = xp.minimum(xp.floor(u), rows - 2.0), xp.minimum(xp.floor(w), columns - 2.0)
+        u, w, i, j = u - i, w - j, i.astype(np.int32), j.astype(np.int32)
+    low = time_at(i, j) * (1.0 - w) + time_at(i, j + 1) * w
+    high = time_at(i + 1, j) * (1.0 - w) + time_at(i + 1, j + 1) * w
+    return low * (1.0 - u) + high * u
 
 
 def tabulate_time_to_go(vehicle: Vehicle, track: Track, *, rows: int = TO_GO_ROWS) -> TimeToGo:

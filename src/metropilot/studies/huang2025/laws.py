@@ -48,7 +48,13 @@ from metropilot.control import (
     way_in_period,
 )
 from metropilot.physics import effort_at, mean_slopes, scalars
-from metropilot.planning import TO_GO_STEP_MPS, tabulate_time_to_go
+from metropilot.planning import (
+    build_mesh,
+    fastest_profile,
+    interpolate_time_to_go,
+    specific,
+    tabulate_time_to_go,
+)
 
 SEGMENTS = 16
 SLOWEST_MPS = 0.5
@@ -508,15 +514,9 @@ class Legs(NamedTuple):
 
     def least_s(self, left_m: float, speed_mps: float) -> float:
         """``tau_D``: least time to the destination, s."""
-        rows, columns = len(self.to_go_s), len(self.to_go_s[0])
-        u = (rows - 1) * math.sqrt(min(max(left_m / self.length_m, 0.0), 1.0))
-        w = min(max(speed_mps / TO_GO_STEP_MPS, 0.0), columns - 1.0)
-        i, j = min(int(u), rows - 2), min(int(w), columns - 2)
-        u, w = u - i, w - j
-        low, high = self.to_go_s[i], self.to_go_s[i + 1]
-        near = low[j] * (1.0 - w) + low[j + 1] * w
-        far = high[j] * (1.0 - w) + high[j + 1] * w
-        return near * (1.0 - u) + far * u
+        table = self.to_go_s
+        shape, share = (len(table), len(table[0])), left_m / self.length_m
+        return interpolate_time_to_go(lambda row, column: table[row][column], shape, share, speed_mps)
 
     def share(self, leg: Leg, position_m: float, speed_mps: float) -> float:
         """``tau_k / tau_D``, 1 in the last interval."""
@@ -536,16 +536,15 @@ def legs_of(model: Model, ground: ExpertTrack, rules: ExpertRules) -> Legs:
     """
     gentle = min(rules.start_mps2, float(model.vehicle.max_acceleration_mps2))
     vehicle = model.vehicle._replace(max_acceleration_mps2=np.float64(gentle))
-    table = tabulate_time_to_go(vehicle, model.track)
     length = ground.length_m
-    whole = Legs((), table.time_s.tolist(), length)
-    left = length * np.linspace(0.0, 1.0, table.top_mps.size) ** 2
-    at, fastest = _fastest(ground, gentle, np.interp(length - _nodes(length), left, table.top_mps))
+    whole = Legs((), tabulate_time_to_go(vehicle, model.track).time_s.tolist(), length)
+    mesh = build_mesh(vehicle, model.track, np.array([0.0, length]), STEP_M)
+    fastest = np.sqrt(2.0 * fastest_profile(specific(vehicle), mesh))
     legs: list[Leg] = []
     for place, limit in drops(model):
         lower = min(limit, ground.safe(place))
         leg = Leg(place, lower, whole.least_s(length - place, lower))
-        if np.interp(place, at, fastest) > lower - SLACK_MPS and _needs_power(ground, leg, rules):
+        if np.interp(place, mesh.node_m, fastest) > lower - SLACK_MPS and _needs_power(ground, leg, rules):
             legs.append(leg)
     return whole._replace(legs=(*legs, Leg(length, 0.0, 0.0)))
 
@@ -554,21 +553,6 @@ def _needs_power(ground: ExpertTrack, leg: Leg, rules: ExpertRules) -> bool:
     """Tell if a trainset that coasts on from the end of an interval comes to the stop far too late."""
     stretch = ground.stretch(leg.end_m, ground.length_m, 0.0)
     return coasting_time(scalars, ground.davis, rules.brake_mps2, leg.end_mps, stretch) > SLOW * leg.after_s
-
-
-def _nodes(length_m: float) -> np.ndarray:
-    return np.arange(0.0, length_m, STEP_M)
-
-
-def _fastest(ground: ExpertTrack, gentle_mps2: float, top_mps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The minimum-time curve: full traction from a stand, under the highest speeds that keep all limits."""
-    at, speed = _nodes(ground.length_m), 0.0
-    found = np.zeros_like(at)
-    for k in range(1, at.size):
-        pull = min(ground.traction(speed) - ground.drag(float(at[k - 1]), speed), gentle_mps2)
-        speed = min(math.sqrt(max(speed * speed + 2.0 * pull * STEP_M, 0.0)), float(top_mps[k]))
-        found[k] = speed
-    return at, found
 
 
 BALISES_M = (64.0, 36.0, 16.0, 4.0, 0.0)
