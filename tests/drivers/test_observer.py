@@ -47,12 +47,55 @@ def test_gains_delay_and_resistance_are_learned(mass):
     )
     _, rows = driven(scenario, COMMANDS)
     estimate = rows[-1][0]
-    assert estimate.traction_gain == pytest.approx(1 / mass, rel=0.03)
+    assert estimate.traction_gain == pytest.approx(1 / mass, rel=0.01)
     # The brake weighs its load: 100 % is the service rate whatever the mass.
-    assert estimate.brake_gain == pytest.approx(1.0, rel=0.05)
-    assert estimate.resistance_factor == pytest.approx(1.5 / mass, rel=0.15)
-    assert estimate.bank.delay_steps[estimate.best] == 3
-    assert estimate.bank.keep[estimate.best] == pytest.approx(np.exp(-DT / 0.4))
+    assert estimate.brake_gain == pytest.approx(1.0, rel=0.01)
+    assert estimate.resistance_factor == pytest.approx(1.5 / mass, rel=0.05)
+    plant = estimate.plant(DT)
+    # One full step of the command says more of dead time and lag together than of each.
+    assert plant.delay_s.value == pytest.approx(0.6, abs=0.08)
+    assert plant.lag_s.value == pytest.approx(0.4, abs=0.08)
+    assert plant.delay_s.value + plant.lag_s.value == pytest.approx(1.0, abs=0.05)
+
+
+GENTLE = np.repeat([0.5, 1.0, 0.8, 0.0, 0.3, 0.0, -0.2, 0.1, -0.5], 15)
+
+
+@pytest.mark.parametrize(("delay_s", "lag_s"), [(0.0, 0.3), (0.13, 0.0), (0.37, 0.22), (0.9, 0.5)])
+def test_intervals_of_dead_time_and_lag_between_the_periods_cover_the_truth(delay_s, lag_s):
+    scenario = Disturbance(
+        mass_factor=1.1, resistance_factor=0.8, delay_s=delay_s, lag_s=lag_s, speed_noise_mps=0.03
+    )
+    _, rows = driven(scenario, GENTLE)
+    plant = rows[-1][0].plant(DT)
+    truth = {"mass_factor": 1.1, "resistance_factor": 0.8, "delay_s": delay_s, "lag_s": lag_s}
+    for name, true in truth.items():
+        found = getattr(plant, name)
+        assert found.low <= true <= found.high, name
+    assert plant.delay_s.value == pytest.approx(delay_s, abs=0.05)
+    assert plant.lag_s.value == pytest.approx(lag_s, abs=0.05)
+    assert plant.mass_factor.value == pytest.approx(1.1, rel=0.005)
+    assert plant.mass_factor.sigma < 0.015
+    assert plant.resistance_factor.value == pytest.approx(0.8, rel=0.05)
+
+
+def test_the_interval_is_wide_before_departure_and_narrow_after_braking():
+    _, rows = driven(Disturbance(mass_factor=1.1, delay_s=0.4), COMMANDS)
+    before, after = rows[0][0].plant(DT), rows[-1][0].plant(DT)
+    for name in before._fields:
+        assert getattr(after, name).sigma < 0.5 * getattr(before, name).sigma, name
+    # Before departure the nominal actuation is believed, but not for certain.
+    assert before.delay_s.value == 0.0
+    assert before.delay_s.high > 0.2
+
+
+@pytest.mark.parametrize("noise_mps", [0.0, 0.05])
+def test_noise_alone_never_contradicts_the_nominal_actuation(noise_mps):
+    _, rows = driven(Disturbance(speed_noise_mps=noise_mps), np.concatenate([COMMANDS, GENTLE]))
+    assert all(estimate.best == 0 for estimate, _ in rows)
+    plant = rows[-1][0].plant(DT)
+    assert plant.mass_factor.value == pytest.approx(1.0, abs=0.003)
+    assert plant.delay_s.value == plant.lag_s.value == 0.0
 
 
 def test_speed_is_filtered_tenfold():

@@ -15,6 +15,8 @@ from .coasting import coast_point_for as coast_point_for
 from .coasting import cruise_for as cruise_for
 from .coasting import forecast_of as forecast_of
 from .coasting import time_to_go as time_to_go
+from .estimator import Estimate as Estimate
+from .estimator import PlantEstimate as PlantEstimate
 from .estimator import StateEstimate as StateEstimate
 from .estimator import initial_estimate as initial_estimate
 from .estimator import look_ahead as look_ahead

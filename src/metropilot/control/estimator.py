@@ -29,7 +29,6 @@ from metropilot.control.prediction import (
     Model,
     Motion,
     PredictedState,
-    acting_command,
     periods_before,
     predict_motion,
 )
@@ -37,8 +36,10 @@ from metropilot.physics import Vehicle, curve_n, effort_limits
 
 MAX_EXTRA_DELAY_S = 1.0
 """Largest dead time among the hypotheses beyond the nominal one."""
-EXTRA_LAGS_S = (0.0, 0.2, 0.4, 0.6)
-"""Lags of the hypotheses beyond the nominal one."""
+EXTRA_LAGS_S = (0.05, 0.25, 0.5)
+"""Lags beyond the nominal one at which the hypotheses begin."""
+MAX_EXTRA_LAG_S = 0.8
+"""Largest lag beyond the nominal one."""
 POSITION_SIGMA_M = 0.01
 """Standard deviation of the measured position."""
 SPEED_SIGMA_MPS = 0.05
@@ -51,32 +52,114 @@ EFFORT_SIGMA = 0.05
 """Prior standard deviation of each gain apart from the mass."""
 RESISTANCE_SIGMA = 0.4
 """Prior standard deviation of the factor on running resistance."""
-DRIFT_VARIANCE = np.diag([1e-6, 1e-6, 1e-6])
-"""Variance added to the parameters in each period, so that they can follow slow changes."""
-SWITCH_MARGIN = 6.0
-"""Advantage in the sum of squared normalised residuals at which another hypothesis is selected."""
+GAIN_RANGE = np.array([[0.6, 1.6], [0.6, 1.6], [0.0, 3.0]])
+"""Range of traction gain, brake gain and resistance factor."""
+DRIFT_PER_S = np.zeros((3, 5, 5, 1))
+"""Covariance that a second adds to the parameters at standstill, without traction, and with it: a gain
+follows slow changes while it acts. Shape (3, 5, 5, 1)."""
+DRIFT_PER_S[1, [1, 2], [1, 2]] = DRIFT_PER_S[2, [0, 2], [0, 2]] = 5e-6
+DRIFT_PER_S[1:, 3, 3], DRIFT_PER_S[1:, 4, 4] = 1e-3, 1e-4
+NOMINAL_ADVANTAGE = 2.0
+"""Prior of the nominal actuation over each other hypothesis, as twice the log-likelihood."""
+SWITCH_MARGIN = 10.0
+"""Advantage in twice the log-likelihood at which the nominal actuation is given up for another."""
+RESELECT_MARGIN = 1.0
+"""The same between two others, which differ less."""
 FORGETTING = 0.998
 """Discount of the residuals of earlier periods; a half-life of 346 periods."""
+
+
+CELL_S = 0.1
+"""Least range of dead times of a hypothesis, s."""
+LEAST_KEEP, MOST_KEEP = 1e-6, 0.999
+"""Shares of the effort that remain after a period with no lag, and with the largest that is told."""
+KEEP_SIGMA = 0.15
+"""Prior standard deviation of the share of the old effort that remains after a period."""
+STANDING_MPS = 0.05
+"""Speed below which the trainset stands."""
+SURE = 3.0
+"""Residual in standard deviations that the model cannot explain."""
+MOST_SQUARE = 36.0
+"""Largest squared normalised residual that counts against a hypothesis."""
+NOISE_RATE = 0.02
+"""Share of a new residual in the variance of the acceleration."""
+LEAST_SIGMA_MPS2 = 0.005
+"""Least standard deviation of the acceleration."""
+NORMAL_95 = 1.959964
+"""Half width of a 95 % interval in standard deviations."""
+
+
+class Estimate(NamedTuple):
+    """Estimate of one number.
+
+    Attributes:
+        value: Estimate.
+        sigma: Standard deviation.
+        low: Lower end of the 95 % interval.
+        high: Upper end of it.
+    """
+
+    value: float
+    sigma: float
+    low: float
+    high: float
+
+
+class PlantEstimate(NamedTuple):
+    """Estimate of the plant in the terms of :class:`metropilot.sim.Disturbance`.
+
+    Attributes:
+        mass_factor: True over nominal mass, as the traction tells it.
+        resistance_factor: True over nominal running resistance.
+        brake_factor: Deceleration of the service brake over the nominal one.
+        delay_s: Dead time in addition to the nominal one.
+        lag_s: Lag in addition to the nominal one.
+    """
+
+    mass_factor: Estimate
+    resistance_factor: Estimate
+    brake_factor: Estimate
+    delay_s: Estimate
+    lag_s: Estimate
 
 
 class HypothesisBank(NamedTuple):
     """Hypotheses about dead time and lag, each with its own parameters.
 
+    The parameters are traction gain, brake gain, resistance factor, dead time in control periods (not always
+    whole), and the share of the old effort that remains after a period of lag.
+
     Attributes:
-        delay_steps: Dead time in control periods, not always whole. Shape (H,).
-        keep: Share of the old effort that remains after a period of lag. Shape (H,).
+        parameters: Estimated parameters. Shape (5, H).
+        covariance: Their covariance. Shape (5, 5, H).
         share: Command after delay and lag. Shape (H,).
-        gains: Traction gain, brake gain, resistance factor. Shape (H, 3).
-        covariance: Their covariance. Shape (H, 3, 3).
-        cost: Discounted sum of squared normalised residuals. Shape (H,).
+        share_slopes: Its derivatives by dead time and by the share that remains. Shape (2, H).
+        cost: Discounted negative log-likelihood, twice. Shape (H,).
     """
 
-    delay_steps: Float[ndarray, " hypotheses"]
-    keep: Float[ndarray, " hypotheses"]
+    parameters: Float[ndarray, "5 hypotheses"]
+    covariance: Float[ndarray, "5 5 hypotheses"]
     share: Float[ndarray, " hypotheses"]
-    gains: Float[ndarray, "hypotheses 3"]
-    covariance: Float[ndarray, "hypotheses 3 3"]
+    share_slopes: Float[ndarray, "2 hypotheses"]
     cost: Float[ndarray, " hypotheses"]
+
+
+class Prior(NamedTuple):
+    """Bounds and drift of the hypotheses' parameters.
+
+    Attributes:
+        low: Least value of each parameter. Shape (5, H).
+        high: Largest value. Shape (5, H).
+        drift: Covariance added in a period at standstill, without traction, and with it. Shape (3, 5, 5, H).
+        nominal_delay_steps: Nominal dead time in control periods.
+        nominal_lag_s: Nominal lag.
+    """
+
+    low: Float[ndarray, "5 hypotheses"]
+    high: Float[ndarray, "5 hypotheses"]
+    drift: Float[ndarray, "3 5 5 hypotheses"]
+    nominal_delay_steps: float
+    nominal_lag_s: float
 
 
 class StateEstimate(NamedTuple):
@@ -86,41 +169,104 @@ class StateEstimate(NamedTuple):
         position_m: Position of the head.
         speed_mps: Filtered speed.
         acceleration_mps2: Acceleration over the last period.
-        covariance: Covariance of position and speed. Shape (2, 2).
+        covariance: Variance of position, covariance of position and speed, variance of speed.
         commands: Commands already given, newest first. Shape (D,).
         bank: Hypotheses about the actuation.
+        prior: Bounds and drift of their parameters.
         best: Index of the selected hypothesis.
+        variance: Variance of the acceleration about the selected hypothesis, m^2/s^4.
         started: False until the first observation.
     """
 
     position_m: float
     speed_mps: float
     acceleration_mps2: float
-    covariance: Float[ndarray, "2 2"]
+    covariance: tuple[float, float, float]
     commands: Float[ndarray, " given"]
     bank: HypothesisBank
+    prior: Prior
     best: int
+    variance: float
     started: bool
 
     @property
     def traction_gain(self) -> float:
         """Estimated over nominal traction force per mass."""
-        return float(self.bank.gains[self.best, 0])
+        return float(self.bank.parameters[0, self.best])
 
     @property
     def brake_gain(self) -> float:
         """Estimated over nominal braking force per mass."""
-        return float(self.bank.gains[self.best, 1])
+        return float(self.bank.parameters[1, self.best])
 
     @property
     def brake_gain_sigma(self) -> float:
         """Standard deviation of :attr:`brake_gain`."""
-        return float(np.sqrt(self.bank.covariance[self.best, 1, 1]))
+        return float(np.sqrt(self.bank.covariance[1, 1, self.best]))
 
     @property
     def resistance_factor(self) -> float:
         """Estimated over nominal resistance per mass."""
-        return float(self.bank.gains[self.best, 2])
+        return float(self.bank.parameters[2, self.best])
+
+    @property
+    def gain_sigmas(self) -> Float[ndarray, " 3"]:
+        """Standard deviations of traction gain, brake gain and resistance factor."""
+        return np.sqrt(np.diagonal(self.bank.covariance[:3, :3, self.best]))
+
+    @property
+    def delay_steps(self) -> float:
+        """Estimated dead time in control periods, not always whole."""
+        return float(self.bank.parameters[3, self.best])
+
+    @property
+    def keep(self) -> float:
+        """Estimated share of the old effort that remains after a period of lag."""
+        return float(self.bank.parameters[4, self.best])
+
+    @property
+    def share(self) -> float:
+        """Command after the estimated dead time and lag."""
+        return float(self.bank.share[self.best])
+
+    def plant(self, dt: float) -> PlantEstimate:
+        """Estimate the plant over the nominal one, with intervals.
+
+        Args:
+            dt: Control period, s.
+        """
+        bank, prior = self.bank, self.prior
+        # Between hypotheses, their likelihoods weigh; within each, its own covariance.
+        weights = np.exp(-0.5 * (bank.cost - bank.cost.min()))
+        weights /= weights.sum()
+        delay, keep = bank.parameters[3:]
+        delay_variance = weights @ (bank.covariance[3, 3] + (delay - self.delay_steps) ** 2)
+        keep_variance = weights @ (bank.covariance[4, 4] + (keep - self.keep) ** 2)
+        traction, brake, drag = (float(x) for x in bank.parameters[:3, self.best])
+        covariance = bank.covariance[:3, :3, self.best]
+        row = np.array([-drag / traction**2, 0.0, 1.0 / traction])
+        half = NORMAL_95 * math.sqrt(keep_variance)
+        lags = (_lag_of(x, dt) - prior.nominal_lag_s for x in (self.keep, self.keep - half, self.keep + half))
+        lag, low, high = (max(x, 0.0) for x in lags)
+        return PlantEstimate(
+            mass_factor=_interval(1.0 / traction, covariance[0, 0] / traction**4),
+            resistance_factor=_interval(drag / traction, float(row @ covariance @ row)),
+            brake_factor=_interval(brake, covariance[1, 1]),
+            delay_s=_interval((self.delay_steps - prior.nominal_delay_steps) * dt, dt * dt * delay_variance),
+            lag_s=Estimate(lag, (high - low) / (2.0 * NORMAL_95), low, high),
+        )
+
+
+def _interval(value: float, variance: float) -> Estimate:
+    """Estimate with its normal 95 % interval, cut at zero."""
+    sigma = math.sqrt(max(variance, 0.0))
+    half = NORMAL_95 * sigma
+    return Estimate(float(value), sigma, max(float(value) - half, 0.0), float(value) + half)
+
+
+def _lag_of(keep: float, dt: float) -> float:
+    """Lag with which so much of the old effort remains after a period, s."""
+    return -dt / math.log(min(keep, MOST_KEEP)) if keep > LEAST_KEEP else 0.0
 
 
 def weighs_load(vehicle: Vehicle, spare: float = 1.0 + 2.0 * MASS_SIGMA) -> bool:
@@ -151,29 +297,46 @@ def initial_estimate(
     dt = model.dt
     # rounded, as 0.6 / 0.2 is 2.9999999999999996 and would count as not whole
     known = round(float(model.vehicle.delay_s) / dt, 6)
-    extra = np.arange(round(MAX_EXTRA_DELAY_S / dt) + 1)
-    lags = np.array(EXTRA_LAGS_S) + float(model.vehicle.lag_s)
-    steps, lag = (x.ravel() for x in np.meshgrid(known + extra, lags, indexing="ij"))
-    count = steps.size
-    covariance = np.diag([EFFORT_SIGMA**2, EFFORT_SIGMA**2, RESISTANCE_SIGMA**2])
+    lag = float(model.vehicle.lag_s)
+    cells = max(round(MAX_EXTRA_DELAY_S / max(dt, CELL_S)), 1)
+    width = MAX_EXTRA_DELAY_S / dt / cells
+    floors, lags = (x.ravel() for x in np.meshgrid(np.arange(cells) * width, EXTRA_LAGS_S, indexing="ij"))
+    # The first hypothesis is the nominal actuation, which is exact unless the answers contradict it.
+    floors, width = np.append(0.0, floors) + known, np.append(0.0, np.full(floors.size, width))
+    lags = np.append(0.0, lags) + lag
+    keep = np.where(lags > 0.0, np.exp(-dt / np.maximum(lags, 1e-6)), 0.0)
+    count = floors.size
+    parameters = np.ones((5, count))
+    parameters[3], parameters[4] = floors + 0.5 * width, keep
+    low, high = np.empty((5, count)), np.empty((5, count))
+    low[:3], high[:3] = GAIN_RANGE[:, :1], GAIN_RANGE[:, 1:]
+    low[3], high[3] = floors, floors + width
+    low[4], high[4] = 0.0, math.exp(-dt / (lag + MAX_EXTRA_LAG_S))
+    covariance = np.zeros((5, 5, count))
+    covariance[range(3), range(3)] = np.array([[EFFORT_SIGMA], [EFFORT_SIGMA], [RESISTANCE_SIGMA]]) ** 2
     weighs = 1 if weighed_brakes else 2
     covariance[:weighs, :weighs] += MASS_SIGMA**2
+    covariance[3, 3] = width**2 / 12.0
+    covariance[4, 4, 1:] = KEEP_SIGMA**2
+    drift = np.repeat(dt * DRIFT_PER_S, count, axis=3)
+    drift[:, 3:, 3:, 0] = 0.0
     bank = HypothesisBank(
-        delay_steps=steps,
-        keep=np.where(lag > 0, np.exp(-dt / np.maximum(lag, 1e-6)), 0.0),
+        parameters=parameters,
+        covariance=covariance,
         share=np.zeros(count),
-        gains=np.ones((count, 3)),
-        covariance=np.repeat(covariance[None], count, axis=0),
-        cost=np.where(np.arange(count) == 0, -SWITCH_MARGIN, 0.0),
+        share_slopes=np.zeros((2, count)),
+        cost=np.where(np.arange(count) == 0, -NOMINAL_ADVANTAGE, 0.0),
     )
     return StateEstimate(
         position_m=float(position_m),
         speed_mps=float(speed_mps),
         acceleration_mps2=0.0,
-        covariance=np.diag([POSITION_SIGMA_M**2, SPEED_SIGMA_MPS**2]),
-        commands=np.zeros(math.ceil(steps.max()) + 1),
+        covariance=(POSITION_SIGMA_M**2, 0.0, SPEED_SIGMA_MPS**2),
+        commands=np.zeros(math.floor(float(high[3].max())) + 2),
         bank=bank,
+        prior=Prior(low, high, drift, known, lag),
         best=0,
+        variance=ANSWER_SIGMA_MPS2**2,
         started=False,
     )
 
@@ -204,10 +367,10 @@ def update_estimate(
             acceleration_mps2=float(acceleration_mps2),
             started=True,
         )
-    bank, best = estimate.bank, estimate.best
+    bank, best, variance = estimate.bank, estimate.best, estimate.variance
     if not overruled:
-        bank, best = _learn(model, estimate, float(acceleration_mps2))
-    position, speed, covariance = _fuse(model.dt, estimate, position_m, speed_mps, acceleration_mps2)
+        bank, best, variance = _learn(model, estimate, float(acceleration_mps2))
+    position, speed, covariance = _fuse(model.dt, estimate, position_m, speed_mps, float(acceleration_mps2))
     return estimate._replace(
         position_m=position,
         speed_mps=speed,
@@ -215,6 +378,7 @@ def update_estimate(
         covariance=covariance,
         bank=bank,
         best=best,
+        variance=variance,
     )
 
 
@@ -226,68 +390,84 @@ def record_command(estimate: StateEstimate, share: float) -> StateEstimate:
 
 def _fuse(
     dt: float, estimate: StateEstimate, position_m: float, speed_mps: float, acceleration_mps2: float
-) -> tuple[float, float, Float[ndarray, "2 2"]]:
+) -> tuple[float, float, tuple[float, float, float]]:
     """Kalman filter of position and speed, with the measured acceleration of the period as its input."""
-    a = float(acceleration_mps2)
-    position = estimate.position_m + estimate.speed_mps * dt + 0.5 * a * dt * dt
-    speed = estimate.speed_mps + a * dt
-    move = np.array([[1.0, dt], [0.0, 1.0]])
-    push = np.array([0.5 * dt * dt, dt]) * 0.5 * ANSWER_SIGMA_MPS2
-    p = move @ estimate.covariance @ move.T + np.outer(push, push)
-    noise = np.diag([POSITION_SIGMA_M**2, SPEED_SIGMA_MPS**2])
-    gain = p @ np.linalg.inv(p + noise)
-    miss = np.array([position_m - position, speed_mps - speed])
-    correction = gain @ miss
-    return (
-        float(position + correction[0]),
-        max(float(speed + correction[1]), 0.0),
-        (np.eye(2) - gain) @ p,
-    )
+    x = estimate.position_m + estimate.speed_mps * dt + 0.5 * acceleration_mps2 * dt * dt
+    v = estimate.speed_mps + acceleration_mps2 * dt
+    xx, xv, vv = estimate.covariance
+    push = 0.5 * ANSWER_SIGMA_MPS2
+    along, across = 0.5 * dt * dt * push, dt * push
+    xx += dt * (2.0 * xv + dt * vv) + along * along
+    xv += dt * vv + along * across
+    vv += across * across
+    # The errors of the two measurements are independent: one after the other is the same as both at once.
+    scale, miss = xx + POSITION_SIGMA_M**2, position_m - x
+    x, v = x + xx / scale * miss, v + xv / scale * miss
+    xx, xv, vv = xx - xx * xx / scale, xv - xx * xv / scale, vv - xv * xv / scale
+    scale, miss = vv + SPEED_SIGMA_MPS**2, speed_mps - v
+    x, v = x + xv / scale * miss, v + vv / scale * miss
+    xx, xv, vv = xx - xv * xv / scale, xv - xv * vv / scale, vv - vv * vv / scale
+    return float(x), max(float(v), 0.0), (xx, xv, vv)
 
 
-def _learn(model: Model, estimate: StateEstimate, answer: float) -> tuple[HypothesisBank, int]:
-    """Update every hypothesis with the measured acceleration, and select the best.
+def _learn(model: Model, estimate: StateEstimate, answer: float) -> tuple[HypothesisBank, int, float]:
+    """Update every hypothesis with the measured acceleration, and select the most likely.
 
-    A recursive least-squares step with forgetting; the cost of a hypothesis is its prediction error.
+    A step of the recursive prediction error method (Ljung and Soderstrom, 1983): least squares in which the
+    command after dead time and lag has its derivatives by both as further features.
     """
-    vehicle, bank, v = model.vehicle, estimate.bank, estimate.speed_mps
-    acting = acting_command(estimate.commands, bank.delay_steps)
-    share = acting + (bank.share - acting) * bank.keep
+    vehicle, bank, prior, v = model.vehicle, estimate.bank, estimate.prior, estimate.speed_mps
+    traction_gain, brake_gain, _, delay, keep = bank.parameters
+    whole = delay.astype(np.intp)
+    newer = estimate.commands.take(whole)
+    slope = estimate.commands.take(whole + 1) - newer
+    acting = newer + (delay - whole) * slope
+    behind = bank.share - acting
+    share = acting + keep * behind
+    slopes = keep * bank.share_slopes
+    slopes[0] += (1.0 - keep) * slope
+    slopes[1] += behind
     limits = effort_limits(vehicle, model.track, estimate.position_m, v)
-    features = np.stack(
-        [
-            np.maximum(share, 0.0) * limits.traction_mps2,
-            np.minimum(share, 0.0) * limits.brake_mps2,
-            np.full(share.shape, -limits.resistance_mps2),
-        ],
-        axis=1,
-    )
-    free = np.einsum("hk,hk->h", bank.gains, features) - limits.gradient_mps2
+    traction, brake = float(limits.traction_mps2), float(limits.brake_mps2)
+    features = np.empty_like(bank.parameters)
+    features[0] = np.maximum(share, 0.0) * traction
+    features[1] = np.minimum(share, 0.0) * brake
+    features[2] = -float(limits.resistance_mps2)
+    features[3:] = np.where(share > 0.0, traction_gain * traction, brake_gain * brake) * slopes
+    free = np.einsum("kh,kh->h", bank.parameters[:3], features[:3]) - float(limits.gradient_mps2)
     room = float(vehicle.jerk_mps3) * model.dt
-    expected = np.clip(free, estimate.acceleration_mps2 - room, estimate.acceleration_mps2 + room)
-    standing = v < 0.05
+    expected = np.minimum(
+        np.maximum(free, estimate.acceleration_mps2 - room), estimate.acceleration_mps2 + room
+    )
+    standing = v < STANDING_MPS
     if standing:
         expected = np.maximum(expected, 0.0)
-    miss = np.clip((answer - expected) / ANSWER_SIGMA_MPS2, -6.0, 6.0)
-    cost = FORGETTING * bank.cost + miss**2
-    # no update where the jerk limit or standstill determines the acceleration: the gains do not show there
-    learns = (np.abs(expected - free) < 1e-9) & (not standing or answer > 0)
-    wide = bank.covariance + DRIFT_VARIANCE
-    spread = np.einsum("hjk,hk->hj", wide, features)
-    scale = ANSWER_SIGMA_MPS2**2 + np.einsum("hk,hk->h", features, spread)
-    weight = np.where(learns, 1.0 / scale, 0.0)
-    bounded = np.clip(answer - free, -0.5, 0.5)
-    gains = bank.gains + spread * (weight * bounded)[:, None]
-    covariance = wide - np.einsum("hj,hk->hjk", spread, spread) * weight[:, None, None]
-    learned = bank._replace(
-        share=share,
-        gains=np.clip(gains, (0.6, 0.6, 0.0), (1.6, 1.6, 3.0)),
-        covariance=covariance,
-        cost=cost,
-    )
-    challenger = int(np.argmin(cost))
-    best = challenger if cost[challenger] < cost[estimate.best] - SWITCH_MARGIN else estimate.best
-    return learned, best
+    mode = 0 if standing and answer == 0.0 else 1 + int(share[estimate.best] > 0.0)
+    wide = bank.covariance + prior.drift[mode]
+    spread = np.einsum("jkh,kh->jh", wide, features)
+    variance = estimate.variance
+    scale = variance + np.einsum("kh,kh->h", features, spread)
+    miss, weight = answer - free, 1.0 / scale
+    informative = expected == free
+    if not informative.all():
+        # Where the jerk limit or standstill explains the acceleration, it says nothing about the effort.
+        informative |= np.abs(answer - expected) > SURE * math.sqrt(variance)
+        miss = np.where(informative, miss, answer - expected)
+        scale, weight = np.where(informative, scale, variance), weight * informative
+    square = miss * miss / scale
+    cost = FORGETTING * bank.cost + np.minimum(square, MOST_SQUARE) + np.log(scale / variance)
+    # A miss that the estimate cannot explain moves it no further than one that it just can.
+    bounded = miss / np.sqrt(np.maximum(1.0, square / SURE**2))
+    parameters = bank.parameters + spread * (weight * bounded)
+    parameters = np.minimum(np.maximum(parameters, prior.low), prior.high)
+    covariance = wide - spread[:, None] * (spread * weight)
+    challenger = int(cost.argmin())
+    margin = SWITCH_MARGIN if estimate.best == 0 else RESELECT_MARGIN
+    best = challenger if cost[challenger] < cost[estimate.best] - margin else estimate.best
+    if informative[best]:
+        found = variance * min(float(square[best]), SURE**2)
+        variance = max(variance + NOISE_RATE * (found - variance), LEAST_SIGMA_MPS2**2)
+    return HypothesisBank(parameters, covariance, share, slopes, cost), best, variance
 
 
 def look_ahead(model: Model, estimate: StateEstimate) -> PredictedState:
@@ -297,12 +477,8 @@ def look_ahead(model: Model, estimate: StateEstimate) -> PredictedState:
         model: Nominal trainset and section.
         estimate: State and plant as estimated.
     """
-    bank, best = estimate.bank, estimate.best
-    age, keep = float(bank.delay_steps[best]), float(bank.keep[best])
-    up, down, drag = (float(k) for k in bank.gains[best])
-    motion = Motion(
-        estimate.position_m, estimate.speed_mps, estimate.acceleration_mps2, float(bank.share[best])
-    )
+    up, down, drag, age, keep = estimate.bank.parameters[:, estimate.best].tolist()
+    motion = Motion(estimate.position_m, estimate.speed_mps, estimate.acceleration_mps2, estimate.share)
     limits = effort_limits(model.vehicle, model.track, motion.position_m, motion.speed_mps)
     resistance, gradient, _, traction, brake = map(float, limits)
     if age > 0:

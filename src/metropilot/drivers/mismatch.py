@@ -169,10 +169,10 @@ def departs(estimate: StateEstimate) -> bool:
     """Tell if the plant surely departs from the nominal one."""
     if estimate.best != 0:
         return True
-    gains, covariance = estimate.bank.gains[estimate.best], estimate.bank.covariance[estimate.best]
-    off, sigma = np.abs(gains - 1.0), np.sqrt(np.diagonal(covariance))
+    gains = estimate.traction_gain, estimate.brake_gain, estimate.resistance_factor
+    off = np.abs(np.subtract(gains, 1.0))
     least = np.array([LEAST, LEAST, LEAST_RESISTANCE])
-    return bool((off > np.maximum(least, SURE * sigma)).any())
+    return bool((off > np.maximum(least, SURE * estimate.gain_sigmas)).any())
 
 
 def is_outdated(monitor: PlantMonitor, time_s: float) -> bool:
@@ -242,7 +242,7 @@ def _copy_protection(estimate: StateEstimate, run: Run, section: Section) -> Pro
     count, known = np.size(supervision.recent), estimate.commands.size
     supervision = supervision._replace(
         recent=np.pad(estimate.commands, (0, max(count - known, 0)), "edge")[:count],
-        share=np.float64(estimate.bank.share[estimate.best]),
+        share=np.float64(estimate.share),
         acceleration_mps2=np.float64(estimate.acceleration_mps2),
     )
     return ProtectionCopy(supervision, ceiling)
