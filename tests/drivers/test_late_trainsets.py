@@ -47,6 +47,11 @@ PLACES = {
         ("generalist", "dkz32@0.6,0.4", None, "second", 0.5),
         ("generalist", "dkz32@0.7,0.3", None, "second", 1.0),
         ("eitoe", "dkz32@0.7,0.3", None, "second", 1.0),
+        # the gains of the tracking laws are for periods of 0.2 s; the brake gives no more than 0.66 m/s2
+        ("pid", "cheng2023@0.3,0.2", None, "cheng2023", 0.5),
+        ("pid", "drawn-0-5@1,0.6", "most", "heavy", 1.0),
+        ("pid", "drawn-0-1@0.6,0.4", "most", "slow period", 1.0),
+        ("pid", "dkz32@0.6,0.4", None, "second", 0.2),
     ],
 )
 def test_stops_at_the_mark_and_in_time(driver, trainset, load, place, dt):
@@ -55,4 +60,5 @@ def test_stops_at_the_mark_and_in_time(driver, trainset, load, place, dt):
     done = drive(request.run(), request.make_driver())
     assert done.outcome is Outcome.ARRIVED
     assert done.max_overspeed_mps == 0.0
+    assert done.interventions == 0
     assert abs(done.running_time_s - time_s) <= 2.0

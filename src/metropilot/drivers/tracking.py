@@ -17,6 +17,8 @@ from metropilot._schema import check_fields, declare
 from metropilot._typing import Array
 from metropilot.control import (
     CHENG2023_GAINS,
+    SERVICE_USE,
+    WATCHED_SHARE,
     Ceiling,
     Errors,
     Model,
@@ -26,12 +28,12 @@ from metropilot.control import (
     StopCurve,
     ceiling_of,
     curve_for,
+    deceleration_to,
     initial_estimate,
     largest_admissible_command,
     look_ahead,
     model_of,
     record_command,
-    required_with_build_up,
     stop_command,
     update_estimate,
 )
@@ -52,10 +54,14 @@ from metropilot.sim import AbstractDriver, Observation, Run
 Kind = Literal["trapezoid", "s_curve", "optimal"]
 KINDS: tuple[Kind, ...] = ("trapezoid", "s_curve", "optimal")
 REFERENCE_PERIOD_S = 0.05
+GAINS_PERIOD_S = 0.2
+"""Control period that the gains are for."""
 CAP_MARGIN_MPS = 0.4
 PATIENCE_S = 4.0
 HANDOVER_M = 25.0
 ALARM = 1.15
+LATEST = 1.25
+"""The stop's own law takes over where waiting a period would take more than this share of the rate."""
 
 
 class TrackingView(NamedTuple):
@@ -207,13 +213,13 @@ class AbstractTracker(AbstractDriver):
         seen = TrackingView(
             speed - ahead.speed_mps, place - ahead.position_m, ahead.speed_mps, speed, memory.command
         )
-        wanted, controller = self.control(memory.controller, seen)
-        memory = replace(memory, controller=controller, command=float(wanted))
+        command, controller = self._control(memory, seen)
+        if memory.ceiling.late_s > 0.0:
+            # A late command is judged by what it would do until it can be taken back: ease off in time.
+            command = min(command, ahead.share_for(memory.ceiling.approach(ahead), lead=0.0))
+        memory = replace(memory, controller=controller, command=command)
         memory = self._hand_over(memory, ahead)
-        if memory.stop is not None:
-            share = self._stop(memory, memory.stop).share
-        else:
-            share = ahead.lead(memory.command)
+        share = ahead.lead(command) if memory.stop is None else self._stop(memory, memory.stop).share
         share, supervision = largest_admissible_command(
             memory.ceiling.guard, memory.supervision, observation.position_m, observation.speed_mps, share
         )
@@ -223,6 +229,15 @@ class AbstractTracker(AbstractDriver):
             supervision=supervision,
             overruled=int(supervision.level) > 0,
         )
+
+    def _control(self, memory: TrackingMemory, seen: TrackingView) -> tuple[float, Any]:
+        """The law's command, in a longer control period than its gains are for as in several of theirs."""
+        periods = max(round(memory.model.dt / GAINS_PERIOD_S), 1)
+        wanted, controller = self.control(memory.controller, seen)
+        for _ in range(periods - 1):
+            wanted, controller = self.control(controller, seen._replace(command=wanted))
+        # The law is incremental, and the plant answers for so much longer before it sees what came of it.
+        return memory.command + (float(wanted) - memory.command) / periods, controller
 
     def _stop(self, memory: TrackingMemory, curve: StopCurve) -> Stop:
         return stop_command(memory.model, memory.estimate, float(memory.model.track.length_m), curve)
@@ -234,10 +249,17 @@ class AbstractTracker(AbstractDriver):
         vehicle, left = memory.model.vehicle, float(memory.model.track.length_m) - ahead.position_m
         rate = min(self.options.deceleration_mps2, float(vehicle.max_deceleration_mps2))
         curve = curve_for(vehicle, memory.model.dt, rate)
-        required, _ = required_with_build_up(ahead.speed_mps, ahead.acceleration_mps2, left, curve)
-        if left > HANDOVER_M and required < ALARM * rate:
+        stop = self._stop(memory, curve)
+        required = stop.required_mps2
+        if left > HANDOVER_M and required < ALARM * rate and stop.later_mps2 < self._most(memory, stop, rate):
             return memory
         return replace(memory, stop=curve._replace(deceleration_mps2=min(max(required, 0.1), ALARM * rate)))
+
+    def _most(self, memory: TrackingMemory, stop: Stop, rate_mps2: float) -> float:
+        """Deceleration that a stop may need after another period: what the brake surely gives."""
+        if stop.required_mps2 < WATCHED_SHARE * rate_mps2:
+            return math.inf
+        return min(SERVICE_USE * deceleration_to(memory.model, memory.estimate, stop), LATEST * rate_mps2)
 
     def _follow_updates(self, memory: TrackingMemory, observation: Observation) -> TrackingMemory:
         """Lay the reference anew after news, or where the trainset is far from it."""
