@@ -73,13 +73,14 @@ def test_reproduce_writes_report_page_and_figures(registered, tmp_path, capsys):
         "low": 12.9,
         "high": 13.4,
         "optimum": 12.4,
+        "values": [13.0, 12.9, 13.4],
     }
     page = (docs / "some2020.md").read_text()
     assert "| 120 s | `dqn` | energy | kWh | 17.05 | 13.00 | 12.90 … 13.40 | 12.40 |" in page
     assert "|  |  | switches |  | – | 4.00 | – | – |" in page
     assert "1. A sentence." in page
-    assert {p.name for p in (docs / "some2020").iterdir()} == {"reward.png"}
-    assert {p.name for p in (out / "some2020").iterdir()} == {"reward.png", "reward.svg"}
+    assert {p.name for p in (docs / "some2020").iterdir()} == {"reward.png", "rows.csv"}
+    assert {p.name for p in (out / "some2020").iterdir()} == {"reward.png", "reward.svg", "rows.csv"}
 
 
 @pytest.mark.parametrize(

@@ -113,9 +113,13 @@ def _say(line: str) -> None:
 
 def _report(report: StudyReport, folder: Path) -> None:
     """Print the tables."""
-    from metropilot.studies import row_numbers
+    from metropilot.studies import row_numbers, verdict_numbers
 
     out = console()
+    if report.verdicts:
+        cells = [(v.claim, *verdict_numbers(v), v.verdict, v.why) for v in report.verdicts]
+        columns = ("claim", "published", "ours", "interval", "simple rival", "verdict", "why")
+        out.print(table("Verdicts", columns, cells, right=(1, 2, 3), spare=("interval", "why")))
     for name, rows in report.tables().items():
         cells = [(r.case, r.driver, r.kpi, r.unit, *row_numbers(r)) for r in rows]
         columns = ("case", "driver", "KPI", "unit", "published", "ours", "range", "optimum")

@@ -3,6 +3,7 @@ from .learning import SeedResult as SeedResult
 from .learning import learn_seeds as learn_seeds
 from .page import row_numbers as row_numbers
 from .page import study_page as study_page
+from .page import verdict_numbers as verdict_numbers
 from .page import write_docs as write_docs
 from .page import write_report as write_report
 from .report import Figure as Figure
@@ -14,3 +15,6 @@ from .study import Order as Order
 from .study import Study as Study
 from .study import check_budget as check_budget
 from .study import reproduce as reproduce
+from .verdict import Claim as Claim
+from .verdict import Verdict as Verdict
+from .verdict import judge_claims as judge_claims

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import csv
 import re
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
 from pathlib import Path
 
 from metropilot._io import fill_folder, to_json
 from metropilot.studies.report import ReportRow, StudyReport
 from metropilot.studies.study import Study
+from metropilot.studies.verdict import Verdict, count_verdicts
 
 NOTHING = "–"
 LEGEND = (
     "*Ours* is the median over the seeds, *range* their smallest and largest value; *optimum* is the "
     "certified plan for the same running time."
 )
+VERDICT_LEGEND = (
+    "*Ours* is the median over the seeds with the 95 % bootstrap interval of it; *beaten*, *matched* "
+    "and *missed* compare it with the published number. *Simple rival* is the best of the drivers without "
+    "learning, and *why* says whether the difference from it may be chance (Mann-Whitney, or Wilcoxon "
+    "against a driver without random numbers)."
+)
+LONG = 40
+"""Rows from which a table shows only those with a published number; the file holds all."""
+ROWS_FILE = "rows.csv"
 
 
 def number(value: float | None) -> str:
@@ -46,17 +59,49 @@ def study_page(study: Study, report: StudyReport) -> str:
     lines = [f"# {report.title}", "", study.citation, ""]
     took = f"{report.seeds} seeds, {report.seconds / 60:.1f} minutes"
     took += " (without learning runs of earlier calls)"
-    lines += [f"Written by `{command}`: {took}. {about}.", "", LEGEND, ""]
+    lines += [f"Written by `{command}`: {took}. {about}.", ""]
+    if report.verdicts:
+        lines += ["## Verdicts", "", f"{count_verdicts(report.verdicts).capitalize()}. {VERDICT_LEGEND}", ""]
+        lines += [*_verdict_table(report.verdicts), ""]
     if report.remarks:
         lines += ["## Findings", "", *(f"- {remark}" for remark in report.remarks), ""]
+    lines += [f"{LEGEND} Every row with the value of each seed: [{ROWS_FILE}]({study.id}/{ROWS_FILE}).", ""]
     for name, rows in report.tables().items():
-        lines += [f"## {name}", "", *_table(rows), ""]
+        shown = rows if len(rows) <= LONG else [row for row in rows if row.published is not None]
+        lines += [f"## {name}", ""]
+        if shown:
+            lines += [*_table(shown), ""]
+        if len(shown) < len(rows):
+            lines += [
+                f"{len(rows) - len(shown)} further rows without a published number are in the file.",
+                "",
+            ]
     for figure in report.figures:
         lines += [f"![{figure.caption}]({study.id}/{figure.name}.png)", "", f"*{figure.caption}*", ""]
     if report.deviations:
         lines += ["## Deviations from the paper", ""]
         lines += [f"{n}. {text}" for n, text in enumerate(report.deviations, 1)]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _verdict_table(verdicts: Sequence[Verdict]) -> list[str]:
+    """Render the table of verdicts."""
+    lines = ["| claim of the paper | unit | published | ours | interval | simple rival | verdict | why |"]
+    lines += ["|---|---|---:|---:|---:|---|---|---|"]
+    return [*lines, *(_cells((v.claim, v.unit, *verdict_numbers(v), v.verdict, v.why)) for v in verdicts)]
+
+
+def verdict_numbers(verdict: Verdict) -> tuple[str, str, str, str]:
+    """Format the published value, ours, the interval and the strongest simple rival."""
+    rival = NOTHING if verdict.rival is None else f"{verdict.rival.driver}: {number(verdict.rival.value)}"
+    low, high = number(verdict.low), number(verdict.high)
+    interval = NOTHING if low == high else f"{low} … {high}"
+    return number(verdict.published), number(verdict.ours), interval, rival
+
+
+def _cells(cells: Iterable[str]) -> str:
+    """Render one row of a table."""
+    return "| " + " | ".join(re.sub(r"([|])", r"\\\1", cell) for cell in cells) + " |"
 
 
 def _table(rows: list[ReportRow]) -> list[str]:
@@ -69,12 +114,23 @@ def _table(rows: list[ReportRow]) -> list[str]:
         driver = "" if (row.case, row.driver) == before else f"`{row.driver}`"
         before = (row.case, row.driver)
         cells = (case, driver, row.kpi, row.unit, *row_numbers(row))
-        lines.append("| " + " | ".join(re.sub(r"([|])", r"\\\1", cell) for cell in cells) + " |")
+        lines.append(_cells(cells))
     return lines
 
 
+def write_rows(path: Path, report: StudyReport) -> None:
+    """Write every row as a table of comma-separated values, with the value of each seed."""
+    count = max((len(row.values) for row in report.rows), default=0)
+    names = [f.name for f in fields(ReportRow) if f.name != "values"]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow([*names, *(f"seed {k}" for k in range(count))])
+        for row in report.rows:
+            table.writerow([*(getattr(row, name) for name in names), *row.values])
+
+
 def write_figures(folder: Path, report: StudyReport) -> None:
-    """Draw every figure into a folder, as SVG and PNG.
+    """Draw every figure into a folder, as SVG and PNG, and write every row.
 
     Raises:
         InputError: The folder cannot be written.
@@ -89,10 +145,11 @@ def write_figures(folder: Path, report: StudyReport) -> None:
                 drawing = figure.draw()
                 save_figure(drawing, scratch / figure.name)
                 plt.close(drawing)
+        write_rows(scratch / ROWS_FILE, report)
 
 
 def write_report(folder: Path, study: Study, report: StudyReport) -> None:
-    """Write `report.json`, `ID.md` and the figures in folder `ID`.
+    """Write `report.json`, `ID.md` the figures and `rows.csv` in folder `ID`.
 
     Raises:
         InputError: The folder cannot be written.
@@ -104,7 +161,7 @@ def write_report(folder: Path, study: Study, report: StudyReport) -> None:
 
 
 def write_docs(folder: Path, study: Study, report: StudyReport) -> None:
-    """Write the page and its figures into the documentation; PNG only, to keep the site small.
+    """Write the page and its figures and rows into the documentation; PNG only, to keep the site small.
 
     Raises:
         InputError: The folder cannot be written.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from metropilot.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
+
+    from metropilot.studies.verdict import Claim, Verdict
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,7 @@ class ReportRow:
         low: Smallest over the seeds.
         high: Largest over the seeds.
         optimum: Best value that is physically possible; None where there is no such bound.
+        values: Value of every seed; empty where nothing is random.
     """
 
     table: str
@@ -41,6 +45,7 @@ class ReportRow:
     low: float | None = None
     high: float | None = None
     optimum: float | None = None
+    values: tuple[float, ...] = ()
 
     def with_values(self, values: Iterable[float]) -> ReportRow:
         """The same row with the median and range of one value per seed.
@@ -52,7 +57,8 @@ class ReportRow:
         if found.size == 0 or not np.isfinite(found).all():
             raise InputError("not measured", field=f"{self.case} {self.driver} {self.kpi}", value=found)
         low, middle, high = (float(v) for v in (found.min(), np.median(found), found.max()))
-        return ReportRow(**{**asdict(self), "ours": middle, "low": low, "high": high})
+        each = tuple(float(value) for value in found)
+        return replace(self, ours=middle, low=low, high=high, values=each)
 
 
 def paragraphs(text: str) -> tuple[str, ...]:
@@ -85,6 +91,7 @@ class StudyReport:
         figures: Every figure.
         deviations: Departures from the paper and their reasons, one sentence or two each.
         remarks: Findings: claims of the paper that were not reached, and the reasons.
+        claims: Claims of the paper that the rows decide.
         study: Its id.
         title: Its heading.
         budget: quick or paper.
@@ -97,6 +104,7 @@ class StudyReport:
     figures: Sequence[Figure] = ()
     deviations: Sequence[str] = ()
     remarks: Sequence[str] = ()
+    claims: Sequence[Claim] = ()
     study: str = ""
     title: str = ""
     budget: str = ""
@@ -110,12 +118,20 @@ class StudyReport:
             "budget": self.budget,
             "seeds": self.seeds,
             "seconds": round(self.seconds, 1),
+            "verdicts": [verdict.as_dict() for verdict in self.verdicts],
             "rows": [asdict(row) for row in self.rows],
             "figures": [{"name": f.name, "caption": f.caption} for f in self.figures],
             "deviations": list(self.deviations),
             "remarks": list(self.remarks),
             "circumstances": dict(self.circumstances),
         }
+
+    @cached_property
+    def verdicts(self) -> list[Verdict]:
+        """Judgement of every claim."""
+        from metropilot.studies.verdict import judge_claims
+
+        return judge_claims(self.claims, self.rows)
 
     def tables(self) -> dict[str, list[ReportRow]]:
         """Rows by table, in the order they came."""

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from metropilot._typing import Float
+from metropilot._typing import Array, Float
+from metropilot.env import episode_of, starts
 from metropilot.studies.chen2023a.setting import (
     COMFORT,
     CONVERGED,
@@ -17,9 +18,12 @@ from metropilot.studies.chen2023a.setting import (
     DECISION_S,
     ENERGY_ORDER,
     IMPACT_ORDER,
+    PRESCRIBED_S,
     THRESHOLD_S,
+    longest_decisions,
+    make_assisted,
 )
-from metropilot.studies.learning import SeedResult
+from metropilot.studies.learning import SeedResult, drive_to_end
 from metropilot.studies.report import ReportRow
 from metropilot.units import J_PER_KWH
 
@@ -28,6 +32,8 @@ if TYPE_CHECKING:
 
 Values = Float[ndarray, " chunks"]
 
+CONSTANT, CONSTANTS = "constant command", 96
+"""Driver without learning, and the number of commands from 0.05 to 1 that are tried."""
 CLOSE = 0.1
 """A return is near the final one when it differs by at most this share of it."""
 KEPT = 0.95
@@ -124,6 +130,7 @@ Courses = Mapping[str, Sequence[DriveCourse]]
 Bound = Callable[[float], "float | None"]
 AFTER = 4000.0
 """The paper judges the running time from this episode on."""
+MOST_ENERGY, HIGHEST_IMPACT = "place in energy, 1 is most", "place in impact rate, 1 is highest"
 LEARNING, DRIVING = "episodes with exploration", "the policy itself"
 KINDS = ((LEARNING, "learning"), (DRIVING, "driving"))
 REWARD, LOSS, TIME = "Figures 5 to 7: reward", "Figures 8 to 10: loss", "Figures 11 to 13: running time"
@@ -180,6 +187,27 @@ def reward_rows(courses: Courses) -> Iterator[ReportRow]:
             yield row.with_values(there) if (there := [a for a in at if a is not None]) else row
             returns = [final(getattr(one, kind)["return"]) for one in mine]
             yield ReportRow(REWARD, case, name, "final return", "").with_values(returns)
+
+
+def constant_rows() -> Iterator[ReportRow]:
+    """Rows of the best constant command: the simplest driver of the task, with the same assists."""
+    import jax
+    import jax.numpy as jnp
+
+    task = make_assisted()
+    begin = task.begin(jax.tree.map(lambda x: x[0], starts([0], [PRESCRIBED_S])))
+    decisions, key = longest_decisions(task), jax.random.key(0)
+
+    def run(command: Array) -> tuple[Array, Array]:
+        state, returned = drive_to_end(task, lambda _, __: command[None], begin, key, decisions)
+        return returned, episode_of(task, state).running_time_s
+
+    commands = jnp.linspace(0.05, 1.0, CONSTANTS)
+    returned, times = jax.jit(jax.vmap(run))(commands)
+    best = int(jnp.argmax(returned))
+    yield ReportRow(REWARD, DRIVING, CONSTANT, "final return", "", ours=float(returned[best]))
+    yield ReportRow(REWARD, DRIVING, CONSTANT, "command", "", ours=float(commands[best]))
+    yield ReportRow(TIME, DRIVING, CONSTANT, "final running time", "s", ours=float(times[best]))
 
 
 def find_convergences(mine: Sequence[DriveCourse], kind: str) -> list[float | None]:
@@ -255,9 +283,7 @@ def order_rows(courses: Courses) -> Iterator[ReportRow]:
                 for name, mine in courses.items()
             }
             ours = sorted(size, key=lambda name: -size[name])
-            words = (
-                "place in energy, 1 is most" if kpi == "energy_kwh" else "place in impact rate, 1 is highest"
-            )
+            words = MOST_ENERGY if kpi == "energy_kwh" else HIGHEST_IMPACT
             for name in courses:
                 said = order.index(name) + 1.0 if case == LEARNING and name in order else None
                 yield ReportRow(ORDER, case, name, words, "", said).with_values([ours.index(name) + 1.0])

@@ -103,6 +103,17 @@ def make_unassisted() -> DrivingTask:
     return DrivingTask(replace(task_config(), assists=Assists(stop=False), outcomes=rule))
 
 
+def longest_s(task: DrivingTask) -> float:
+    """Time after which an episode ends."""
+    rule = task.config.outcomes
+    return rule.late_ratio * PRESCRIBED_S + rule.late_s
+
+
+def longest_decisions(task: DrivingTask) -> int:
+    """Number of decisions that is enough for any episode."""
+    return int(longest_s(task) / DECISION_S) + 2
+
+
 def make_evaluation(config: AbstractConfig, task: AbstractTask) -> PolicyEvaluation:
     """Return the evaluation of a policy: one deterministic run from standstill without exploration.
 
@@ -129,9 +140,7 @@ def make_evaluation(config: AbstractConfig, task: AbstractTask) -> PolicyEvaluat
 
     spec = make_learner(config, task).spec
     start = jax.tree.map(lambda x: x[0], starts([0], [PRESCRIBED_S]))
-    rule = task.config.outcomes
-    longest = rule.late_ratio * PRESCRIBED_S + rule.late_s
-    decisions = int(longest / DECISION_S) + 2
+    longest, decisions = longest_s(task), longest_decisions(task)
 
     def evaluate(params: Params, key: Array) -> dict[str, Array]:
         state, returned = drive_to_end(task, partial(act, spec, params), task.begin(start), key, decisions)

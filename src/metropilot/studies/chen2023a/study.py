@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from metropilot.studies.chen2023a.drives import LeastEnergy, outcome_rows, paper_rows
+from metropilot.studies.chen2023a.drives import LeastEnergy, constant_rows, outcome_rows, paper_rows
 from metropilot.studies.chen2023a.figures import figures
 from metropilot.studies.chen2023a.setting import CITATION, EPISODES, PRESCRIBED_S, THRESHOLD_S
-from metropilot.studies.chen2023a.words import DEVIATIONS, remarks
+from metropilot.studies.chen2023a.words import CLAIMS, DEVIATIONS, remarks
 from metropilot.studies.report import ReportRow, StudyReport
 from metropilot.studies.study import Study
 from metropilot.units import J_PER_KWH
@@ -67,10 +67,10 @@ def reproduce(order: Order) -> StudyReport:
         rows += outcome_rows(ABLATION, changed)
         alone = _courses(order, LEARNERS, short, few, assisted=False, prefix="unassisted-")
         rows += outcome_rows(UNASSISTED, alone)
-    rows += bounds
+    rows += [*bounds, *constant_rows()]
     drawn = figures(learned, least(THRESHOLD_S) or 0.0)
     said = remarks(learned, changed)
-    return StudyReport(len(seeds), rows, drawn, DEVIATIONS, said)
+    return StudyReport(len(seeds), rows, drawn, DEVIATIONS, said, CLAIMS)
 
 
 def _courses(

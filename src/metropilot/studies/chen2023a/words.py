@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metropilot.studies.chen2023a.drives import final, find_convergences
+from metropilot.studies.chen2023a.drives import (
+    CONSTANT,
+    DRIVING,
+    HIGHEST_IMPACT,
+    LEARNING,
+    MOST_ENERGY,
+    final,
+    find_convergences,
+)
 from metropilot.studies.chen2023a.learning import (
     DECISIONS,
     FIRST_COMMAND,
@@ -26,9 +34,30 @@ from metropilot.studies.chen2023a.setting import (
     UNASSISTED_TOLERANCE_M,
 )
 from metropilot.studies.report import paragraphs
+from metropilot.studies.verdict import Claim
 
 if TYPE_CHECKING:
     from metropilot.studies.chen2023a.drives import DriveCourse
+
+SHARE, EPISODES_KPI = "share of seeds converged", "episodes to converge (of those that did)"
+CLAIMS = (
+    Claim("plain PPO does not converge", "ppo", SHARE, LEARNING, "same"),
+    Claim("PPO with reward scaling converges", "ppo_scaled", SHARE, LEARNING, "high"),
+    Claim("the same, around episode 3,000", "ppo_scaled", EPISODES_KPI, LEARNING),
+    Claim("DDPG converges", "ddpg", SHARE, LEARNING, "high"),
+    Claim("the same, around episode 3,000", "ddpg", EPISODES_KPI, LEARNING),
+    Claim("DDPG needs most energy", "ddpg", MOST_ENERGY, LEARNING, "same"),
+    Claim("plain PPO, late, needs least energy", "ppo", MOST_ENERGY, LEARNING, "same"),
+    Claim("DDPG has the highest impact rate", "ddpg", HIGHEST_IMPACT, LEARNING, "same"),
+    Claim(
+        "PPO with reward scaling drives best (return of the policy)",
+        "ppo_scaled",
+        "final return",
+        DRIVING,
+        "high",
+        (CONSTANT,),
+    ),
+)
 
 SEEDS = " and ".join(str(seed) for seed in TUNING_SEEDS)
 DONE = ", ".join(f"{NAMES[name]} {len(trials(name))}" for name in LEARNERS)

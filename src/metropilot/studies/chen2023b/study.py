@@ -20,7 +20,14 @@ from metropilot.studies.chen2023b.drivers import FollowPolicyOptions
 from metropilot.studies.chen2023b.figures import figures
 from metropilot.studies.chen2023b.learning import ETAS, NAMES, jobs
 from metropilot.studies.chen2023b.setting import CITATION, PUBLISHED, SIMPLE, head_run, pair
-from metropilot.studies.chen2023b.words import DEVIATIONS, FIRST_RETURN, LAST_RETURN, remarks
+from metropilot.studies.chen2023b.words import (
+    CLAIMS,
+    DEVIATIONS,
+    FIRST_RETURN,
+    HEAD_CASE,
+    LAST_RETURN,
+    remarks,
+)
 from metropilot.studies.report import ReportRow, StudyReport
 from metropilot.studies.study import Order, Study
 
@@ -32,7 +39,6 @@ WORDS = {
     "gap_max_m": ("largest gap", "m"),
     "speed_difference_max_mps": ("largest speed difference", "m/s"),
 }
-CASE = "2 trainsets, YZQ–WHY"
 
 
 def reproduce(order: Order) -> StudyReport:
@@ -57,6 +63,7 @@ def reproduce(order: Order) -> StudyReport:
         seeds=max((len(each) for each in runs.values()), default=len(seeds)),
         rows=rows,
         figures=figures(runs, shown, gains),
+        claims=CLAIMS,
         deviations=DEVIATIONS,
         remarks=[*_missing_seeds(runs, seeds), *remarks(rows)],
     )
@@ -119,12 +126,12 @@ def _rows(name: str, drives: Sequence[ConvoyDrive]) -> list[ReportRow]:
     for key, measured in values.items():
         published = PUBLISHED[key] if name == "sac_pid" else None
         rows.append(
-            ReportRow("Figs. 7 to 9", CASE, name, *WORDS[key], published=published).with_values(measured)
+            ReportRow("Figs. 7 to 9", HEAD_CASE, name, *WORDS[key], published=published).with_values(measured)
         )
     overruled = [float(sum(drive.interventions)) for drive in drives]
     return [
         *rows,
-        ReportRow("Figs. 7 to 9", CASE, name, "interventions of protection", "").with_values(overruled),
+        ReportRow("Figs. 7 to 9", HEAD_CASE, name, "interventions of protection", "").with_values(overruled),
     ]
 
 

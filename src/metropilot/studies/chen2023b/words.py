@@ -8,6 +8,22 @@ from metropilot.convoy import GAP_M
 from metropilot.studies.chen2023b.beyond import CONTACTS
 from metropilot.studies.chen2023b.setting import PUBLISHED
 from metropilot.studies.report import ReportRow, paragraphs
+from metropilot.studies.verdict import Claim
+
+HEAD_CASE = "2 trainsets, YZQ–WHY"
+RIVALS = ("follow_pid", "follow_gap", "follow_mpc")
+CLAIMS = (
+    Claim("SAC-PID keeps the gap: smallest", "sac_pid", "smallest gap", HEAD_CASE, "high", RIVALS),
+    Claim("the same: largest", "sac_pid", "largest gap", HEAD_CASE, "low", RIVALS),
+    Claim("SAC-PID keeps the speed", "sac_pid", "largest speed difference", HEAD_CASE, "low", RIVALS),
+    Claim(
+        "DDPG-PID fails to learn",
+        "ddpg_pid_follow",
+        "largest gap",
+        HEAD_CASE,
+        untestable="the paper prints a figure of its return, no number",
+    ),
+)
 
 DEVIATIONS = paragraphs("""
 Sign of the speed difference: with eq. 10 (own speed minus the speed ahead) the law of eq. 12 is

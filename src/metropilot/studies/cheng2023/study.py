@@ -8,11 +8,16 @@ from typing import Any
 import numpy as np
 
 from metropilot.studies.cheng2023 import drives as table
-from metropilot.studies.cheng2023.drives import ComparedController, compared_controllers
+from metropilot.studies.cheng2023.drives import (
+    POSITION_PID,
+    TUNED_POSITION_PID,
+    ComparedController,
+    compared_controllers,
+)
 from metropilot.studies.cheng2023.figures import figures
 from metropilot.studies.cheng2023.setting import CITATION, REFERENCES, SCENARIOS, course
 from metropilot.studies.cheng2023.tracking import TrackingKpis, TrackRecord, track_course, tracking_kpis
-from metropilot.studies.cheng2023.words import DEVIATIONS, remarks
+from metropilot.studies.cheng2023.words import CLAIMS, DEVIATIONS, remarks
 from metropilot.studies.report import ReportRow, StudyReport
 from metropilot.studies.study import Order, Study
 
@@ -42,6 +47,7 @@ def reproduce(order: Order) -> StudyReport:
         seeds=len(policies),
         rows=found,
         figures=figures(records),
+        claims=CLAIMS if kind == "s_curve" else (),
         deviations=DEVIATIONS,
         remarks=remarks(measured, kind, tuned),
     )
@@ -56,7 +62,12 @@ def _load_or_learn(order: Order) -> tuple[dict[int, Callable[[Any], Any]], Mappi
         from metropilot.studies.cheng2023.fuzzy_pid import TUNED_FUZZY_PID
         from metropilot.studies.cheng2023.neural_pid import TUNED_NEURAL_PID
 
-        tuned = {"pid": TUNED_PID, "fuzzy_pid": TUNED_FUZZY_PID, "neural_pid": TUNED_NEURAL_PID}
+        tuned = {
+            "pid": TUNED_PID,
+            POSITION_PID: TUNED_POSITION_PID,
+            "fuzzy_pid": TUNED_FUZZY_PID,
+            "neural_pid": TUNED_NEURAL_PID,
+        }
         return {0: load_gains_policy(shipped_policy("ddpg_pid"))}, tuned
     from metropilot.studies.cheng2023.learning import SEEDS, jobs
     from metropilot.studies.cheng2023.tuning import TUNABLE, tune_driver

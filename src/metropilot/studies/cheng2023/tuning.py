@@ -13,7 +13,14 @@ from numpy import ndarray
 from metropilot._typing import Array, Float
 from metropilot.control import CHENG2023_UPPER, Gains
 from metropilot.errors import InputError
-from metropilot.studies.cheng2023.drives import Start, fuzzy_control, neural_control, pid_control
+from metropilot.studies.cheng2023.drives import (
+    POSITION_PID,
+    Start,
+    fuzzy_control,
+    neural_control,
+    pid_control,
+    position_pid_control,
+)
 from metropilot.studies.cheng2023.fuzzy_pid import Universes
 from metropilot.studies.cheng2023.neural_pid import LearningRates
 from metropilot.studies.cheng2023.tracking import (
@@ -88,6 +95,13 @@ TUNABLE: Mapping[str, Tunable] = MappingProxyType(
         "pid": Tunable(
             _NAMES, (0.0, 0.0, 0.0), _UPPER, (False,) * 3, lambda values: [pid_control(Gains(*values[:3]))]
         ),
+        POSITION_PID: Tunable(
+            (*_NAMES, "position_per_s"),
+            (0.0, 0.0, 0.0, 0.0),
+            (*_UPPER, 10.0),
+            (False,) * 4,
+            lambda values: [position_pid_control(Gains(*values[:3]), values[3])],
+        ),
         "fuzzy_pid": Tunable(
             (*_NAMES, "error_mps", "change_mps", "kp_span", "ki_span", "kd_span"),
             (0.0, 0.0, 0.0, 0.01, 0.005, 0.0, 0.0, 0.0),
@@ -111,7 +125,7 @@ def tune_driver(driver: str, course: ReferenceCourse, seed: int = 0, generations
     """Search a driver's parameters on a course.
 
     Args:
-        driver: ``pid``, ``fuzzy_pid`` or ``neural_pid``.
+        driver: One of ``TUNABLE``.
         course: Reference, track and plant.
         seed: Seed of the search.
         generations: After the first; each drives 40 candidates.

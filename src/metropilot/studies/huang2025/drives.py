@@ -13,9 +13,14 @@ from metropilot.evaluate import Indices, Kpis, indices_of, kpis_of, make_driver
 from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
 from metropilot.sim import AbstractDriver, Drive, drive
 from metropilot.studies.huang2025.setting import (
+    BRISK_EITOE,
     COAST,
     DECISION_US,
     DELAY_S,
+    EITOE,
+    EITOP,
+    EQUAL_EITOE,
+    GENTLE_MPS2,
     IC,
     IE,
     MANUAL,
@@ -31,6 +36,8 @@ from metropilot.studies.report import ReportRow
 from metropilot.units import J_PER_KWH
 
 SPACING_M = 5.0
+SEARCHES, SAME_S = 6, 0.2
+"""Tries of the search for a scheduled time, and the difference of arrival that counts as none: one period."""
 ABOVE, ABOVE_DEAD = "above the optimum", "above the optimum, dead time of the actuation apart"
 
 
@@ -63,6 +70,8 @@ def make_drivers(driver: str, policies: Mapping[str, Sequence[Path]], seeds: ran
     """Make one driver per seed: manual drives differ by seed, learned ones by policy, an expert has one."""
     if driver in policies:
         return [make_driver(driver, {"policy": str(path)}) for path in policies[driver]]
+    if driver == BRISK_EITOE:
+        return [make_driver(EITOE, {"start_mps2": GENTLE_MPS2[EITOP]})]
     return [make_driver(driver) for _ in (seeds if driver == MANUAL else range(1))]
 
 
@@ -72,6 +81,28 @@ def drive_case(
     """Drive a case with every seed or policy."""
     who = make_drivers(driver, policies, seeds)
     return EvaluatedRun(case, driver, [drive(run_of(case, seed), one) for seed, one in enumerate(who)])
+
+
+def drive_at_arrival(case: PublishedCase, arrival_s: float) -> EvaluatedRun:
+    """Drive a case by the expert at EITOP's limit so that it arrives when EITOP does (secant search).
+
+    Args:
+        case: A case without a timetable update.
+        arrival_s: Running time of EITOP.
+    """
+    expert = make_driver(EITOE, {"start_mps2": GENTLE_MPS2[EITOP]})
+
+    def drive_for(scheduled_s: float) -> Drive:
+        return drive(run_of(replace(case, scheduled_s=scheduled_s)), expert)
+
+    found, scheduled = drive_for(case.scheduled_s), case.scheduled_s
+    for _ in range(SEARCHES):
+        missing = arrival_s - found.running_time_s
+        if abs(missing) < SAME_S:
+            break
+        scheduled += missing
+        found = drive_for(scheduled)
+    return EvaluatedRun(case, EQUAL_EITOE, [found])
 
 
 class LeastIndex:

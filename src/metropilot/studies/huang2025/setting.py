@@ -37,6 +37,10 @@ TABLE2, TABLE3, TABLE4 = "Cases 1 and 2: its Table 2", "Late updates: its Table 
 BEYOND = "Beyond the paper"
 
 MANUAL, ITOR, STON, STOD, EITOE, EITOP = "manual", "itor", "ston", "stod", "eitoe", "eitop"
+BRISK_EITOE = "eitoe at 0.8 m/s²"
+"""The expert with EITOP's acceleration limit."""
+EQUAL_EITOE = "eitoe at 0.8 m/s², arrival of eitop"
+"""The same, told a scheduled time with which it arrives when EITOP does."""
 LEARNED = (ITOR, STON, STOD, EITOP)
 EXPERTS = (EITOE, EITOP)
 
@@ -65,7 +69,7 @@ class PublishedCase:
     scheduled_s: float
     origin: str = "RJ"
     destination: str = "WYJ"
-    drivers: tuple[str, ...] = EXPERTS
+    drivers: tuple[str, ...] = (*EXPERTS, BRISK_EITOE)
     told_s: float | None = None
     news_s: float | None = None
     restricted: Restriction | None = None
@@ -84,7 +88,7 @@ IE, IC, RELATIVE, COAST, TOP, TOOK = (
     "highest speed",
     "running time",
 )
-ALL = (MANUAL, ITOR, STON, STOD, EITOE, EITOP, "optimal")
+ALL = (MANUAL, ITOR, STON, STOD, EITOE, BRISK_EITOE, EITOP, "optimal")
 
 CASES: tuple[PublishedCase, ...] = (
     PublishedCase(
@@ -204,7 +208,7 @@ ON_THE_WAY = 0.7
 """Share of the episodes that begin between stations."""
 DELAY_S, LAG_S = 0.6, 0.4
 """Dead time and time constant of its eq. 4 (assumed: no value can be read)."""
-GENTLE_MPS2 = {EITOP: 0.8}
+GENTLE_MPS2 = {EITOP: 0.8, BRISK_EITOE: 0.8, EQUAL_EITOE: 0.8}
 """Largest acceleration by driver; all other expert drivers keep rule 2."""
 RULE2_MPS2 = 0.6
 FREE = ("manual", "optimal", "flat_out")

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 
 from metropilot.studies.huang2025.drives import ABOVE
 from metropilot.studies.huang2025.setting import (
+    BRISK_EITOE,
     BY_ID,
     COAST,
     EITOE,
     EITOP,
+    EQUAL_EITOE,
     IC,
     IE,
     RELATIVE,
@@ -18,6 +20,7 @@ from metropilot.studies.huang2025.setting import (
     TOP,
 )
 from metropilot.studies.report import ReportRow, paragraphs
+from metropilot.studies.verdict import Aim, Claim
 
 DEVIATIONS = paragraphs("""
 Manual driving is the model `manual` with ten parameter sets, not the best of 100 recorded drives, which
@@ -66,6 +69,38 @@ printed.
 """)
 
 
+EXPERT_RIVALS = (EITOE, BRISK_EITOE, EQUAL_EITOE)
+"""The rules without a policy: with the paper's limit, with EITOP's, and at EITOP's arrival."""
+
+
+def _claim(case: str, driver: str, kpi: str, words: str, aim: Aim = "low") -> Claim:
+    """Claim on a driver in a case; a published time counts as met within a second."""
+    rivals = EXPERT_RIVALS if driver == EITOP and kpi in (IE, RELATIVE, IC) else ()
+    return Claim(words, driver, kpi, BY_ID[case].name, aim, rivals, rounding=1.0 if kpi == TOOK else None)
+
+
+CLAIMS = (
+    _claim("101", EITOE, IE, "EITOE at 101 s: energy", "same"),
+    _claim("101", EITOP, IE, "EITOP needs less energy than EITOE at 101 s"),
+    _claim("101", EITOE, RELATIVE, "EITOE saves energy against manual driving at 101 s"),
+    _claim("101", EITOP, RELATIVE, "EITOP saves energy against manual driving at 101 s"),
+    _claim("95", EITOP, RELATIVE, "the same at 95 s"),
+    _claim("115", EITOP, RELATIVE, "the same at 115 s"),
+    _claim("95", EITOP, IC, "EITOP is comfortable at 95 s"),
+    _claim("101", EITOE, COAST, "EITOE coasts a long way at 101 s", "high"),
+    _claim("later", EITOP, TOOK, "EITOP follows a later arrival", "same"),
+    _claim("earlier", EITOP, TOOK, "EITOP follows an earlier arrival", "same"),
+    _claim("sjz", EITOP, TOOK, "EITOP is on time, Songjiazhuang to Xiaocun", "same"),
+    _claim("xc", EITOP, TOOK, "EITOP is on time, Xiaocun to Xiaohongmen", "same"),
+    Claim(
+        "a decision of EITOP is quick",
+        EITOP,
+        "time of a decision (range: median and 95 % point)",
+        "all cases",
+    ),
+    Claim("learning lowers the energy of case 1", EITOP, "Ie of case 1", "policy kept"),
+)
+
 COMPARED = ("95", "101", "115", "sjz", "xc")
 
 
@@ -86,6 +121,25 @@ def _percent_range(rows: Sequence[ReportRow], case: str, driver: str, kpi: str) 
     return f"{row.ours:.1f} % ({row.high:.1f} %; {BY_ID[case].name})"
 
 
+def _against_expert(rows: Sequence[ReportRow]) -> str:
+    """Energy of EITOP beside the expert alone, at the same acceleration limit and the same arrival."""
+    said, gains = [], []
+    for case in COMPARED:
+        mine, other = (_value(rows, case, driver, IE) for driver in (EITOP, EQUAL_EITOE))
+        if mine is None or other is None or not mine.ours or not other.ours:
+            continue
+        gains.append(100.0 * (mine.ours / other.ours - 1.0))
+        said.append(f"{gains[-1]:+.1f} % ({BY_ID[case].name})")
+    if not gains:
+        return "EITOP was not compared with the expert at its own limit."
+    less = sum(gain < 0.0 for gain in gains)
+    return (
+        "EITOP against the expert alone (EITOE) with the same acceleration limit of 0.8 m/s² and the same "
+        f"arrival, Ie: {', '.join(said)}; less in {less} of {len(gains)} cases, "
+        f"{sum(gains) / len(gains):+.1f} % in the mean."
+    )
+
+
 def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
     """Findings as sentences made from the rows.
 
@@ -96,6 +150,7 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
     peak, ie, coast = (_text(rows, "101", EITOE, kpi, d) for kpi, d in ((TOP, 2), (IE, 1), (COAST, 0)))
     over = {case: _percent_range(rows, case, EITOP, ABOVE) for case in COMPARED}
     found = [
+        _against_expert(rows),
         _missed_indices(rows),
         (
             f"EITOE drives case 1 with {ie} J/kg and {peak} m/s at most (published 380 and 19.49) and "

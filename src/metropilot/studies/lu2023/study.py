@@ -29,7 +29,7 @@ from metropilot.studies.lu2023.setting import (
     plan_case,
 )
 from metropilot.studies.lu2023.ship import best_of
-from metropilot.studies.lu2023.words import DEVIATIONS, remarks
+from metropilot.studies.lu2023.words import CLAIMS, DEVIATIONS, remarks
 from metropilot.studies.report import ReportRow, StudyReport
 from metropilot.studies.study import Study
 
@@ -98,6 +98,7 @@ def reproduce(order: Order) -> StudyReport:
         seeds=len(seeds),
         rows=rows,
         figures=figures(drives, runs),
+        claims=CLAIMS,
         deviations=DEVIATIONS,
         remarks=remarks(rows, budget=order.budget),
     )

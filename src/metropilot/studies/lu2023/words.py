@@ -8,6 +8,40 @@ from metropilot.studies.lu2023.drives import policy_file
 from metropilot.studies.lu2023.learning import RULE
 from metropilot.studies.lu2023.setting import BEYOND, CONVERGENCE, PLANS, TABLE
 from metropilot.studies.report import ReportRow, paragraphs
+from metropilot.studies.verdict import Claim
+
+STOP, LATE, ENERGY = "stopping error", "time error", "wheel traction energy"
+PID = "pid_lu2023"
+
+
+def _claim(plan: str, kpi: str, words: str) -> Claim:
+    """Claim on improved DQN in a plan."""
+    return Claim(f"{words}, {plan}", "improved_dqn", kpi, plan, rivals=(PID,), table=TABLE)
+
+
+CLAIMS = (
+    *(
+        _claim(plan.name, kpi, words)
+        for plan in PLANS
+        for kpi, words in (
+            (STOP, "improved DQN stops at the mark"),
+            (LATE, "it keeps the time"),
+            (ENERGY, "it saves energy"),
+        )
+    ),
+    *(
+        Claim(
+            f"improved DQN converges faster than DQN, {plan}",
+            "improved_dqn",
+            "converges faster than DQN (range: 95 % interval)",
+            plan,
+            "high",
+            untestable="runs that never converged are cut off at their length; only a survival analysis of "
+            "more seeds can tell",
+        )
+        for plan in ("120 s",)
+    ),
+)
 
 DEVIATIONS = paragraphs("""
 The stop is not learned. Station-stop braking follows the stop curve of the task's assist, with the

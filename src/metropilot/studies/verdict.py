@@ -1,0 +1,226 @@
+"""Verdicts of a study: each claim of the paper, ours with its interval, the strongest simple rival."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from metropilot.studies.report import ReportRow
+
+Judgement = Literal["beaten", "matched", "missed", "cannot be tested"]
+Aim = Literal["low", "high", "same"]
+CONFIDENCE, SIGNIFICANCE = 0.95, 0.05
+RESAMPLES = 2000
+ROUNDING = 0.005
+"""Half a unit of the last digit that the papers print, and the share by which values count as equal."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim of the paper, and the rows of the report that decide it.
+
+    Attributes:
+        words: The claim, as a sentence.
+        driver: Driver whose row is judged.
+        kpi: The row's quantity.
+        case: The row's case.
+        aim: Whether a low or a high value is good, or the published value itself.
+        rivals: Drivers without learning, whose best row of the same case and quantity is the rival.
+        table: The row's table; empty: any.
+        untestable: Reason for which the claim cannot be tested; empty: it can.
+        rounding: Difference from the published value that counts as none; None: ``ROUNDING``.
+    """
+
+    words: str
+    driver: str
+    kpi: str
+    case: str
+    aim: Aim = "low"
+    rivals: tuple[str, ...] = ()
+    table: str = ""
+    untestable: str = ""
+    rounding: float | None = None
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Best of the simple drivers on the quantity of a claim.
+
+    Attributes:
+        driver: Its id.
+        value: Its median over the seeds.
+        p: Two-sided probability of so large a difference from ours by chance; None: too few seeds.
+    """
+
+    driver: str
+    value: float
+    p: float | None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Judgement of one claim.
+
+    Attributes:
+        claim: The claim, as a sentence.
+        kpi: The quantity.
+        unit: Its unit.
+        published: The paper's number; None where it gives none.
+        ours: Median over the seeds; None where it cannot be tested.
+        low: Lower end of the 95 % bootstrap interval of the median.
+        high: Its upper end.
+        rival: The strongest simple rival; None: there is none.
+        verdict: beaten, matched or missed against the published number, or cannot be tested.
+        why: The reason, and how the rival does.
+    """
+
+    claim: str
+    kpi: str
+    unit: str
+    published: float | None
+    ours: float | None
+    low: float | None
+    high: float | None
+    rival: Rival | None
+    verdict: Judgement
+    why: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return asdict(self)
+
+
+def median_interval(values: Sequence[float], seed: int = 0) -> tuple[float, float]:
+    """The 95 % bootstrap interval of the median (percentile method); the value itself where all agree.
+
+    Args:
+        values: One value per seed.
+        seed: Seed of the resampling.
+    """
+    from scipy.stats import bootstrap
+
+    found = np.asarray(values, np.float64)
+    if found.size < 2 or np.ptp(found) == 0.0:
+        return float(found.min()), float(found.max())
+    interval = bootstrap(
+        (found,),
+        np.median,
+        n_resamples=RESAMPLES,
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        rng=np.random.default_rng(seed),
+    ).confidence_interval
+    return float(interval.low), float(interval.high)
+
+
+def difference_p(ours: Sequence[float], other: Sequence[float]) -> float | None:
+    """Two-sided p of a difference: Mann-Whitney, or Wilcoxon where the other has one value; None if too few.
+
+    Args:
+        ours: One value per seed.
+        other: One value per seed; a driver without random numbers repeats its value.
+    """
+    from scipy.stats import mannwhitneyu, wilcoxon
+
+    a, b = (np.asarray(values, np.float64) for values in (ours, other))
+    if a.size < 5 or np.ptp(a) == 0.0:
+        return None
+    if np.ptp(b) == 0.0:
+        return float(wilcoxon(a - b[0]).pvalue) if np.any(a != b[0]) else 1.0
+    return float(mannwhitneyu(a, b).pvalue)
+
+
+def judge_claims(claims: Iterable[Claim], rows: Sequence[ReportRow]) -> list[Verdict]:
+    """Judge every claim by the rows of a report.
+
+    Args:
+        claims: The claims.
+        rows: Every row of the report.
+    """
+    return [judge_claim(claim, rows) for claim in claims]
+
+
+def judge_claim(claim: Claim, rows: Sequence[ReportRow]) -> Verdict:
+    """Judge one claim by the rows of a report."""
+    row = find_row(claim, claim.driver, rows)
+    if row is None or row.ours is None or claim.untestable:
+        reason = claim.untestable or "not measured with this budget"
+        unit, published = ("", None) if row is None else (row.unit, row.published)
+        return Verdict(
+            claim.words, claim.kpi, unit, published, None, None, None, None, "cannot be tested", reason
+        )
+    low, high = median_interval(row.values or (row.ours,))
+    rival = find_rival(claim, row, rows)
+    judgement = _against_published(claim, row, low, high)
+    why = _rival_words(claim, row.ours, rival)
+    if row.published is None:
+        why = f"no number is printed; {why}"
+    return Verdict(
+        claim.words, claim.kpi, row.unit, row.published, row.ours, low, high, rival, judgement, why
+    )
+
+
+def find_row(claim: Claim, driver: str, rows: Sequence[ReportRow]) -> ReportRow | None:
+    """Row of a driver on the quantity of a claim; None if there is none."""
+    wanted = (driver, claim.kpi, claim.case)
+    for row in rows:
+        if (row.driver, row.kpi, row.case) == wanted and claim.table in ("", row.table):
+            return row
+    return None
+
+
+def find_rival(claim: Claim, row: ReportRow, rows: Sequence[ReportRow]) -> Rival | None:
+    """The best of the simple drivers on the quantity of a claim; None if none was measured."""
+    found = [(name, find_row(claim, name, rows)) for name in claim.rivals]
+    known = [
+        (name, other, other.ours) for name, other in found if other is not None and other.ours is not None
+    ]
+    if not known:
+        return None
+
+    def loss(value: float) -> float:
+        if claim.aim == "same":
+            return abs(value - (row.published or 0.0))
+        return value if claim.aim == "low" else -value
+
+    name, other, value = min(known, key=lambda one: loss(one[2]))
+    ours = row.values or (row.ours or 0.0,)
+    return Rival(name, value, difference_p(ours, other.values or (value,)))
+
+
+def _against_published(claim: Claim, row: ReportRow, low: float, high: float) -> Judgement:
+    """Beaten, matched or missed: the interval of the median against the printed number."""
+    published = row.published
+    if published is None or row.ours is None:
+        return "cannot be tested"
+    near = claim.rounding if claim.rounding is not None else max(ROUNDING, ROUNDING * abs(published))
+    if low - near <= published <= high + near:
+        return "matched"
+    if claim.aim == "same":
+        return "missed"
+    better = row.ours < published if claim.aim == "low" else row.ours > published
+    return "beaten" if better else "missed"
+
+
+def _rival_words(claim: Claim, ours: float, rival: Rival | None) -> str:
+    """Comparison with the strongest simple rival, as a sentence."""
+    if rival is None:
+        return "no simple rival measured" if claim.rivals else ""
+    if rival.value == ours:
+        return f"{rival.driver} does the same"
+    sign = {"low": 1.0, "high": -1.0, "same": 1.0}[claim.aim]
+    ahead = sign * (ours - rival.value) < 0.0
+    sure = "too few seeds for a test" if rival.p is None else f"p = {rival.p:.2g}"
+    if rival.p is not None and rival.p >= SIGNIFICANCE:
+        return f"not distinguishable from {rival.driver} ({sure})"
+    return f"{'better' if ahead else 'worse'} than {rival.driver} ({sure})"
+
+
+def count_verdicts(verdicts: Sequence[Verdict]) -> str:
+    """Number of claims by judgement, as words."""
+    order: tuple[Judgement, ...] = ("beaten", "matched", "missed", "cannot be tested")
+    counts = [(sum(v.verdict == name for v in verdicts), name) for name in order]
+    return ", ".join(f"{count} {name}" for count, name in counts if count)

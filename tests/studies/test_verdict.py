@@ -1,0 +1,105 @@
+"""Verdicts of a study: intervals, rivals, judgements, and their table on the page."""
+
+import json
+
+import numpy as np
+import pytest
+
+from metropilot.studies import STUDIES, Claim, ReportRow, StudyReport, judge_claims
+from metropilot.studies.page import study_page
+from metropilot.studies.verdict import difference_p, judge_claim, median_interval
+
+
+def rows(published=10.0, ours=(7.0, 8.0, 9.0, 7.5, 8.5, 8.2, 7.9), rival=(6.0,)):
+    return [
+        ReportRow("T", "c", "learned", "error", "m", published).with_values(ours),
+        ReportRow("T", "c", "tuned", "error", "m").with_values(rival),
+        ReportRow("T", "c", "crude", "error", "m").with_values([50.0]),
+    ]
+
+
+CLAIM = Claim("it tracks", "learned", "error", "c", rivals=("crude", "tuned"))
+
+
+def test_the_interval_holds_the_median_and_shrinks_with_the_seeds():
+    random = np.random.default_rng(3)
+    few, many = random.normal(size=8), random.normal(size=200)
+    for values in (few, many):
+        low, high = median_interval(values.tolist())
+        assert values.min() <= low <= np.median(values) <= high <= values.max()
+    assert np.diff(median_interval(many.tolist())) < np.diff(median_interval(few.tolist()))
+    assert median_interval([2.0]) == (2.0, 2.0)
+
+
+def test_the_interval_covers_the_true_median():
+    random, inside = np.random.default_rng(0), 0
+    for k in range(100):
+        low, high = median_interval(random.normal(size=15).tolist(), seed=k)
+        inside += low <= 0.0 <= high
+    assert 85 <= inside <= 100
+
+
+def test_a_difference_is_told_from_chance():
+    random = np.random.default_rng(1)
+    a, b = random.normal(size=12).tolist(), random.normal(size=12).tolist()
+    assert difference_p(a, b) > 0.05
+    assert difference_p(a, [value + 3.0 for value in b]) < 0.001
+    assert difference_p(a, [5.0]) < 0.001
+    assert difference_p([1.0, 2.0], b) is None
+
+
+@pytest.mark.parametrize(
+    ("published", "aim", "verdict"),
+    [
+        (10.0, "low", "beaten"),
+        (8.0, "low", "matched"),
+        (5.0, "low", "missed"),
+        (10.0, "high", "missed"),
+        (5.0, "high", "beaten"),
+        (10.0, "same", "missed"),
+        (8.1, "same", "matched"),
+    ],
+)
+def test_a_claim_is_judged_against_the_published_number(published, aim, verdict):
+    found = judge_claim(Claim("it tracks", "learned", "error", "c", aim), rows(published))
+    assert (found.verdict, found.ours, found.published) == (verdict, 8.0, published)
+
+
+def test_the_strongest_rival_stands_beside_and_says_if_it_wins():
+    found = judge_claim(CLAIM, rows())
+    assert (found.rival.driver, found.rival.value) == ("tuned", 6.0)
+    assert found.why.startswith("worse than tuned (p = 0.0")
+    assert "better than tuned" in judge_claim(CLAIM, rows(rival=(20.0,))).why
+    assert "not distinguishable" in judge_claim(CLAIM, rows(rival=(8.05,))).why
+
+
+def test_what_was_not_measured_cannot_be_tested():
+    absent = judge_claim(Claim("it tracks", "nobody", "error", "c"), rows())
+    assert (absent.verdict, absent.ours) == ("cannot be tested", None)
+    reason = judge_claim(Claim("it tracks", "learned", "error", "c", untestable="no data"), rows())
+    assert (reason.verdict, reason.why) == ("cannot be tested", "no data")
+    unprinted = judge_claim(CLAIM, rows(published=None))
+    assert unprinted.verdict == "cannot be tested"
+    assert unprinted.why.startswith("no number is printed; worse than tuned")
+
+
+def test_the_page_begins_with_the_verdicts():
+    report = StudyReport(7, rows(), claims=[CLAIM], remarks=["A finding."], title="T")
+    page = study_page(STUDIES.get("cheng2023"), report)
+    assert page.index("## Verdicts") < page.index("## Findings") < page.index("## T\n")
+    assert "1 beaten." in page
+    assert "| it tracks | m | 10.00 | 8.00 | " in page
+    (verdict,) = json.loads(json.dumps(report.as_dict()))["verdicts"]
+    assert set(verdict) == {
+        "claim", "kpi", "unit", "published", "ours", "low", "high", "rival", "verdict", "why"
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("study_id", list(STUDIES))
+def test_claims_name_rows_and_are_whole_sentences(study_id):
+    import importlib
+
+    claims = importlib.import_module(f"metropilot.studies.{study_id}.words").CLAIMS
+    assert len(claims) >= 3
+    assert len({(c.driver, c.kpi, c.case, c.table) for c in claims}) == len(claims)
+    assert judge_claims(claims, [])[0].verdict == "cannot be tested"
