@@ -10,7 +10,9 @@ from metropilot.studies.page import study_page
 from metropilot.studies.verdict import difference_p, judge_claim, median_interval
 
 
-def rows(published=10.0, ours=(7.0, 8.0, 9.0, 7.5, 8.5, 8.2, 7.9), rival=(6.0,)):
+def rows(
+    published: float | None = 10.0, ours=(7.0, 8.0, 9.0, 7.5, 8.5, 8.2, 7.9), rival=(6.0,)
+) -> list[ReportRow]:
     return [
         ReportRow("T", "c", "learned", "error", "m", published).with_values(ours),
         ReportRow("T", "c", "tuned", "error", "m").with_values(rival),
@@ -42,9 +44,9 @@ def test_the_interval_covers_the_true_median():
 def test_a_difference_is_told_from_chance():
     random = np.random.default_rng(1)
     a, b = random.normal(size=12).tolist(), random.normal(size=12).tolist()
-    assert difference_p(a, b) > 0.05
-    assert difference_p(a, [value + 3.0 for value in b]) < 0.001
-    assert difference_p(a, [5.0]) < 0.001
+    assert difference_p(a, b) == pytest.approx(0.5, abs=0.45)
+    assert difference_p(a, [value + 3.0 for value in b]) == pytest.approx(0.0, abs=0.001)
+    assert difference_p(a, [5.0]) == pytest.approx(0.0, abs=0.001)
     assert difference_p([1.0, 2.0], b) is None
 
 
@@ -67,6 +69,7 @@ def test_a_claim_is_judged_against_the_published_number(published, aim, verdict)
 
 def test_the_strongest_rival_stands_beside_and_says_if_it_wins():
     found = judge_claim(CLAIM, rows())
+    assert found.rival is not None
     assert (found.rival.driver, found.rival.value) == ("tuned", 6.0)
     assert found.why.startswith("worse than tuned (p = 0.0")
     assert "better than tuned" in judge_claim(CLAIM, rows(rival=(20.0,))).why

@@ -16,5 +16,5 @@ from .study import Study as Study
 from .study import check_budget as check_budget
 from .study import reproduce as reproduce
 from .verdict import Claim as Claim
-from .verdict import Verdict as Verdict
+from .verdict import ClaimVerdict as ClaimVerdict
 from .verdict import judge_claims as judge_claims

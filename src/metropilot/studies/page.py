@@ -11,7 +11,7 @@ from pathlib import Path
 from metropilot._io import fill_folder, to_json
 from metropilot.studies.report import ReportRow, StudyReport
 from metropilot.studies.study import Study
-from metropilot.studies.verdict import Verdict, count_verdicts
+from metropilot.studies.verdict import ClaimVerdict, count_verdicts
 
 NOTHING = "–"
 LEGEND = (
@@ -84,14 +84,14 @@ def study_page(study: Study, report: StudyReport) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _verdict_table(verdicts: Sequence[Verdict]) -> list[str]:
+def _verdict_table(verdicts: Sequence[ClaimVerdict]) -> list[str]:
     """Render the table of verdicts."""
     lines = ["| claim of the paper | unit | published | ours | interval | simple rival | verdict | why |"]
     lines += ["|---|---|---:|---:|---:|---|---|---|"]
     return [*lines, *(_cells((v.claim, v.unit, *verdict_numbers(v), v.verdict, v.why)) for v in verdicts)]
 
 
-def verdict_numbers(verdict: Verdict) -> tuple[str, str, str, str]:
+def verdict_numbers(verdict: ClaimVerdict) -> tuple[str, str, str, str]:
     """Format the published value, ours, the interval and the strongest simple rival."""
     rival = NOTHING if verdict.rival is None else f"{verdict.rival.driver}: {number(verdict.rival.value)}"
     low, high = number(verdict.low), number(verdict.high)

@@ -14,7 +14,7 @@ from metropilot.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
-    from metropilot.studies.verdict import Claim, Verdict
+    from metropilot.studies.verdict import Claim, ClaimVerdict
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class StudyReport:
         }
 
     @cached_property
-    def verdicts(self) -> list[Verdict]:
+    def verdicts(self) -> list[ClaimVerdict]:
         """Judgement of every claim."""
         from metropilot.studies.verdict import judge_claims
 

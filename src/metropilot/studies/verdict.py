@@ -61,7 +61,7 @@ class Rival:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ClaimVerdict:
     """Judgement of one claim.
 
     Attributes:
@@ -129,11 +129,11 @@ def difference_p(ours: Sequence[float], other: Sequence[float]) -> float | None:
     if a.size < 5 or np.ptp(a) == 0.0:
         return None
     if np.ptp(b) == 0.0:
-        return float(wilcoxon(a - b[0]).pvalue) if np.any(a != b[0]) else 1.0
+        return float(np.asarray(wilcoxon(a - b[0]))[1]) if np.any(a != b[0]) else 1.0
     return float(mannwhitneyu(a, b).pvalue)
 
 
-def judge_claims(claims: Iterable[Claim], rows: Sequence[ReportRow]) -> list[Verdict]:
+def judge_claims(claims: Iterable[Claim], rows: Sequence[ReportRow]) -> list[ClaimVerdict]:
     """Judge every claim by the rows of a report.
 
     Args:
@@ -143,13 +143,13 @@ def judge_claims(claims: Iterable[Claim], rows: Sequence[ReportRow]) -> list[Ver
     return [judge_claim(claim, rows) for claim in claims]
 
 
-def judge_claim(claim: Claim, rows: Sequence[ReportRow]) -> Verdict:
+def judge_claim(claim: Claim, rows: Sequence[ReportRow]) -> ClaimVerdict:
     """Judge one claim by the rows of a report."""
     row = find_row(claim, claim.driver, rows)
     if row is None or row.ours is None or claim.untestable:
         reason = claim.untestable or "not measured with this budget"
         unit, published = ("", None) if row is None else (row.unit, row.published)
-        return Verdict(
+        return ClaimVerdict(
             claim.words, claim.kpi, unit, published, None, None, None, None, "cannot be tested", reason
         )
     low, high = median_interval(row.values or (row.ours,))
@@ -158,7 +158,7 @@ def judge_claim(claim: Claim, rows: Sequence[ReportRow]) -> Verdict:
     why = _rival_words(claim, row.ours, rival)
     if row.published is None:
         why = f"no number is printed; {why}"
-    return Verdict(
+    return ClaimVerdict(
         claim.words, claim.kpi, row.unit, row.published, row.ours, low, high, rival, judgement, why
     )
 
@@ -219,7 +219,7 @@ def _rival_words(claim: Claim, ours: float, rival: Rival | None) -> str:
     return f"{'better' if ahead else 'worse'} than {rival.driver} ({sure})"
 
 
-def count_verdicts(verdicts: Sequence[Verdict]) -> str:
+def count_verdicts(verdicts: Sequence[ClaimVerdict]) -> str:
     """Number of claims by judgement, as words."""
     order: tuple[Judgement, ...] = ("beaten", "matched", "missed", "cannot be tested")
     counts = [(sum(v.verdict == name for v in verdicts), name) for name in order]
