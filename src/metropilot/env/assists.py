@@ -27,6 +27,7 @@ from metropilot.control import (
 from metropilot.env.features import FeatureContext
 from metropilot.env.tables import LEAST_STOP_MPS2, PERMITTED_COLUMN, STOP_USE, SectionRows
 from metropilot.errors import InputError
+from metropilot.physics import scalars
 
 LET_GO_SHARE = 0.75
 """Below this share of the planned deceleration the station stop began too early, and the policy drives on."""
@@ -143,6 +144,8 @@ def apply_assists(
         command = xp.minimum(command, ceiling)
     if assists.stop:
         stopping, wanted = stop_mps2(context, stopping, dt, stop_options(assists.release))
+        if xp is scalars and not stopping:
+            return command, False
         entering = False
         if assists.late:
             wanted, entering = late_mps2(assists, context, wanted, dt)
@@ -203,6 +206,9 @@ def stop_mps2(
     quick, gone, _ = build_up(v, a, planned, curve.build_jerk_mps3)
     reach = gone + braking_distance(quick, curve)
     begins = s <= reach + xp.maximum(v + 0.5 * xp.maximum(a, 0.0) * dt, 0.0) * dt
+    if xp is scalars and not (stopping or begins):
+        # one state on the host, far from the stop: nothing of the rest would be used
+        return False, 0.0
     short = (v <= 0) & (s > options.inch_m)
     demand = stop_deceleration(v, a, s, curve, dt, options)
     early = (demand.required_mps2 < LET_GO_SHARE * planned) & (demand.falling_mps3 <= 0) & (s > LAST_M)
