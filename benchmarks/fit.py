@@ -218,6 +218,7 @@ def main() -> None:
     parser.add_argument("--logs", type=int, default=20, help="logs of a case")
     parser.add_argument("--seed", type=int, default=1, help="seed of the first case")
     parser.add_argument("--minutes", type=float, default=60.0, help="no case begins later")
+    parser.add_argument("--rows", type=Path, metavar="JSONL", help="add each case here; those there are kept")
     parser.add_argument("--write", type=Path, metavar="PAGE")
     parser.add_argument("--trainset", default="dkz32")
     options = parser.parse_args()
@@ -226,25 +227,34 @@ def main() -> None:
         load_trainset(options.trainset),
         time.monotonic(),
     )
-    cases, refused = [], 0
-    for seed in range(options.seed, options.seed + options.cases):
+    seeds = range(options.seed, options.seed + options.cases)
+    known = options.rows.read_text().splitlines() if options.rows and options.rows.exists() else []
+    rows = {row["seed"]: row for row in map(json.loads, known) if row["seed"] in seeds}
+    for seed in seeds:
+        if seed in rows:
+            continue
         if time.monotonic() - began > 60.0 * options.minutes:
             break
+        started = time.monotonic()
         try:
-            cases.append(errors_of(seed, nominal, options.logs))
+            found = {"errors": errors_of(seed, nominal, options.logs)}
         except InputError as error:
-            refused += 1
-            print(f"seed {seed}: {error}", flush=True)
-            continue
-        print(json.dumps({"seed": seed, **cases[-1]}, default=float), flush=True)
-    last = options.seed + len(cases) + refused - 1
-    seconds = time.monotonic() - began
+            found = {"refused": str(error)}
+        rows[seed] = {"seed": seed, "seconds": round(time.monotonic() - started, 1), **found}
+        line = json.dumps(rows[seed], default=float)
+        print(line, flush=True)
+        if options.rows:
+            with options.rows.open("a") as stream:
+                stream.write(line + "\n")
+    cases = [row["errors"] for row in rows.values() if "errors" in row]
+    seconds = np.array([row["seconds"] for row in rows.values()])
     text = "\n".join(
         [
             *table(cases),
             "",
-            f"{len(cases)} cases of {options.logs} logs, {refused} refused; seeds {options.seed} to {last}, "
-            f"{seconds / 60:.0f} minutes by one process; " + ", ".join(about.values()) + ".",
+            f"{len(cases)} cases of {options.logs} logs, {len(rows) - len(cases)} refused; seeds "
+            f"{min(rows)} to {max(rows)}, {seconds.sum() / 60:.0f} minutes of one processor, "
+            f"{np.median(seconds):.1f} s a case; " + ", ".join(about.values()) + ".",
         ]
     )
     if options.write:

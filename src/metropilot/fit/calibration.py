@@ -235,13 +235,12 @@ def fit_trainset(
     speeds, jacobian = problem.linearize(names, theta)
     noise = min(_noise(speeds - runs.row_mps, theta.size), EARLY_MPS)
     _check_identifiable(problem, names, jacobian, noise, UNSEEN)
-    theta, sigma = _along_ridge(problem, names, theta)
     if "resistance" in groups and (three or resistance == "auto"):
         more = _names(groups, three=True)
         begin = _split_resistance(problem, names, more, theta)
-        if three or _tells_coefficients(problem, more, begin, sigma):
-            names = more
-            theta, sigma = _along_ridge(problem, names, begin)
+        if three or _tells_coefficients(problem, more, begin, noise):
+            names, theta = more, begin
+    theta = _along_ridge(problem, names, theta)
     return _result(problem, logs, trainset, (source, names, theta), _notes(logs, bool(sections), runs))
 
 
@@ -368,7 +367,7 @@ def _start(problem: _Problem, names: Sequence[str]) -> Float[ndarray, " n"]:
     for _ in range(2):
         theta = _best_actuation(problem, names, theta, points)
         if not only_gains:
-            theta, _ = _solve(problem, names, theta, most=4)
+            theta = _solve(problem, names, theta, most=4)
     return theta
 
 
@@ -389,11 +388,11 @@ def _best_actuation(
 
 def _along_ridge(
     problem: _Problem, names: Sequence[str], theta: Float[ndarray, " n"]
-) -> tuple[Float[ndarray, " n"], float]:
+) -> Float[ndarray, " n"]:
     """Solve, then try other splits of dead time and lag: their sum is told sooner than its parts."""
-    theta, sigma = _solve(problem, names, theta)
+    theta = _solve(problem, names, theta)
     if not {"delay_s", "keep"} <= set(names):
-        return theta, sigma
+        return theta
     keep = float(theta[names.index("keep")])
     total = float(theta[names.index("delay_s")]) + (
         -problem.runs.step_s / np.log(keep) if keep > 1e-9 else 0.0
@@ -402,13 +401,13 @@ def _along_ridge(
     points[:, 0] += total - points[:, 1]
     points = points[points[:, 0] >= 0.0]
     moved = _best_actuation(problem, names, theta, points)
-    return (theta, sigma) if (moved == theta).all() else _solve(problem, names, moved)
+    return theta if (moved == theta).all() else _solve(problem, names, moved)
 
 
 def _solve(
     problem: _Problem, names: Sequence[str], theta: Float[ndarray, " n"], most: int = 40
-) -> tuple[Float[ndarray, " n"], float]:
-    """Least squares with Huber's weights; returns the estimate and the standard deviation of a sample."""
+) -> Float[ndarray, " n"]:
+    """Least squares with Huber's weights."""
     from scipy.optimize import least_squares
 
     count = len(names)
@@ -448,7 +447,7 @@ def _solve(
         sigma = _noise(miss, theta.size)
         if most < 10:
             break
-    return theta, sigma
+    return theta
 
 
 def _noise(miss: Float[ndarray, " samples"], fitted: int) -> float:
