@@ -85,7 +85,7 @@ def table(costs: list[dict[str, float]], workers: int, about: dict[str, str]) ->
 
 def growth(folder: Path, parts: int = 8) -> str:
     """The same for one campaign, in the order in which its shards came: an eighth of them after the other."""
-    from metropilot.campaign import DONE_FILE, TIMINGS_FOLDER, stored_campaign
+    from metropilot.campaign import DONE_FILE, TIMINGS_FOLDER, campaign_of_folder
 
     lines = [line.split() for line in (folder / DONE_FILE).read_text().splitlines()]
     shards = [
@@ -100,7 +100,7 @@ def growth(folder: Path, parts: int = 8) -> str:
         own = sum(count for count, _ in some)
         rows += own
         table.append(f"| {rows:,} | {1e3 * spent / own:.1f} | {memory:.0f} |")
-    campaign = stored_campaign(folder)
+    campaign = campaign_of_folder(folder)
     said = f"{rows:,} of the {campaign.rows:,} runs of campaign `{campaign.name}`, when this was written."
     return "\n".join([*table, "", said])
 

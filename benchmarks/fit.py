@@ -82,7 +82,7 @@ def draw_truth(rng: np.random.Generator, nominal: Trainset) -> Trainset:
     return replace(plant, davis=Davis(a, b, c), actuation=actuation)
 
 
-def resting(runs: int) -> State:
+def states_at_rest(runs: int) -> State:
     """State of so many runs at rest."""
     zero = np.zeros(runs)
     forces = Forces(zero, zero, zero, zero, zero)
@@ -94,7 +94,7 @@ def drive(
 ) -> tuple[ndarray, ndarray, ndarray]:
     """Drive the programs: position, speed and command at the start of every period, (periods, runs)."""
     runs = program.traction.size
-    state, phase, held_s = resting(runs), np.zeros(runs, int), np.zeros(runs)
+    state, phase, held_s = states_at_rest(runs), np.zeros(runs, int), np.zeros(runs)
     rows = []
     share, acting = np.zeros(runs), np.zeros(runs)
     # dead time and lag of many runs at once; the plant has the rest

@@ -81,9 +81,9 @@ def task(choices: int = 0) -> Any:
         def reset(self, key: Any) -> Any:
             position = jax.random.uniform(key, (), jnp.float32, -1.0, 1.0)
             state = Mass(position, jnp.zeros(()), jnp.zeros((), jnp.int32))
-            return state, self.seen(state)
+            return state, self.observe(state)
 
-        def seen(self, state: Mass) -> Any:
+        def observe(self, state: Mass) -> Any:
             return jnp.tile(jnp.stack([state.position, state.speed]), 4)
 
         def step(self, key: Any, state: Mass, action: Any) -> Any:
@@ -93,7 +93,7 @@ def task(choices: int = 0) -> Any:
             state = Mass(jnp.clip(state.position + 0.2 * speed, -2.0, 2.0), speed, state.time + 1)
             reward = -(state.position**2 + 0.1 * speed**2 + 0.05 * u**2)
             over = jnp.zeros((), bool)
-            return state, Transition(self.seen(state), reward, over, state.time >= 200, {"cost": reward})
+            return state, Transition(self.observe(state), reward, over, state.time >= 200, {"cost": reward})
 
     return Rest()
 
@@ -182,9 +182,9 @@ def gymnasium_mass(choices: int) -> type:
             super().reset(seed=seed)
             del options
             self.position, self.speed, self.time = self.np_random.uniform(-1.0, 1.0), 0.0, 0
-            return self.seen(), {}
+            return self.observe(), {}
 
-        def seen(self) -> Any:
+        def observe(self) -> Any:
             return np.tile(np.float32([self.position, self.speed]), 4)
 
         def step(self, action: Any) -> Any:
@@ -193,7 +193,7 @@ def gymnasium_mass(choices: int) -> type:
             self.position = min(max(self.position + 0.2 * self.speed, -2.0), 2.0)
             self.time += 1
             reward = -(self.position**2 + 0.1 * self.speed**2 + 0.05 * u**2)
-            return self.seen(), reward, False, self.time >= 200, {}
+            return self.observe(), reward, False, self.time >= 200, {}
 
     return Rest
 

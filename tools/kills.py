@@ -81,7 +81,7 @@ def campaign(place: Path) -> None:
     told.write_text(CAMPAIGN)
     declared = campaign_from_toml(told)
     store = CampaignStore(place / "out", declared)
-    done = store.done()
+    done = store.finished_shards()
     for piece in declared.pieces():
         if piece not in done:
             store.keep(drive_shard(declared.text, piece))

@@ -167,14 +167,14 @@ def test_a_shard_counts_once_its_line_is_whole(tmp_path):
     store, pieces = CampaignStore(tmp_path, WIDE), WIDE.pieces()
     for number in (3, 1):
         store.keep(shard_of(WIDE, pieces[number]))
-    assert set(store.done()) == {pieces[1], pieces[3]}
+    assert set(store.finished_shards()) == {pieces[1], pieces[3]}
     with (tmp_path / "done.txt").open("a") as file:
         file.write("flat_out 2 20 60")  # torn by a kill
-    assert set(store.done()) == {pieces[1], pieces[3]}
+    assert set(store.finished_shards()) == {pieces[1], pieces[3]}
     store.keep(shard_of(WIDE, pieces[0]))
-    assert set(CampaignStore(tmp_path, WIDE).done()) == {pieces[0], pieces[1], pieces[3]}
+    assert set(CampaignStore(tmp_path, WIDE).finished_shards()) == {pieces[0], pieces[1], pieces[3]}
     store.part(pieces[3]).write_bytes(b"cut short")
-    assert set(store.done()) == {pieces[0], pieces[1]}
+    assert set(store.finished_shards()) == {pieces[0], pieces[1]}
 
 
 def test_a_folder_is_gone_on_with_by_more_drivers(tmp_path):
@@ -183,7 +183,7 @@ def test_a_folder_is_gone_on_with_by_more_drivers(tmp_path):
     store.keep(shard_of(few, few.pieces()[1]))
     more = replace(WIDE, drivers=("mpc", "optimal", "optimal:reserve_s=1"))
     store = CampaignStore(tmp_path, more)
-    assert [piece.driver for piece in store.done()] == ["optimal"]
+    assert [piece.driver for piece in store.finished_shards()] == ["optimal"]
     store.keep(shard_of(more, more.pieces()[-1]))
     collect_parts(tmp_path)
     rows = duckdb.sql(f"SELECT row, driver, cell FROM '{tmp_path}/results.parquet'").fetchall()

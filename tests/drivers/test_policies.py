@@ -59,7 +59,7 @@ def test_a_file_drives_as_the_policy_in_it(tmp_path):
     np.testing.assert_array_equal(driven.command, direct.command)
     assert np.ptp(direct.command) > 0.5
     path.rename(tmp_path / "policy.safetensors")
-    assert make_driver(f"learned:policy={tmp_path}").loaded.interface == INTERFACE
+    assert make_driver(f"learned:policy={tmp_path}").loaded_policy.interface == INTERFACE
 
 
 @pytest.mark.parametrize("name", ["drive", "drive_notches", "drive_increment", "chen2023a"])
@@ -161,7 +161,7 @@ def test_learned_needs_a_policy():
 
 def test_a_shipped_driver_takes_another_file(tmp_path):
     other = file_of(tmp_path).rename(tmp_path / "other.safetensors")
-    assert make_driver("ppo", {"policy": str(other)}).loaded.path == other
+    assert make_driver("ppo", {"policy": str(other)}).loaded_policy.path == other
 
 
 def test_a_registered_driver_is_listed_and_made(monkeypatch):
@@ -217,7 +217,7 @@ def test_a_policy_goes_with_the_run_it_drove(tmp_path):
     moved = out.rename(tmp_path / "elsewhere")
     again = run_from_toml(moved / "run.toml")
     assert again.driver == "learned"
-    assert again.make_driver().loaded.interface == INTERFACE
+    assert again.make_driver().loaded_policy.interface == INTERFACE
 
 
 @pytest.mark.parametrize("driver", ["generalist", "ppo"])

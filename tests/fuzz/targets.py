@@ -164,9 +164,9 @@ def _read_campaign(path: Path) -> None:
 
 
 def _read_stored_campaign(path: Path) -> None:
-    from metropilot.campaign import stored_campaign
+    from metropilot.campaign import campaign_of_folder
 
-    _drivable(stored_campaign(path.parent))
+    _drivable(campaign_of_folder(path.parent))
 
 
 def _drivable(campaign) -> None:
@@ -188,7 +188,7 @@ def _read_done(path: Path) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
     store.part(first).write_bytes(b"x" * 10)
     store.timing(first).touch()
-    assert set(store.done()) <= set(campaign.pieces())
+    assert set(store.finished_shards()) <= set(campaign.pieces())
 
 
 def _read_trajectory(path: Path) -> None:

@@ -149,7 +149,7 @@ def test_policy_drives_as_the_task_learned_it():
     run = run_of(trainset=PLAIN.ideal(), time_s=105.0)
     run = replace(run, dt=0.5)
     host = Eitop()
-    learned = LearnedDriver(host.loaded.policy, host.loaded.interface)
+    learned = LearnedDriver(host.loaded_policy.policy, host.loaded_policy.interface)
     ours, theirs = (drive(run, one).trajectory for one in (host, learned))
     until = np.linspace(50.0, 1050.0, 30)
     a, b = (np.interp(until, t.position_m, t.speed_mps) for t in (ours, theirs))

@@ -122,11 +122,11 @@ def test_a_learning_run_and_an_upload_drive_by_their_ids(service):
     request = service.request(asked)
     assert request.options == {"policy": str(service.root / "runs" / RUN / "policy.safetensors")}
     assert service.request(DriveIn(**SECTION, driver=f"learned:policy={RUN}")) == request
-    assert request.make_driver().loaded.about
+    assert request.make_driver().loaded_policy.about
     (service.root / "uploads").mkdir()
     shutil.copyfile(shipped_policy("ppo"), service.root / "uploads" / "x.safetensors")
     row = service.store.add_upload("policy", "mine.safetensors", "x.safetensors")
     driver = service.request(DriveIn(**SECTION, driver=f"learned:policy={row.id}")).make_driver()
-    assert driver.loaded.about
+    assert driver.loaded_policy.about
     with pytest.raises(InputError, match="no such policy"):
         service.request(DriveIn(**SECTION, driver="learned:policy=another"))

@@ -20,7 +20,7 @@ from metropilot.web.pages.convoy import ConvoyPage, member_outcome
 from metropilot.web.pages.drive import DrivePage
 from metropilot.web.pages.form import describe_range, validate
 from metropilot.web.pages.frame import frame
-from metropilot.web.pages.plots import compare_figure, convoy_figure, driven_convoy_figure, front_figure
+from metropilot.web.pages.plots import compare_figure, convoy_figure, finished_convoy_figure, front_figure
 from metropilot.web.schemas.requests import ConvoyIn, DriveIn, JourneyIn, LearnIn, NewLink
 from metropilot.web.service import Service
 from metropilot.web.settings import Settings
@@ -145,7 +145,7 @@ def test_a_driver_has_one_colour_in_every_comparison():
 def test_a_convoy_of_an_earlier_server_is_drawn_whole():
     speeds = [{"time_s": [0.0, 1.0], "speed_mps": [0.0, 10.0]}] * 3
     gaps = {"gap_m": [[6.0, 7.0], [6.5, 7.5]], "speed_difference_mps": [[0.0, 0.1], [0.0, 0.2]]}
-    drawn = driven_convoy_figure({"time_s": [0.0, 1.0], "speeds": speeds, **gaps})["data"]
+    drawn = finished_convoy_figure({"time_s": [0.0, 1.0], "speeds": speeds, **gaps})["data"]
     assert [list(t["y"]) for t in drawn[:3]] == [[6.0, 6.5], [7.0, 7.5], []]
     assert list(drawn[7]["y"]) == pytest.approx([0.36, 0.72])
     assert [list(t["y"]) for t in drawn[12:16]] == [[0.0, 36.0]] * 3 + [[]]

@@ -18,4 +18,4 @@ from .run import run_campaign as run_campaign
 from .store import DONE_FILE as DONE_FILE
 from .store import TIMINGS_FOLDER as TIMINGS_FOLDER
 from .store import CampaignStore as CampaignStore
-from .store import stored_campaign as stored_campaign
+from .store import campaign_of_folder as campaign_of_folder

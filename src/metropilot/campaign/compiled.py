@@ -143,7 +143,7 @@ def drive_batch(
     driver = starts[0].setting.request.make_driver()
     if not isinstance(driver, AbstractPolicyDriver):
         raise TypeError(f"{driver.id} is no learned driver")
-    record, outcome = _run_batch(campaign, driver.loaded, starts)
+    record, outcome = _run_batch(campaign, driver.loaded_policy, starts)
     shares = (perf_counter() - began) / len(starts), (process_time() - spent) / len(starts)
     for k, start in enumerate(starts):
         began, spent = perf_counter(), process_time()

@@ -172,7 +172,7 @@ class Campaign:
         return (*(len(axis) for axis in lists), self.seeds, len(self.actuations))
 
     @property
-    def drawn(self) -> int:
+    def combinations(self) -> int:
         """Number of combinations driven, each with every driver and every actuation."""
         whole = prod(self.axes[1:-1])
         return whole if self.sample is None else min(self.sample, whole)
@@ -180,7 +180,7 @@ class Campaign:
     @property
     def cells(self) -> int:
         """Number of runs of one driver."""
-        return self.drawn * len(self.actuations)
+        return self.combinations * len(self.actuations)
 
     @property
     def rows(self) -> int:
@@ -236,9 +236,9 @@ class Campaign:
         """The cell of a row."""
         driver, cell = divmod(row, self.cells)
         combination, actuation = divmod(cell, len(self.actuations))
-        if self.drawn < prod(self.axes[1:-1]):
+        if self.combinations < prod(self.axes[1:-1]):
             lines = tuple(line for line, _, _ in self.sections)
-            drawn = sample_combinations(lines, self.axes[1:-1], self.drawn, self.first_seed)
+            drawn = sample_combinations(lines, self.axes[1:-1], self.combinations, self.first_seed)
             index = drawn[combination]
         else:
             index = np.unravel_index(combination, self.axes[1:-1])

@@ -11,7 +11,7 @@ from typing import Any
 from metropilot._io import atomic_write
 from metropilot._provenance import provenance
 from metropilot.campaign.page import POSSIBLE, matrix_words, open_database, query_rows
-from metropilot.campaign.store import stored_campaign
+from metropilot.campaign.store import campaign_of_folder
 from metropilot.campaign.trainsets_page import trainset_sections
 
 DASH = "–"
@@ -54,7 +54,7 @@ def write_leaderboard(
 
 def leaderboard(folder: Path, summary: Mapping[str, Any], seconds: float, command: str) -> str:
     """The page, in Markdown."""
-    campaign = stored_campaign(folder)
+    campaign = campaign_of_folder(folder)
     made = provenance()
     spent, today = summary["cost"].get("processor_s", 0.0), datetime.now(UTC).date().isoformat()
     about = (

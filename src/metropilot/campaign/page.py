@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from metropilot._io import atomic_write
 from metropilot.campaign.declared import AXES, Campaign
 from metropilot.campaign.rows import FAILED, INFEASIBLE, RESULTS, TIMINGS
-from metropilot.campaign.store import PARTS_FOLDER, TIMINGS_FOLDER, CampaignStore, stored_campaign
+from metropilot.campaign.store import PARTS_FOLDER, TIMINGS_FOLDER, CampaignStore, campaign_of_folder
 from metropilot.campaign.worst import drive_worst, worst_table
 from metropilot.errors import InputError
 
@@ -78,7 +78,7 @@ def open_database(folder: Path) -> DuckDBPyConnection:
 
 def _parts(folder: Path, kind: str) -> str:
     """Query for all parts of one kind, ordered by driver, with the number of the row."""
-    campaign = stored_campaign(folder)
+    campaign = campaign_of_folder(folder)
     quoted = [name.replace("'", "''") for name in campaign.drivers]
     names = ", ".join(f"'{name}'" for name in quoted)
     parts = str(folder / kind / "*" / "*.parquet").replace("'", "''")
@@ -129,9 +129,9 @@ def summarise(folder: Path) -> dict[str, Any]:
     Raises:
         InputError: Not the folder of a campaign.
     """
-    campaign = stored_campaign(folder)
+    campaign = campaign_of_folder(folder)
     store = CampaignStore(folder, campaign)
-    done = sum(len(campaign.shard(piece)) for piece in store.done())
+    done = sum(len(campaign.shard(piece)) for piece in store.finished_shards())
     found: dict[str, Any] = {
         "campaign": campaign.name,
         "digest": campaign.digest,
@@ -249,7 +249,7 @@ def write_campaign_report(folder: Path, summary: Mapping[str, Any], about: Mappi
     Raises:
         InputError: The folder cannot be written.
     """
-    campaign = stored_campaign(folder)
+    campaign = campaign_of_folder(folder)
     worst = drive_worst(folder, campaign, summary["worst"])
     parts = [f"<h1>Campaign {escape(campaign.name)}</h1>", _head(campaign, summary, about)]
     parts += ["<h2>Drivers</h2>", _legend(), _table(summary["drivers"], ("driver",))]
@@ -284,7 +284,7 @@ def matrix_words(campaign: Campaign) -> str:
     sizes = zip(("drivers", *AXES), campaign.axes, strict=True)
     words = " × ".join(f"{count} {name}" for name, count in sizes if count > 1 or name not in SINGLE)
     if campaign.cells < prod(campaign.axes[1:]):
-        words += f", a sample of {campaign.drawn} combinations with every driver and actuation"
+        words += f", a sample of {campaign.combinations} combinations with every driver and actuation"
     return words
 
 

@@ -164,7 +164,7 @@ def run_campaign(
     if workers < 1:
         raise InputError("out of range", field="workers", value=workers, allowed=">= 1")
     store, began, driven = CampaignStore(folder, campaign), perf_counter(), 0
-    done = store.done()
+    done = store.finished_shards()
     rows = sum(len(campaign.shard(piece)) for piece in done)
     todo = [piece for piece in campaign.pieces() if piece not in done]
     progress = CampaignProgress(rows, campaign.rows, 0, 0.0, peak_memory_mb())

@@ -64,7 +64,7 @@ class CampaignStore:
                 allowed=f"an empty folder, or one of campaign {self.campaign.digest}",
             )
 
-    def done(self) -> dict[Piece, str]:
+    def finished_shards(self) -> dict[Piece, str]:
         """Shards that are done, each with its checksum: listed, with a file of the listed size."""
         path, found = self.folder / DONE_FILE, {}
         text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
@@ -115,7 +115,7 @@ class CampaignStore:
 
     def checksum(self) -> str:
         """One checksum of all results in the order of the rows; the same for every pool of workers."""
-        done = self.done()
+        done = self.finished_shards()
         words = (
             f"{piece.driver} {piece.chunk} {done[piece]}" for piece in self.campaign.pieces() if piece in done
         )
@@ -137,7 +137,7 @@ def key_of(driver: str) -> str:
     return plain if plain == driver else f"{plain}-{sha256(driver.encode()).hexdigest()[:8]}"
 
 
-def stored_campaign(folder: Path) -> Campaign:
+def campaign_of_folder(folder: Path) -> Campaign:
     """The campaign of a folder.
 
     Raises:

@@ -289,7 +289,7 @@ class Convoy(ConvoySettings):
             max_deceleration_mps2=min(head.max_deceleration_mps2, LEADER_SHARE * rate),
         )
 
-    def coupled(self) -> tuple[tuple[Trainset, float], ...]:
+    def coupled_trainsets(self) -> tuple[tuple[Trainset, float], ...]:
         """Nominal trainsets that a coupled head plans for too, and their distances behind it."""
         if self.guard != "coupled":
             return ()

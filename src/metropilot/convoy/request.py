@@ -103,7 +103,7 @@ class ConvoyRequest(ConvoySettings):
             Infeasible: The time is below the convoy's minimum running time, which the message names.
         """
         section, trainset = convoy.leader()
-        coupled = convoy.coupled()
+        coupled = convoy.coupled_trainsets()
         trainsets, offsets_m = zip((trainset, 0.0), *coupled, strict=True)
         fastest_s = joint_minimum_running_time(section, trainsets, offsets_m, limits_extended=True)
         alone = self.head.run(fastest_s, "minimum running time of the convoy")

@@ -53,7 +53,7 @@ class AbstractPolicyDriver(AbstractDriver):
         """
 
     @cached_property
-    def loaded(self) -> LoadedPolicy:
+    def loaded_policy(self) -> LoadedPolicy:
         """The policy, what it sees, and what is known about it.
 
         Raises:
@@ -63,11 +63,11 @@ class AbstractPolicyDriver(AbstractDriver):
 
     def read_policy(self) -> object:
         """Read the policy."""
-        return self.loaded
+        return self.loaded_policy
 
     @cached_property
     def _driver(self) -> LearnedDriver:
-        return LearnedDriver(self.loaded.policy, self.loaded.interface)
+        return LearnedDriver(self.loaded_policy.policy, self.loaded_policy.interface)
 
     def init(self, run: Run) -> LearnedMemory:
         """Read the policy, and build the tables it sees."""

@@ -114,7 +114,7 @@ class TrainingLog:
     seconds: float = 0.0
 
     @property
-    def done(self) -> int:
+    def chunks_done(self) -> int:
         """Chunks done."""
         return len(next(iter(self.columns.values()), []))
 
@@ -159,7 +159,7 @@ class TrainingLog:
         self.seconds += spent_s
         for name, value in row.items():
             self.columns.setdefault(name, []).append(value)
-        number, options = self.done, self.options
+        number, options = self.chunks_done, self.options
         if options.checkpoint and (number % options.every == 0 or number == self.chunks):
             about = {**self.identity, "seconds": self.seconds}
             save_checkpoint(options.checkpoint, state, self.history, about)
@@ -202,11 +202,11 @@ def learn_in_chunks(
     start = time.perf_counter()
     chunk = jax.jit(loop.chunk, donate_argnums=0).lower(state).compile()
     compile_seconds = time.perf_counter() - start
-    while log.done < loop.chunks:
+    while log.chunks_done < loop.chunks:
         start = time.perf_counter()
         state, row = jax.block_until_ready(chunk(state))
         spent_s = time.perf_counter() - start
-        steps = (log.done + 1) * loop.iterations * loop.learner.iteration_steps
+        steps = (log.chunks_done + 1) * loop.iterations * loop.learner.iteration_steps
         log.add(state, {name: float(value) for name, value in row.items()}, steps, spent_s)
     params = {name: np.asarray(value) for name, value in state.best.items()}
     policy = Policy(loop.learner.spec, params)

@@ -55,7 +55,7 @@ class Guard:
             await refusal(scope, receive, send)
 
     async def _through(self, scope: Scope, receive: Receive, send: Send) -> None:
-        bounded = Bounded(receive, self._bound(scope))
+        bounded = Bounded(receive, self._largest_body_bytes(scope))
         try:
             await self.app(scope, bounded, _with_headers(send))
         except RuntimeError:
@@ -77,12 +77,13 @@ class Guard:
         if self.settings.token is not None and not self._presents(scope, headers):
             return self._welcome(scope)
         length = headers.get("content-length", "0")
-        if scope["type"] == "http" and (not length.isdigit() or int(length) > self._bound(scope)):
-            limit = f"at most {self._bound(scope)} bytes"
+        largest = self._largest_body_bytes(scope)
+        if scope["type"] == "http" and (not length.isdigit() or int(length) > largest):
+            limit = f"at most {largest} bytes"
             return answer(413, {"message": "too large", "value": length[:20], "allowed": limit})
         return None
 
-    def _bound(self, scope: Scope) -> int:
+    def _largest_body_bytes(self, scope: Scope) -> int:
         uploads = scope["path"] == "/api/uploads" or scope["path"].startswith("/_nicegui/client/")
         return self.settings.upload_bytes + OVERHEAD if uploads else self.settings.request_bytes
 

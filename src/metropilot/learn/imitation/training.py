@@ -143,18 +143,18 @@ class _Training:
         dataset = DemonstrationSet(
             self.seed, config.worlds, config.plans, config.states, self.folder / "lessons"
         )
-        if log.done < self._count:
+        if log.chunks_done < self._count:
             self._collect(dataset)
             demonstrations, numbers = load_demonstrations(dataset)
-            if not log.done:
+            if not log.chunks_done:
                 standing = _begin(new_train_state(config, self.seed, demonstrations.observations))
             part = self._parts(demonstrations, numbers)
-            while log.done < self._count:
+            while log.chunks_done < self._count:
                 start = time.perf_counter()
-                train_state, row = part(log.done + 1, standing.pupil)
+                train_state, row = part(log.chunks_done + 1, standing.pupil)
                 standing, row = self._evaluate(standing, train_state, row)
                 log.add(standing, row, int(row["steps"]), time.perf_counter() - start)
-        self._put_away(dataset)
+        self._remove_demonstrations(dataset)
         params = {name: np.asarray(value) for name, value in standing.best.items()}
         return TrainingResult(Policy(spec, params), float(standing.best_score), log.history, log.seconds, 0.0)
 
@@ -288,7 +288,7 @@ class _Training:
         standing = Standing(train_state, best, jnp.where(better, score, standing.best_score))
         return standing, row | {f"evaluation.{name}": float(value) for name, value in found.items()}
 
-    def _put_away(self, dataset: DemonstrationSet) -> None:
+    def _remove_demonstrations(self, dataset: DemonstrationSet) -> None:
         """Remove the demonstrations: they are large, and made again from the seed."""
         for shard in range(dataset.shards):
             dataset.path(shard).unlink(missing_ok=True)

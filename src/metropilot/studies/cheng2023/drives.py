@@ -99,7 +99,7 @@ def policy_control(policy: Callable[[Any], Any]) -> Start:
     return control, NO_ERRORS
 
 
-def compared_controllers(
+def controllers_to_compare(
     tuned: Mapping[str, Mapping[str, float]], policies: Mapping[int, Callable[[Any], Any]]
 ) -> tuple[ComparedController, ...]:
     """Controllers of the comparison.

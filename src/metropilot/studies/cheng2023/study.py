@@ -12,7 +12,7 @@ from metropilot.studies.cheng2023.drives import (
     POSITION_PID,
     TUNED_POSITION_PID,
     ComparedController,
-    compared_controllers,
+    controllers_to_compare,
 )
 from metropilot.studies.cheng2023.figures import figures
 from metropilot.studies.cheng2023.setting import CITATION, REFERENCES, SCENARIOS, course
@@ -33,7 +33,7 @@ def reproduce(order: Order) -> StudyReport:
     """
     kind = order.options["reference"]
     policies, tuned = _load_or_learn(order)
-    controllers = compared_controllers(tuned, policies)
+    controllers = controllers_to_compare(tuned, policies)
     measured, records = _track_all(controllers, kind, tuple(policies))
     published = {c.driver: c.published if kind == "s_curve" else "" for c in controllers}
     found: list[ReportRow] = [

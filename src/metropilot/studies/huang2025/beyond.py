@@ -113,7 +113,7 @@ class Stops(NamedTuple):
     interventions: int
 
 
-def repeated_stops(gain: float, noise_mps: float = NOISE_MPS, stops: int = STOPS) -> Stops:
+def repeat_stops(gain: float, noise_mps: float = NOISE_MPS, stops: int = STOPS) -> Stops:
     """Drive case 1 repeatedly; the estimate of the brake is carried from stop to stop.
 
     Args:

@@ -381,7 +381,7 @@ class AbstractExpertPolicyDriver(AbstractDriver):
         return Path(self.options.policy) if self.options.policy else shipped_policy(self.id)
 
     @cached_property
-    def loaded(self) -> LoadedPolicy:
+    def loaded_policy(self) -> LoadedPolicy:
         """The policy and what is known about it.
 
         Raises:
@@ -395,11 +395,11 @@ class AbstractExpertPolicyDriver(AbstractDriver):
 
     def read_policy(self) -> object:
         """Read the policy that changes the rate."""
-        return self.loaded
+        return self.loaded_policy
 
     @cached_property
     def _action(self) -> ExpertAction | ExpertChoiceAction:
-        return cast("ExpertAction | ExpertChoiceAction", self.loaded.interface.action)
+        return cast("ExpertAction | ExpertChoiceAction", self.loaded_policy.interface.action)
 
     def init(self, run: Run) -> PolicyMemory:
         """Read the policy, and build the tables of the section."""
@@ -407,7 +407,7 @@ class AbstractExpertPolicyDriver(AbstractDriver):
 
     def act(self, memory: PolicyMemory, observation: Observation) -> tuple[float, PolicyMemory]:
         """One decision of the expert; the policy is asked once in its own period."""
-        period, chosen = self.loaded.interface.period_s, memory.change
+        period, chosen = self.loaded_policy.interface.period_s, memory.change
         decided = memory.decided
 
         def change(seen: RateInputs) -> float:
@@ -431,7 +431,7 @@ class AbstractExpertPolicyDriver(AbstractDriver):
             seen.rate_mps2,
             seen.traction_mps2,
         )
-        answer = self.loaded.policy(np.asarray(observed, np.float32))
+        answer = self.loaded_policy.policy(np.asarray(observed, np.float32))
         return min(max(float(self._action.change(answer)), -1.0), 1.0)
 
 

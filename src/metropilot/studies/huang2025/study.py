@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metropilot.policy import shipped_policy
-from metropilot.studies.huang2025.beyond import GAINS, beyond_rows, repeated_stops, stop_rows
+from metropilot.studies.huang2025.beyond import GAINS, beyond_rows, repeat_stops, stop_rows
 from metropilot.studies.huang2025.drives import (
     EvaluatedRun,
     decision_row,
@@ -67,7 +67,7 @@ def reproduce(order: Order) -> StudyReport:
             arrival = float(np.median([one.running_time_s for one in found[case.id, EITOP].drives]))
             found[case.id, EQUAL_EITOE] = drive_at_arrival(case, arrival)
         order.say(f"{case.name} driven")
-    stops = [repeated_stops(gain) for gain in GAINS]
+    stops = [repeat_stops(gain) for gain in GAINS]
     rows = _rows(found)
     learned = [r for r in results if r.job.about["driver"] == EITOP]
     rows += [*_learning_rows(results), *stop_rows(stops), *beyond_rows(policies)]

@@ -66,7 +66,7 @@ class PidLu2023(AbstractTracker):
 
     def read_policy(self) -> object:
         """Read the policy that drives the curve it tracks."""
-        return self.learned.loaded
+        return self.learned.loaded_policy
 
     def init(self, run: Run) -> TrackingMemory:
         """Let improved DQN drive the run ahead of departure, and take its curve as the reference."""

@@ -22,7 +22,7 @@ from metropilot.web.pages.form import (
     validate,
 )
 from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, table
-from metropilot.web.pages.plots import convoy_figure, driven_convoy_figure
+from metropilot.web.pages.plots import convoy_figure, finished_convoy_figure
 from metropilot.web.pages.strip import section_strip
 from metropilot.web.schemas.requests import ConvoyIn, NewLink
 from metropilot.web.service import Service
@@ -277,7 +277,7 @@ class ConvoyPage:
 
     def show_over(self, row: JobRow, found: dict[str, Any]) -> None:
         """Show a stored convoy."""
-        self.plot.update_figure(driven_convoy_figure(found))
+        self.plot.update_figure(finished_convoy_figure(found))
         self.root.props(f"data-status={row.status}")
         self.status.text = "all stopped"
         self.show_tables(row.id, found)

@@ -326,7 +326,7 @@ def convoy_figure() -> Figure:
     )
 
 
-def driven_convoy_figure(found: dict[str, Any]) -> Figure:
+def finished_convoy_figure(found: dict[str, Any]) -> Figure:
     """Figure of a finished convoy."""
     made = convoy_figure()
     for first, name, factor in ((0, "gap_m", 1.0), (MOST, "speed_difference_mps", KMH_PER_MPS)):
