@@ -16,7 +16,7 @@ from metropilot.sim import Run, drive
 
 LINE, ORIGIN, DESTINATION, TRAINSET, TIME_S = "yizhuang", "RJ", "WYJ", "dkz32", 110.0
 NAMES = ("generalist", "ppo", "eitoe", "manual", "optimal")
-RUNS = 5
+RUNS = 3
 TARGETS = {"generalist": "300 us"}
 
 
