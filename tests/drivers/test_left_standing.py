@@ -14,7 +14,7 @@ LATE = replace(DKZ32, actuation=replace(DKZ32.actuation, delay_s=0.8, lag_s=0.4)
 SECTION = load_line("yizhuang").section("RJ", "WYJ")
 ANYWHERE = (
     *("optimal", "mpc", "generalist", "eitoe", "eitop", "itor", "ston", "stod", "flat_out", "manual"),
-    *("pid", "ddpg_pid", "fuzzy_pid", "neural_pid"),
+    *("pid", "ddpg_pid", "fuzzy_pid", "neural_pid", "ppo_scaled"),
 )
 """Drivers that are offered for any line."""
 
