@@ -63,7 +63,7 @@ def run(follower="follow_gap", emergency_s=float("inf"), **changes):
     return drive_convoy(convoy(**changes), head, FOLLOWERS.make(follower))
 
 
-QUICK = ("follow_gap", "sac_pid")
+QUICK = ("follow_gap", "follow_plan", "sac_pid")
 """A run costs some eight seconds with every type checked: the other followers' are left to the slow tests."""
 
 
@@ -235,7 +235,7 @@ def test_a_restriction_announced_on_the_way_holds_for_the_whole_convoy():
         *("yizhuang", "YZQ", "WHY"),
         time_s=125.0,
         trainset="cheng2023",
-        driver="flat_out",
+        driver="optimal",
         disturbance=Disturbance(updates=(RESTRICTION, TimetableUpdate(30.0, scheduled_time_s=130.0))),
     )
     request = ConvoyRequest(head)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = {
     "convoy": (
-        "metropilot convoy yizhuang RJ WYJ --time 115 --trainsets 2 --driver follow_gap",
+        "metropilot convoy yizhuang RJ WYJ --time 115 --trainsets 3",
         "metropilot convoy yizhuang RJ WYJ --time 115 --driver follow_mpc --link-delay 0.3 --out convoy",
         "metropilot convoy yizhuang RJ WYJ --time 130 --start-gap 200 --uncouple-at 900",
         "metropilot convoy yizhuang YZQ WHY --trainset cheng2023 --mass-factors 1,1.2 --head-emergency 40",

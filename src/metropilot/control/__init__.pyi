@@ -32,7 +32,9 @@ from .prediction import CommandActuation as CommandActuation
 from .prediction import Model as Model
 from .prediction import Motion as Motion
 from .prediction import PredictedState as PredictedState
+from .prediction import acting_command as acting_command
 from .prediction import actuation_of as actuation_of
+from .prediction import periods_before as periods_before
 from .prediction import predict_motion as predict_motion
 from .stopping import AT_ONCE_MPS3 as AT_ONCE_MPS3
 from .stopping import SERVICE_USE as SERVICE_USE
@@ -53,6 +55,7 @@ from .stopping import draws_up as draws_up
 from .stopping import release as release
 from .stopping import required_deceleration as required_deceleration
 from .stopping import required_with_build_up as required_with_build_up
+from .stopping import settle as settle
 from .stopping import stand as stand
 from .stopping import stop_command as stop_command
 from .stopping import stop_deceleration as stop_deceleration

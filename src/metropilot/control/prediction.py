@@ -11,8 +11,6 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple, no_type_check
 
-import numpy as np
-
 from metropilot._typing import Scalar
 from metropilot.physics import Track, Vehicle, command_for_effort, namespace, scalars
 
@@ -20,13 +18,16 @@ LAG_LEAD = 0.7
 """Share of the lag that is compensated by a larger command; full compensation would amplify noise."""
 
 
-def periods_before(delay_steps: float) -> int:
+@no_type_check
+def periods_before(delay_steps: Scalar) -> Scalar:
     """Whole periods from a command to the one in which at least half of it acts.
 
     Args:
         delay_steps: Dead time in control periods, not always whole.
     """
-    return math.ceil(delay_steps - 0.5)
+    single = namespace(delay_steps) is scalars
+    # -(-x // 1) rounds up
+    return math.ceil(delay_steps - 0.5) if single else -((0.5 - delay_steps) // 1.0)
 
 
 class Model(NamedTuple):
@@ -92,7 +93,8 @@ class PredictedState(NamedTuple):
         """
         return self.command_for(wanted_mps2 + self.resistance_mps2 + self.gradient_mps2, lead)
 
-    def lead(self, share: float, lead: float = LAG_LEAD) -> float:
+    @no_type_check
+    def lead(self, share: Scalar, lead: float = LAG_LEAD) -> Scalar:
         """Command that compensates part of the lag and of the older command, in [-1, 1].
 
         Args:
@@ -101,11 +103,11 @@ class PredictedState(NamedTuple):
         """
         kept, beside = lead * self.keep, lead * self.part
         acting = (share - kept * self.share) / (1.0 - kept)
-        low, high = -1.0, 1.0
-        if beside > 0.0:
-            # No traction where braking should act, nor the reverse: all of it acts a period later.
-            low, high = low * (acting < 0.0), high * (acting > 0.0)
-        return min(max((acting - beside * self.older) / (1.0 - beside), low), high)
+        xp = namespace(acting, beside)
+        # No traction where braking should act, nor the reverse: all of it acts a period later.
+        low = xp.where((beside <= 0.0) | (acting < 0.0), -1.0, 0.0)
+        high = xp.where((beside <= 0.0) | (acting > 0.0), 1.0, 0.0)
+        return xp.minimum(xp.maximum((acting - beside * self.older) / (1.0 - beside), low), high)
 
 
 class Motion(NamedTuple):
@@ -170,26 +172,27 @@ def acting_command(commands: Sequence[Scalar], age: Scalar) -> Scalar:
         age: Periods, one number or an array of them.
     """
     xp = namespace(age)
-    whole = int(age) if xp is scalars else np.floor(age).astype(int)
+    whole = int(age) if xp is scalars else xp.floor(age).astype(int)
     part = age - whole
     older = commands[xp.minimum(whole + 1, len(commands) - 1)]
     return commands[whole] * (1.0 - part) + older * part
 
 
+@no_type_check
 def predict_motion(
     motion: Motion,
-    commands: Sequence[float],
-    delay_steps: float,
-    keep: float,
-    limits_mps2: tuple[float, float, float],
-    jerk_mps3: float,
-    dt: float,
+    commands: Sequence[Scalar],
+    delay_steps: Scalar,
+    keep: Scalar,
+    limits_mps2: tuple[Scalar, Scalar, Scalar],
+    jerk_mps3: Scalar,
+    dt: Scalar,
 ) -> Motion:
     """Predict the motion when a command given now begins to act.
 
     Args:
         motion: The motion now.
-        commands: Commands given, newest first.
+        commands: Commands given, newest first; in a compiled program as many as the dead time takes, and one.
         delay_steps: Dead time in control periods.
         keep: Share of the old effort that remains after a period of lag.
         limits_mps2: Largest traction, largest service brake, and resistance with gradient; constant over the
@@ -199,14 +202,25 @@ def predict_motion(
     """
     x, v, a, share = motion
     traction, brake, drag = limits_mps2
+    xp = namespace(v, delay_steps, traction)
     room = jerk_mps3 * dt
-    for k in range(periods_before(delay_steps)):
-        # Where less than half of this period's command acts, which is not known yet, the newest goes on.
-        acting = acting_command([commands[0], *commands], delay_steps - k)
-        share = acting + (share - acting) * keep
-        wanted = share * (traction if share > 0.0 else brake) - drag
-        a = min(max(wanted, a - room), a + room)
-        a = max(a, 0.0) if v <= 0.0 else a
-        after = max(v + a * dt, 0.0)
-        x, v = x + 0.5 * (v + after) * dt, after
+    single = xp is scalars
+    # Where less than half of this period's command acts, which is not known yet, the newest goes on.
+    first, before = commands[0], periods_before(delay_steps)
+    given = [first, *commands] if single else xp.concatenate([xp.expand_dims(first, 0), commands])
+    for k in range(before if single else commands.shape[0] - 1):
+        acting = acting_command(given, xp.maximum(delay_steps - k, 0.0))
+        later = acting + (share - acting) * keep
+        wanted = later * xp.where(later > 0.0, traction, brake) - drag
+        then = xp.minimum(xp.maximum(wanted, a - room), a + room)
+        then = xp.where(v <= 0.0, xp.maximum(then, 0.0), then)
+        after = xp.maximum(v + then * dt, 0.0)
+        moved = x + 0.5 * (v + after) * dt
+        if not single:
+            # A compiled program predicts as many periods for all trainsets.
+            moved, after, then, later = (
+                xp.where(k < before, new, old)
+                for new, old in zip((moved, after, then, later), (x, v, a, share), strict=True)
+            )
+        x, v, a, share = moved, after, then, later
     return Motion(x, v, a, share)

@@ -21,13 +21,12 @@ their :class:`StopOptions`.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 
-from metropilot._typing import Scalar
+from metropilot._typing import Flag, Scalar
 from metropilot.control.estimator import StateEstimate, look_ahead
 from metropilot.control.prediction import Model, PredictedState
 from metropilot.physics import Vehicle, effort_at, namespace, resistance_and_gradient, scalars
@@ -452,7 +451,7 @@ def stop_command(
     return Stop(ahead.share_for(-demand.wanted_mps2), required, later, ahead, distance)
 
 
-def draws_up(speed_mps: float, distance_m: float, options: StopOptions = STOP_OPTIONS) -> bool:
+def draws_up(speed_mps: Scalar, distance_m: Scalar, options: StopOptions = STOP_OPTIONS) -> Flag:
     """Tell if a trainset is so slow before the stop that it has to be drawn up to it.
 
     Args:
@@ -461,7 +460,7 @@ def draws_up(speed_mps: float, distance_m: float, options: StopOptions = STOP_OP
         options: Constants of the stop.
     """
     most = 2.0 * options.draw_up_share * options.draw_up_mps2 * distance_m
-    return bool(distance_m >= options.inch_m and speed_mps * speed_mps < most)
+    return (distance_m >= options.inch_m) & (speed_mps * speed_mps < most)
 
 
 def deceleration_to(model: Model, estimate: StateEstimate, stop: Stop) -> float:
@@ -502,11 +501,48 @@ def stand(
         creep_m: Distance to the target below which a creeping trainset is stopped.
         options: Constants of the stop.
     """
-    ahead, left_m, dt = stop.ahead, stop.left_m, model.dt
-    rate, drop = -ahead.acceleration_mps2, float(model.vehicle.jerk_mps3) * dt
-    last = 0 < ahead.speed_mps <= rate * dt and rate <= drop
-    if last and abs(left_m - ahead.speed_mps**2 / (2 * rate)) <= near_enough_m:
-        return ahead.share_for(-rate)
-    if ahead.speed_mps < options.creep_mps and abs(left_m) < creep_m and math.isfinite(drop):
-        return ahead.share_for(-options.drop_share * drop)
-    return stop.share
+    ahead = stop.ahead
+    settles, wanted = settle(
+        ahead.speed_mps,
+        ahead.acceleration_mps2,
+        stop.left_m,
+        float(model.vehicle.jerk_mps3),
+        model.dt,
+        near_enough_m,
+        creep_m,
+        options,
+    )
+    return ahead.share_for(wanted) if settles else stop.share
+
+
+@no_type_check
+def settle(
+    speed_mps: Scalar,
+    acceleration_mps2: Scalar,
+    distance_m: Scalar,
+    jerk_mps3: Scalar,
+    dt: float,
+    near_enough_m: float,
+    creep_m: float,
+    options: StopOptions = STOP_OPTIONS,
+) -> tuple[Flag, Scalar]:
+    """Tell if the stop ends near enough without a correction, and the acceleration until then.
+
+    The deceleration in force is kept where it ends in this period; a trainset that creeps is stopped gently.
+
+    Args:
+        speed_mps: Speed when the command begins to act.
+        acceleration_mps2: Acceleration in the period before.
+        distance_m: Distance to the target.
+        jerk_mps3: Jerk limit.
+        dt: Control period, s.
+        near_enough_m: Largest stop error that is accepted without a correction in the last period.
+        creep_m: Distance to the target below which a creeping trainset is stopped.
+        options: Constants of the stop.
+    """
+    xp = namespace(speed_mps, acceleration_mps2, distance_m)
+    rate, drop = -acceleration_mps2, jerk_mps3 * dt
+    error = xp.abs(distance_m - speed_mps * speed_mps / (2 * xp.where(rate > 0.0, rate, 1.0)))
+    ends = (speed_mps > 0.0) & (speed_mps <= rate * dt) & (rate <= drop) & (error <= near_enough_m)
+    creeps = (speed_mps < options.creep_mps) & (xp.abs(distance_m) < creep_m) & (drop < float("inf"))
+    return ends | creeps, -xp.where(ends, rate, options.drop_share * xp.minimum(drop, AT_ONCE_MPS3))

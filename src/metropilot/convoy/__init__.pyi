@@ -31,11 +31,13 @@ from .model import Link as Link
 from .model import LinkQuality as LinkQuality
 from .model import convoy_members as convoy_members
 from .pettingzoo import ConvoyParallelEnv as ConvoyParallelEnv
+from .plan import MotionPlan as MotionPlan
 from .request import ConvoyRequest as ConvoyRequest
 from .request import convoy_from_json as convoy_from_json
 from .request import in_run_json as in_run_json
 from .rollout import ConvoyDrive as ConvoyDrive
 from .rollout import ConvoyRollout as ConvoyRollout
+from .rollout import DrivenHead as DrivenHead
 from .rollout import HeadRun as HeadRun
 from .rollout import drive_convoy as drive_convoy
 from .step import FollowerObservation as FollowerObservation

@@ -168,7 +168,7 @@ TRAINSETS = FieldSpec(
 )
 FAR_M = 1e6
 LEADER_SHARE = 0.85
-"""Share of its brake and of 1 m/s^2 that the head uses in service, so that the others can follow."""
+"""Share of its traction, its brake and 1 m/s^2 that the head uses, so that the others can follow."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,17 +9,15 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from metropilot._io import read_text
 from metropilot._schema import FieldSpec, check_fields, declare, field_specs, from_table
 from metropilot.convoy.drivers import FOLLOWERS, AbstractFollower
-from metropilot.convoy.model import TRAINSETS, Convoy, ConvoySettings, Link
-from metropilot.convoy.rollout import ConvoyDrive, HeadRun, drive_convoy
+from metropilot.convoy.model import LEADER_SHARE, TRAINSETS, Convoy, ConvoySettings, Link
+from metropilot.convoy.rollout import ConvoyDrive, DrivenHead, drive_convoy
 from metropilot.errors import InputError, rename_fields
 from metropilot.evaluate import RunSpec, locate_files, locate_policy, make_driver, run_fields, with_options
 from metropilot.planning import joint_minimum_running_time
-from metropilot.sim import Disturbance, Run, drive
+from metropilot.sim import Disturbance, Run
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,7 @@ class ConvoyRequest(ConvoySettings):
     head: RunSpec
     count: int = field(default=2, metadata={FieldSpec: TRAINSETS})
     follower: str = declare(
-        "follow_gap", "Driver of the followers; see `metropilot drivers --followers`.", option="driver"
+        "follow_plan", "Driver of the followers; see `metropilot drivers --followers`.", option="driver"
     )
     options: Mapping[str, Any] = field(default_factory=dict)
     emergency_s: float = declare(
@@ -103,6 +101,8 @@ class ConvoyRequest(ConvoySettings):
             Infeasible: The time is below the convoy's minimum running time, which the message names.
         """
         section, trainset = convoy.leader()
+        if convoy.guard == "coupled":
+            trainset = replace(trainset, traction=trainset.traction.scale(LEADER_SHARE))
         coupled = convoy.coupled_trainsets()
         trainsets, offsets_m = zip((trainset, 0.0), *coupled, strict=True)
         fastest_s = joint_minimum_running_time(section, trainsets, offsets_m, limits_extended=True)
@@ -123,16 +123,16 @@ class ConvoyRequest(ConvoySettings):
         told = [run.scheduled_time_s, *(each.scheduled_time_s for each in run.disturbance.updates)]
         return [time_s for time_s in told if time_s is not None][-1]
 
-    def head_run(self, convoy: Convoy) -> HeadRun:
-        """Drive the head alone.
+    def driven_head(self, convoy: Convoy) -> DrivenHead:
+        """Make the head and its driver.
 
         Raises:
             InputError: No such driver, no such option.
             Infeasible: The head's driver cannot meet the scheduled time.
         """
-        found = drive(self.run(convoy), make_driver(self.head.driver, self.head.options))
-        commands = np.asarray(found.trajectory.command[:-1])
-        return HeadRun(self.head.driver, commands, found.outcome, self.emergency_s)
+        driver = make_driver(self.head.driver, self.head.options)
+        share = LEADER_SHARE if convoy.guard == "coupled" else 1.0
+        return DrivenHead(self.run(convoy), driver, self.emergency_s, share)
 
     def make_follower(self) -> AbstractFollower:
         """Make the driver of the followers.
@@ -144,14 +144,14 @@ class ConvoyRequest(ConvoySettings):
             return with_options(FOLLOWERS.get(self.follower), self.options)
 
     def drive(self, convoy: Convoy | None = None, follower: AbstractFollower | None = None) -> ConvoyDrive:
-        """Drive the head, then the convoy behind it.
+        """Drive the convoy.
 
         Args:
             convoy: The convoy, if it exists already.
             follower: The driver of the followers, if it exists already.
         """
         convoy, follower = convoy or self.convoy(), follower or self.make_follower()
-        return drive_convoy(convoy, self.head_run(convoy), follower, self.head.seed)
+        return drive_convoy(convoy, self.driven_head(convoy), follower, self.head.seed)
 
     def values(self) -> dict[str, Any]:
         """The request as plain values, without those that are None or infinite."""

@@ -1,4 +1,4 @@
-"""Host loop of a convoy: recorded commands of a head and followers behind it, in NumPy float64."""
+"""Host loop of a convoy: a head, driven or recorded, and followers behind it, in NumPy float64."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from numpy import ndarray
 from metropilot._typing import Float
 from metropilot.convoy.drivers import AbstractFollower
 from metropilot.convoy.model import Convoy, Link, Member, convoy_members
+from metropilot.convoy.own_plant import learn, learned_vehicle, own_plant
+from metropilot.convoy.plan import MotionPlan, place_behind, plan_at
 from metropilot.convoy.step import (
     UNLIMITED_MPS,
     FollowerObservation,
     MemberState,
+    Plans,
     at_departure,
     drive_period,
     make_message,
@@ -24,13 +27,34 @@ from metropilot.convoy.step import (
     receive_message,
     update_needed_gap,
 )
-from metropilot.physics import Command
+from metropilot.physics import Command, Vehicle
 from metropilot.protection import permitted_speed
 from metropilot.railway import Restriction
-from metropilot.sim import Outcome, Recorder, Trajectory, noise_stream
+from metropilot.sim import (
+    CODES,
+    RUNNING,
+    AbstractDriver,
+    Observation,
+    Outcome,
+    OutcomeRule,
+    Recorder,
+    Run,
+    Trajectory,
+    noise_stream,
+    outcome_of,
+)
 
 STAND_S = 3.0
 LONGEST_S = 240.0
+RULE = OutcomeRule()
+OFF_MPS, OFF_M = 0.1, 0.5
+"""Departure of the head from its plan, in speed or position, that calls for a new one."""
+PATIENCE_S = 2.0
+"""Least time between two plans that a departure calls for."""
+OUTDATED = 0.03
+"""Change of the learned gain of the traction that calls for a new plan of a follower."""
+LAST_M = 30.0
+"""No new plan this close to the stop."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,27 +99,48 @@ class ConvoyDrive:
 
 @dataclass(frozen=True)
 class HeadRun:
-    """Commands of the head.
+    """Recorded commands of the head.
 
     Attributes:
         driver: Id of its driver.
         commands: Command of each period; afterwards it holds its brakes. Shape (T,).
         emergency_s: Time at which it makes an emergency brake (infinite: never).
         outcome: Outcome of its run without emergency brake.
+        plan: Motion that it tells the follower behind it beforehand; None: none.
     """
 
     driver: str
     commands: Float[ndarray, " rows"]
     outcome: Outcome
     emergency_s: float = float("inf")
+    plan: MotionPlan | None = None
 
 
-def drive_convoy(convoy: Convoy, head: HeadRun, follower: AbstractFollower, seed: int = 0) -> ConvoyDrive:
+@dataclass(frozen=True)
+class DrivenHead:
+    """Head that its driver drives within the convoy; it tells its planned motion.
+
+    Attributes:
+        run: Its run, with the limits that hold until the last trainset has cleared them.
+        driver: Its driver.
+        emergency_s: Time at which it makes an emergency brake (infinite: never).
+        traction_share: Traction of the trainset of its run over that of its plant.
+    """
+
+    run: Run
+    driver: AbstractDriver
+    emergency_s: float = float("inf")
+    traction_share: float = 1.0
+
+
+def drive_convoy(
+    convoy: Convoy, head: HeadRun | DrivenHead, follower: AbstractFollower, seed: int = 0
+) -> ConvoyDrive:
     """Run a convoy until all stand.
 
     Args:
         convoy: The convoy.
-        head: Run of its head.
+        head: Its head.
         follower: Driver of the others, each with a memory of its own.
         seed: Seed of delays and losses of the links.
     """
@@ -106,12 +151,102 @@ def drive_convoy(convoy: Convoy, head: HeadRun, follower: AbstractFollower, seed
 
 
 @final
+class HeadDriver:
+    """The driver of a head at work: command, end of the run, and the motion that it plans.
+
+    The plan is a simulation of the same driver, from now to the stop, on the plant as the head knows it.
+
+    Args:
+        head: Run and driver.
+    """
+
+    def __init__(self, head: DrivenHead) -> None:
+        self.driver, self.traction_share = head.driver, head.traction_share
+        self.section, self.scheduled_s = head.run.section, head.run.scheduled_time_s
+        self.pending = sorted(head.run.disturbance.updates, key=lambda update: update.at_s)
+        self.memory: Any = head.driver.init(head.run)
+        self.stood_since_s, self.outcome = 0.0, RUNNING
+
+    def apply_updates(self, now_s: float) -> bool:
+        """Tell the driver the timetable updates that are due; True if there were any."""
+        due = [update for update in self.pending if update.at_s <= now_s]
+        self.pending = self.pending[len(due) :]
+        for update in due:
+            if update.scheduled_time_s is not None:
+                self.scheduled_s = update.scheduled_time_s
+            if update.restriction is not None:
+                self.section = self.section.with_restriction(update.restriction)
+        return bool(due)
+
+    def act(self, memory: Any, state: MemberState, now_s: float, permitted_mps: float) -> tuple[float, Any]:  # noqa: ANN401 (a driver's)
+        """Command of the driver, and its next memory."""
+        plant, watched = state.plant, state.watched
+        observation = Observation(
+            time_s=now_s,
+            position_m=float(plant.position_m),
+            speed_mps=float(state.measured_mps),
+            acceleration_mps2=float(plant.acceleration_mps2),
+            scheduled_time_s=self.scheduled_s,
+            permitted_mps=permitted_mps,
+            section=self.section,
+            intervention=0 if watched is None else int(watched.level),
+        )
+        share, memory = self.driver.act(memory, observation)
+        return float(share) * (self.traction_share if share > 0.0 else 1.0), memory
+
+    def note(self, before: MemberState, after: MemberState, time_s: float) -> None:
+        """Record the end of a period: whether the run is over, and how."""
+        stopped = before.plant.speed_mps > 0.0 and after.plant.speed_mps <= 0.0
+        self.stood_since_s = time_s if stopped else self.stood_since_s
+        if self.outcome == RUNNING:
+            self.outcome = self._outcome(after, time_s, self.stood_since_s)
+
+    def plan(
+        self, member: Member, vehicle: Vehicle, state: MemberState, now_s: float, dt: float
+    ) -> MotionPlan:
+        """Simulate the run from now on, on the plant as it is known by now."""
+        known = member._replace(vehicle=vehicle, speed_noise_mps=0.0 * member.speed_noise_mps)
+        memory, time_s, since_s = self.memory, now_s, self.stood_since_s
+        rows = [(float(state.plant.position_m), float(state.plant.speed_mps))]
+        while self._outcome(state, time_s, since_s) == RUNNING:
+            permitted = _permitted(known, state)
+            share, memory = self.act(memory, state, time_s, permitted)
+            command = Command(np.float64(share), False)
+            moving = state.plant.speed_mps > 0.0
+            state, _ = drive_period(known, state, command, np.float64(time_s), np.float64(dt))
+            time_s += dt
+            since_s = time_s if moving and state.plant.speed_mps <= 0.0 else since_s
+            rows.append((float(state.plant.position_m), float(state.plant.speed_mps)))
+        return MotionPlan(np.float64(now_s), np.float64(dt), *np.array([*rows, rows[-1]]).T)
+
+    def _outcome(self, state: MemberState, time_s: float, since_s: float) -> int:
+        plant = state.plant
+        code = outcome_of(
+            RULE,
+            error_m=float(plant.position_m) - self.section.length_m,
+            speed_mps=float(plant.speed_mps),
+            time_s=time_s,
+            stood_since_s=since_s,
+            scheduled_s=self.scheduled_s,
+            overspeed_mps=0.0,
+        )
+        return int(code)
+
+
+def _permitted(member: Member, state: MemberState) -> float:
+    """Speed that protection permits a trainset."""
+    if member.protection is None:
+        return UNLIMITED_MPS
+    return float(permitted_speed(member.protection, float(state.plant.position_m)))
+
+
+@final
 class ConvoyRollout:
     """Stepwise run of a convoy, one control period at a time, as :func:`drive_convoy` uses it.
 
     Args:
         convoy: The convoy.
-        head: Run of its head.
+        head: Its head.
         follower: Driver of the others, each with a memory of its own.
         seed: Seed of delays and losses of the links.
 
@@ -120,8 +255,11 @@ class ConvoyRollout:
         over: True at the end of the run: all have stood for ``STAND_S``.
     """
 
-    def __init__(self, convoy: Convoy, head: HeadRun, follower: AbstractFollower, seed: int) -> None:
+    def __init__(
+        self, convoy: Convoy, head: HeadRun | DrivenHead, follower: AbstractFollower, seed: int
+    ) -> None:
         self.convoy, self.head, self.follower, self.dt = convoy, head, follower, convoy.dt
+        self.driving = HeadDriver(head) if isinstance(head, DrivenHead) else None
         self.members = convoy_members(convoy)
         pairs = zip(self.members, (None, *self.members[:-1]), strict=True)
         self.states = [at_departure(own, ahead, self.dt) for own, ahead in pairs]
@@ -138,6 +276,11 @@ class ConvoyRollout:
         self.decision_us: list[list[float]] = [[] for _ in self.members]
         self.rows: list[tuple[float, list[float], list[float]]] = []
         self.period, self.stood_s, self.over = 0, 0.0, False
+        self.plants = [own_plant(m.believed, self.dt) for m in self.members]
+        self.planned_gains = [1.0] * len(self.members)
+        self.plans: list[list[tuple[float, MotionPlan]]] = [[] for _ in self.members]
+        self.known: list[Plans | None] = [None for _ in self.members]
+        self.send_plan(0.0)
 
     @property
     def time_s(self) -> float:
@@ -152,24 +295,62 @@ class ConvoyRollout:
         self.move(now, self.period)
         self.note(float(now) + self.dt)
         still = all(s.plant.speed_mps <= 0 for s in self.states)
-        ended = now >= min(self.head.commands.size * self.dt, self.head.emergency_s + self.dt)
+        ended = now >= min(self.ends_s, self.head.emergency_s + self.dt)
         self.stood_s = self.stood_s + self.dt if still and ended else 0.0
         self.period += 1
-        longest = self.head.commands.size * self.dt + LONGEST_S
-        self.over = self.stood_s >= STAND_S or self.time_s >= longest
+        self.over = self.stood_s >= STAND_S or self.time_s >= self.longest_s
         return self.rows[-1]
+
+    @property
+    def ends_s(self) -> float:
+        """Time at which the run of the head ends; infinite while it is not known."""
+        if isinstance(self.head, HeadRun):
+            return self.head.commands.size * self.dt
+        return float("inf") if self.driving is None or self.driving.outcome == RUNNING else 0.0
+
+    @property
+    def longest_s(self) -> float:
+        """Time at which the run is given up."""
+        if isinstance(self.head, HeadRun):
+            return self.head.commands.size * self.dt + LONGEST_S
+        scheduled = self.head.run.scheduled_time_s if self.driving is None else self.driving.scheduled_s
+        return RULE.late_ratio * scheduled + RULE.late_s + LONGEST_S
+
+    def send_plan(self, now_s: float) -> None:
+        """Send the planned motion of the head on its way along the convoy."""
+        plan = self.head.plan if isinstance(self.head, HeadRun) else None
+        if self.driving is not None:
+            plan = self.driving.plan(self.members[0], self.known_vehicle(0), self.states[0], now_s, self.dt)
+        if plan is not None:
+            self.plans[0].append((now_s, plan))
+
+    def departs(self, now_s: float) -> bool:
+        """Tell if the head has left the plan that it sent, and a new one is worth its while."""
+        if self.driving is None or self.driving.outcome != RUNNING or not self.plans[0]:
+            return False
+        sent_s, plan = self.plans[0][-1]
+        plant = self.states[0].plant
+        left_m = self.convoy.section.length_m - float(plant.position_m)
+        if now_s - sent_s < PATIENCE_S or left_m < LAST_M or now_s >= self.head.emergency_s:
+            return False
+        planned = plan_at(plan, now_s)
+        off_mps = abs(float(plant.speed_mps - planned.speed_mps))
+        return off_mps > OFF_MPS or abs(float(plant.position_m - planned.position_m)) > OFF_M
 
     def apply_updates(self) -> None:
         """Put the temporary speed restrictions that are due into force, for plants and protections.
 
-        New arrival times act on the driver of the head alone, in the run that gave its commands.
+        New arrival times act on the driver of the head alone.
         """
+        told = self.driving is not None and self.driving.apply_updates(self.time_s)
         while self.pending and self.pending[0].at_s <= self.time_s:
             restriction = cast("Restriction", self.pending.pop(0).restriction)
             self.convoy = replace(self.convoy, section=self.convoy.section.with_restriction(restriction))
             links = [member.link for member in self.members]
             members = convoy_members(self.convoy)
             self.members = tuple(m._replace(link=link) for m, link in zip(members, links, strict=True))
+        if told or self.departs(self.time_s):
+            self.send_plan(self.time_s)
 
     def relink(self, link: Link) -> None:
         """Change the quality of all links from now on; messages in flight are kept."""
@@ -186,6 +367,44 @@ class ConvoyRollout:
             message = make_message(self.members[k - 1], before[k - 1], now)
             state = receive_message(self.members[k], before[k], message, self.random.random(2))
             self.states[k] = update_needed_gap(self.members[k], state, now, np.float64(self.dt))
+            self.learn_plan(k, float(now))
+
+    def learn_plan(self, k: int, now_s: float) -> None:
+        """Take over a new plan of the trainset ahead, if a message that carries it has arrived."""
+        stamp_s = float(self.states[k].channel.heard.stamp_s)
+        heard = [number for number, (sent_s, _) in enumerate(self.plans[k - 1], 1) if sent_s <= stamp_s]
+        known, member = self.known[k], self.members[k]
+        if not heard:
+            return
+        if known is not None and known.number_ahead >= heard[-1] and not self.is_outdated(k, now_s):
+            return
+        plan = self.plans[k - 1][heard[-1] - 1][1]
+        self.planned_gains[k] = float(self.plants[k].gains[0])
+        length_m = float(self.members[k - 1].length_m)
+
+        def planned_gap(times_s: ndarray) -> ndarray:
+            if known is None:
+                return np.full(times_s.size, self.convoy.first_gap_m)
+            return np.array(
+                [plan_at(known.ahead, t).position_m - plan_at(known.own, t).position_m for t in times_s]
+            )
+
+        own = place_behind(
+            plan, member._replace(believed=self.known_vehicle(k)), length_m, now_s, planned_gap
+        )
+        rear = plan._replace(position_m=plan.position_m - length_m)
+        self.plans[k].append((now_s, own))
+        self.known[k] = Plans(rear, own, np.float64(len(self.plans[k])), heard[-1])
+
+    def known_vehicle(self, k: int) -> Vehicle:
+        """Plant of a trainset as it is known by now."""
+        return learned_vehicle(self.plants[k], self.members[k].believed)
+
+    def is_outdated(self, k: int, now_s: float) -> bool:
+        """Tell if the plan of a trainset is of another plant than it has learned since."""
+        if now_s - self.plans[k][-1][0] < PATIENCE_S:
+            return False
+        return bool(abs(self.plants[k].gains[0] - self.planned_gains[k]) > OUTDATED)
 
     def move(self, now: np.float64, period: int) -> None:
         """Advance all trainsets by one control period."""
@@ -196,21 +415,29 @@ class ConvoyRollout:
 
     def move_one(self, k: int, own: Member, state: MemberState, now: np.float64, period: int) -> MemberState:
         """Advance one trainset by one control period."""
-        permitted = UNLIMITED_MPS
-        if own.protection is not None:
-            permitted = float(permitted_speed(own.protection, float(state.plant.position_m)))
+        permitted = _permitted(own, state)
+        seen = observe_member(own, state, now, np.float64(self.dt), np.float64(permitted), self.known[k])
+        self.plants[k] = learn(self.plants[k], seen)
         if k == 0:
-            running = period < self.head.commands.size
-            share = float(self.head.commands[period]) if running else -1.0
-            command = Command(np.float64(share), bool(now >= self.head.emergency_s))
+            command = Command(self.head_share(state, period, permitted), bool(now >= self.head.emergency_s))
         else:
-            command = Command(
-                self.decide(k, observe_member(own, state, now, self.dt, np.float64(permitted))), False
-            )
+            command = Command(self.decide(k, seen), False)
         noise = self.errors[k].standard_normal() if own.speed_noise_mps > 0 else 0.0
         after, record = drive_period(own, state, command, now, np.float64(self.dt), np.float64(noise))
         self.recorders[k].add(own.track, after.plant, record, permitted)
+        if k == 0 and self.driving is not None:
+            self.driving.note(state, after, float(now) + self.dt)
         return after
+
+    def head_share(self, state: MemberState, period: int, permitted_mps: float) -> np.float64:
+        """Command of the head; it holds its brakes once its run is over."""
+        share = -1.0
+        if isinstance(self.head, HeadRun):
+            share = self.head.commands[period] if period < self.head.commands.size else share
+        elif self.driving is not None and self.driving.outcome == RUNNING:
+            driving = self.driving
+            share, driving.memory = driving.act(driving.memory, state, period * self.dt, permitted_mps)
+        return np.float64(share)
 
     def decide(self, k: int, seen: FollowerObservation) -> np.float64:
         """The command of a follower; records the decision time."""
@@ -233,10 +460,15 @@ class ConvoyRollout:
         """The record of the run."""
         time_s, gap, apart = zip(*self.rows, strict=True)
         watched = [s.watched for s in self.states]
-        stopped = np.isfinite(self.head.emergency_s)
+        head, outcome = self.head, Outcome.OUT_OF_TIME
+        if isinstance(head, HeadRun):
+            outcome = head.outcome
+        elif self.driving is not None and self.driving.outcome != RUNNING:
+            outcome = CODES[self.driving.outcome]
+        stopped = np.isfinite(head.emergency_s)
         return ConvoyDrive(
             convoy=self.convoy,
-            head=self.head.driver,
+            head=head.driver if isinstance(head, HeadRun) else head.driver.id,
             follower=self.follower.id,
             trajectories=tuple(
                 recorder.trajectory(own.track, recorder.permitted[-1])
@@ -245,7 +477,7 @@ class ConvoyRollout:
             gap_m=np.array(gap),
             speed_difference_mps=np.array(apart),
             time_s=np.array(time_s),
-            outcome=Outcome.STALLED if stopped else self.head.outcome,
+            outcome=Outcome.STALLED if stopped else outcome,
             interventions=_counts(watched, "interventions"),
             emergencies=_counts(watched, "emergencies"),
             overspeed_mps=tuple(recorder.overspeed_mps for recorder in self.recorders),

@@ -6,15 +6,22 @@ from typing import Any, NamedTuple, no_type_check
 
 from metropilot._typing import Array
 from metropilot.convoy.model import FAR_M, Channel, Member, Message, open_channel, transmit
+from metropilot.convoy.plan import MotionPlan, plan_at
 from metropilot.physics import Command, State, at_rest, delay_steps, namespace
 from metropilot.protection import Memory as Watched
 from metropilot.protection import TrainAhead, at_start, spare_gap
 from metropilot.sim import NEVER_ENDS, PeriodRecord, RunParams, control_period, first_state
 
+LIMIT_S = 1.0
+"""Time constant with which a speed above the permitted one is given up."""
+UNDER_MPS = 0.05
+"""Margin of a follower below the permitted speed."""
 UNLIMITED_MPS = 1e3
 """Permitted speed of a trainset without protection."""
 SPARE_M, SPARE_SHARE, SILENT_S = 0.2, 0.1, 0.4
 """Margins beyond the gap that protection needs: distance, command, and age of messages on a lossy link."""
+EASE_M = 2.0
+"""Lack of gap at which a follower brakes fully."""
 FADING_MPS, LONG_M, FADING_S = 0.1, 10.0, 2.0
 """Decay of the needed gap: a constant rate, and a time constant for what exceeds a long gap."""
 
@@ -31,6 +38,8 @@ class MemberState(NamedTuple):
         command: Last command after protection.
         emergency: True if the emergency brake was demanded last.
         needed_gap_m: Gap that protection needs behind the trainset ahead: recent maximum, decaying.
+        coasting_gap_m: Gap that it needs now to pass a command of 0.
+        pulling_gap_m: The same for a command of 1.
     """
 
     plant: State
@@ -41,6 +50,8 @@ class MemberState(NamedTuple):
     command: Array
     emergency: Array
     needed_gap_m: Array
+    coasting_gap_m: Array
+    pulling_gap_m: Array
 
 
 class FollowerObservation(NamedTuple):
@@ -55,13 +66,22 @@ class FollowerObservation(NamedTuple):
         vehicle: Nominal plant.
         track: The section.
         gap_m: Extrapolated gap to the trainset ahead.
-        wanted_gap_m: Desired gap, or the gap that protection needs if that is larger.
+        wanted_gap_m: Desired gap, or the gap that protection has needed lately if that is larger.
+        most_share: Largest command that protection passes behind the trainset ahead, with a margin; at least
+            -1.
         ahead_mps: Extrapolated speed of the trainset ahead.
         ahead_mps2: Its acceleration in the last message.
         age_s: Age of the last message.
         alarm: 1 if the trainset ahead reported an emergency brake, else 0.
         permitted_mps: Speed that protection permits for line limits.
+        most_rise_mps2: Largest acceleration that it passes for them here.
         period_s: Control period.
+        most_mps2: Total deceleration that the own brakes are controlled to.
+        plan: Own planned motion; None: the trainset ahead sends none.
+        plan_number: Number of that plan, which rises with every new one.
+        off_m: Departure of the trainset ahead from its plan at the time of its message: of its position.
+        off_mps: The same of its speed.
+        off_mps2: The same of its acceleration.
     """
 
     time_s: Array
@@ -73,12 +93,36 @@ class FollowerObservation(NamedTuple):
     track: Any
     gap_m: Array
     wanted_gap_m: Array
+    most_share: Array
     ahead_mps: Array
     ahead_mps2: Array
     age_s: Array
     alarm: Array
     permitted_mps: Array
+    most_rise_mps2: Array
     period_s: Array
+    most_mps2: Array
+    plan: MotionPlan | None
+    plan_number: Array
+    off_m: Array
+    off_mps: Array
+    off_mps2: Array
+
+
+class Plans(NamedTuple):
+    """Planned motions that a follower knows.
+
+    Attributes:
+        ahead: That of the trainset ahead, of its rear.
+        own: Its own.
+        number: Number of its own plan.
+        number_ahead: Number of that of the trainset ahead.
+    """
+
+    ahead: MotionPlan
+    own: MotionPlan
+    number: Array
+    number_ahead: int = 1
 
 
 def make_message(member: Member, state: MemberState, now_s: Array) -> Message:
@@ -124,7 +168,16 @@ def at_departure(
     first = Message(zero, rear, kind(0.0 if ahead is None else speed_mps), zero, zero, zero)
     watched = None if member.protection is None else at_start(member.protection)
     return MemberState(
-        plant, plant.speed_mps, watched, open_channel(first), zero, zero, member.is_head & False, zero
+        plant,
+        plant.speed_mps,
+        watched,
+        open_channel(first),
+        zero,
+        zero,
+        member.is_head & False,
+        zero,
+        zero,
+        zero,
     )
 
 
@@ -145,6 +198,27 @@ def ahead_of(member: Member, state: MemberState, now_s: Array) -> TrainAhead:
     )
 
 
+class Extrapolated(NamedTuple):
+    """Motion of the trainset ahead now, as its last message has it. All 0-d."""
+
+    rear_m: Array
+    speed_mps: Array
+    acceleration_mps2: Array
+
+
+@no_type_check
+def extrapolate(message: Message, now_s: Array) -> Extrapolated:
+    """Extrapolate a message to now at a constant acceleration, no further than to the standstill."""
+    a, v, age = message.acceleration_mps2, message.speed_mps, now_s - message.stamp_s
+    xp = namespace(message.rear_m, now_s)
+    # A trainset that brakes does not roll back.
+    stands = xp.where(a < 0.0, v / xp.maximum(-a, 1e-6), 1e9)
+    t = xp.minimum(age, stands)
+    return Extrapolated(
+        message.rear_m + t * (v + 0.5 * a * t), xp.maximum(v + a * t, 0.0), xp.where(age < stands, a, 0.0)
+    )
+
+
 @no_type_check
 def update_needed_gap(member: Member, state: MemberState, now_s: Array, period_s: Array) -> MemberState:
     """Update the gap that protection needs to pass the last command again: rises at once, decays slowly."""
@@ -154,28 +228,95 @@ def update_needed_gap(member: Member, state: MemberState, now_s: Array, period_s
     xp = namespace(plant.position_m, now_s)
     unsure = (member.link.loss > 0.0) | (member.link.jitter_s > 0.0)
     ahead = ahead._replace(age_s=ahead.age_s + xp.where(unsure, SILENT_S, 0.0))
-    share = xp.minimum(state.command + SPARE_SHARE, 1.0)
-    spare = spare_gap(member.protection, state.watched, plant.position_m, state.measured_mps, share, ahead)
-    now_m = xp.clip(ahead.rear_m - plant.position_m - spare + SPARE_M, 0.0, FAR_M)
+    rear = extrapolate(state.channel.heard, now_s).rear_m
+    zero = 0.0 * state.command
+
+    @no_type_check
+    def needed(share: Array) -> Array:
+        spare = spare_gap(
+            member.protection, state.watched, plant.position_m, state.measured_mps, share, ahead
+        )
+        return xp.clip(rear - plant.position_m - spare + SPARE_M, 0.0, FAR_M)
+
+    # The gap needed grows with a command, and more and more: between two it is no more than their mean.
+    coasting_m, pulling_m = needed(zero), needed(zero + 1.0)
+    share = xp.clip(state.command + SPARE_SHARE, 0.0, 1.0)
+    now_m = coasting_m + share * (pulling_m - coasting_m)
     now_m = xp.where(member.is_head, 0.0, now_m)
     rate = FADING_MPS + xp.maximum(state.needed_gap_m - LONG_M, 0.0) / FADING_S
-    return state._replace(needed_gap_m=xp.maximum(now_m, state.needed_gap_m - rate * period_s))
+    faded_m = state.needed_gap_m - rate * period_s
+    return state._replace(
+        needed_gap_m=xp.maximum(now_m, faded_m), coasting_gap_m=coasting_m, pulling_gap_m=pulling_m
+    )
+
+
+@no_type_check
+def most_share(state: MemberState, gap_m: Array) -> Array:
+    """Largest command that protection passes at a gap, by the gaps that two commands need."""
+    xp = namespace(gap_m, state.command)
+    room = gap_m - state.coasting_gap_m
+    rising = xp.maximum(state.pulling_gap_m - state.coasting_gap_m, 1e-3)
+    share = xp.where(room < 0.0, room / EASE_M, room / rising)
+    return xp.where(state.pulling_gap_m <= 0.0, 1.0, xp.clip(share, -1.0, 1.0))
+
+
+@no_type_check
+def rise_under(member: Member, room_mps: Array) -> Array:
+    """Largest acceleration at a distance below the permitted speed that protection passes.
+
+    Above the permitted speed it is negative. What accelerates goes on until a brake acts: it inverts
+    :func:`metropilot.protection.approach_margin`, with the own dead time, lag and jerk limit.
+    """
+    believed = member.believed
+    xp = namespace(room_mps, believed.delay_s)
+    late_s, quadratic = believed.delay_s + believed.lag_s, 0.5 / xp.minimum(believed.jerk_mps3, 1e6)
+    if member.protection is None:
+        reaction_s = LIMIT_S + late_s
+    else:
+        rates, usual = member.protection.rates, member.protection.service_rates
+        ratio = rates.mass_high / rates.mass_low
+        reaction_s = ratio * (xp.maximum(rates.reaction_s, usual.reaction_s) + late_s)
+        quadratic = quadratic + 0.5 * ratio * ratio / xp.minimum(rates.jerk_mps3, usual.jerk_mps3)
+    room = room_mps - UNDER_MPS
+    above = xp.maximum(room, 0.0)
+    rise = 2.0 * above / (reaction_s + (reaction_s * reaction_s + 4.0 * quadratic * above) ** 0.5)
+    return xp.where(room < 0.0, room / LIMIT_S, rise)
 
 
 @no_type_check
 def observe_member(
-    member: Member, state: MemberState, now_s: Array, period_s: Array, permitted_mps: Array
+    member: Member,
+    state: MemberState,
+    now_s: Array,
+    period_s: Array,
+    permitted_mps: Array,
+    plans: Plans | None = None,
 ) -> FollowerObservation:
-    """Observation of the driver of a trainset; for the head, with a trainset far ahead."""
+    """Observation of the driver of a trainset; for the head, with a trainset far ahead.
+
+    Args:
+        member: The trainset.
+        state: Its state.
+        now_s: Time since departure.
+        period_s: Control period.
+        permitted_mps: Speed that protection permits.
+        plans: Planned motions that it knows; None: none.
+    """
     plant, message = state.plant, state.channel.heard
     xp = namespace(plant.position_m, message.rear_m)
-    age = now_s - message.stamp_s
-    a, v = message.acceleration_mps2, message.speed_mps
-    # Extrapolated no further than to the standstill: a trainset that brakes does not roll back.
-    stands = xp.where(a < 0.0, v / xp.maximum(-a, 1e-6), 1e9)
-    t = xp.minimum(age, stands)
-    rear = message.rear_m + t * (v + 0.5 * a * t)
+    now = extrapolate(message, now_s)
+    rear = now.rear_m
     apart = plant.position_m >= member.uncouple_at_m
+    zero = 0.0 * rear
+    off = (zero, zero, zero)
+    if plans is not None:
+        planned = plan_at(plans.ahead, message.stamp_s)
+        before = plan_at(plans.ahead, message.stamp_s - period_s)
+        off = (
+            message.rear_m - planned.position_m,
+            message.speed_mps - planned.speed_mps,
+            message.acceleration_mps2 - before.acceleration_mps2,
+        )
     return FollowerObservation(
         time_s=now_s,
         position_m=plant.position_m,
@@ -186,12 +327,20 @@ def observe_member(
         track=member.track,
         gap_m=rear - plant.position_m,
         wanted_gap_m=xp.maximum(xp.where(apart, member.apart_m, member.gap_m), state.needed_gap_m),
-        ahead_mps=xp.maximum(v + a * t, 0.0),
-        ahead_mps2=xp.where(age < stands, a, 0.0),
-        age_s=age,
+        most_share=most_share(state, rear - plant.position_m),
+        ahead_mps=now.speed_mps,
+        ahead_mps2=now.acceleration_mps2,
+        age_s=now_s - message.stamp_s,
         alarm=message.emergency,
         permitted_mps=permitted_mps,
+        most_rise_mps2=rise_under(member, permitted_mps - state.measured_mps),
         period_s=period_s,
+        most_mps2=member.most_mps2,
+        plan=None if plans is None else plans.own,
+        plan_number=zero if plans is None else plans.number,
+        off_m=off[0],
+        off_mps=off[1],
+        off_mps2=off[2],
     )
 
 

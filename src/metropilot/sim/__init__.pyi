@@ -14,6 +14,7 @@ from .outcome import RUNNING as RUNNING
 from .outcome import Episode as Episode
 from .outcome import OutcomeRule as OutcomeRule
 from .outcome import final_outcome as final_outcome
+from .outcome import outcome_of as outcome_of
 from .rollout import Drive as Drive
 from .rollout import Moment as Moment
 from .rollout import NominalDrive as NominalDrive

@@ -26,6 +26,11 @@ FOLLOWERS.add(
             "PID on the speed difference to the trainset ahead, fixed gains",
             "Chen23b eq. 12, gains tuned within its bounds",
         ),
+        "follow_plan": RegistryRow(
+            "metropilot.convoy.drivers.follow_plan:FollowPlan",
+            "Own place in the planned motion of the convoy, stop at the own mark",
+            "own",
+        ),
         "sac_pid": RegistryRow(
             "metropilot.studies.chen2023b.drivers:SacPid",
             "PID on the speed difference, gains by a policy of soft actor-critic",

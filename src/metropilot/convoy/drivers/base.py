@@ -10,12 +10,10 @@ from metropilot._typing import Scalar
 from metropilot.convoy.step import FollowerObservation
 from metropilot.physics import Vehicle, effort_at, namespace, resistance_and_gradient
 
-LIMIT_S = 1.0
-"""Time constant with which a follower approaches the permitted speed."""
-UNDER_MPS = 0.05
-"""Margin of a follower below the permitted speed."""
 STILL_MPS = 0.02
 STILL_M = 0.1
+OPENING_MPS, CLOSING_MPS2 = 3.0, 0.35
+"""Largest speed at which a gap is opened, and deceleration with which closing a long gap is planned."""
 
 
 @no_type_check
@@ -23,8 +21,7 @@ def command_for(observation: FollowerObservation, wanted_mps2: Scalar) -> Scalar
     """The command that gives an acceleration on the nominal plant; holding brakes at standstill."""
     xp = namespace(observation.position_m, wanted_mps2)
     vehicle = observation.vehicle
-    allowed = (observation.permitted_mps - UNDER_MPS - observation.speed_mps) / LIMIT_S
-    wanted = xp.minimum(wanted_mps2, allowed)
+    wanted = xp.minimum(wanted_mps2, observation.most_rise_mps2)
     resistance, gradient = resistance_and_gradient(
         vehicle, observation.track, observation.position_m, observation.speed_mps
     )
@@ -33,6 +30,17 @@ def command_for(observation: FollowerObservation, wanted_mps2: Scalar) -> Scalar
     available = xp.where(force >= 0.0, effort.traction_n, effort.brake_n)
     share = xp.clip(force / xp.maximum(available, 1.0), -1.0, 1.0)
     return xp.where(waits(observation), -0.3, share)
+
+
+@no_type_check
+def closing_mps(rate_per_s: Scalar, error_m: Scalar) -> Scalar:
+    """Speed at which a gap that is too long by an error is closed; negative: opened.
+
+    A long gap is closed no faster than ``CLOSING_MPS2`` can brake.
+    """
+    xp = namespace(rate_per_s, error_m)
+    braking = (xp.maximum(2.0 * CLOSING_MPS2 * error_m, 0.0)) ** 0.5
+    return xp.maximum(xp.minimum(rate_per_s * error_m, braking), -OPENING_MPS)
 
 
 @no_type_check

@@ -9,15 +9,13 @@ import numpy as np
 
 from metropilot._schema import check_fields, declare
 from metropilot._typing import Scalar
-from metropilot.convoy.drivers.base import AbstractFollower, command_for
+from metropilot.convoy.drivers.base import AbstractFollower, closing_mps, command_for
 from metropilot.convoy.step import FollowerObservation
 from metropilot.physics import Vehicle, namespace
 
 LATE = 0.35
 """Largest product of bandwidth and age of messages, for stability with delayed messages."""
 FORGET = 0.995
-OPENING_MPS, CLOSING_MPS2 = 3.0, 0.35
-"""Largest speed at which a gap is opened, and deceleration with which closing a long gap is planned."""
 
 
 @dataclass(frozen=True)
@@ -80,9 +78,7 @@ class FollowGap(AbstractFollower):
         rate = xp.minimum(memory.bandwidth_per_s, LATE / xp.maximum(age, 1e-3))
         error = observation.gap_m - observation.wanted_gap_m - options.time_gap_s * observation.speed_mps
         gain = 2.0 * options.damping * rate
-        linear = rate / (2.0 * options.damping) * error
-        braking = (xp.maximum(2.0 * CLOSING_MPS2 * error, 0.0)) ** 0.5
-        faster = xp.maximum(xp.minimum(linear, braking), -OPENING_MPS)
+        faster = closing_mps(rate / (2.0 * options.damping), error)
         taken = options.feedforward * xp.maximum(1.0 - gain * age, 0.0)
         wanted = taken * observation.ahead_mps2 + gain * (
             observation.ahead_mps + faster - observation.speed_mps

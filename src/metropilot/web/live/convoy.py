@@ -26,7 +26,7 @@ class ConvoyEngine:
         convoy = request.convoy()
         follower = request.make_follower()
         self.scheduled_s = request.scheduled_time_s(convoy)
-        self.rollout = ConvoyRollout(convoy, request.head_run(convoy), follower, request.head.seed)
+        self.rollout = ConvoyRollout(convoy, request.driven_head(convoy), follower, request.head.seed)
         self.steps = 0
         self.link = request.link
         self.head_brakes = False

@@ -70,7 +70,7 @@ class ConvoyPage:
                     self.gap = number_field(ConvoyIn, "gap_m")
                 with ui.element("div").classes("mp-row"):
                     self.head = ui.select(driver_names(self.service), value="optimal", label="Head")
-                    self.follower = ui.select(followers, value="follow_gap", label="Followers")
+                    self.follower = ui.select(followers, value="follow_plan", label="Followers")
                 self.guard = ui.select(GUARDS, value="coupled", label="Protection relies on")
                 fields = (("trainsets", self.count), ("gap_m", self.gap), ("driver", self.head))
                 for name, element in (*fields, ("follower", self.follower), ("guard", self.guard)):

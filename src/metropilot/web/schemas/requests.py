@@ -225,7 +225,7 @@ class ConvoyIn(DriveIn, ConvoySettingsIn):
     """
 
     trainsets: Annotated[int, Checked("trainsets", TRAINSETS)] = 3
-    follower: Id = "follow_gap"
+    follower: Id = "follow_plan"
     disturbances: Annotated[list[DisturbanceIn], Field(max_length=6)] = []  # pyright: ignore[reportInvalidTypeForm]
     pace: Annotated[float, Field(ge=0, le=20)] = 1.0
 
