@@ -338,6 +338,7 @@ ELSEWHERE = (
     "--from",
     "import",
     ".toml",
+    "metropilot capacity yizhuang --",
     *(f"metropilot {c}" for c in ("campaign", "reproduce", "learn", "export", "fit", "serve")),
 )
 """Examples that need a file, or learn for minutes: the tests of their own packages run those."""

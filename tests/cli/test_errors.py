@@ -71,6 +71,7 @@ NUMERIC_BASE = {
     "convoy": ("yizhuang", "RJ", "WYJ", "--head", "flat_out"),
     "plan": RUN[1:4],
     "campaign": ("example",),
+    "capacity": ("yizhuang", "WYJ", "RC", "--counts", "1"),
     "learn": ("ppo",),
     "reproduce": ("chen2023a",),
     "serve": (),

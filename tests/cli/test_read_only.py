@@ -27,6 +27,7 @@ WRITERS = {
     "compare": ("compare", *SECTION, "--drivers", "flat_out,manual", "--out", "{}"),
     "plan": ("plan", *SECTION, "--out", "{}"),
     "convoy": ("convoy", *SECTION, "--trainsets", "2", "--out", "{}"),
+    "capacity": ("capacity", "yizhuang", "WYJ", "RC", "--counts", "1", "--out", "{}"),
     "fit": ("fit", "drive/trajectory.csv", "--trainset", "dkz32", "--keep", "lag", "--out", "{}"),
     "import": ("import", "line.toml", "--force", "--out", "{}/line.toml"),
     "export": ("export", "ppo", "--to", "onnx", "--out", "{}/ppo.onnx"),

@@ -1,4 +1,3 @@
-from .analysis import ConvoyService as ConvoyService
 from .analysis import needed_gap_m as needed_gap_m
 from .analysis import speed_gains as speed_gains
 from .attack import ATTACKED_HEADS as ATTACKED_HEADS
@@ -8,6 +7,10 @@ from .attack import MASS_AND_RESISTANCE as MASS_AND_RESISTANCE
 from .attack import AttackArena as AttackArena
 from .attack import AttackCampaign as AttackCampaign
 from .attack import AttackCase as AttackCase
+from .capacity import Capacity as Capacity
+from .capacity import ServiceOptions as ServiceOptions
+from .capacity import line_capacity as line_capacity
+from .capacity import write_capacity as write_capacity
 from .drivers import FOLLOWERS as FOLLOWERS
 from .drivers import AbstractFollower as AbstractFollower
 from .drivers import register_follower as register_follower

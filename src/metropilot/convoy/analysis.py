@@ -1,4 +1,4 @@
-"""Analyses of a convoy: the gap that protection needs, capacity, string stability.
+"""Analyses of a convoy: the gap that protection needs, string stability.
 
 A disturbance of the speed of the head is amplified along a convoy that is not string stable.
 """
@@ -6,7 +6,8 @@ A disturbance of the speed of the head is amplified along a convoy that is not s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -14,13 +15,14 @@ from numpy import ndarray
 from metropilot._typing import Float
 from metropilot.convoy.drivers import AbstractFollower
 from metropilot.convoy.leaders import record_leader
-from metropilot.convoy.model import Convoy, ConvoyGuard, convoy_members
+from metropilot.convoy.model import Convoy, ConvoyGuard, Member, convoy_members
 from metropilot.convoy.rollout import HeadRun, drive_convoy
 from metropilot.protection import TrainAhead, at_start, spare_gap
 from metropilot.railway import Steps
 from metropilot.sim import Outcome
 
-OVERLAP_M = 20.0
+FAR_M = 1e4
+"""Gap at which the gap that is needed is measured."""
 SETTLE_S, RISE_MPS2 = 60.0, 0.4
 
 
@@ -37,56 +39,56 @@ def needed_gap_m(convoy: Convoy, guard: ConvoyGuard, speed_mps: float, age_s: fl
     own = pair[-1]
     if own.protection is None:
         return 0.0
-    far, at = np.float64(1e4), np.float64(0.4 * convoy.section.length_m)
-    ahead = TrainAhead(at + far, np.float64(speed_mps), np.float64(0.0), np.float64(age_s), own.bounds)
-    watched = at_start(own.protection)
-    spare = spare_gap(own.protection, watched, at, np.float64(speed_mps), np.float64(0.0), ahead)
-    return float(far - spare)
+    at = 0.4 * convoy.section.length_m
+    return FAR_M - spare_m(own, at, speed_mps, Ahead(FAR_M, speed_mps, age_s=age_s))
 
 
-@dataclass(frozen=True)
-class ConvoyService:
-    """Service on a line: convoys of identical trainsets under a moving block.
+class Ahead(NamedTuple):
+    """The trainset ahead as a member sees it.
 
     Attributes:
-        count: Trainsets of a convoy; 1: no convoys.
-        length_m: Length of one trainset.
-        inside_m: Gap inside a convoy.
-        apart_m: Gap between convoys at the speed on the line.
-        speed_mps: Speed on the line.
-        rate_mps2: Acceleration and deceleration in service.
-        dwell_s: Time at a platform.
+        gap_m: Gap to its rear.
+        speed_mps: Its speed.
+        acceleration_mps2: Its acceleration.
+        age_s: Age of the message that says so.
     """
 
-    count: int
-    length_m: float
-    inside_m: float
-    apart_m: float
+    gap_m: float
     speed_mps: float
-    rate_mps2: float = 0.8
-    dwell_s: float = 30.0
+    acceleration_mps2: float = 0.0
+    age_s: float = 0.0
 
-    @property
-    def convoy_m(self) -> float:
-        """Length of a convoy."""
-        return self.count * self.length_m + (self.count - 1) * self.inside_m
 
-    @property
-    def line_per_h(self) -> float:
-        """Trainsets that pass a point of plain line in an hour at a steady speed."""
-        return 3600.0 * self.count * self.speed_mps / (self.convoy_m + self.apart_m)
+def spare_m(
+    own: Member,
+    position_m: float,
+    speed_mps: float,
+    ahead: Ahead,
+    *,
+    share: float = 0.0,
+    acceleration_mps2: float = 0.0,
+) -> float:
+    """Distance by which the trainset ahead could be nearer and a member's command still pass, m.
 
-    @property
-    def platform_per_h(self) -> float:
-        """Trainsets an hour through a platform as long as a convoy.
-
-        Dwell, the time until the convoy has cleared platform and overlap, and the time the next one, as near
-        as its braking distance, takes to run in.
-        """
-        clear_m, rate, speed = self.convoy_m + OVERLAP_M, self.rate_mps2, self.speed_mps
-        rising_m = 0.5 * speed**2 / rate
-        clear_s = (2.0 * min(clear_m, rising_m) / rate) ** 0.5 + max(clear_m - rising_m, 0.0) / speed
-        return 3600.0 * self.count / (self.dwell_s + clear_s + speed / rate)
+    Args:
+        own: Member with a protection.
+        position_m: Position of its front.
+        speed_mps: Its speed.
+        ahead: The trainset ahead.
+        share: Command.
+        acceleration_mps2: Acceleration of the member.
+    """
+    assert own.protection is not None
+    seen = TrainAhead(
+        np.float64(position_m + ahead.gap_m),
+        np.float64(ahead.speed_mps),
+        np.float64(ahead.acceleration_mps2),
+        np.float64(ahead.age_s),
+        own.bounds,
+    )
+    memory = at_start(own.protection, share=share, acceleration_mps2=acceleration_mps2)
+    x, v = np.float64(position_m), np.float64(speed_mps)
+    return float(spare_gap(own.protection, memory, x, v, np.float64(share), seen))
 
 
 def speed_gains(

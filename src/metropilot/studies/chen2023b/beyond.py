@@ -1,4 +1,4 @@
-"""Questions beyond the paper: longer convoys, bad links, string stability, collisions, capacity."""
+"""Questions beyond the paper: longer convoys, bad links, string stability, collisions, needed gaps."""
 
 from __future__ import annotations
 
@@ -12,11 +12,9 @@ import numpy as np
 
 from metropilot._io import load_or_compute
 from metropilot.convoy import (
-    GAP_M,
     AbstractFollower,
     AttackArena,
     AttackCampaign,
-    ConvoyService,
     drive_convoy,
     needed_gap_m,
     speed_gains,
@@ -145,23 +143,12 @@ def _attack(campaign: AttackCampaign, cases: int, folder: Path) -> list[list[flo
     return found
 
 
-def capacity_rows() -> list[ReportRow]:
-    """Rows of line capacity, trainsets per hour: moving block with single trainsets and with convoys."""
+def needed_gap_rows() -> list[ReportRow]:
+    """Rows of the gap that protection needs; `metropilot capacity` says what it is worth on a line."""
     rows = []
     single = pair(2)
-    apart = needed_gap_m(single, "moving_block", SPEED_MPS)
     for guard in ("moving_block", "independent", "coupled"):
         gap = needed_gap_m(single, guard, SPEED_MPS)
         case, who = "steady 60 km/h, level link", f"protection {guard}"
         rows.append(ReportRow(TABLE + "gap that protection needs", case, who, "gap", "m").with_values([gap]))
-    for count in (1, 2, 4, 8):
-        convoy = pair(max(count, 2))
-        inside = max(GAP_M, needed_gap_m(convoy, "coupled", SPEED_MPS))
-        service = ConvoyService(count, convoy.trainsets[0].length_m, inside, apart, SPEED_MPS)
-        who, table = "moving block" if count == 1 else f"convoys of {count}", TABLE + "trainsets an hour"
-        for case, value in (
-            ("plain line, 60 km/h", service.line_per_h),
-            ("platform as long as a convoy, 30 s dwell", service.platform_per_h),
-        ):
-            rows.append(ReportRow(table, case, who, "trainsets", "1/h").with_values([value]))
     return rows

@@ -11,7 +11,7 @@ from metropilot.convoy import FOLLOWERS, AbstractFollower, ConvoyDrive, drive_co
 from metropilot.errors import InputError
 from metropilot.studies.chen2023b.beyond import (
     campaign_rows,
-    capacity_rows,
+    needed_gap_rows,
     rough_rows,
     stability,
     stability_rows,
@@ -58,7 +58,7 @@ def reproduce(order: Order) -> StudyReport:
     gains = stability(first, order.budget, order.folder)
     rows += stability_rows(gains)
     order.say("attacking")
-    rows += campaign_rows(order.budget, order.folder) + capacity_rows()
+    rows += campaign_rows(order.budget, order.folder) + needed_gap_rows()
     return StudyReport(
         seeds=max((len(each) for each in runs.values()), default=len(seeds)),
         rows=rows,

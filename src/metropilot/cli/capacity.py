@@ -1,0 +1,131 @@
+"""`metropilot capacity`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from inspect import Parameter
+from itertools import pairwise
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from metropilot._schema import field_default, field_specs, field_type
+from metropilot.cli import complete
+from metropilot.cli import options as opt
+from metropilot.cli.console import console, number, print_json, show_activity, table
+from metropilot.convoy import ServiceOptions
+from metropilot.errors import InputError
+
+if TYPE_CHECKING:
+    from metropilot.convoy import Capacity
+    from metropilot.railway import Line, Section
+
+EXAMPLES = {
+    "capacity": (
+        "metropilot capacity yizhuang --platform 260 --out capacity",
+        "metropilot capacity yizhuang WYJ RC --trainset cheng2023 --counts 1,2 --dwell 40 --json",
+    ),
+}
+SERVICE = "The service"
+
+
+def _service_options() -> Iterator[Parameter]:
+    for name, spec in field_specs(ServiceOptions).items():
+        kind, default = field_type(ServiceOptions, name), field_default(ServiceOptions, name)
+        yield opt.option_of(name, spec, kind, default, SERVICE)
+
+
+@opt.with_run_options(only=("trainset", "load"), more=tuple(_service_options()))
+def capacity_command(
+    line: opt.LineArgument,
+    origin: Annotated[
+        str | None,
+        typer.Argument(
+            help="First station; the line's first if not given.", autocompletion=complete.stations
+        ),
+    ] = None,
+    destination: Annotated[
+        str | None, typer.Argument(help="Last station; the line's last.", autocompletion=complete.stations)
+    ] = None,
+    counts: Annotated[
+        str,
+        typer.Option(
+            metavar="N,N,...", help="Trainsets of a convoy; 1: no convoys.", rich_help_panel=SERVICE
+        ),
+    ] = "1,2,4,8",
+    out: opt.Out = None,
+    as_json: opt.Json = False,
+    **given: Any,  # noqa: ANN401 (the fields of a service and of a run)
+) -> int:
+    """Compute the trainsets an hour of a line, alone and in convoys.
+
+    They stop at every station. Between convoys protection relies on a moving block, or on declared brakes.
+    With --platform the result for platforms as long as each convoy stands beside it. Exit code 0: computed;
+    2: invalid input.
+    """
+    from dataclasses import replace
+
+    from metropilot._io import check_writable
+    from metropilot.convoy import line_capacity, write_capacity
+    from metropilot.railway import load_line, load_trainset
+
+    trainset = load_trainset(given.pop("trainset"), given.pop("load"))
+    service, where = ServiceOptions(**given), load_line(line)
+    sections = _sections(where, origin, destination)
+    if out is not None:
+        check_writable(out)
+    services = [service] if service.platform_m is None else [replace(service, platform_m=None), service]
+    sizes = _counts(counts)
+    with show_activity(f"driving {len(sections)} sections in convoys of {counts}"):
+        rows = [row for each in services for row in line_capacity(sections, trainset, sizes, options=each)]
+    ends = f"{sections[0].origin.name} – {sections[-1].destination.name}"
+    title = f"{where.id} {ends}, {trainset.id} {trainset.load}"
+    below = f"dwell {service.dwell_s:g} s, running time {100 * service.reserve:g} % over the minimum"
+    if out is not None:
+        write_capacity(out, rows, title, below)
+    if as_json:
+        print_json({"service": title, "details": below, "rows": [row.as_dict() for row in rows]})
+        return 0
+    columns = ("convoy", "platform m", "between convoys", "trainsets/h", "headway s", "length m", "stops")
+    columns = (*columns, "journey s", "plain line/h", "nearest")
+    spare = ("length m", "journey s", "stops", "nearest", "plain line/h")
+    shown = table(f"{title}; {below}", columns, map(_row, rows), right=(0, 1, 3, 4, 5, 6, 7, 8), spare=spare)
+    console().print(shown)
+    if out is not None:
+        console().print(f"Written to {out}: capacity.json capacity.svg capacity.png")
+    return 0
+
+
+def _counts(text: str) -> tuple[int, ...]:
+    try:
+        return tuple(dict.fromkeys(int(word) for word in text.split(",")))
+    except ValueError:
+        raise InputError("not a list of counts", field="counts", value=text, allowed="e.g. 1,2,4,8") from None
+
+
+def _sections(line: Line, origin: str | None, destination: str | None) -> tuple[Section, ...]:
+    """The sections between two stations, with every stop on the way."""
+    if (origin is None) != (destination is None):
+        missing = "destination" if origin else "origin"
+        raise InputError("missing", field=missing, allowed="both stations or none")
+    stations = list(line.stations)
+    first = stations.index(line.station(origin)) if origin else 0
+    last = stations.index(line.station(destination)) if destination else len(stations) - 1
+    between = stations[first : last + 1] if first <= last else stations[last : first + 1][::-1]
+    return tuple(line.section(a, b) for a, b in pairwise(between))
+
+
+def _row(row: Capacity) -> tuple[str, ...]:
+    """Cells of one row."""
+    return (
+        str(row.count),
+        "its length" if row.platform_m is None else f"{row.platform_m:g}",
+        row.guard.replace("_", " "),
+        number(row.trainsets_per_h, 1),
+        number(row.headway_s, 1),
+        number(row.convoy_m, 0),
+        str(row.stops_at_platform),
+        number(row.journey_s, 0),
+        number(row.plain_per_h, 0),
+        row.bottleneck,
+    )
