@@ -477,7 +477,10 @@ def look_ahead(model: Model, estimate: StateEstimate) -> PredictedState:
         model: Nominal trainset and section.
         estimate: State and plant as estimated.
     """
-    up, down, drag, age, keep = estimate.bank.parameters[:, estimate.best].tolist()
+    up, down, drag, delay, keep = estimate.bank.parameters[:, estimate.best].tolist()
+    # A part of a period that is only estimated is not compensated: commands would ring at each correction.
+    nominal = estimate.prior.nominal_delay_steps
+    age = nominal + round(delay - nominal)
     motion = Motion(estimate.position_m, estimate.speed_mps, estimate.acceleration_mps2, estimate.share)
     limits = effort_limits(model.vehicle, model.track, motion.position_m, motion.speed_mps)
     resistance, gradient, _, traction, brake = map(float, limits)
