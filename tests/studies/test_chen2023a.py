@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from metropilot import studies
 from metropilot.env import Comfort, OnTime, PeriodChange, task_config
-from metropilot.learn import PPOConfig
+from metropilot.learn import PPOConfig, RunRecord, config_to_mapping
 from metropilot.studies import Order, SeedResult, learn_seeds, learning
 from metropilot.studies.chen2023a import setting as published
 from metropilot.studies.chen2023a.drives import (
@@ -27,7 +28,7 @@ from metropilot.studies.chen2023a.setting import (
     make_assisted,
     make_evaluation,
 )
-from metropilot.studies.chen2023a.study import SIZES, STUDY, reproduce
+from metropilot.studies.chen2023a.study import SIZES, STUDY
 from metropilot.studies.page import study_page, write_figures
 
 CHUNKS = 40
@@ -134,18 +135,32 @@ def history(one: DriveCourse) -> dict[str, np.ndarray]:
     return found | {f"evaluation.{n}": part[n] for n in names} | {"evaluation.score": part["return"]}
 
 
+def record_of(job, commit="f" * 40):
+    """Record that the learning run of a job would have."""
+    config = config_to_mapping(job.config)
+    made = "2026-01-02T03:04:05+00:00"
+    numbers = (job.seed, "done", made, 61.0, job.config.steps, 1.0, commit)
+    return RunRecord(
+        job.run_id, job.config.algorithm, job.name, *numbers, config, {}, {}, machine="a machine"
+    )
+
+
 def test_the_whole_study_from_learning_runs_that_are_there(monkeypatch, tmp_path):
     def there(wanted, folder, processes, say):
-        return [SeedResult(job, None, 0.0, history(curve(3 + job.seed)), 1.0, 1.0) for job in wanted]
+        return [SeedResult(job, None, 0.0, history(curve(3 + job.seed)), record_of(job)) for job in wanted]
 
     monkeypatch.setattr(learning, "learn_seeds", there)
-    found = reproduce(Order(tmp_path, "paper"))
+    found = studies.reproduce("chen2023a", Order(tmp_path, "paper"))
     text = study_page(STUDY, found)
     assert found.seeds == 5
     assert len(found.figures) == 5
     write_figures(tmp_path / "figures", replace(found, figures=found.figures[2:3]))
     assert (tmp_path / "figures" / "running_time.png").stat().st_size < 120_000
     assert "PPO: 5 of 5 seeds converged" in text
+    assert "fffffffff (other code than this page)" in text
+    assert "| a machine | 2026-01-02 |" in text
+    assert "| learning_rate |" in text
+    assert len(found.as_dict()["learning"]) == len(found.learning) > 15
     assert "advantages not normalised, scaled" in text
     least = next(r for r in found.rows if r.case == "88 s" and r.kpi == "least energy")
     soft = next(r for r in found.rows if r.case == "88 s" and "braking" in r.kpi)

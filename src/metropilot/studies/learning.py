@@ -56,16 +56,24 @@ class SeedResult:
         policy: Policy with the best evaluation.
         score: Its evaluation score.
         history: One array per column of the history.
-        seconds: Learning time without compilation.
-        compile_seconds: Compilation time of the call that finished the run.
+        record: The run's record: commit, date, machine, steps, seconds.
     """
 
     job: LearnJob
     policy: Policy
     score: float
     history: Mapping[str, np.ndarray]
-    seconds: float
-    compile_seconds: float
+    record: RunRecord
+
+    @property
+    def seconds(self) -> float:
+        """Learning time without compilation."""
+        return self.record.seconds
+
+    @property
+    def compile_seconds(self) -> float:
+        """Compilation time of the call that finished the run."""
+        return self.record.compile_seconds
 
 
 def learn_seeds(
@@ -152,7 +160,7 @@ def _read(job: LearnJob, folder: Path) -> SeedResult:
     record, (policy, _) = record_of(place), load_policy(place / "policy.safetensors")
     score = float("-inf") if record.score is None else record.score
     history = read_history(place / HISTORY_FILE)
-    return SeedResult(job, policy, score, history, record.seconds, record.compile_seconds)
+    return SeedResult(job, policy, score, history, record)
 
 
 def write_policy(path: Path, result: SeedResult, command: str, **about: Any) -> Path:  # noqa: ANN401 (plain values)

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING, Any
 
 from metropilot._io import fill_folder, to_json
 from metropilot.studies.report import ReportRow, StudyReport
 from metropilot.studies.study import Study
 from metropilot.studies.verdict import ClaimVerdict, count_verdicts
+
+if TYPE_CHECKING:
+    from metropilot.learn import RunRecord
 
 NOTHING = "–"
 LEGEND = (
@@ -78,6 +83,9 @@ def study_page(study: Study, report: StudyReport) -> str:
             ]
     for figure in report.figures:
         lines += [f"![{figure.caption}]({study.id}/{figure.name}.png)", "", f"*{figure.caption}*", ""]
+    if report.learning:
+        lines += ["## Learning runs", "", *_learning_table(report), ""]
+        lines += ["## Hyper-parameters", "", *_settings_table(report.learning), ""]
     if report.deviations:
         lines += ["## Deviations from the paper", ""]
         lines += [f"{n}. {text}" for n, text in enumerate(report.deviations, 1)]
@@ -97,6 +105,51 @@ def verdict_numbers(verdict: ClaimVerdict) -> tuple[str, str, str, str]:
     low, high = number(verdict.low), number(verdict.high)
     interval = NOTHING if low == high else f"{low} … {high}"
     return number(verdict.published), number(verdict.ours), interval, rival
+
+
+def _learning_table(report: StudyReport) -> list[str]:
+    """Render the learning runs: one line for those of one name and commit."""
+    lines = ["| run | algorithm | seeds | steps | median time | machine | begun | commit |"]
+    lines += ["|---|---|---|---:|---:|---|---|---|"]
+    groups: dict[tuple[str, ...], list[RunRecord]] = {}
+    for run in report.learning:
+        groups.setdefault((run.task, run.algorithm, run.machine, run.commit_id), []).append(run)
+    here = report.circumstances.get("commit", "").rstrip("+")
+    for (name, algorithm, machine, commit), runs in groups.items():
+        seeds = ", ".join(str(run.seed) for run in runs)
+        seconds = median(run.seconds for run in runs)
+        code = commit[:9] + "+" * commit.endswith("+")
+        told = code if commit.rstrip("+").startswith(here) else f"{code} (other code than this page)"
+        begun = min(run.created for run in runs)[:10]
+        steps = f"{max(run.steps for run in runs):,}"
+        lines.append(_cells((name, algorithm, seeds, steps, f"{seconds:.0f} s", machine, begun, told)))
+    return lines
+
+
+def _settings_table(learning: Sequence[RunRecord]) -> list[str]:
+    """Render the hyper-parameters of every learning run; runs of one configuration share a column."""
+    columns: dict[str, Mapping[str, Any]] = {}
+    for run in learning:
+        columns.setdefault(run.task, run.config)
+    kinds: dict[str, list[str]] = {}
+    for name, config in columns.items():
+        kinds.setdefault(to_json(config), []).append(name)
+    heads = [", ".join(names) for names in kinds.values()]
+    configs = [columns[names[0]] for names in kinds.values()]
+    fields_of = dict.fromkeys(key for config in configs for key in config)
+    rows = ((key, *(_setting(config.get(key)) for config in configs)) for key in fields_of)
+    return [_cells(("hyper-parameter", *heads)), "|---|" + "---|" * len(heads), *map(_cells, rows)]
+
+
+def _setting(value: object) -> str:
+    """Format one hyper-parameter."""
+    if value is None:
+        return NOTHING
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_setting(part)}" for name, part in value.items() if part is not None)
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return " × ".join(_setting(part) for part in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _cells(cells: Iterable[str]) -> str:

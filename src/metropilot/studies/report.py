@@ -14,7 +14,12 @@ from metropilot.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
+    from metropilot.learn import RunRecord
     from metropilot.studies.verdict import Claim, ClaimVerdict
+
+
+RECORDED = ("task", "algorithm", "seed", "steps", "seconds", "machine", "created", "commit_id")
+"""Fields of a learning run's record that a report prints."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +102,7 @@ class StudyReport:
         budget: quick or paper.
         seconds: Wall time.
         circumstances: Machine, date, commit, versions.
+        learning: Records of the learning runs behind the rows.
     """
 
     seeds: int
@@ -110,6 +116,7 @@ class StudyReport:
     budget: str = ""
     seconds: float = 0.0
     circumstances: dict[str, str] = field(default_factory=dict)
+    learning: Sequence[RunRecord] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON: ``study, budget, seeds, seconds, rows`` first."""
@@ -124,6 +131,10 @@ class StudyReport:
             "deviations": list(self.deviations),
             "remarks": list(self.remarks),
             "circumstances": dict(self.circumstances),
+            "learning": [
+                {name: getattr(record, name) for name in RECORDED} | {"config": dict(record.config)}
+                for record in self.learning
+            ],
         }
 
     @cached_property

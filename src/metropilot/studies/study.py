@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from metropilot._provenance import circumstances
 from metropilot._registry import Registry, RegistryRow
 from metropilot.errors import InputError
 from metropilot.studies.report import StudyReport
+
+if TYPE_CHECKING:
+    from metropilot.learn import RunRecord
+    from metropilot.studies.learning import LearnJob, SeedResult
 
 Budget = Literal["quick", "paper"]
 BUDGETS: tuple[Budget, ...] = ("quick", "paper")
@@ -40,6 +44,7 @@ class Order:
         options: The study's own options, already checked.
         processes: Learning runs side by side.
         say: Called with one line when something is done.
+        records: Records of the learning runs used so far.
     """
 
     folder: Path
@@ -48,6 +53,20 @@ class Order:
     options: Mapping[str, str] = field(default_factory=dict)
     processes: int = 2
     say: Callable[[str], object] = lambda line: None  # noqa: ARG005 (silent)
+    records: list[RunRecord] = field(default_factory=list)
+
+    def learn(self, jobs: Sequence[LearnJob], folder: Path | None = None) -> list[SeedResult]:
+        """Do every learning run that is not there yet, and keep the records for the report.
+
+        Args:
+            jobs: The runs.
+            folder: Parent of the runs' folders; None: the order's.
+        """
+        from metropilot.studies.learning import learn_seeds
+
+        results = learn_seeds(jobs, folder or self.folder, self.processes, self.say)
+        self.records.extend(result.record for result in results)
+        return results
 
     def choose_seeds(self, *, quick: int, paper: int) -> range:
         """The seeds to run: those asked for, else the study's number for the budget."""
@@ -143,4 +162,5 @@ def reproduce(study_id: str, order: Order) -> StudyReport:
         budget=order.budget,
         seconds=time.perf_counter() - start,
         circumstances=circumstances(),
+        learning=tuple(order.records),
     )

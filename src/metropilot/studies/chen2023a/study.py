@@ -85,11 +85,10 @@ def _courses(
     """Learn every configuration with every seed; return the courses by name."""
     from metropilot.studies.chen2023a.drives import course
     from metropilot.studies.chen2023a.learning import jobs, set_length
-    from metropilot.studies.learning import learn_seeds
 
     wanted = {name: set_length(config, *length) for name, config in configs.items()}
     todo = jobs(wanted, seeds, assisted=assisted, prefix=prefix)
-    results = learn_seeds(todo, order.folder, order.processes, order.say)
+    results = order.learn(todo)
     count = len(seeds)
     return {name: [course(r) for r in results[k * count : (k + 1) * count]] for k, name in enumerate(wanted)}
 

@@ -71,12 +71,12 @@ def reproduce(order: Order) -> StudyReport:
 
 def _learn(order: Order, seeds: range) -> dict[str, list[SeedResult]]:
     """Do the learning runs of all seeds, or read those that the folder already holds."""
-    from metropilot.studies.learning import is_done, learn_seeds
+    from metropilot.studies.learning import is_done
 
     todo = [job for name in NAMES for job in jobs(name, order.budget, order.options["eta"], seeds)]
     if order.options["learn"] == "nothing":
         todo = [job for job in todo if is_done(job, order.folder)]
-    found = learn_seeds(todo, order.folder, order.processes, order.say)
+    found = order.learn(todo)
     runs = {name: [run for run in found if run.job.config.algorithm == name] for name in NAMES}
     for name, each in runs.items():
         if not each:

@@ -71,10 +71,9 @@ def _load_or_learn(order: Order) -> tuple[dict[int, Callable[[Any], Any]], Mappi
         return {0: load_gains_policy(shipped_policy("ddpg_pid"))}, tuned
     from metropilot.studies.cheng2023.learning import SEEDS, jobs
     from metropilot.studies.cheng2023.tuning import TUNABLE, tune_driver
-    from metropilot.studies.learning import learn_seeds
 
     seeds = order.choose_seeds(quick=1, paper=SEEDS)
-    results = learn_seeds(jobs(seeds), order.folder, order.processes, order.say)
+    results = order.learn(jobs(seeds))
     tuned = {}
     for driver in TUNABLE:
         tuned[driver] = tune_driver(driver, course()).values

@@ -52,12 +52,11 @@ def reproduce(order: Order) -> StudyReport:
             ten seeds. Manual drives have ten seeds in both.
     """
     from metropilot.studies.huang2025.learning import jobs
-    from metropilot.studies.learning import learn_seeds
 
     paper = order.budget == "paper"
     seeds = order.choose_seeds(quick=1, paper=10)
     folder = order.folder / "huang2025"
-    results = learn_seeds(jobs(seeds, order.budget), folder, order.processes, order.say)
+    results = order.learn(jobs(seeds, order.budget), folder)
     policies = _policies(folder, results, paper=paper)
     found: Found = {}
     for case in CASES:

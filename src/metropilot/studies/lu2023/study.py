@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from metropilot.studies.learning import learn_seeds, write_policy
+from metropilot.studies.learning import write_policy
 from metropilot.studies.lu2023.drives import (
     NotchRun,
     arrival_rows,
@@ -84,7 +84,7 @@ def reproduce(order: Order) -> StudyReport:
             for off in IMPROVEMENTS
             for seed in range(min(len(seeds), ABLATION_SEEDS))
         ]
-    results = learn_seeds(jobs, order.folder / "lu2023", order.processes, order.say)
+    results = order.learn(jobs, order.folder / "lu2023")
     named: dict[str, list[SeedResult]] = {}
     for result in results:
         named.setdefault(result.job.name.removeprefix("quick-"), []).append(result)
