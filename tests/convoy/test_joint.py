@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from metropilot.convoy import Convoy, ConvoyRequest, convoy_kpis, joint_optimum
+from metropilot.convoy import Convoy, ConvoyRequest, convoy_kpis, joint_attainable, joint_optimum
 from metropilot.drivers import DRIVERS
 from metropilot.physics import effort_at, resistance_and_gradient, track_arrays, vehicle_arrays
 from metropilot.railway import load_line, load_trainset
@@ -93,3 +93,17 @@ def test_the_minimum_time_is_that_of_the_weakest_and_the_optimum_sums_all():
     assert plans[1].trainset_energy_j[1] > 1.05 * plans[1].trainset_energy_j[0]
     assert joint_optimum(convoy, 1.0).running_time_s > 80.0
     assert joint_optimum(Convoy(section=section, trainsets=(trainset,) * 2, start_gap_m=50.0), 110.0) is None
+
+
+@pytest.mark.parametrize("guard", ["coupled", "none"])
+def test_the_attainable_energy_lies_above_the_optimum_by_what_the_rules_cost(guard):
+    section = load_line("yizhuang").section("RJ", "WYJ")
+    convoy = Convoy(section=section, trainsets=(load_trainset("dkz32"),) * 3, guard=guard)
+    costs = []
+    for time_s in (102.0, 125.0):
+        optimum, attainable = joint_optimum(convoy, time_s), joint_attainable(convoy, time_s)
+        assert attainable.running_time_s == pytest.approx(time_s, abs=0.5)
+        costs.append(attainable.energy_j / optimum.bound_j - 1.0)
+    assert costs[0] > costs[1] > 0.005
+    assert (costs[0] > 0.1) == (guard == "coupled")
+    assert joint_attainable(convoy, 60.0) is None

@@ -20,6 +20,7 @@ from .drivers.follow_pid import pid_step as pid_step
 from .env import MAX_PERIODS as MAX_PERIODS
 from .env import ConvoyTask as ConvoyTask
 from .env import ConvoyTaskConfig as ConvoyTaskConfig
+from .joint import joint_attainable as joint_attainable
 from .joint import joint_optimum as joint_optimum
 from .kpis import ConvoyKpis as ConvoyKpis
 from .kpis import MemberKpis as MemberKpis
