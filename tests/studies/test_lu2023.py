@@ -8,7 +8,13 @@ import pytest
 from metropilot.evaluate import comfort_band_shares
 from metropilot.sim import Trajectory
 from metropilot.studies.lu2023.drives import NotchFront
-from metropilot.studies.lu2023.learning import Convergence, find_convergence, meet_demands, speed_up
+from metropilot.studies.lu2023.learning import (
+    Convergence,
+    find_convergence,
+    median_episodes,
+    meet_demands,
+    speed_up,
+)
 from metropilot.studies.lu2023.setting import EPISODES, FASTER_PERCENT, PLANS, plan_case
 
 FRONT = NotchFront(np.array([116.0, 120.0, 124.0]), 3.6e6 * np.array([13.4, 12.5, 11.8]))
@@ -57,11 +63,22 @@ def test_faster_is_the_papers_measure():
     found = speed_up(slow, fast)
     assert found.percent == pytest.approx(37.5)
     assert int(found.percent) == FASTER_PERCENT
-    assert (found.low, found.high) == pytest.approx((37.5, 37.5))
+    assert found.p == pytest.approx(0.0, abs=0.01)
+
+
+def test_runs_that_never_converged_are_censored():
     rng = np.random.default_rng(1)
-    a, b = ([Convergence(float(n), True) for n in rng.uniform(low, 2 * low, 10)] for low in (800, 600))
-    spread = speed_up(a, b)
-    assert spread.low < spread.percent < spread.high
+    alike = [[Convergence(float(n), True) for n in rng.uniform(600, 1200, 10)] for _ in range(2)]
+    assert speed_up(*alike).p == pytest.approx(0.5, abs=0.45)
+    # Six of ten cut off at 500: the median is not reached, yet the test sees the difference.
+    cut = [Convergence(500.0, False)] * 6 + [Convergence(400.0, True)] * 4
+    quick = [Convergence(float(n), True) for n in range(100, 200, 10)]
+    found = speed_up(cut, quick)
+    assert found.percent is None
+    assert found.p == pytest.approx(0.0, abs=0.001)
+    assert median_episodes(cut) is None
+    assert median_episodes([*cut[4:], Convergence(300.0, True)]) == 400.0
+    assert speed_up([Convergence(500.0, False)] * 5, [Convergence(500.0, False)] * 5).p is None
 
 
 def test_front_goes_through_its_points_and_on():

@@ -144,13 +144,12 @@ STEADY = 3
 """Number of consecutive evaluations that meet the demands in a steady run."""
 ABOVE = 0.08
 OVERSPEED_MPS = 1e-3
-RESAMPLES = 10_000
 RULE = " ".join(
     f"""A run has converged at its first evaluation (forty per run, each one drive from standstill without
     exploration) that arrives within 3 s of the schedule and 0.3 m of the stop, without overspeed, at most
     {100 * ABOVE:.0f} % above the optimum over the same notches for the running time achieved: the policy kept
-    is the best one evaluated, so from then on there is one to ship. A run that never converges counts with
-    its whole length: a median that reaches it is a lower bound, and so is a comparison with it. A run is
+    is the best one evaluated, so from then on there is one to ship. A run that never converges is censored at
+    its length: medians are those of Kaplan and Meier, comparisons are log-rank tests. A run is
     steady if it does so in {STEADY} evaluations in a row; the tables give their number.""".split()
 )
 
@@ -203,30 +202,46 @@ def find_convergence(history: Mapping[str, ndarray], good: ndarray, in_a_row: in
 
 @dataclass(frozen=True)
 class SpeedUp:
-    """Speed-up of convergence, %, with its confidence interval.
+    """Speed-up of convergence from survival statistics: runs that never converged are right-censored.
 
     Attributes:
-        percent: Ratio of the medians less one.
-        low: Lower end of the 95 % bootstrap interval over the seeds.
-        high: Upper end.
+        percent: Ratio of the Kaplan-Meier medians less one, %; None where a median is not reached.
+        p: Two-sided p of the log-rank test; None with fewer than three runs that converged.
     """
 
-    percent: float
-    low: float
-    high: float
+    percent: float | None
+    p: float | None
 
 
-def speed_up(slow: Sequence[Convergence], fast: Sequence[Convergence], seed: int = 0) -> SpeedUp:
+def speed_up(slow: Sequence[Convergence], fast: Sequence[Convergence]) -> SpeedUp:
     """Compute Lu23's speed-up of convergence: 800 episodes instead of 1100 are 37 % faster.
 
     Args:
         slow: Runs of the baseline.
         fast: Runs of the other learner.
-        seed: Seed of the bootstrap.
     """
-    a, b = (np.array([run.episodes for run in runs]) for runs in (slow, fast))
-    rng = np.random.default_rng(seed)
-    drawn = [np.median(rng.choice(x, (RESAMPLES, x.size)), axis=1) for x in (a, b)]
-    ratio = 100.0 * (drawn[0] / drawn[1] - 1.0)
-    low, high = (float(x) for x in np.percentile(ratio, [2.5, 97.5]))
-    return SpeedUp(100.0 * float(np.median(a) / np.median(b) - 1.0), low, high)
+    from scipy.stats import CensoredData, logrank
+
+    slower, faster = (
+        CensoredData(
+            uncensored=[run.episodes for run in runs if run.converged],
+            right=[run.episodes for run in runs if not run.converged],
+        )
+        for runs in (slow, fast)
+    )
+    a, b = (median_episodes(runs) for runs in (slow, fast))
+    percent = None if a is None or b is None else 100.0 * (a / b - 1.0)
+    enough = sum(run.converged for run in (*slow, *fast)) >= 3
+    return SpeedUp(percent, float(logrank(slower, faster).pvalue) if enough else None)
+
+
+def median_episodes(runs: Sequence[Convergence]) -> float | None:
+    """Kaplan-Meier median of the episodes to convergence; None where fewer than half converged."""
+    from scipy.stats import CensoredData, ecdf
+
+    known = [run.episodes for run in runs if run.converged]
+    if not known:
+        return None
+    left = ecdf(CensoredData(known, right=[run.episodes for run in runs if not run.converged])).sf
+    reached = left.quantiles[left.probabilities <= 0.5]
+    return float(reached[0]) if reached.size else None

@@ -24,6 +24,8 @@ CITATION = (
     "Algorithm. "
     "Computers, Materials & Continua, 2023 (Lu23 in these pages)."
 )
+RULES = "eitoe"
+"""Driver by rules alone, the simple rival; its effort is continuous."""
 TABLE, CONVERGENCE, ABLATION, BEYOND = (
     "Table 5: arrival of the plans",
     "Figures 6 and 7: episodes to convergence",

@@ -1,4 +1,4 @@
-"""Shipping of the best seeds' policies: ``python -m metropilot.studies.lu2023.ship FOLDER``.
+"""Shipping of the median seeds' policies: ``python -m metropilot.studies.lu2023.ship FOLDER``.
 
 ``FOLDER`` is the output of ``metropilot reproduce lu2023 --budget paper --out FOLDER``. The networks for all
 plans become the drivers ``improved_dqn`` and ``dqn``; those of one plan belong to the study.
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 MISSED = 10.0
 
 
-def best_of(results: Sequence[SeedResult], plans: Sequence[PlanCase]) -> SeedResult:
-    """Select the seed with the policy nearest to the optimum over the plans, demands first."""
-    return min(results, key=lambda result: _shortfall(result, plans))
+def median_of(results: Sequence[SeedResult], plans: Sequence[PlanCase]) -> SeedResult:
+    """Select the median seed by the distance from the optimum over the plans, demands first."""
+    return sorted(results, key=lambda result: _shortfall(result, plans))[(len(results) - 1) // 2]
 
 
 def _shortfall(result: SeedResult, plans: Sequence[PlanCase]) -> float:
