@@ -128,12 +128,26 @@ def report(request: ConvoyRequest, kpis: ConvoyKpis) -> None:
         f"gap {kpis.gap_min_m:.2f} to {kpis.gap_max_m:.2f} m, speed difference at most "
         f"{kpis.speed_difference_max_mps:.3f} m/s, scheduled {kpis.scheduled_time_s:g} s"
     )
+    if kpis.joint_gap_percent is not None:
+        out.print(
+            f"{kpis.energy_wheel_kwh:.2f} kWh at the wheel, {kpis.joint_gap_percent:.1f} % above the joint "
+            f"optimum of {kpis.joint_optimal_energy_kwh:.2f} kWh"
+        )
     out.print(requirements(kpis.checks))
     columns = (
-        *("trainset", "driver", "outcome", "time s", "stop m", "gap m", "speed diff. m/s"),
-        *("wheel kWh", "line kWh", "jerk m/s³", "interventions"),
+        *("trainset", "driver", "outcome", "time s", "stop m", "gap m", "gap error m", "speed diff. m/s"),
+        *("wheel kWh", "optimum kWh", "line kWh", "jerk m/s³", "interventions"),
     )
-    spare = ("line kWh", "wheel kWh", "speed diff. m/s", "time s", "outcome", "stop m")
+    spare = (
+        "line kWh",
+        "optimum kWh",
+        "gap error m",
+        "wheel kWh",
+        "speed diff. m/s",
+        "time s",
+        "outcome",
+        "stop m",
+    )
     rows = map(_row, kpis.trainsets)
     out.print(table("", columns, rows, right=range(3, len(columns)), spare=spare))
 
@@ -147,8 +161,10 @@ def _row(member: MemberKpis) -> tuple[str, ...]:
         number(member.running_time_s, 1),
         f"{member.stopping_error_m:+.2f}",
         "–" if member.gap_min_m is None else f"{member.gap_min_m:.2f}–{member.gap_max_m:.2f}",
+        number(member.gap_error_m, 2),
         number(member.speed_difference_max_mps, 3),
         number(member.energy_wheel_kwh, 2),
+        number(member.joint_energy_kwh, 2),
         number(member.energy_line_kwh, 2),
         number(member.max_jerk_mps3, 2),
         str(member.interventions),

@@ -11,6 +11,8 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple, no_type_check
 
+import numpy as np
+
 from metropilot._typing import Scalar
 from metropilot.physics import Track, Vehicle, command_for_effort, namespace, scalars
 
@@ -172,8 +174,8 @@ def acting_command(commands: Sequence[Scalar], age: Scalar) -> Scalar:
         age: Periods, one number or an array of them.
     """
     xp = namespace(age)
-    whole = int(age) if xp is scalars else xp.floor(age).astype(int)
-    part = age - whole
+    floor = int(age) if xp is scalars else xp.floor(age)
+    whole, part = floor if xp is scalars else floor.astype(np.int32), age - floor
     older = commands[xp.minimum(whole + 1, len(commands) - 1)]
     return commands[whole] * (1.0 - part) + older * part
 

@@ -16,6 +16,7 @@ from metropilot._typing import Float
 from metropilot.convoy.drivers import AbstractFollower
 from metropilot.convoy.leaders import record_leader
 from metropilot.convoy.model import Convoy, ConvoyGuard, Member, convoy_members
+from metropilot.convoy.plan import MotionPlan
 from metropilot.convoy.rollout import HeadRun, drive_convoy
 from metropilot.protection import TrainAhead, at_start, spare_gap
 from metropilot.railway import Steps
@@ -101,7 +102,8 @@ def speed_gains(
     """Amplitude of the speed of each trainset over that of the head, which accelerates as a sine.
 
     On a long level track; amplitudes by correlation over whole periods after a settling time. A convoy is
-    string stable at a period if no amplitude exceeds that of the trainset ahead.
+    string stable at a period if no amplitude exceeds that of the trainset ahead. The head announces the mean
+    speed as its plan; the sine departs from it.
 
     Args:
         convoy: The convoy; its section is replaced by a long level one.
@@ -135,7 +137,10 @@ def _gains(
     phase = 2.0 * np.pi * (times - SETTLE_S) / period_s
     speeds = rising + np.where(begun, swing * np.sin(phase), 0.0)
     commands = record_leader(*convoy.leader(), np.maximum(speeds, 0.0), dt).command
-    drive = drive_convoy(convoy, HeadRun("sine", commands, Outcome.OUT_OF_TIME), follower)
+    planned = np.concatenate([[0.0], rising, rising[-1:]])
+    way = np.concatenate([[0.0], np.cumsum(0.5 * dt * (planned[1:] + planned[:-1]))])
+    plan = MotionPlan(np.float64(0.0), np.float64(dt), way, planned)
+    drive = drive_convoy(convoy, HeadRun("sine", commands, Outcome.OUT_OF_TIME, plan=plan), follower)
     whole = round(count * period_s / dt)
     rows = slice(times.size - whole, times.size)
     wave = np.exp(-1j * phase[rows])

@@ -27,14 +27,15 @@ from metropilot.convoy.model import (
     Message,
     convoy_members,
 )
-from metropilot.convoy.step import FollowerObservation, MemberState, ahead_of, at_departure
+from metropilot.convoy.plan import MotionPlan
+from metropilot.convoy.step import FollowerObservation, MemberState, Plans, ahead_of, at_departure
 from metropilot.env import DisturbanceDistribution, draw_disturbance
 from metropilot.physics import to_jax
 from metropilot.protection import spare_gap
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import NOISE_CUT, true_vehicle
 
-HARMFUL = ("full traction", "random", "bang-bang", "stuck", "late brake", "follow_gap")
+HARMFUL = ("full traction", "random", "bang-bang", "stuck", "late brake", "follow_plan")
 """Behaviours of followers; each follower of a case draws one."""
 ATTACKED_HEADS = 24
 LONGEST_S = 34.0
@@ -167,7 +168,7 @@ class AttackArena:
             *replace(convoy, guard="coupled").leader(), self.dt, ATTACKED_HEADS, campaign.seed, self.rows
         )
         self.heads = to_jax(stack_rows(heads))
-        self.follower = FOLLOWERS.make("follow_gap")
+        self.follower = FOLLOWERS.make("follow_plan")
         memory = [self.follower.init(m.believed, self.dt) for m in rows]
         self.memory = to_jax(stack_rows(memory))
         self._run = jax.jit(jax.vmap(self._case))
@@ -306,6 +307,23 @@ class AttackArena:
         )
         return behind(convoy.gap_m + jnp.maximum(-spare, 0.0) + 0.01)
 
+    def _plans(self, convoy: Member, case: AttackCase, states: MemberState) -> Plans:
+        """Planned motions: the recorded run of the head, at the gaps that the case begins with."""
+        import jax.numpy as jnp
+
+        front = states.plant.position_m
+        rear = jnp.concatenate([front[:1], (front - convoy.length_m)[:-1]])
+        each = jnp.ones_like(front)
+        start_s = -case.period.astype(jnp.float32) * jnp.float32(self.dt) * each
+        x, v = self.heads.position_m[case.row], self.heads.speed_mps[case.row]
+
+        def planned(at_m: Array) -> MotionPlan:
+            behind_m = jnp.expand_dims(front[0] - at_m, 1)
+            speed = jnp.broadcast_to(v, (front.shape[0], v.shape[0]))
+            return MotionPlan(start_s, jnp.float32(self.dt) * each, jnp.expand_dims(x, 0) - behind_m, speed)
+
+        return Plans(planned(rear), planned(front), each, each)
+
     def _case(self, key: Array) -> tuple[Array, ...]:
         """Draw one attack and run it."""
         import jax
@@ -337,6 +355,7 @@ class AttackArena:
         convoy = self._actual(case)
         states = self._place(convoy, case)
         dt = jnp.float32(self.dt)
+        plans = self._plans(convoy, case, states)
         start, speed = gaps_m(convoy, states)[0], states.plant.speed_mps[0]
 
         def body(carry: tuple[Any, ...], k: Array) -> tuple[Any, None]:
@@ -345,7 +364,7 @@ class AttackArena:
             luck, shares_of = chosen(k, memory, last)
             states = exchange_messages(convoy, states, now, dt, luck[:, :2])
             noise = NOISE_CUT * (2.0 * luck[:, 2] - 1.0) if luck.shape[1] > 2 else None
-            shares, memory = shares_of(observe_members(convoy, states, now, dt))
+            shares, memory = shares_of(observe_members(convoy, states, now, dt, plans))
             head = self.heads.command[case.row, jnp.minimum(case.period + k, self.rows - 1)]
             wanted = jnp.where(convoy.is_head, head, shares)
             alarm = convoy.is_head & (now >= case.emergency_s)

@@ -13,6 +13,7 @@ from metropilot.convoy.step import (
     UNLIMITED_MPS,
     FollowerObservation,
     MemberState,
+    Plans,
     drive_period,
     make_message,
     observe_member,
@@ -98,8 +99,18 @@ def exchange_messages(
     return jax.vmap(update_needed_gap, (0, 0, None, None))(members, states, now_s, dt)
 
 
-def observe_members(members: Member, states: MemberState, now_s: Array, dt: Array) -> FollowerObservation:
-    """Observations of all drivers. Leading axis N."""
+def observe_members(
+    members: Member, states: MemberState, now_s: Array, dt: Array, plans: Plans | None = None
+) -> FollowerObservation:
+    """Observations of all drivers. Leading axis N.
+
+    Args:
+        members: Leading axis N.
+        states: Leading axis N.
+        now_s: Time.
+        dt: Control period.
+        plans: Planned motions that they know, leading axis N; None: none.
+    """
     import jax
     import jax.numpy as jnp
 
@@ -107,7 +118,10 @@ def observe_members(members: Member, states: MemberState, now_s: Array, dt: Arra
         permitted = jnp.full_like(states.plant.position_m, UNLIMITED_MPS)
     else:
         permitted = jax.vmap(permitted_speed)(members.protection, states.plant.position_m)
-    return jax.vmap(observe_member, (0, 0, None, None, 0))(members, states, now_s, dt, permitted)
+    known = None if plans is None else 0
+    return jax.vmap(observe_member, (0, 0, None, None, 0, known))(
+        members, states, now_s, dt, permitted, plans
+    )
 
 
 def advance_members(

@@ -11,6 +11,7 @@ import numpy as np
 
 from metropilot._io import fill_folder, write_json
 from metropilot._provenance import provenance
+from metropilot.convoy.joint import joint_optimum
 from metropilot.convoy.request import ConvoyRequest
 from metropilot.convoy.rollout import ConvoyDrive
 from metropilot.evaluate import (
@@ -55,9 +56,11 @@ class MemberKpis:
         energy_wheel_kwh: Traction energy at the wheel.
         energy_regenerated_kwh: Energy returned to the line.
         energy_line_kwh: Net energy at the line.
+        joint_energy_kwh: Its part of the joint optimum, at the wheel; None where there is none.
         gap_min_m: Smallest gap to the trainset ahead; None for the head.
         gap_max_m: Largest gap; None for the head.
         gap_end_m: Gap at the end; None for the head.
+        gap_error_m: Largest deviation of the gap from the planned one; None for the head.
         speed_difference_max_mps: Largest speed difference to the trainset ahead; None for the head.
         interventions: Number of interventions of protection.
         emergency_brakes: Number of those that used the emergency brake.
@@ -81,9 +84,11 @@ class MemberKpis:
     energy_wheel_kwh: float
     energy_regenerated_kwh: float
     energy_line_kwh: float
+    joint_energy_kwh: float | None
     gap_min_m: float | None
     gap_max_m: float | None
     gap_end_m: float | None
+    gap_error_m: float | None
     speed_difference_max_mps: float | None
     interventions: int
     emergency_brakes: int
@@ -126,6 +131,10 @@ class ConvoyKpis:
         gap_max_m: Largest gap of all pairs.
         speed_difference_max_mps: Largest speed difference of all pairs.
         contacts: Pairs that touched.
+        energy_wheel_kwh: Traction energy at the wheel, summed over the trainsets.
+        joint_optimal_energy_kwh: Joint optimum of the convoy for the achieved running time; None where there
+            is none (see :func:`metropilot.convoy.joint_optimum`) or the convoy did not arrive.
+        joint_gap_percent: Energy above the joint optimum; None likewise.
         trainsets: KPIs of each trainset, the head first.
     """
 
@@ -136,6 +145,9 @@ class ConvoyKpis:
     gap_max_m: float
     speed_difference_max_mps: float
     contacts: int
+    energy_wheel_kwh: float
+    joint_optimal_energy_kwh: float | None
+    joint_gap_percent: float | None
     trainsets: tuple[MemberKpis, ...]
 
     def as_dict(self) -> dict[str, Any]:
@@ -192,11 +204,16 @@ def convoy_kpis(drive: ConvoyDrive, scheduled_time_s: float) -> ConvoyKpis:
         drive: The run.
         scheduled_time_s: The head's scheduled running time.
     """
-    marks = _marks(drive)
+    marks, arrived = _marks(drive), Outcome.ARRIVED.value
     rows = tuple(_member(drive, k, scheduled_time_s, mark) for k, mark in enumerate(marks))
-    head = rows[0]
+    head, optimal_j = rows[0], None
     ended = [member.outcome for member in rows]
-    arrived = Outcome.ARRIVED.value
+    if all(word == arrived for word in ended):
+        plan = joint_optimum(drive.convoy, max(member.running_time_s for member in rows))
+        if plan is not None:
+            optimal_j, parts = plan.energy_j, plan.trainset_energy_j
+            rows = tuple(replace(m, joint_energy_kwh=j / J_PER_KWH) for m, j in zip(rows, parts, strict=True))
+    energy_kwh = sum(member.energy_wheel_kwh for member in rows)
     bad = next((word for word in (CONTACT, Outcome.OVERSPEED.value) if word in ended), None)
     return ConvoyKpis(
         outcome=bad or next((word for word in ended if word != arrived), arrived),
@@ -206,6 +223,9 @@ def convoy_kpis(drive: ConvoyDrive, scheduled_time_s: float) -> ConvoyKpis:
         gap_max_m=float(drive.gap_m.max()),
         speed_difference_max_mps=float(np.abs(drive.speed_difference_mps).max()),
         contacts=drive.contacts,
+        energy_wheel_kwh=energy_kwh,
+        joint_optimal_energy_kwh=None if optimal_j is None else optimal_j / J_PER_KWH,
+        joint_gap_percent=None if optimal_j is None else 100.0 * (energy_kwh * J_PER_KWH / optimal_j - 1.0),
         trainsets=rows,
     )
 
@@ -256,9 +276,11 @@ def _member(drive: ConvoyDrive, k: int, scheduled_time_s: float, mark_m: float) 
         energy_wheel_kwh=float(t.energy_wheel_j[-1]) / J_PER_KWH,
         energy_regenerated_kwh=drive.recovered_j[k] / J_PER_KWH,
         energy_line_kwh=float(t.energy_line_j[-1]) / J_PER_KWH,
+        joint_energy_kwh=None,
         gap_min_m=None if gaps is None else float(gaps.min()),
         gap_max_m=None if gaps is None else float(gaps.max()),
         gap_end_m=None if gaps is None else float(gaps[-1]),
+        gap_error_m=None if gaps is None else float(np.abs(gaps - drive.planned_gap_m[:, k - 1]).max()),
         speed_difference_max_mps=None if apart is None else float(np.abs(apart).max()),
         interventions=drive.interventions[k],
         emergency_brakes=drive.emergencies[k],

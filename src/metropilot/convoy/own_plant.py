@@ -125,7 +125,7 @@ def learn(plant: OwnPlant, observation: FollowerObservation) -> OwnPlant:
     xp = namespace(observation.position_m, observation.gap_m)
     join = np if xp is scalars else xp
     commands = push_command(plant.commands, observation.command)
-    acting = acting_command(commands, vehicle.delay_s / dt - 1e-6 * (vehicle.delay_s > 0.0))
+    acting = acting_command(commands, xp.maximum(vehicle.delay_s / dt - 1e-6, 0.0))
     share = acting + (plant.share - acting) * kept_share(observation)
     limits = effort_limits(vehicle, observation.track, plant.position_m, plant.speed_mps)
     features = join.stack(
@@ -172,7 +172,8 @@ def look_ahead(plant: OwnPlant, observation: FollowerObservation) -> PredictedSt
     vehicle, track, dt = observation.vehicle, observation.track, observation.period_s
     up, down, drag = plant.gains
     # 0.14 / 0.02 is a little more than 7
-    steps, keep = vehicle.delay_s / dt - 1e-6, kept_share(observation)
+    xp = namespace(observation.position_m, vehicle.delay_s)
+    steps, keep = xp.maximum(vehicle.delay_s / dt - 1e-6, 0.0), kept_share(observation)
     before = periods_before(steps)
     motion = Motion(plant.position_m, plant.speed_mps, plant.acceleration_mps2, plant.share)
     limits = effort_limits(vehicle, track, motion.position_m, motion.speed_mps)
@@ -184,7 +185,6 @@ def look_ahead(plant: OwnPlant, observation: FollowerObservation) -> PredictedSt
         )
         motion = predict_motion(motion, plant.commands, steps, keep, forces, vehicle.jerk_mps3, dt)
         limits = effort_limits(vehicle, track, motion.position_m, motion.speed_mps)
-    xp = namespace(observation.position_m, steps)
     return PredictedState(
         before * dt,
         *motion,

@@ -27,20 +27,24 @@ LOST_AT_ONCE = 1e-4
 LONGEST_SILENCE_S = 1.0
 NEED_STEP_S = 0.5
 """Time between two instants at which the gap that protection needs is evaluated."""
-SLOPE_MPS, FASTEST_SLOPE_MPS, SLOPE_PER_S = 1.0, 3.0, 0.1
+SLOPE_MPS, FASTEST_SLOPE_MPS, SLOPE_PER_S = 0.5, 3.0, 0.05
 """Rate at which a gap is opened or closed: least, largest, and over the change of the gap."""
 UNDER_MPS = 0.1
 """Margin of a planned speed below the permitted one while a gap is closed."""
+OPENING_SHARE = 0.3
+"""Rate at which a gap is opened at most, over the speed: a trainset does not stand still for it."""
 SMOOTH_S = 3.0
 """Length of each of the three means that smooth a planned gap."""
 EFFORT_USE, RATE_USE = 0.97, 0.97
 """Shares of efforts, and of rates and jerk limit, that a planned motion uses; the rest is for corrections."""
+CLOSED_MPS = 3.0
+"""Speed of the trainset ahead below which its stop is so near that the gap should be closed."""
 TRACKING_PER_S = 0.8
 END_M = 5.0
 LIMIT_S = 1.0
 """Time constant with which a planned motion approaches the permitted speed, without dead time and lag."""
-CLOSING_USE = 0.6
-"""Share of the gap beyond the needed one that closing it may take up."""
+CLOSING_USE, LATEST_USE, LATEST_SLOPE_MPS = 0.3, 0.6, 1.0
+"""Share of the gap beyond the needed one that closing it may take up; where the stop is near; rate there."""
 
 
 PlannedGap = Callable[[ndarray], ndarray]
@@ -78,11 +82,11 @@ def plan_at(plan: MotionPlan, time_s: Scalar) -> PlannedMotion:
     last, dt = plan.position_m.shape[-1] - 1, plan.period_s
     # A clock that is a sum of periods may be a rounding error before the row.
     row = xp.clip((time_s - plan.start_s) / dt + 1e-3, 0.0, 1.0 * last)
-    k = xp.minimum(row // 1.0, last - 1.0)
-    k = int(k) if xp is scalars else k.astype(np.int32)
+    whole = xp.minimum(row // 1.0, last - 1.0)
+    k = int(whole) if xp is scalars else whole.astype(np.int32)
     x, v = plan.position_m[k], plan.speed_mps[k]
     rise, way = plan.speed_mps[k + 1] - v, plan.position_m[k + 1] - x
-    done = row - k
+    done = row - whole
     # The rows give both ends; a constant acceleration between them is right but for the period of the stop.
     moved = done * (way + 0.5 * (done - 1.0) * rise * dt)
     still = (time_s < plan.start_s - 1e-3 * dt) | (row >= last)
@@ -217,17 +221,29 @@ def smooth_gap(
     if member.protection is not None:
         room = permitted_speed(member.protection, level.position_m) - UNDER_MPS - level.speed_mps
     held = float(member.bounds.held_mps2)
-    takes = (level.speed_mps[first:] / held + 1.0) / CLOSING_USE
+    takes = level.speed_mps[first:] / held + 1.0
+    opening = np.minimum(slope, OPENING_SHARE * level.speed_mps[first:])
     window = np.lib.stride_tricks.sliding_window_view
     envelope = window(np.pad(target, reach, "edge"), 2 * reach + 1).max(axis=1)
     for k in range(envelope.size - 2, -1, -1):
         envelope[k] = max(envelope[k], envelope[k + 1] - slope * dt)
     envelope[: reach + 1] = known[reach : reach + envelope.size]
-    spare, room = needed_m[first:], np.clip(room[first:], 0.0, slope)
+    spare, room = needed_m[first:], np.clip(room[first:], 0.0, max(slope, LATEST_SLOPE_MPS))
+
+    def closing(gap_m: float, k: int, use: float, most_mps: float) -> float:
+        return min(use * max(gap_m - spare[k], 0.0) / takes[k], room[k], most_mps)
+
+    # The latest that closing can begin to be at the last gap when the trainset ahead is about to stand.
+    latest, still = np.full(envelope.size, envelope[-1]), level.speed_mps[first:] <= CLOSED_MPS
+    for k in range(envelope.size - 2 - reach, -1, -1):
+        rate = 0.0 if still[k] else closing(latest[k + 1], k, LATEST_USE, LATEST_SLOPE_MPS)
+        latest[k] = latest[k + 1] + rate * dt
     for k in range(reach + 1, envelope.size):
         before = envelope[k - 1]
-        closing = min(max(before - spare[k], 0.0) / takes[k], room[k])
-        envelope[k] = min(max(envelope[k], before - closing * dt), before + slope * dt)
+        late = before > latest[k]
+        use, most = (LATEST_USE, max(slope, LATEST_SLOPE_MPS)) if late else (CLOSING_USE, slope)
+        least = before - closing(before, k, use, most) * dt
+        envelope[k] = min(max(envelope[k], least), before + opening[k] * dt)
     smooth = np.concatenate([known[:reach], np.pad(envelope, (0, reach), "edge")])
     mean = np.ones(2 * half + 1) / (2 * half + 1)
     for _ in range(3):

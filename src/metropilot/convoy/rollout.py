@@ -67,6 +67,7 @@ class ConvoyDrive:
         follower: Id of the followers' driver.
         trajectories: Trajectory of each trainset, the head first.
         gap_m: True gaps, rear of one to front of the next, after each period. Shape (T, N - 1).
+        planned_gap_m: Gap that each follower planned; without a plan the desired one. Shape (T, N - 1).
         speed_difference_mps: Speed ahead less own speed. Shape (T, N - 1).
         time_s: Time of the rows of both. Shape (T,).
         outcome: Outcome of the run of the head.
@@ -82,6 +83,7 @@ class ConvoyDrive:
     follower: str
     trajectories: tuple[Trajectory, ...]
     gap_m: Float[ndarray, "rows followers"]
+    planned_gap_m: Float[ndarray, "rows followers"]
     speed_difference_mps: Float[ndarray, "rows followers"]
     time_s: Float[ndarray, " rows"]
     outcome: Outcome
@@ -275,6 +277,7 @@ class ConvoyRollout:
         self.random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
         self.decision_us: list[list[float]] = [[] for _ in self.members]
         self.rows: list[tuple[float, list[float], list[float]]] = []
+        self.planned_gaps: list[list[float]] = []
         self.period, self.stood_s, self.over = 0, 0.0, False
         self.plants = [own_plant(m.believed, self.dt) for m in self.members]
         self.planned_gains = [1.0] * len(self.members)
@@ -394,7 +397,7 @@ class ConvoyRollout:
         )
         rear = plan._replace(position_m=plan.position_m - length_m)
         self.plans[k].append((now_s, own))
-        self.known[k] = Plans(rear, own, np.float64(len(self.plans[k])), heard[-1])
+        self.known[k] = Plans(rear, own, np.float64(len(self.plans[k])), np.float64(heard[-1]))
 
     def known_vehicle(self, k: int) -> Vehicle:
         """Plant of a trainset as it is known by now."""
@@ -456,6 +459,16 @@ class ConvoyRollout:
             (time_s, [rear[k - 1] - front[k] for k in pairs], [speed[k - 1] - speed[k] for k in pairs])
         )
 
+        self.planned_gaps.append([self.planned_gap(k, time_s) for k in pairs])
+
+    def planned_gap(self, k: int, time_s: float) -> float:
+        """Gap that a follower planned for a time; without a plan the desired one."""
+        known, own = self.known[k], self.members[k]
+        if known is None:
+            apart = self.states[k].plant.position_m >= own.uncouple_at_m
+            return float(own.apart_m if apart else own.gap_m)
+        return float(plan_at(known.ahead, time_s).position_m - plan_at(known.own, time_s).position_m)
+
     def result(self) -> ConvoyDrive:
         """The record of the run."""
         time_s, gap, apart = zip(*self.rows, strict=True)
@@ -475,6 +488,7 @@ class ConvoyRollout:
                 for recorder, own in zip(self.recorders, self.members, strict=True)
             ),
             gap_m=np.array(gap),
+            planned_gap_m=np.array(self.planned_gaps),
             speed_difference_mps=np.array(apart),
             time_s=np.array(time_s),
             outcome=Outcome.STALLED if stopped else outcome,

@@ -122,7 +122,7 @@ class Plans(NamedTuple):
     ahead: MotionPlan
     own: MotionPlan
     number: Array
-    number_ahead: int = 1
+    number_ahead: Array
 
 
 def make_message(member: Member, state: MemberState, now_s: Array) -> Message:

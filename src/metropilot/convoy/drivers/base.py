@@ -10,6 +10,8 @@ from metropilot._typing import Scalar
 from metropilot.convoy.step import FollowerObservation
 from metropilot.physics import Vehicle, effort_at, namespace, resistance_and_gradient
 
+JERK_USE = 0.97
+"""Share of the jerk limit that a follower uses."""
 STILL_MPS = 0.02
 STILL_M = 0.1
 OPENING_MPS, CLOSING_MPS2 = 3.0, 0.35
@@ -18,10 +20,16 @@ OPENING_MPS, CLOSING_MPS2 = 3.0, 0.35
 
 @no_type_check
 def command_for(observation: FollowerObservation, wanted_mps2: Scalar) -> Scalar:
-    """The command that gives an acceleration on the nominal plant; holding brakes at standstill."""
+    """The command that gives an acceleration on the nominal plant; holding brakes at standstill.
+
+    Within the jerk limit, the permitted speed, and what protection passes behind the trainset ahead.
+    """
     xp = namespace(observation.position_m, wanted_mps2)
     vehicle = observation.vehicle
     wanted = xp.minimum(wanted_mps2, observation.most_rise_mps2)
+    # What is on its way through the dead time may change the acceleration as much in each period.
+    room = JERK_USE * vehicle.jerk_mps3 * (observation.period_s + vehicle.delay_s)
+    wanted = xp.clip(wanted, observation.acceleration_mps2 - room, observation.acceleration_mps2 + room)
     resistance, gradient = resistance_and_gradient(
         vehicle, observation.track, observation.position_m, observation.speed_mps
     )
@@ -29,7 +37,7 @@ def command_for(observation: FollowerObservation, wanted_mps2: Scalar) -> Scalar
     effort = effort_at(vehicle, observation.speed_mps)
     available = xp.where(force >= 0.0, effort.traction_n, effort.brake_n)
     share = xp.clip(force / xp.maximum(available, 1.0), -1.0, 1.0)
-    return xp.where(waits(observation), -0.3, share)
+    return xp.where(waits(observation), -0.3, xp.minimum(share, observation.most_share))
 
 
 @no_type_check

@@ -1,14 +1,16 @@
 """Follower of a planned motion: feed-forward of its own plan, departures of the trainset ahead, own mark.
 
 The trainset's own place at every moment is its own planned motion, corrected by how far the trainset ahead
-has departed from its plan. That departure arrives late, so it is extrapolated to now and passes a filter no
-faster than the message is old: of position, speed and acceleration
+has departed from its plan. That departure arrives late and passes a filter; the corrected place is followed
+with the feed-forward of its acceleration, so that the place of one trainset moves as that of the next ahead,
+but for the filter and the delay:
 
-    |(1 + i w age) / (1 + i w T)| <= 1    as    T >= age,
+    |exp(-i w age) / (1 + i w T)| <= 1
 
-so no departure is amplified from trainset to trainset, at any frequency. What is planned is common to all and
-needs no filter. Dead time, lag and gains of the own actuation are answered by prediction: reference and
-feedback are those of the moment when the command begins to act.
+at every frequency: no departure is amplified from trainset to trainset (:func:`metropilot.convoy.speed_gains`
+measures it). What is planned is common to all and needs no filter. Dead time, lag and gains of the own
+actuation are answered by prediction: reference and feedback are those of the moment when the command begins
+to act.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ from metropilot.control import (
     stop_deceleration,
 )
 from metropilot.convoy.drivers.base import (
+    JERK_USE,
     AbstractFollower,
     closing_mps,
     waits,
@@ -39,10 +42,8 @@ from metropilot.convoy.plan import PlannedMotion, plan_at
 from metropilot.convoy.step import FollowerObservation
 from metropilot.physics import Vehicle, namespace
 
-FORGET = 0.995
-"""Share of the largest recent age of messages that is kept from period to period."""
-FILTER, LEAST_FILTER_S = 1.25, 0.1
-"""Time constant of the filter on departures, over the age of messages, and at least."""
+FILTER_S = 0.6
+"""Time constant of the filter on departures of the trainset ahead."""
 ALONE_MPS = 1.5
 """Departure of the trainset ahead in speed beyond which its plan no longer counts."""
 NEAR_M = 8.0
@@ -51,8 +52,6 @@ NEAR_ENOUGH_M, CREEP_M = 0.04, 0.05
 """Error at the stop that is not worth a correction in the last period; distance at which creeping ends."""
 SHIFT_M = 0.5
 """Departure of the trainset ahead at its stop that does not move the own mark."""
-JERK_USE = 0.97
-"""Share of the jerk limit that is used."""
 LAST_STOP = StopOptions(release_share=0.8)
 
 
@@ -82,7 +81,6 @@ class PlanMemory(NamedTuple):
         off_mps2: The same of its acceleration.
         place_m: Own place at the moment when the next command begins to act.
         place_mps: Speed there.
-        age_s: Largest recent age of messages.
         number: Number of the plan.
         alone: 1 while the plan does not count, else 0.
     """
@@ -93,7 +91,6 @@ class PlanMemory(NamedTuple):
     off_mps2: Scalar
     place_m: Scalar
     place_mps: Scalar
-    age_s: Scalar
     number: Scalar
     alone: Scalar
 
@@ -140,20 +137,18 @@ def own_place(
     """Where the trainset should be when the command begins to act, and the memory with the filters of it."""
     xp = namespace(observation.position_m, observation.gap_m)
     dt, then_s = observation.period_s, observation.time_s + ahead.seconds
-    age = xp.maximum(observation.age_s, FORGET * memory.age_s)
     alone = place_alone(observation, ahead)
     if observation.plan is None:
-        return memory._replace(age_s=age, alone=1.0 + 0.0 * age), alone
+        return memory._replace(alone=1.0 + 0.0 * memory.alone), alone
     planned = plan_at(observation.plan, then_s)
     # The own place moves on without a step when a new plan comes.
     fresh = observation.plan_number != memory.number
     taken = fresh & (memory.number > 0.0)
     off_m = xp.where(taken, memory.place_m - planned.position_m, memory.off_m)
     off_mps = xp.where(taken, memory.place_mps - planned.speed_mps, memory.off_mps)
-    part = 1.0 - xp.exp(-dt / xp.maximum(FILTER * age, LEAST_FILTER_S))
-    old = observation.age_s
-    off_m = off_m + part * (observation.off_m + old * observation.off_mps - off_m)
-    off_mps = off_mps + part * (observation.off_mps + old * observation.off_mps2 - off_mps)
+    part = 1.0 - xp.exp(-dt / FILTER_S)
+    off_m = off_m + part * (observation.off_m - off_m)
+    off_mps = off_mps + part * (observation.off_mps - off_mps)
     off_mps2 = memory.off_mps2 + part * (observation.off_mps2 - memory.off_mps2)
     departs = (observation.alarm > 0.0) | (xp.abs(observation.off_mps) > ALONE_MPS)
     by_itself = xp.where(fresh, 0.0, memory.alone)
@@ -167,7 +162,6 @@ def own_place(
     place = PlannedMotion(*(xp.where(by_itself > 0.0, a, b) for a, b in zip(alone, place, strict=True)))
     later_mps = xp.maximum(place.speed_mps + dt * place.acceleration_mps2, 0.0)
     return memory._replace(
-        age_s=age,
         off_m=off_m,
         off_mps=off_mps,
         off_mps2=off_mps2,

@@ -272,6 +272,8 @@ class ConvoyPage:
         with self.result:
             checks_table(summary["checks"])
             members_table(summary["kpis"]["trainsets"])
+            if summary["kpis"].get("joint_gap_percent") is not None:
+                ui.label(joint_energy(summary["kpis"]))
             names = ("trajectories.zip", "kpis.json", "convoy.svg")
             links([(name, f"/api/jobs/{run}/files/{name}") for name in names])
 
@@ -290,6 +292,13 @@ def member_outcome(member: dict[str, Any]) -> tuple[str, str]:
     return (f"✗ {words}", "mp-fail") if failed else (f"✓ {words}", "mp-pass")
 
 
+def joint_energy(kpis: dict[str, Any]) -> str:
+    """Energy of the convoy against its joint optimum, in words."""
+    energy, optimum = number(kpis["energy_wheel_kwh"]), number(kpis["joint_optimal_energy_kwh"])
+    above = number(kpis["joint_gap_percent"], 1)
+    return f"{energy} kWh at the wheel, {above} % above the joint optimum of {optimum} kWh"
+
+
 def members_table(trainsets: list[dict[str, Any]]) -> None:
     """Show a row for each trainset."""
     rows = [
@@ -299,9 +308,13 @@ def members_table(trainsets: list[dict[str, Any]]) -> None:
             member_outcome(t),
             number(t["running_time_s"], 1),
             number(100 * t["stopping_error_m"], 1),
+            number(t["max_jerk_mps3"], 2),
             number(t["energy_wheel_kwh"], 2),
+            # convoys stored before these figures existed
+            number(t.get("joint_energy_kwh"), 2),
             number(t["gap_min_m"], 2),
             number(t["gap_max_m"], 2),
+            number(t.get("gap_error_m"), 2),
             number(
                 None
                 if t["speed_difference_max_mps"] is None
@@ -318,13 +331,16 @@ def members_table(trainsets: list[dict[str, Any]]) -> None:
         "outcome",
         "time (s)",
         "stop (cm)",
+        "jerk (m/s³)",
         "wheel (kWh)",
+        "optimum (kWh)",
         "gap min (m)",
         "gap max (m)",
+        "gap error (m)",
         "difference (km/h)",
         "interventions",
     )
-    table(columns, rows, right=range(3, 10), name="Trainsets")
+    table(columns, rows, right=range(3, 13), name="Trainsets")
 
 
 def install(service: Service) -> None:
