@@ -131,7 +131,7 @@ def step_neural_pid(
     )
     inputs = xp.stack([xp.asarray(part) for part in parts])
     hidden = xp.concatenate([xp.tanh(inner @ inputs), xp.asarray(one)[None]])
-    share = 1.0 / (1.0 + xp.exp(-(outer @ hidden)))
+    share = 0.5 * (1.0 + xp.tanh(0.5 * (outer @ hidden)))  # the sigmoid, without overflow
     limits = xp.asarray(upper)
     gains = Gains(*(share[k] * limits[k] for k in range(3)))
     command, after = incremental_pid(seen.command, gains, error, errors)
