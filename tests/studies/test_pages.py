@@ -1,4 +1,4 @@
-"""Pages of the studies are those of this code: rows without random numbers are computed again and compared."""
+"""Pages of the studies are those of this code: rows without random numbers are computed again."""
 
 import csv
 from pathlib import Path

@@ -134,7 +134,7 @@ class FollowPlan(AbstractFollower):
 def own_place(
     memory: PlanMemory, observation: FollowerObservation, ahead: PredictedState
 ) -> tuple[PlanMemory, PlannedMotion]:
-    """Where the trainset should be when the command begins to act, and the memory with the filters of it."""
+    """Place of the trainset when the command begins to act, and the memory with the filters of it."""
     xp = namespace(observation.position_m, observation.gap_m)
     dt, then_s = observation.period_s, observation.time_s + ahead.seconds
     alone = place_alone(observation, ahead)
