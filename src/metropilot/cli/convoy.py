@@ -17,13 +17,14 @@ from metropilot.errors import InputError, rename_fields
 from metropilot.sim import Disturbance
 
 if TYPE_CHECKING:
-    from metropilot.convoy import ConvoyKpis, MemberKpis
+    from metropilot.convoy import ConvoyKpis, Manoeuvre, MemberKpis
 
 EXAMPLES = {
     "convoy": (
         "metropilot convoy yizhuang RJ WYJ --time 115 --trainsets 3",
         "metropilot convoy yizhuang RJ WYJ --time 115 --driver follow_mpc --link-delay 0.3 --out convoy",
-        "metropilot convoy yizhuang RJ WYJ --time 130 --start-gap 200 --uncouple-at 900",
+        "metropilot convoy yizhuang RJ WYJ --time 130 --start-gap 200",
+        "metropilot convoy yizhuang RJ WYJ --time 130 --uncouple-at 900 --apart 100",
         "metropilot convoy yizhuang YZQ WHY --trainset cheng2023 --mass-factors 1,1.2 --head-emergency 40",
         "metropilot convoy --from convoy/run.json",
     ),
@@ -150,6 +151,13 @@ def report(request: ConvoyRequest, kpis: ConvoyKpis) -> None:
     )
     rows = map(_row, kpis.trainsets)
     out.print(table("", columns, rows, right=range(3, len(columns)), spare=spare))
+    if kpis.manoeuvres:
+        columns = ("manoeuvre", "trainset", "from s", "to s", "from m", "to m", "gap m", "smallest gap m")
+        columns = (*columns, "wheel kWh", "gap kept kWh", "jerk m/s³")
+        rows = map(_manoeuvre_row, kpis.manoeuvres)
+        spare = ("smallest gap m", "from s", "to s", "jerk m/s³")
+        out.print(table("", columns, rows, right=range(2, len(columns)), spare=spare))
+        out.print("Positions are those of the head; gap kept: the same trainset at the gap of the beginning.")
 
 
 def _row(member: MemberKpis) -> tuple[str, ...]:
@@ -168,4 +176,21 @@ def _row(member: MemberKpis) -> tuple[str, ...]:
         number(member.energy_line_kwh, 2),
         number(member.max_jerk_mps3, 2),
         str(member.interventions),
+    )
+
+
+def _manoeuvre_row(each: Manoeuvre) -> tuple[str, ...]:
+    """Cells of one manoeuvre."""
+    return (
+        each.kind,
+        str(each.trainset),
+        number(each.begun_s, 1),
+        number(each.done_s, 1),
+        number(each.begun_m, 0),
+        number(each.done_m, 0),
+        f"{each.gap_from_m:.1f}–{each.gap_to_m:g}",
+        number(each.gap_min_m, 2),
+        number(each.energy_kwh, 2),
+        number(each.apart_energy_kwh, 2),
+        number(each.max_jerk_mps3, 2),
     )

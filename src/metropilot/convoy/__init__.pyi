@@ -28,6 +28,9 @@ from .kpis import convoy_kpis as convoy_kpis
 from .kpis import write_convoy as write_convoy
 from .leaders import record_leader as record_leader
 from .leaders import reference_speeds as reference_speeds
+from .manoeuvre import Manoeuvre as Manoeuvre
+from .manoeuvre import check_manoeuvres as check_manoeuvres
+from .manoeuvre import find_manoeuvres as find_manoeuvres
 from .model import GAP_M as GAP_M
 from .model import Convoy as Convoy
 from .model import ConvoyGuard as ConvoyGuard

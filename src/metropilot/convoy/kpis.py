@@ -12,6 +12,7 @@ import numpy as np
 from metropilot._io import fill_folder, write_json
 from metropilot._provenance import provenance
 from metropilot.convoy.joint import joint_optimum
+from metropilot.convoy.manoeuvre import Manoeuvre, find_manoeuvres
 from metropilot.convoy.request import ConvoyRequest
 from metropilot.convoy.rollout import ConvoyDrive
 from metropilot.evaluate import (
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
 OVERSPEED_MPS = 1e-6
 CONTACT, NO_CONTACT = "contact", "no contact"
+MANOEUVRES_CHECK = "couples and parts in time"
 NAMED = 3
 """Largest number of failed trainsets that a headline names."""
 
@@ -136,6 +138,7 @@ class ConvoyKpis:
             is none (see :func:`metropilot.convoy.joint_optimum`) or the convoy did not arrive.
         joint_gap_percent: Energy above the joint optimum; None likewise.
         trainsets: KPIs of each trainset, the head first.
+        manoeuvres: Couplings and uncouplings on the move.
     """
 
     outcome: str
@@ -149,6 +152,7 @@ class ConvoyKpis:
     joint_optimal_energy_kwh: float | None
     joint_gap_percent: float | None
     trainsets: tuple[MemberKpis, ...]
+    manoeuvres: tuple[Manoeuvre, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, words and None, ready for JSON: the fields, and the verdicts on them."""
@@ -163,17 +167,28 @@ class ConvoyKpis:
     @property
     def success(self) -> bool:
         """True if every trainset met every requirement; decides headline and exit code."""
-        return not any(member.failed for member in self.trainsets)
+        return not any(member.failed for member in self.trainsets) and not self._undone
 
     @property
     def checks(self) -> tuple[Check, ...]:
         """The requirements, each with the value of the worst trainset; passed if all trainsets passed."""
-        return tuple(self._worst(name) for name in (*WORST, NO_CONTACT))
+        found = tuple(self._worst(name) for name in (*WORST, NO_CONTACT))
+        if not self.manoeuvres:
+            return found
+        count = len(self.manoeuvres)
+        done = f"{count - len(self._undone)} of {count}"
+        return (*found, Check(MANOEUVRES_CHECK, done, "all, before the stop or place", not self._undone))
+
+    @property
+    def _undone(self) -> tuple[Manoeuvre, ...]:
+        """Manoeuvres that were not done in time."""
+        return tuple(each for each in self.manoeuvres if not each.in_time)
 
     @property
     def verdict(self) -> str:
         """Outcome in words that name the trainsets that failed, and their requirements."""
         bad = [f"trainset {m.number} {m.verdict}" for m in self.trainsets if m.failed]
+        bad += [f"{each.kind} of trainset {each.trainset} not done in time" for each in self._undone]
         more = [f"{len(bad) - NAMED} more failed"] if len(bad) > NAMED else []
         return "; ".join(bad[:NAMED] + more) or "arrived safely and on time"
 
@@ -227,14 +242,15 @@ def convoy_kpis(drive: ConvoyDrive, scheduled_time_s: float) -> ConvoyKpis:
         joint_optimal_energy_kwh=None if optimal_j is None else optimal_j / J_PER_KWH,
         joint_gap_percent=None if optimal_j is None else 100.0 * (energy_kwh * J_PER_KWH / optimal_j - 1.0),
         trainsets=rows,
+        manoeuvres=find_manoeuvres(drive),
     )
 
 
 def _marks(drive: ConvoyDrive) -> list[float]:
     """Target position of the front of each trainset."""
     convoy, marks = drive.convoy, [drive.convoy.section.length_m]
-    for k, ahead in enumerate(convoy.trainsets[:-1], 1):
-        uncoupled = float(drive.trajectories[k].position_m[-1]) >= convoy.uncouple_at_m + convoy.starts_m[k]
+    uncoupled = float(drive.trajectories[0].position_m[-1]) >= convoy.uncouple_at_m
+    for ahead in convoy.trainsets[:-1]:
         marks.append(marks[-1] - ahead.length_m - (convoy.apart_m if uncoupled else convoy.gap_m))
     return marks
 

@@ -179,7 +179,8 @@ class ConvoySettings:
         gap_m: Desired gap, rear of one to front of the next.
         start_gap_m: Gap at departure; None: the desired one.
         apart_m: Desired gap once uncoupled.
-        uncouple_at_m: Position at which the head begins to uncouple (infinite: nowhere).
+        uncouple_at_m: Position of the head's front by which followers with a plan have opened their gaps to
+            ``apart_m``; others begin there (infinite: nowhere).
         link: Link from each trainset to the next.
         guard: Assumption of protection: ``coupled`` (brakes controlled to rates that rise along the
             convoy), ``independent`` (no brake is stronger than declared, gradients included),
@@ -195,7 +196,11 @@ class ConvoySettings:
     )
     apart_m: float = declare(100.0, "Desired gap once uncoupled.", unit="m", low=0.5, high=2000.0)
     uncouple_at_m: float = declare(
-        float("inf"), "Where the head begins to uncouple, from the origin.", unit="m", low=0.0, infinite=True
+        float("inf"),
+        "Place of the head by which the gaps are open; a follower without a plan begins there.",
+        unit="m",
+        low=0.0,
+        infinite=True,
     )
     link: Link = field(default_factory=Link)
     guard: str = declare("coupled", f"What protection relies on: {', '.join(GUARDS)}.", choices=GUARDS)
@@ -231,6 +236,14 @@ class Convoy(ConvoySettings):
             )
         if any(each.updates not in {(), self.disturbances[0].updates} for each in self.disturbances):
             raise InputError("timetable updates are those of the head", field="disturbances")
+        if np.isfinite(self.uncouple_at_m) and self.uncouple_at_m >= self.section.length_m:
+            raise InputError(
+                "not before the stop",
+                field="uncouple_at_m",
+                value=f"{self.uncouple_at_m:g}",
+                unit="m",
+                allowed=f"below {self.section.length_m:g} m",
+            )
 
     def disturbance(self, k: int) -> Disturbance:
         """Disturbance of one trainset."""
@@ -246,9 +259,13 @@ class Convoy(ConvoySettings):
     @property
     def starts_m(self) -> tuple[float, ...]:
         """Position of the front of each trainset at departure, the head at 0."""
+        return self.place(self.first_gap_m)
+
+    def place(self, gap_m: float) -> tuple[float, ...]:
+        """Position of the front of each trainset at equal gaps, the head at 0."""
         found = [0.0]
         for trainset in self.trainsets[:-1]:
-            found.append(found[-1] - trainset.length_m - self.first_gap_m)
+            found.append(found[-1] - trainset.length_m - gap_m)
         return tuple(found)
 
     @property
@@ -378,7 +395,7 @@ def _member(convoy: Convoy, k: int, before_m: float, dtype: type) -> Member:
         start_m=dtype(convoy.starts_m[k]),
         gap_m=dtype(convoy.gap_m),
         apart_m=dtype(convoy.apart_m),
-        uncouple_at_m=dtype(convoy.uncouple_at_m + convoy.starts_m[k]),
+        uncouple_at_m=dtype(convoy.uncouple_at_m + convoy.place(convoy.gap_m)[k]),
         is_head=np.bool_(k == 0),
     )
 

@@ -12,6 +12,7 @@ from numpy import ndarray
 
 from metropilot._typing import Float
 from metropilot.convoy.drivers import AbstractFollower
+from metropilot.convoy.manoeuvre import check_manoeuvres
 from metropilot.convoy.model import Convoy, Link, Member, convoy_members
 from metropilot.convoy.own_plant import learn, learned_vehicle, own_plant
 from metropilot.convoy.plan import MotionPlan, place_behind, plan_at
@@ -252,6 +253,9 @@ class ConvoyRollout:
         follower: Driver of the others, each with a memory of its own.
         seed: Seed of delays and losses of the links.
 
+    Raises:
+        Infeasible: A driven head leaves no room to couple or uncouple as declared.
+
     Attributes:
         states: State of every trainset, the head first.
         over: True at the end of the run: all have stood for ``STAND_S``.
@@ -284,6 +288,8 @@ class ConvoyRollout:
         self.plans: list[list[tuple[float, MotionPlan]]] = [[] for _ in self.members]
         self.known: list[Plans | None] = [None for _ in self.members]
         self.send_plan(0.0)
+        if self.driving is not None:
+            check_manoeuvres(self.convoy, self.members, self.plans[0][0][1])
 
     @property
     def time_s(self) -> float:

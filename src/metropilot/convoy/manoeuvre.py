@@ -1,0 +1,296 @@
+"""Coupling and uncoupling on the move: their records in a run, and the check that there is room for them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy import ndarray
+
+from metropilot._typing import Bool, Float
+from metropilot.convoy.model import Convoy, Member
+from metropilot.convoy.plan import MotionPlan, place_behind
+from metropilot.errors import Infeasible
+from metropilot.physics import resistance_and_gradient, track_arrays, vehicle_arrays
+from metropilot.units import J_PER_KWH
+
+if TYPE_CHECKING:
+    from metropilot.convoy.rollout import ConvoyDrive
+
+BAND_M, BAND_MPS = 0.5, 0.2
+"""Errors of gap and speed within which trainsets count as coupled, or as parted."""
+HOLD_S = 3.0
+"""Time for which they must stay within both."""
+PLACE_M = 1.0
+"""Distance beyond the place at which a gap that is open still counts as open in time."""
+TRIALS = 6
+"""Halvings that find the largest gap, or the first place, that there is room for."""
+
+LAST_SHARE = 0.9
+"""Last place that is proposed instead of one too early, over the length of the section."""
+
+ManoeuvreKind = Literal["coupling", "uncoupling"]
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """Coupling or uncoupling of one follower on the move. Positions are those of the front of the head.
+
+    Attributes:
+        kind: ``coupling`` or ``uncoupling``.
+        trainset: Number of the follower; 1 is the head.
+        begun_s: Time since departure at which the gap begins to change.
+        done_s: Time from which gap and speed difference stay within ``BAND_M`` and ``BAND_MPS`` of their goal
+            for ``HOLD_S``, while both it and the head move; None: never.
+        begun_m: Position at the beginning.
+        done_m: Position when it is done; None: never.
+        place_m: Place by which it must be done; None for a coupling, which must be done before the stop.
+        gap_from_m: Gap at the beginning.
+        gap_to_m: Goal.
+        gap_min_m: Smallest gap of the manoeuvre.
+        speed_difference_max_mps: Largest speed difference.
+        max_jerk_mps3: Largest jerk of the follower.
+        energy_kwh: Traction energy of the follower at the wheel during the manoeuvre.
+        apart_energy_kwh: Traction energy that it would have needed in the same time at the gap of the
+            beginning, with the speeds of the head.
+    """
+
+    kind: ManoeuvreKind
+    trainset: int
+    begun_s: float
+    done_s: float | None
+    begun_m: float
+    done_m: float | None
+    place_m: float | None
+    gap_from_m: float
+    gap_to_m: float
+    gap_min_m: float
+    speed_difference_max_mps: float
+    max_jerk_mps3: float
+    energy_kwh: float
+    apart_energy_kwh: float
+
+    @property
+    def in_time(self) -> bool:
+        """True if it was done before the stop, or by its place."""
+        if self.done_m is None:
+            return False
+        return self.place_m is None or self.done_m <= self.place_m + PLACE_M
+
+
+def couples(convoy: Convoy) -> bool:
+    """Tell if a convoy is to couple on the move."""
+    return convoy.first_gap_m > convoy.gap_m + BAND_M
+
+
+def uncouples(convoy: Convoy) -> bool:
+    """Tell if a convoy is to uncouple on the move."""
+    return bool(np.isfinite(convoy.uncouple_at_m)) and convoy.apart_m > convoy.gap_m + BAND_M
+
+
+def find_manoeuvres(drive: ConvoyDrive) -> tuple[Manoeuvre, ...]:
+    """Find the couplings and uncouplings of a run, follower by follower.
+
+    Args:
+        drive: The run.
+    """
+    found, convoy = [], drive.convoy
+    for k in range(1, len(convoy.trainsets)):
+        gap, last = drive.gap_m[:, k - 1], _last_moving(drive, k)
+        first = 0
+        if couples(convoy):
+            done = _first_held(_within(drive, k, gap <= convoy.gap_m + BAND_M), 0, last, convoy.dt)
+            begun = max(int(np.argmax(np.abs(gap - gap[0]) > BAND_M)) - 1, 0)
+            found.append(_manoeuvre(drive, "coupling", k, begun, done, last))
+            first = done or 0
+        if uncouples(convoy):
+            done = _first_held(_within(drive, k, gap >= convoy.apart_m - BAND_M), first, last, convoy.dt)
+            before = gap[first : 1 + (last if done is None else done)]
+            near = np.flatnonzero(before <= before.min() + BAND_M)
+            found.append(_manoeuvre(drive, "uncoupling", k, first + int(near[-1]), done, last))
+    return tuple(found)
+
+
+def _last_moving(drive: ConvoyDrive, k: int) -> int:
+    """Last row of the gaps in which both a trainset and the head move."""
+    ends_s = float("inf")
+    for each in (drive.trajectories[0], drive.trajectories[k]):
+        moving = each.time_s[each.speed_mps > 0.0]
+        ends_s = min(ends_s, float(moving[-1]) if moving.size else 0.0)
+    return max(int(np.searchsorted(drive.time_s, ends_s + 1e-6)) - 1, 0)
+
+
+def _within(drive: ConvoyDrive, k: int, reached: Bool[ndarray, " rows"]) -> Bool[ndarray, " rows"]:
+    return reached & (np.abs(drive.speed_difference_mps[:, k - 1]) <= BAND_MPS)
+
+
+def _first_held(within: Bool[ndarray, " rows"], first: int, last: int, dt: float) -> int | None:
+    """First row from which a condition holds for ``HOLD_S``; None: there is none between two rows."""
+    rows = max(round(HOLD_S / dt), 1)
+    if last - first < rows:
+        return None
+    held = np.lib.stride_tricks.sliding_window_view(within[first : last + 1], rows).all(axis=1)
+    return first + int(held.argmax()) if held.any() else None
+
+
+def _manoeuvre(
+    drive: ConvoyDrive, kind: ManoeuvreKind, k: int, begun: int, done: int | None, last: int
+) -> Manoeuvre:
+    """Record of one manoeuvre between two rows of the gaps."""
+    convoy, head, own = drive.convoy, drive.trajectories[0], drive.trajectories[k]
+    end = last if done is None else done
+    began_s, ends_s = float(drive.time_s[begun]), float(drive.time_s[end])
+    rows = slice(begun, end + 1)
+    within = (own.time_s >= began_s) & (own.time_s <= ends_s)
+    spent_j = np.interp([began_s, ends_s], own.time_s, own.energy_wheel_j)
+    at_m = np.interp([began_s, ends_s], head.time_s, head.position_m)
+    coupling = kind == "coupling"
+    return Manoeuvre(
+        kind=kind,
+        trainset=k + 1,
+        begun_s=began_s,
+        done_s=None if done is None else ends_s,
+        begun_m=float(at_m[0]),
+        done_m=None if done is None else float(at_m[1]),
+        place_m=None if coupling else convoy.uncouple_at_m,
+        gap_from_m=float(drive.gap_m[begun, k - 1]),
+        gap_to_m=convoy.gap_m if coupling else convoy.apart_m,
+        gap_min_m=float(drive.gap_m[rows, k - 1].min()),
+        speed_difference_max_mps=float(np.abs(drive.speed_difference_mps[rows, k - 1]).max()),
+        max_jerk_mps3=float(np.abs(own.jerk_mps3[within]).max(initial=0.0)),
+        energy_kwh=float(spent_j[1] - spent_j[0]) / J_PER_KWH,
+        apart_energy_kwh=keeping_energy_j(drive, k, began_s, ends_s) / J_PER_KWH,
+    )
+
+
+def keeping_energy_j(drive: ConvoyDrive, k: int, begun_s: float, done_s: float) -> float:
+    """Traction energy of a trainset at the wheel if it kept its distance to the head, J.
+
+    The true plant moves with the speeds of the head, at the distance of the beginning.
+
+    Args:
+        drive: The run.
+        k: The trainset; 0 is the head.
+        begun_s: Beginning of the time that counts.
+        done_s: Its end.
+    """
+    convoy, head, own = drive.convoy, drive.trajectories[0], drive.trajectories[k]
+    disturbance = convoy.disturbance(k)
+    trainset = disturbance.nominal(convoy.trainsets[k])
+    vehicle = vehicle_arrays(disturbance.true_plant(trainset))
+    track = track_arrays(convoy.section, trainset)
+    behind_m = np.interp(begun_s, head.time_s, head.position_m) - np.interp(
+        begun_s, own.time_s, own.position_m
+    )
+    resistance, gradient = resistance_and_gradient(vehicle, track, head.position_m - behind_m, head.speed_mps)
+    traction = np.maximum(vehicle.effective_mass_kg * head.acceleration_mps2 + resistance + gradient, 0.0)
+    work_j = np.append(0.0, np.cumsum(traction[:-1] * np.diff(head.position_m)))
+    spent_j = np.interp([begun_s, done_s], head.time_s, work_j)
+    return float(spent_j[1] - spent_j[0])
+
+
+def check_manoeuvres(convoy: Convoy, members: Sequence[Member], head: MotionPlan) -> None:
+    """Refuse a convoy that has no room to couple before the stop, or to uncouple before its place.
+
+    The room is that of the planned motions, with a perfect link.
+
+    Args:
+        convoy: The convoy.
+        members: Its trainsets as arrays.
+        head: Planned motion of the head.
+
+    Raises:
+        Infeasible: No room; the message says how much there is, and how much is needed.
+    """
+    if couples(convoy):
+        _check_coupling(convoy, members, head)
+    if uncouples(convoy):
+        _check_uncoupling(convoy, members, head)
+
+
+def planned_gaps(
+    members: Sequence[Member], head: MotionPlan, first_gap_m: float
+) -> Float[ndarray, "followers rows"]:
+    """Gaps that the followers of a head plan at the rows of its plan, from a gap at departure."""
+    found, ahead = [], head
+    for before, member in pairwise(members):
+        length_m = float(before.length_m)
+        own = place_behind(
+            ahead, member, length_m, float(head.start_s), lambda t: np.full(np.shape(t), first_gap_m)
+        )
+        found.append(ahead.position_m - length_m - own.position_m)
+        ahead = own
+    return np.array(found)
+
+
+def _coupled_by(convoy: Convoy, gaps: Float[ndarray, "followers rows"], head: MotionPlan) -> bool:
+    """Tell if planned gaps are all closed while the head moves."""
+    near = (gaps <= convoy.gap_m + BAND_M).all(axis=0)
+    return bool((near & (head.speed_mps > 0.0)).any())
+
+
+def _check_coupling(convoy: Convoy, members: Sequence[Member], head: MotionPlan) -> None:
+    gaps = planned_gaps(members, head, convoy.first_gap_m)
+    if _coupled_by(convoy, gaps, head):
+        return
+    moving = head.speed_mps > 0.0
+    if uncouples(convoy):
+        moving &= head.position_m < convoy.uncouple_at_m
+    least_m = gaps[:, moving].min(axis=1)
+    low, high = convoy.gap_m, convoy.first_gap_m
+    for _ in range(TRIALS):
+        middle = 0.5 * (low + high)
+        fits = _coupled_by(convoy, planned_gaps(members, head, middle), head)
+        low, high = (middle, high) if fits else (low, middle)
+    place_m = min(convoy.uncouple_at_m, convoy.section.length_m)
+    before = "it uncouples" if place_m < convoy.section.length_m else "the stop"
+    closed_m = np.maximum(convoy.first_gap_m - least_m, 1.0)
+    room_m = place_m * float(((convoy.first_gap_m - convoy.gap_m) / closed_m).max())
+    raise Infeasible(
+        f"the gap cannot be closed before {before}: it takes about {_round_up(room_m)} m of way, "
+        f"there are {place_m:.0f} m",
+        field="start_gap_m",
+        value=f"{convoy.first_gap_m:g}",
+        unit="m",
+        allowed=f"up to about {low:.0f} m here"
+        if low > convoy.gap_m + BAND_M
+        else f"{convoy.gap_m:g} m, coupled from the start",
+    )
+
+
+def _open_by(
+    convoy: Convoy, members: Sequence[Member], head: MotionPlan, place_m: float
+) -> Bool[ndarray, " followers"]:
+    """Tell which planned gaps are open when the head reaches a place."""
+    shift = place_m - convoy.uncouple_at_m
+    moved = [each._replace(uncouple_at_m=each.uncouple_at_m + shift) for each in members]
+    row = min(int(np.searchsorted(head.position_m, place_m)), head.position_m.size - 1)
+    return planned_gaps(moved, head, convoy.first_gap_m)[:, row] >= convoy.apart_m - BAND_M
+
+
+def _check_uncoupling(convoy: Convoy, members: Sequence[Member], head: MotionPlan) -> None:
+    if _open_by(convoy, members, head, convoy.uncouple_at_m).all():
+        return
+    low, high = convoy.uncouple_at_m, LAST_SHARE * convoy.section.length_m
+    possible = bool(_open_by(convoy, members, head, high).all())
+    for _ in range(TRIALS if possible else 0):
+        middle = 0.5 * (low + high)
+        fits = bool(_open_by(convoy, members, head, middle).all())
+        low, high = (low, middle) if fits else (middle, high)
+    raise Infeasible(
+        f"gaps of {convoy.apart_m:g} m cannot be open there",
+        field="uncouple_at_m",
+        value=f"{convoy.uncouple_at_m:g}",
+        unit="m",
+        allowed=f"from about {_round_up(high)} m on"
+        if possible
+        else f"a smaller gap than {convoy.apart_m:g} m",
+    )
+
+
+def _round_up(distance_m: float) -> int:
+    """A distance in tens of metres, rounded up."""
+    return 10 * int(np.ceil(distance_m / 10.0))

@@ -1,0 +1,91 @@
+"""Coupling and uncoupling on the move: when, where and for what energy; convoys without room are refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests import commands
+
+from metropilot.convoy import ConvoyDrive, ConvoyKpis, ConvoyRequest, convoy_kpis, find_manoeuvres
+from metropilot.convoy.manoeuvre import keeping_energy_j
+from metropilot.errors import Infeasible, InputError
+from metropilot.evaluate import RunSpec
+from metropilot.units import J_PER_KWH
+
+HEAD = RunSpec("yizhuang", "RJ", "WYJ", time_s=130.0, trainset="cheng2023", dt_s=0.1)
+REQUEST = ConvoyRequest(HEAD, start_gap_m=24.0, uncouple_at_m=980.0, apart_m=50.0)
+
+
+@pytest.fixture(scope="module")
+def drive() -> ConvoyDrive:
+    return REQUEST.drive()
+
+
+@pytest.fixture(scope="module")
+def kpis(drive: ConvoyDrive) -> ConvoyKpis:
+    return convoy_kpis(drive, 130.0)
+
+
+def test_a_convoy_couples_and_parts_before_its_place(drive: ConvoyDrive, kpis: ConvoyKpis):
+    assert kpis.success, kpis.verdict
+    coupling, parting = kpis.manoeuvres
+    assert (coupling.kind, parting.kind) == ("coupling", "uncoupling")
+    assert (coupling.trainset, coupling.gap_to_m, parting.gap_to_m) == (2, 5.92, 50.0)
+    assert coupling.done_s is not None
+    assert parting.done_m is not None
+    assert coupling.begun_s < coupling.done_s <= parting.begun_s
+    assert parting.begun_m < parting.done_m <= 981.0
+    gap = np.interp([coupling.begun_s, coupling.done_s], drive.time_s, drive.gap_m[:, 0])
+    assert gap == pytest.approx([24.0, 5.92], abs=0.6)
+    assert kpis.as_dict()["manoeuvres"][0]["kind"] == "coupling"
+
+
+def test_closing_and_opening_a_gap_take_more_energy_than_keeping_it(kpis: ConvoyKpis):
+    for each in kpis.manoeuvres:
+        assert each.energy_kwh > each.apart_energy_kwh > 0.0
+
+
+def test_the_energy_of_keeping_a_gap_is_that_of_the_plant(drive: ConvoyDrive):
+    head = drive.trajectories[0]
+    own_kwh = head.energy_wheel_j[-1] / J_PER_KWH
+    assert keeping_energy_j(drive, 0, 0.0, head.time_s[-1]) / J_PER_KWH == pytest.approx(own_kwh, rel=2e-3)
+
+
+def test_a_gap_that_closes_after_the_head_stands_is_not_coupled_in_time(drive: ConvoyDrive):
+    late = replace(drive, gap_m=drive.gap_m.copy())
+    moves = drive.time_s < 128.0
+    late.gap_m[moves] = 40.0 - 0.2 * drive.time_s[moves, None]
+    found = find_manoeuvres(late)
+    assert [each.done_s for each in found] == [None, None]
+    judged = convoy_kpis(late, 130.0)
+    assert not judged.success
+    assert "coupling of trainset 2 not done in time" in judged.verdict
+    assert "couples and parts in time" in judged.as_dict()["failed"]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"start_gap_m": 800.0}, "there are 1280 m"),
+        ({"start_gap_m": 200.0, "uncouple_at_m": 900.0}, "before it uncouples"),
+        ({"uncouple_at_m": 150.0}, "cannot be open there"),
+    ],
+)
+def test_a_convoy_without_room_is_refused_and_told_what_it_takes(wrong: dict[str, float], words: str):
+    request = ConvoyRequest(HEAD, **wrong)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(Infeasible, match=words) as refused:
+        request.drive()
+    assert "about" in str(refused.value)
+
+
+def test_a_place_beyond_the_stop_is_refused():
+    with pytest.raises(InputError, match="below 1280 m"):
+        ConvoyRequest(HEAD, uncouple_at_m=1300.0).convoy()
+
+
+def test_the_command_line_names_the_option_and_the_room(tmp_path):
+    words = "convoy yizhuang RJ WYJ --time 130 --start-gap 800 --trainset cheng2023"
+    told = commands.run(*words.split(), cwd=tmp_path)
+    assert told.code == 2
+    assert told.err.startswith("metropilot: --start-gap: the gap cannot be closed before the stop")
+    assert told.err.count("\n") == 1
