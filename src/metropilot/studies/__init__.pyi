@@ -14,6 +14,7 @@ from .study import STUDIES as STUDIES
 from .study import Order as Order
 from .study import Study as Study
 from .study import check_budget as check_budget
+from .study import register_study as register_study
 from .study import reproduce as reproduce
 from .verdict import Claim as Claim
 from .verdict import ClaimVerdict as ClaimVerdict

@@ -136,6 +136,11 @@ STUDIES: Registry[Study] = Registry(
 """Every study."""
 
 
+def register_study(study: Study) -> None:
+    """Add a study of one's own to those of this process; one that is there already stays."""
+    STUDIES.add({study.id: RegistryRow(study, study.title)})
+
+
 def reproduce(study_id: str, order: Order) -> StudyReport:
     """Reproduce a paper.
 
