@@ -7,7 +7,7 @@ import pytest
 from tests.physics import cases
 
 from metropilot import physics
-from metropilot.railway import Actuation
+from metropilot.railway import Actuation, SafeBraking
 
 DT = 0.2
 
@@ -78,3 +78,15 @@ def available(state, vehicle):
 def test_a_command_out_of_range_counts_as_full():
     commands = np.array([5.0, -7.0, 0.5])
     np.testing.assert_array_equal(shares_after(Actuation(), commands), [1.0, -1.0, 0.5])
+
+
+@pytest.mark.parametrize(("guaranteed_mps2", "expected_mps2"), [(0.3, 1.0), (1.2, 1.2)])
+def test_an_emergency_takes_nothing_back_from_a_stronger_service_brake(guaranteed_mps2, expected_mps2):
+    """Of 200 kN service brake on 200 t (1 m/s2) and the emergency brake the stronger one acts."""
+    safe = SafeBraking(emergency_deceleration_mps2=guaranteed_mps2, reaction_s=0.4, buildup_s=0.6)
+    vehicle, track = cases.plant(cases.section(), cases.trainset(safe_braking=safe))
+    state = physics.at_rest(vehicle, speed_mps=20.0)
+    for _ in range(10):
+        state = physics.step(vehicle, track, state, physics.Command(-1.0, True), DT)
+        assert -state.acceleration_mps2 >= 1.0 - 1e-9
+    assert -state.acceleration_mps2 == pytest.approx(expected_mps2)

@@ -21,10 +21,14 @@ from metropilot.planning import limit_at
 from metropilot.protection import (
     Memory,
     Protection,
+    guarantees_less,
+    on_grid,
+    permitted_before_end,
     permitted_before_service,
     permitted_speed,
     protect,
     supervise,
+    usable_deceleration,
 )
 from metropilot.railway import Section
 from metropilot.sim import Run, declared_bounds
@@ -54,24 +58,31 @@ class Ceiling(NamedTuple):
         guard: Protection of the section.
         position_m: Uniform grid from the origin. Shape (N,).
         speed_mps: Largest speed that may be held. Shape (N,).
+        line_mps: The same for one who brakes to the stop at a usable deceleration, and so need not hold a
+            speed under the end of the movement authority. Shape (N,).
         reaction_s: Time for which protection assumes that an acceleration continues, s.
         quadratic: Coefficient of the further gain of speed while it decays, s^3/m.
         late_s: Largest dead time and lag of a service command, s.
         period_s: Control period, s.
+        weak: True if a weaker brake than the service brake is guaranteed; it builds up slowly.
     """
 
     guard: Protection
     position_m: Float[ndarray, " nodes"]
     speed_mps: Float[ndarray, " nodes"]
+    line_mps: Float[ndarray, " nodes"]
     reaction_s: float
     quadratic: float
     late_s: float
     period_s: float
+    weak: bool
 
     @property
     def look_s(self) -> float:
         """Time ahead within which traction must respect lower permitted speeds, s."""
-        return REACTION_S + self.late_s
+        rates = self.guard.rates
+        built_s = float(rates.brake_mps2 / rates.jerk_mps3) if self.weak else 0.0
+        return REACTION_S + self.late_s + built_s
 
     def at(self, position_m: float, way_m: float = 0.0) -> float:
         """Lowest ceiling from a position over a short distance, m/s."""
@@ -79,16 +90,26 @@ class Ceiling(NamedTuple):
         last = min(int((position_m + way_m) / SPACING_M) + 2, self.position_m.size)
         return float(self.speed_mps[first:last].min())
 
-    def acceleration_under(self, room_mps: float) -> float:
+    def acceleration_under(self, room_mps: float, steeper_mps2: float = 0.0) -> float:
         """Largest acceleration at a distance below the ceiling, m/s^2; negative above the ceiling.
 
         It solves ``a r + q a^2 = room``: the inverse of :func:`metropilot.protection.approach_margin`,
         with late commands and the trainset's own jerk limit.
+
+        Args:
+            room_mps: Distance below the ceiling.
+            steeper_mps2: Pull that protection reckons with beyond that of the gradient here. The ceiling
+                holds ``q e^2`` of it already, and ``q ((a + e)^2 - e^2)`` is left for the acceleration.
         """
         if room_mps < 0:
             return CATCH_PER_S * room_mps
-        r, q = self.reaction_s, self.quadratic
+        r, q = self.reaction_s + 2.0 * self.quadratic * steeper_mps2, self.quadratic
         return 2.0 * room_mps / (r + math.sqrt(r * r + 4.0 * q * room_mps))
+
+    def steeper_mps2(self, position_m: float, gradient_mps2: float) -> float:
+        """Pull that protection reckons with at a position beyond that of the gradient there, m/s^2."""
+        node, _ = on_grid(self.guard, np.float64(position_m))
+        return max(float(self.guard.pull_mps2[int(node)]) + gradient_mps2, 0.0)
 
     def approach(self, ahead: PredictedState) -> float:
         """Largest acceleration at a predicted state, m/s^2."""
@@ -100,16 +121,23 @@ class Ceiling(NamedTuple):
 
 
 def model_of(run: Run, section: Section) -> Model:
-    """Nominal model of a run's trainset and of a section, for the control laws."""
+    """Nominal model of a run's trainset and of a section, for the control laws.
+
+    Its largest deceleration is one that protection leaves to a driver
+    (:func:`metropilot.protection.usable_deceleration`).
+    """
     trainset = run.disturbance.nominal(run.trainset)
-    return Model(vehicle_arrays(trainset), track_arrays(section, trainset), run.dt)
+    vehicle, most = vehicle_arrays(trainset), usable_deceleration(section, trainset, declared_bounds(run))
+    vehicle = vehicle._replace(max_deceleration_mps2=np.float64(most))
+    return Model(vehicle, track_arrays(section, trainset), run.dt)
 
 
 def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ceiling:
     """Ceiling of a section under the protection that supervises the run.
 
     Protection uses each measured speed without a filter, so the largest error of one measurement adds to the
-    margin. Where commands act late, the ceiling leaves time for the service brake.
+    margin. Where commands act late, the ceiling leaves time for the service brake, and where less than that
+    is guaranteed, for the guaranteed brake before the end of the movement authority too.
 
     Args:
         run: The run.
@@ -117,22 +145,29 @@ def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ce
         margin_mps: Margin below the permitted speed.
     """
     model, bounds = model_of(run, section), declared_bounds(run)
-    guard = protect(section, run.disturbance.nominal(run.trainset), bounds)
+    trainset = run.disturbance.nominal(run.trainset)
+    guard, weak = protect(section, trainset, bounds), guarantees_less(trainset, bounds)
     rates, late = guard.rates, bounds.delay_s + bounds.lag_s
     at = np.arange(0.0, section.length_m + BEYOND_M, SPACING_M)
     cap = np.minimum(permitted_speed(guard, at), limit_at(model.track, at))
-    if late > 0.0:
+    if late > 0.0 or weak:
         cap = np.minimum(cap, permitted_before_service(guard, model.track, at))
+    below_mps = margin_mps + float(rates.speed_error_mps)
+    line = speed = np.maximum(cap - below_mps, 0.5)
+    if weak:
+        speed = np.minimum(line, np.maximum(permitted_before_end(guard, model.track, at) - below_mps, 0.5))
     ratio = float(rates.mass_high / rates.mass_low)
     jerk = min(float(model.vehicle.jerk_mps3), 1e6)
     return Ceiling(
         guard=guard,
         position_m=at,
-        speed_mps=np.maximum(cap - margin_mps - float(rates.speed_error_mps), 0.5),
+        speed_mps=speed,
+        line_mps=line,
         reaction_s=ratio * (float(rates.reaction_s) + late),
         quadratic=0.5 * ratio**2 / float(rates.jerk_mps3) + 0.5 / jerk,
         late_s=late,
         period_s=run.dt,
+        weak=weak,
     )
 
 
@@ -204,9 +239,10 @@ def traction_limit(estimate: StateEstimate, ahead: PredictedState, ceiling: Ceil
     """
     drag = ahead.resistance_mps2 + ahead.gradient_mps2
     here_mps = ceiling.at(estimate.position_m, ceiling.look_s * estimate.speed_mps)
-    here = ceiling.acceleration_under(here_mps - estimate.speed_mps)
+    steeper = ceiling.steeper_mps2(estimate.position_m, ahead.gradient_mps2) if ceiling.weak else 0.0
+    here = ceiling.acceleration_under(here_mps - estimate.speed_mps, steeper)
     there_mps = ceiling.at(ahead.position_m, ceiling.look_s * ahead.speed_mps)
-    there = ceiling.acceleration_under(there_mps - ahead.speed_mps)
+    there = ceiling.acceleration_under(there_mps - ahead.speed_mps, steeper)
     nominal_mps2 = ahead.traction_mps2 / estimate.traction_gain
     hold = drag / ahead.traction_mps2 if ahead.speed_mps <= there_mps else 0.0
     return min(max((min(here, there) + drag) / nominal_mps2, hold, 0.0), 1.0)
@@ -219,7 +255,7 @@ def lowest_ahead(ahead: PredictedState, ceiling: Ceiling, curve: StopCurve) -> t
     build_m = v * max(b + min(ahead.acceleration_mps2, b), 0.0) / (2.0 * jerk) if math.isfinite(jerk) else 0.0
     first = int(x / SPACING_M) + 1
     last = first + int((v * v / (2.0 * b) + 3.0 * v) / SPACING_M) + 2
-    lower, at = ceiling.speed_mps[first:last], ceiling.position_m[first:last]
+    lower, at = ceiling.line_mps[first:last], ceiling.position_m[first:last]
     release_m = lower * b / (2.0 * jerk) if math.isfinite(jerk) else 0.0
     needed = (v * v - lower * lower) / (2.0 * np.maximum(at - x - build_m - release_m, 0.5))
     # a point that needs less than half of the planned deceleration is too far away to act on

@@ -187,14 +187,15 @@ def _at_hand_mps2(model: Model) -> float:
     speeds = np.linspace(0.0, float(vehicle.max_speed_mps), 9)
     brake = min(float(effort_at(vehicle, v).brake_n) for v in speeds) / float(vehicle.effective_mass_kg)
     gradient = min(weakest_gradient(model, float(model.track.length_m)), 0.0)
-    return max(SERVICE_USE * (brake + gradient), LEAST_MPS2)
+    return max(min(SERVICE_USE * (brake + gradient), float(vehicle.max_deceleration_mps2)), LEAST_MPS2)
 
 
 def _overhead_s(model: Model, habits: Habits, *, standing: bool) -> float:
     """Time the forecast does not know: reaction, build-up and release of effort."""
     jerk = float(model.vehicle.jerk_mps3)
     build = 1.0 / jerk if math.isfinite(jerk) else 0.0
-    start = habits.reaction_s + 0.5 * build if standing else 0.0
+    late_s = float(model.vehicle.delay_s + model.vehicle.lag_s)
+    start = habits.reaction_s + 0.5 * build + late_s if standing else 0.0
     return start + habits.deceleration_mps2 * build
 
 

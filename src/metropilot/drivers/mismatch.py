@@ -3,7 +3,8 @@
 A policy and its assists see the nominal plant and the current state. Under plant mismatch (a command that
 acts late, a heavier trainset, a stronger resistance) their station-stop braking begins too late and their
 ceiling is too high. The estimator of every run is that of :mod:`metropilot.control.estimator`. As
-long as protection's bounds hold neither dead time nor lag, and the estimator finds nothing, nothing of it is
+long as protection's bounds hold neither dead time nor lag, nor a brake guaranteed weaker than the service
+brake, and the estimator finds nothing, nothing of it is
 acted upon, and the drive is the policy's own to the last bit. With a dead time or lag, in the bounds or
 found, or efforts that are off by more than ``LEAST`` and by more than doubt allows, the policy sees the state
 in which its command begins to act and the estimated plant, the station-stop braking follows the law
@@ -27,14 +28,14 @@ from metropilot.control import (
     curve_for,
     initial_estimate,
     largest_admissible_command,
+    model_of,
     record_command,
     stand,
     stop_command,
     update_estimate,
     weighs_load,
 )
-from metropilot.physics import track_arrays, vehicle_arrays
-from metropilot.protection import Bounds, Memory, at_start
+from metropilot.protection import Bounds, Memory, at_start, guarantees_less
 from metropilot.railway import Section
 from metropilot.sim import Observation, Run, declared_bounds
 
@@ -108,12 +109,11 @@ class PlantMonitor(NamedTuple):
 
 def start_monitor(run: Run) -> PlantMonitor:
     """Estimate before departure."""
-    trainset = run.disturbance.nominal(run.trainset)
-    vehicle = vehicle_arrays(trainset)
-    model = Model(vehicle, track_arrays(run.section, trainset), run.dt)
-    estimate = initial_estimate(model, weighed_brakes=weighs_load(vehicle))
-    late = answers_late(declared_bounds(run))
-    protection = _copy_protection(estimate, run, run.section) if late else None
+    model = model_of(run, run.section)
+    estimate = initial_estimate(model, weighed_brakes=weighs_load(model.vehicle))
+    declared = declared_bounds(run)
+    careful = answers_late(declared) or guarantees_less(run.disturbance.nominal(run.trainset), declared)
+    protection = _copy_protection(estimate, run, run.section) if careful else None
     return PlantMonitor(model, estimate, protection, Adaptation(), -np.inf)
 
 
@@ -138,8 +138,7 @@ def update_monitor(monitor: PlantMonitor, run: Run, observation: Observation) ->
 
 def set_section(monitor: PlantMonitor, run: Run, section: Section) -> PlantMonitor:
     """Change to a section with a restriction that has just been announced."""
-    trainset = run.disturbance.nominal(run.trainset)
-    monitor = monitor._replace(model=monitor.model._replace(track=track_arrays(section, trainset)))
+    monitor = monitor._replace(model=model_of(run, section))
     if monitor.protection is None:
         return monitor
     return monitor._replace(

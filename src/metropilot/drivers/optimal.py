@@ -28,6 +28,7 @@ from metropilot.control import (
     initial_estimate,
     largest_admissible_command,
     look_ahead,
+    model_of,
     record_command,
     stand,
     stop_command,
@@ -35,7 +36,7 @@ from metropilot.control import (
     weighs_load,
 )
 from metropilot.errors import SolverError
-from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
+from metropilot.physics import Track, Vehicle, vehicle_arrays
 from metropilot.planning import (
     START_STRETCH_M,
     Coupled,
@@ -180,13 +181,13 @@ class Optimal(AbstractDriver):
     def init(self, run: Run) -> FollowingMemory:
         """Plan the whole section for the trainset as it is known."""
         trainset = run.disturbance.nominal(run.trainset)
-        vehicle, track = vehicle_arrays(trainset), track_arrays(run.section, trainset)
-        model = Model(vehicle, track, run.dt)
+        model = model_of(run, run.section)
+        vehicle, track = model.vehicle, model.track
         ceiling = ceiling_of(run, run.section, self.options.cap_margin_mps)
         coupled = self._couple(run, run.section)
         options = self._plan_options(model, ceiling, coupled)
         least = PlanOptions(coupled=_couple(run, run.section, Adaptation()))
-        check_running_time(run.scheduled_time_s, fastest_time(vehicle, track, least))
+        check_running_time(run.scheduled_time_s, fastest_time(vehicle_arrays(trainset), track, least))
         use = self._brake_use(vehicle, Adaptation(), ceiling, coupled)
         careful = adapt_vehicle(vehicle, Adaptation(brake=use))
         plan = _plan(careful, track, run.scheduled_time_s - self.options.reserve_s, options)
@@ -331,7 +332,7 @@ class Optimal(AbstractDriver):
         model, estimate = memory.model, memory.estimate
         ceiling, coupled = memory.ceiling, memory.coupled
         if observation.section is not memory.section:
-            model = model._replace(track=track_arrays(observation.section, memory.trainset))
+            model = model_of(memory.run, observation.section)
             ceiling = ceiling_of(memory.run, observation.section, self.options.cap_margin_mps)
             coupled = self._couple(memory.run, observation.section)
         adapted = self._adaptation(estimate)

@@ -37,7 +37,6 @@ from metropilot.control import (
     stop_command,
     update_estimate,
 )
-from metropilot.physics import track_arrays
 from metropilot.planning import (
     PlanOptions,
     ReferenceShape,
@@ -276,9 +275,7 @@ class AbstractTracker(AbstractDriver):
             return memory
         if observation.section is not section:
             section = observation.section
-            model = model._replace(
-                track=track_arrays(section, memory.run.disturbance.nominal(memory.run.trainset))
-            )
+            model = model_of(memory.run, section)
             ceiling = ceiling_of(memory.run, section, CAP_MARGIN_MPS)
         left = max(observation.scheduled_time_s - observation.time_s, 1.0)
         reference = self._lay_reference(
@@ -312,12 +309,13 @@ class AbstractTracker(AbstractDriver):
             return sample_profile(plan.position_m, plan.speed_mps, REFERENCE_PERIOD_S)
         jerk = options.jerk_mps3 if options.reference == "s_curve" else math.inf
         jerk = min(jerk, 0.8 * float(model.vehicle.jerk_mps3))
-        shape = ReferenceShape(options.acceleration_mps2, options.deceleration_mps2, jerk)
+        braking = min(options.deceleration_mps2, float(model.vehicle.max_deceleration_mps2))
+        shape = ReferenceShape(options.acceleration_mps2, braking, jerk)
         constraints = ReferenceTrack(
             model.vehicle,
             model.track,
             ceiling.position_m,
-            ceiling.speed_mps,
+            ceiling.line_mps,
             options.effort_share,
             start,
             max(start_mps, 0.0),

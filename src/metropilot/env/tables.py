@@ -22,7 +22,15 @@ from metropilot.physics import (
     vehicle_arrays,
 )
 from metropilot.planning import interpolate_time_to_go, tabulate_time_to_go
-from metropilot.protection import Bounds, Protection, protect
+from metropilot.protection import (
+    Bounds,
+    Protection,
+    guarantees_less,
+    permitted_before_end,
+    permitted_before_service,
+    protect,
+    usable_deceleration,
+)
 from metropilot.railway import Section, Trainset
 
 
@@ -122,9 +130,17 @@ def _rows(cases: Sequence[tuple[Section, Trainset, Bounds]], spacing_m: float, j
 def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float) -> tuple[Any, ...]:
 
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
+    most = usable_deceleration(section, trainset, bounds)
+    vehicle = vehicle._replace(max_deceleration_mps2=np.float64(most))
     protection = protect(section, trainset, bounds, spacing_m=spacing_m)
     used = int(np.flatnonzero(protection.permitted_mps)[-1]) + 2
     at = protection.start_m + spacing_m * np.arange(used)
+    if guarantees_less(trainset, bounds):
+        # who follows the permitted speed of such a trainset would meet the other two curves
+        permitted = protection.permitted_mps.copy()
+        for most_mps in (permitted_before_service, permitted_before_end):
+            permitted[:used] = np.minimum(permitted[:used], most_mps(protection, track, at))
+        protection = protection._replace(permitted_mps=permitted)
     gradient, curve, _ = mean_slopes(vehicle, track, at)
     weight = (vehicle.gravity_mps2 * gradient + curve) * spacing_m
     climb = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]))])

@@ -160,7 +160,10 @@ def wheel_force(
         dt: Control period, s.
     """
     xp = namespace(acceleration_mps2, share)
-    wanted = xp.where(emergency, -vehicle.emergency_n, effort.force_n(share))
+    asked = effort.force_n(share)
+    # Of the two brakes the stronger one acts: an emergency never takes back what the service brake gives.
+    emergency = emergency & (asked >= -vehicle.emergency_n)
+    wanted = xp.where(emergency, -vehicle.emergency_n, asked)
     jerk = xp.where(emergency, vehicle.emergency_jerk_mps3, vehicle.jerk_mps3)
     target = (wanted - resisting_n) / vehicle.effective_mass_kg
     room = jerk * dt

@@ -1,12 +1,16 @@
 from .bounds import Bounds as Bounds
+from .braking import guarantees_less as guarantees_less
+from .braking import permitted_before_end as permitted_before_end
 from .braking import permitted_before_service as permitted_before_service
 from .braking import permitted_braking as permitted_braking
+from .braking import usable_deceleration as usable_deceleration
 from .curves import protect as protect
 from .separation import PairBounds as PairBounds
 from .separation import Separation as Separation
 from .separation import TrainAhead as TrainAhead
 from .separation import separate as separate
 from .supervisor import approach_margin as approach_margin
+from .supervisor import on_grid as on_grid
 from .supervisor import permitted_speed as permitted_speed
 from .supervisor import spare_gap as spare_gap
 from .supervisor import supervise as supervise

@@ -177,7 +177,7 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
         hoa = update_gain(hoa, ground, actuation, state, memory.before_mps2)
     ahead = ground.ahead(actuation, state, hoa.gain)
     brake, downhill = ground.brake(ahead.speed_mps), ground.downhill(ahead.position_m)
-    plan = hoa.plan_mps2(brake, downhill, ground.most_mps2)
+    plan = hoa.plan_mps2(brake, downhill, ground.stop_mps2)
     curve = curve_for(memory.model.vehicle, actuation.dt, plan, HOA_STOP)
     share, braking = stop_share(hoa, ground, actuation, ahead, curve)
     rate = 0.0

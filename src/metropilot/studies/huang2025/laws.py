@@ -310,6 +310,7 @@ class ExpertTrack(NamedTuple):
         brake_mps2: Braking that command -1 asks for, by speed.
         davis: Constant, linear and quadratic resistance.
         most_mps2: Largest acceleration in service.
+        stop_mps2: Largest deceleration that station-stop braking is planned with.
         jerk_mps3: Jerk limit in service.
     """
 
@@ -321,6 +322,7 @@ class ExpertTrack(NamedTuple):
     brake_mps2: list[float]
     davis: tuple[float, float, float]
     most_mps2: float
+    stop_mps2: float
     jerk_mps3: float
 
     def climb(self, position_m: float) -> float:
@@ -405,6 +407,7 @@ def expert_track(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTr
     climb = np.concatenate([[0.0], np.cumsum(0.5 * (pull[1:] + pull[:-1]) * STEP_M)])
     speeds = np.arange(0.0, float(vehicle.max_speed_mps) + 3.0, EFFORT_STEP_MPS)
     effort = [effort_at(vehicle, np.float64(v)) for v in speeds]
+    most = _service_limit(float(vehicle.max_acceleration_mps2))
     return ExpertTrack(
         length_m=float(track.length_m),
         climb_jpkg=climb.tolist(),
@@ -413,7 +416,8 @@ def expert_track(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTr
         traction_mps2=[max(float(e.traction_n), 1.0) / mass for e in effort],
         brake_mps2=[max(float(e.brake_n), 1.0) / mass for e in effort],
         davis=tuple(float(d) / mass for d in vehicle.davis_n),  # pyright: ignore[reportArgumentType]
-        most_mps2=_service_limit(float(vehicle.max_acceleration_mps2)),
+        most_mps2=most,
+        stop_mps2=min(most, float(vehicle.max_deceleration_mps2)),
         jerk_mps3=float(vehicle.jerk_mps3),
     )
 

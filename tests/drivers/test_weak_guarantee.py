@@ -1,0 +1,71 @@
+"""Trainsets that are guaranteed a weaker emergency brake than the service brake they have."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from metropilot.drivers import DRIVERS
+from metropilot.env import build_tables
+from metropilot.physics import track_arrays
+from metropilot.protection import Bounds, permitted_before_end, protect, usable_deceleration
+from metropilot.railway import Section, Trainset, load_line, load_trainset
+from metropilot.sim import Outcome, Run, drive
+
+DT = 0.2
+
+
+@cache
+def section(name: str) -> Section:
+    line = load_line("yizhuang")
+    return next(s for s in (*line.sections(), *line.sections(backward=True)) if s.name == name)
+
+
+@cache
+def trainset(name: str) -> Trainset:
+    if name != "late":
+        return load_trainset(name)
+    known = load_trainset("dkz32")
+    return replace(
+        known,
+        service_deceleration_mps2=1.2,
+        max_deceleration_mps2=1.2,
+        actuation=replace(known.actuation, delay_s=0.4),
+        safe_braking=replace(
+            known.safe_braking, emergency_deceleration_mps2=0.5, service_deceleration_mps2=1.2
+        ),
+    )
+
+
+@pytest.mark.parametrize("place", ["CQN-JHL", "WHY-WYJ"])
+@pytest.mark.parametrize("driver", ["optimal", "mpc", "generalist", "eitoe", "pid", "manual"])
+@pytest.mark.parametrize("name", ["ch_stadler_flirt_tpf", "late"])
+def test_no_driver_is_overruled(name, driver, place):
+    where = section(place)
+    run = Run(section=where, trainset=trainset(name), scheduled_time_s=where.planned_time_s, dt=DT)
+    done = drive(run, DRIVERS.get(driver)())
+    assert done.outcome is Outcome.ARRIVED
+    assert done.interventions == 0
+    assert abs(done.running_time_s - where.planned_time_s) <= 3.0
+    assert abs(float(done.trajectory.position_m[-1]) - where.length_m) <= 0.3
+
+
+def test_a_stop_is_planned_below_the_speeds_that_protection_leaves():
+    weak, where = trainset("ch_stadler_flirt_tpf"), section("CQN-JHL")
+    bounds = Bounds.of(weak, DT)
+    usable = usable_deceleration(where, weak, bounds)
+    # between the service rates: 0.4 m/s2 that protection counts on and the 1.1 m/s2 it has
+    assert 0.4 < usable < 0.7
+    left = np.arange(10.0, 400.0, 10.0)
+    most = permitted_before_end(
+        protect(where, weak, bounds), track_arrays(where, weak), where.length_m - left
+    )
+    assert np.all(np.sqrt(2.0 * usable * left) < most)
+    tables = build_tables([(where, weak, bounds)], 1.0, np.float64)
+    assert tables.vehicle.max_deceleration_mps2[0] == usable
+
+
+def test_who_is_guaranteed_the_service_brake_may_use_all_of_it():
+    strong = load_trainset("dkz32")
+    assert usable_deceleration(section("CQN-JHL"), strong, Bounds.of(strong, DT)) == 1.0
