@@ -152,7 +152,7 @@ def comfortable_deceleration(
 
 
 def curve_for(
-    vehicle: Vehicle, dt: float, deceleration_mps2: Scalar, options: StopOptions = STOP_OPTIONS
+    vehicle: Vehicle, dt: Scalar, deceleration_mps2: Scalar, options: StopOptions = STOP_OPTIONS
 ) -> StopCurve:
     """Stop curve for a trainset's jerk limit; ``v^2 / (2 S)`` where there is none.
 
@@ -330,7 +330,7 @@ def stop_deceleration(
     acceleration_mps2: Scalar,
     distance_m: Scalar,
     curve: StopCurve,
-    dt: float,
+    dt: Scalar,
     options: StopOptions = STOP_OPTIONS,
 ) -> StopDemand:
     """Deceleration of the coming period on the way to a stop.
@@ -374,7 +374,7 @@ def stop_deceleration(
 
 
 @no_type_check
-def way_in_period(speed_mps: Scalar, deceleration_mps2: Scalar, dt: float) -> Scalar:
+def way_in_period(speed_mps: Scalar, deceleration_mps2: Scalar, dt: Scalar) -> Scalar:
     """Distance gone in a period, or to the stand in it, m."""
     xp = namespace(speed_mps, deceleration_mps2)
     v, b = speed_mps, deceleration_mps2
@@ -383,7 +383,7 @@ def way_in_period(speed_mps: Scalar, deceleration_mps2: Scalar, dt: float) -> Sc
 
 
 @no_type_check
-def strongest(speed_mps: Scalar, curve: StopCurve, dt: float, options: StopOptions = STOP_OPTIONS) -> Scalar:
+def strongest(speed_mps: Scalar, curve: StopCurve, dt: Scalar, options: StopOptions = STOP_OPTIONS) -> Scalar:
     """Largest deceleration that the jerk limit can still release before standstill, m/s^2.
 
     In periods of ``dt`` the last one decelerates by at most ``c`` (which may drop to zero at once), the one
@@ -521,7 +521,7 @@ def settle(
     acceleration_mps2: Scalar,
     distance_m: Scalar,
     jerk_mps3: Scalar,
-    dt: float,
+    dt: Scalar,
     near_enough_m: float,
     creep_m: float,
     options: StopOptions = STOP_OPTIONS,

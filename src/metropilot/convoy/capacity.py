@@ -123,7 +123,7 @@ class Capacity:
         return asdict(self) | rates
 
 
-class Journey(NamedTuple):
+class ServiceRun(NamedTuple):
     """Motion of the head of a convoy over all sections, in equal steps of time.
 
     Attributes:
@@ -274,7 +274,7 @@ def _journey(
     stops: int,
     draw_up_m: float,
     options: ServiceOptions,
-) -> Journey:
+) -> ServiceRun:
     """The journey of a convoy: joint plans, dwells, and drawing up where it takes several stops."""
     clock, parts = 0.0, list[tuple[ndarray, ndarray, ndarray, ndarray, ndarray]]()
     from_m = [0.0, *accumulate(section.length_m for section in sections[:-1])]
@@ -304,7 +304,7 @@ def _journey(
     grid = np.arange(0.0, clock, SAMPLE_S)
     node = np.searchsorted(time, grid, side="right") - 1
     since = grid - time[node]
-    return Journey(
+    return ServiceRun(
         time_s=grid,
         position_m=position[node] + since * (speed[node] + 0.5 * rate[node] * since),
         speed_mps=np.maximum(speed[node] + rate[node] * since, 0.0),
@@ -335,7 +335,7 @@ def _leg(
 class _Pursuit:
     """A convoy behind another one with the same journey."""
 
-    def __init__(self, journey: Journey, members: Sequence[Member], convoy_m: float) -> None:
+    def __init__(self, journey: ServiceRun, members: Sequence[Member], convoy_m: float) -> None:
         self.journey, self.members, self.convoy_m = journey, members, convoy_m
         self.nearest = 0
         v = journey.speed_mps
