@@ -64,20 +64,20 @@ class PredictedState(NamedTuple):
         brake_mps2: Largest service brake there, per effective mass, gain included.
     """
 
-    seconds: float
-    position_m: float
-    speed_mps: float
-    acceleration_mps2: float
-    share: float
-    older: float
-    part: float
-    keep: float
-    resistance_mps2: float
-    gradient_mps2: float
-    traction_mps2: float
-    brake_mps2: float
+    seconds: Scalar
+    position_m: Scalar
+    speed_mps: Scalar
+    acceleration_mps2: Scalar
+    share: Scalar
+    older: Scalar
+    part: Scalar
+    keep: Scalar
+    resistance_mps2: Scalar
+    gradient_mps2: Scalar
+    traction_mps2: Scalar
+    brake_mps2: Scalar
 
-    def command_for(self, effort_mps2: float, lead: float = LAG_LEAD) -> float:
+    def command_for(self, effort_mps2: Scalar, lead: float = LAG_LEAD) -> Scalar:
         """Command for a wheel effort per effective mass at the moment when it begins to act, in [-1, 1].
 
         Args:
@@ -86,7 +86,7 @@ class PredictedState(NamedTuple):
         """
         return self.lead(command_for_effort(effort_mps2, self.traction_mps2, self.brake_mps2), lead)
 
-    def share_for(self, wanted_mps2: float, lead: float = LAG_LEAD) -> float:
+    def share_for(self, wanted_mps2: Scalar, lead: float = LAG_LEAD) -> Scalar:
         """Command for an acceleration at that moment, in [-1, 1].
 
         Args:
@@ -115,10 +115,10 @@ class PredictedState(NamedTuple):
 class Motion(NamedTuple):
     """Position, speed, acceleration of the last period, and the command that acted in it."""
 
-    position_m: float
-    speed_mps: float
-    acceleration_mps2: float
-    share: float
+    position_m: Scalar
+    speed_mps: Scalar
+    acceleration_mps2: Scalar
+    share: Scalar
 
 
 class CommandActuation(NamedTuple):

@@ -335,10 +335,10 @@ def _leg(
 class _Pursuit:
     """A convoy behind another one with the same journey."""
 
-    def __init__(self, journey: ServiceRun, members: Sequence[Member], convoy_m: float) -> None:
-        self.journey, self.members, self.convoy_m = journey, members, convoy_m
+    def __init__(self, service: ServiceRun, members: Sequence[Member], convoy_m: float) -> None:
+        self.service, self.members, self.convoy_m = service, members, convoy_m
         self.nearest = 0
-        v = journey.speed_mps
+        v = service.speed_mps
         self.near_m = NEAR_M + v * (NEAR_S + v / (2.0 * NEAR_MPS2))
 
     def least_headway_s(self) -> float:
@@ -355,7 +355,7 @@ class _Pursuit:
 
     def _is_clear(self, headway_s: float) -> bool:
         """True if no command of the convoy behind is overruled on account of the one ahead."""
-        j = self.journey
+        j = self.service
         then = j.time_s + headway_s
         there = then <= j.time_s[-1]
         rear = np.interp(then, j.time_s, j.position_m) - self.convoy_m
@@ -375,14 +375,14 @@ class _Pursuit:
 
     def _spare_m(self, k: int, room_m: float, ahead_mps: float, ahead_mps2: float) -> float:
         own, x, v = self._state(k)
-        a = float(self.journey.acceleration_mps2[k])
+        a = float(self.service.acceleration_mps2[k])
         share = _command(own, x, v, a)
         ahead = Ahead(room_m, ahead_mps, ahead_mps2)
         return spare_m(own, x, v, ahead, share=share, acceleration_mps2=a)
 
     def _state(self, k: int) -> tuple[Member, float, float]:
         """Member, position in its section and speed at a moment of the journey."""
-        j, at = self.journey, int(self.journey.section[k])
+        j, at = self.service, int(self.service.section[k])
         return self.members[at], float(j.position_m[k] - j.from_m[at]), float(j.speed_mps[k])
 
     def steady_gap_m(self, k: int) -> float:
@@ -391,8 +391,8 @@ class _Pursuit:
 
     def bottleneck(self, sections: Sequence[Section]) -> str:
         """Place at which the convoy behind is nearest at the least headway."""
-        section = sections[int(self.journey.section[self.nearest])]
-        braking = self.journey.acceleration_mps2[self.nearest] < 0
+        section = sections[int(self.service.section[self.nearest])]
+        braking = self.service.acceleration_mps2[self.nearest] < 0
         where = "running in to" if braking else "on the way to"
         return f"{where} {section.destination.name}"
 

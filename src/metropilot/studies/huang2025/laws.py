@@ -108,7 +108,7 @@ class ExpertStretch(NamedTuple):
 
     left_m: Array
     climb: Sequence[Array]
-    cap: Sequence[Array]
+    cap: Array | Sequence[Array]
     end_mps: Array
 
 
