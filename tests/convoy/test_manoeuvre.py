@@ -89,3 +89,16 @@ def test_the_command_line_names_the_option_and_the_room(tmp_path):
     assert told.code == 2
     assert told.err.startswith("metropilot: --start-gap: the gap cannot be closed before the stop")
     assert told.err.count("\n") == 1
+
+
+def test_followers_may_be_of_other_trainsets():
+    asked = ConvoyRequest.from_values(
+        {"head": HEAD.values(), "count": 4, "behind": ["dkz32:AW2", "cheng2023"]}
+    )
+    names = [each.id for each in asked.convoy().trainsets]
+    assert names == ["cheng2023", "dkz32", "cheng2023", "cheng2023"]
+    assert ConvoyRequest.from_values(asked.values()) == asked
+    with pytest.raises(InputError, match="at most 1"):
+        replace(asked, count=2)
+    with pytest.raises(InputError, match="behind"):
+        replace(asked, behind=("dkz33",)).convoy()

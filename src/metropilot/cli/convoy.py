@@ -25,6 +25,7 @@ EXAMPLES = {
         "metropilot convoy yizhuang RJ WYJ --time 115 --driver follow_mpc --link-delay 0.3 --out convoy",
         "metropilot convoy yizhuang RJ WYJ --time 130 --start-gap 200",
         "metropilot convoy yizhuang RJ WYJ --time 130 --uncouple-at 900 --apart 100",
+        "metropilot convoy yizhuang RJ WYJ --time 130 --behind cheng2023 --start-gap 100",
         "metropilot convoy yizhuang YZQ WHY --trainset cheng2023 --mass-factors 1,1.2 --head-emergency 40",
         "metropilot convoy --from convoy/run.json",
     ),
@@ -57,6 +58,14 @@ def convoy_command(
             rich_help_panel=opt.WORLD,
         ),
     ] = None,
+    behind: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TRAINSET",
+            help="Trainset of the first follower, if not the head's; repeat for those behind it.",
+            rich_help_panel=CONVOY,
+        ),
+    ] = None,
     out: opt.Out = None,
     as_json: opt.Json = False,
     **given: Any,  # noqa: ANN401 (the fields of a run, of a convoy and of its link)
@@ -75,6 +84,7 @@ def convoy_command(
     values["link"] = {name: given.pop(f"link_{name}") for name in field_specs(Link)}
     values["head"] = {"line": line, "origin": origin, "destination": destination}
     values["head"] |= {"driver": given.pop("head_driver"), **given}
+    values["behind"] = behind
     if mass_factors:
         disturbance = {name: given[name] for name in field_specs(Disturbance)}
         values["disturbances"] = [disturbance | {"mass_factor": f} for f in _factors(mass_factors)]
@@ -120,9 +130,8 @@ def run_and_report(request: ConvoyRequest, out: Path | None, *, as_json: bool) -
 def report(request: ConvoyRequest, kpis: ConvoyKpis) -> None:
     """Print the convoy."""
     out, known = console(), request.head.resolve()
-    where = (
-        f"{known.line} {known.origin} → {known.destination}, {request.count} x {known.trainset} {known.load}"
-    )
+    trainsets = ", ".join((f"{known.trainset} {known.load}", *request.behind))
+    where = f"{known.line} {known.origin} → {known.destination}, {request.count} x {trainsets}"
     style = "bold" if kpis.success else "bold red"
     out.print(f"{where}, {request.follower} behind {known.driver}: {kpis.verdict}", style=style)
     out.print(
@@ -157,7 +166,9 @@ def report(request: ConvoyRequest, kpis: ConvoyKpis) -> None:
         rows = map(_manoeuvre_row, kpis.manoeuvres)
         spare = ("smallest gap m", "from s", "to s", "jerk m/s³")
         out.print(table("", columns, rows, right=range(2, len(columns)), spare=spare))
-        out.print("Positions are those of the head; gap kept: the same trainset at the gap of the beginning.")
+        out.print(
+            "Positions: front of the trainset ahead; gap kept: the same trainset at the gap of the beginning."
+        )
 
 
 def _row(member: MemberKpis) -> tuple[str, ...]:

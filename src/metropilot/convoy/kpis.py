@@ -12,7 +12,7 @@ import numpy as np
 from metropilot._io import fill_folder, write_json
 from metropilot._provenance import provenance
 from metropilot.convoy.joint import joint_optimum
-from metropilot.convoy.manoeuvre import Manoeuvre, find_manoeuvres
+from metropilot.convoy.manoeuvre import Manoeuvre, find_manoeuvres, uncouples
 from metropilot.convoy.request import ConvoyRequest
 from metropilot.convoy.rollout import ConvoyDrive
 from metropilot.evaluate import (
@@ -24,6 +24,7 @@ from metropilot.evaluate import (
     Check,
     checks,
     command_variation,
+    copy_input,
     copy_inputs,
     max_jerk,
     verdict_words,
@@ -249,8 +250,8 @@ def convoy_kpis(drive: ConvoyDrive, scheduled_time_s: float) -> ConvoyKpis:
 def _marks(drive: ConvoyDrive) -> list[float]:
     """Target position of the front of each trainset."""
     convoy, marks = drive.convoy, [drive.convoy.section.length_m]
-    uncoupled = float(drive.trajectories[0].position_m[-1]) >= convoy.uncouple_at_m
-    for ahead in convoy.trainsets[:-1]:
+    for k, ahead in enumerate(convoy.trainsets[:-1], 1):
+        uncoupled = uncouples(drive, k)
         marks.append(marks[-1] - ahead.length_m - (convoy.apart_m if uncoupled else convoy.gap_m))
     return marks
 
@@ -334,7 +335,8 @@ def write_convoy(folder: Path, request: ConvoyRequest, drive: ConvoyDrive, kpis:
         for k, trajectory in enumerate(drive.trajectories, 1):
             trajectory.write(scratch / f"trajectory-{k}.csv")
         write_json(scratch / "kpis.json", kpis.as_dict())
-        copied = replace(request, head=copy_inputs(scratch, request.head.resolve()))
+        behind = tuple(copy_input(scratch, key, f"behind-{k}") for k, key in enumerate(request.behind, 2))
+        copied = replace(request, head=copy_inputs(scratch, request.head.resolve()), behind=behind)
         write_json(scratch / "run.json", {"run": copied.values(), "made_with": provenance()})
         save_figure(convoy_figure(drive, kpis), scratch / "convoy")
 

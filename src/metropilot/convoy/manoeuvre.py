@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
@@ -24,8 +24,10 @@ BAND_M, BAND_MPS = 0.5, 0.2
 """Errors of gap and speed within which trainsets count as coupled, or as parted."""
 HOLD_S = 3.0
 """Time for which they must stay within both."""
-PLACE_M = 1.0
-"""Distance beyond the place at which a gap that is open still counts as open in time."""
+MOVES_MPS = 1.0
+"""Least speed at which a planned gap must be closed: coupled on the move."""
+PLACE_M = 10.0
+"""Distance beyond the place by which the speed difference of an open gap must have died out."""
 TRIALS = 6
 """Halvings that find the largest gap, or the first place, that there is room for."""
 
@@ -37,14 +39,14 @@ ManoeuvreKind = Literal["coupling", "uncoupling"]
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """Coupling or uncoupling of one follower on the move. Positions are those of the front of the head.
+    """Coupling or uncoupling of one follower on the move. Positions are fronts of the trainset ahead of it.
 
     Attributes:
         kind: ``coupling`` or ``uncoupling``.
         trainset: Number of the follower; 1 is the head.
         begun_s: Time since departure at which the gap begins to change.
         done_s: Time from which gap and speed difference stay within ``BAND_M`` and ``BAND_MPS`` of their goal
-            for ``HOLD_S``, while both it and the head move; None: never.
+            for ``HOLD_S``, while both it and the trainset ahead move; None: never.
         begun_m: Position at the beginning.
         done_m: Position when it is done; None: never.
         place_m: Place by which it must be done; None for a coupling, which must be done before the stop.
@@ -86,9 +88,9 @@ def couples(convoy: Convoy) -> bool:
     return convoy.first_gap_m > convoy.gap_m + BAND_M
 
 
-def uncouples(convoy: Convoy) -> bool:
-    """Tell if a convoy is to uncouple on the move."""
-    return bool(np.isfinite(convoy.uncouple_at_m)) and convoy.apart_m > convoy.gap_m + BAND_M
+def uncouples(drive: ConvoyDrive, k: int) -> bool:
+    """Tell if a follower had to uncouple in a run: the trainset ahead has passed the place."""
+    return float(drive.trajectories[k - 1].position_m[-1]) >= drive.convoy.uncouple_at_m
 
 
 def find_manoeuvres(drive: ConvoyDrive) -> tuple[Manoeuvre, ...]:
@@ -106,7 +108,7 @@ def find_manoeuvres(drive: ConvoyDrive) -> tuple[Manoeuvre, ...]:
             begun = max(int(np.argmax(np.abs(gap - gap[0]) > BAND_M)) - 1, 0)
             found.append(_manoeuvre(drive, "coupling", k, begun, done, last))
             first = done or 0
-        if uncouples(convoy):
+        if uncouples(drive, k):
             done = _first_held(_within(drive, k, gap >= convoy.apart_m - BAND_M), first, last, convoy.dt)
             before = gap[first : 1 + (last if done is None else done)]
             near = np.flatnonzero(before <= before.min() + BAND_M)
@@ -115,9 +117,9 @@ def find_manoeuvres(drive: ConvoyDrive) -> tuple[Manoeuvre, ...]:
 
 
 def _last_moving(drive: ConvoyDrive, k: int) -> int:
-    """Last row of the gaps in which both a trainset and the head move."""
+    """Last row of the gaps in which both a trainset and the one ahead move."""
     ends_s = float("inf")
-    for each in (drive.trajectories[0], drive.trajectories[k]):
+    for each in drive.trajectories[k - 1 : k + 1]:
         moving = each.time_s[each.speed_mps > 0.0]
         ends_s = min(ends_s, float(moving[-1]) if moving.size else 0.0)
     return max(int(np.searchsorted(drive.time_s, ends_s + 1e-6)) - 1, 0)
@@ -140,13 +142,13 @@ def _manoeuvre(
     drive: ConvoyDrive, kind: ManoeuvreKind, k: int, begun: int, done: int | None, last: int
 ) -> Manoeuvre:
     """Record of one manoeuvre between two rows of the gaps."""
-    convoy, head, own = drive.convoy, drive.trajectories[0], drive.trajectories[k]
+    convoy, ahead, own = drive.convoy, drive.trajectories[k - 1], drive.trajectories[k]
     end = last if done is None else done
     began_s, ends_s = float(drive.time_s[begun]), float(drive.time_s[end])
     rows = slice(begun, end + 1)
     within = (own.time_s >= began_s) & (own.time_s <= ends_s)
     spent_j = np.interp([began_s, ends_s], own.time_s, own.energy_wheel_j)
-    at_m = np.interp([began_s, ends_s], head.time_s, head.position_m)
+    at_m = np.interp([began_s, ends_s], ahead.time_s, ahead.position_m)
     coupling = kind == "coupling"
     return Manoeuvre(
         kind=kind,
@@ -207,48 +209,54 @@ def check_manoeuvres(convoy: Convoy, members: Sequence[Member], head: MotionPlan
     """
     if couples(convoy):
         _check_coupling(convoy, members, head)
-    if uncouples(convoy):
+    if np.isfinite(convoy.uncouple_at_m):
         _check_uncoupling(convoy, members, head)
 
 
-def planned_gaps(
-    members: Sequence[Member], head: MotionPlan, first_gap_m: float
-) -> Float[ndarray, "followers rows"]:
-    """Gaps that the followers of a head plan at the rows of its plan, from a gap at departure."""
-    found, ahead = [], head
+def plan_followers(members: Sequence[Member], head: MotionPlan, first_gap_m: float) -> list[MotionPlan]:
+    """Planned motions of a head and its followers, from a gap at departure."""
+    plans = [head]
     for before, member in pairwise(members):
         length_m = float(before.length_m)
-        own = place_behind(
-            ahead, member, length_m, float(head.start_s), lambda t: np.full(np.shape(t), first_gap_m)
+        plans.append(
+            place_behind(
+                plans[-1], member, length_m, float(head.start_s), lambda t: np.full(np.shape(t), first_gap_m)
+            )
         )
-        found.append(ahead.position_m - length_m - own.position_m)
-        ahead = own
-    return np.array(found)
+    return plans
 
 
-def _coupled_by(convoy: Convoy, gaps: Float[ndarray, "followers rows"], head: MotionPlan) -> bool:
-    """Tell if planned gaps are all closed while the head moves."""
-    near = (gaps <= convoy.gap_m + BAND_M).all(axis=0)
-    return bool((near & (head.speed_mps > 0.0)).any())
+def _gaps(
+    members: Sequence[Member], plans: Sequence[MotionPlan]
+) -> Iterator[tuple[MotionPlan, Float[ndarray, " rows"]]]:
+    """Planned motion of the trainset ahead, and planned gap behind it, of each follower."""
+    for before, (ahead, own) in zip(members, pairwise(plans), strict=False):
+        yield ahead, ahead.position_m - float(before.length_m) - own.position_m
+
+
+def _least_gaps(
+    convoy: Convoy, members: Sequence[Member], head: MotionPlan, first_gap_m: float
+) -> list[float]:
+    """Smallest planned gap of each follower before the stop or the place, while the trainset ahead moves."""
+    plans = plan_followers(members, head, first_gap_m)
+    return [
+        float(gap[(ahead.speed_mps > MOVES_MPS) & (ahead.position_m < convoy.uncouple_at_m)].min())
+        for ahead, gap in _gaps(members, plans)
+    ]
 
 
 def _check_coupling(convoy: Convoy, members: Sequence[Member], head: MotionPlan) -> None:
-    gaps = planned_gaps(members, head, convoy.first_gap_m)
-    if _coupled_by(convoy, gaps, head):
+    least_m = max(_least_gaps(convoy, members, head, convoy.first_gap_m))
+    if least_m <= convoy.gap_m + BAND_M:
         return
-    moving = head.speed_mps > 0.0
-    if uncouples(convoy):
-        moving &= head.position_m < convoy.uncouple_at_m
-    least_m = gaps[:, moving].min(axis=1)
     low, high = convoy.gap_m, convoy.first_gap_m
     for _ in range(TRIALS):
         middle = 0.5 * (low + high)
-        fits = _coupled_by(convoy, planned_gaps(members, head, middle), head)
+        fits = max(_least_gaps(convoy, members, head, middle)) <= convoy.gap_m + BAND_M
         low, high = (middle, high) if fits else (low, middle)
     place_m = min(convoy.uncouple_at_m, convoy.section.length_m)
     before = "it uncouples" if place_m < convoy.section.length_m else "the stop"
-    closed_m = np.maximum(convoy.first_gap_m - least_m, 1.0)
-    room_m = place_m * float(((convoy.first_gap_m - convoy.gap_m) / closed_m).max())
+    room_m = place_m * (convoy.first_gap_m - convoy.gap_m) / max(convoy.first_gap_m - least_m, 1.0)
     raise Infeasible(
         f"the gap cannot be closed before {before}: it takes about {_round_up(room_m)} m of way, "
         f"there are {place_m:.0f} m",
@@ -261,24 +269,23 @@ def _check_coupling(convoy: Convoy, members: Sequence[Member], head: MotionPlan)
     )
 
 
-def _open_by(
-    convoy: Convoy, members: Sequence[Member], head: MotionPlan, place_m: float
-) -> Bool[ndarray, " followers"]:
-    """Tell which planned gaps are open when the head reaches a place."""
+def _opens_by(convoy: Convoy, members: Sequence[Member], head: MotionPlan, place_m: float) -> bool:
+    """Tell if every planned gap is open when the trainset ahead reaches a place."""
     shift = place_m - convoy.uncouple_at_m
     moved = [each._replace(uncouple_at_m=each.uncouple_at_m + shift) for each in members]
-    row = min(int(np.searchsorted(head.position_m, place_m)), head.position_m.size - 1)
-    return planned_gaps(moved, head, convoy.first_gap_m)[:, row] >= convoy.apart_m - BAND_M
+    plans = plan_followers(moved, head, convoy.first_gap_m)
+    reached = [gap[ahead.position_m >= place_m] for ahead, gap in _gaps(members, plans)]
+    return all(gap[0] >= convoy.apart_m - BAND_M for gap in reached if gap.size)
 
 
 def _check_uncoupling(convoy: Convoy, members: Sequence[Member], head: MotionPlan) -> None:
-    if _open_by(convoy, members, head, convoy.uncouple_at_m).all():
+    if _opens_by(convoy, members, head, convoy.uncouple_at_m):
         return
     low, high = convoy.uncouple_at_m, LAST_SHARE * convoy.section.length_m
-    possible = bool(_open_by(convoy, members, head, high).all())
+    possible = _opens_by(convoy, members, head, high)
     for _ in range(TRIALS if possible else 0):
         middle = 0.5 * (low + high)
-        fits = bool(_open_by(convoy, members, head, middle).all())
+        fits = _opens_by(convoy, members, head, middle)
         low, high = (low, middle) if fits else (middle, high)
     raise Infeasible(
         f"gaps of {convoy.apart_m:g} m cannot be open there",

@@ -179,8 +179,8 @@ class ConvoySettings:
         gap_m: Desired gap, rear of one to front of the next.
         start_gap_m: Gap at departure; None: the desired one.
         apart_m: Desired gap once uncoupled.
-        uncouple_at_m: Position of the head's front by which followers with a plan have opened their gaps to
-            ``apart_m``; others begin there (infinite: nowhere).
+        uncouple_at_m: Place of uncoupling: when the front of a trainset arrives there, a follower with a plan
+            has opened its gap to ``apart_m``, and another begins to (infinite: nowhere).
         link: Link from each trainset to the next.
         guard: Assumption of protection: ``coupled`` (brakes controlled to rates that rise along the
             convoy), ``independent`` (no brake is stronger than declared, gradients included),
@@ -197,7 +197,7 @@ class ConvoySettings:
     apart_m: float = declare(100.0, "Desired gap once uncoupled.", unit="m", low=0.5, high=2000.0)
     uncouple_at_m: float = declare(
         float("inf"),
-        "Place of the head by which the gaps are open; a follower without a plan begins there.",
+        "Where the gap behind a trainset is open when it arrives; a follower without a plan begins then.",
         unit="m",
         low=0.0,
         infinite=True,
@@ -259,13 +259,9 @@ class Convoy(ConvoySettings):
     @property
     def starts_m(self) -> tuple[float, ...]:
         """Position of the front of each trainset at departure, the head at 0."""
-        return self.place(self.first_gap_m)
-
-    def place(self, gap_m: float) -> tuple[float, ...]:
-        """Position of the front of each trainset at equal gaps, the head at 0."""
         found = [0.0]
         for trainset in self.trainsets[:-1]:
-            found.append(found[-1] - trainset.length_m - gap_m)
+            found.append(found[-1] - trainset.length_m - self.first_gap_m)
         return tuple(found)
 
     @property
@@ -395,7 +391,8 @@ def _member(convoy: Convoy, k: int, before_m: float, dtype: type) -> Member:
         start_m=dtype(convoy.starts_m[k]),
         gap_m=dtype(convoy.gap_m),
         apart_m=dtype(convoy.apart_m),
-        uncouple_at_m=dtype(convoy.uncouple_at_m + convoy.place(convoy.gap_m)[k]),
+        # where it is at the desired gap while the one ahead arrives at the place
+        uncouple_at_m=dtype(convoy.uncouple_at_m - (k and convoy.trainsets[k - 1].length_m + convoy.gap_m)),
         is_head=np.bool_(k == 0),
     )
 

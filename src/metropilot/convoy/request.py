@@ -10,13 +10,22 @@ from pathlib import Path
 from typing import Any
 
 from metropilot._io import read_text
-from metropilot._schema import FieldSpec, check_fields, declare, field_specs, from_table
+from metropilot._schema import FieldSpec, check_fields, convert, declare, field_specs, from_table
 from metropilot.convoy.drivers import FOLLOWERS, AbstractFollower
 from metropilot.convoy.model import LEADER_SHARE, TRAINSETS, Convoy, ConvoySettings, Link
 from metropilot.convoy.rollout import ConvoyDrive, DrivenHead, drive_convoy
 from metropilot.errors import InputError, rename_fields
-from metropilot.evaluate import RunSpec, locate_files, locate_policy, make_driver, run_fields, with_options
+from metropilot.evaluate import (
+    RunSpec,
+    is_file,
+    locate_files,
+    locate_policy,
+    make_driver,
+    run_fields,
+    with_options,
+)
 from metropilot.planning import joint_minimum_running_time
+from metropilot.railway import load_trainset
 from metropilot.sim import Disturbance, Run
 
 
@@ -32,6 +41,8 @@ class ConvoyRequest(ConvoySettings):
         follower: Id of the driver of the followers.
         options: Its options.
         emergency_s: Time at which the head makes an emergency brake (infinite: never).
+        behind: Trainsets of the followers, front to back, as ``trainset`` of the head's run; the last also
+            stands for those after it; empty: that of the head.
     """
 
     head: RunSpec
@@ -49,8 +60,17 @@ class ConvoyRequest(ConvoySettings):
         option="head-emergency",
     )
 
+    behind: tuple[str, ...] = ()
+
     def __post_init__(self) -> None:
         check_fields(self)
+        if len(self.behind) >= self.count:
+            raise InputError(
+                "more trainsets than followers",
+                field="behind",
+                value=len(self.behind),
+                allowed=f"at most {self.count - 1}",
+            )
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any], head: RunSpec | None = None) -> ConvoyRequest:
@@ -74,7 +94,9 @@ class ConvoyRequest(ConvoySettings):
             with rename_fields({name: f"disturbances.{k}.{name}" for name in field_specs(Disturbance)}):
                 own.append(from_table(Disturbance, each))
         options = dict(given.pop("options", {}))
-        return from_table(cls, given, head=head, link=link, options=options, disturbances=tuple(own))
+        behind = tuple(convert("behind", given.pop("behind", []), list))
+        more = {"head": head, "link": link, "options": options, "disturbances": tuple(own), "behind": behind}
+        return from_table(cls, given, **more)
 
     def convoy(self) -> Convoy:
         """The convoy.
@@ -87,9 +109,12 @@ class ConvoyRequest(ConvoySettings):
         shared["disturbances"] = tuple(
             replace(each, updates=updates) for each in self.disturbances or (self.head.disturbance,)
         )
+        with rename_fields({"trainset": "behind"}):
+            found = tuple(load_trainset(key) for key in self.behind) or (self.head.loaded_trainset(),)
+        found += found[-1:] * (self.count - 1 - len(found))
         return Convoy(
             section=self.head.section(),
-            trainsets=(self.head.loaded_trainset(),) * self.count,
+            trainsets=(self.head.loaded_trainset(), *found),
             dt=self.head.dt_s,
             **shared,
         )
@@ -160,6 +185,7 @@ class ConvoyRequest(ConvoySettings):
             {name: getattr(each, name) for name in field_specs(Disturbance)} for each in self.disturbances
         ]
         values = own | {"head": self.head.values(), "link": asdict(self.link), "disturbances": given}
+        values |= {"behind": list(self.behind)} if self.behind else {}
         return _finite(values)
 
 
@@ -182,7 +208,8 @@ def convoy_from_json(path: Path) -> ConvoyRequest:
     with in_run_json(path, table):
         request = ConvoyRequest.from_values(table)
     options = locate_policy(request.options, path.parent)
-    return replace(request, head=locate_files(request.head, path.parent), options=options)
+    behind = tuple(str(path.parent / key) if is_file(key) else key for key in request.behind)
+    return replace(request, head=locate_files(request.head, path.parent), options=options, behind=behind)
 
 
 def in_run_json(path: Path, table: Mapping[str, Any] | None = None) -> AbstractContextManager[None]:

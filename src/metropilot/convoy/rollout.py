@@ -425,7 +425,8 @@ class ConvoyRollout:
     def move_one(self, k: int, own: Member, state: MemberState, now: np.float64, period: int) -> MemberState:
         """Advance one trainset by one control period."""
         permitted = _permitted(own, state)
-        seen = observe_member(own, state, now, np.float64(self.dt), np.float64(permitted), self.known[k])
+        coming = permitted if k == 0 else min(permitted, self.coming_limit(own, state))
+        seen = observe_member(own, state, now, np.float64(self.dt), np.float64(coming), self.known[k])
         self.plants[k] = learn(self.plants[k], seen)
         if k == 0:
             command = Command(self.head_share(state, period, permitted), bool(now >= self.head.emergency_s))
@@ -437,6 +438,16 @@ class ConvoyRollout:
         if k == 0 and self.driving is not None:
             self.driving.note(state, after, float(now) + self.dt)
         return after
+
+    @staticmethod
+    def coming_limit(own: Member, state: MemberState) -> float:
+        """Permitted speed where a trainset will be when a brake begins to act (for catching up)."""
+        if own.protection is None:
+            return UNLIMITED_MPS
+        rates, believed = own.protection.rates, own.believed
+        late_s = rates.mass_high / rates.mass_low * (rates.reaction_s + believed.delay_s + believed.lag_s)
+        at_m = float(state.plant.position_m + late_s * state.plant.speed_mps)
+        return float(permitted_speed(own.protection, at_m))
 
     def head_share(self, state: MemberState, period: int, permitted_mps: float) -> np.float64:
         """Command of the head; it holds its brakes once its run is over."""

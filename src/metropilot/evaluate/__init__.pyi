@@ -11,6 +11,7 @@ from .driver_options import parse_driver as parse_driver
 from .driver_options import parse_option as parse_option
 from .driver_options import with_options as with_options
 from .folder import comparison_json as comparison_json
+from .folder import copy_input as copy_input
 from .folder import copy_inputs as copy_inputs
 from .folder import write_comparison as write_comparison
 from .folder import write_run as write_run

@@ -87,15 +87,20 @@ def write_run_toml(folder: Path, request: RunSpec) -> None:
     (folder / "run.toml").write_text(head + tomli_w.dumps(table), encoding="utf-8")
 
 
+def copy_input(folder: Path, text: str, stem: str) -> str:
+    """Copy the file of a line or trainset into a folder; returns its new key, a catalogue's unchanged."""
+    key = parse_trainset(text)
+    source = Path(key.id)
+    if not is_file(source.name):
+        return text
+    name = f"{stem}{source.suffix.lower()}"
+    shutil.copyfile(source, folder / name)
+    return str(key._replace(id=name))
+
+
 def copy_inputs(folder: Path, request: RunSpec) -> RunSpec:
     """Copy line, trainset and policy files into a folder; returns the request with their new names."""
-    for kind in FILES:
-        key = parse_trainset(getattr(request, kind))
-        source = Path(key.id)
-        if is_file(source.name):
-            name = f"{kind}{source.suffix.lower()}"
-            shutil.copyfile(source, folder / name)
-            request = replace(request, **{kind: str(key._replace(id=name))})
+    request = replace(request, **{kind: copy_input(folder, getattr(request, kind), kind) for kind in FILES})
     if request.options.get(POLICY):
         source = policy_path(request.options[POLICY])
         shutil.copyfile(source, folder / source.name)

@@ -409,6 +409,7 @@ class Service:
         head = self._run(LiveIn.model_validate({n: values[n] for n in LiveIn.model_fields if n != "pace"}))
         own = {n: values[n] for n in (*field_specs(ConvoyRequest), "disturbances") if n in values}
         link = {n: values[f"link_{n}"] for n in field_specs(Link) if f"link_{n}" in values}
+        own["behind"] = [self.path("trainset", key) for key in values["behind"]]
         made = ConvoyRequest.from_values(own | {"count": asked.trainsets, "link": link}, head)
         made.make_follower()
         made.run(made.convoy())

@@ -165,7 +165,7 @@ class ConvoyPage:
         pace = asked["pace"] if session is None else session.known.pace
         self.pace.value = pace if pace in PACES else self.pace.value
         names = ("start_gap_m", "apart_m", "uncouple_at_m", "emergency_s", "disturbances", "options")
-        self.kept = {name: asked[name] for name in names}
+        self.kept = {name: asked[name] for name in names} | {"behind": asked.get("behind", [])}
 
     async def update_section(self) -> None:
         """Draw the section, with room for the convoy behind its origin."""

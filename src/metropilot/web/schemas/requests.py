@@ -221,11 +221,13 @@ ConvoySettingsIn = create_model(
 class ConvoyIn(DriveIn, ConvoySettingsIn):
     """A live convoy: the head's run, the followers and the link between them.
 
-    Its disturbance acts on every trainset, unless each has one of its own.
+    Its disturbance acts on every trainset, unless each has one of its own. ``behind``: trainsets of the
+    followers, if not the head's; the last also stands for those after it.
     """
 
     trainsets: Annotated[int, Checked("trainsets", TRAINSETS)] = 3
     follower: Id = "follow_plan"
+    behind: Annotated[list[Id], Field(max_length=5)] = []
     disturbances: Annotated[list[DisturbanceIn], Field(max_length=6)] = []  # pyright: ignore[reportInvalidTypeForm]
     pace: Annotated[float, Field(ge=0, le=20)] = 1.0
 
