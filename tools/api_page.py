@@ -35,6 +35,7 @@ LAYERS = (
     "campaign",
     "convoy",
     "fit",
+    "operation",
     "studies",
     "cli",
     "web",

@@ -3,6 +3,7 @@ from .attainable import Ramp as Ramp
 from .attainable import attainable_plan as attainable_plan
 from .attainable import departure_ramp as departure_ramp
 from .attainable import stop_ramp as stop_ramp
+from .cruise import cruise_plan as cruise_plan
 from .effort_table import STEP_MPS as STEP_MPS
 from .effort_table import Specific as Specific
 from .effort_table import specific as specific
@@ -44,6 +45,7 @@ from .optimal import pull_away as pull_away
 from .optimal import ramped_acceleration as ramped_acceleration
 from .optimal import time_energy_front as time_energy_front
 from .prices import Objective as Objective
+from .prices import cost_per_metre as cost_per_metre
 from .references import Reference as Reference
 from .references import ReferenceShape as ReferenceShape
 from .references import peak_speed as peak_speed

@@ -94,6 +94,7 @@ class Plan:
         time_s: Time since the start at the nodes, dwells included. Shape (N+1,).
         traction_n: Traction force of the (first) trainset on each segment. Shape (N,).
         brake_n: Its braking force. Shape (N,).
+        electric_brake_n: The part of it that the electric brake gives. Shape (N,).
         running_time_s: Total time, dwells included.
         energy_j: Objective of the plan, evaluated on its own speed profile.
         bound_j: Dual value: no drive of the convex problem costs less (if it may be late: no drive as late).
@@ -111,6 +112,7 @@ class Plan:
     time_s: Float[ndarray, " nodes"]
     traction_n: Float[ndarray, " segments"]
     brake_n: Float[ndarray, " segments"]
+    electric_brake_n: Float[ndarray, " segments"]
     running_time_s: float
     energy_j: float
     bound_j: float
@@ -409,18 +411,39 @@ def _evaluate(
     passes: int,
     late_w: float | None,
 ) -> Plan:
-    """Evaluate the answer's speed profile by itself: forces from the dynamics, times from the speeds."""
-    speed = np.sqrt(2 * answer.energy)
+    """The plan of an answer: its speed profile evaluated by itself, and what the answer says beyond it."""
+    slack = (2 * answer.energy - answer.speed**2) / max(float(2 * answer.energy.max()), 1e-9)
+    return replace(
+        evaluate_profile(vehicle, table, mesh, answer.energy, options),
+        bound_j=(answer.dual - (late_w or 0.0) * answer.late) * table.mass_kg,
+        second_w=answer.second * table.mass_kg,
+        tightness=float(slack.max()),
+        passes=passes,
+        dwell_s=tuple(float(w) for w in answer.dwell),
+    )
+
+
+def evaluate_profile(
+    vehicle: Vehicle, table: Specific, mesh: Mesh, energy: Float[ndarray, " nodes"], options: PlanOptions
+) -> Plan:
+    """Evaluate a speed profile: forces from the dynamics, times from the speeds; it has no bound.
+
+    Args:
+        vehicle: Trainset.
+        table: The same, per kg.
+        mesh: Mesh, with the coupled trainsets.
+        energy: ``v^2/2`` at the nodes.
+        options: Objective, speeds at the ends, jerk.
+    """
+    speed = np.sqrt(2 * energy)
     speed[0], speed[-1] = options.start_mps, options.end_mps
-    energy = 0.5 * speed**2
-    duration = times(mesh, energy)
+    duration = times(mesh, 0.5 * speed**2)
     duration[[0, -1]] += _ramp_times(mesh, options)
     needs = [
         _evaluate_forces(each, mesh.length_m, speed, duration, options.objective)
         for each in all_trainsets(vehicle, table, mesh)
     ]
     head = needs[0]
-    slack = (2 * answer.energy - answer.speed**2) / max(float(2 * answer.energy.max()), 1e-9)
     clock = np.concatenate([[0.0], np.cumsum(duration)])
     return Plan(
         position_m=mesh.node_m,
@@ -428,15 +451,15 @@ def _evaluate(
         time_s=clock,
         traction_n=head.traction * table.mass_kg,
         brake_n=head.brake * table.mass_kg,
+        electric_brake_n=head.electric * table.mass_kg,
         running_time_s=float(clock[-1]),
         energy_j=sum(each.cost_j for each in needs),
-        bound_j=(answer.dual - (late_w or 0.0) * answer.late) * table.mass_kg,
+        bound_j=-math.inf,
         energy_wheel_j=sum(each.wheel_j for each in needs),
-        second_w=answer.second * table.mass_kg,
-        tightness=float(slack.max()),
+        second_w=math.nan,
+        tightness=0.0,
         effort_excess=max(each.excess for each in needs),
-        passes=passes,
-        dwell_s=tuple(float(w) for w in answer.dwell),
+        passes=0,
         trainset_energy_j=tuple(each.cost_j for each in needs),
     )
 
@@ -446,6 +469,7 @@ class _Needs(NamedTuple):
 
     traction: ndarray
     brake: ndarray
+    electric: ndarray
     wheel_j: float
     cost_j: float
     excess: float
@@ -474,6 +498,7 @@ def _evaluate_forces(
     return _Needs(
         traction,
         brake,
+        recovered,
         float(np.sum(traction * ds)) * table.mass_kg,
         cost * table.mass_kg,
         float(np.max(np.where(traction > 1e-6, excess, 0.0))),

@@ -1,0 +1,12 @@
+from .line_service import Driving as Driving
+from .line_service import EnergyBalance as EnergyBalance
+from .line_service import LineOperation as LineOperation
+from .line_service import OperationOptions as OperationOptions
+from .line_service import Timetable as Timetable
+from .line_service import Trip as Trip
+from .line_service import divide_zones as divide_zones
+from .power import PeriodicPower as PeriodicPower
+from .power import PowerProfile as PowerProfile
+from .power import add_periodic as add_periodic
+from .power import profile_of_plan as profile_of_plan
+from .power import profile_of_trajectory as profile_of_trajectory

@@ -1,0 +1,362 @@
+"""A line in operation: trips of both directions at a headway, feeding zones, energy and its floor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy import ndarray
+
+from metropilot._schema import check_fields, declare
+from metropilot._typing import Float, Int
+from metropilot.errors import Infeasible, InputError
+from metropilot.operation.power import PeriodicPower, PowerProfile, add_periodic, profile_of_plan
+from metropilot.physics import track_arrays, vehicle_arrays
+from metropilot.planning import PlanOptions, cruise_plan, minimum_running_time, plan_arrays
+from metropilot.railway import Efficiency, Line, Section, Trainset
+from metropilot.units import J_PER_KWH
+
+Driving = Literal["optimal", "cruise"]
+"""How trips are driven: by the plan of least net energy, or at one speed and with full service braking."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OperationOptions:
+    """Operation of a line at a periodic headway.
+
+    Attributes:
+        headway_s: Time between two trains of a direction.
+        dwell_s: Planned time at every platform on the way.
+        dwell_window_s: Most by which a timetable may change a dwell.
+        time_window_s: Most by which a timetable may change a running time.
+        turnround_s: Least time between arrival and departure at a terminal station.
+        reserve: Running time over the minimum running time, less 1, on a line without planned times.
+        zones: Feeding zones. They meet at stations; one zone for each section is the most.
+        transfer_loss: Share of the returned power that is lost on the way to another train of the zone.
+        efficiency_traction: Wheel over line power in traction; None: the trainset's.
+        efficiency_braking: Line over wheel power in electric braking; None: the trainset's.
+    """
+
+    headway_s: int = declare(180, "Time between two trains of a direction.", unit="s", low=10.0, high=7200.0)
+    dwell_s: int = declare(30, "Planned time at every platform on the way.", unit="s", low=0.0, high=600.0)
+    dwell_window_s: int = declare(
+        10, "Most by which the timetable may change a dwell.", unit="s", low=0.0, high=300.0
+    )
+    time_window_s: int = declare(
+        4, "Most by which the timetable may change a running time.", unit="s", low=0.0, high=60.0
+    )
+    turnround_s: int = declare(120, "Least time at a terminal station.", unit="s", low=0.0, high=3600.0)
+    reserve: float = declare(
+        0.1,
+        "Running time over the minimum, less 1, on a line without planned times.",
+        low=0.0,
+        high=2.0,
+    )
+    zones: int = declare(4, "Feeding zones, which meet at stations.", low=1, high=1000)
+    transfer_loss: float = declare(
+        0.1, "Share of the returned power lost on the way to another train.", low=0.0, high=1.0
+    )
+    efficiency_traction: float | None = declare(
+        None, "Wheel over line power in traction; that of the trainset if not given.", low=0.01, high=1.0
+    )
+    efficiency_braking: float | None = declare(
+        None,
+        "Line over wheel power in electric braking; that of the trainset if not given.",
+        low=0.01,
+        high=1.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if self.dwell_window_s > self.dwell_s:
+            raise InputError(
+                "a dwell window that is longer than the dwell",
+                field="dwell_window_s",
+                value=self.dwell_window_s,
+                unit="s",
+                allowed=f"at most the dwell, {self.dwell_s:g} s",
+            )
+
+
+class Trip(NamedTuple):
+    """One section of a line in one direction.
+
+    Attributes:
+        section: Section.
+        backward: True in the direction of falling positions.
+        zone: Feeding zone, counted from 0 along the line.
+        planned_s: Planned running time, whole seconds.
+        allowed_s: Running times that a timetable may give it, increasing, whole seconds.
+    """
+
+    section: Section
+    backward: bool
+    zone: int
+    planned_s: int
+    allowed_s: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Timetable:
+    """Periodic timetable: everything repeats every headway.
+
+    Attributes:
+        departure_s: Departure of each trip of one train each way, forward and then backward. Shape (M,).
+        running_time_s: Running time of each trip, a key of its profiles. Shape (M,).
+    """
+
+    departure_s: Float[ndarray, " trips"]
+    running_time_s: Int[ndarray, " trips"]
+
+    @property
+    def arrival_s(self) -> Float[ndarray, " trips"]:
+        """Arrival of each trip."""
+        return self.departure_s + self.running_time_s
+
+
+@dataclass(frozen=True)
+class EnergyBalance:
+    """Energy of all trains in one headway, which is that of one train in a round trip.
+
+    Attributes:
+        supplied_j: From the substations.
+        drawn_j: Drawn by the trains: traction and auxiliaries.
+        returned_j: Returned by braking trains.
+        received_j: The part of it that other trains received.
+        transferred_loss_j: The part lost on the way to them.
+        unreceived_j: The part that no train of the zone could take.
+    """
+
+    supplied_j: float
+    drawn_j: float
+    returned_j: float
+    received_j: float
+    transferred_loss_j: float
+    unreceived_j: float
+
+    @property
+    def supplied_kwh(self) -> float:
+        """Energy from the substations, kWh."""
+        return self.supplied_j / J_PER_KWH
+
+
+Profiles = Sequence[Mapping[int, PowerProfile]]
+"""Power of each trip by its running time."""
+
+
+def divide_zones(line: Line, zones: int) -> Int[ndarray, " sections"]:
+    """Zone of each section: zones meet at the stations nearest to an even division of the line.
+
+    Raises:
+        InputError: More zones than sections.
+    """
+    position = np.array([station.position_m for station in line.stations])
+    sections = position.size - 1
+    if zones > sections:
+        allowed = f"1 to {sections}, one for each section"
+        raise InputError("too many feeding zones", field="zones", value=zones, allowed=allowed)
+    edges = [0]
+    for k in range(1, zones):
+        target = position[0] + (position[-1] - position[0]) * k / zones
+        nearest = int(np.argmin(np.abs(position - target)))
+        edges.append(min(max(nearest, edges[-1] + 1), sections - (zones - k)))
+    return np.searchsorted(np.array(edges), np.arange(sections), side="right") - 1
+
+
+class LineOperation:
+    """A line in operation at a periodic headway.
+
+    Args:
+        line: Line; every station is a stop.
+        trainset: Trainset with its load.
+        options: Headway, dwells, windows, feeding.
+
+    Attributes:
+        line: Line.
+        trainset: Trainset, its net energy counted as if every returned joule reached another train.
+        options: Options.
+        trips: Trips of one train, forward and then backward.
+        count: Trips in one direction.
+
+    Raises:
+        InputError: More zones than sections.
+        Infeasible: A planned running time is below the minimum.
+    """
+
+    def __init__(self, line: Line, trainset: Trainset, options: OperationOptions) -> None:
+        self.line, self.options = line, options
+        given = {
+            name: Efficiency.constant(value)
+            for name in ("efficiency_traction", "efficiency_braking")
+            if (value := getattr(options, name)) is not None
+        }
+        self.trainset = replace(trainset, receptivity=1.0 - options.transfer_loss, **given)
+        # The time of a trip is given, and with it what auxiliaries take: without them a plan uses all of it.
+        self._silent = replace(self.trainset, auxiliary_w=0.0)
+        zones = divide_zones(line, options.zones)
+        self.count = zones.size
+        both = [
+            *((section, False, zone) for section, zone in zip(line.sections(), zones.tolist(), strict=True)),
+            *(
+                (section, True, zone)
+                for section, zone in zip(line.sections(backward=True), zones[::-1].tolist(), strict=True)
+            ),
+        ]
+        self.trips = tuple(self._trip(*each) for each in both)
+
+    def _trip(self, section: Section, backward: bool, zone: int) -> Trip:
+        minimum_s = minimum_running_time(section, self.trainset)
+        planned = section.planned_time_s
+        planned_s = math.ceil(minimum_s * (1.0 + self.options.reserve)) if planned is None else round(planned)
+        if planned_s < minimum_s:
+            raise Infeasible(
+                f"planned running time {section.name} is below the minimum",
+                field="line",
+                value=planned_s,
+                unit="s",
+                allowed=f">= {minimum_s:.1f} s",
+            )
+        window = self.options.time_window_s
+        allowed = range(max(planned_s - window, math.ceil(minimum_s)), planned_s + window + 1)
+        return Trip(section, backward, zone, planned_s, tuple(allowed))
+
+    @property
+    def planned_s(self) -> Int[ndarray, " trips"]:
+        """Planned running times."""
+        return np.array([trip.planned_s for trip in self.trips])
+
+    def journey_s(self, *, backward: bool) -> int:
+        """Planned time from the departure at one terminal station to the arrival at the other."""
+        running = sum(trip.planned_s for trip in self.trips if trip.backward == backward)
+        return running + (self.count - 1) * self.options.dwell_s
+
+    def drive(self, trip: Trip, time_s: int, driving: Driving = "optimal") -> PowerProfile:
+        """Power of a trip driven in a running time."""
+        options = PlanOptions(objective="line")
+        if driving == "cruise":
+            return profile_of_plan(
+                cruise_plan(trip.section, self._silent, float(time_s), options), self._silent
+            )
+        vehicle, track = vehicle_arrays(self._silent), track_arrays(trip.section, self._silent)
+        return profile_of_plan(plan_arrays(vehicle, track, float(time_s), options), self._silent)
+
+    def profiles(self, driving: Driving = "optimal", *, windows: bool = False) -> Profiles:
+        """Power of every trip at its planned running time, or at every running time of its window."""
+        return [
+            {time_s: self.drive(trip, time_s, driving) for time_s in self._times(trip, windows=windows)}
+            for trip in self.trips
+        ]
+
+    @staticmethod
+    def _times(trip: Trip, *, windows: bool) -> tuple[int, ...]:
+        return trip.allowed_s if windows else (trip.planned_s,)
+
+    def plain_timetable(self, offset_s: float = 0.0) -> Timetable:
+        """Planned running times and dwells.
+
+        Args:
+            offset_s: Departure of the first backward trip after that of a forward one.
+        """
+        running = self.planned_s
+        steps = running + self.options.dwell_s
+        starts = [
+            np.concatenate([[0], np.cumsum(part[:-1])]) for part in (steps[: self.count], steps[self.count :])
+        ]
+        return Timetable(np.concatenate([starts[0], starts[1] + offset_s]).astype(float), running)
+
+    def zone_power(self, timetable: Timetable, profiles: Profiles) -> tuple[PeriodicPower, ...]:
+        """Net power of the trains in each zone: drawn, less what is returned after the transfer loss.
+
+        A train at a platform is fed by the zone that it has come from.
+        """
+        start: list[list[ndarray]] = [[] for _ in range(self.options.zones)]
+        lasts: list[list[ndarray]] = [[] for _ in range(self.options.zones)]
+        power: list[list[ndarray]] = [[] for _ in range(self.options.zones)]
+        dwell = self.dwells_s(timetable)
+        for k, trip in enumerate(self.trips):
+            profile = profiles[k][int(timetable.running_time_s[k])]
+            time = np.append(profile.time_s, profile.running_time_s + dwell[k])
+            net = profile.net_w(self.options.transfer_loss)
+            start[trip.zone].append(timetable.departure_s[k] + time[:-1])
+            lasts[trip.zone].append(np.diff(time))
+            power[trip.zone].append(np.append(net, np.zeros((1, 2)), axis=0) + self.trainset.auxiliary_w)
+        return tuple(
+            add_periodic(
+                np.concatenate(start[z]),
+                np.concatenate(lasts[z]),
+                np.concatenate(power[z]),
+                float(self.options.headway_s),
+            )
+            for z in range(self.options.zones)
+        )
+
+    def dwells_s(self, timetable: Timetable) -> Float[ndarray, " trips"]:
+        """Time at the platform after each trip; none at the terminal stations, where trains are shut down."""
+        dwell = np.append(timetable.departure_s[1:], 0.0) - timetable.arrival_s
+        dwell[[self.count - 1, -1]] = 0.0
+        return dwell
+
+    def energy(self, timetable: Timetable, profiles: Profiles) -> EnergyBalance:
+        """Energy of all trains in one headway, exact up to rounding."""
+        zones = self.zone_power(timetable, profiles)
+        driven = [of[int(s)] for of, s in zip(profiles, timetable.running_time_s, strict=True)]
+        standing_s = float(self.dwells_s(timetable).sum())
+        aboard_j = self.trainset.auxiliary_w * (sum(each.running_time_s for each in driven) + standing_s)
+        returned_j = sum(each.returned_j for each in driven)
+        through = 1.0 - self.options.transfer_loss
+        unused_j = sum(zone.negative_j for zone in zones)
+        received_j = through * returned_j - unused_j
+        return EnergyBalance(
+            supplied_j=sum(zone.positive_j for zone in zones),
+            drawn_j=sum(each.drawn_j for each in driven) + aboard_j,
+            returned_j=returned_j,
+            received_j=received_j,
+            transferred_loss_j=received_j / through - received_j if through else returned_j,
+            unreceived_j=unused_j / through if through else 0.0,
+        )
+
+    def mean_energy_j(self, profiles: Profiles, phases: int = 60) -> float:
+        """Mean energy of the plain timetable over the offset between the directions."""
+        offsets = self.options.headway_s * (np.arange(phases) + 0.5) / phases
+        return float(
+            np.mean([self.energy(self.plain_timetable(each), profiles).supplied_j for each in offsets])
+        )
+
+    def floor_j(self, profiles: Profiles) -> float:
+        """Energy that no timetable undercuts, however the trains are driven.
+
+        The sum of the certified bounds of all trips with every returned joule received behind the transfer
+        loss, and the auxiliaries. Where the profiles have several running times, a timetable may choose
+        among them as long as the running times of a direction keep their sum: the bound is then the best of
+        the Lagrangian, which holds for every price of a second.
+
+        Args:
+            profiles: Optimal profiles at the planned running times, or at all of their windows.
+        """
+        aboard_j = self.trainset.auxiliary_w * sum(self.journey_s(backward=b) for b in (False, True))
+        return aboard_j + sum(self._floor_of(profiles, backward=b) for b in (False, True))
+
+    def _floor_of(self, profiles: Profiles, *, backward: bool) -> float:
+        of = [k for k, trip in enumerate(self.trips) if trip.backward == backward]
+        bounds = [{s: each.bound_j for s, each in profiles[k].items()} for k in of]
+        total_s = sum(self.trips[k].planned_s for k in of)
+        prices = [0.0]
+        for each in bounds:
+            times = sorted(each)
+            prices += [(each[a] - each[b]) / (b - a) for a, b in pairwise(times)]
+        return max(
+            sum(min(j + price * s for s, j in each.items()) for each in bounds) - price * total_s
+            for price in prices
+        )
+
+    def fleet(self, timetable: Timetable) -> int:
+        """Trains in operation with the shortest turn-rounds that the timetable and their least time allow."""
+        headway_s, least_s = self.options.headway_s, self.options.turnround_s
+        arrival = timetable.arrival_s
+        there_s, back_s = arrival[self.count - 1], arrival[-1] - timetable.departure_s[self.count]
+        wait_s = least_s + (timetable.departure_s[self.count] - there_s - least_s) % headway_s
+        return math.ceil((there_s + wait_s + back_s + least_s - timetable.departure_s[0]) / headway_s - 1e-9)
