@@ -10,7 +10,16 @@ from typing import Any
 SECTIONS = {
     "Start": ("index.md", "tutorial.md"),
     "How to": ("howto/index.md", "howto/*.md"),
-    "Theory": ("physics.md", "planning.md", "task.md", "tracking.md", "learning.md", "convoy.md", "fit.md"),
+    "Theory": (
+        "physics.md",
+        "planning.md",
+        "task.md",
+        "tracking.md",
+        "learning.md",
+        "convoy.md",
+        "line.md",
+        "fit.md",
+    ),
     "Reference": ("drivers.md", "kpis.md", "formats.md", "console.md", "campaigns.md", "api.md"),
     "Evidence": (
         "safety.md",
