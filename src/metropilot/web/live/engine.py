@@ -18,7 +18,7 @@ from metropilot.physics import track_arrays
 from metropilot.planning import Plan, PlanOptions, minimum_running_time, optimal_plan
 from metropilot.protection import LEVELS, permitted_speed, protect
 from metropilot.railway import Restriction
-from metropilot.sim import PUNCTUALITY_S, Moment, Rollout, TimetableUpdate, declared_bounds
+from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M, Moment, Rollout, TimetableUpdate, declared_bounds
 from metropilot.units import KMH_PER_MPS
 from metropilot.web.errors import Refused
 from metropilot.web.work.drives import drive_out
@@ -191,13 +191,16 @@ class Engine:
         self.rollout.tell(news)
 
     def _instead(self) -> str:
-        """Words on the earliest arrival where the scheduled time cannot be met; else empty."""
+        """Words on the nearest arrival where the scheduled time cannot be met; else empty."""
         if self.plan is None:
             return "; no plan from here meets it"
-        arrives_s = self.time_s + float(self.plan.time_s[-1])
+        # A plan with time to spare creeps over the last centimetres; a driver stops.
+        stands_m = self.plan.position_m[-1] - STOP_TOLERANCE_M
+        arrives_s = self.time_s + float(np.interp(stands_m, self.plan.position_m, self.plan.time_s))
         if abs(arrives_s - self.rollout.scheduled_time_s) <= PUNCTUALITY_S:
             return ""
-        return f"; earliest possible arrival from here: after {arrives_s:.1f} s"
+        which = "earliest" if arrives_s > self.rollout.scheduled_time_s else "latest"
+        return f"; {which} possible arrival from here: after {arrives_s:.1f} s"
 
     def _restrict(self, restriction: Restriction) -> str:
         self.open.check_restriction(restriction)
