@@ -8,7 +8,9 @@ import pytest
 from metropilot.convoy import FOLLOWERS, Convoy, ConvoyRequest, Link, convoy_kpis, drive_convoy, speed_gains
 from metropilot.convoy.model import convoy_members
 from metropilot.convoy.plan import MotionPlan, place_behind, plan_at, plan_times
+from metropilot.convoy.step import HALF, SPARE_M, ahead_of, at_departure, most_share, update_needed_gap
 from metropilot.evaluate import RunSpec
+from metropilot.protection import spare_gap
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, TimetableUpdate
 
@@ -63,6 +65,24 @@ def test_a_follower_plans_the_gap_that_protection_needs_and_stops_at_its_mark(na
     # The trainset ahead departs and stops without a jerk limit.
     jerk = np.diff(own.speed_mps, 2)[20:-60] / DT**2
     assert abs(jerk).max() <= (1.0 if name == "dkz32" else 100.0)
+
+
+def test_the_largest_command_passes_protection_and_is_exact_at_half_traction():
+    """The chord from 0 to 1 held a light trainset back by 1.5 m, at a gap that its commands did not need."""
+    convoy = Convoy(YIZHUANG.section("RJ", "WYJ"), (load_trainset("dkz32"),) * 2, dt=DT)
+    head, own = convoy_members(convoy)
+    state = at_departure(own, head, DT, position_m=600.0, speed_mps=10.0)._replace(command=np.float64(0.6))
+    now_s = np.float64(0.0)
+    state = update_needed_gap(own, state, now_s, np.float64(DT))
+    plant, ahead = state.plant, ahead_of(own, state, now_s)
+    for gap_m in np.linspace(state.coasting_gap_m, state.pulling_gap_m, 15):
+        at = ahead._replace(rear_m=plant.position_m + gap_m)
+        share = most_share(state, gap_m)
+        spare = spare_gap(own.protection, state.watched, plant.position_m, state.measured_mps, share, at)
+        assert spare >= SPARE_M - 1e-9
+    assert most_share(state, state.half_gap_m) == pytest.approx(HALF)
+    chord_m = state.coasting_gap_m + HALF * (state.pulling_gap_m - state.coasting_gap_m)
+    assert chord_m > state.half_gap_m + 0.5
 
 
 @pytest.mark.parametrize(

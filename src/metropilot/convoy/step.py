@@ -20,6 +20,8 @@ UNLIMITED_MPS = 1e3
 """Permitted speed of a trainset without protection."""
 SPARE_M, SPARE_SHARE, SILENT_S = 0.2, 0.1, 0.4
 """Margins beyond the gap that protection needs: distance, command, and age of messages on a lossy link."""
+HALF = 0.5
+"""Command between coasting and full traction at which the needed gap is evaluated too."""
 EASE_M = 2.0
 """Lack of gap at which a follower brakes fully."""
 FADING_MPS, LONG_M, FADING_S = 0.1, 10.0, 2.0
@@ -40,6 +42,7 @@ class MemberState(NamedTuple):
         needed_gap_m: Gap that protection needs behind the trainset ahead: recent maximum, decaying.
         coasting_gap_m: Gap that it needs now to pass a command of 0.
         pulling_gap_m: The same for a command of 1.
+        half_gap_m: The same for a command of ``HALF``.
     """
 
     plant: State
@@ -52,6 +55,7 @@ class MemberState(NamedTuple):
     needed_gap_m: Array
     coasting_gap_m: Array
     pulling_gap_m: Array
+    half_gap_m: Array
 
 
 class FollowerObservation(NamedTuple):
@@ -178,6 +182,7 @@ def at_departure(
         zero,
         zero,
         zero,
+        zero,
     )
 
 
@@ -239,25 +244,33 @@ def update_needed_gap(member: Member, state: MemberState, now_s: Array, period_s
         return xp.clip(rear - plant.position_m - spare + SPARE_M, 0.0, FAR_M)
 
     # The gap needed grows with a command, and more and more: between two it is no more than their mean.
-    coasting_m, pulling_m = needed(zero), needed(zero + 1.0)
+    coasting_m, pulling_m, half_m = needed(zero), needed(zero + 1.0), needed(zero + HALF)
     share = xp.clip(state.command + SPARE_SHARE, 0.0, 1.0)
     now_m = coasting_m + share * (pulling_m - coasting_m)
     now_m = xp.where(member.is_head, 0.0, now_m)
     rate = FADING_MPS + xp.maximum(state.needed_gap_m - LONG_M, 0.0) / FADING_S
     faded_m = state.needed_gap_m - rate * period_s
     return state._replace(
-        needed_gap_m=xp.maximum(now_m, faded_m), coasting_gap_m=coasting_m, pulling_gap_m=pulling_m
+        needed_gap_m=xp.maximum(now_m, faded_m),
+        coasting_gap_m=coasting_m,
+        pulling_gap_m=pulling_m,
+        half_gap_m=half_m,
     )
 
 
 @no_type_check
 def most_share(state: MemberState, gap_m: Array) -> Array:
-    """Largest command that protection passes at a gap, by the gaps that two commands need."""
+    """Largest command that protection passes at a gap, by the gaps that three commands need.
+
+    The chord from 0 to 1 alone lies up to metres above what a command between them needs.
+    """
     xp = namespace(gap_m, state.command)
-    room = gap_m - state.coasting_gap_m
-    rising = xp.maximum(state.pulling_gap_m - state.coasting_gap_m, 1e-3)
-    share = xp.where(room < 0.0, room / EASE_M, room / rising)
-    return xp.where(state.pulling_gap_m <= 0.0, 1.0, xp.clip(share, -1.0, 1.0))
+    coasting_m, half_m = state.coasting_gap_m, state.half_gap_m
+    below = HALF * (gap_m - coasting_m) / xp.maximum(half_m - coasting_m, 1e-3)
+    above = HALF + (1.0 - HALF) * (gap_m - half_m) / xp.maximum(state.pulling_gap_m - half_m, 1e-3)
+    passed = xp.where(gap_m < half_m, below, above)
+    passed = xp.where(gap_m < coasting_m, (gap_m - coasting_m) / EASE_M, passed)
+    return xp.where(state.pulling_gap_m <= 0.0, 1.0, xp.clip(passed, -1.0, 1.0))
 
 
 @no_type_check
