@@ -72,6 +72,7 @@ NUMERIC_BASE = {
     "plan": RUN[1:4],
     "campaign": ("example",),
     "capacity": ("yizhuang", "WYJ", "RC", "--counts", "1"),
+    "line": ("yizhuang",),
     "learn": ("ppo",),
     "reproduce": ("chen2023a",),
     "serve": (),

@@ -28,6 +28,7 @@ WRITERS = {
     "plan": ("plan", *SECTION, "--out", "{}"),
     "convoy": ("convoy", *SECTION, "--trainsets", "2", "--out", "{}"),
     "capacity": ("capacity", "yizhuang", "WYJ", "RC", "--counts", "1", "--out", "{}"),
+    "line": ("line", "yizhuang", "--headway", "300", "--out", "{}"),
     "fit": ("fit", "drive/trajectory.csv", "--trainset", "dkz32", "--keep", "lag", "--out", "{}"),
     "import": ("import", "line.toml", "--force", "--out", "{}/line.toml"),
     "export": ("export", "ppo", "--to", "onnx", "--out", "{}/ppo.onnx"),

@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Drive virtually coupled trainsets: a head, and followers a few metres behind each other.",
     ),
     "capacity": ("metropilot.cli.capacity", "Compute the trainsets an hour of a line, alone and in convoys."),
+    "line": ("metropilot.cli.line", "Compute the energy of all trains of a line, beside its floor."),
     "campaign": ("metropilot.cli.campaign", "Drive a declared matrix of runs, resumable, and report it."),
     "plan": ("metropilot.cli.plan", "Compute the optimal plan, its certificate, the time-energy front."),
     "fit": ("metropilot.cli.fit", "Estimate a trainset's parameters from logs of runs."),

@@ -10,3 +10,10 @@ from .power import PowerProfile as PowerProfile
 from .power import add_periodic as add_periodic
 from .power import profile_of_plan as profile_of_plan
 from .power import profile_of_trajectory as profile_of_trajectory
+from .report import OperationEnergy as OperationEnergy
+from .report import line_figure as line_figure
+from .report import operation_energy as operation_energy
+from .report import power_figure as power_figure
+from .report import write_operation as write_operation
+from .search import best_offset as best_offset
+from .search import find_timetable as find_timetable

@@ -1,0 +1,141 @@
+"""`metropilot line`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from inspect import Parameter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from metropilot._schema import field_default, field_specs, field_type
+from metropilot.cli import options as opt
+from metropilot.cli.console import console, number, print_json, show_activity, table
+from metropilot.errors import InputError
+from metropilot.operation import OperationOptions
+
+if TYPE_CHECKING:
+    from metropilot.operation import LineOperation, OperationEnergy
+
+EXAMPLES = {
+    "line": (
+        "metropilot line yizhuang --headway 180 --zones 4",
+        "metropilot line yizhuang --headway 300 --optimise --time-window 1 --out line --json",
+    ),
+}
+OPERATION = "Operation"
+
+
+def _operation_options() -> Iterator[Parameter]:
+    for name, spec in field_specs(OperationOptions).items():
+        kind, default = field_type(OperationOptions, name), field_default(OperationOptions, name)
+        yield opt.option_of(name, spec, kind, default, OPERATION)
+
+
+@opt.with_run_options(only=("trainset", "load"), more=tuple(_operation_options()))
+def line_command(
+    line: opt.LineArgument,
+    optimise: Annotated[
+        bool,
+        typer.Option(
+            "--optimise",
+            help="Search dwells and running times too, not only the offset of the directions.",
+            rich_help_panel=OPERATION,
+        ),
+    ] = False,
+    seed: Annotated[int, typer.Option(help="Seed of the search.", min=0, rich_help_panel=OPERATION)] = 0,
+    out: opt.Out = None,
+    as_json: opt.Json = False,
+    **given: Any,  # noqa: ANN401 (the fields of an operation and of a run)
+) -> int:
+    """Compute the energy of all trains of a line at a headway, beside a floor that no timetable undercuts.
+
+    Braking trains feed those that draw at the same moment in the same feeding zone. Energies are those of all
+    trains in one headway, which is one train's in a round trip. Exit code 0: computed; 2: invalid input.
+    """
+    from metropilot._io import check_writable
+    from metropilot.operation import LineOperation, operation_energy, write_operation
+    from metropilot.railway import load_line, load_trainset
+
+    trainset = load_trainset(given.pop("trainset"), given.pop("load"))
+    operation = LineOperation(load_line(line), trainset, OperationOptions(**given))
+    if out is not None:
+        check_writable(out)
+    with show_activity(f"planning {len(operation.trips)} trips and their timetable"):
+        _check_headway(operation)
+        found = operation_energy(operation, searched=optimise, seed=seed)
+    if out is not None:
+        write_operation(out, found)
+    if as_json:
+        print_json(found.as_dict())
+        return 0
+    _print(found)
+    if out is not None:
+        files = "line.json timetable.csv trains.svg trains.png power.svg power.png"
+        console().print(f"Written to {out}: {files}")
+    return 0
+
+
+def _check_headway(operation: LineOperation) -> None:
+    """Check that trains can follow each other at the headway.
+
+    Where every section holds one train at a time they can. Below that the capacity of the line decides, with
+    all trains at its running times over the minimum.
+
+    Raises:
+        InputError: They cannot.
+    """
+    from metropilot.convoy import ServiceOptions, line_capacity
+
+    options = operation.options
+    alone_s = max(trip.planned_s for trip in operation.trips) + options.dwell_s
+    if options.headway_s >= alone_s:
+        return
+    service = ServiceOptions(dwell_s=float(options.dwell_s), reserve=options.reserve)
+    for backward in (False, True):
+        sections = operation.line.sections(backward=backward)
+        if len(sections) < 2:
+            least_s = float(alone_s)
+        else:
+            (row,) = line_capacity(sections, operation.trainset, (1,), ("moving_block",), service)
+            least_s = row.headway_s
+        if options.headway_s < least_s:
+            raise InputError(
+                "trains cannot follow each other at this headway",
+                field="headway_s",
+                value=options.headway_s,
+                unit="s",
+                allowed=f"at least {least_s:.0f} s with a moving block (metropilot capacity)",
+            )
+
+
+def _print(found: OperationEnergy) -> None:
+    operation = found.operation
+    options, trainset = operation.options, operation.trainset
+    rows = [
+        ("cruise and brake", "plain, mean offset", found.cruise_kwh),
+        ("optimal driving", "plain, mean offset", found.driving_only_kwh),
+        ("cruise and brake", "best found", found.timetable_only_kwh),
+        ("optimal driving", "best found", found.energy_kwh),
+        ("floor", "any", found.floor_kwh),
+    ]
+    cells = [
+        (
+            *words,
+            number(kwh, 1),
+            number(100.0 * (1.0 - kwh / found.cruise_kwh), 2),
+            number(100.0 * (kwh / found.floor_kwh - 1.0), 2),
+        )
+        for *words, kwh in rows
+    ]
+    zones = f"{options.zones} feeding zone{'s' * (options.zones > 1)}"
+    title = (
+        f"{operation.line.id}, {trainset.id} {trainset.load}, every {options.headway_s} s, {zones}; "
+        f"{operation.fleet(found.timetable)} trains"
+    )
+    columns = ("driving", "timetable", "kWh a round trip", "saved %", "gap %")
+    console().print(table(title, columns, cells, right=(2, 3, 4)))
+    if not found.searched:
+        console().print(
+            "Best found: offset of the directions alone; --optimise searches dwells and running times."
+        )

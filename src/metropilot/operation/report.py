@@ -1,0 +1,257 @@
+"""Energy of a line by driving and timetable beside its floor, its timetable as a table, and pictures."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from metropilot._io import fill_folder, write_json
+from metropilot._provenance import provenance
+from metropilot.operation.line_service import EnergyBalance, LineOperation, Profiles, Timetable
+from metropilot.operation.power import SAME_S
+from metropilot.operation.search import best_offset, find_timetable
+from metropilot.units import J_PER_KWH
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+WIDTH_IN, HEIGHT_IN = 8.4, 5.2
+MW = 1e6
+
+
+@dataclass(frozen=True)
+class OperationEnergy:
+    """Energy of all trains of a line in one headway, which is that of one train in a round trip.
+
+    Attributes:
+        operation: Line in operation.
+        searched: True if dwells and running times were searched, not the offset of the directions alone.
+        cruise_kwh: Cruise and brake with the plain timetable, mean over the offset.
+        driving_only_kwh: Optimal driving with the plain timetable, mean over the offset.
+        timetable_only_kwh: Cruise and brake with the best timetable found for it.
+        balance: Optimal driving with the best timetable found.
+        floor_kwh: Energy that no timetable within the same windows undercuts.
+        timetable: Timetable of ``balance``.
+        profiles: Its profiles of power.
+    """
+
+    operation: LineOperation
+    searched: bool
+    cruise_kwh: float
+    driving_only_kwh: float
+    timetable_only_kwh: float
+    balance: EnergyBalance
+    floor_kwh: float
+    timetable: Timetable
+    profiles: Profiles
+
+    @property
+    def energy_kwh(self) -> float:
+        """Energy with optimal driving and the best timetable found."""
+        return self.balance.supplied_kwh
+
+    @property
+    def gap_percent(self) -> float:
+        """Energy above the floor."""
+        return 100.0 * (self.energy_kwh / self.floor_kwh - 1.0)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Values as JSON holds them."""
+        options, balance = self.operation.options, self.balance
+        trainset = self.operation.trainset
+        return {
+            "line": self.operation.line.id,
+            "trainset": trainset.id,
+            "load": trainset.load,
+            "headway_s": options.headway_s,
+            "floor_kwh": self.floor_kwh,
+            "energy_kwh": self.energy_kwh,
+            "gap_percent": self.gap_percent,
+            "cruise_kwh": self.cruise_kwh,
+            "driving_only_kwh": self.driving_only_kwh,
+            "timetable_only_kwh": self.timetable_only_kwh,
+            "optimised": self.searched,
+            "fleet": self.operation.fleet(self.timetable),
+            "returned_kwh": balance.returned_j / J_PER_KWH,
+            "received_kwh": balance.received_j / J_PER_KWH,
+            "unreceived_kwh": balance.unreceived_j / J_PER_KWH,
+            "feeding": {"zones": options.zones, "transfer_loss": options.transfer_loss},
+        }
+
+
+def operation_energy(
+    operation: LineOperation,
+    *,
+    searched: bool = False,
+    seed: int = 0,
+    plans: Mapping[str, Profiles] | None = None,
+) -> OperationEnergy:
+    """Compute the energy of a line by driving and timetable, and its floor.
+
+    Args:
+        operation: Line in operation.
+        searched: Search dwells and running times too, within their windows; else only the offset.
+        seed: Seed of the search.
+        plans: Profiles of ``optimal`` and ``cruise`` at all running times of the windows, if they are there;
+            they depend on neither headway nor zones.
+    """
+    plans = plans or {
+        "optimal": operation.profiles(windows=searched),
+        "cruise": operation.profiles("cruise", windows=searched),
+    }
+    optimal, cruise = plans["optimal"], plans["cruise"]
+
+    def best(profiles: Profiles) -> Timetable:
+        return (
+            find_timetable(operation, profiles, seed=seed) if searched else best_offset(operation, profiles)
+        )
+
+    timetable = best(optimal)
+    return OperationEnergy(
+        operation,
+        searched,
+        cruise_kwh=operation.mean_energy_j(cruise) / J_PER_KWH,
+        driving_only_kwh=operation.mean_energy_j(optimal) / J_PER_KWH,
+        timetable_only_kwh=operation.energy(best(cruise), cruise).supplied_kwh,
+        balance=operation.energy(timetable, optimal),
+        floor_kwh=operation.floor_j(optimal) / J_PER_KWH,
+        timetable=timetable,
+        profiles=optimal,
+    )
+
+
+def line_figure(found: OperationEnergy) -> Figure:
+    """Train graph of three headways, with what each train draws and returns."""
+    from metropilot.evaluate import GREEN, GREY, VERMILION, add_headline, house_style, new_panels
+
+    operation, table = found.operation, found.timetable
+    headway_s = operation.options.headway_s
+    last_s = 3 * headway_s
+    with house_style():
+        figure, (axes,) = new_panels(WIDTH_IN, HEIGHT_IN, (1.0,))
+        named = {"draws": VERMILION, "coasts or stands": GREY, "returns": GREEN}
+        for name, colour in named.items():
+            axes.plot([], [], color=colour, label=name)
+        arrival, dwell = table.arrival_s, operation.dwells_s(table)
+        for k, trip in enumerate(operation.trips):
+            profile = found.profiles[k][int(table.running_time_s[k])]
+            start_m, end_m = trip.section.origin.position_m, trip.section.destination.position_m
+            sign = 1.0 if end_m > start_m else -1.0
+            km = (start_m + sign * profile.position_m) / 1000.0
+            net = profile.net_w(0.0).mean(axis=1)
+            kind = np.sign(np.where(np.abs(net) > 1e3, net, 0.0))
+            edges = np.concatenate([[0], np.flatnonzero(np.diff(kind)) + 1, [kind.size]])
+            first = int(-(arrival[k] + dwell[k]) // headway_s)
+            for turn in range(first, int((last_s - table.departure_s[k]) // headway_s) + 1):
+                time = profile.time_s + table.departure_s[k] + turn * headway_s
+                for a, b in pairwise(edges.tolist()):
+                    colour = (GREY, VERMILION, GREEN)[int(kind[a])]
+                    axes.plot(time[a : b + 1], km[a : b + 1], color=colour, linewidth=1.1)
+                axes.plot([time[-1], time[-1] + dwell[k]], [km[-1], km[-1]], color=GREY, linewidth=1.1)
+        stations = operation.line.stations
+        axes.set_yticks([s.position_m / 1000.0 for s in stations], [s.code for s in stations])
+        axes.set_xlim(0, last_s)
+        axes.set_xlabel("time, s")
+        add_headline(axes, _title(found), _below(found))
+        return figure
+
+
+def power_figure(found: OperationEnergy) -> Figure:
+    """Net power of the trains in each zone over one headway; what is below zero nobody receives."""
+    from metropilot.evaluate import (
+        BLUE,
+        VERMILION,
+        add_headline,
+        house_style,
+        label_panel,
+        new_panels,
+    )
+
+    zones = found.operation.zone_power(found.timetable, found.profiles)
+    with house_style():
+        height_in = max(HEIGHT_IN, 0.62 * len(zones) + 1.3)
+        figure, panels = new_panels(WIDTH_IN, height_in, (1.0,) * len(zones))
+        for k, (axes, zone) in enumerate(zip(panels, zones, strict=True)):
+            # within an instant pieces end and begin one after the other: no power that anybody sees
+            lasts = np.diff(zone.time_s) > SAME_S
+            time = np.stack([zone.time_s[:-1], zone.time_s[1:]], axis=1)[lasts].ravel()
+            power = zone.power_w[lasts].ravel() / MW
+            axes.plot(time, power, color=BLUE, linewidth=0.9)
+            axes.fill_between(time, np.minimum(power, 0.0), color=VERMILION, alpha=0.5, linewidth=0)
+            axes.axhline(0.0, color="black", linewidth=0.5)
+            axes.set_ylabel("MW")
+            if k:
+                label_panel(axes, f"zone {k + 1}")
+        panels[-1].set_xlim(0, found.operation.options.headway_s)
+        panels[-1].set_xlabel("time, s")
+        add_headline(panels[0], _title(found), f"net power of each zone; {_below(found)}")
+        return figure
+
+
+def _title(found: OperationEnergy) -> str:
+    operation = found.operation
+    trainset = operation.trainset
+    return f"{operation.line.id}, {trainset.id} {trainset.load}, every {operation.options.headway_s} s"
+
+
+def _below(found: OperationEnergy) -> str:
+    return f"{found.energy_kwh:.1f} kWh a round trip, {found.gap_percent:.2f} % above the floor"
+
+
+TIMETABLE_COLUMNS = (
+    "direction",
+    "origin",
+    "destination",
+    "zone",
+    "departure_s",
+    "arrival_s",
+    "running_time_s",
+    "dwell_s",
+)
+
+
+def write_operation(folder: Path, found: OperationEnergy) -> None:
+    """Write `line.json`, `timetable.csv`, and the pictures `trains` and `power` as SVG and PNG.
+
+    Args:
+        folder: Folder; created if missing.
+        found: Energy and timetable.
+
+    Raises:
+        InputError: The folder cannot be made or written.
+    """
+    from metropilot.evaluate import save_figure
+
+    with fill_folder(folder) as scratch:
+        write_json(scratch / "line.json", found.as_dict() | {"made_with": provenance()})
+        with (scratch / "timetable.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(TIMETABLE_COLUMNS)
+            writer.writerows(_timetable_rows(found))
+        save_figure(line_figure(found), scratch / "trains")
+        save_figure(power_figure(found), scratch / "power")
+
+
+def _timetable_rows(found: OperationEnergy) -> list[tuple[object, ...]]:
+    """One row a trip; the dwell is that at its destination."""
+    table = found.timetable
+    dwell = found.operation.dwells_s(table)
+    return [
+        (
+            "backward" if trip.backward else "forward",
+            trip.section.origin.code,
+            trip.section.destination.code,
+            trip.zone + 1,
+            round(float(table.departure_s[k])),
+            round(float(table.arrival_s[k])),
+            int(table.running_time_s[k]),
+            round(float(dwell[k])),
+        )
+        for k, trip in enumerate(found.operation.trips)
+    ]

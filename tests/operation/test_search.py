@@ -1,0 +1,102 @@
+"""The search for a timetable: within its windows, never below the floor, better than the plain timetable."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from metropilot.operation import (
+    LineOperation,
+    OperationOptions,
+    best_offset,
+    find_timetable,
+    operation_energy,
+)
+from metropilot.operation.search import _plain, _Score, _timetable
+from metropilot.railway import load_line, load_trainset
+
+TRAINSET = load_trainset("dkz32", "AW2")
+
+
+@cache
+def short_line():
+    """Five stations of Yizhuang."""
+    line = load_line("yizhuang")
+    return replace(
+        line,
+        stations=line.stations[:5],
+        planned_forward_s=line.planned_forward_s[:4],
+        planned_backward_s=line.planned_backward_s[:4],
+        dwell_s=line.dwell_s[:3],
+    )
+
+
+def operation(**given):
+    options = {"zones": 2, "headway_s": 240, "time_window_s": 2} | given
+    return LineOperation(short_line(), TRAINSET, OperationOptions(**options))
+
+
+@cache
+def profiles():
+    return operation().profiles(windows=True)
+
+
+def test_cells_add_up_to_the_exact_energy_of_a_moved_timetable():
+    line = operation(headway_s=100)
+    score, state = _Score(line, profiles()), _plain(line)
+    state.offset = 37
+    state.running[[0, 1]] += 2, -2
+    state.dwell[[4, 6]] += 7, -7
+    exact_j = line.energy(_timetable(line, state), profiles()).supplied_j
+    # means of a cell hide what crosses zero within it, and nothing else
+    assert score(state) == pytest.approx(exact_j, rel=2e-3)
+    assert score(state) <= exact_j * (1.0 + 1e-9)
+
+
+def test_the_best_offset_is_that_of_trying_every_second():
+    line = operation(headway_s=120, zones=4)
+    planned = [{t.planned_s: p[t.planned_s]} for t, p in zip(line.trips, profiles(), strict=True)]
+    exact = [line.energy(line.plain_timetable(float(k)), planned).supplied_j for k in range(120)]
+    found = line.energy(best_offset(line, planned), planned).supplied_j
+    assert found == pytest.approx(min(exact), rel=1e-4)
+    assert max(exact) > 1.002 * min(exact)
+
+
+@pytest.mark.parametrize(("headway_s", "zones"), [(90, 1), (240, 2), (600, 4)])
+def test_a_timetable_found_keeps_windows_and_sums_and_stays_above_the_floor(headway_s, zones):
+    line = operation(headway_s=headway_s, zones=zones)
+    plain = best_offset(line, profiles())
+    found = find_timetable(line, profiles(), moves=1500, restarts=1)
+    energy, before = (line.energy(each, profiles()).supplied_j for each in (found, plain))
+    assert line.floor_j(profiles()) <= energy <= before
+    assert (found.departure_s == np.round(found.departure_s)).all()
+    dwell = line.dwells_s(found)
+    for at in (slice(0, line.count), slice(line.count, None)):
+        assert found.running_time_s[at].sum() == line.planned_s[at].sum()
+        assert dwell[at].sum() == (line.count - 1) * line.options.dwell_s
+        assert np.abs(dwell[at][:-1] - line.options.dwell_s).max() <= line.options.dwell_window_s
+        assert np.abs(found.running_time_s[at] - line.planned_s[at]).max() <= 2
+
+
+def test_a_search_is_repeated_by_its_seed():
+    line = operation()
+    once, again = (find_timetable(line, profiles(), seed=3, moves=300, restarts=2) for _ in range(2))
+    assert (once.departure_s == again.departure_s).all()
+    assert (once.running_time_s == again.running_time_s).all()
+
+
+def test_a_search_at_planned_running_times_leaves_them():
+    line = operation(time_window_s=0, dwell_window_s=0)
+    planned = [{t.planned_s: p[t.planned_s]} for t, p in zip(line.trips, profiles(), strict=True)]
+    found = find_timetable(line, planned, moves=200, restarts=1)
+    assert (found.running_time_s == line.planned_s).all()
+    assert np.unique(line.dwells_s(found)).tolist() == [0.0, 30.0]
+
+
+def test_energies_are_in_order():
+    line = operation(time_window_s=1)
+    found = operation_energy(line, searched=True)
+    assert found.floor_kwh <= found.energy_kwh < found.driving_only_kwh < found.cruise_kwh
+    assert found.energy_kwh < found.timetable_only_kwh < found.cruise_kwh
+    assert found.gap_percent == pytest.approx(100 * (found.energy_kwh / found.floor_kwh - 1))
