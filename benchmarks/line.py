@@ -12,8 +12,7 @@ from pathlib import Path
 
 from benchmarks.beside_optimum import table
 from benchmarks.report import circumstances, replace_section
-from metropilot.operation import LineOperation, OperationOptions, operation_energy
-from metropilot.operation.search import MOVES, RESTARTS
+from metropilot.operation import LineOperation, OperationOptions, find_timetable, operation_energy
 from metropilot.railway import load_line, load_trainset
 from metropilot.units import J_PER_KWH
 
@@ -21,6 +20,7 @@ LINE, TRAINSET, LOAD = "yizhuang", "dkz32", "AW2"
 HEADWAYS_S, ZONES = (90, 120, 180, 300, 600), (4, 13)
 OPTIONS = OperationOptions(efficiency_traction=0.9, efficiency_braking=0.76)
 SEED = 0
+SEARCH = find_timetable.__kwdefaults__
 COLUMNS = (
     "zones",
     "headway s",
@@ -73,8 +73,9 @@ def main() -> None:
             f"auxiliaries 120 kW. Running times move by {OPTIONS.time_window_s} s and dwells by",
             f"{OPTIONS.dwell_window_s} s either way, in whole seconds at the same sums in each direction;",
             f"at planned running times the floor is {planned:.1f} kWh. Cruise and brake and driving only are",
-            f"means over 60 offsets between the directions. Searches: seed {SEED}, {RESTARTS} starts of",
-            f"{MOVES} moves; the {2 * len(rows)} of them, with those means, took {lasted:.0f} s.",
+            f"means over 60 offsets between the directions. Searches: seed {SEED},",
+            f"{SEARCH['restarts']} starts of {SEARCH['moves']} moves;",
+            f"the {2 * len(rows)} of them, with those means, took {lasted:.0f} s.",
             "",
             table(COLUMNS, rows),
             "",
