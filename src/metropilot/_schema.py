@@ -116,7 +116,10 @@ class FieldSpec:
         if self.choices and value not in self.choices:
             raise InputError(f"unknown {name}", field=name, value=value, allowed=self.allowed)
         if self.range is not None and not self.range.admit(value):
-            unit, shown = self.shown_unit, value if self.shown is None else self.shown.from_si(value)
+            unit, shown = (
+                self.shown_unit,
+                value if self.shown is None else round(self.shown.from_si(value), 6),
+            )
             unit_name = unit.name if unit else None
             raise InputError("out of range", field=name, value=shown, unit=unit_name, allowed=self.allowed)
         return value

@@ -151,10 +151,18 @@ class TestSections:
         assert len(section.restrictions) == 1
 
     @pytest.mark.parametrize(
-        "args", [(5, 5, 10), (5, 9, 0), (0, np.inf, 3), (0, 5, np.nan), (5, 9, 1.3), (5, 9, 112)]
+        ("args", "said"),
+        [
+            ((5, 5, 10), "restriction"),
+            ((5, 9, 0), "limit_mps: out of range: 0.0 km/h"),
+            ((0, np.inf, 3), "to_m: out of range: inf m"),
+            ((0, 5, np.nan), "limit_mps: out of range: nan km/h"),
+            ((5, 9, 1.3), "limit_mps: out of range: 4.68 km/h"),
+            ((5, 9, 112), "limit_mps: out of range: 403.2 km/h"),
+        ],
     )
-    def test_a_restriction_must_make_sense(self, args):
-        with pytest.raises(InputError, match="restriction"):
+    def test_a_restriction_must_make_sense(self, args, said):
+        with pytest.raises(InputError, match=said):
             Restriction(*(float(a) for a in args))
 
 
