@@ -45,7 +45,7 @@ COMMANDS = (
     ),
     (("drive", "--from", "first/run.toml", "--json"), 0),
     (("drive", *RUN, "--driver", "ppo", "--json"), 0),
-    (("convoy", *RUN[:-1], "110", "--trainsets", "2", "--json"), 1),
+    (("convoy", *RUN[:-1], "110", "--trainsets", "2", "--json"), 0),
     (("studies", "--json"), 0),
     (("drive", "nowhere", "A", "B", "--json"), 2),
 )
