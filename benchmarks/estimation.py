@@ -57,7 +57,7 @@ class Reading:
         return off if self.name.endswith("_s") else off / self.true
 
     @property
-    def covered(self) -> bool:
+    def is_covered(self) -> bool:
         """If the interval covers the truth."""
         return self.estimate.low - EXACT <= self.true <= self.estimate.high + EXACT
 
@@ -122,7 +122,7 @@ def table(readings: Sequence[Reading]) -> list[str]:
             within = (
                 "–" if most is None else f"{100 * np.mean(errors <= most):.0f} % in {scale * most:g}{unit}"
             )
-            covered = np.mean([reading.covered for reading in mine])
+            covered = np.mean([reading.is_covered for reading in mine])
             lines.append(f"| {at} | `{name}` | {shown} | {within} | {100 * covered:.0f} % of {len(mine)} |")
     return lines
 

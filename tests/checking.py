@@ -22,23 +22,23 @@ _types_only = beartype(conf=BeartypeConf(violation_type=jaxtyping.TypeCheckError
 
 def install(package: str) -> None:
     """Check every annotated function of `package` from now on; call before its first import."""
-    jaxtyping.jaxtyped = _jaxtyped
+    jaxtyping.jaxtyped = _decorate
     jaxtyping.install_import_hook(package, "beartype.beartype")
 
 
-def _jaxtyped(fn: Any = None, *, typechecker: Any = None) -> Any:
+def _decorate(fn: Any = None, *, typechecker: Any = None) -> Any:
     """Decorator of the import hook for every function and class, instead of jaxtyping's own."""
     if fn is None:
-        return functools.partial(_jaxtyped, typechecker=typechecker)
+        return functools.partial(_decorate, typechecker=typechecker)
     if inspect.isclass(fn) and dataclasses.is_dataclass(fn) and _is_plain(fn.__init__):
         hints = _hints(fn.__init__)
         if not any(map(_has_axes, hints.values())):
-            fn.__init__ = _checked(fn.__init__, hints)
+            fn.__init__ = _add_checks(fn.__init__, hints)
             return fn
     elif _is_plain(fn):
         hints = _hints(fn)
         if not any(map(_has_axes, hints.values())):
-            return _checked(fn, hints)
+            return _add_checks(fn, hints)
     return _with_axes(fn, typechecker=typechecker)
 
 
@@ -73,7 +73,7 @@ def _has_axes(hint: Any) -> bool:
     return type(hint).__module__.startswith("jaxtyping") or any(map(_has_axes, typing.get_args(hint)))
 
 
-def _checked(fn: types.FunctionType, hints: dict[str, Any]) -> Callable[..., Any]:
+def _add_checks(fn: types.FunctionType, hints: dict[str, Any]) -> Callable[..., Any]:
     resolved = types.FunctionType(fn.__code__, fn.__globals__, fn.__name__, fn.__defaults__, fn.__closure__)
     resolved.__kwdefaults__ = fn.__kwdefaults__
     resolved.__module__, resolved.__qualname__ = fn.__module__, fn.__qualname__

@@ -74,7 +74,7 @@ class Later(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def checked(tmp_path_factory):
+def checked_module(tmp_path_factory):
     """A module of the checked package's name, which the import hook therefore takes for one of its own."""
     folder = tmp_path_factory.mktemp("package")
     (folder / "checked_example.py").write_text(MODULE)
@@ -111,25 +111,25 @@ TWO, THREE = np.ones(2), np.ones(3)
         lambda m: m.Arrays(TWO, THREE),
     ],
 )
-def test_a_wrong_type_or_shape_is_refused(checked, call):
+def test_a_wrong_type_or_shape_is_refused(checked_module, call):
     with pytest.raises(jaxtyping.TypeCheckError):
-        call(checked)
+        call(checked_module)
 
 
-def test_what_is_right_goes_through(checked):
-    assert checked.half(2.0) == 1.0
-    assert checked.lengths(TWO, TWO).shape == (2,)
-    assert checked.nested({"a": (TWO,)}) == 1
-    assert list(checked.counting(2)) == [0, 1]
-    assert checked.Thing().plain(1, 2, key="abc") == 5
-    assert checked.Thing.of_class(1) == checked.Thing().of_none(1) == 1
-    assert checked.Plain(3.0).length_m == 3.0
-    assert checked.Arrays(TWO, TWO).x is TWO
+def test_what_is_right_goes_through(checked_module):
+    assert checked_module.half(2.0) == 1.0
+    assert checked_module.lengths(TWO, TWO).shape == (2,)
+    assert checked_module.nested({"a": (TWO,)}) == 1
+    assert list(checked_module.counting(2)) == [0, 1]
+    assert checked_module.Thing().plain(1, 2, key="abc") == 5
+    assert checked_module.Thing.of_class(1) == checked_module.Thing().of_none(1) == 1
+    assert checked_module.Plain(3.0).length_m == 3.0
+    assert checked_module.Arrays(TWO, TWO).x is TWO
 
 
-def test_a_type_that_is_named_before_it_is_there_is_not_checked(checked):
+def test_a_type_that_is_named_before_it_is_there_is_not_checked(checked_module):
     """As under jaxtyping's own hook: annotations are read when the function is made."""
-    assert checked.later(checked.Later(1)) == 1
+    assert checked_module.later(checked_module.Later(1)) == 1
 
 
 def test_metropilot_itself_is_checked():

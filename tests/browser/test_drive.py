@@ -41,7 +41,7 @@ def depart(page, pace="10 ×"):
     return live
 
 
-def drawn(page, name):
+def count_points(page, name):
     """Number of points of a curve of the picture."""
     script = """name => { const el = document.querySelector('[data-test=live] .js-plotly-plot');
         const curve = el?.data?.find(t => t.name === name);
@@ -49,7 +49,7 @@ def drawn(page, name):
     return page.evaluate(script, name)
 
 
-def drawn_from(page, name):
+def first_point(page, name):
     """Beginning of a curve of the picture."""
     script = """name => document.querySelector('[data-test=live] .js-plotly-plot')
         .data.find(t => t.name === name).x[0]"""
@@ -66,8 +66,8 @@ def test_a_run_from_departure_to_kpis(visit):
     expect(result.get_by_text("above the optimum")).to_be_visible()
     assert number(page, "time") == pytest.approx(101, abs=3)
     assert number(page, "distance") == pytest.approx(0, abs=0.3)
-    assert drawn(page, "driven") > 400
-    assert drawn(page, "optimal plan") > 50
+    assert count_points(page, "driven") > 400
+    assert count_points(page, "optimal plan") > 50
     with page.expect_download() as download:
         page.evaluate("document.querySelectorAll('[data-test=result] a').forEach(a => a.target = '')")
         result.get_by_role("link", name="trajectory.csv").click()
@@ -132,7 +132,7 @@ def test_a_hand_that_goes_too_fast_is_supervised(visit):
     page.locator("body").press("m")
     for _ in range(10):
         page.keyboard.press("ArrowUp")
-    until(lambda: drawn(page, "protection") > 0)
+    until(lambda: count_points(page, "protection") > 0)
     assert number(page, "speed") <= 80.0
     page.keyboard.press("Escape")
     expect(live).to_have_attribute("data-status", "done", timeout=PATIENCE_MS)
@@ -160,7 +160,7 @@ def stop_all(server):
             server.post(f"/api/live/{live['id']}/stop")
 
 
-def restored(page):
+def expect_restored(page):
     """The form of a page that came by a link to ``TOLD``."""
     expect(page.get_by_text("Running time 164 s · minimum")).to_be_visible(timeout=PATIENCE_MS)
     expect(page.get_by_label("From", exact=True)).to_have_value("TJN · Tongji South Road")
@@ -177,7 +177,7 @@ def test_a_link_restores_the_form_the_map_and_the_time(visit, server):
     live = server.post("/api/live", TOLD, code=201)["id"]
     server.post(f"/api/live/{live}/arrival", {"scheduled_time_s": 180})
     page = visit(f"/?run={live}")
-    restored(page)
+    expect_restored(page)
     expect(page.locator('[data-mp="scheduled"]')).to_contain_text("180")
     page.get_by_role("button", name="10 s later").click()
     expect(page.locator('[data-mp="log"]')).to_contain_text("after 190 s")
@@ -205,7 +205,7 @@ def test_the_list_opens_stops_and_resumes(visit, server):
     expect(row).to_contain_text("TJN – JHL · manual · 163.5 s")
     expect(row).to_contain_text("0:00.0 · waiting · no viewer")
     row.get_by_role("link", name=re.compile("Open")).click()
-    restored(page)
+    expect_restored(page)
     expect(row).to_contain_text("(this one)")
     expect(row).to_contain_text("1 watching")
     row.get_by_role("button", name=re.compile("Stop")).click()
@@ -213,7 +213,7 @@ def test_the_list_opens_stops_and_resumes(visit, server):
     expect(page.locator('[data-mp="status"]')).to_have_text("stopped; it can be resumed")
     row.get_by_role("button", name=re.compile("Resume")).click()
     expect(page.locator('[data-test="live"]')).to_have_attribute("data-status", "running")
-    restored(page)
+    expect_restored(page)
     stop_all(server)
 
 
@@ -226,7 +226,7 @@ def test_a_link_after_a_restart_offers_to_resume(browser, tmp_path):
     page = browser.new_page()
     try:
         page.goto(f"{again.url}/?run={live}")
-        restored(page)
+        expect_restored(page)
         said = "interrupted: the server was restarted; it can be resumed"
         expect(page.locator('[data-mp="status"]')).to_have_text(said)
         page.locator('[data-test="resume"]').click()
@@ -283,8 +283,8 @@ def test_a_reload_finds_the_run_again(visit):
     page.reload()
     live = page.locator('[data-test="live"]')
     expect(live).to_have_attribute("data-status", "running", timeout=PATIENCE_MS)
-    until(lambda: drawn(page, "driven") > 5)
-    assert drawn_from(page, "driven") < 5.0, "what was driven before the reload is not there"
+    until(lambda: count_points(page, "driven") > 5)
+    assert first_point(page, "driven") < 5.0, "what was driven before the reload is not there"
     page.get_by_role("button", name="Stop", exact=True).click()
     expect(live).to_have_attribute("data-status", "stopped", timeout=PATIENCE_MS)
 

@@ -270,10 +270,10 @@ def test_the_unexpected_is_one_line_too(metropilot, monkeypatch):
 
 
 def test_interrupted(metropilot, monkeypatch):
-    def stopped(arguments):
+    def interrupt(arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(app, "_run", stopped)
+    monkeypatch.setattr(app, "_run", interrupt)
     assert metropilot("lines") == (130, "", "metropilot: interrupted\n")
 
 

@@ -78,7 +78,7 @@ def section_of(rng):
     )
 
 
-def stopped(trainset, scenario, seed):
+def drive_to_stop(trainset, scenario, seed):
     """Hold a random speed, then stop: the error, and the largest jerk from the onset to the stand."""
     rng = np.random.default_rng(seed)
     section, speed = section_of(rng), rng.uniform(5.0, 22.0)
@@ -122,14 +122,14 @@ def dkz32():
 
 
 def test_ideal_actuation_stops_on_the_point(dkz32):
-    errors = [stopped(dkz32.ideal(), Disturbance(), seed)[0] for seed in range(8)]
+    errors = [drive_to_stop(dkz32.ideal(), Disturbance(), seed)[0] for seed in range(8)]
     assert np.abs(errors).max() < 0.002
 
 
 @pytest.mark.parametrize("jerk", [1.0, 0.75])
 def test_jerk_limit_holds_to_the_last_step(dkz32, jerk):
     trainset = replace(dkz32, actuation=Actuation(jerk_limit_mps3=jerk))
-    errors, jerks = np.array([stopped(trainset, Disturbance(), seed) for seed in range(6)]).T
+    errors, jerks = np.array([drive_to_stop(trainset, Disturbance(), seed) for seed in range(6)]).T
     assert np.abs(errors).max() < 0.01
     assert jerks.max() <= jerk + 1e-9
 
@@ -149,6 +149,6 @@ def test_unknown_plant_stops_within_tolerance(dkz32, actuation):
             lag_s=0.4 if seed % 3 else rng.uniform(0.0, 0.4),
             speed_noise_mps=0.05,
         )
-        errors.append(stopped(replace(dkz32, actuation=actuation), truth, seed)[0])
+        errors.append(drive_to_stop(replace(dkz32, actuation=actuation), truth, seed)[0])
     assert np.median(np.abs(errors)) < 0.05
     assert np.abs(errors).max() < 0.2

@@ -240,7 +240,7 @@ def _campaign():
     return Campaign("small", ("flat_out",), (("yizhuang", "WHY", "YZQ"),), (("dkz32", "AW2"),), (1.2,))
 
 
-def _stored() -> list[bytes]:
+def _campaigns() -> list[bytes]:
     campaign = _campaign()
     return [json.dumps({"digest": campaign.digest, "campaign": json.loads(campaign.text)}).encode()]
 
@@ -287,7 +287,7 @@ TARGETS = {
     "run": Target("toml", "run.toml", _texts(RUN), _read_run),
     "record": Target("toml", "r/run.toml", _texts(LEARNED), _read_record),
     "campaign": Target("toml", "campaign.toml", _texts(CAMPAIGN), _read_campaign),
-    "stored_campaign": Target("json", "campaign.json", _stored, _read_stored_campaign),
+    "stored_campaign": Target("json", "campaign.json", _campaigns, _read_stored_campaign),
     "done": Target(
         "text",
         "done.txt",

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from tests.operation.lines import TRAINSET, short_line
 
 from metropilot.errors import Infeasible, InputError
 from metropilot.evaluate import make_driver
@@ -19,27 +20,12 @@ from metropilot.operation import (
     profile_of_trajectory,
 )
 from metropilot.planning import PlanOptions, cruise_plan, minimum_running_time, optimal_plan
-from metropilot.railway import load_line, load_trainset
+from metropilot.railway import load_line
 from metropilot.sim import Run, drive
-
-TRAINSET = load_trainset("dkz32", "AW2")
-
-
-@cache
-def short_line():
-    """Four stations of Yizhuang."""
-    line = load_line("yizhuang")
-    return replace(
-        line,
-        stations=line.stations[:4],
-        planned_forward_s=line.planned_forward_s[:3],
-        planned_backward_s=line.planned_backward_s[:3],
-        dwell_s=line.dwell_s[:2],
-    )
 
 
 def operation(**given):
-    return LineOperation(short_line(), TRAINSET, OperationOptions(**({"zones": 2} | given)))
+    return LineOperation(short_line(4), TRAINSET, OperationOptions(**({"zones": 2} | given)))
 
 
 @cache
@@ -47,7 +33,7 @@ def profiles(driving="optimal"):
     return operation().profiles(driving, windows=True)
 
 
-def planned(line, found):
+def planned_profiles(line, found):
     """Profiles at the planned running times."""
     return [{t.planned_s: p[t.planned_s]} for t, p in zip(line.trips, found, strict=True)]
 
@@ -101,7 +87,7 @@ def test_the_power_of_a_plan_integrates_to_its_energy():
 
 
 def test_the_power_of_a_driven_run_integrates_to_its_energy_at_the_line():
-    section = short_line().section("XC", "XHM")
+    section = short_line(4).section("XC", "XHM")
     driven = drive(Run(section, TRAINSET, 108.0), make_driver("optimal")).trajectory
     found = profile_of_trajectory(driven, TRAINSET)
     share, aboard = TRAINSET.receptivity, TRAINSET.auxiliary_w * driven.time_s[-1]
@@ -110,7 +96,7 @@ def test_the_power_of_a_driven_run_integrates_to_its_energy_at_the_line():
 
 
 def test_cruise_and_brake_keeps_its_time_and_costs_more_than_the_bound():
-    section = short_line().section("XC", "XHM")
+    section = short_line(4).section("XC", "XHM")
     for time_s in (100.0, 108.0, 140.0):
         cruise = cruise_plan(section, TRAINSET, time_s)
         assert cruise.running_time_s == pytest.approx(time_s, abs=1e-5)
@@ -160,7 +146,7 @@ def test_no_timetable_undercuts_the_floor():
     for headway_s in (60, 97, 400):
         line = operation(headway_s=headway_s, zones=1, time_window_s=4)
         floor_j = line.floor_j(profiles())
-        assert floor_j < line.floor_j(planned(line, profiles()))
+        assert floor_j < line.floor_j(planned_profiles(line, profiles()))
         for _ in range(30):
             timetable = random_timetable(line, random)
             for driving in ("optimal", "cruise"):
@@ -170,8 +156,8 @@ def test_no_timetable_undercuts_the_floor():
 def test_the_floor_is_met_where_others_always_draw_more_than_is_returned():
     # auxiliaries above any returned power take all of it, in every timetable
     hungry = replace(TRAINSET, auxiliary_w=1e8)
-    line = LineOperation(short_line(), hungry, OperationOptions(zones=1))
-    found = planned(line, profiles())
+    line = LineOperation(short_line(4), hungry, OperationOptions(zones=1))
+    found = planned_profiles(line, profiles())
     for offset_s in (0.0, 50.0, 111.1):
         energy_j = line.energy(line.plain_timetable(offset_s), found).supplied_j
         assert energy_j == pytest.approx(line.floor_j(found), rel=1e-9)
@@ -179,8 +165,8 @@ def test_the_floor_is_met_where_others_always_draw_more_than_is_returned():
 
 def test_a_train_alone_on_the_line_returns_in_vain():
     alone = replace(TRAINSET, auxiliary_w=0.0)
-    line = LineOperation(short_line(), alone, OperationOptions(zones=3, headway_s=7200))
-    found = planned(line, profiles())
+    line = LineOperation(short_line(4), alone, OperationOptions(zones=3, headway_s=7200))
+    found = planned_profiles(line, profiles())
     balance = line.energy(line.plain_timetable(3600.0), found)
     assert balance.supplied_j == pytest.approx(balance.drawn_j, rel=1e-9)
     assert balance.received_j == pytest.approx(0.0, abs=1e-3)
@@ -188,7 +174,7 @@ def test_a_train_alone_on_the_line_returns_in_vain():
 
 def test_the_auxiliaries_of_a_train_count_while_it_is_on_the_way():
     line = operation()
-    quiet = LineOperation(short_line(), replace(TRAINSET, auxiliary_w=0.0), line.options)
+    quiet = LineOperation(short_line(4), replace(TRAINSET, auxiliary_w=0.0), line.options)
     table = line.plain_timetable(40.0)
     seconds = sum(line.journey_s(backward=b) for b in (False, True))
     more = line.energy(table, profiles()).drawn_j - quiet.energy(table, profiles()).drawn_j
@@ -231,10 +217,10 @@ def test_a_bad_option_is_named(given, field):
 
 
 def test_a_timetable_below_the_minimum_running_time_names_its_section():
-    line = replace(short_line(), planned_forward_s=(190.0, 60.0, 157.0))
+    line = replace(short_line(4), planned_forward_s=(190.0, 60.0, 157.0))
     with pytest.raises(Infeasible, match="XC-XHM"):
         LineOperation(line, TRAINSET, OperationOptions(zones=1))
-    planless = replace(short_line(), planned_forward_s=(), planned_backward_s=())
+    planless = replace(short_line(4), planned_forward_s=(), planned_backward_s=())
     trip = LineOperation(planless, TRAINSET, OperationOptions(zones=1, reserve=0.2)).trips[0]
     minimum_s = minimum_running_time(trip.section, TRAINSET)
     assert 1.2 * minimum_s <= trip.planned_s < 1.2 * minimum_s + 1

@@ -1,10 +1,10 @@
 """The search for a timetable: within its windows, never below the floor, better than the plain timetable."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from tests.operation.lines import TRAINSET, short_line
 
 from metropilot.operation import (
     LineOperation,
@@ -14,27 +14,11 @@ from metropilot.operation import (
     operation_energy,
 )
 from metropilot.operation.search import _plain, _Score, _timetable
-from metropilot.railway import load_line, load_trainset
-
-TRAINSET = load_trainset("dkz32", "AW2")
-
-
-@cache
-def short_line():
-    """Five stations of Yizhuang."""
-    line = load_line("yizhuang")
-    return replace(
-        line,
-        stations=line.stations[:5],
-        planned_forward_s=line.planned_forward_s[:4],
-        planned_backward_s=line.planned_backward_s[:4],
-        dwell_s=line.dwell_s[:3],
-    )
 
 
 def operation(**given):
     options = {"zones": 2, "headway_s": 240, "time_window_s": 2} | given
-    return LineOperation(short_line(), TRAINSET, OperationOptions(**options))
+    return LineOperation(short_line(5), TRAINSET, OperationOptions(**options))
 
 
 @cache

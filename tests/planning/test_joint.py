@@ -27,7 +27,7 @@ def offsets(trainsets):
     return [0.0, *accumulate(each.length_m + GAP_M for each in trainsets[:-1])]
 
 
-def loaded(trainset, *factors):
+def true_plants(trainset, *factors):
     return [Disturbance(mass_factor=factor).true_plant(trainset) for factor in factors]
 
 
@@ -83,7 +83,7 @@ def test_trainsets_alike_on_level_track_need_as_many_times_the_energy(objective)
 def test_alike_and_nearly_alike_have_nearly_one_plan(objective):
     # alike trainsets share loads of the programme, these do not
     section, trainset = cases.yizhuang().section("JHL", "CQN"), load_trainset("dkz32")
-    alike, apart = [trainset] * 3, loaded(trainset, 1.0, 1.0 + 1e-9, 1.0 - 1e-9)
+    alike, apart = [trainset] * 3, true_plants(trainset, 1.0, 1.0 + 1e-9, 1.0 - 1e-9)
     options = PlanOptions(objective=objective)
     first, second = (joint_plan(section, t, offsets(t), 190.0, options) for t in (alike, apart))
     assert first.energy_j == pytest.approx(second.energy_j, rel=1e-5)
@@ -93,7 +93,7 @@ def test_alike_and_nearly_alike_have_nearly_one_plan(objective):
 @pytest.mark.parametrize("stops", [("RJ", "WYJ"), ("JHL", "CQN"), ("YZQ", "WHY")])
 def test_each_trainset_keeps_its_own_limits_and_the_energies_are_the_plants(stops):
     section = cases.yizhuang().section(*stops)
-    trainsets = [*loaded(load_trainset("dkz32"), 0.8, 1.2), load_trainset("cheng2023")]
+    trainsets = [*true_plants(load_trainset("dkz32"), 0.8, 1.2), load_trainset("cheng2023")]
     at = offsets(trainsets)
     plan = joint_plan(section, trainsets, at, 1.12 * joint_minimum_running_time(section, trainsets, at))
     assert plan.gap < 1e-5
@@ -120,7 +120,7 @@ def test_each_trainset_keeps_its_own_limits_and_the_energies_are_the_plants(stop
 def test_no_rigid_drive_needs_less_than_the_bound(stops):
     # driven by all: what the head alone would plan under the limits of all, and joint plans of others
     section, trainset = cases.yizhuang().section(*stops), load_trainset("dkz32")
-    trainsets = loaded(trainset, 1.2, 1.0, 0.8, 1.1)
+    trainsets = true_plants(trainset, 1.2, 1.0, 0.8, 1.1)
     at = offsets(trainsets)
     fastest = joint_minimum_running_time(section, trainsets, at)
     grid = np.arange(0.0, section.length_m + 0.5, 0.5)
@@ -129,7 +129,7 @@ def test_no_rigid_drive_needs_less_than_the_bound(stops):
     above = []
     for ratio in (1.08, 1.25):
         plan = joint_plan(section, trainsets, at, ratio * fastest)
-        others = [loaded(trainset, *factors) for factors in ((1.2, 1.2, 1.2, 1.2), (0.8, 1.2, 1.2, 0.8))]
+        others = [true_plants(trainset, *factors) for factors in ((1.2, 1.2, 1.2, 1.2), (0.8, 1.2, 1.2, 0.8))]
         profiles = [joint_plan(section, other, at, ratio * fastest) for other in others]
         under = PlanOptions(cap_m=grid, cap_mps=cap)
         profiles.append(optimal_plan(section, trainsets[0], ratio * fastest, under))
@@ -145,7 +145,7 @@ def test_no_rigid_drive_needs_less_than_the_bound(stops):
 def test_the_weakest_sets_the_minimum_time_and_the_message_names_it():
     section = cases.simple_section(1500.0, limits=((0.0, 40.0),))
     trainset = cases.simple_trainset(max_speed_mps=40.0)
-    light, heavy = loaded(trainset, 1.0, 1.4)
+    light, heavy = true_plants(trainset, 1.0, 1.4)
     at = [0.0, trainset.length_m + 6.0]
     least = joint_minimum_running_time(section, [light, heavy], at)
     assert least == pytest.approx(minimum_running_time(section, heavy), rel=1e-3)

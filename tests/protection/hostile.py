@@ -172,7 +172,7 @@ def arena(campaign: Campaign):
     assert len({p.ahead.size for p in protections}) == 1
     longest = max(p.emergency.size for p in protections)
     protections = [
-        p._replace(**{name: padded(getattr(p, name), longest) for name in CURVES}) for p in protections
+        p._replace(**{name: pad(getattr(p, name), longest) for name in CURVES}) for p in protections
     ]
     inner = [tree_stack(row) for row in attacks]
     slots = physics.delay_steps(bounds.delay_s, bounds.dt_s)
@@ -198,7 +198,7 @@ def attack(
     )
 
 
-def padded(values: np.ndarray, size: int) -> np.ndarray:
+def pad(values: np.ndarray, size: int) -> np.ndarray:
     return np.pad(values, (0, size - values.size), mode="edge")
 
 

@@ -59,14 +59,14 @@ def hunt(
         for k, mean in enumerate(start)
     ]
 
-    def asked() -> np.ndarray:
+    def ask() -> np.ndarray:
         return np.array([[search.ask() for _ in range(population)] for search in searches])
 
-    def told(attacks: np.ndarray, values: np.ndarray) -> None:
+    def tell(attacks: np.ndarray, values: np.ndarray) -> None:
         for search, vectors, found in zip(searches, attacks, values, strict=True):
             search.tell([(vector, -float(value)) for vector, value in zip(vectors, found, strict=True)])
 
-    return _repeated(fly, asked, told, generations)
+    return _repeat(fly, ask, tell, generations)
 
 
 def scatter(
@@ -74,22 +74,22 @@ def scatter(
 ) -> Worst:
     """Random search with as many attacks: every number even over its range."""
     random = np.random.default_rng(seed)
-    return _repeated(
+    return _repeat(
         fly, lambda: random.uniform(0.0, 2.0, (places, population, size)), lambda *_: None, generations
     )
 
 
-def _repeated(
+def _repeat(
     fly: Callable[[np.ndarray], Any],
-    asked: Callable[[], np.ndarray],
-    told: Callable[[np.ndarray, np.ndarray], None],
+    ask: Callable[[], np.ndarray],
+    tell: Callable[[np.ndarray, np.ndarray], None],
     generations: int,
 ) -> Worst:
     history, best, attack, flown = [], None, None, 0
     for _ in range(generations):
-        attacks = asked()
+        attacks = ask()
         values = np.asarray(fly(attacks))
-        told(attacks, values)
+        tell(attacks, values)
         flown += values.size
         here = values.argmax(axis=1)
         value = np.take_along_axis(values, here[:, None], axis=1)[:, 0]

@@ -20,7 +20,7 @@ from tests.protection.hostile import (
     add_restrictions,
     line_sections,
     overspeed,
-    padded,
+    pad,
     tree_stack,
 )
 from tests.protection.optimiser import Worst, hunt, scatter, share
@@ -108,13 +108,13 @@ def places(campaign: Campaign, count: int, authority: bool) -> Place:
         rows.append((protection, track, vehicle, np.inf if end is None else end))
     protections, tracks, vehicles, ends = zip(*rows, strict=True)
     reach = max(protection.ahead.size for protection in protections)
-    known = [campaign.mutate(widened(protection, reach)) for protection in protections]
+    known = [campaign.mutate(widen(protection, reach)) for protection in protections]
     return Place(tree_stack(known), physics.stack(list(tracks)), tree_stack(list(vehicles)), np.array(ends))
 
 
-def widened(protection: Protection, reach: int) -> Protection:
+def widen(protection: Protection, reach: int) -> Protection:
     """The same on a grid of one size for all, so that every place shares one compiled program."""
-    curves = {name: padded(getattr(protection, name), NODES + reach) for name in CURVES}
+    curves = {name: pad(getattr(protection, name), NODES + reach) for name in CURVES}
     return protection._replace(**curves, ahead=np.arange(reach, dtype=np.int32))
 
 
@@ -146,7 +146,7 @@ def plant(nominal: physics.Vehicle, bounds: Bounds, dial: dict[str, jax.Array]) 
     )
 
 
-def resisted(nominal: physics.Vehicle, bounds: Bounds, dial: dict[str, jax.Array]) -> tuple[Any, Any]:
+def draw_davis(nominal: physics.Vehicle, bounds: Bounds, dial: dict[str, jax.Array]) -> tuple[Any, Any]:
     """Davis coefficients before and after a wind gets up, both within the declared resistance."""
     low, high = bounds.resistance
     a, b, c = nominal.davis_n
@@ -171,7 +171,7 @@ def fly_one(bounds: Bounds, rest: physics.State, place: Place, attack: jax.Array
     node = ((x - protection.start_m) / protection.spacing_m).astype(jnp.int32)
     permitted = jnp.minimum(protection.permitted_mps[node], protection.permitted_mps[node + 1])
     state = rest._replace(position_m=x, speed_mps=permitted * (0.5 + 0.5 * dial["speed"]))
-    whole, (calm, windy) = plant(nominal, bounds, dial), resisted(nominal, bounds, dial)
+    whole, (calm, windy) = plant(nominal, bounds, dial), draw_davis(nominal, bounds, dial)
     weakest = bounds.service_share / (bounds.service_share + (1.0 - bounds.service_share) * dial["service"])
     dt, moments = jnp.asarray(bounds.dt_s), STEPS * jnp.stack([dial["gust"], dial["slips"], dial["grips"]])
 

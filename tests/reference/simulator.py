@@ -184,10 +184,10 @@ class ReferenceSimulator:
         whole = math.floor(late)
         part = late - whole
 
-        def issued(index: int) -> float:
+        def command_at(index: int) -> float:
             return self.commands[index] if index >= 0 else 0.0
 
-        return (1.0 - part) * issued(newest - whole) + part * issued(newest - whole - 1)
+        return (1.0 - part) * command_at(newest - whole) + part * command_at(newest - whole - 1)
 
     def step(self, command: float, dt: float) -> ReferenceState:
         """One control period with the forces found at its start."""
@@ -212,7 +212,7 @@ class ReferenceSimulator:
         duration, after = dt, s.speed_mps + acceleration * dt
         if after < 0.0:
             duration, after = s.speed_mps / -acceleration, 0.0
-        return self._moved(share, acceleration, force, electric, (resistance, gradient), duration, after)
+        return self._move(share, acceleration, force, electric, (resistance, gradient), duration, after)
 
     def _standing(self, share: float, gradient_n: float, dt: float) -> ReferenceState:
         s = self.state
@@ -228,7 +228,7 @@ class ReferenceSimulator:
             recovered_j=s.recovered_j,
         )
 
-    def _moved(
+    def _move(
         self,
         share: float,
         acceleration: float,

@@ -40,7 +40,7 @@ SOME = Study("some2020", "Some paper", "Some, A., 2020.", some_report, {"referen
 
 
 @pytest.fixture
-def registered(monkeypatch):
+def only_some_study(monkeypatch):
     monkeypatch.setattr(STUDIES, "_rows", {"some2020": RegistryRow(SOME, "A study of the tests")})
 
 
@@ -55,7 +55,7 @@ def test_a_row_that_was_not_measured_is_refused(values):
         ReportRow("t", "c", "d", "k", "u").with_values(values)
 
 
-def test_reproduce_writes_report_page_and_figures(registered, tmp_path, capsys):
+def test_reproduce_writes_report_page_and_figures(only_some_study, tmp_path, capsys):
     out, docs = tmp_path / "out", tmp_path / "docs"
     with pytest.raises(SystemExit, match="0"):
         main(["reproduce", "some2020", "--out", str(out), "--write-docs", str(docs), "--json"])
@@ -94,7 +94,7 @@ def test_reproduce_writes_report_page_and_figures(registered, tmp_path, capsys):
         (["some2020", "--seeds", "0"], "greater than or equal to 1"),
     ],
 )
-def test_what_cannot_be_done_is_one_line(registered, tmp_path, capsys, arguments, said):
+def test_what_cannot_be_done_is_one_line(only_some_study, tmp_path, capsys, arguments, said):
     with pytest.raises(SystemExit, match="2"):
         main(["reproduce", *arguments, "--out", str(tmp_path)])
     error = capsys.readouterr().err

@@ -76,6 +76,13 @@ def test_the_strongest_rival_stands_beside_and_says_if_it_wins():
     assert "not distinguishable" in judge_claim(CLAIM, rows(rival=(8.05,))).why
 
 
+def test_a_rival_of_the_published_value_itself_is_judged_by_its_distance():
+    near = judge_claim(Claim("as much", "learned", "error", "c", "same", ("tuned",)), rows(10.0))
+    assert near.why.startswith("better than tuned")
+    far = judge_claim(Claim("as much", "learned", "error", "c", "same", ("tuned",)), rows(6.1))
+    assert far.why.startswith("worse than tuned")
+
+
 def test_what_was_not_measured_cannot_be_tested():
     absent = judge_claim(Claim("it tracks", "nobody", "error", "c"), rows())
     assert (absent.verdict, absent.ours) == ("cannot be tested", None)

@@ -17,7 +17,7 @@ LIMIT = "restrictions[0].limit_mps"
 ERROR = {"message", "file", "field", "value", "unit", "allowed"}
 
 
-def refused(answer, field):
+def refusal_of(answer, field):
     assert set(answer["error"]) == ERROR
     assert (answer["error"]["field"] or "").startswith(field)
     return answer["error"]
@@ -47,10 +47,10 @@ def test_a_plan_has_a_certificate_and_a_price(server):
 
 
 def test_too_little_time_is_refused_with_the_bound(server):
-    error = refused(server.post("/api/plan", {**SECTION, "time_s": 50}, code=422), "time_s")
+    error = refusal_of(server.post("/api/plan", {**SECTION, "time_s": 50}, code=422), "time_s")
     assert "83" in error["allowed"]
     assert error["unit"] == "s"
-    refused(server.post("/api/jobs/drive", {**SECTION, "time_s": 50}, code=422), "time")
+    refusal_of(server.post("/api/jobs/drive", {**SECTION, "time_s": 50}, code=422), "time")
 
 
 def test_a_journey_whose_reserve_is_spread_costs_less(server):
@@ -105,7 +105,7 @@ def test_a_comparison(server):
     ],
 )
 def test_what_cannot_be_used_is_named(server, body, field):
-    refused(server.post("/api/jobs/drive", body, code=422), field)
+    refusal_of(server.post("/api/jobs/drive", body, code=422), field)
 
 
 def test_an_upload_is_used_like_any_line(server, tmp_path):
@@ -117,7 +117,7 @@ def test_an_upload_is_used_like_any_line(server, tmp_path):
     assert server.post("/api/section", {**SECTION, "line": key})["length_m"] == pytest.approx(1280)
     assert [p.parent.name for p in server.data.rglob("*.toml") if p.parent.name == "uploads"] == ["uploads"]
     server.client.delete(f"/api/uploads/{key}")
-    refused(server.post("/api/section", {**SECTION, "line": key}, code=422), "line")
+    refusal_of(server.post("/api/section", {**SECTION, "line": key}, code=422), "line")
 
 
 def test_an_uploaded_policy_drives_by_its_id(server, tmp_path):
@@ -135,12 +135,12 @@ def test_an_uploaded_policy_drives_by_its_id(server, tmp_path):
     ours, theirs = (e["kpis"]["energy_wheel_kwh"]["mean"] for e in entries)
     assert ours == theirs
     assert str(server.data) not in str(entries)
-    refused(server.post("/api/jobs/drive", {**SECTION, "driver": "learned"}, code=422), "options.policy")
+    refusal_of(server.post("/api/jobs/drive", {**SECTION, "driver": "learned"}, code=422), "options.policy")
     other = shipped_policy("ddpg_pid").read_bytes()
     answer = server.client.post("/api/uploads", files={"file": ("gains.safetensors", other)})
-    assert refused(answer.json(), "perception")["file"] == "gains.safetensors"
+    assert refusal_of(answer.json(), "perception")["file"] == "gains.safetensors"
     server.client.delete(f"/api/uploads/{key}")
-    refused(server.post("/api/jobs/drive", {**SECTION, **told}, code=422), "options.policy")
+    refusal_of(server.post("/api/jobs/drive", {**SECTION, **told}, code=422), "options.policy")
 
 
 @pytest.mark.parametrize("kind", ["drive", "live"])
@@ -176,7 +176,7 @@ def test_a_bad_upload_names_the_field(server, tmp_path):
     text = (tmp_path / "bad.toml").read_text().replace('kind = "line"', 'kind = "lime"')
     answer = server.client.post("/api/uploads", files={"file": ("bad.toml", text)})
     assert answer.status_code == 422
-    error = refused(answer.json(), "kind")
+    error = refusal_of(answer.json(), "kind")
     assert error["file"] == "bad.toml"
     assert str(server.data) not in answer.text
     large = server.client.post("/api/uploads", files={"file": ("large.toml", b"#" * 1_100_000)})
@@ -194,8 +194,8 @@ def test_pages_are_there_and_load_nothing_from_elsewhere(server, path):
 
 
 def test_what_is_no_route_is_told_in_the_same_shape(server):
-    refused(server.get("/api/nowhere", code=404), "path")
-    refused(server.post("/api/nowhere", {}, code=404), "path")
+    refusal_of(server.get("/api/nowhere", code=404), "path")
+    refusal_of(server.post("/api/nowhere", {}, code=404), "path")
 
 
 @pytest.mark.parametrize(
@@ -211,7 +211,7 @@ def test_what_is_no_route_is_told_in_the_same_shape(server):
 def test_a_route_asked_in_another_way_says_in_which(server, method, path, allowed):
     answer = server.client.request(method, path)
     assert (answer.status_code, answer.headers["allow"]) == (405, allowed)
-    error = refused(answer.json(), "method")
+    error = refusal_of(answer.json(), "method")
     assert (error["value"], error["allowed"]) == (method, allowed)
 
 
@@ -230,7 +230,7 @@ def test_a_route_asked_in_another_way_says_in_which(server, method, path, allowe
 def test_a_body_that_is_not_json_is_told_in_one_line(server, kind, body, code, field):
     answer = server.client.post("/api/plan", content=body, headers={"Content-Type": kind})
     assert answer.status_code == code
-    error = refused(answer.json(), field)
+    error = refusal_of(answer.json(), field)
     assert "\n" not in error["message"]
     assert "b'" not in answer.text
     assert error["value"] == (kind if code == 415 else "[1]" if body == b"[1]" else None)

@@ -48,7 +48,7 @@ def line_command(
     as_json: opt.Json = False,
     **given: Any,  # noqa: ANN401 (the fields of an operation and of a run)
 ) -> int:
-    """Compute the energy of all trains of a line at a headway, beside a floor that no timetable undercuts.
+    """Compute the energy of all trains of a line, beside its floor.
 
     Braking trains feed those that draw at the same moment in the same feeding zone. Energies are those of all
     trains in one headway, which is one train's in a round trip. Exit code 0: computed; 2: invalid input.

@@ -317,12 +317,12 @@ class AttackArena:
         start_s = -case.period.astype(jnp.float32) * jnp.float32(self.dt) * each
         x, v = self.heads.position_m[case.row], self.heads.speed_mps[case.row]
 
-        def planned(at_m: Array) -> MotionPlan:
+        def motion_behind(at_m: Array) -> MotionPlan:
             behind_m = jnp.expand_dims(front[0] - at_m, 1)
             speed = jnp.broadcast_to(v, (front.shape[0], v.shape[0]))
             return MotionPlan(start_s, jnp.float32(self.dt) * each, jnp.expand_dims(x, 0) - behind_m, speed)
 
-        return Plans(planned(rear), planned(front), each, each)
+        return Plans(motion_behind(rear), motion_behind(front), each, each)
 
     def _case(self, key: Array) -> tuple[Array, ...]:
         """Draw one attack and run it."""

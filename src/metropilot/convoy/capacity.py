@@ -18,12 +18,11 @@ from numpy import ndarray
 
 from metropilot._io import fill_folder, write_json
 from metropilot._provenance import provenance
-from metropilot._schema import check_fields, declare
+from metropilot._schema import FieldSpec, Range, check_fields, declare
 from metropilot._typing import Float, Int
 from metropilot.convoy.analysis import FAR_M, Ahead, spare_m
 from metropilot.convoy.model import (
     GAP_M,
-    TRAINSETS,
     Convoy,
     ConvoyGuard,
     Member,
@@ -45,6 +44,7 @@ LONGEST_S = 7200.0
 LATE_W = 500.0
 NEAR_S, NEAR_MPS2, NEAR_M = 5.0, 0.4, 30.0
 """Beyond what this reaction, this brake and this distance need no supervisor asks for more room."""
+COUNTS = FieldSpec("Trainsets of a convoy; 1: no convoys.", range=Range(1, 16))
 BETWEEN: tuple[ConvoyGuard, ...] = ("moving_block", "independent")
 """What protection may rely on between two convoys, which are not coupled."""
 
@@ -220,8 +220,7 @@ def _check(
             "no stop on the way", field="destination", value=len(sections), allowed="two sections or more"
         )
     for count in counts:
-        if count != 1:
-            TRAINSETS.check("counts", count)
+        COUNTS.check("counts", count)
     for guard in guards:
         if guard not in BETWEEN:
             raise InputError("not between convoys", field="guard", value=guard, allowed=", ".join(BETWEEN))

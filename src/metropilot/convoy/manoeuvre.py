@@ -261,7 +261,7 @@ def _check_coupling(convoy: Convoy, members: Sequence[Member], head: MotionPlan)
         f"the gap cannot be closed before {before}: it takes about {_round_up(room_m)} m of way, "
         f"there are {place_m:.0f} m",
         field="start_gap_m",
-        value=f"{convoy.first_gap_m:g}",
+        value=convoy.first_gap_m,
         unit="m",
         allowed=f"up to about {low:.0f} m here"
         if low > convoy.gap_m + BAND_M

@@ -171,8 +171,8 @@ def look_ahead(plant: OwnPlant, observation: FollowerObservation) -> PredictedSt
     """Predict the own state when a command given now begins to act."""
     vehicle, track, dt = observation.vehicle, observation.track, observation.period_s
     up, down, drag = plant.gains
-    # 0.14 / 0.02 is a little more than 7
     xp = namespace(observation.position_m, vehicle.delay_s)
+    # A dead time of whole periods stays whole: 0.14 / 0.02 is a little more than 7.
     steps, keep = xp.maximum(vehicle.delay_s / dt - 1e-6, 0.0), kept_share(observation)
     before = periods_before(steps)
     motion = Motion(plant.position_m, plant.speed_mps, plant.acceleration_mps2, plant.share)

@@ -212,7 +212,7 @@ class HeadDriver:
         memory, time_s, since_s = self.memory, now_s, self.stood_since_s
         rows = [(float(state.plant.position_m), float(state.plant.speed_mps))]
         while self._outcome(state, time_s, since_s) == RUNNING:
-            permitted = _permitted(known, state)
+            permitted = _permitted_speed(known, state)
             share, memory = self.act(memory, state, time_s, permitted)
             command = Command(np.float64(share), False)
             moving = state.plant.speed_mps > 0.0
@@ -236,7 +236,7 @@ class HeadDriver:
         return int(code)
 
 
-def _permitted(member: Member, state: MemberState) -> float:
+def _permitted_speed(member: Member, state: MemberState) -> float:
     """Speed that protection permits a trainset."""
     if member.protection is None:
         return UNLIMITED_MPS
@@ -424,7 +424,7 @@ class ConvoyRollout:
 
     def move_one(self, k: int, own: Member, state: MemberState, now: np.float64, period: int) -> MemberState:
         """Advance one trainset by one control period."""
-        permitted = _permitted(own, state)
+        permitted = _permitted_speed(own, state)
         coming = permitted if k == 0 else min(permitted, self.coming_limit(own, state))
         seen = observe_member(own, state, now, np.float64(self.dt), np.float64(coming), self.known[k])
         self.plants[k] = learn(self.plants[k], seen)

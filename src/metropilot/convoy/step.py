@@ -237,14 +237,14 @@ def update_needed_gap(member: Member, state: MemberState, now_s: Array, period_s
     zero = 0.0 * state.command
 
     @no_type_check
-    def needed(share: Array) -> Array:
+    def gap_needed_for(share: Array) -> Array:
         spare = spare_gap(
             member.protection, state.watched, plant.position_m, state.measured_mps, share, ahead
         )
         return xp.clip(rear - plant.position_m - spare + SPARE_M, 0.0, FAR_M)
 
     # The gap needed grows with a command, and more and more: between two it is no more than their mean.
-    coasting_m, pulling_m, half_m = needed(zero), needed(zero + 1.0), needed(zero + HALF)
+    coasting_m, pulling_m, half_m = (gap_needed_for(zero + part) for part in (0.0, 1.0, HALF))
     share = xp.clip(state.command + SPARE_SHARE, 0.0, 1.0)
     now_m = coasting_m + share * (pulling_m - coasting_m)
     now_m = xp.where(member.is_head, 0.0, now_m)

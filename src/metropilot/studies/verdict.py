@@ -155,7 +155,7 @@ def judge_claim(claim: Claim, rows: Sequence[ReportRow]) -> ClaimVerdict:
     low, high = median_interval(row.values or (row.ours,))
     rival = find_rival(claim, row, rows)
     judgement = _against_published(claim, row, low, high)
-    why = _rival_words(claim, row.ours, rival)
+    why = _rival_words(claim, row.published, row.ours, rival)
     if row.published is None:
         why = f"no number is printed; {why}"
     return ClaimVerdict(
@@ -181,12 +181,7 @@ def find_rival(claim: Claim, row: ReportRow, rows: Sequence[ReportRow]) -> Rival
     if not known:
         return None
 
-    def loss(value: float) -> float:
-        if claim.aim == "same":
-            return abs(value - (row.published or 0.0))
-        return value if claim.aim == "low" else -value
-
-    name, other, value = min(known, key=lambda one: loss(one[2]))
+    name, other, value = min(known, key=lambda one: _loss(claim, row.published, one[2]))
     ours = row.values or (row.ours or 0.0,)
     return Rival(name, value, difference_p(ours, other.values or (value,)))
 
@@ -205,14 +200,20 @@ def _against_published(claim: Claim, row: ReportRow, low: float, high: float) ->
     return "beaten" if better else "missed"
 
 
-def _rival_words(claim: Claim, ours: float, rival: Rival | None) -> str:
+def _loss(claim: Claim, published: float | None, value: float) -> float:
+    """Badness of a value: less is better."""
+    if claim.aim == "same":
+        return abs(value - (published or 0.0))
+    return value if claim.aim == "low" else -value
+
+
+def _rival_words(claim: Claim, published: float | None, ours: float, rival: Rival | None) -> str:
     """Comparison with the strongest simple rival, as a sentence."""
     if rival is None:
         return "no simple rival measured" if claim.rivals else ""
     if rival.value == ours:
         return f"{rival.driver} does the same"
-    sign = {"low": 1.0, "high": -1.0, "same": 1.0}[claim.aim]
-    ahead = sign * (ours - rival.value) < 0.0
+    ahead = _loss(claim, published, ours) < _loss(claim, published, rival.value)
     sure = "too few seeds for a test" if rival.p is None else f"p = {rival.p:.2g}"
     if rival.p is not None and rival.p >= SIGNIFICANCE:
         return f"not distinguishable from {rival.driver} ({sure})"

@@ -142,8 +142,8 @@ def command_variation() -> tuple[float, float]:
 def remarks(measured: Measured, kind: str, tuned: Mapping[str, Mapping[str, float]]) -> tuple[str, ...]:
     """Findings as sentences, from the medians over the seeds."""
     found = [
-        _compare_with_tuned(measured, tuned["pid"]),
         _compare_with_position(measured, tuned[POSITION_PID]),
+        _compare_with_tuned(measured, tuned["pid"]),
     ]
     if kind == "s_curve":
         short = find_shortfalls(measured, kind)
@@ -175,10 +175,11 @@ def _compare_with_position(measured: Measured, gains: Mapping[str, float]) -> st
         for field, words, unit in fields
     )
     return (
-        f"Constant gains {gains['kp']:.2f}, {gains['ki']:.2f}, {gains['kd']:.2f} on the speed error plus "
-        f"{gains['position_per_s']:.2f} 1/s of the position error, tuned by the same search: {numbers}. "
-        f"DDPG-PID is better in {len(better)} of {len(fields)}"
-        f"{': ' + ', '.join(better) if better else ''}."
+        f"Against a PID with constant gains on speed and position error DDPG-PID is better in {len(better)} "
+        f"of {len(fields)} quantities of scenario 1{': ' + ', '.join(better) if better else ''}. That PID "
+        f"(gains {gains['kp']:.2f}, {gains['ki']:.2f}, {gains['kd']:.2f} on the speed error plus "
+        f"{gains['position_per_s']:.2f} 1/s of the position error, tuned by the same search) against "
+        f"DDPG-PID: {numbers}."
     )
 
 

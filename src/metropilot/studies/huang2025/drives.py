@@ -90,7 +90,7 @@ def drive_at_arrival(case: PublishedCase, arrival_s: float) -> EvaluatedRun:
         case: A case without a timetable update.
         arrival_s: Running time of EITOP.
     """
-    expert = make_driver(EITOE, {"start_mps2": GENTLE_MPS2[EITOP]})
+    (expert,) = make_drivers(BRISK_EITOE, {}, range(1))
 
     def drive_for(scheduled_s: float) -> Drive:
         return drive(run_of(replace(case, scheduled_s=scheduled_s)), expert)
