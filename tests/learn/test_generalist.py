@@ -34,6 +34,7 @@ from metropilot.learn.imitation.training import train_in_parts
 from metropilot.physics import at_rest, to_jax, vehicle_arrays
 from metropilot.policy import act
 from metropilot.railway import load_trainset
+from metropilot.railway.drawn import NAME
 from metropilot.sim import first_state
 
 
@@ -55,6 +56,57 @@ def test_worlds_keep_their_declared_ranges():
         )
         assert abs(world.section.gradient_permil.value).max() <= 40.0
         assert 80e3 <= world.trainset.mass_kg <= 500e3
+
+
+def test_wide_worlds_reach_the_ranges_of_real_trainsets():
+    wide = [domain_sample(1, number, 1.0) for number in range(300)]
+    lengths = np.array([world.section.length_m for world in wide])
+    assert 200.0 <= lengths.min() < 260.0
+    assert 14e3 < lengths.max() <= 20e3
+    masses = np.array([world.trainset.mass_kg for world in wide])
+    assert 80e3 <= masses.min() < 100e3
+    assert 450e3 < masses.max() <= 600e3
+    starts = np.array([float(w.trainset.traction.at(0.0)) / w.trainset.effective_mass_kg for w in wide])
+    assert 0.39 < starts.min() < 0.5
+    assert 1.2 < starts.max() < 1.41
+    steepest = np.array([abs(world.section.gradient_permil.value).max() for world in wide])
+    assert (steepest * 9.81e-3 <= 0.5 * starts + 1e-9).all()
+    assert 35.0 < steepest.max() <= 40.0
+    fastest = np.array([world.trainset.max_speed_mps for world in wide]) * 3.6
+    assert fastest.min() == pytest.approx(60.0)
+    assert fastest.max() == pytest.approx(160.0)
+    for world in wide:
+        limits = world.section.limit_mps.value * 3.6
+        assert 29.9 < limits.min() <= limits.max() < max(world.trainset.max_speed_mps * 3.6, 60.0) + 0.51
+    late = np.array([(w.trainset.actuation.delay_s, w.trainset.actuation.lag_s) for w in wide])
+    assert late.min(axis=0).tolist() == [0.0, 0.0]
+    assert (late.max(axis=0) > (0.95, 0.57)).all()
+    assert (late.max(axis=0) <= (1.0, 0.6)).all()
+    for bound in ("max_acceleration_mps2", "max_deceleration_mps2"):
+        assert 0.3 < np.mean([np.isfinite(getattr(w.trainset, bound)) for w in wide]) < 0.7
+    assert 0.3 < np.mean([np.isfinite(w.trainset.actuation.jerk_limit_mps3) for w in wide]) < 0.7
+    electric = np.array([float(w.trainset.electric_brake.at(1.0)) > 0.0 for w in wide])
+    friction = np.array([w.trainset.friction_brake_n > 0.0 for w in wide])
+    assert {(True, True), (True, False), (False, True)} == set(zip(electric, friction, strict=True))
+
+
+def test_a_share_of_wide_worlds_leaves_the_others_as_they_are():
+    plain = [domain_sample(4, number) for number in range(100)]
+    mixed = [domain_sample(4, number, 0.4) for number in range(100)]
+    same = np.array([a.trainset.mass_kg == b.trainset.mass_kg for a, b in zip(plain, mixed, strict=True)])
+    assert 0.45 < same.mean() < 0.75
+    for k in np.flatnonzero(same):
+        assert plain[k].section.length_m == mixed[k].section.length_m
+        assert (plain[k].section.limit_mps.value == mixed[k].section.limit_mps.value).all()
+    assert not any(NAME.fullmatch(mixed[k].trainset.id) for k in range(100)), "no campaign drives these"
+
+
+def test_an_ordinary_world_keeps_its_numbers():
+    """What is learned again from a seed is the same: the worlds of the policies shipped so far."""
+    world = domain_sample(0, 0)
+    assert world.section.length_m == pytest.approx(1056.3931524279415, rel=1e-12)
+    assert world.trainset.mass_kg == pytest.approx(121305.41179683615, rel=1e-12)
+    assert float(world.section.limit_mps.value.sum()) == pytest.approx(63.611111111111114, rel=1e-12)
 
 
 def test_lessons_command_what_the_plan_does():

@@ -23,6 +23,7 @@ from metropilot.railway import (
     Station,
     Steps,
     Trainset,
+    drawn_trainset,
 )
 from metropilot.sim import Disturbance, Run, declared_bounds
 from metropilot.units import KMH_PER_MPS
@@ -30,6 +31,13 @@ from metropilot.units import KMH_PER_MPS
 GRAVITY_MPS2 = 9.81
 STEEPEST_PERMIL = (6.0, 14.0, 28.0, 40.0)
 PLATFORM_KMH = (45.0, 50.0, 55.0, 60.0)
+WIDE = 1
+"""Tag of the random numbers that decide on the wider samples; those of such a sample follow it."""
+WIDE_LENGTH_M, WIDE_USUAL_M = (200.0, 20_000.0), (200.0, 3200.0)
+CLIMB_SHARE = 0.5
+"""Share of a trainset's starting effort that a gradient drawn for it takes at most."""
+UNNAMED_SEED = 10**9
+"""Above the seeds of ``drawn-SEED-NUMBER``, which have nine digits."""
 Interval = tuple[float, float]
 NOMINAL: Mapping[str, Interval] = MappingProxyType(
     {
@@ -277,12 +285,15 @@ class DomainSample:
     trainset: Trainset
 
 
-def domain_sample(seed: int, number: int) -> DomainSample:
-    """Random section with a random trainset, always the same of a seed and a number.
+def domain_sample(seed: int, number: int, wide_share: float = 0.0) -> DomainSample:
+    """Random section with a random trainset, always the same of a seed, a number and a share.
 
     The ranges include those of metros in service: 0.5 to 8 km, 30 to 120 km/h, gradients to 40 permil, 80 to
-    500 t. They are assumed and not taken from a line of the catalogue.
+    500 t. They are assumed and not taken from a line of the catalogue. A share of the samples is wider, as
+    :func:`draw_wide_sample` draws them; the others do not depend on it.
     """
+    if np.random.default_rng([seed, number, WIDE]).random() < wide_share:
+        return draw_wide_sample(seed, number)
     random = np.random.default_rng([seed, number])
     section = draw_section(random)
     fastest = float(section.limit_mps.value.max())
@@ -294,8 +305,34 @@ def draw_section(random: Generator) -> Section:
     usual = random.random() < 0.5
     low, high = (700.0, 3200.0) if usual else (500.0, 8000.0)
     length = float(np.exp(random.uniform(np.log(low), np.log(high))))
-    at, permil = _gradients(random, length)
-    limit_at, limit_mps = _limits(random, length)
+    gradients = _gradients(random, length)
+    top = random.uniform(45.0, 120.0) if length > 2500.0 else random.uniform(40.0, 95.0)
+    return _section(random, length, gradients, top)
+
+
+def draw_wide_sample(seed: int, number: int) -> DomainSample:
+    """Draw a section of 0.2 to 20 km for a trainset as widely drawn as :func:`drawn_trainset` draws them.
+
+    Limits reach from 30 km/h to the trainset's largest speed; gradients are those on which it still gains
+    speed. Its seed is none that a name ``drawn-SEED-NUMBER`` can have: campaigns drive trainsets that nobody
+    learned from.
+    """
+    random = np.random.default_rng([seed, number, WIDE + 1])
+    drawn = drawn_trainset(UNNAMED_SEED + seed, number)
+    trainset = drawn.with_load(str(random.choice(list(drawn.loads))))
+    low, high = WIDE_LENGTH_M if random.random() < 0.5 else WIDE_USUAL_M
+    length = float(np.exp(random.uniform(np.log(low), np.log(high))))
+    start_mps2 = float(trainset.traction.at(0.0)) / trainset.effective_mass_kg
+    gradients = _gradients(random, length, 1e3 * CLIMB_SHARE * start_mps2 / GRAVITY_MPS2)
+    top = random.uniform(40.0, trainset.max_speed_mps * KMH_PER_MPS)
+    return DomainSample(_section(random, length, gradients, top), trainset)
+
+
+def _section(
+    random: Generator, length: float, gradients: tuple[np.ndarray, np.ndarray], top_kmh: float
+) -> Section:
+    at, permil = gradients
+    limit_at, limit_mps = _limits(random, length, top_kmh)
     ends = Station("O", "Origin", 0.0), Station("D", "Destination", length)
     return Section("random", *ends, length, Steps(limit_at, limit_mps), Steps(at, permil))
 
@@ -307,9 +344,11 @@ def _breaks(random: Generator, start: float, end: float, low: float, high: float
     return at[at < end]
 
 
-def _gradients(random: Generator, length: float) -> tuple[np.ndarray, np.ndarray]:
+def _gradients(
+    random: Generator, length: float, most_permil: float = STEEPEST_PERMIL[-1]
+) -> tuple[np.ndarray, np.ndarray]:
     """Positions and values of gradients; many sections have level stretches, some lie on a slope."""
-    steepest = random.choice(STEEPEST_PERMIL, p=[0.25, 0.3, 0.3, 0.15])
+    steepest = min(float(random.choice(STEEPEST_PERMIL, p=[0.25, 0.3, 0.3, 0.15])), most_permil)
     at = _breaks(random, -400.0, length + 400.0, 100.0, 800.0)
     permil = np.clip(random.normal(0.0, steepest / 1.6, at.size), -steepest, steepest)
     if random.random() < 0.3:
@@ -322,12 +361,11 @@ def _gradients(random: Generator, length: float) -> tuple[np.ndarray, np.ndarray
     return at, permil
 
 
-def _limits(random: Generator, length: float) -> tuple[np.ndarray, np.ndarray]:
+def _limits(random: Generator, length: float, top_kmh: float) -> tuple[np.ndarray, np.ndarray]:
     """Positions and values of limits; half of the sections have a slower zone at a platform."""
-    top = random.uniform(45.0, 120.0) if length > 2500.0 else random.uniform(40.0, 95.0)
     at = _breaks(random, -200.0, length + 200.0, 150.0, 1500.0)
     share = random.choice([1.0, 1.0, 1.0, 0.85, 0.7, 0.55], size=at.size)
-    kmh = np.clip(np.round(top * share), 30.0, 120.0)
+    kmh = np.maximum(np.round(top_kmh * share), 30.0)
     pieces = dict(zip(at.tolist(), kmh.tolist(), strict=True))
     if random.random() < 0.5:
         zone = length - random.uniform(60.0, 180.0)

@@ -329,6 +329,7 @@ class TeacherConfig(AbstractConfig):
 
     Attributes:
         worlds: Random worlds that lessons and drives are drawn from.
+        wide_share: Share of them with trainsets as different as real ones, on sections of 0.2 to 20 km.
         plans: Optimal plans of each, all but one from a state beside the first.
         states: States along each plan.
         batches: Gradient steps of the imitation.
@@ -351,6 +352,7 @@ class TeacherConfig(AbstractConfig):
     gamma: float = 1.0
     max_gradient_norm: float | None = 0.5
     worlds: int = declare(2_000, low=1)
+    wide_share: float = declare(0.0, low=0.0, high=1.0)
     plans: int = declare(7, low=1)
     states: int = declare(60, low=1)
     batches: int = declare(12_000, low=1)

@@ -242,6 +242,7 @@ class DemonstrationSet:
         plans: Plans of each.
         states: States along each plan.
         folder: Folder of the files.
+        wide_share: Share of the lines that are drawn wider.
     """
 
     seed: int
@@ -249,6 +250,7 @@ class DemonstrationSet:
     plans: int
     states: int
     folder: Path
+    wide_share: float = 0.0
 
     @property
     def shards(self) -> int:
@@ -257,7 +259,7 @@ class DemonstrationSet:
 
     def path(self, shard: int) -> Path:
         """File of one shard; its name holds the whole specification, so that no other is taken for it."""
-        key = f"{self.seed}-{self.worlds}-{self.plans}-{self.states}"
+        key = f"{self.seed}-{self.worlds}-{self.plans}-{self.states}-{self.wide_share:g}"
         return self.folder / f"lessons-{key}-{shard:03}.safetensors"
 
 
@@ -288,9 +290,8 @@ def collect_shard(dataset: DemonstrationSet, shard: int) -> None:
     for number in range(shard * SHARD, min((shard + 1) * SHARD, dataset.worlds)):
         random = np.random.default_rng([dataset.seed, number + ATTEMPT])
         try:
-            demonstrations = collect_demonstrations(
-                domain_sample(dataset.seed, number), random, dataset.plans, dataset.states
-            )
+            sample = domain_sample(dataset.seed, number, dataset.wide_share)
+            demonstrations = collect_demonstrations(sample, random, dataset.plans, dataset.states)
         except MetropilotError:
             continue  # a section that cannot be driven: too steep for its trainset
         found.append(demonstrations)

@@ -8,7 +8,7 @@ that was stopped ends with the same bits as one that was not.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,7 +19,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from metropilot._typing import Array
-from metropilot.env import DomainRandomization, DrivingTask, RegimeAction, SectionRows, domain_sample
+from metropilot.env import (
+    DomainRandomization,
+    DomainSample,
+    DrivingTask,
+    RegimeAction,
+    SectionRows,
+    domain_sample,
+)
 from metropilot.errors import InputError
 from metropilot.learn.compile_cache import keep_compiled
 from metropilot.learn.config import TeacherConfig
@@ -59,6 +66,8 @@ AT_A_TIME = 100
 """Gradient steps of the imitation in one call."""
 REPORTS = 10
 """Number of progress reports while demonstrations are collected."""
+LONGEST_M = 8_000.0
+"""Longer sections are imitated only: few drives on them are short enough, and their tables are large."""
 WARM_UP = 500
 DRIVE_WARM_UP = 20
 
@@ -141,7 +150,12 @@ class _Training:
         fresh = _begin(blank)
         standing = log.resume(jax.eval_shape(lambda: fresh)) or fresh
         dataset = DemonstrationSet(
-            self.seed, config.worlds, config.plans, config.states, self.folder / "lessons"
+            self.seed,
+            config.worlds,
+            config.plans,
+            config.states,
+            self.folder / "lessons",
+            config.wide_share,
         )
         if log.chunks_done < self._count:
             self._collect(dataset)
@@ -191,8 +205,12 @@ class _Training:
                 random = np.random.default_rng([self.seed, IMITATE, number])
                 return self._imitate(number, train_state, random, demonstrations.observations, wanted)
             if not tuning:
-                loop, case = self._loop(numbers)
-                drives = drives_of(case, demonstrations.begins, loop.period_s)
+                samples = {
+                    int(k): domain_sample(self.seed, int(k), config.wide_share) for k in np.unique(numbers)
+                }
+                short = np.array([samples[int(k)].section.length_m <= LONGEST_M for k in numbers])
+                loop, case = self._loop(samples, numbers[short])
+                drives = drives_of(case, demonstrations.begins[short], loop.period_s)
                 tuning.append(Tuning(config, spec, loop, drives, demonstrations))
             random = np.random.default_rng([self.seed, DRIVE, number])
             if number == IMITATIONS + 1:
@@ -259,19 +277,27 @@ class _Training:
         config = self.config
         return max(config.steps // config.decisions // config.evaluations, 1)
 
-    def _loop(self, numbers: np.ndarray) -> tuple[ClosedLoop, np.ndarray]:
-        """Closed loop over the sections' tables, and the row in them at which each drive begins."""
+    def _loop(
+        self, samples: Mapping[int, DomainSample], numbers: np.ndarray
+    ) -> tuple[ClosedLoop, np.ndarray]:
+        """Closed loop over the sections' tables, and the row in them at which each drive begins.
+
+        Its plant answers at once: a driver sees the state in which its command begins to act, so that dead
+        time and lag reach the policy through the permitted speed alone.
+        """
         known, case = np.unique(numbers, return_inverse=True)
-        samples = [domain_sample(self.seed, int(number)) for number in known]
         config = replace(
             self.task.config,
-            sections=tuple(sample.section for sample in samples),
-            trainsets=tuple(sample.trainset for sample in samples),
+            sections=tuple(samples[int(number)].section for number in known),
+            trainsets=tuple(samples[int(number)].trainset for number in known),
             spacing_m=SPACING_M,
         )
         action = config.action
         assert isinstance(action, RegimeAction)
-        rows = SectionRows(config.tables(jobs=0), jax=True)
+        tables = config.tables(jobs=0)
+        at_once = np.zeros_like(tables.vehicle.delay_s)
+        tables = tables._replace(vehicle=tables.vehicle._replace(delay_s=at_once, lag_s=at_once))
+        rows = SectionRows(tables, jax=True)
         period_s = config.dt * config.periods
         return ClosedLoop(rows, config.features, action, config.assists, period_s), case.astype(np.int32)
 
