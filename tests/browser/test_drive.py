@@ -190,7 +190,7 @@ def test_a_link_restores_the_form_the_map_and_the_time(visit, server):
     expect(page.locator('[data-test="live"]')).not_to_have_attribute("data-run", live)
     expect(page.locator('[data-test="live"]')).to_have_attribute("data-status", "running")
     again = server.get("/api/live/" + page.locator('[data-test="live"]').get_attribute("data-run"))
-    assert {name: again["asked"][name] for name in TOLD if name != "pace"} == {
+    assert {name: again["request"][name] for name in TOLD if name != "pace"} == {
         name: value for name, value in TOLD.items() if name != "pace"
     }
     stop_all(server)
@@ -304,6 +304,6 @@ def test_what_was_learned_drives_and_its_link_restores_it(visit, server):
     view = page.locator('[data-test="live"]')
     expect(view).not_to_have_attribute("data-run", live)
     expect(view).to_have_attribute("data-status", "running")
-    asked = server.get("/api/live/" + view.get_attribute("data-run"))["asked"]
-    assert (asked["driver"], asked["options"], asked["dt_s"]) == (f"learned:policy={runs[1]}", {}, 0.1)
+    body = server.get("/api/live/" + view.get_attribute("data-run"))["request"]
+    assert (body["driver"], body["options"], body["dt_s"]) == (f"learned:policy={runs[1]}", {}, 0.1)
     stop_all(server)

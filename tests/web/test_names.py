@@ -2,6 +2,7 @@
 
 import asyncio
 import shutil
+import sqlite3
 
 import httpx
 import pytest
@@ -15,6 +16,7 @@ from metropilot.web import Settings
 from metropilot.web.schemas.requests import DriveIn
 from metropilot.web.server import make_api
 from metropilot.web.service import Service
+from metropilot.web.store import JobStore
 
 RUN = "ppo-20260101-120000-ab12"
 SECTION = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ"}
@@ -118,15 +120,24 @@ def test_a_policy_that_is_none_of_the_drivers_is_refused_at_once(service, driver
 
 
 def test_a_learning_run_and_an_upload_drive_by_their_ids(service):
-    asked = DriveIn(**SECTION, driver="learned", options={"policy": RUN})
-    request = service.request(asked)
+    body = DriveIn(**SECTION, driver="learned", options={"policy": RUN})
+    request = service.run_spec(body)
     assert request.options == {"policy": str(service.root / "runs" / RUN / "policy.safetensors")}
-    assert service.request(DriveIn(**SECTION, driver=f"learned:policy={RUN}")) == request
+    assert service.run_spec(DriveIn(**SECTION, driver=f"learned:policy={RUN}")) == request
     assert request.make_driver().loaded_policy.about
     (service.root / "uploads").mkdir()
     shutil.copyfile(shipped_policy("ppo"), service.root / "uploads" / "x.safetensors")
     row = service.store.add_upload("policy", "mine.safetensors", "x.safetensors")
-    driver = service.request(DriveIn(**SECTION, driver=f"learned:policy={row.id}")).make_driver()
+    driver = service.run_spec(DriveIn(**SECTION, driver=f"learned:policy={row.id}")).make_driver()
     assert driver.loaded_policy.about
     with pytest.raises(InputError, match="no such policy"):
-        service.request(DriveIn(**SECTION, driver="learned:policy=another"))
+        service.run_spec(DriveIn(**SECTION, driver="learned:policy=another"))
+
+
+def test_a_folder_of_before_the_fields_had_the_names_of_a_run_file_is_read(tmp_path):
+    store = JobStore(tmp_path)
+    job = store.new_job("drive", {"arrivals": [{"at_s": 30.0}]})
+    with sqlite3.connect(tmp_path / "console.sqlite") as database:
+        database.execute("ALTER TABLE jobs RENAME COLUMN request TO asked")
+        database.execute("""UPDATE jobs SET asked = replace(asked, '"at_s"', '"told_s"')""")
+    assert JobStore(tmp_path).job(job).request == {"arrivals": [{"at_s": 30.0}]}

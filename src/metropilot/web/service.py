@@ -112,13 +112,13 @@ class Service:
             raise InputError("no such policy", field=f"options.{POLICY}", value=key, allowed=allowed)
         return found
 
-    def request(self, asked: SectionIn) -> RunSpec:
+    def run_spec(self, body: SectionIn) -> RunSpec:
         """Resolve a request to a run.
 
         Raises:
             InputError: A name is unknown, or a number is not allowed.
         """
-        values = asked.model_dump(exclude={"drivers", "seeds", "pace"})
+        values = body.model_dump(exclude={"drivers", "seeds", "pace"})
         return resolve(DriveIn.model_validate(values), self.path)
 
     async def upload(self, name: str, content: bytes) -> tuple[UploadRow, dict[str, Any]]:
@@ -161,25 +161,25 @@ class Service:
         raise Refused("no such upload", 404, field="id", value=upload)
 
     # ------------------------------------------------------------------------------------------ answers
-    async def section(self, asked: SectionIn) -> dict[str, Any]:
+    async def section(self, body: SectionIn) -> dict[str, Any]:
         """A section and its minimum running time."""
-        return await self.pools.answer(plans.section_of, self.request(asked))
+        return await self.pools.answer(plans.section_of, self.run_spec(body))
 
-    async def plan(self, asked: PlanIn) -> dict[str, Any]:
+    async def plan(self, body: PlanIn) -> dict[str, Any]:
         """The optimal plan."""
-        return await self.pools.answer(plans.plan_of, self.request(asked))
+        return await self.pools.answer(plans.plan_of, self.run_spec(body))
 
-    async def front(self, asked: PlanIn) -> dict[str, Any]:
+    async def front(self, body: PlanIn) -> dict[str, Any]:
         """The time-energy front."""
-        return await self.pools.answer(plans.front_of, self.request(asked))
+        return await self.pools.answer(plans.front_of, self.run_spec(body))
 
-    async def journey(self, asked: dict[str, Any]) -> dict[str, Any]:
+    async def journey(self, body: dict[str, Any]) -> dict[str, Any]:
         """A journey."""
-        names = {name: self.path(name, asked[name]) for name in ("line", "trainset")}
-        return await self.pools.answer(plans.journey_of, {**asked, **names})
+        names = {name: self.path(name, body[name]) for name in ("line", "trainset")}
+        return await self.pools.answer(plans.journey_of, {**body, **names})
 
     # ------------------------------------------------------------------------------------------ jobs
-    def submit(self, asked: DriveIn | CompareIn | LearnIn | StudyIn) -> str:
+    def submit(self, body: DriveIn | CompareIn | LearnIn | StudyIn) -> str:
         """Queue a job; return its id.
 
         Raises:
@@ -188,24 +188,24 @@ class Service:
         """
         if self.store.count_waiting() >= self.settings.queued_jobs:
             raise Refused("too many jobs wait", 429)
-        if isinstance(asked, LearnIn):
-            self._check_learning(asked)
+        if isinstance(body, LearnIn):
+            self._check_learning(body)
             kind = "learn"
-        elif isinstance(asked, StudyIn):
+        elif isinstance(body, StudyIn):
             from metropilot.studies import STUDIES
 
-            STUDIES.get(asked.study)
+            STUDIES.get(body.study)
             kind = "study"
         else:
-            request = self.request(asked)
+            request = self.run_spec(body)
             request.run()
-            if isinstance(asked, CompareIn):
-                self._drivers_of(asked)
+            if isinstance(body, CompareIn):
+                self._drivers_of(body)
             else:
                 self._check_driver(request)
-            kind = "compare" if isinstance(asked, CompareIn) else "drive"
-        job = self.store.new_job(kind, asked.model_dump())
-        self._schedule(job, kind, asked.model_dump(), None)
+            kind = "compare" if isinstance(body, CompareIn) else "drive"
+        job = self.store.new_job(kind, body.model_dump())
+        self._schedule(job, kind, body.model_dump(), None)
         return job
 
     def stop(self, job: str) -> None:
@@ -234,20 +234,20 @@ class Service:
         if row.kind == "live" or row.status in {"queued", "running", "done"}:
             raise Refused(f"a job that is {row.status} cannot be resumed", 409, field="id", value=job)
         self.store.update(job, status="queued", words="", stop=0, error=None)
-        self._schedule(job, row.kind, row.asked, row.run)
+        self._schedule(job, row.kind, row.request, row.run)
 
-    def _schedule(self, job: str, kind: str, asked: dict[str, Any], run: str | None) -> None:
+    def _schedule(self, job: str, kind: str, body: dict[str, Any], run: str | None) -> None:
         root = str(self.root)
         if kind == "learn":
-            future = self.pools.submit(kind, learning.learn_job, root, job, asked, run)
+            future = self.pools.submit(kind, learning.learn_job, root, job, body, run)
         elif kind == "study":
-            future = self.pools.submit(kind, learning.study_job, root, job, asked)
+            future = self.pools.submit(kind, learning.study_job, root, job, body)
         elif kind == "compare":
-            body = CompareIn.model_validate(asked)
-            what = (self.request(body), self._drivers_of(body), body.seeds)
+            compared = CompareIn.model_validate(body)
+            what = (self.run_spec(compared), self._drivers_of(compared), compared.seeds)
             future = self.pools.submit(kind, drives.compare_job, root, job, *what)
         else:
-            request = self.request(DriveIn.model_validate(asked))
+            request = self.run_spec(DriveIn.model_validate(body))
             future = self.pools.submit(kind, drives.drive_job, root, job, request)
         self.futures[job] = future
         future.add_done_callback(lambda done: self._store_result(job, kind, done))
@@ -286,27 +286,27 @@ class Service:
             told = {"value": error.value, "unit": error.unit, "allowed": error.allowed}
             raise InputError(error.message, field=f"options.{POLICY}", **told) from None
 
-    def _drivers_of(self, asked: CompareIn) -> dict[str, str]:
+    def _drivers_of(self, body: CompareIn) -> dict[str, str]:
         """Drivers of a comparison for :func:`metropilot.evaluate.compare`, by name.
 
         Raises:
             InputError: No such driver, or no such option of it.
         """
         found = {}
-        for name in asked.drivers:
-            options = asked.options if name == asked.driver else {}
-            request = self.request(asked.model_copy(update={"driver": name, "options": options}))
+        for name in body.drivers:
+            options = body.options if name == body.driver else {}
+            request = self.run_spec(body.model_copy(update={"driver": name, "options": options}))
             self._check_driver(request)
             found[name] = ":".join([request.driver, *(f"{k}={v}" for k, v in request.options.items())])
         return found
 
     @staticmethod
-    def _check_learning(asked: LearnIn) -> None:
+    def _check_learning(body: LearnIn) -> None:
         from metropilot.learn import recipe
 
-        row = recipe(asked.driver)
-        row.configuration(asked.budget, **learning.recipe_fields(asked.model_dump()))
-        row.task_configuration(asked.task)
+        row = recipe(body.driver)
+        row.configuration(body.budget, **learning.recipe_fields(body.model_dump()))
+        row.task_configuration(body.task)
 
     def _mark_run(self, run: str) -> None:
         """Mark a learning run without a process as interrupted."""
@@ -321,7 +321,7 @@ class Service:
             runs.update(record, status="interrupted")
 
     # ------------------------------------------------------------------------------------------ live runs
-    async def go_live(self, asked: LiveIn | ConvoyIn, job: str | None = None) -> Session:
+    async def go_live(self, body: LiveIn | ConvoyIn, job: str | None = None) -> Session:
         """Start a live run, or resume one that was interrupted.
 
         Raises:
@@ -333,22 +333,22 @@ class Service:
         if len(running) >= self.settings.live_runs:
             words = f"at most {self.settings.live_runs} live runs at once; stop one of {', '.join(running)}"
             raise Refused(words, 429)
-        convoy = isinstance(asked, ConvoyIn)
-        request: Any = self._convoy(asked) if convoy else self._run(asked)
+        convoy = isinstance(body, ConvoyIn)
+        request: Any = self._convoy(body) if convoy else self._run(body)
         order: dict[str, Any] = {
             "request": request,
             "convoy": convoy,
-            "pace": asked.pace,
+            "pace": body.pace,
             "root": str(self.root),
         }
         if job is None:
-            job = self.store.new_job("live", asked.model_dump())
+            job = self.store.new_job("live", body.model_dump())
             order |= {"journal": [], "step": 0}
         else:
             order |= {"journal": self.store.journal(job), "step": int(self.store.job(job).progress)}
         order["job"] = job
         spare, self.spare = self.spare or start_spare(self.settings.worker_bytes), None
-        session = Session(job, asked.model_dump(), spare, self._keep)
+        session = Session(job, body.model_dump(), spare, self._keep)
         self._forget_old()
         self.sessions[job] = session
         self.store.update(job, status="running", words="", error=None)
@@ -366,8 +366,8 @@ class Service:
         row = self.store.job(job)
         if row.kind != "live" or row.status not in RESUMABLE:
             raise Refused(f"a {row.kind} that is {row.status} cannot be resumed", 409, field="id", value=job)
-        kind = ConvoyIn if "follower" in row.asked else LiveIn
-        return await self.go_live(kind.model_validate(row.asked), job)
+        kind = ConvoyIn if "follower" in row.request else LiveIn
+        return await self.go_live(kind.model_validate(row.request), job)
 
     def live_run(self, job: str) -> JobRow:
         """Stored row of a live run or convoy, also of an earlier server.
@@ -396,21 +396,21 @@ class Service:
                 words = f"no viewer for {ABANDONED_S:g} s; it can be resumed"
                 self.store.update(session.id, words=words)
 
-    def _run(self, asked: LiveIn) -> RunSpec:
-        request = self.request(asked)
+    def _run(self, body: LiveIn) -> RunSpec:
+        request = self.run_spec(body)
         request.run()
         self._check_driver(request)
         return request
 
-    def _convoy(self, asked: ConvoyIn) -> ConvoyRequest:
+    def _convoy(self, body: ConvoyIn) -> ConvoyRequest:
         from metropilot.convoy import ConvoyRequest, Link
 
-        values = asked.model_dump()
+        values = body.model_dump()
         head = self._run(LiveIn.model_validate({n: values[n] for n in LiveIn.model_fields if n != "pace"}))
         own = {n: values[n] for n in (*field_specs(ConvoyRequest), "disturbances") if n in values}
         link = {n: values[f"link_{n}"] for n in field_specs(Link) if f"link_{n}" in values}
         own["behind"] = [self.path("trainset", key) for key in values["behind"]]
-        made = ConvoyRequest.from_values(own | {"count": asked.trainsets, "link": link}, head)
+        made = ConvoyRequest.from_values(own | {"count": body.trainsets, "link": link}, head)
         made.make_follower()
         made.run(made.convoy())
         return made

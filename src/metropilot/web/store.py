@@ -17,7 +17,7 @@ from metropilot.web.errors import Refused
 
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS jobs (
-    id TEXT PRIMARY KEY, kind TEXT NOT NULL, status TEXT NOT NULL, asked TEXT NOT NULL,
+    id TEXT PRIMARY KEY, kind TEXT NOT NULL, status TEXT NOT NULL, request TEXT NOT NULL,
     created TEXT NOT NULL, progress REAL NOT NULL DEFAULT 0, words TEXT NOT NULL DEFAULT '', run TEXT,
     stop INTEGER NOT NULL DEFAULT 0, error TEXT, result TEXT
 );
@@ -39,7 +39,7 @@ class JobRow:
     id: str
     kind: str
     status: str
-    asked: dict[str, Any]
+    request: dict[str, Any]
     created: str
     progress: float
     words: str
@@ -67,6 +67,10 @@ class JobStore:
     def __init__(self, root: Path) -> None:
         self.root = root
         with self._open() as database:
+            columns = {row[1] for row in database.execute("PRAGMA table_info(jobs)")}
+            if "asked" in columns:  # a folder of before the fields had the names of run.toml
+                database.execute("ALTER TABLE jobs RENAME COLUMN asked TO request")
+                database.execute("""UPDATE jobs SET request = replace(request, '"told_s"', '"at_s"')""")
             database.executescript(SCHEMA)
 
     @contextmanager
@@ -75,14 +79,14 @@ class JobStore:
             database.execute("PRAGMA synchronous = NORMAL")
             yield database
 
-    def new_job(self, kind: str, asked: dict[str, Any]) -> str:
+    def new_job(self, kind: str, request: dict[str, Any]) -> str:
         """Add a job with status ``queued``; return its id."""
         now = datetime.now(UTC)
         job = f"{kind}-{now:%Y%m%d-%H%M%S}-{secrets.token_hex(3)}"
         with self._open() as database:
             database.execute(
-                "INSERT INTO jobs (id, kind, status, asked, created) VALUES (?, ?, 'queued', ?, ?)",
-                (job, kind, json.dumps(asked), now.isoformat(timespec="seconds")),
+                "INSERT INTO jobs (id, kind, status, request, created) VALUES (?, ?, 'queued', ?, ?)",
+                (job, kind, json.dumps(request), now.isoformat(timespec="seconds")),
             )
         return job
 
@@ -173,13 +177,13 @@ class JobStore:
             database.execute("DELETE FROM uploads WHERE id = ?", (upload,))
 
     def _jobs(self, rest: str, values: tuple[Any, ...]) -> list[JobRow]:
-        columns = "id, kind, status, asked, created, progress, words, run, error"
+        columns = "id, kind, status, request, created, progress, words, run, error"
         with self._open() as database:
             rows = database.execute(f"SELECT {columns} FROM jobs {rest}", values).fetchall()
         return [_job(row) for row in rows]
 
 
 def _job(row: tuple[Any, ...]) -> JobRow:
-    job, kind, status, asked, created, progress, words, run, error = row
+    job, kind, status, request, created, progress, words, run, error = row
     told = json.loads(error) if error else None
-    return JobRow(job, kind, status, json.loads(asked), created, progress, words, run, told)
+    return JobRow(job, kind, status, json.loads(request), created, progress, words, run, told)

@@ -35,24 +35,24 @@ def routes(service: Service) -> APIRouter:
     router = APIRouter(tags=["jobs"])
 
     @router.post("/jobs/drive", response_model=JobOut, status_code=202)
-    def drive(asked: DriveIn) -> JobRow:
+    def drive(body: DriveIn) -> JobRow:
         """Drive one run."""
-        return service.store.job(service.submit(asked))
+        return service.store.job(service.submit(body))
 
     @router.post("/jobs/compare", response_model=JobOut, status_code=202)
-    def compare(asked: CompareIn) -> JobRow:
+    def compare(body: CompareIn) -> JobRow:
         """Drive the same run with several drivers and seeds."""
-        return service.store.job(service.submit(asked))
+        return service.store.job(service.submit(body))
 
     @router.post("/jobs/learn", response_model=JobOut, status_code=202)
-    def learn(asked: LearnIn) -> JobRow:
+    def learn(body: LearnIn) -> JobRow:
         """Learn a driver."""
-        return service.store.job(service.submit(asked))
+        return service.store.job(service.submit(body))
 
     @router.post("/jobs/study", response_model=JobOut, status_code=202)
-    def study(asked: StudyIn) -> JobRow:
+    def study(body: StudyIn) -> JobRow:
         """Reproduce a study."""
-        return service.store.job(service.submit(asked))
+        return service.store.job(service.submit(body))
 
     @router.get("/jobs", response_model=list[JobOut])
     def jobs(kind: JobKind | None = None, limit: Annotated[int, Query(ge=1, le=1000)] = 100) -> list[JobRow]:

@@ -43,7 +43,7 @@ def live_out(session: Session) -> dict[str, Any]:
     return {
         "id": session.id,
         "status": known.status,
-        "asked": session.asked,
+        "request": session.request,
         "time_s": known.time_s,
         "position_m": known.position_m,
         "pace": known.pace,
@@ -60,24 +60,24 @@ def routes(service: Service) -> APIRouter:
     """Make the routes of live runs and live convoys."""
     router = APIRouter(tags=["live"])
 
-    async def tell(live_id: str, kind: str, asked: RequestBody) -> dict[str, Any]:
-        at = await service.session(live_id).ask({"kind": kind, **asked.model_dump()})
+    async def tell(live_id: str, kind: str, body: RequestBody) -> dict[str, Any]:
+        at = await service.session(live_id).ask({"kind": kind, **body.model_dump()})
         return {"id": live_id, "at_s": at}
 
     @router.post("/live", response_model=LiveOut, status_code=201)
-    async def start(asked: LiveIn) -> dict[str, Any]:
+    async def start(body: LiveIn) -> dict[str, Any]:
         """Start a live run."""
-        return live_out(await service.go_live(asked))
+        return live_out(await service.go_live(body))
 
     @router.post("/convoys", response_model=LiveOut, status_code=201)
-    async def convoy(asked: ConvoyIn) -> dict[str, Any]:
+    async def convoy(body: ConvoyIn) -> dict[str, Any]:
         """Start a live convoy; watched, paced and stopped like any live run."""
-        return live_out(await service.go_live(asked))
+        return live_out(await service.go_live(body))
 
     @router.post("/live/{live_id}/link", response_model=EventOut)
-    async def link(live_id: Key, asked: NewLink) -> dict[str, Any]:
+    async def link(live_id: Key, body: NewLink) -> dict[str, Any]:
         """Change delay, jitter and loss of the link of a convoy, or silence it."""
-        return await tell(live_id, "link", asked)
+        return await tell(live_id, "link", body)
 
     @router.post("/live/{live_id}/emergency", response_model=EventOut)
     async def emergency(live_id: Key) -> dict[str, Any]:
@@ -107,27 +107,27 @@ def routes(service: Service) -> APIRouter:
         return StreamingResponse(body, media_type="text/event-stream", headers=headers)
 
     @router.post("/live/{live_id}/arrival", response_model=EventOut)
-    async def arrival(live_id: Key, asked: NewArrival) -> dict[str, Any]:
+    async def arrival(live_id: Key, body: NewArrival) -> dict[str, Any]:
         """Send the driver a new arrival time."""
-        return await tell(live_id, "arrival", asked)
+        return await tell(live_id, "arrival", body)
 
     @router.post("/live/{live_id}/restriction", response_model=EventOut)
-    async def restriction(live_id: Key, asked: NewRestriction) -> dict[str, Any]:
+    async def restriction(live_id: Key, body: NewRestriction) -> dict[str, Any]:
         """Add a temporary speed restriction on the track ahead."""
-        return await tell(live_id, "restriction", asked)
+        return await tell(live_id, "restriction", body)
 
     @router.post("/live/{live_id}/lever", response_model=EventOut)
-    async def lever(live_id: Key, asked: Lever) -> dict[str, Any]:
+    async def lever(live_id: Key, body: Lever) -> dict[str, Any]:
         """Drive manually under protection; without renewal within 3 s the driver takes over.
 
         The lever has one holder. A second one is refused (409); the message names the first.
         """
-        return await tell(live_id, "lever", asked)
+        return await tell(live_id, "lever", body)
 
     @router.post("/live/{live_id}/pace", response_model=EventOut)
-    async def pace(live_id: Key, asked: Pace) -> dict[str, Any]:
+    async def pace(live_id: Key, body: Pace) -> dict[str, Any]:
         """Change the pace of the run: 1 is real time, 0 pauses it."""
-        return await tell(live_id, "pace", asked)
+        return await tell(live_id, "pace", body)
 
     @router.post("/live/{live_id}/stop", response_model=EventOut)
     async def stop(live_id: Key) -> dict[str, Any]:

@@ -16,23 +16,23 @@ def routes(service: Service) -> APIRouter:
     router = APIRouter(tags=["planning"])
 
     @router.post("/section", response_model=SectionOut)
-    async def section(asked: SectionIn) -> dict[str, Any]:
+    async def section(body: SectionIn) -> dict[str, Any]:
         """A section for a trainset, with the minimum running time."""
-        return await service.section(asked)
+        return await service.section(body)
 
     @router.post("/plan", response_model=PlanOut)
-    async def plan(asked: PlanIn) -> dict[str, Any]:
+    async def plan(body: PlanIn) -> dict[str, Any]:
         """The energy-optimal plan with its certificate."""
-        return await service.plan(asked)
+        return await service.plan(body)
 
     @router.post("/front", response_model=FrontOut)
-    async def front(asked: PlanIn) -> dict[str, Any]:
+    async def front(body: PlanIn) -> dict[str, Any]:
         """Optimal energy from 1.02 to 1.6 of the minimum running time; ``time_s`` is not used."""
-        return await service.front(asked)
+        return await service.front(body)
 
     @router.post("/journey", response_model=JourneyOut)
-    async def journey(asked: JourneyIn) -> dict[str, Any]:
+    async def journey(body: JourneyIn) -> dict[str, Any]:
         """A journey that calls at every station; with ``total_s`` its reserve is spread optimally."""
-        return await service.journey(asked.model_dump())
+        return await service.journey(body.model_dump())
 
     return router

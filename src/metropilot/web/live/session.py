@@ -71,7 +71,7 @@ class Session:
 
     Attributes:
         id: Id of the job.
-        asked: The request.
+        request: The body of the request.
         spare: Its process.
         keep: Called in the reader's thread with each message to be stored.
         known: Latest state.
@@ -82,7 +82,7 @@ class Session:
     """
 
     id: str
-    asked: dict[str, Any]
+    request: dict[str, Any]
     spare: Spare
     keep: Callable[[Session, str, dict[str, Any]], None]
     known: Known = field(default_factory=Known)
@@ -97,7 +97,7 @@ class Session:
         self.numbers = itertools.count()
         self.answers: dict[int, asyncio.Future[dict[str, Any]]] = {}
         self.ready, self.ended = asyncio.Event(), asyncio.Event()
-        self.known.pace = float(self.asked["pace"])
+        self.known.pace = float(self.request["pace"])
 
     @property
     def over(self) -> bool:

@@ -110,19 +110,19 @@ class ComparePage:
         """
         if row.kind != "compare":
             raise Refused(f"the job is a {row.kind}, no comparison", 404, field="id", value=row.id)
-        asked = row.asked
-        self.form.restore(asked)
-        self.disturbances.restore(asked)
-        self.seeds.value = asked["seeds"]
+        body = row.request
+        self.form.restore(body)
+        self.disturbances.restore(body)
+        self.seeds.value = body["seeds"]
         chosen = {
             name: driver_choice(
-                self.service, self.drivers, name, asked["options"] if name == asked["driver"] else {}
+                self.service, self.drivers, name, body["options"] if name == body["driver"] else {}
             )
-            for name in asked["drivers"]
+            for name in body["drivers"]
         }
         self.drivers.value = list(chosen.values())
-        driver = chosen.get(asked["driver"], asked["driver"])
-        self.options = {"driver": driver, "options": other_options(asked["options"])}
+        driver = chosen.get(body["driver"], body["driver"])
+        self.options = {"driver": driver, "options": other_options(body["options"])}
 
     async def load_front(self) -> None:
         """Compute the front of the section."""
@@ -172,8 +172,8 @@ class ComparePage:
             values |= {"drivers": drivers, "seeds": self.seeds.value, "driver": (drivers or ["optimal"])[0]}
             if self.form.linked and self.options.get("driver") in drivers:
                 values |= self.options
-            asked = validate(CompareIn, values)
-            self.job = self.service.submit(asked)
+            body = validate(CompareIn, values)
+            self.job = self.service.submit(body)
             ui.run_javascript(f"history.replaceState(null, '', '/compare?job={self.job}')")
             self.watch()
 
@@ -198,15 +198,15 @@ class ComparePage:
         self.going = False
         found = self.service.store.result(row.id) if row.status == "done" else None
         if found is not None:
-            self.entries, self.driven = found["entries"], self.resolve(row.asked)
+            self.entries, self.driven = found["entries"], self.resolve(row.request)
             await self.show()
 
-    def resolve(self, asked: dict[str, Any]) -> dict[str, Any]:
+    def resolve(self, body: dict[str, Any]) -> dict[str, Any]:
         """Request with station codes and the name of the load, as in the form."""
-        line = catalogue.line(self.service, asked["line"])
-        load = asked["load"] or catalogue.trainset_out(self.service, asked["trainset"])["load"]
-        codes = {name: line.station(asked[name]).code for name in ("origin", "destination")}
-        return {**asked, **codes, "load": load}
+        line = catalogue.line(self.service, body["line"])
+        load = body["load"] or catalogue.trainset_out(self.service, body["trainset"])["load"]
+        codes = {name: line.station(body[name]).code for name in ("origin", "destination")}
+        return {**body, **codes, "load": load}
 
     async def show(self) -> None:
         """Show table and picture of the comparison."""

@@ -139,7 +139,7 @@ class ConvoyPage:
         self.draw_section()
         if row.id in self.service.sessions:
             self.run = row.id
-            self.attach(row.id, row.asked["trainsets"])
+            self.attach(row.id, row.request["trainsets"])
         elif (found := self.service.store.result(row.id)) is not None:
             self.show_over(row, found)
         else:
@@ -151,21 +151,21 @@ class ConvoyPage:
         Raises:
             MetropilotError: No convoy, or its line, station or trainset does not exist any more.
         """
-        asked = row.asked
-        if "follower" not in asked:
+        body = row.request
+        if "follower" not in body:
             raise Refused(f"the job is a {row.kind}, no convoy", 404, field="id", value=row.id)
-        self.form.restore(asked)
-        self.count.value, self.gap.value = asked["trainsets"], asked["gap_m"]
-        self.head.value = driver_choice(self.service, self.head, asked["driver"])
-        self.follower.value, self.guard.value = asked["follower"], asked["guard"]
-        self.world.restore(asked)
-        self.delay.value, self.jitter.value = asked["link_delay_s"], asked["link_jitter_s"]
-        self.loss.value = 100 * asked["link_loss"]
+        self.form.restore(body)
+        self.count.value, self.gap.value = body["trainsets"], body["gap_m"]
+        self.head.value = driver_choice(self.service, self.head, body["driver"])
+        self.follower.value, self.guard.value = body["follower"], body["guard"]
+        self.world.restore(body)
+        self.delay.value, self.jitter.value = body["link_delay_s"], body["link_jitter_s"]
+        self.loss.value = 100 * body["link_loss"]
         session = self.service.sessions.get(row.id)
-        pace = asked["pace"] if session is None else session.known.pace
+        pace = body["pace"] if session is None else session.known.pace
         self.pace.value = pace if pace in PACES else self.pace.value
         names = ("start_gap_m", "apart_m", "uncouple_at_m", "emergency_s", "disturbances", "options")
-        self.kept = {name: asked[name] for name in names} | {"behind": asked.get("behind", [])}
+        self.kept = {name: body[name] for name in names} | {"behind": body.get("behind", [])}
 
     async def update_section(self) -> None:
         """Draw the section, with room for the convoy behind its origin."""
@@ -191,7 +191,7 @@ class ConvoyPage:
     async def depart(self) -> None:
         """Start a convoy and watch it."""
         with self.form.problem.show_errors():
-            asked = validate(
+            body = validate(
                 ConvoyIn,
                 {
                     **self.form.values(),
@@ -209,10 +209,10 @@ class ConvoyPage:
             )
             if (before := self.live()) is not None:
                 await before.ask({"kind": "stop"})
-            session = await self.service.go_live(asked)
+            session = await self.service.go_live(body)
             self.run = session.id
             self.draw_section()
-            self.attach(session.id, asked.trainsets)
+            self.attach(session.id, body.trainsets)
 
     def link(self) -> dict[str, float]:
         """Fields of the link."""
@@ -240,8 +240,8 @@ class ConvoyPage:
     async def relink(self) -> None:
         """Send the fields of the link."""
         with self.news.show_errors():
-            asked = validate(NewLink, {**self.link(), "silent": bool(self.silent.value)}, loss=100.0)
-            await self.ask({"kind": "link", **asked.model_dump()})
+            body = validate(NewLink, {**self.link(), "silent": bool(self.silent.value)}, loss=100.0)
+            await self.ask({"kind": "link", **body.model_dump()})
 
     async def brake(self) -> None:
         """Apply the emergency brake of the head."""

@@ -65,7 +65,7 @@ class DrivePage:
         self.lost: MetropilotError | None = None
         try:
             row = service.live_run(run) if run else None
-            if row is not None and "follower" in row.asked:
+            if row is not None and "follower" in row.request:
                 raise Refused("the run is a convoy; see the page Convoy", 404, field="id", value=row.id)
             self.row = row
         except MetropilotError as error:
@@ -199,13 +199,13 @@ class DrivePage:
         Raises:
             InputError: Its line, station or trainset does not exist any more.
         """
-        asked = row.asked
-        self.form.restore(asked)
-        self.disturbances.restore(asked)
-        self.driver.value = driver_choice(self.service, self.driver, asked["driver"], asked["options"])
-        self.options = {"driver": self.driver.value, "options": other_options(asked["options"])}
+        body = row.request
+        self.form.restore(body)
+        self.disturbances.restore(body)
+        self.driver.value = driver_choice(self.service, self.driver, body["driver"], body["options"])
+        self.options = {"driver": self.driver.value, "options": other_options(body["options"])}
         session = self.session()
-        pace = asked["pace"] if session is None else session.known.pace
+        pace = body["pace"] if session is None else session.known.pace
         self.pace.value = pace if pace in PACES else self.pace.value
 
     async def update_section(self) -> None:
@@ -260,13 +260,13 @@ class DrivePage:
             values |= {"driver": self.driver.value, "pace": float(self.pace.value)}
             if self.form.linked and self.options.get("driver") == self.driver.value:
                 values |= self.options
-            asked = validate(LiveIn, values)
+            body = validate(LiveIn, values)
             before = self.live()
             if before is not None and before.viewers <= 1:
                 await before.stop()
-            session = await self.service.go_live(asked)
+            session = await self.service.go_live(body)
             self.run = session.id
-            self.draw_section(self.form.section, asked.trainset)
+            self.draw_section(self.form.section, body.trainset)
             self.attach(session)
 
     async def resume(self) -> None:
@@ -288,7 +288,7 @@ class DrivePage:
     def scheduled_s(session: Session) -> float | None:
         """Scheduled running time in force, s."""
         known = session.known.scheduled_time_s
-        return session.asked["time_s"] if known is None else known
+        return session.request["time_s"] if known is None else known
 
     async def ask(self, event: dict[str, Any]) -> None:
         """Send the run an event.
@@ -306,8 +306,8 @@ class DrivePage:
         with self.news.show_errors():
             if self.arrival.value is None:
                 raise InputError("a time is needed", field="scheduled_time_s", unit="s")
-            asked = validate(NewArrival, {"scheduled_time_s": self.arrival.value})
-            await self.ask({"kind": "arrival", **asked.model_dump()})
+            body = validate(NewArrival, {"scheduled_time_s": self.arrival.value})
+            await self.ask({"kind": "arrival", **body.model_dump()})
 
     async def shift(self, seconds: float) -> None:
         """Send an arrival time that is shifted from the one in force."""
@@ -324,8 +324,8 @@ class DrivePage:
                 "to_m": self.to_m.value,
                 "limit_mps": (self.kmh.value or 0) / KMH_PER_MPS,
             }
-            asked = validate(NewRestriction, values)
-            await self.ask({"kind": "restriction", **asked.model_dump()})
+            body = validate(NewRestriction, values)
+            await self.ask({"kind": "restriction", **body.model_dump()})
 
     async def change_pace(self) -> None:
         """Send the pace to the live run."""
@@ -415,7 +415,7 @@ def install(service: Service) -> None:
     @ui.page("/", title="Drive · metropilot")
     async def drive(request: Request, run: str | None = None) -> RedirectResponse | None:
         page = DrivePage(service, run)
-        if page.row is not None and "follower" in page.row.asked:
+        if page.row is not None and "follower" in page.row.request:
             return RedirectResponse(f"/convoy?run={page.row.id}")
         with frame(request, "/"):
             page.build()

@@ -176,38 +176,38 @@ class SectionForm:
         kept = {name: self.kept[name] for name in ("objective",) if name in self.kept}
         return validate(PlanIn, {**self.values(), **kept, "time_s": time_s})
 
-    def restore(self, asked: dict[str, Any]) -> None:
+    def restore(self, body: dict[str, Any]) -> None:
         """Fill the fields with the request of a run; the page loads afterwards.
 
         Raises:
             InputError: Its line, station or trainset does not exist any more.
         """
-        line = catalogue.line(self.service, asked["line"])
-        trainset = catalogue.trainset_out(self.service, asked["trainset"])
-        ends = [line.station(asked[name]).code for name in ("origin", "destination")]
+        line = catalogue.line(self.service, body["line"])
+        trainset = catalogue.trainset_out(self.service, body["trainset"])
+        ends = [line.station(body[name]).code for name in ("origin", "destination")]
         self._filling = True
-        self.line = catalogue.line_out(self.service, asked["line"])
+        self.line = catalogue.line_out(self.service, body["line"])
         stops = names(self.line["stops"])
-        self.line_in.value, self.trainset_in.value = asked["line"], asked["trainset"]
+        self.line_in.value, self.trainset_in.value = body["line"], body["trainset"]
         self.origin_in.set_options(stops, value=ends[0])
         self.destination_in.set_options(stops, value=ends[1])
         self.load_in.set_options(
-            loads(self.service, asked["trainset"]), value=asked["load"] or trainset["load"]
+            loads(self.service, body["trainset"]), value=body["load"] or trainset["load"]
         )
         self._filling = False
-        self._restored_s = asked["time_s"]
+        self._restored_s = body["time_s"]
         plain = {name: field.get_default() for name, field in DriveIn.model_fields.items()}
         names_kept = ("restrictions", "arrivals", "objective", "dt_s")
-        self.kept = {name: asked[name] for name in names_kept if asked.get(name, plain[name]) != plain[name]}
-        self.kept_words.text = describe_hidden(self.kept, asked.get("options", {}))
+        self.kept = {name: body[name] for name in names_kept if body.get(name, plain[name]) != plain[name]}
+        self.kept_words.text = describe_hidden(self.kept, body.get("options", {}))
         self.linked = True
 
     async def load(self) -> None:
         """Request the section and bound the slider by its minimum running time."""
         self.problem.clear()
-        asked = {**self.values(), "time_s": None}
+        body = {**self.values(), "time_s": None}
         try:
-            self.section = await self.service.section(PlanIn.model_validate(asked))
+            self.section = await self.service.section(PlanIn.model_validate(body))
         except MetropilotError as error:
             self.section = None
             self.problem.show(error)
@@ -283,11 +283,11 @@ def describe_hidden(kept: dict[str, Any], options: dict[str, Any]) -> str:
     """Describe the values of a linked run without a field here, with the driver's options but its policy."""
     said = [
         f"{KMH_PER_MPS * r['limit_mps']:.0f} km/h from {r['from_m']:g} to {r['to_m']:g} m"
-        + ("" if r["told_s"] is None else f", sent after {r['told_s']:g} s")
+        + ("" if r["at_s"] is None else f", sent after {r['at_s']:g} s")
         for r in kept.get("restrictions", ())
     ]
     said += [
-        f"arrive after {a['scheduled_time_s']:g} s, sent after {a['told_s']:g} s"
+        f"arrive after {a['scheduled_time_s']:g} s, sent after {a['at_s']:g} s"
         for a in kept.get("arrivals", ())
     ]
     said += [f"{name} {kept[name]}" for name in ("objective", "dt_s") if name in kept]
@@ -319,12 +319,12 @@ class DisturbanceForm:
         given = {n: plain[n] if e.value is None else e.value for n, e in self.inputs.items()}
         return {**given, "ideal": self.ideal.value}
 
-    def restore(self, asked: dict[str, Any]) -> None:
+    def restore(self, body: dict[str, Any]) -> None:
         """Fill the fields with the request of a run; open the expansion if there is a disturbance."""
         planned = self.defaults()
         for name, element in self.inputs.items():
-            element.value = asked.get(name, planned[name])
-        self.ideal.value = asked.get("ideal", planned["ideal"])
+            element.value = body.get(name, planned[name])
+        self.ideal.value = body.get("ideal", planned["ideal"])
         if self.values() != planned:
             self.fold.open()
 

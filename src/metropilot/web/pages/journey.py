@@ -87,15 +87,15 @@ class JourneyPage:
         """Plan the journey; without a total time, that of the timetable."""
         with self.problem.show_errors():
             self.status.text = "planning …"
-            asked = {name: element.value for name, element in self.fields.items()}
+            body = {name: element.value for name, element in self.fields.items()}
             free = self.way.value == "optimum"
             try:
                 if free and self.total.value is None:
-                    kept = await self.service.journey(validate(JourneyIn, asked).model_dump())
+                    kept = await self.service.journey(validate(JourneyIn, body).model_dump())
                     self.total.value = round(kept["running_time_s"])
                 total = self.total.value if free else None
                 found = await self.service.journey(
-                    validate(JourneyIn, {**asked, "total_s": total}).model_dump()
+                    validate(JourneyIn, {**body, "total_s": total}).model_dump()
                 )
             finally:
                 self.status.text = ""

@@ -176,8 +176,8 @@ class LearnPage:
                 return
             with ui.element("div").classes("mp-stack"):
                 for row in rows:
-                    seed = row.asked["seed"]
-                    words = f"{row.run or row.id} · {row.asked['budget']} · seed {seed} · {row.status}"
+                    seed = row.request["seed"]
+                    words = f"{row.run or row.id} · {row.request['budget']} · seed {seed} · {row.status}"
                     button = ui.button(words, on_click=partial(self.choose, row.id))
                     button.props("flat no-caps dense").classes("w-full mp-item")
 
@@ -209,7 +209,7 @@ class LearnPage:
                 going = [
                     j
                     for j in self.service.store.jobs("study")
-                    if j.asked["study"] == key and j.status in GOING
+                    if j.body["study"] == key and j.status in GOING
                 ]
                 words = (
                     going[0].words or going[0].status

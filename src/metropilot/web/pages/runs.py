@@ -62,12 +62,12 @@ class RunList:
 
     def row(self, row: JobRow) -> ui.label:
         """Place the row of a run; return the label of its state."""
-        convoy = "follower" in row.asked
-        asked, path = row.asked, f"/convoy?run={row.id}" if convoy else f"/?run={row.id}"
-        what = f"convoy of {asked['trainsets']}" if convoy else asked["driver"]
-        name = f"{asked['origin']} – {asked['destination']} · {what}"
-        if asked["time_s"] is not None:
-            name += f" · {asked['time_s']:g} s"
+        convoy = "follower" in row.request
+        body, path = row.request, f"/convoy?run={row.id}" if convoy else f"/?run={row.id}"
+        what = f"convoy of {body['trainsets']}" if convoy else body["driver"]
+        name = f"{body['origin']} – {body['destination']} · {what}"
+        if body["time_s"] is not None:
+            name += f" · {body['time_s']:g} s"
         with ui.element("div").classes("mp-run").props(f'data-run="{row.id}" data-status="{row.status}"'):
             ui.label(name + (" (this one)" if row.id == self.run else ""))
             words = ui.label("").classes("mp-soft")

@@ -104,7 +104,7 @@ DisturbanceIn = create_model("DisturbanceIn", __base__=RequestBody, **declared_f
 
 
 UPDATE_FIELDS = field_specs(TimetableUpdate)
-ToldAt = Annotated[float, Checked("told_s", UPDATE_FIELDS["at_s"])]
+SentAt = Annotated[float, Checked("at_s", UPDATE_FIELDS["at_s"])]
 
 
 class NewRestriction(create_model("RestrictionFields", __base__=RequestBody, **declared_fields(Restriction))):
@@ -112,13 +112,13 @@ class NewRestriction(create_model("RestrictionFields", __base__=RequestBody, **d
 
 
 class RestrictionIn(NewRestriction):
-    """A temporary speed restriction, sent ``told_s`` after departure, or known before it."""
+    """A temporary speed restriction, sent ``at_s`` after departure, or known before it."""
 
-    told_s: ToldAt | None = None
+    at_s: SentAt | None = None
 
     def restriction(self) -> Restriction:
         """Convert to :class:`metropilot.railway.Restriction`."""
-        return Restriction(**self.model_dump(exclude={"told_s"}))
+        return Restriction(**self.model_dump(exclude={"at_s"}))
 
 
 class NewArrival(RequestBody):
@@ -128,9 +128,9 @@ class NewArrival(RequestBody):
 
 
 class ArrivalIn(NewArrival):
-    """A new scheduled running time, sent ``told_s`` after departure."""
+    """A new scheduled running time, sent ``at_s`` after departure."""
 
-    told_s: ToldAt
+    at_s: SentAt
 
 
 class SectionIn(RequestBody):
@@ -256,31 +256,31 @@ class Pace(RequestBody):
     pace: Annotated[float, Field(ge=0, le=100)]
 
 
-def request_of(asked: DriveIn, path: Callable[[str, str], str]) -> RunSpec:
+def request_of(body: DriveIn, path: Callable[[str, str], str]) -> RunSpec:
     """Convert to a run of :mod:`metropilot.evaluate`.
 
     Args:
-        asked: The body.
+        body: The body.
         path: Function from a kind (line, trainset, policy) and an id to a file.
 
     Raises:
         InputError: No policy of that id.
     """
-    driver, named = parse_driver(asked.driver)
-    options = asked.options | named
+    driver, named = parse_driver(body.driver)
+    options = body.options | named
     if POLICY in options:
         options[POLICY] = path(POLICY, str(options[POLICY]))
-    restrictions = [(item.restriction(), item.told_s) for item in asked.restrictions]
-    updates = [TimetableUpdate(told_s, restriction=r) for r, told_s in restrictions if told_s is not None]
-    updates += [TimetableUpdate(a.told_s, scheduled_time_s=a.scheduled_time_s) for a in asked.arrivals]
-    given = asked.model_dump(include=set(run_fields()) - {"restrictions", "arrivals"})
+    restrictions = [(item.restriction(), item.at_s) for item in body.restrictions]
+    updates = [TimetableUpdate(at_s, restriction=r) for r, at_s in restrictions if at_s is not None]
+    updates += [TimetableUpdate(a.at_s, scheduled_time_s=a.scheduled_time_s) for a in body.arrivals]
+    given = body.model_dump(include=set(run_fields()) - {"restrictions", "arrivals"})
     spec = RunSpec.from_values(
         given
-        | {"line": path("line", asked.line), "trainset": path("trainset", asked.trainset)}
+        | {"line": path("line", body.line), "trainset": path("trainset", body.trainset)}
         | {"driver": driver, "options": options}
     )
     return replace(
         spec,
-        restrictions=tuple(r for r, told_s in restrictions if told_s is None),
+        restrictions=tuple(r for r, at_s in restrictions if at_s is None),
         disturbance=replace(spec.disturbance, updates=tuple(updates)),
     )

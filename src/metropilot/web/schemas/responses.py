@@ -167,7 +167,7 @@ class JobOut(BaseModel):
     id: str
     kind: JobKind
     status: JobStatus
-    asked: dict[str, Any]
+    request: dict[str, Any]
     created: str
     progress: float
     words: str
@@ -232,7 +232,7 @@ class LiveOut(BaseModel):
 
     id: str
     status: JobStatus
-    asked: dict[str, Any]
+    request: dict[str, Any]
     time_s: float
     position_m: float
     pace: float

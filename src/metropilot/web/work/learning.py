@@ -11,18 +11,18 @@ from metropilot.web.store import JobStore
 PROGRESS = "progress.jsonl"
 
 
-def recipe_fields(asked: dict[str, Any]) -> dict[str, Any]:
+def recipe_fields(body: dict[str, Any]) -> dict[str, Any]:
     """The fields of a configuration that a learning job sets."""
-    return {name: asked[name] for name in ("steps", "evaluations") if asked[name] is not None}
+    return {name: body[name] for name in ("steps", "evaluations") if body[name] is not None}
 
 
-def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> dict[str, Any]:
+def learn_job(root: str, job: str, body: dict[str, Any], run: str | None) -> dict[str, Any]:
     """Start a learning run, or resume one.
 
     Args:
         root: Folder of the server's data.
         job: Id of the job.
-        asked: Fields of :class:`metropilot.web.schemas.requests.LearnIn`.
+        body: Fields of :class:`metropilot.web.schemas.requests.LearnIn`.
         run: Id of the learning run to resume.
     """
     store = JobStore(Path(root))
@@ -43,8 +43,8 @@ def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> di
         record = runs.show(run)
         request = resume_request(record)
     else:
-        what = {"budget": asked["budget"], "task": asked["task"], "seed": asked["seed"]}
-        request = new_request(asked["driver"], **what, **recipe_fields(asked))
+        what = {"budget": body["budget"], "task": body["task"], "seed": body["seed"]}
+        request = new_request(body["driver"], **what, **recipe_fields(body))
         record = begin_run(runs, request)
     store.update(job, run=record.id)
     told = runs.folder(record.id) / PROGRESS
@@ -67,14 +67,14 @@ def learn_job(root: str, job: str, asked: dict[str, Any], run: str | None) -> di
     return {"run": record.id, "stopped": False, "score": record.score, "seconds": learned.seconds}
 
 
-def study_job(root: str, job: str, asked: dict[str, Any]) -> dict[str, Any]:
+def study_job(root: str, job: str, body: dict[str, Any]) -> dict[str, Any]:
     """Reproduce a study in a folder that a later job can resume; return its report as plain values."""
     store = JobStore(Path(root))
     store.update(job, status="running", words="beginning")
     from metropilot import studies
 
-    study = studies.STUDIES.get(asked["study"])
-    folder = Path(root) / "studies" / f"{asked['study']}-{asked['budget']}"
+    study = studies.STUDIES.get(body["study"])
+    folder = Path(root) / "studies" / f"{body['study']}-{body['budget']}"
     said = 0
 
     def say(line: str) -> None:
@@ -82,8 +82,8 @@ def study_job(root: str, job: str, asked: dict[str, Any]) -> dict[str, Any]:
         said += 1
         store.update(job, words=str(line)[:200], progress=1.0 - 1.0 / (1.0 + 0.2 * said))
 
-    budget = studies.check_budget(asked["budget"])
+    budget = studies.check_budget(body["budget"])
     order = studies.Order(folder=folder / "runs", budget=budget, processes=1, say=say)
-    report = studies.reproduce(asked["study"], order)
+    report = studies.reproduce(body["study"], order)
     studies.write_report(folder, study, report)
     return report.as_dict()

@@ -155,26 +155,26 @@ def front_of(request: RunSpec) -> dict[str, Any]:
     }
 
 
-def journey_of(asked: dict[str, Any]) -> dict[str, Any]:
+def journey_of(body: dict[str, Any]) -> dict[str, Any]:
     """A journey that calls at every station.
 
     Args:
-        asked: Fields of :class:`metropilot.web.schemas.requests.JourneyIn`, names of files resolved.
+        body: Fields of :class:`metropilot.web.schemas.requests.JourneyIn`, names of files resolved.
     """
-    line, trainset = load_line(asked["line"]), load_trainset(asked["trainset"], asked["load"])
-    origin = line.station(asked["origin"]) if asked["origin"] else line.stations[0]
-    destination = line.station(asked["destination"]) if asked["destination"] else line.stations[-1]
+    line, trainset = load_line(body["line"]), load_trainset(body["trainset"], body["load"])
+    origin = line.station(body["origin"]) if body["origin"] else line.stations[0]
+    destination = line.station(body["destination"]) if body["destination"] else line.stations[-1]
     if origin == destination:
         raise InputError("a journey needs two stations", field="destination", value=destination.code)
     length = abs(destination.position_m - origin.position_m)
     if length > LONGEST_M:
         raise InputError("journey too long", field="destination", value=length, unit="m")
-    options = PlanOptions(objective=asked["objective"])
+    options = PlanOptions(objective=body["objective"])
     ends = {"origin": origin, "destination": destination}
-    points = timetable_waypoints(line, origin, destination, total_s=asked["total_s"])
+    points = timetable_waypoints(line, origin, destination, total_s=body["total_s"])
     made = plan_journey(line, trainset, points, options, **ends)
     planned = None
-    if asked["total_s"] is not None and line.planned_forward_s:
+    if body["total_s"] is not None and line.planned_forward_s:
         # The timetable's own running times, for comparison; they may be too short for this trainset.
         with suppress(Infeasible):
             points = timetable_waypoints(line, origin, destination)
