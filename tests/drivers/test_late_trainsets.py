@@ -17,6 +17,8 @@ PLACES = {
     "slow period": ("yizhuang", "YZQ", "WHY", 91.466),
     "heavy": ("yizhuang", "RJ", "WYJ", 115.121),
     "second": ("yizhuang", "SJZ", "XC", 190.0),
+    "unhurried": ("yizhuang", "SJZ", "XC", 202.9),
+    "limits": ("yizhuang", "CQN", "CQ", 98.2),
 }
 
 
@@ -52,6 +54,10 @@ PLACES = {
         ("pid", "drawn-0-5@1,0.6", "most", "heavy", 1.0),
         ("pid", "drawn-0-1@0.6,0.4", "most", "slow period", 1.0),
         ("pid", "dkz32@0.6,0.4", None, "second", 0.2),
+        # a command that passed was still on its way when not even full braking passed any more
+        ("generalist", "drawn-7-1@1,0.6", "least", "unhurried", 0.1),
+        ("optimal", "drawn-7-7@1,0.6", "most", "limits", 0.1),
+        ("eitoe", "drawn-7-7@1,0.6", "most", "limits", 0.1),
     ],
 )
 def test_stops_at_the_mark_and_in_time(driver, trainset, load, place, dt):

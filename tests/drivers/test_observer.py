@@ -1,5 +1,7 @@
 """The observer learns a plant it was not told about from a drive of half a minute."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,10 +9,12 @@ from metropilot.control import (
     Model,
     initial_estimate,
     look_ahead,
+    look_along,
     record_command,
     update_estimate,
 )
 from metropilot.physics import Command, at_rest, delay_steps, step, track_arrays, vehicle_arrays
+from metropilot.protection import Bounds, at_start, protect
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance
 
@@ -114,6 +118,29 @@ def test_look_ahead_predicts_the_state_the_command_will_meet():
     assert ahead.seconds == pytest.approx(0.6)
     assert ahead.position_m == pytest.approx(float(later.position_m), abs=0.02)
     assert ahead.speed_mps == pytest.approx(float(later.speed_mps), abs=0.02)
+
+
+def test_look_along_predicts_the_path_of_the_commands_on_their_way():
+    late = replace(load_trainset("dkz32"), actuation=replace(load_trainset("dkz32").actuation, delay_s=0.6))
+    section = load_line("yizhuang").section("RC", "RJ")
+    model = Model(vehicle_arrays(late), track_arrays(section, late), DT)
+    memory = at_start(protect(section, late, Bounds.of(late, DT)))
+    state = at_rest(model.vehicle, delay_steps=delay_steps(0.6, DT))
+    estimate, path, commands = initial_estimate(model), None, [*COMMANDS[:40], 0.2, -0.4, 0.7]
+    for command in commands:
+        seen = float(state.position_m), float(state.speed_mps), float(state.acceleration_mps2)
+        estimate = update_estimate(model, estimate, *seen)
+        path = look_along(model, estimate, command, memory)
+        estimate = record_command(estimate, command)
+        state = step(model.vehicle, model.track, state, Command(np.float64(command), False), DT)
+    assert path is not None
+    assert path.shape == (2, 3)
+    for place, speed in path.T:
+        assert place == pytest.approx(float(state.position_m), abs=0.02)
+        assert speed == pytest.approx(float(state.speed_mps), abs=0.01)
+        state = step(model.vehicle, model.track, state, Command(np.float64(-1.0), False), DT)
+    at_once = at_start(protect(section, load_trainset("dkz32"), Bounds.of(load_trainset("dkz32"), DT)))
+    assert look_along(model, estimate, 0.0, at_once) is None
 
 
 def test_share_for_gives_the_acceleration_asked_for():

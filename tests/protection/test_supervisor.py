@@ -10,7 +10,15 @@ import pytest
 
 from metropilot import physics
 from metropilot.physics import Command
-from metropilot.protection import LEVELS, Bounds, at_start, permitted_speed, protect, supervise
+from metropilot.protection import (
+    LEVELS,
+    Bounds,
+    admits_braking,
+    at_start,
+    permitted_speed,
+    protect,
+    supervise,
+)
 from metropilot.railway import MovementAuthority, Restriction, Steps, load_line, load_trainset
 
 LINE = load_line("yizhuang")
@@ -50,6 +58,33 @@ def test_a_modest_driver_is_left_alone():
     assert set(ride.levels) == {"none"}
     assert ride.shares == [0.6] * 40 + [0.0] * 50 + [-0.8] * 40
     assert ride.memory.interventions == 0
+
+
+def test_full_braking_over_a_path_is_told_as_period_by_period():
+    """Near a limit, with traction on its way: the answer for all periods is that for each of them."""
+    guard, rng, told = protect(SECTION, LATE, Bounds.of(LATE, DT)), np.random.default_rng(3), []
+
+    def passes(after, path, more_mps):
+        for x, v in path.T:
+            _, after, verdict = supervise(guard, after, x, v + more_mps, Command(np.float64(-1.0), False))
+            if verdict.level > 0:
+                return False
+        return True
+
+    for _ in range(100):
+        x, share = rng.uniform(200.0, 2000.0), rng.uniform(0.0, 0.6)
+        v = float(permitted_speed(guard, np.float64(x))) - rng.uniform(0.0, 0.6)
+        before = at_start(guard, share=0.0)
+        _, after, verdict = supervise(guard, before, x, v, Command(np.float64(share), False))
+        if verdict.level > 0:
+            continue
+        count = after.recent.size - 1
+        speeds = v + rng.uniform(-0.2, 1.0) * DT * np.arange(1, count + 1)
+        path = np.array([x + np.cumsum(speeds) * DT, speeds])
+        told.append(admits_braking(guard, after, *path))
+        # it allows for an error of the expected speeds of 0.02 m/s
+        assert passes(after, path, 0.0 if told[-1] else 0.04) == told[-1]
+    assert 0.1 < np.mean(told) < 0.9
 
 
 def test_full_traction_ends_in_a_cut_off_not_in_an_emergency():

@@ -20,6 +20,7 @@ from .estimator import PlantEstimate as PlantEstimate
 from .estimator import StateEstimate as StateEstimate
 from .estimator import initial_estimate as initial_estimate
 from .estimator import look_ahead as look_ahead
+from .estimator import look_along as look_along
 from .estimator import record_command as record_command
 from .estimator import update_estimate as update_estimate
 from .estimator import weighs_load as weighs_load
@@ -36,6 +37,7 @@ from .prediction import acting_command as acting_command
 from .prediction import actuation_of as actuation_of
 from .prediction import periods_before as periods_before
 from .prediction import predict_motion as predict_motion
+from .prediction import predict_path as predict_path
 from .stopping import AT_ONCE_MPS3 as AT_ONCE_MPS3
 from .stopping import SERVICE_USE as SERVICE_USE
 from .stopping import STOP_OPTIONS as STOP_OPTIONS

@@ -21,6 +21,7 @@ from metropilot.planning import limit_at
 from metropilot.protection import (
     Memory,
     Protection,
+    admits_braking,
     guarantees_less,
     on_grid,
     permitted_before_end,
@@ -172,9 +173,17 @@ def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ce
 
 
 def largest_admissible_command(
-    guard: Protection, supervision: Memory, position_m: float, speed_mps: float, share: float
+    guard: Protection,
+    supervision: Memory,
+    position_m: float,
+    speed_mps: float,
+    share: float,
+    path: Float[ndarray, "2 periods"] | None = None,
 ) -> tuple[float, Memory]:
     """Largest command up to ``share`` that protection admits, and the memory of protection after it.
+
+    A late command counts as long as it is on its way. One that is admitted now but would not let full braking
+    pass on that way is too large, unless full braking now would not help either.
 
     Args:
         guard: Protection of the section.
@@ -182,18 +191,31 @@ def largest_admissible_command(
         position_m: Position.
         speed_mps: Measured speed.
         share: Wanted command in [-1, 1].
+        path: Position and speed at the end of each period in which it may still be on its way
+            (:func:`look_along`); None: commands act at once.
     """
-    seen = position_m, speed_mps
-    _, after, verdict = supervise(guard, supervision, *seen, Command(share, False))
-    if int(verdict.level) == 0:
+
+    def decide(command: float) -> tuple[Memory, bool]:
+        _, after, verdict = supervise(guard, supervision, position_m, speed_mps, Command(command, False))
+        return after, int(verdict.level) == 0
+
+    after, passes = decide(share)
+    if passes and (path is None or admits_braking(guard, after, *path)):
         return share, after
+    least, _ = decide(-1.0)
+    if path is not None and not admits_braking(guard, least, *path):
+        if passes:
+            return share, after
+        path = None
     low, high = -1.0, share
     for _ in range(CLEARING_STEPS):
         middle = 0.5 * (low + high)
-        _, _, verdict = supervise(guard, supervision, *seen, Command(middle, False))
-        low, high = (middle, high) if int(verdict.level) == 0 else (low, middle)
-    _, after, _ = supervise(guard, supervision, *seen, Command(low, False))
-    return low, after
+        after, passes = decide(middle)
+        if passes and (path is None or admits_braking(guard, after, *path)):
+            low, least = middle, after
+        else:
+            high = middle
+    return low, least
 
 
 def ceiling_acceleration(

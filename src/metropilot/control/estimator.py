@@ -31,8 +31,10 @@ from metropilot.control.prediction import (
     PredictedState,
     periods_before,
     predict_motion,
+    predict_path,
 )
 from metropilot.physics import Vehicle, curve_n, effort_limits
+from metropilot.protection import Memory
 
 MAX_EXTRA_DELAY_S = 1.0
 """Largest dead time among the hypotheses beyond the nominal one."""
@@ -477,11 +479,8 @@ def look_ahead(model: Model, estimate: StateEstimate) -> PredictedState:
         model: Nominal trainset and section.
         estimate: State and plant as estimated.
     """
-    up, down, drag, delay, keep = estimate.bank.parameters[:, estimate.best].tolist()
-    # A part of a period that is only estimated is not compensated: commands would ring at each correction.
-    nominal = estimate.prior.nominal_delay_steps
-    age = nominal + round(delay - nominal)
-    motion = Motion(estimate.position_m, estimate.speed_mps, estimate.acceleration_mps2, estimate.share)
+    age, keep, motion = _motion(estimate)
+    up, down, drag = estimate.bank.parameters[:3, estimate.best].tolist()
     limits = effort_limits(model.vehicle, model.track, motion.position_m, motion.speed_mps)
     resistance, gradient, _, traction, brake = map(float, limits)
     if age > 0:
@@ -495,3 +494,38 @@ def look_ahead(model: Model, estimate: StateEstimate) -> PredictedState:
     return PredictedState(
         before * model.dt, *motion, *actuation, drag * resistance, gradient, up * traction, down * brake
     )
+
+
+def look_along(
+    model: Model, estimate: StateEstimate, share: float, supervision: Memory
+) -> Float[ndarray, "2 periods"] | None:
+    """Predict the path while a command given now may be on its way, as far as protection remembers it.
+
+    Args:
+        model: Nominal trainset and section.
+        estimate: State and plant as estimated.
+        share: The command.
+        supervision: Memory of protection.
+
+    Returns:
+        Positions, m, and speeds, m/s, at the end of each period; None: commands act at once.
+    """
+    periods = supervision.recent.size - 1
+    if periods == 0:
+        return None
+    age, keep, motion = _motion(estimate)
+    up, down, drag = estimate.bank.parameters[:3, estimate.best].tolist()
+    limits = effort_limits(model.vehicle, model.track, motion.position_m, motion.speed_mps)
+    resistance, gradient, _, traction, brake = map(float, limits)
+    acting = up * traction, down * brake, drag * resistance + gradient
+    commands, jerk = [share, *estimate.commands.tolist()], float(model.vehicle.jerk_mps3)
+    return predict_path(motion, commands, age, keep, acting, jerk, model.dt, periods)
+
+
+def _motion(estimate: StateEstimate) -> tuple[float, float, Motion]:
+    """Dead time in control periods, share of an effort that a period of lag keeps, and the motion now."""
+    delay, keep = estimate.bank.parameters[3:, estimate.best].tolist()
+    # A part of a period that is only estimated is not compensated: commands would ring at each correction.
+    nominal = estimate.prior.nominal_delay_steps
+    motion = Motion(estimate.position_m, estimate.speed_mps, estimate.acceleration_mps2, estimate.share)
+    return nominal + round(delay - nominal), keep, motion

@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from typing import NamedTuple, no_type_check
 
 import numpy as np
+from numpy import ndarray
 
-from metropilot._typing import Scalar
+from metropilot._typing import Float, Scalar
 from metropilot.physics import Track, Vehicle, command_for_effort, namespace, scalars
 
 LAG_LEAD = 0.7
@@ -202,27 +203,68 @@ def predict_motion(
         jerk_mps3: Jerk limit.
         dt: Control period, s.
     """
-    x, v, a, share = motion
-    traction, brake, drag = limits_mps2
-    xp = namespace(v, delay_steps, traction)
-    room = jerk_mps3 * dt
+    xp = namespace(motion.speed_mps, delay_steps, limits_mps2[0])
     single = xp is scalars
     # Where less than half of this period's command acts, which is not known yet, the newest goes on.
     first, before = commands[0], periods_before(delay_steps)
     given = [first, *commands] if single else xp.concatenate([xp.expand_dims(first, 0), commands])
     for k in range(before if single else commands.shape[0] - 1):
         acting = acting_command(given, xp.maximum(delay_steps - k, 0.0))
-        later = acting + (share - acting) * keep
-        wanted = later * xp.where(later > 0.0, traction, brake) - drag
-        then = xp.minimum(xp.maximum(wanted, a - room), a + room)
-        then = xp.where(v <= 0.0, xp.maximum(then, 0.0), then)
-        after = xp.maximum(v + then * dt, 0.0)
-        moved = x + 0.5 * (v + after) * dt
+        later = _move(motion, acting, keep, limits_mps2, jerk_mps3, dt)
         if not single:
             # A compiled program predicts as many periods for all trainsets.
-            moved, after, then, later = (
-                xp.where(k < before, new, old)
-                for new, old in zip((moved, after, then, later), (x, v, a, share), strict=True)
-            )
-        x, v, a, share = moved, after, then, later
-    return Motion(x, v, a, share)
+            later = Motion(*(xp.where(k < before, new, old) for new, old in zip(later, motion, strict=True)))
+        motion = later
+    return motion
+
+
+def predict_path(
+    motion: Motion,
+    commands: Sequence[float],
+    delay_steps: float,
+    keep: float,
+    limits_mps2: tuple[float, float, float],
+    jerk_mps3: float,
+    dt: float,
+    periods: int,
+) -> Float[ndarray, "2 periods"]:
+    """Predict positions, m, and speeds, m/s, at the end of each coming period.
+
+    Args:
+        motion: The motion now.
+        commands: Commands given, newest first; the newest is the one of the first period.
+        delay_steps: Dead time in control periods.
+        keep: Share of the old effort that remains after a period of lag.
+        limits_mps2: As for :func:`predict_motion`.
+        jerk_mps3: Jerk limit.
+        dt: Control period, s.
+        periods: Periods to predict.
+    """
+    path = []
+    for k in range(periods):
+        acting = acting_command(commands, max(delay_steps - k, 0.0))
+        motion = _move(motion, acting, keep, limits_mps2, jerk_mps3, dt)
+        path.append((motion.position_m, motion.speed_mps))
+    return np.array(path).T
+
+
+@no_type_check
+def _move(
+    motion: Motion,
+    acting: Scalar,
+    keep: Scalar,
+    limits_mps2: tuple[Scalar, Scalar, Scalar],
+    jerk_mps3: Scalar,
+    dt: Scalar,
+) -> Motion:
+    """Predict the motion after a period in which a command acts."""
+    x, v, a, share = motion
+    traction, brake, drag = limits_mps2
+    xp = namespace(v, acting, traction)
+    room = jerk_mps3 * dt
+    later = acting + (share - acting) * keep
+    wanted = later * xp.where(later > 0.0, traction, brake) - drag
+    then = xp.minimum(xp.maximum(wanted, a - room), a + room)
+    then = xp.where(v <= 0.0, xp.maximum(then, 0.0), then)
+    after = xp.maximum(v + then * dt, 0.0)
+    return Motion(x + 0.5 * (v + after) * dt, after, then, later)

@@ -28,6 +28,7 @@ from metropilot.control import (
     curve_for,
     initial_estimate,
     largest_admissible_command,
+    look_along,
     model_of,
     record_command,
     stand,
@@ -227,9 +228,10 @@ def limit_by_protection(
     if monitor.protection is None:
         return share, monitor
     protection = monitor.protection
+    path = look_along(monitor.model, monitor.estimate, share, protection.supervision)
     seen = observation.position_m, observation.speed_mps
     share, supervision = largest_admissible_command(
-        protection.ceiling.guard, protection.supervision, *seen, share
+        protection.ceiling.guard, protection.supervision, *seen, share, path
     )
     return float(share), monitor._replace(protection=protection._replace(supervision=supervision))
 

@@ -28,6 +28,7 @@ from metropilot.control import (
     initial_estimate,
     largest_admissible_command,
     look_ahead,
+    look_along,
     model_of,
     record_command,
     stand,
@@ -234,8 +235,10 @@ class Optimal(AbstractDriver):
             curve = memory.curve._replace(deceleration_mps2=available)
             stop = stop_command(memory.model, estimate, target, curve)
         share = self._brake(memory, stop) if braking else self._follow(memory)
+        path = look_along(memory.model, estimate, share, memory.supervision)
+        seen = observation.position_m, observation.speed_mps
         share, supervision = largest_admissible_command(
-            memory.ceiling.guard, memory.supervision, observation.position_m, observation.speed_mps, share
+            memory.ceiling.guard, memory.supervision, *seen, share, path
         )
         return share, replace(
             memory,

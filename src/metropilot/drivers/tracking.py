@@ -32,6 +32,7 @@ from metropilot.control import (
     initial_estimate,
     largest_admissible_command,
     look_ahead,
+    look_along,
     model_of,
     record_command,
     stop_command,
@@ -219,8 +220,14 @@ class AbstractTracker(AbstractDriver):
         memory = replace(memory, controller=controller, command=command)
         memory = self._hand_over(memory, ahead)
         share = ahead.lead(command) if memory.stop is None else self._stop(memory, memory.stop).share
+        path = look_along(memory.model, estimate, share, memory.supervision)
         share, supervision = largest_admissible_command(
-            memory.ceiling.guard, memory.supervision, observation.position_m, observation.speed_mps, share
+            memory.ceiling.guard,
+            memory.supervision,
+            observation.position_m,
+            observation.speed_mps,
+            share,
+            path,
         )
         return share, replace(
             memory,

@@ -9,6 +9,7 @@ from .separation import PairBounds as PairBounds
 from .separation import Separation as Separation
 from .separation import TrainAhead as TrainAhead
 from .separation import separate as separate
+from .supervisor import admits_braking as admits_braking
 from .supervisor import approach_margin as approach_margin
 from .supervisor import on_grid as on_grid
 from .supervisor import permitted_speed as permitted_speed

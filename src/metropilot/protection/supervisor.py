@@ -14,6 +14,9 @@ from metropilot.protection.types import Memory, Protection, Rates, Verdict
 
 RELEASE_MPS = 0.1
 """After an intervention the driver's command must fit at this much more speed before it passes again."""
+EXPECTED_MPS = 0.02
+"""Error of a speed expected some periods ahead."""
+AT_ONCE_MPS2 = 1e6
 STANDSTILL_MPS = 0.05
 """At or below this measured speed, plus its error, the emergency brake is released."""
 
@@ -101,6 +104,56 @@ def _milder(
         return 1 if check.passes(cut, none) else 2 if check.emergency(none - 1.0, none) else 3
     brake = check.xp.where(check.emergency(none - 1.0, none), 2, 3)
     return check.xp.where(check.passes(cut, none), 1, brake)
+
+
+def admits_braking(
+    protection: Protection,
+    memory: Memory,
+    position_m: Float[np.ndarray, " periods"],
+    speed_mps: Float[np.ndarray, " periods"],
+) -> bool:
+    """Tell if full braking would pass in each of the coming periods, whatever is still on its way (NumPy).
+
+    A command that passes counts for as long as it may still be on its way. For drivers whose commands act
+    late: while full braking passes, they can still avoid an intervention. Nothing of the guarantee rests on
+    it.
+
+    Args:
+        protection: Curves and bounds.
+        memory: After the last command; as many periods as it remembers commands, less one, can be told.
+        position_m: Position expected at the end of each period.
+        speed_mps: Speed expected there.
+    """
+    if _far_below(protection, memory, position_m, float(speed_mps.max())):
+        return True
+    older = np.maximum.accumulate(memory.recent)[-2::-1][: position_m.size]
+    share, keep = [memory.share], protection.fading.share
+    for each in older:
+        share.append(each + max(share[-1] - each, 0.0) * keep)
+    bound, periods = np.array(share[1:]), np.arange(older.size)
+    fades = min(float(protection.fading.acceleration_mps2), AT_ONCE_MPS2) * periods
+    before = memory._replace(
+        recent=np.full(1, -1.0),
+        share=bound[:, None],
+        acceleration_mps2=(memory.acceleration_mps2 - fades)[:, None],
+    )
+    check = CommandCheck(protection, before, position_m[:, None], speed_mps[:, None])
+    margin = EXPECTED_MPS + protection.rates.speed_error_mps
+    return bool(check.passes(bound[:, None], margin).all())
+
+
+def _far_below(
+    protection: Protection, memory: Memory, position_m: Float[np.ndarray, " periods"], speed_mps: float
+) -> bool:
+    """Tell cheaply if a speed is so far below both curves that no command on its way can reach them."""
+    usual, worst, pull = protection.service_rates, protection.rates, protection.pull_mps2
+    (first, _), (last, _) = (on_grid(protection, np.float64(each)) for each in position_m[[0, -1]])
+    ahead = slice(first, last + protection.ahead.size)
+    rise = max(float(memory.acceleration_mps2 + pull[first : last + 2].max() - pull[first]), 0.0)
+    reaction_s = max(float(usual.reaction_s), float(worst.reaction_s))
+    jerk = min(float(usual.jerk_mps3), float(worst.jerk_mps3))
+    peak = speed_mps + EXPECTED_MPS + 2.0 * worst.speed_error_mps + rise * (reaction_s + 0.5 * rise / jerk)
+    return bool(0.5 * peak**2 <= min(protection.service[ahead].min(), protection.emergency[ahead].min()))
 
 
 class Brake(NamedTuple):
@@ -261,6 +314,8 @@ def _like(value: Scalar, whole: Scalar) -> Scalar:
 def _slice(values: Array, first: Scalar, size: int) -> Array:
     if isinstance(first, int):
         return values[first : first + size]
+    if isinstance(first, np.ndarray):
+        return values[first + np.arange(size)]
     import jax
 
     return jax.lax.dynamic_slice_in_dim(values, first, size)

@@ -27,12 +27,14 @@ from metropilot.control import (
     actuation_of,
     ceiling_of,
     curve_for,
+    largest_admissible_command,
     model_of,
 )
 from metropilot.drivers import PolicyOptions
 from metropilot.errors import InputError
 from metropilot.physics import scalars
 from metropilot.policy import LoadedPolicy, load_driving_policy, shipped_policy
+from metropilot.protection import Memory, at_start
 from metropilot.railway import Section
 from metropilot.sim import AbstractDriver, Observation, Run
 from metropilot.studies.huang2025.env import ExpertAction, ExpertChoiceAction
@@ -116,6 +118,7 @@ class ExpertMemory(NamedTuple):
         legs: The speed-limit intervals.
         actuation: Commands on their way.
         hoa: Knowledge of the brake.
+        supervision: State of protection, kept alongside where commands act late.
         rate_mps2: The rate ``u``.
         before_mps2: Acceleration of the period before.
     """
@@ -129,6 +132,7 @@ class ExpertMemory(NamedTuple):
     legs: Legs
     actuation: CommandActuation
     hoa: Hoa
+    supervision: Memory
     rate_mps2: float = 0.0
     before_mps2: float = 0.0
 
@@ -155,6 +159,7 @@ def prepare_expert(run: Run, section: Section, rules: ExpertRules, hoa: Hoa) -> 
         legs=legs_of(model, ground, rules),
         actuation=actuation_of(model),
         hoa=hoa,
+        supervision=at_start(ceiling.guard),
     )
 
 
@@ -168,7 +173,9 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
     """
     if observation.section is not memory.section:
         fresh = prepare_expert(memory.run, observation.section, memory.rules, memory.hoa)
-        memory = fresh._replace(actuation=memory.actuation, rate_mps2=memory.rate_mps2)
+        memory = fresh._replace(
+            actuation=memory.actuation, supervision=memory.supervision, rate_mps2=memory.rate_mps2
+        )
     ground, actuation = memory.ground, memory.actuation
     state = (observation.position_m, observation.speed_mps, observation.acceleration_mps2)
     hoa = memory.hoa
@@ -186,7 +193,16 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
         rate = _rate(memory, seen, change(seen))
         effort = _keep_safe(memory, observation, ahead, rate)
         share = ahead.command_for(effort)
+    supervision = memory.supervision
+    if memory.ceiling.late_s > 0.0:
+        # What is on its way cannot be taken back: protection is asked before it has to intervene.
+        periods = supervision.recent.size - 1
+        path = ground.along(actuation, state, hoa.gain, share, periods) if periods else None
+        share, supervision = largest_admissible_command(
+            memory.ceiling.guard, supervision, observation.position_m, observation.speed_mps, share, path
+        )
     memory = memory._replace(
+        supervision=supervision,
         actuation=actuation.issue(share),
         hoa=hoa._replace(braking=braking),
         rate_mps2=rate,

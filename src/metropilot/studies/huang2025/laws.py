@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from metropilot._schema import check_fields, declare
-from metropilot._typing import Array
+from metropilot._typing import Array, Float
 from metropilot.control import (
     STOP_OPTIONS,
     Ceiling,
@@ -43,6 +43,7 @@ from metropilot.control import (
     StopCurve,
     draws_up,
     predict_motion,
+    predict_path,
     required_with_build_up,
     stop_deceleration,
     way_in_period,
@@ -378,9 +379,7 @@ class ExpertTrack(NamedTuple):
             state: Position, speed and acceleration of the last period; m, m/s, m/s^2.
             brake_gain: Actual over believed braking force.
         """
-        x, v, a = state
-        motion = Motion(x, v, a, actuation.share)
-        limits = self.traction(v), brake_gain * self.brake(v), self.drag(x, v)
+        motion, limits = self._now(actuation, state, brake_gain)
         if actuation.delay_steps > 0:
             commands, steps, keep = actuation.commands, actuation.delay_steps, actuation.keep
             motion = predict_motion(motion, commands, steps, keep, limits, self.jerk_mps3, actuation.dt)
@@ -389,6 +388,35 @@ class ExpertTrack(NamedTuple):
         traction, brake, drag = limits
         lagging = actuation.commands[0], actuation.part, actuation.keep
         return PredictedState(actuation.seconds, *motion, *lagging, drag, 0.0, traction, brake)
+
+    def along(
+        self,
+        actuation: CommandActuation,
+        state: tuple[float, float, float],
+        brake_gain: float,
+        share: float,
+        periods: int,
+    ) -> Float[np.ndarray, "2 periods"]:
+        """Predict positions, m, and speeds, m/s, at the end of each coming period.
+
+        Args:
+            actuation: Commands on their way.
+            state: Position, speed and acceleration of the last period; m, m/s, m/s^2.
+            brake_gain: Actual over believed braking force.
+            share: Command given now.
+            periods: Periods to predict.
+        """
+        motion, limits = self._now(actuation, state, brake_gain)
+        commands, steps, keep = (share, *actuation.commands), actuation.delay_steps, actuation.keep
+        return predict_path(motion, commands, steps, keep, limits, self.jerk_mps3, actuation.dt, periods)
+
+    def _now(
+        self, actuation: CommandActuation, state: tuple[float, float, float], brake_gain: float
+    ) -> tuple[Motion, tuple[float, float, float]]:
+        """The motion now; largest traction, largest service brake, and drag."""
+        x, v, a = state
+        limits = self.traction(v), brake_gain * self.brake(v), self.drag(x, v)
+        return Motion(x, v, a, actuation.share), limits
 
 
 def expert_track(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTrack:
