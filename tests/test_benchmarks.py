@@ -1,6 +1,12 @@
 """The benchmarks' page and numbers; what they measure is measured by `make bench`."""
 
+import math
+from dataclasses import replace
+
 import pytest
+from benchmarks import generalist
+from benchmarks.beside_optimum import Result
+from benchmarks.generalist import ACTUATIONS, IDEAL, LIMITED, Case, drive_all, spread, verdict, wide_cases
 from benchmarks.report import Benchmark, Row, cells, circumstances, format_page, number, replace_section
 
 
@@ -27,3 +33,51 @@ def test_a_table_says_where_and_when_it_was_measured():
     text = format_page(Benchmark("x", "A title", (), lambda: rows, "A note."), rows, about)
     assert "| " + " | ".join(cells(rows[1])) + " |" in text
     assert about["commit"] in text
+
+
+CASE = Case("yizhuang", "RJ", "WYJ", "dkz32", "AW0", 1.1, LIMITED)
+GOOD = Result(CASE, "arrived", 110.0, 0.2, 0.01, 2.0, 0.4, math.nan, 0.0, 0, 900.0)
+
+
+def test_runs_in_the_rows_are_not_driven_again(tmp_path, monkeypatch):
+    driven, path = [], tmp_path / "rows.jsonl"
+    left_out = replace(CASE, ratio=0.0)
+
+    def drive_case(case, policy):
+        assert policy == "mine"
+        driven.append(case)
+        return None if case == left_out else replace(GOOD, case=case)
+
+    monkeypatch.setattr(generalist, "drive_case", drive_case)
+    assert list(drive_all([CASE, left_out], "mine", 1, path)) == [CASE]
+    other = replace(CASE, load="AW3")
+    found = drive_all([CASE, left_out, other], "mine", 1, path)
+    assert driven == [CASE, left_out, other]
+    assert list(found) == [CASE, other]
+    assert found[CASE].excess == GOOD.excess
+    assert math.isnan(found[CASE].floor)
+
+
+def test_other_trainsets_drive_the_same_runs_with_every_dead_time():
+    cases = wide_cases([])
+    assert {case.trainset for case in cases} >= {"drawn-18-3", "drawn-18-3@0,0", "drawn-18-3@1,0.6"}
+    runs = [(c.line, c.origin, c.destination, c.load, c.ratio) for c in cases]
+    size = len(ACTUATIONS)
+    assert all(len(set(runs[k : k + size])) == 1 for k in range(0, len(runs), size))
+
+
+def test_the_verdict_judges_ideal_runs_by_the_optimum_and_others_by_the_attainable_one():
+    ideal = replace(GOOD, case=replace(CASE, scenario=IDEAL), gap=0.3, excess=9.0)
+    assert verdict([GOOD, ideal]) == "All are met."
+    assert (
+        verdict([replace(GOOD, excess=0.6), ideal]) == "Missed: jerk limit, median: 0.60 % instead of 0.5 %."
+    )
+    assert "jerk limit: 1 of 1 runs not within 0.5 s and 0.1 m" in verdict(
+        [replace(GOOD, time_error_s=0.7), ideal]
+    )
+    assert "interventions in 1 of 1" in verdict([replace(GOOD, interventions=2), ideal])
+
+
+def test_what_has_no_attainable_optimum_is_left_out_of_the_spread():
+    assert spread([1.0, math.nan, 2.0, 3.0]) == "2.00 / 2.90 / 3.00"
+    assert spread([math.nan]) == "–"
