@@ -117,6 +117,16 @@ def test_a_trainset_that_declares_a_dead_time_is_driven_by_the_host(tmp_path):
     assert MATRIX.is_compiled("ppo", DisturbanceCase("ideal", ideal=True), late)
 
 
+@pytest.mark.parametrize("ideal", [False, True])
+def test_a_trainset_with_a_weak_guarantee_is_driven_by_the_host(ideal):
+    """There the driver brakes within what protection admits, which no batch does."""
+    weak = ("ch_stadler_flirt_tpf", "base")
+    alone = replace(MATRIX, trainsets=(weak,), disturbances=(DisturbanceCase("told", ideal=ideal),))
+    assert not alone.is_compiled("ppo", alone.disturbances[0], weak)
+    assert alone.shard_rows("ppo") == replace(alone, engine="host").shard_rows("ppo")
+    assert MATRIX.is_compiled("ppo", DisturbanceCase("told", ideal=ideal), MATRIX.trainsets[0])
+
+
 @pytest.mark.parametrize("name", [*PLANTS, "speed_noise_mps"])
 def test_a_plant_that_is_not_as_told_is_driven_by_the_host(name):
     """There the driver acts on what it observes, which no batch does."""

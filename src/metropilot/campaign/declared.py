@@ -22,6 +22,7 @@ from metropilot._schema import field_specs
 from metropilot.drivers import DRIVERS, AbstractPolicyDriver
 from metropilot.evaluate import RunSpec, parse_driver
 from metropilot.planning import Objective
+from metropilot.protection import Bounds, guarantees_less
 from metropilot.railway import Restriction, load_trainset, parse_trainset
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance, TimetableUpdate
 from metropilot.units import KMH_PER_MPS
@@ -197,7 +198,8 @@ class Campaign:
     def is_compiled(self, driver: str, disturbance: DisturbanceCase, trainset: tuple[str, str]) -> bool:
         """True if runs of a driver are driven as compiled batches.
 
-        Runs with dead time or lag are not: there the driver predicts from its observations.
+        Runs with dead time or lag are not: there the driver predicts from its observations. Nor are those of
+        a trainset that is guaranteed a weaker brake than its service brake: there it asks protection first.
 
         Args:
             driver: Driver id, options included.
@@ -212,7 +214,8 @@ class Campaign:
             or not disturbance.plant_is_nominal
         ):
             return False
-        return disturbance.ideal or not _declares_late(*trainset)
+        late, weak = _declares(*trainset)
+        return not weak and (disturbance.ideal or not late)
 
     def shard_rows(self, driver: str) -> int:
         """Number of rows in a shard of a driver; depends on driver and matrix only."""
@@ -381,7 +384,8 @@ def case_request(campaign: Campaign, case: CampaignCase, scheduled_s: float, len
 
 
 @cache
-def _declares_late(trainset: str, load: str) -> bool:
-    """True if a trainset declares a dead time or a lag."""
-    actuation = load_trainset(trainset, load).actuation
-    return actuation.delay_s > 0.0 or actuation.lag_s > 0.0
+def _declares(trainset: str, load: str) -> tuple[bool, bool]:
+    """True if a trainset declares a dead time or a lag; true if a brake weaker than its service brake."""
+    declared = load_trainset(trainset, load)
+    late = declared.actuation.delay_s > 0.0 or declared.actuation.lag_s > 0.0
+    return late, guarantees_less(declared, Bounds.of(declared, CONTROL_PERIOD_S))
