@@ -21,6 +21,7 @@ EXAMPLES = {
         "metropilot reproduce chen2023a",
         "metropilot reproduce chen2023a --budget paper --out chen2023a",
         "metropilot reproduce cheng2023 --reference optimal --json",
+        "metropilot reproduce cheng2023 --as-printed",
     ),
     "studies": ("metropilot studies", "metropilot studies --json"),
 }
@@ -42,6 +43,9 @@ def reproduce_command(
     options: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Option of the study; repeatable.")
     ] = None,
+    as_printed: Annotated[
+        bool, typer.Option("--as-printed", help="Also run the paper's own settings, beside ours.")
+    ] = False,
     processes: Annotated[int, typer.Option(min=1, help="Learning runs side by side.")] = 2,
     out: Annotated[
         Path | None,
@@ -67,6 +71,7 @@ def reproduce_command(
         budget=studies.check_budget(budget),
         seeds=seeds,
         options=given,
+        as_printed=as_printed,
         processes=processes,
         say=_say,
     )
@@ -113,7 +118,7 @@ def _say(line: str) -> None:
 
 def _report(report: StudyReport, folder: Path) -> None:
     """Print the tables."""
-    from metropilot.studies import row_numbers, verdict_numbers
+    from metropilot.studies import literal_numbers, row_numbers, verdict_numbers
 
     out = console()
     if report.verdicts:
@@ -124,6 +129,13 @@ def _report(report: StudyReport, folder: Path) -> None:
         cells = [(r.case, r.driver, r.kpi, r.unit, *row_numbers(r)) for r in rows]
         columns = ("case", "driver", "KPI", "unit", "published", "ours", "range", "optimum")
         out.print(table(name, columns, cells, right=(4, 5, 6, 7), spare=("range", "unit")))
+    if (literal := report.as_printed) is not None:
+        settings = [(one.name, one.printed, one.ours) for one in literal.settings]
+        out.print(table("Settings as printed", ("setting", "printed", "this study"), settings))
+        cells = [(row.case, row.driver, row.kpi, row.unit, *literal_numbers(row)) for row in literal.rows]
+        columns = ("case", "driver", "KPI", "unit", "published", "ours", "as printed", "range")
+        out.print(table("As printed", columns, cells, right=(4, 5, 6, 7), spare=("range", "unit")))
+        heading(out, "Under the printed settings", literal.remarks)
     heading(out, "Findings", report.remarks)
     heading(out, "Deviations from the paper", [f"{n}. {text}" for n, text in enumerate(report.deviations, 1)])
     out.print(f"\n{report.seeds} seeds in {report.seconds:.0f} s.")

@@ -11,7 +11,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from metropilot._io import fill_folder, to_json
-from metropilot.studies.report import ReportRow, StudyReport
+from metropilot.studies.report import LiteralReport, LiteralRow, ReportRow, StudyReport
 from metropilot.studies.study import Study
 from metropilot.studies.verdict import ClaimVerdict, count_verdicts
 
@@ -28,6 +28,11 @@ VERDICT_LEGEND = (
     "and *missed* compare it with the published number. *Simple rival* is the best of the drivers without "
     "learning, and *why* says whether the difference from it may be chance (Mann-Whitney, or Wilcoxon "
     "against a driver without random numbers)."
+)
+LITERAL_LEGEND = (
+    "The paper's own settings, as far as it prints them, beside those of this study: *as printed* is the "
+    "median over the seeds of a run of the first column, *ours* that of the tables above. What is settled "
+    "where the paper is silent or ambiguous is listed with the deviations."
 )
 LONG = 40
 """Rows from which a table shows only those with a published number; the file holds all."""
@@ -50,7 +55,12 @@ def row_numbers(row: ReportRow) -> tuple[str, str, str, str]:
     return number(row.published), number(row.ours), span(row), number(row.optimum)
 
 
-def span(row: ReportRow) -> str:
+def literal_numbers(row: LiteralRow) -> tuple[str, str, str, str]:
+    """Format the published value, ours, that of the printed settings and its range."""
+    return number(row.published), number(row.ours), number(row.as_printed), span(row)
+
+
+def span(row: ReportRow | LiteralRow) -> str:
     """Format the range over the seeds; a dash where they agree."""
     if row.low is None or row.high is None or number(row.low) == number(row.high):
         return NOTHING
@@ -60,6 +70,7 @@ def span(row: ReportRow) -> str:
 def study_page(study: Study, report: StudyReport) -> str:
     """Render the page as Markdown; its figures are in a folder with the study's id beside it."""
     command = f"metropilot reproduce {study.id} --budget {report.budget}"
+    command += " --as-printed" * (report.as_printed is not None)
     about = "; ".join(f"{name}: {value}" for name, value in report.circumstances.items())
     lines = [f"# {report.title}", "", study.citation, ""]
     took = f"{report.seeds} seeds, {report.seconds / 60:.1f} minutes"
@@ -81,6 +92,8 @@ def study_page(study: Study, report: StudyReport) -> str:
                 f"{len(rows) - len(shown)} further rows without a published number are in the file.",
                 "",
             ]
+    if report.as_printed is not None:
+        lines += ["## As printed", "", LITERAL_LEGEND, "", *_literal_section(report.as_printed), ""]
     for figure in report.figures:
         lines += [f"![{figure.caption}]({study.id}/{figure.name}.png)", "", f"*{figure.caption}*", ""]
     if report.learning:
@@ -105,6 +118,18 @@ def verdict_numbers(verdict: ClaimVerdict) -> tuple[str, str, str, str]:
     low, high = number(verdict.low), number(verdict.high)
     interval = NOTHING if low == high else f"{low} … {high}"
     return number(verdict.published), number(verdict.ours), interval, rival
+
+
+def _literal_section(found: LiteralReport) -> list[str]:
+    """Render the printed settings and their results."""
+    lines = ["| setting | printed | this study |", "|---|---|---|"]
+    lines += [_cells((one.name, one.printed, one.ours)) for one in found.settings]
+    lines += ["", "| case | driver | KPI | unit | published | ours | as printed | range |"]
+    lines += ["|---|---|---|---|---:|---:|---:|---:|"]
+    lines += [
+        _cells((row.case, f"`{row.driver}`", row.kpi, row.unit, *literal_numbers(row))) for row in found.rows
+    ]
+    return [*lines, "", *(f"- {remark}" for remark in found.remarks)]
 
 
 def _learning_table(report: StudyReport) -> list[str]:

@@ -87,6 +87,89 @@ class Figure:
 
 
 @dataclass(frozen=True)
+class PrintedSetting:
+    """One setting of a paper beside that of its study.
+
+    Attributes:
+        name: What is set.
+        printed: The paper's setting.
+        ours: The study's.
+        settled: What a run of the printed settings takes, and why, where the paper is ambiguous or silent;
+            empty: what is printed.
+    """
+
+    name: str
+    printed: str
+    ours: str
+    settled: str = ""
+
+
+@dataclass(frozen=True)
+class LiteralRow:
+    """One number three times: the paper's, the study's, and that of a run of the paper's own settings.
+
+    Attributes:
+        case: The run.
+        driver: Driver id.
+        kpi: The quantity measured, in words.
+        unit: Its unit; empty for a count or ratio.
+        published: The paper's number; None where it gives none.
+        ours: The study's own; None where it has no such row.
+        as_printed: Median over the seeds under the printed settings; None where nothing could be measured.
+        low: Smallest over the seeds.
+        high: Largest over the seeds.
+        values: Value of every seed.
+    """
+
+    case: str
+    driver: str
+    kpi: str
+    unit: str
+    published: float | None
+    ours: float | None
+    as_printed: float | None
+    low: float | None = None
+    high: float | None = None
+    values: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class LiteralReport:
+    """Results of a study's run of the printed settings.
+
+    Attributes:
+        settings: The settings.
+        rows: Every number.
+        remarks: What was cut short, and findings.
+    """
+
+    settings: Sequence[PrintedSetting]
+    rows: Sequence[LiteralRow]
+    remarks: Sequence[str] = ()
+
+    def deviations(self) -> list[str]:
+        """Every ambiguity that was settled, as a sentence."""
+        return [f"As printed, {one.name}: {one.settled}" for one in self.settings if one.settled]
+
+
+def compare_rows(literal: Iterable[ReportRow], ours: Iterable[ReportRow]) -> list[LiteralRow]:
+    """Rows of the printed settings, each beside the study's row of its table, case, driver and quantity."""
+
+    def key(row: ReportRow) -> tuple[str, str, str, str]:
+        return row.table, row.case, row.driver, row.kpi
+
+    known = {key(row): row for row in ours}
+    found = []
+    for row in literal:
+        other = known.get(key(row))
+        published = row.published if other is None or row.published is not None else other.published
+        ours_too = None if other is None else other.ours
+        numbers = (published, ours_too, row.ours, row.low, row.high, row.values)
+        found.append(LiteralRow(row.case, row.driver, row.kpi, row.unit, *numbers))
+    return found
+
+
+@dataclass(frozen=True)
 class StudyReport:
     """Results of a study and their provenance.
 
@@ -103,6 +186,7 @@ class StudyReport:
         seconds: Wall time.
         circumstances: Machine, date, commit, versions.
         learning: Records of the learning runs behind the rows.
+        as_printed: Results of the paper's own settings; None where they were not asked for.
     """
 
     seeds: int
@@ -117,6 +201,7 @@ class StudyReport:
     seconds: float = 0.0
     circumstances: dict[str, str] = field(default_factory=dict)
     learning: Sequence[RunRecord] = ()
+    as_printed: LiteralReport | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON: ``study, budget, seeds, seconds, rows`` first."""
@@ -127,6 +212,7 @@ class StudyReport:
             "seconds": round(self.seconds, 1),
             "verdicts": [verdict.as_dict() for verdict in self.verdicts],
             "rows": [asdict(row) for row in self.rows],
+            "as_printed": None if self.as_printed is None else asdict(self.as_printed),
             "figures": [{"name": f.name, "caption": f.caption} for f in self.figures],
             "deviations": list(self.deviations),
             "remarks": list(self.remarks),

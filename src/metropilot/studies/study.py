@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Literal
 from metropilot._provenance import circumstances
 from metropilot._registry import Registry, RegistryRow
 from metropilot.errors import InputError
-from metropilot.studies.report import StudyReport
+from metropilot.studies.report import (
+    LiteralReport,
+    PrintedSetting,
+    ReportRow,
+    StudyReport,
+    compare_rows,
+)
 
 if TYPE_CHECKING:
     from metropilot.learn import RunRecord
@@ -42,6 +48,7 @@ class Order:
         budget: quick (shipped policies, short learning) or paper (everything learned anew).
         seeds: Number of seeds; None: the study's own number for the budget.
         options: The study's own options, already checked.
+        as_printed: Run the paper's own settings as well.
         processes: Learning runs side by side.
         say: Called with one line when something is done.
         records: Records of the learning runs used so far.
@@ -51,6 +58,7 @@ class Order:
     budget: Budget = "quick"
     seeds: int | None = None
     options: Mapping[str, str] = field(default_factory=dict)
+    as_printed: bool = False
     processes: int = 2
     say: Callable[[str], object] = lambda line: None  # noqa: ARG005 (silent)
     records: list[RunRecord] = field(default_factory=list)
@@ -74,6 +82,32 @@ class Order:
 
 
 @dataclass(frozen=True)
+class LiteralRun:
+    """Numbers measured under the printed settings.
+
+    Attributes:
+        rows: The numbers; table, case, driver and quantity are those of the study's row to stand beside.
+        remarks: What was cut short, and findings.
+    """
+
+    rows: Sequence[ReportRow]
+    remarks: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class AsPrinted:
+    """The paper's own settings, and the function that runs them.
+
+    Attributes:
+        settings: Every setting that differs from the study's, or that the paper leaves open.
+        measure: From an order to the numbers; its learning runs have names of their own.
+    """
+
+    settings: tuple[PrintedSetting, ...]
+    measure: Callable[[Order], LiteralRun]
+
+
+@dataclass(frozen=True)
 class Study:
     """One paper.
 
@@ -83,6 +117,7 @@ class Study:
         citation: The paper.
         reproduce: From an order to a report; the rest of the report is set by :func:`reproduce`.
         options: Allowed values of each option (``--set``), the default first.
+        as_printed: The paper's own settings; None: the study cannot run them.
     """
 
     id: str
@@ -90,6 +125,20 @@ class Study:
     citation: str
     reproduce: Callable[[Order], StudyReport]
     options: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    as_printed: AsPrinted | None = None
+
+    def check_as_printed(self) -> AsPrinted:
+        """The paper's own settings.
+
+        Raises:
+            InputError: The study cannot run them.
+        """
+        if self.as_printed is None:
+            able = ", ".join(name for name in STUDIES if STUDIES.get(name).as_printed is not None)
+            raise InputError(
+                "cannot run the printed settings", field="as-printed", value=self.id, allowed=able or "none"
+            )
+        return self.as_printed
 
     def check_options(self, given: Mapping[str, str]) -> dict[str, str]:
         """Every option with its value, defaults filled in.
@@ -152,14 +201,22 @@ def reproduce(study_id: str, order: Order) -> StudyReport:
         Its report, with the time it took and the circumstances.
 
     Raises:
-        InputError: No such study or option, or a number of seeds below one.
+        InputError: No such study or option, a number of seeds below one, or printed settings that it cannot
+            run.
     """
     study = STUDIES.get(study_id)
     if order.seeds is not None and order.seeds < 1:
         raise InputError("out of range", field="seeds", value=order.seeds, allowed=">= 1")
     order = replace(order, options=study.check_options(order.options))
+    literal = study.check_as_printed() if order.as_printed else None
     start = time.perf_counter()
     report = study.reproduce(order)
+    if literal is not None:
+        order.say("the paper's own settings")
+        run = literal.measure(order)
+        found = LiteralReport(literal.settings, compare_rows(run.rows, report.rows), run.remarks)
+        deviations = [*report.deviations, *found.deviations()]
+        report = replace(report, as_printed=found, deviations=deviations)
     return replace(
         report,
         study=study.id,

@@ -114,17 +114,20 @@ def longest_decisions(task: DrivingTask) -> int:
     return int(longest_s(task) / DECISION_S) + 2
 
 
-def make_evaluation(config: AbstractConfig, task: AbstractTask) -> PolicyEvaluation:
+def make_evaluation(
+    config: AbstractConfig, task: AbstractTask, end: Outcome = Outcome.ARRIVED
+) -> PolicyEvaluation:
     """Return the evaluation of a policy: one deterministic run from standstill without exploration.
 
     Args:
         config: Configuration of the learner.
         task: One of this module's tasks.
+        end: Outcome that counts as arrived.
 
     Returns:
         A function of parameters and a key that gives ``score`` (the return), ``running_time_s`` (130 s unless
         arrived), ``energy_kwh`` (wheel), ``impact_mps3`` (mean size of the jerk), ``stopping_error_m``,
-        ``arrived`` (1 or 0), each of shape ().
+        ``arrived`` (1 or 0), ``end_mps`` (speed at the end), each of shape ().
 
     Raises:
         InputError: The task is not a driving task.
@@ -145,7 +148,7 @@ def make_evaluation(config: AbstractConfig, task: AbstractTask) -> PolicyEvaluat
     def evaluate(params: Params, key: Array) -> dict[str, Array]:
         state, returned = drive_to_end(task, partial(act, spec, params), task.begin(start), key, decisions)
         run = episode_of(task, state)
-        arrived = run.outcome == CODES.index(Outcome.ARRIVED)
+        arrived = run.outcome == CODES.index(end)
         return {
             "score": returned,
             "running_time_s": jnp.where(arrived, run.running_time_s, longest),
@@ -153,6 +156,7 @@ def make_evaluation(config: AbstractConfig, task: AbstractTask) -> PolicyEvaluat
             "impact_mps3": run.jerk_mps2 / jnp.maximum(run.running_time_s, 1.0),
             "stopping_error_m": jnp.abs(run.stop_error_m),
             "arrived": arrived.astype(jnp.float32),
+            "end_mps": state.plant.speed_mps,
         }
 
     return evaluate

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from metropilot.studies.chen2023a.as_printed import AS_PRINTED
 from metropilot.studies.chen2023a.drives import LeastEnergy, constant_rows, outcome_rows, paper_rows
 from metropilot.studies.chen2023a.figures import figures
 from metropilot.studies.chen2023a.setting import CITATION, EPISODES, PRESCRIBED_S, THRESHOLD_S
@@ -129,4 +130,5 @@ STUDY = Study(
     title="Chen et al. 2023: PPO with reward scaling",
     citation=CITATION,
     reproduce=reproduce,
+    as_printed=AS_PRINTED,
 )

@@ -14,14 +14,18 @@ from metropilot.drivers import AbstractTracker, AbstractTrackingOptions, Trackin
 from metropilot.errors import InputError
 from metropilot.policy import GuardedPolicy, load_policy, policy_path, shipped_policy
 from metropilot.studies.cheng2023.env import gains_of
-from metropilot.studies.cheng2023.tracking import tracking_observation
+from metropilot.studies.cheng2023.tracking import SCALE, ObservationScale, tracking_observation
 
 GAINS_OBSERVATION = ("speed", "command", "speed_error", "position_error")
 """Observation entries of the policy, as its file must list them."""
 
 
 def step_ddpg_pid(
-    policy: Callable[[Any], Any], seen: TrackingView, errors: Errors, upper: Gains = CHENG2023_UPPER
+    policy: Callable[[Any], Any],
+    seen: TrackingView,
+    errors: Errors,
+    upper: Gains = CHENG2023_UPPER,
+    scale: ObservationScale = SCALE,
 ) -> tuple[Any, Errors]:
     """One period: the policy's gains (Cheng23 eq. 10), then the incremental law (eqs. 15 and 16).
 
@@ -30,8 +34,9 @@ def step_ddpg_pid(
         seen: Controller inputs: errors, speed and last command.
         errors: Speed errors of the two periods before.
         upper: Upper limits of the gains.
+        scale: Scale of the observation.
     """
-    gains = gains_of(policy(tracking_observation(seen)), upper)
+    gains = gains_of(policy(tracking_observation(seen, scale)), upper)
     return incremental_pid(seen.command, gains, seen.error_mps, errors)
 
 

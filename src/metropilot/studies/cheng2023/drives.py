@@ -19,7 +19,7 @@ from metropilot.studies.cheng2023.neural_pid import (
     step_neural_pid,
 )
 from metropilot.studies.cheng2023.setting import KPIS, NAMES, TABLE_1, TABLE_3, TABLE_4, optimal_kwh
-from metropilot.studies.cheng2023.tracking import TrackingController, TrackingKpis
+from metropilot.studies.cheng2023.tracking import SCALE, ObservationScale, TrackingController, TrackingKpis
 from metropilot.studies.report import ReportRow
 
 Start = tuple[TrackingController, Any]
@@ -90,11 +90,11 @@ def neural_control(gains: Gains, rates: LearningRates, seed: int) -> Start:
     return control, fresh_network(seed, gains)
 
 
-def policy_control(policy: Callable[[Any], Any]) -> Start:
+def policy_control(policy: Callable[[Any], Any], scale: ObservationScale = SCALE) -> Start:
     """PID with gains from a policy."""
 
     def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
-        return step_ddpg_pid(policy, seen, memory)
+        return step_ddpg_pid(policy, seen, memory, scale=scale)
 
     return control, NO_ERRORS
 

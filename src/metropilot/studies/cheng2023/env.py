@@ -13,6 +13,8 @@ from metropilot.env import AbstractTask, ActionSpace, Transition
 from metropilot.errors import InputError
 from metropilot.physics import davis_n, effort_at
 from metropilot.studies.cheng2023.tracking import (
+    SCALE,
+    ObservationScale,
     ReferenceCourse,
     TrackState,
     advance_tracking,
@@ -69,6 +71,9 @@ class TrackingConfig:
         on_the_way: Share of episodes that begin on the way, near the reference.
         apart_mps: Largest speed error they begin with.
         apart_m: Largest position error they begin with.
+        scale: Scale of the observation.
+        grace: Let a trainset that still moves at the end of the reference come to a stand; the paper ends the
+            episode there.
     """
 
     courses: tuple[ReferenceCourse, ...]
@@ -78,6 +83,8 @@ class TrackingConfig:
     on_the_way: float = 0.5
     apart_mps: float = 0.1
     apart_m: float = 0.2
+    scale: ObservationScale = SCALE
+    grace: bool = True
 
 
 class TrackingFacts(NamedTuple):
@@ -163,9 +170,10 @@ class TrackingTask(AbstractTask):
         loop: TrackState = jax.tree.map(
             lambda x: jnp.asarray(x, jnp.int32 if np.asarray(x).dtype.kind == "i" else jnp.float32), rest
         )
-        return TrackingState(loop, jnp.asarray(index, jnp.int32)), tracking_observation(
-            tracking_view(course, loop)
-        )
+        return TrackingState(loop, jnp.asarray(index, jnp.int32)), self._observe(course, loop)
+
+    def _observe(self, course: ReferenceCourse, loop: TrackState) -> Float[Array, "4"]:
+        return tracking_observation(tracking_view(course, loop), self.config.scale)
 
     def reset(self, key: Key) -> tuple[TrackingState, Float[Array, "4"]]:
         """Begin an episode on a random course, from standstill or near the reference on the way."""
@@ -193,7 +201,7 @@ class TrackingTask(AbstractTask):
         moving = TrackState(plant, command, Errors(error, error), k)
         on_the_way = jax.random.uniform(share) < config.on_the_way
         loop = jax.tree.map(lambda a, b: jnp.where(on_the_way, a, b), moving, state.loop)
-        return TrackingState(loop, state.course), tracking_observation(tracking_view(course, loop))
+        return TrackingState(loop, state.course), self._observe(course, loop)
 
     def step(
         self, key: Key, state: TrackingState, action: Float[Array, "3"]
@@ -211,7 +219,8 @@ class TrackingTask(AbstractTask):
         after, plant, before = tracking_view(course, loop), loop.plant, state.loop.plant
         unsafe = plant.speed_mps > config.limit_mps
         late = loop.period >= course.end
-        over = late & ((plant.speed_mps <= 0) | (loop.period >= self.longest))
+        stood = (plant.speed_mps <= 0) | (loop.period >= self.longest)
+        over = late & stood if config.grace else late
         facts = TrackingFacts(
             error_mps=after.error_mps,
             distance_m=after.distance_m,
@@ -223,7 +232,7 @@ class TrackingTask(AbstractTask):
         )
         terms = reward_terms(config.rewards, facts)
         transition = Transition(
-            observation=tracking_observation(after),
+            observation=tracking_observation(after, config.scale),
             reward=sum(terms.values(), jnp.float32(0.0)),
             terminated=unsafe | over,
             truncated=jnp.zeros((), bool),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from metropilot.studies.cheng2023 import drives as table
+from metropilot.studies.cheng2023.as_printed import AS_PRINTED
 from metropilot.studies.cheng2023.drives import (
     POSITION_PID,
     TUNED_POSITION_PID,
@@ -128,4 +129,5 @@ STUDY = Study(
     citation=CITATION,
     reproduce=reproduce,
     options={"reference": tuple(REFERENCES)},
+    as_printed=AS_PRINTED,
 )

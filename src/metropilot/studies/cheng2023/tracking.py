@@ -173,17 +173,36 @@ def advance_tracking(
     return TrackState(run.plant, command, errors, state.period + 1)
 
 
-def tracking_observation(given: TrackingView) -> Float[Array, "4"]:
+class ObservationScale(NamedTuple):
+    """Values that count as 1 in the observation of DDPG-PID.
+
+    Attributes:
+        speed_mps: Speed.
+        error_mps: Speed error.
+        distance_m: Position error.
+        most: Size at which every entry is cut off.
+    """
+
+    speed_mps: float
+    error_mps: float
+    distance_m: float
+    most: float
+
+
+SCALE = ObservationScale(20.0, 0.05, 0.15, 5.0)
+
+
+def tracking_observation(given: TrackingView, scale: ObservationScale = SCALE) -> Float[Array, "4"]:
     """Observation of DDPG-PID, scaled: speed, command, speed and position error. Cheng23 eq. 7."""
     xp = namespace(given.error_mps)
     xp = np if xp.__name__ == "scalars" else xp
     parts = (
-        given.speed_mps / 20.0,
+        given.speed_mps / scale.speed_mps,
         given.command,
-        given.error_mps / 0.05,
-        given.distance_m / 0.15,
+        given.error_mps / scale.error_mps,
+        given.distance_m / scale.distance_m,
     )
-    return xp.clip(xp.stack([xp.asarray(part, np.float32) for part in parts]), -5.0, 5.0)
+    return xp.clip(xp.stack([xp.asarray(part, np.float32) for part in parts]), -scale.most, scale.most)
 
 
 Memory = Any
