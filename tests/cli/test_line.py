@@ -2,6 +2,7 @@
 
 import csv
 import json
+from importlib import resources
 from itertools import pairwise
 
 import pytest
@@ -20,19 +21,29 @@ FIELDS = {
 
 def test_the_command_prints_and_writes(typed, tmp_path):
     words = ("line", "yizhuang", "--headway", "300", "--zones", "4")
-    said = typed(*words, "--optimise", "--time-window", "0", "--out", "out", "--json")
+    fed = (*words, "--feeding", "yizhuang")
+    said = typed(*fed, "--optimise", "--time-window", "0", "--out", "out", "--json")
     assert said.code == 0, said.err
     told = json.loads(said.out)
     assert set(told) >= FIELDS
+    network = told["feeding"].pop("network")
     assert told["feeding"] == {"zones": 4, "transfer_loss": 0.1}
+    assert network["id"] == "yizhuang"
+    assert abs(network["balance"]) < 1e-9
+    assert network["energy_kwh"] > told["energy_kwh"]
+    assert sum(each["supplied_kwh"] for each in network["substations"]) == pytest.approx(
+        network["energy_kwh"]
+    )
+    assert 500.0 < network["lowest_v"] < 850.0 < network["highest_v"] < 900.0
     assert told["floor_kwh"] <= told["energy_kwh"] < told["driving_only_kwh"] < told["cruise_kwh"]
     assert told["timetable_only_kwh"] < told["cruise_kwh"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "line.json",
         "timetable.csv",
-        *(f"{stem}.{kind}" for stem in ("trains", "power") for kind in ("svg", "png")),
+        *(f"{stem}.{kind}" for stem in ("trains", "power", "voltage") for kind in ("svg", "png")),
     }
     written = json.loads((tmp_path / "out" / "line.json").read_text())
+    assert written["feeding"].pop("network") == network
     assert {name: written[name] for name in told} == told
     with (tmp_path / "out" / "timetable.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -46,8 +57,10 @@ def test_the_command_prints_and_writes(typed, tmp_path):
     before = json.loads(plain.out)
     assert before["floor_kwh"] == told["floor_kwh"]
     assert before["energy_kwh"] >= told["energy_kwh"]
-    said = typed(*words)
+    assert before["feeding"] == told["feeding"]
+    said = typed(*fed)
     assert "cruise and brake" in said.out
+    assert "peak of all substations" in " ".join(said.out.split())
     assert "--optimise" in said.out
 
 
@@ -60,10 +73,30 @@ def test_the_command_prints_and_writes(typed, tmp_path):
         (("yizhuang", "--dwell", "5"), "--dwell-window"),
         (("nowhere",), "nowhere"),
         (("yizhuang", "--trainset", "none"), "none"),
+        (("yizhuang", "--feeding", "none"), "unknown feeding"),
+        (("lu2023", "--zones", "1", "--feeding", "yizhuang"), "substation off the line: XC"),
     ],
 )
 def test_bad_input_is_one_line(typed, words, told):
     said = typed("line", *words)
+    assert said.code == 2
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert told in said.err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("position = 22728", "position = 22729", "substations[10].position"),
+        ("resistance = 10", "resistance = -10", "substations.resistance: out of range: -10 mohm"),
+        ("resistance = 10", "resistance = 900", "the network cannot carry the load: "),
+    ],
+)
+def test_a_bad_feeding_is_one_line(typed, tmp_path, old, new, told):
+    text = (resources.files("metropilot.railway") / "catalogue/feedings/yizhuang.toml").read_text()
+    (tmp_path / "mine.toml").write_text(text.replace(old, new))
+    said = typed("line", "yizhuang", "--feeding", "mine.toml")
     assert said.code == 2
     assert said.out == ""
     assert said.err.count("\n") == 1

@@ -272,7 +272,7 @@ def _trajectories() -> list[bytes]:
 
 
 def _catalogue() -> list[bytes]:
-    return [text.encode() for text in (samples.LINE, samples.TRAINSET, samples.JOURNEY)]
+    return [text.encode() for text in (samples.LINE, samples.TRAINSET, samples.JOURNEY, samples.FEEDING)]
 
 
 def _texts(*texts: str) -> Callable[[], list[bytes]]:

@@ -98,6 +98,42 @@ unit = "kN"
 levels = { three = [-100, 0, 100] }
 """
 
+FEEDING = """
+kind = "feeding"
+id = "toy"
+name = "Toy feeding"
+line = "toy"
+
+[substations]
+units = { position = "km", no_load_voltage = "V", resistance = "mohm" }
+source = "made up"
+no_load_voltage = 850
+resistance = 20
+list = [
+  { name = "A", position = 0 },
+  { name = "B", position = 1.5, resistance = 8 },
+]
+
+[inverters]
+units = { voltage = "V", resistance = "ohm" }
+voltage = 870
+resistance = 0.04
+at = ["B"]
+
+[rails]
+units = { conductor = "mohm/km", running = "ohm/km" }
+conductor = 8
+running = 0.018
+
+[trains]
+units = { max_current = "kA", reduced_below = "V", cut_off = "V", squeezed_above = "V", max_voltage = "V" }
+max_current = 6
+reduced_below = 550
+cut_off = 500
+squeezed_above = 875
+max_voltage = 900
+"""
+
 JOURNEY = """
 kind = "journey"
 id = "toy"

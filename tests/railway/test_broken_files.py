@@ -160,10 +160,22 @@ JOURNEY = [
     ("latest = 4", "latest = 1", "timing_points[2].latest", "60", "s", ">= 180 s"),
     ("slowest = 10", "slowst = 10", "timing_points.list[1].slowst", "slowest", None, "earliest, fastest"),
 ]
+FEEDING = [
+    ("resistance = 20", "resistance = -20", "substations.resistance", "-20", "mohm", "> 0 mohm"),
+    ("resistance = 8 ", "resistance = 0 ", "substations.list[1].resistance", "0", "mohm", "> 0 mohm"),
+    ("position = 1.5", "position = 0", "substations[1].position", "0", "m", "> 0 m"),
+    ('at = ["B"]', 'at = ["C"]', "inverters.at[0]", "C", None, "A, B"),
+    ("voltage = 870", "voltage = 840", "inverters.voltage", "840", "V", "above the no-load voltage, 850 V"),
+    ("running = 0.018", "running = -1", "rails.running", "-1", "ohm/km", "0 to 1000 ohm/km"),
+    ("cut_off = 500", "cut_off = 560", "reduced_below_v", "550", "V", "between 560 and 850 V"),
+    ("max_current = 6", "max_curent = 6", "trains.max_curent", "max_current", None, "cut_off"),
+    ('max_current = "kA", ', "", "trains.units.max_current", None, None, "current in A, kA"),
+]
 CASES = [
     *((samples.LINE, *case) for case in LINE),
     *((samples.TRAINSET, *case) for case in TRAINSET),
     *((samples.JOURNEY, *case) for case in JOURNEY),
+    *((samples.FEEDING, *case) for case in FEEDING),
 ]
 
 

@@ -41,6 +41,7 @@ def import_command(
     a line or a trainset is expected.
     """
     from metropilot.railway import (
+        Feeding,
         Journey,
         Line,
         import_file,
@@ -50,6 +51,8 @@ def import_command(
     )
 
     found = import_file(file)
+    if isinstance(found, Feeding):
+        raise InputError("a feeding needs no import", file=file, allowed="a line, a trainset or a journey")
     target = out if out is not None else Path(f"{found.id}.toml")
     if target.exists() and not force:
         raise InputError("the file exists", file=target, field="out", allowed="a new name, or --force")

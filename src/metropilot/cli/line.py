@@ -15,11 +15,12 @@ from metropilot.errors import InputError
 from metropilot.operation import OperationOptions
 
 if TYPE_CHECKING:
-    from metropilot.operation import LineOperation, OperationEnergy
+    from metropilot.operation import FeedingEnergy, LineOperation, OperationEnergy
 
 EXAMPLES = {
     "line": (
         "metropilot line yizhuang --headway 180 --zones 4",
+        "metropilot line yizhuang --headway 180 --feeding yizhuang",
         "metropilot line yizhuang --headway 300 --optimise --time-window 1 --out line --json",
     ),
 }
@@ -44,6 +45,14 @@ def line_command(
         ),
     ] = False,
     seed: Annotated[int, typer.Option(help="Seed of the search.", min=0, rich_help_panel=OPERATION)] = 0,
+    feeding: Annotated[
+        str | None,
+        typer.Option(
+            help="DC network that feeds the trains of the timetable found, besides the zones.",
+            metavar="ID|FILE",
+            rich_help_panel=OPERATION,
+        ),
+    ] = None,
     out: opt.Out = None,
     as_json: opt.Json = False,
     **given: Any,  # noqa: ANN401 (the fields of an operation and of a run)
@@ -54,24 +63,31 @@ def line_command(
     trains in one headway, which is one train's in a round trip. Exit code 0: computed; 2: invalid input.
     """
     from metropilot._io import check_writable
-    from metropilot.operation import LineOperation, operation_energy, write_operation
-    from metropilot.railway import load_line, load_trainset
+    from metropilot.operation import LineOperation, feed_line, operation_energy, write_operation
+    from metropilot.railway import load_feeding, load_line, load_trainset
 
     trainset = load_trainset(given.pop("trainset"), given.pop("load"))
     operation = LineOperation(load_line(line), trainset, OperationOptions(**given))
+    network = None if feeding is None else load_feeding(feeding)
+    if network is not None:
+        network.check_line(operation.line)
     if out is not None:
         check_writable(out)
     with show_activity(f"planning {len(operation.trips)} trips and their timetable"):
         _check_headway(operation)
         found = operation_energy(operation, searched=optimise, seed=seed)
+        fed = None if network is None else feed_line(operation, found.timetable, found.profiles, network)
     if out is not None:
-        write_operation(out, found)
+        write_operation(out, found, fed)
     if as_json:
-        print_json(found.as_dict())
+        print_json(found.as_dict(fed))
         return 0
     _print(found)
+    if fed is not None:
+        _print_network(fed)
     if out is not None:
         files = "line.json timetable.csv trains.svg trains.png power.svg power.png"
+        files += "" if fed is None else " voltage.svg voltage.png"
         console().print(f"Written to {out}: {files}")
     return 0
 
@@ -139,3 +155,29 @@ def _print(found: OperationEnergy) -> None:
         console().print(
             "Best found: offset of the directions alone; --optimise searches dwells and running times."
         )
+
+
+def _print_network(fed: FeedingEnergy) -> None:
+    told = fed.as_dict()
+    rows = [
+        (
+            each["name"],
+            f"{each['position_m']:.0f}",
+            number(each["supplied_kwh"], 1),
+            number(each["mean_w"] / 1e6, 2),
+            number(each["peak_w"] / 1e6, 2),
+            number(each["lowest_v"], 0),
+        )
+        for each in told["substations"]
+    ]
+    title = f"feeding {told['id']}: {told['energy_kwh']:.1f} kWh a round trip"
+    columns = ("substation", "m", "kWh", "mean MW", "peak MW", "lowest V")
+    console().print(table(title, columns, rows, right=range(1, 6)))
+    inverted = f"; inverters return {told['inverted_kwh']:.1f}" if told["inverted_kwh"] else ""
+    console().print(
+        f"Trains draw {told['drawn_kwh']:.1f} kWh and return {told['returned_kwh']:.1f}, "
+        f"{told['squeezed_kwh']:.1f} less than they could{inverted}. Lost in the rails "
+        f"{told['rail_loss_kwh']:.1f}, in substations {told['substation_loss_kwh']:.1f}. Lowest voltage "
+        f"{told['lowest_v']:.0f} V at {told['lowest_position_m']:.0f} m in second {told['lowest_second']}; "
+        f"peak of all substations {told['peak_w'] / 1e6:.1f} MW."
+    )

@@ -20,7 +20,7 @@ from metropilot.units import KMH_PER_MPS
 if TYPE_CHECKING:
     from metropilot._registry import Registry
     from metropilot.learn import RunRecord
-    from metropilot.railway import Line, Section, Trainset
+    from metropilot.railway import Feeding, Journey, Line, Section, Trainset
 
 SPEEDS_KMH = (0.0, 20.0, 40.0, 60.0, 80.0)
 EXAMPLES = {
@@ -98,7 +98,7 @@ def show_run_folder(folder: Path, *, as_json: bool) -> int:
 
 def show_file(path: Path, *, as_json: bool) -> int:
     """Show a line, trainset, journey or policy file, or a `run.toml`."""
-    from metropilot.railway import Line, Trainset, import_file
+    from metropilot.railway import Feeding, Line, Trainset, import_file
 
     if path.name == "run.toml":
         return show_run_folder(path.parent, as_json=as_json)
@@ -106,9 +106,18 @@ def show_file(path: Path, *, as_json: bool) -> int:
         return show_policy(read_policy(path), as_json=as_json)
     found = import_file(path)
     if isinstance(found, Line):
-        return show_line(found, as_json=as_json)
-    if isinstance(found, Trainset):
-        return show_trainset(found, as_json=as_json)
+        code = show_line(found, as_json=as_json)
+    elif isinstance(found, Trainset):
+        code = show_trainset(found, as_json=as_json)
+    elif isinstance(found, Feeding):
+        code = show_feeding(found, as_json=as_json)
+    else:
+        code = show_journey(found, as_json=as_json)
+    return code
+
+
+def show_journey(found: Journey, *, as_json: bool) -> int:
+    """Show timing points."""
     points = [dict(vars(p)) for p in found.points]
     if as_json:
         print_json({"kind": "journey", "id": found.id, "line": found.line_id, "points": points})
@@ -190,6 +199,37 @@ def show_line(line: Line, *, as_json: bool) -> int:
     heading(out, "notes", line.notes)
     heading(out, "read but unused", line.unused)
     citations(out, "sources", line.source)
+    return 0
+
+
+def show_feeding(feeding: Feeding, *, as_json: bool) -> int:
+    """Show substations, rails, limits, notes, sources."""
+    from dataclasses import asdict
+
+    if as_json:
+        print_json({"kind": "feeding", **asdict(feeding)})
+        return 0
+    out = console()
+    columns = ("substation", "m", "no load V", "inner mohm", "inverter V")
+    rows = [
+        (
+            s.name,
+            f"{s.position_m:.0f}",
+            f"{s.no_load_v:.0f}",
+            number(1000.0 * s.resistance_ohm, 1),
+            number(s.inverter_v, 0),
+        )
+        for s in feeding.substations
+    ]
+    out.print(table(feeding.name, columns, rows, right=range(1, 5)))
+    conductor, running = (1e6 * r for r in (feeding.conductor_ohm_per_m, feeding.running_ohm_per_m))
+    out.print(
+        f"Rails of a track {conductor:g} + {running:g} mohm/km; trains draw {feeding.max_current_a:g} A "
+        f"at most above {feeding.reduced_below_v:g} V, nothing at {feeding.cut_off_v:g} V; they return "
+        f"all below {feeding.squeezed_above_v:g} V, nothing at {feeding.max_v:g} V."
+    )
+    heading(out, "notes", feeding.notes)
+    citations(out, "sources", feeding.source)
     return 0
 
 

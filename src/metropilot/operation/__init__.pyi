@@ -1,3 +1,7 @@
+from .feeding import FeedingEnergy as FeedingEnergy
+from .feeding import feed_line as feed_line
+from .feeding import train_loads as train_loads
+from .feeding import voltage_figure as voltage_figure
 from .line_service import Driving as Driving
 from .line_service import EnergyBalance as EnergyBalance
 from .line_service import LineOperation as LineOperation
@@ -5,6 +9,9 @@ from .line_service import OperationOptions as OperationOptions
 from .line_service import Timetable as Timetable
 from .line_service import Trip as Trip
 from .line_service import divide_zones as divide_zones
+from .network import NetworkFlow as NetworkFlow
+from .network import TrainLoads as TrainLoads
+from .network import solve_network as solve_network
 from .power import PeriodicPower as PeriodicPower
 from .power import PowerProfile as PowerProfile
 from .power import add_periodic as add_periodic

@@ -13,6 +13,7 @@ import numpy as np
 
 from metropilot._io import fill_folder, write_json
 from metropilot._provenance import provenance
+from metropilot.operation.feeding import FeedingEnergy, voltage_figure
 from metropilot.operation.line_service import EnergyBalance, LineOperation, Profiles, Timetable
 from metropilot.operation.power import SAME_S
 from metropilot.operation.search import best_offset, find_timetable
@@ -61,8 +62,12 @@ class OperationEnergy:
         """Energy above the floor."""
         return 100.0 * (self.energy_kwh / self.floor_kwh - 1.0)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Values as JSON holds them."""
+    def as_dict(self, network: FeedingEnergy | None = None) -> dict[str, Any]:
+        """Values as JSON holds them.
+
+        Args:
+            network: What a network makes of ``timetable``, if one feeds the line.
+        """
         options, balance = self.operation.options, self.balance
         trainset = self.operation.trainset
         return {
@@ -81,7 +86,11 @@ class OperationEnergy:
             "returned_kwh": balance.returned_j / J_PER_KWH,
             "received_kwh": balance.received_j / J_PER_KWH,
             "unreceived_kwh": balance.unreceived_j / J_PER_KWH,
-            "feeding": {"zones": options.zones, "transfer_loss": options.transfer_loss},
+            "feeding": {
+                "zones": options.zones,
+                "transfer_loss": options.transfer_loss,
+                **({} if network is None else {"network": network.as_dict()}),
+            },
         }
 
 
@@ -216,12 +225,13 @@ TIMETABLE_COLUMNS = (
 )
 
 
-def write_operation(folder: Path, found: OperationEnergy) -> None:
+def write_operation(folder: Path, found: OperationEnergy, network: FeedingEnergy | None = None) -> None:
     """Write `line.json`, `timetable.csv`, and the pictures `trains` and `power` as SVG and PNG.
 
     Args:
         folder: Folder; created if missing.
         found: Energy and timetable.
+        network: What a network makes of the timetable; written too, with the picture `voltage`.
 
     Raises:
         InputError: The folder cannot be made or written.
@@ -229,13 +239,15 @@ def write_operation(folder: Path, found: OperationEnergy) -> None:
     from metropilot.evaluate import save_figure
 
     with fill_folder(folder) as scratch:
-        write_json(scratch / "line.json", found.as_dict() | {"made_with": provenance()})
+        write_json(scratch / "line.json", found.as_dict(network) | {"made_with": provenance()})
         with (scratch / "timetable.csv").open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(TIMETABLE_COLUMNS)
             writer.writerows(_timetable_rows(found))
         save_figure(line_figure(found), scratch / "trains")
         save_figure(power_figure(found), scratch / "power")
+        if network is not None:
+            save_figure(voltage_figure(network), scratch / "voltage")
 
 
 def _timetable_rows(found: OperationEnergy) -> list[tuple[object, ...]]:

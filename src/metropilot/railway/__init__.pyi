@@ -2,6 +2,8 @@ from .drawn import drawn_trainset as drawn_trainset
 from .effort import Efficiency as Efficiency
 from .effort import EffortCurve as EffortCurve
 from .effort import EffortPiece as EffortPiece
+from .feeding import Feeding as Feeding
+from .feeding import Substation as Substation
 from .formats.toml import write_journey as write_journey
 from .formats.toml import write_line as write_line
 from .formats.toml_trainset import write_trainset as write_trainset
@@ -11,8 +13,10 @@ from .journey import TimingPoint as TimingPoint
 from .journey import planned_journey as planned_journey
 from .library import TrainsetKey as TrainsetKey
 from .library import import_file as import_file
+from .library import list_feedings as list_feedings
 from .library import list_lines as list_lines
 from .library import list_trainsets as list_trainsets
+from .library import load_feeding as load_feeding
 from .library import load_journey as load_journey
 from .library import load_line as load_line
 from .library import load_trainset as load_trainset

@@ -16,25 +16,28 @@ from metropilot._io import read_text
 from metropilot.errors import InputError
 from metropilot.railway.drawn import NAME as DRAWN_NAME
 from metropilot.railway.drawn import drawn_trainset
+from metropilot.railway.feeding import Feeding
 from metropilot.railway.formats.reader import ACTUATION_TIME, Node, nearest
 from metropilot.railway.formats.toml import read_journey, read_line
+from metropilot.railway.formats.toml_feeding import read_feeding
 from metropilot.railway.formats.toml_trainset import read_trainset
 from metropilot.railway.formats.ttobench import read_ttobench
 from metropilot.railway.journey import Journey, planned_journey
 from metropilot.railway.line import Line
 from metropilot.railway.trainset import Trainset
 
-T = TypeVar("T", Line, Trainset, Journey)
+T = TypeVar("T", Line, Trainset, Journey, Feeding)
 
-_READERS: dict[str, Callable[[Node], Line | Trainset | Journey]] = {
+_READERS: dict[str, Callable[[Node], Line | Trainset | Journey | Feeding]] = {
     "line": read_line,
     "trainset": read_trainset,
     "journey": read_journey,
+    "feeding": read_feeding,
 }
 
 
-def import_file(path: str | Path) -> Line | Trainset | Journey:
-    """Read a line, a trainset or a journey from a file: metropilot's TOML or TTOBench JSON.
+def import_file(path: str | Path) -> Line | Trainset | Journey | Feeding:
+    """Read a line, a trainset, a journey or a feeding from a file: metropilot's TOML or TTOBench JSON.
 
     Args:
         path: A file ending in ``.toml`` or ``.json``.
@@ -53,7 +56,7 @@ def import_file(path: str | Path) -> Line | Trainset | Journey:
     return _read_toml(text, path)
 
 
-def _read_toml(text: str, file: object) -> Line | Trainset | Journey:
+def _read_toml(text: str, file: object) -> Line | Trainset | Journey | Feeding:
     root = Node(_parse(file, text, tomllib.loads, "TOML"), file)
     kind = root.text("kind", allowed=", ".join(_READERS))
     if kind not in _READERS:
@@ -95,6 +98,11 @@ def list_trainsets() -> tuple[str, ...]:
     return _ids("trainsets")
 
 
+def list_feedings() -> tuple[str, ...]:
+    """Ids of the feedings in the catalogue."""
+    return _ids("feedings")
+
+
 @lru_cache
 def _ids(folder: str) -> tuple[str, ...]:
     names = (entry.name for entry in (files("metropilot.railway") / "catalogue" / folder).iterdir())
@@ -102,7 +110,7 @@ def _ids(folder: str) -> tuple[str, ...]:
 
 
 @lru_cache
-def _from_catalogue(folder: str, key: str) -> Line | Trainset | Journey:
+def _from_catalogue(folder: str, key: str) -> Line | Trainset | Journey | Feeding:
     name = f"catalogue/{folder}/{key}.toml"
     return _read_toml((files("metropilot.railway") / name).read_text(encoding="utf-8"), name)
 
@@ -138,6 +146,18 @@ def load_line(id_or_path: str | Path) -> Line:
         InputError: No such id (the catalogue is listed), or the file is not usable.
     """
     return _load(id_or_path, "lines", "line", Line)
+
+
+def load_feeding(id_or_path: str | Path) -> Feeding:
+    """The DC feeding of a line, of the catalogue or of a file.
+
+    Args:
+        id_or_path: A catalogue id, or a path ending in ``.toml``.
+
+    Raises:
+        InputError: No such id (the catalogue is listed), or the file is not usable.
+    """
+    return _load(id_or_path, "feedings", "feeding", Feeding)
 
 
 class TrainsetKey(NamedTuple):

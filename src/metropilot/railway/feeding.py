@@ -1,0 +1,148 @@
+"""DC feeding of a line: substations, rails and the limits of trains on their voltage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+from metropilot._schema import check_fields, declare
+from metropilot.errors import InputError
+from metropilot.railway.line import Line
+from metropilot.units import KINDS, tidy
+
+MOST_V = 1e4
+MILLIOHM = KINDS["resistance"]["mohm"]
+MILLIOHM_PER_KM = KINDS["resistance per length"]["mohm/km"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Substation:
+    """A substation: a diode rectifier behind its inner resistance, and an inverter where there is one.
+
+    Attributes:
+        position_m: Position along the line.
+        name: Name.
+        no_load_v: Voltage without current; above it the rectifier blocks.
+        resistance_ohm: Inner resistance, the fall of the voltage per current.
+        inverter_v: Voltage above which the inverter returns current to the grid; None: no inverter.
+        inverter_ohm: Its inner resistance.
+    """
+
+    position_m: float
+    name: str = ""
+    no_load_v: float = declare(850.0, unit="V", low=0.0, above=True, high=MOST_V)
+    resistance_ohm: float = declare(0.018, unit="ohm", low=0.0, above=True, high=100.0, shown=MILLIOHM)
+    inverter_v: float | None = declare(None, unit="V", low=0.0, above=True, high=MOST_V)
+    inverter_ohm: float = declare(0.03, unit="ohm", low=0.0, above=True, high=100.0, shown=MILLIOHM)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if self.inverter_v is not None and not self.inverter_v > self.no_load_v:
+            raise InputError(
+                "an inverter that takes the rectifier's current",
+                field="inverter_v",
+                value=tidy(self.inverter_v),
+                unit="V",
+                allowed=f"above the no-load voltage, {self.no_load_v:g} V",
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Feeding:
+    """DC feeding of one line.
+
+    Each direction has a conductor rail and running rails of its own, both tied to those of the other
+    direction at substations only.
+
+    Attributes:
+        id: Catalogue id or file stem.
+        name: Name.
+        line_id: Line along which positions count.
+        substations: Substations by increasing position.
+        conductor_ohm_per_m: Resistance of the conductor rail of one track.
+        running_ohm_per_m: Resistance of the running rails of one track, as its return path.
+        max_current_a: Most that a train draws.
+        reduced_below_v: Voltage below which this falls, linearly.
+        cut_off_v: Voltage at which it is nil.
+        squeezed_above_v: Voltage above which a braking train returns less than it could, linearly.
+        max_v: Voltage at which it returns nothing.
+        source: Citation of each block of data, by block name.
+        notes: Remarks worth showing to a user.
+        extra: Keys of the source file that metropilot does not use, kept for writing back.
+        unused: Names of the blocks of the file that were read but have no effect.
+    """
+
+    id: str
+    name: str
+    line_id: str
+    substations: tuple[Substation, ...]
+    conductor_ohm_per_m: float = declare(
+        8e-6, unit="ohm/m", low=0.0, above=True, high=1.0, shown=MILLIOHM_PER_KM
+    )
+    running_ohm_per_m: float = declare(15e-6, unit="ohm/m", low=0.0, high=1.0, shown=MILLIOHM_PER_KM)
+    max_current_a: float = declare(6000.0, unit="A", low=0.0, above=True, high=1e5)
+    reduced_below_v: float = declare(550.0, unit="V", low=0.0, above=True, high=MOST_V)
+    cut_off_v: float = declare(500.0, unit="V", low=0.0, above=True, high=MOST_V)
+    squeezed_above_v: float = declare(870.0, unit="V", low=0.0, above=True, high=MOST_V)
+    max_v: float = declare(900.0, unit="V", low=0.0, above=True, high=MOST_V)
+    source: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    extra: Mapping[str, Any] = field(default_factory=dict)
+    unused: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if not self.substations:
+            raise InputError("needs substations", field="substations", value=0, allowed="at least 1")
+        for index, (before, after) in enumerate(pairwise(self.substations), start=1):
+            if not after.position_m > before.position_m:
+                raise InputError(
+                    "must increase",
+                    field=f"substations[{index}].position",
+                    value=tidy(after.position_m),
+                    unit="m",
+                    allowed=f"> {before.position_m:g} m",
+                )
+        highest_v = max(s.no_load_v for s in self.substations)
+        lowest_v = min(s.no_load_v for s in self.substations)
+        order = (
+            ("reduced_below_v", self.reduced_below_v, self.cut_off_v, lowest_v),
+            ("squeezed_above_v", self.squeezed_above_v, highest_v, self.max_v),
+        )
+        for name, value, low, high in order:
+            if not low < value < high:
+                raise InputError(
+                    "out of order",
+                    field=name,
+                    value=tidy(value),
+                    unit="V",
+                    allowed=f"between {low:g} and {high:g} V",
+                )
+
+    @property
+    def ohm_per_m(self) -> float:
+        """Resistance of the loop of one track: conductor rail and running rails."""
+        return self.conductor_ohm_per_m + self.running_ohm_per_m
+
+    def check_line(self, line: Line) -> None:
+        """Refuse a substation off the line.
+
+        Args:
+            line: Line to feed.
+
+        Raises:
+            InputError: Naming the substation, its position and where the line is.
+        """
+        first_m, last_m = (line.stations[k].position_m for k in (0, -1))
+        for index, substation in enumerate(self.substations):
+            if not first_m <= substation.position_m <= last_m:
+                raise InputError(
+                    f"substation off the line: {substation.name or index}",
+                    file=self.id,
+                    field=f"substations[{index}].position",
+                    value=tidy(substation.position_m),
+                    unit="m",
+                    allowed=f"{first_m:g} to {last_m:g} m",
+                )

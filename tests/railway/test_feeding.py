@@ -1,0 +1,57 @@
+"""Feedings read from files."""
+
+import pytest
+from tests.railway import samples
+
+from metropilot.errors import InputError
+from metropilot.railway import Feeding, Substation, import_file, list_feedings, load_feeding, load_line
+
+
+def test_a_feeding_is_read_in_si(tmp_path):
+    path = tmp_path / "toy.toml"
+    path.write_text(samples.FEEDING)
+    found = load_feeding(path)
+    assert found == import_file(path)
+    assert found == Feeding(
+        id="toy",
+        name="Toy feeding",
+        line_id="toy",
+        substations=(
+            Substation(position_m=0.0, name="A", no_load_v=850.0, resistance_ohm=0.02),
+            Substation(
+                position_m=1500.0,
+                name="B",
+                no_load_v=850.0,
+                resistance_ohm=0.008,
+                inverter_v=870.0,
+                inverter_ohm=0.04,
+            ),
+        ),
+        conductor_ohm_per_m=8e-6,
+        running_ohm_per_m=0.018 / 1000.0,
+        max_current_a=6000.0,
+        reduced_below_v=550.0,
+        cut_off_v=500.0,
+        squeezed_above_v=875.0,
+        max_v=900.0,
+        source={"substations": "made up"},
+    )
+    assert found.ohm_per_m == pytest.approx(2.6e-5)
+
+
+@pytest.mark.parametrize("key", list_feedings())
+def test_a_feeding_of_the_catalogue_stands_at_stations_of_its_line(key):
+    found = load_feeding(key)
+    line = load_line(found.line_id)
+    assert found.id == key
+    for each in found.substations:
+        assert line.station(each.name).position_m == each.position_m
+    assert set(found.source) == {"substations", "rails", "trains"}
+    found.check_line(line)
+    with pytest.raises(InputError, match=r"substation off the line: (?!SJZ).*\(allowed: 0 to 1538 m\)"):
+        found.check_line(load_line("lu2023"))
+
+
+def test_an_unknown_feeding_lists_the_catalogue():
+    with pytest.raises(InputError, match=r"did you mean 'yizhuang'.*or a path"):
+        load_feeding("yizuang")
