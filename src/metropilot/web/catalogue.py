@@ -243,7 +243,7 @@ def study_table(service: Service, key: str) -> list[dict[str, Any]]:
 def _report(service: Service, key: str) -> dict[str, Any] | None:
     """Newest report made by a job of this server."""
     for job in service.store.jobs("study", limit=1000):
-        if job.status == "done" and job.body.get("study") == key:
+        if job.status == "done" and job.request.get("study") == key:
             return service.store.result(job.id)
     return None
 

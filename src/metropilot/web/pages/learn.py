@@ -209,7 +209,7 @@ class LearnPage:
                 going = [
                     j
                     for j in self.service.store.jobs("study")
-                    if j.body["study"] == key and j.status in GOING
+                    if j.request["study"] == key and j.status in GOING
                 ]
                 words = (
                     going[0].words or going[0].status
