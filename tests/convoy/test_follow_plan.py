@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metropilot.convoy import FOLLOWERS, Convoy, ConvoyRequest, Link, convoy_kpis, drive_convoy, speed_gains
+from metropilot.convoy import FOLLOWERS, Convoy, ConvoyRequest, Link, convoy_kpis, drive_convoy, string_gains
+from metropilot.convoy.drivers.follow_gap import FollowGap, FollowGapOptions
 from metropilot.convoy.model import convoy_members
 from metropilot.convoy.plan import MotionPlan, place_behind, plan_at, plan_times
 from metropilot.convoy.step import HALF, SPARE_M, ahead_of, at_departure, most_share, update_needed_gap
@@ -145,8 +146,73 @@ def test_an_emergency_brake_of_the_head_ends_the_plan():
     assert drive.trajectories[1].time_s[-1] < 80.0
 
 
-@pytest.mark.parametrize("delay_s", [0.1, pytest.param(0.3, marks=pytest.mark.slow)])
-def test_no_departure_of_the_head_is_amplified(delay_s):
+slow = pytest.mark.slow
+ON_PLAN = ("follow_plan", "follow_gap", "follow_mpc")
+
+
+@pytest.mark.parametrize(
+    ("follower", "name", "count"),
+    [
+        ("follow_gap", "dkz32", 2),
+        ("follow_mpc", "cheng2023", 2),
+        pytest.param("follow_gap", "cheng2023", 2, marks=slow),
+        pytest.param("follow_mpc", "dkz32", 2, marks=slow),
+        *(pytest.param(f, name, 4, marks=slow) for f in ON_PLAN for name in ("dkz32", "cheng2023")),
+    ],
+)
+def test_every_follower_on_a_plan_keeps_jerk_and_mark_without_intervention(follower, name, count):
+    asked = request(name, count=count, disturbances=masses(0.9, 1.2, 0.8, 1.1)[:count], link=Link(0.1))
+    asked = replace(asked, follower=follower)
+    convoy = asked.convoy()
+    kpis = convoy_kpis(asked.drive(convoy), asked.scheduled_time_s(convoy))
+    assert kpis.success, kpis.verdict
+    for member in kpis.trainsets:
+        assert abs(member.stopping_error_m) <= 0.3
+        assert member.interventions == 0
+        assert member.jerk_limit_mps3 is None or member.max_jerk_mps3 <= member.jerk_limit_mps3 + 1e-6
+
+
+@pytest.mark.parametrize(
+    ("follower", "name", "dt", "periods_s"),
+    [
+        *((follower, "cheng2023", 0.2, (6.0,)) for follower in ON_PLAN),
+        *(
+            pytest.param(follower, name, dt, (30.0, 6.0, 2.4), marks=slow)
+            for follower in ON_PLAN
+            for name in ("dkz32", "cheng2023")
+            for dt in (0.1, 0.2)
+        ),
+    ],
+)
+def test_no_departure_of_the_head_is_amplified(follower, name, dt, periods_s):
+    """The law alone; where protection needs a larger gap than planned, it cuts commands."""
+    convoy = Convoy(
+        YIZHUANG.section("YZQ", "WHY"), (load_trainset(name),) * 3, link=Link(0.2), guard="none", dt=dt
+    )
+    gains = string_gains(convoy, FOLLOWERS.make(follower), periods_s)
+    assert max(gains.largest) <= 1.0
+    assert gains.speed.shape == (len(periods_s), 3)
+    # a follower that stands still would pass
+    assert gains.speed.min() > 0.1
+
+
+@pytest.mark.parametrize("delay_s", [0.1, pytest.param(0.3, marks=slow)])
+def test_protection_that_leaves_room_amplifies_nothing(delay_s):
     convoy = Convoy(YIZHUANG.section("YZQ", "WHY"), (load_trainset("cheng2023"),) * 3, link=Link(delay_s))
-    gains = speed_gains(convoy, FOLLOWERS.make("follow_plan"), (8.0,))
-    assert (gains[:, 1:] / gains[:, :-1]).max() <= 1.0
+    gains = string_gains(convoy, FOLLOWERS.make("follow_plan"), (8.0,))
+    assert max(gains.largest) <= 1.0
+
+
+def test_a_constant_gap_behind_late_messages_needs_the_plan():
+    """The same law on messages alone amplifies; a time gap mends it."""
+    convoy = Convoy(
+        YIZHUANG.section("YZQ", "WHY"),
+        (load_trainset("cheng2023"),) * 3,
+        link=Link(0.2),
+        guard="none",
+        dt=0.2,
+    )
+    alone = string_gains(convoy, FOLLOWERS.make("follow_gap"), (6.0,), planned=False)
+    apart = FollowGap(FollowGapOptions(time_gap_s=0.8))
+    spaced = string_gains(convoy, apart, (6.0,), planned=False)
+    assert min(alone.largest) > 1.0 >= max(spaced.largest)

@@ -1,5 +1,6 @@
+from .analysis import StringGains as StringGains
 from .analysis import needed_gap_m as needed_gap_m
-from .analysis import speed_gains as speed_gains
+from .analysis import string_gains as string_gains
 from .attack import ATTACKED_HEADS as ATTACKED_HEADS
 from .attack import EVERY_DISTURBANCE as EVERY_DISTURBANCE
 from .attack import LONGEST_EMERGENCY_S as LONGEST_EMERGENCY_S
@@ -17,6 +18,8 @@ from .drivers import register_follower as register_follower
 from .drivers.follow_pid import chen2023b_state as chen2023b_state
 from .drivers.follow_pid import gains_of as gains_of
 from .drivers.follow_pid import pid_step as pid_step
+from .drivers.own_place import AbstractPlaceFollower as AbstractPlaceFollower
+from .drivers.own_place import PlaceMemory as PlaceMemory
 from .env import MAX_PERIODS as MAX_PERIODS
 from .env import ConvoyTask as ConvoyTask
 from .env import ConvoyTaskConfig as ConvoyTaskConfig

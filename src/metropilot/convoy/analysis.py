@@ -92,23 +92,44 @@ def spare_m(
     return float(spare_gap(own.protection, memory, x, v, np.float64(share), seen))
 
 
-def speed_gains(
+class StringGains(NamedTuple):
+    """Amplitudes along a convoy whose head swings about a mean speed, at several periods.
+
+    Attributes:
+        speed: Of the speed of each trainset, over that of the head. Shape (P, N).
+        gap: Of each gap, over that of the first. Shape (P, N - 1).
+    """
+
+    speed: Float[ndarray, "periods trainsets"]
+    gap: Float[ndarray, "periods followers"]
+
+    @property
+    def largest(self) -> tuple[float, float]:
+        """Largest gain of speed and of gap from one trainset to the next, over all periods."""
+        speed, gap = (float((each[:, 1:] / each[:, :-1]).max(initial=0.0)) for each in self)
+        return speed, gap
+
+
+def string_gains(
     convoy: Convoy,
     follower: AbstractFollower,
     periods_s: Sequence[float],
+    *,
+    planned: bool = True,
     mean_mps: float = 12.0,
     swing_mps2: float = 0.15,
-) -> Float[ndarray, "periods trainsets"]:
-    """Amplitude of the speed of each trainset over that of the head, which accelerates as a sine.
+) -> StringGains:
+    """Measure how a convoy amplifies the motion of its head, which accelerates as a sine.
 
     On a long level track; amplitudes by correlation over whole periods after a settling time. A convoy is
-    string stable at a period if no amplitude exceeds that of the trainset ahead. The head announces the mean
-    speed as its plan; the sine departs from it.
+    string stable at a period if no amplitude exceeds that of the trainset ahead.
 
     Args:
         convoy: The convoy; its section is replaced by a long level one.
         follower: Driver of the followers.
         periods_s: Periods of the sine.
+        planned: True if the head announces the mean speed as its plan, from which the sine departs; else it
+            announces nothing.
         mean_mps: Mean speed.
         swing_mps2: Amplitude of the acceleration of the head.
     """
@@ -121,17 +142,28 @@ def speed_gains(
         tunnels=(),
     )
     flat = replace(convoy, section=level)
-    return np.array([_gains(flat, follower, each, mean_mps, swing_mps2) for each in periods_s])
+    swing = _Swing(planned, mean_mps, swing_mps2)
+    found = [_amplitudes(flat, follower, each, swing) for each in periods_s]
+    speed, gap = (np.array(each) for each in zip(*found, strict=True))
+    return StringGains(speed / speed[:, :1], gap / gap[:, :1])
 
 
-def _gains(
-    convoy: Convoy, follower: AbstractFollower, period_s: float, mean_mps: float, swing_mps2: float
-) -> ndarray:
-    """Gains at one period; the first, of the head, is 1."""
-    dt = convoy.dt
+class _Swing(NamedTuple):
+    """Motion of the head, as :func:`string_gains` has it."""
+
+    planned: bool
+    mean_mps: float
+    swing_mps2: float
+
+
+def _amplitudes(
+    convoy: Convoy, follower: AbstractFollower, period_s: float, about: _Swing
+) -> tuple[ndarray, ndarray]:
+    """Amplitudes of speeds and gaps at one period."""
+    dt, mean_mps = convoy.dt, about.mean_mps
     count = max(int(np.ceil(40.0 / period_s)), 2)
     times = dt * np.arange(1, int((SETTLE_S + count * period_s) / dt) + 1)
-    swing = swing_mps2 * period_s / (2.0 * np.pi)
+    swing = about.swing_mps2 * period_s / (2.0 * np.pi)
     begun = times > SETTLE_S - 2.0 * period_s if period_s < 20.0 else times > 35.0
     rising = np.minimum(RISE_MPS2 * times, mean_mps)
     phase = 2.0 * np.pi * (times - SETTLE_S) / period_s
@@ -139,10 +171,13 @@ def _gains(
     commands = record_leader(*convoy.leader(), np.maximum(speeds, 0.0), dt).command
     planned = np.concatenate([[0.0], rising, rising[-1:]])
     way = np.concatenate([[0.0], np.cumsum(0.5 * dt * (planned[1:] + planned[:-1]))])
-    plan = MotionPlan(np.float64(0.0), np.float64(dt), way, planned)
+    plan = MotionPlan(np.float64(0.0), np.float64(dt), way, planned) if about.planned else None
     drive = drive_convoy(convoy, HeadRun("sine", commands, Outcome.OUT_OF_TIME, plan=plan), follower)
     whole = round(count * period_s / dt)
     rows = slice(times.size - whole, times.size)
     wave = np.exp(-1j * phase[rows])
-    amplitude = [abs(np.mean((t.speed_mps[1:][rows] - mean_mps) * wave)) for t in drive.trajectories]
-    return np.array(amplitude) / amplitude[0]
+    speeds = [t.speed_mps[1:][rows] - mean_mps for t in drive.trajectories]
+    # gaps have no row at departure
+    gaps = (drive.gap_m[rows] - drive.gap_m[rows].mean(axis=0)).T
+    speed, gap = (np.array([abs(np.mean(each * wave)) for each in found]) for found in (speeds, gaps))
+    return speed, gap

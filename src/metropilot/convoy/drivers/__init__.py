@@ -13,12 +13,12 @@ FOLLOWERS.add(
         ),
         "follow_gap": RegistryRow(
             "metropilot.convoy.drivers.follow_gap:FollowGap",
-            "Linear controller of gap and speed difference, constant gap or time gap",
+            "Own place in the planned motion by linear control; constant gap or time gap",
             "own",
         ),
         "follow_mpc": RegistryRow(
             "metropilot.convoy.drivers.follow_mpc:FollowMpc",
-            "Model-predictive follower within efforts and jerk",
+            "Own place in the planned motion by model-predictive control within efforts and jerk",
             "own",
         ),
         "follow_pid": RegistryRow(

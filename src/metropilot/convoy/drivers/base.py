@@ -8,36 +8,12 @@ from typing import Any, ClassVar, no_type_check
 from metropilot._registry import Registry
 from metropilot._typing import Scalar
 from metropilot.convoy.step import FollowerObservation
-from metropilot.physics import Vehicle, effort_at, namespace, resistance_and_gradient
+from metropilot.physics import Vehicle, namespace
 
-JERK_USE = 0.97
-"""Share of the jerk limit that a follower uses."""
 STILL_MPS = 0.02
 STILL_M = 0.1
 OPENING_MPS, CLOSING_MPS2 = 3.0, 0.35
 """Largest speed at which a gap is opened, and deceleration with which closing a long gap is planned."""
-
-
-@no_type_check
-def command_for(observation: FollowerObservation, wanted_mps2: Scalar) -> Scalar:
-    """The command that gives an acceleration on the nominal plant; holding brakes at standstill.
-
-    Within the jerk limit, the permitted speed, and what protection passes behind the trainset ahead.
-    """
-    xp = namespace(observation.position_m, wanted_mps2)
-    vehicle = observation.vehicle
-    wanted = xp.minimum(wanted_mps2, observation.most_rise_mps2)
-    # What is on its way through the dead time may change the acceleration as much in each period.
-    room = JERK_USE * vehicle.jerk_mps3 * (observation.period_s + vehicle.delay_s)
-    wanted = xp.clip(wanted, observation.acceleration_mps2 - room, observation.acceleration_mps2 + room)
-    resistance, gradient = resistance_and_gradient(
-        vehicle, observation.track, observation.position_m, observation.speed_mps
-    )
-    force = vehicle.effective_mass_kg * wanted + resistance + gradient
-    effort = effort_at(vehicle, observation.speed_mps)
-    available = xp.where(force >= 0.0, effort.traction_n, effort.brake_n)
-    share = xp.clip(force / xp.maximum(available, 1.0), -1.0, 1.0)
-    return xp.where(waits(observation), -0.3, xp.minimum(share, observation.most_share))
 
 
 @no_type_check
@@ -56,18 +32,6 @@ def waits(observation: FollowerObservation) -> Scalar:
     """True if both trainsets stand and the gap is closed up, so that the follower holds its brakes."""
     near = observation.gap_m <= observation.wanted_gap_m + STILL_M
     return (observation.speed_mps <= STILL_MPS) & (observation.ahead_mps <= STILL_MPS) & near
-
-
-@no_type_check
-def reachable(observation: FollowerObservation) -> tuple[Scalar, Scalar]:
-    """Accelerations under the commands -1 and 1 at this position and speed, m/s^2."""
-    vehicle = observation.vehicle
-    resistance, gradient = resistance_and_gradient(
-        vehicle, observation.track, observation.position_m, observation.speed_mps
-    )
-    effort = effort_at(vehicle, observation.speed_mps)
-    low = (-effort.brake_n - resistance - gradient) / vehicle.effective_mass_kg
-    return low, (effort.traction_n - resistance - gradient) / vehicle.effective_mass_kg
 
 
 Memory = Any

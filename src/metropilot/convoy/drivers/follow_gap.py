@@ -9,7 +9,10 @@ import numpy as np
 
 from metropilot._schema import check_fields, declare
 from metropilot._typing import Scalar
-from metropilot.convoy.drivers.base import AbstractFollower, closing_mps, command_for
+from metropilot.control import PredictedState
+from metropilot.convoy.drivers.base import closing_mps
+from metropilot.convoy.drivers.own_place import AbstractPlaceFollower, PlaceMemory
+from metropilot.convoy.plan import PlannedMotion
 from metropilot.convoy.step import FollowerObservation
 from metropilot.physics import Vehicle, namespace
 
@@ -51,7 +54,7 @@ class GapMemory(NamedTuple):
 
 
 @final
-class FollowGap(AbstractFollower):
+class FollowGap(AbstractPlaceFollower):
     """Linear control on acceleration ahead, speed difference and gap error.
 
     A long gap is closed no faster than ``CLOSING_MPS2`` can brake.
@@ -62,7 +65,7 @@ class FollowGap(AbstractFollower):
     def __init__(self, options: FollowGapOptions | None = None) -> None:
         self.options = options or FollowGapOptions()
 
-    def init(self, vehicle: Vehicle, period_s: float) -> GapMemory:
+    def init_law(self, vehicle: Vehicle, period_s: float) -> GapMemory:
         """Choose the bandwidth."""
         late = float(vehicle.delay_s) + float(vehicle.lag_s) > 0 or np.isfinite(float(vehicle.jerk_mps3))
         chosen = self.options.bandwidth_per_s or (0.9 if late else min(2.0, 0.4 / period_s))
@@ -70,17 +73,23 @@ class FollowGap(AbstractFollower):
         return GapMemory(kind(chosen), kind(0.0))
 
     @no_type_check
-    def act(self, memory: GapMemory, observation: FollowerObservation) -> tuple[Scalar, GapMemory]:
-        """Evaluate the law; late messages reduce bandwidth and feedforward."""
-        options = self.options
+    def hold_place(
+        self,
+        memory: PlaceMemory,
+        observation: FollowerObservation,
+        place: PlannedMotion,
+        ahead: PredictedState,
+    ) -> tuple[Scalar, GapMemory]:
+        """Evaluate the law; without a plan, late messages reduce bandwidth and feedforward."""
+        options, law = self.options, memory.law
         xp = namespace(observation.position_m, observation.gap_m)
-        age = xp.maximum(observation.age_s, FORGET * memory.age_s)
-        rate = xp.minimum(memory.bandwidth_per_s, LATE / xp.maximum(age, 1e-3))
-        error = observation.gap_m - observation.wanted_gap_m - options.time_gap_s * observation.speed_mps
+        age = xp.maximum(observation.age_s, FORGET * law.age_s)
+        # A place behind a plan is late by the age of messages, and not fed back on it.
+        late_s = xp.where(memory.alone > 0.0, age + ahead.seconds, 0.0 * age)
+        rate = xp.minimum(law.bandwidth_per_s, LATE / xp.maximum(late_s, 1e-3))
+        error = place.position_m - ahead.position_m - options.time_gap_s * ahead.speed_mps
         gain = 2.0 * options.damping * rate
         faster = closing_mps(rate / (2.0 * options.damping), error)
-        taken = options.feedforward * xp.maximum(1.0 - gain * age, 0.0)
-        wanted = taken * observation.ahead_mps2 + gain * (
-            observation.ahead_mps + faster - observation.speed_mps
-        )
-        return command_for(observation, wanted), memory._replace(age_s=age)
+        taken = options.feedforward * xp.maximum(1.0 - gain * late_s, 0.0)
+        wanted = taken * place.acceleration_mps2 + gain * (place.speed_mps + faster - ahead.speed_mps)
+        return wanted, law._replace(age_s=age)

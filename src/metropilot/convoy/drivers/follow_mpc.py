@@ -1,9 +1,9 @@
 """Model-predictive follower: a small box-constrained quadratic programme over the next seconds.
 
-Over the horizon the acceleration of the trainset ahead decays; the own accelerations minimise gap error,
-speed difference and changes of acceleration within the limits of brakes, traction and jerk. The Hessian is
-constant, so a fixed number of accelerated projected gradient steps (Nesterov 1983) solves it, in NumPy and
-compiled.
+Over the horizon the own place moves with its planned acceleration, and a departure from that decays; the own
+accelerations minimise errors of place and speed and changes of the acceleration beyond the planned one,
+within the limits of brakes, traction and jerk. The Hessian is constant, so a fixed number of accelerated
+projected gradient steps (Nesterov 1983) solves it, in NumPy and compiled.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ import numpy as np
 from numpy import ndarray
 
 from metropilot._schema import check_fields, declare
-from metropilot._typing import Scalar
-from metropilot.convoy.drivers.base import AbstractFollower, command_for, reachable
+from metropilot._typing import Array, Scalar
+from metropilot.control import PredictedState
+from metropilot.convoy.drivers.own_place import AbstractPlaceFollower, PlaceMemory
+from metropilot.convoy.plan import PlannedMotion, plan_at
 from metropilot.convoy.step import FollowerObservation
 from metropilot.physics import Vehicle, namespace, scalars
 
@@ -33,10 +35,10 @@ class FollowMpcOptions:
     """Weights of the programme.
 
     Attributes:
-        gap: Weight of the squared gap error, 1/m^2.
-        speed: Weight of the squared speed difference, 1/(m/s)^2.
+        gap: Weight of the squared error of place, 1/m^2.
+        speed: Weight of the squared error of speed, 1/(m/s)^2.
         change: Weight of the squared change of acceleration between periods, 1/(m/s^2)^2.
-        fading: Share of the acceleration ahead that remains one period later.
+        fading: Share of a departure from the planned acceleration that remains one period later.
     """
 
     gap: float = declare(1.0, low=0.0, high=1e3)
@@ -49,9 +51,9 @@ class FollowMpcOptions:
 
 
 class MpcMemory(NamedTuple):
-    """Accelerations of the last plan, m/s^2. Shape (HORIZON,)."""
+    """Accelerations beyond the planned ones in the last solution, m/s^2. Shape (HORIZON,)."""
 
-    plan: Any
+    solution: Any
 
 
 class Matrices(NamedTuple):
@@ -63,7 +65,7 @@ class Matrices(NamedTuple):
 
 
 @final
-class FollowMpc(AbstractFollower):
+class FollowMpc(AbstractPlaceFollower):
     """Model-predictive control over 15 periods within the limits of brakes, traction and jerk."""
 
     id = "follow_mpc"
@@ -71,38 +73,61 @@ class FollowMpc(AbstractFollower):
     def __init__(self, options: FollowMpcOptions | None = None) -> None:
         self.options = options or FollowMpcOptions()
 
-    def init(self, vehicle: Vehicle, period_s: float) -> MpcMemory:
-        """Start from a plan of zeros."""
+    def init_law(self, vehicle: Vehicle, period_s: float) -> MpcMemory:
+        """Start from a solution of zeros."""
         del period_s
         return MpcMemory(np.zeros(HORIZON, np.asarray(vehicle.mass_kg).dtype))
 
     @no_type_check
-    def act(self, memory: MpcMemory, observation: FollowerObservation) -> tuple[Scalar, MpcMemory]:
+    def hold_place(
+        self,
+        memory: PlaceMemory,
+        observation: FollowerObservation,
+        place: PlannedMotion,
+        ahead: PredictedState,
+    ) -> tuple[Scalar, MpcMemory]:
         """Solve the programme and apply its first acceleration."""
         xp = namespace(observation.position_m, observation.gap_m)
         join = np if xp is scalars else xp
-        programme = matrices(self.options, float(observation.period_s))
-        error = xp.clip(observation.gap_m - observation.wanted_gap_m, -FURTHEST_M, FURTHEST_M)
-        closing = observation.ahead_mps - observation.speed_mps
-        start = join.stack([error, closing, observation.ahead_mps2, observation.acceleration_mps2])
-        low, high = reachable(observation)
-        room = xp.minimum(observation.vehicle.jerk_mps3, HARSH_MPS2) * observation.period_s
-        reach = room * join.arange(1, HORIZON + 1)
-        lowest = join.maximum(low, observation.acceleration_mps2 - reach)
-        highest = join.maximum(join.minimum(high, observation.acceleration_mps2 + reach), lowest)
-        kind = memory.plan.dtype
-        plan = solve_box_qp(
-            programme, start.astype(kind), memory.plan, lowest.astype(kind), highest.astype(kind)
+        dt = observation.period_s
+        programme = matrices(self.options, float(dt))
+        planned = planned_mps2(memory, observation, ahead)
+        error = xp.clip(place.position_m - ahead.position_m, -FURTHEST_M, FURTHEST_M)
+        own = ahead.acceleration_mps2
+        off_mps2 = place.acceleration_mps2 - planned[0]
+        start = join.stack([error, place.speed_mps - ahead.speed_mps, off_mps2, own - planned[0]])
+        drag = ahead.resistance_mps2 + ahead.gradient_mps2
+        reach = xp.minimum(observation.vehicle.jerk_mps3, HARSH_MPS2) * dt * join.arange(1, HORIZON + 1)
+        lowest = join.maximum(-ahead.brake_mps2 - drag, own - reach) - planned
+        highest = join.minimum(ahead.traction_mps2 - drag, own + reach) - planned
+        highest = join.maximum(highest, lowest)
+        solution, kind = memory.law.solution, memory.law.solution.dtype
+        solution = solve_box_qp(
+            programme, start.astype(kind), solution, lowest.astype(kind), highest.astype(kind)
         )
-        later = join.concatenate([plan[1:], plan[-1:]])
-        return command_for(observation, plan[0]), MpcMemory(later)
+        later = join.concatenate([solution[1:], solution[-1:]])
+        return planned[0] + solution[0], MpcMemory(later)
+
+
+@no_type_check
+def planned_mps2(memory: PlaceMemory, observation: FollowerObservation, ahead: PredictedState) -> Array:
+    """Planned accelerations over the horizon; zero while no plan counts. Shape (HORIZON,)."""
+    xp = namespace(observation.position_m, observation.gap_m)
+    join = np if xp is scalars else xp
+    if observation.plan is None:
+        return join.zeros(HORIZON)
+    then_s = observation.time_s + ahead.seconds
+    rows = [plan_at(observation.plan, then_s + k * observation.period_s) for k in range(HORIZON)]
+    planned = join.stack([row.acceleration_mps2 for row in rows])
+    return join.where(memory.alone > 0.0, 0.0 * planned, planned)
 
 
 @lru_cache
 def matrices(options: FollowMpcOptions, period_s: float) -> Matrices:
     """Hessian, gradient and curvature of the programme, for piecewise constant accelerations.
 
-    The start is gap error, speed difference, acceleration ahead and own acceleration.
+    Accelerations count from the planned ones. The start is error of place, error of speed, departure of the
+    place's acceleration, and own acceleration in the period before.
     """
     dt, n = period_s, HORIZON
     speed = np.tril(np.full((n, n), dt))

@@ -17,7 +17,7 @@ from metropilot.convoy import (
     AttackCampaign,
     drive_convoy,
     needed_gap_m,
-    speed_gains,
+    string_gains,
 )
 from metropilot.studies.chen2023b.drivers import AbstractGainFollower
 from metropilot.studies.chen2023b.setting import head_run, pair
@@ -93,7 +93,7 @@ def stability(
 
 
 def _gains(follower: AbstractFollower, count: int, periods: Sequence[float]) -> list[list[float]]:
-    return speed_gains(pair(count, guard="none"), follower, periods).tolist()
+    return string_gains(pair(count, guard="none"), follower, periods).speed.tolist()
 
 
 def stability_rows(gains: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> list[ReportRow]:

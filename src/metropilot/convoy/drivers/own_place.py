@@ -1,0 +1,233 @@
+"""Place of a follower in the planned motion of the convoy, its own mark, and the command that holds them.
+
+The trainset's own place at every moment is its own planned motion, corrected by how far the trainset ahead
+has departed from its plan. That departure arrives late and passes a filter; the corrected place is followed
+with the feed-forward of its acceleration, so that the place of one trainset moves as that of the next ahead,
+but for the filter and the delay:
+
+    |exp(-i w age) / (1 + i w T)| <= 1
+
+at every frequency: no departure is amplified from trainset to trainset, as long as a follower holds its place
+to within what the filter takes off (:func:`metropilot.convoy.string_gains` measures it). What is planned is
+common to all and needs no filter. Dead time, lag and gains of the own actuation are answered by prediction:
+reference and feedback are those of the moment when the command begins to act.
+
+Without a plan the place is at the desired gap behind the trainset ahead. A constant gap by the motion of the
+trainset ahead alone cannot be string stable with late messages (Seiler, Pant and Hedrick, 2004).
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import NamedTuple, final, no_type_check
+
+import numpy as np
+
+from metropilot._typing import Scalar
+from metropilot.control import (
+    STOP_OPTIONS,
+    PredictedState,
+    StopOptions,
+    curve_for,
+    draws_up,
+    settle,
+    stop_deceleration,
+)
+from metropilot.convoy.drivers.base import AbstractFollower, Memory, waits
+from metropilot.convoy.own_plant import OwnPlant, learn, look_ahead, own_plant
+from metropilot.convoy.plan import PlannedMotion, plan_at
+from metropilot.convoy.step import FollowerObservation
+from metropilot.physics import Vehicle, namespace
+
+JERK_USE = 0.97
+"""Share of the jerk limit that a follower uses."""
+FILTER_S = 0.6
+"""Time constant of the filter on departures of the trainset ahead."""
+ALONE_MPS = 1.5
+"""Departure of the trainset ahead in speed beyond which its plan no longer counts."""
+NEAR_M = 8.0
+"""Distance to the own mark at which the stop's own law takes over from the plan."""
+NEAR_ENOUGH_M, CREEP_M = 0.04, 0.05
+"""Error at the stop that is not worth a correction in the last period; distance at which creeping ends."""
+SHIFT_M = 0.5
+"""Departure of the trainset ahead at its stop that does not move the own mark."""
+LAST_STOP = StopOptions(release_share=0.8)
+
+
+class PlaceMemory(NamedTuple):
+    """Own plant, and where the trainset should be. All 0-d but the plant and the law's own memory.
+
+    Attributes:
+        plant: Own plant.
+        off_m: Filtered departure of the trainset ahead, by which the own place is moved.
+        off_mps: The same of its speed.
+        off_mps2: The same of its acceleration.
+        place_m: Own place at the moment when the next command begins to act.
+        place_mps: Speed there.
+        number: Number of the plan.
+        alone: 1 while no plan counts, else 0.
+        law: Memory of the law that holds the place.
+    """
+
+    plant: OwnPlant
+    off_m: Scalar
+    off_mps: Scalar
+    off_mps2: Scalar
+    place_m: Scalar
+    place_mps: Scalar
+    number: Scalar
+    alone: Scalar
+    law: Memory
+
+
+class AbstractPlaceFollower(AbstractFollower):
+    """Follower that holds its place in the convoy and stops at its own mark, within its rates and jerk limit.
+
+    What its laws have in common: the own plant learned, the look-ahead over the own dead time, the place, the
+    stop, the limits. A law is its ``hold_place``.
+    """
+
+    @final
+    def init(self, vehicle: Vehicle, period_s: float) -> PlaceMemory:
+        """Start with the nominal plant."""
+        zero = np.asarray(vehicle.mass_kg).dtype.type(0.0)
+        known = len(PlaceMemory._fields) - 2
+        return PlaceMemory(
+            own_plant(vehicle, period_s), *(zero,) * known, law=self.init_law(vehicle, period_s)
+        )
+
+    @final
+    @no_type_check
+    def act(self, memory: PlaceMemory, observation: FollowerObservation) -> tuple[Scalar, PlaceMemory]:
+        """Learn, predict, hold the place; near the own mark, stop."""
+        memory = memory._replace(plant=learn(memory.plant, observation))
+        ahead = look_ahead(memory.plant, observation)
+        memory, place = own_place(memory, observation, ahead)
+        wanted, law = self.hold_place(memory, observation, place, ahead)
+        memory = memory._replace(law=law)
+        if observation.plan is not None:
+            wanted = stop(memory, observation, ahead, wanted)
+        return command(memory, observation, ahead, wanted), memory
+
+    def init_law(self, vehicle: Vehicle, period_s: float) -> Memory:
+        """Make the memory of the law: a tuple of NumPy numbers."""
+        del vehicle, period_s
+        return ()
+
+    @abstractmethod
+    def hold_place(
+        self,
+        memory: PlaceMemory,
+        observation: FollowerObservation,
+        place: PlannedMotion,
+        ahead: PredictedState,
+    ) -> tuple[Scalar, Memory]:
+        """Acceleration that holds the place, and the next memory of the law.
+
+        Args:
+            memory: Memory of the follower.
+            observation: Its observation.
+            place: Its place when the command begins to act.
+            ahead: Its own state then.
+        """
+
+
+@no_type_check
+def own_place(
+    memory: PlaceMemory, observation: FollowerObservation, ahead: PredictedState
+) -> tuple[PlaceMemory, PlannedMotion]:
+    """Place of the trainset when the command begins to act, and the memory with the filters of it."""
+    xp = namespace(observation.position_m, observation.gap_m)
+    dt, then_s = observation.period_s, observation.time_s + ahead.seconds
+    alone = place_alone(observation, ahead)
+    if observation.plan is None:
+        return memory._replace(alone=1.0 + 0.0 * memory.alone), alone
+    planned = plan_at(observation.plan, then_s)
+    # The own place moves on without a step when a new plan comes.
+    fresh = observation.plan_number != memory.number
+    taken = fresh & (memory.number > 0.0)
+    off_m = xp.where(taken, memory.place_m - planned.position_m, memory.off_m)
+    off_mps = xp.where(taken, memory.place_mps - planned.speed_mps, memory.off_mps)
+    part = 1.0 - xp.exp(-dt / FILTER_S)
+    off_m = off_m + part * (observation.off_m - off_m)
+    off_mps = off_mps + part * (observation.off_mps - off_mps)
+    off_mps2 = memory.off_mps2 + part * (observation.off_mps2 - memory.off_mps2)
+    departs = (observation.alarm > 0.0) | (xp.abs(observation.off_mps) > ALONE_MPS)
+    by_itself = xp.where(fresh, 0.0, memory.alone)
+    by_itself = xp.where(departs, 1.0, by_itself)
+
+    place = PlannedMotion(
+        planned.position_m + off_m,
+        planned.speed_mps + off_mps,
+        planned.acceleration_mps2 + off_mps2,
+    )
+    place = PlannedMotion(*(xp.where(by_itself > 0.0, a, b) for a, b in zip(alone, place, strict=True)))
+    later_mps = xp.maximum(place.speed_mps + dt * place.acceleration_mps2, 0.0)
+    return memory._replace(
+        off_m=off_m,
+        off_mps=off_mps,
+        off_mps2=off_mps2,
+        place_m=place.position_m + 0.5 * dt * (place.speed_mps + later_mps),
+        place_mps=later_mps,
+        number=observation.plan_number,
+        alone=by_itself,
+    ), place
+
+
+@no_type_check
+def place_alone(observation: FollowerObservation, ahead: PredictedState) -> PlannedMotion:
+    """Place at the desired gap behind a trainset ahead that goes on as its last message says."""
+    v, a = observation.ahead_mps, observation.ahead_mps2
+    xp = namespace(v, a)
+    t = xp.minimum(ahead.seconds, xp.where(a < 0.0, v / xp.maximum(-a, 1e-6), 1e9))
+    rear = observation.position_m + observation.gap_m + t * (v + 0.5 * a * t)
+    speed = xp.maximum(v + a * t, 0.0)
+    return PlannedMotion(rear - observation.wanted_gap_m, speed, xp.where(speed > 0.0, a, 0.0 * a))
+
+
+@no_type_check
+def stop(
+    memory: PlaceMemory, observation: FollowerObservation, ahead: PredictedState, wanted_mps2: Scalar
+) -> Scalar:
+    """Acceleration of the station stop at the own mark where that is near, else the wanted one."""
+    vehicle, dt = observation.vehicle, observation.period_s
+    xp = namespace(observation.position_m, observation.gap_m)
+    v, left_m = ahead.speed_mps, own_mark(memory, observation) - ahead.position_m
+    rate = v * v / (2.0 * xp.maximum(left_m, 0.1))
+    curve = curve_for(vehicle, dt, xp.maximum(rate, 0.1), LAST_STOP)
+    demand = stop_deceleration(v, ahead.acceleration_mps2, left_m, curve, dt, LAST_STOP)
+    stopping = xp.where(draws_up(v, left_m), STOP_OPTIONS.draw_up_mps2, -demand.wanted_mps2)
+    settles, settling = settle(
+        v, ahead.acceleration_mps2, left_m, vehicle.jerk_mps3, dt, NEAR_ENOUGH_M, CREEP_M, LAST_STOP
+    )
+    stopping = xp.where(settles, settling, stopping)
+    near = (left_m < NEAR_M) & (memory.alone <= 0.0)
+    return xp.where(near, stopping, wanted_mps2)
+
+
+@no_type_check
+def own_mark(memory: PlaceMemory, observation: FollowerObservation) -> Scalar:
+    """Own mark, moved where the trainset ahead has gone well beyond its own or stays well short of it."""
+    xp = namespace(observation.position_m, observation.gap_m)
+    off_m = memory.off_m
+    return observation.plan.position_m[-1] + off_m - xp.clip(off_m, -SHIFT_M, SHIFT_M)
+
+
+@no_type_check
+def command(
+    memory: PlaceMemory, observation: FollowerObservation, ahead: PredictedState, wanted_mps2: Scalar
+) -> Scalar:
+    """Command for an acceleration within the permitted speed, the trainset's rates and its jerk limit."""
+    vehicle = observation.vehicle
+    xp = namespace(observation.position_m, observation.gap_m)
+    wanted = xp.minimum(wanted_mps2, xp.minimum(observation.most_rise_mps2, vehicle.max_acceleration_mps2))
+    wanted = xp.maximum(wanted, -vehicle.max_deceleration_mps2)
+    room = JERK_USE * vehicle.jerk_mps3 * observation.period_s
+    wanted = xp.clip(wanted, ahead.acceleration_mps2 - room, ahead.acceleration_mps2 + room)
+    share = xp.minimum(ahead.share_for(wanted), observation.most_share)
+    stands = waits(observation)
+    if observation.plan is not None:
+        left_m = own_mark(memory, observation) - observation.position_m
+        arrived = (observation.speed_mps <= 0.0) & (left_m < STOP_OPTIONS.inch_m)
+        stands = xp.where(memory.alone > 0.0, stands, arrived)
+    return xp.where(stands, -0.3, share)
