@@ -1,7 +1,7 @@
 """The generalist on lines and trainsets it never saw, against the optimum: the page of the docs.
 
 python -m benchmarks.generalist --write docs/generalist.md
-python -m benchmarks.generalist --sample 60 --rows rows.jsonl --policy RUN --trainset mine.toml
+python -m benchmarks.generalist --sample 60 --rows rows.jsonl --tried RUN --trainset mine.toml
 
 ``METROPILOT_TTOBENCH`` names a folder of TTOBench tracks to drive besides; they are not part of the project.
 """
@@ -14,8 +14,7 @@ import multiprocessing
 import os
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -51,8 +50,8 @@ WIDE_TRAINSETS = (
     "de_desiro_classic",
     *(f"drawn-18-{k}" for k in range(12)),
 )
-ACTUATIONS = (None, (0.0, 0.0), (0.6, 0.4), (1.0, 0.6))
-"""Dead time and lag that a trainset declares, s; None: its own."""
+LATE = {None: "their own", (0.0, 0.0): "none", (0.6, 0.4): "0.6 s, 0.4 s", (1.0, 0.6): "1 s, 0.6 s"}
+"""Dead time and lag that a trainset declares, s, in words; None: its own."""
 WIDE_RATIOS = (1.15, 1.35)
 WIDE_RUNS = 2
 """Sections drawn for each trainset; it drives them with every dead time and lag."""
@@ -101,7 +100,7 @@ Targets: {targets}; within {time:g} s and {stop:g} m in every run, no interventi
 
 {wide}
 
-{elsewhere}## Training
+{elsewhere}{other}## Training
 
 {training}
 """
@@ -109,7 +108,7 @@ Targets: {targets}; within {time:g} s and {stop:g} m in every run, no interventi
 
 @dataclass(frozen=True)
 class Case:
-    """One run to drive; ``ratio`` 0 is the planned time."""
+    """One run to drive; ``ratio`` 0 is the planned time, ``policy`` another one than the driver's own."""
 
     line: str
     origin: str
@@ -119,9 +118,10 @@ class Case:
     ratio: float
     scenario: str
     driver: str = DRIVER
+    policy: str = ""
 
 
-def drive_case(case: Case, policy: str) -> Result | None:
+def drive_case(case: Case) -> Result | None:
     """Drive one case and compare it with the optimum for the running time it achieved; None: left out."""
     section = load_line(case.line).section(case.origin, case.destination)
     trainset = load_trainset(case.trainset, case.load or None)
@@ -131,7 +131,7 @@ def drive_case(case: Case, policy: str) -> Result | None:
     if scheduled_s < min(RATIOS[1:]) * shortest - 1e-6:
         return None
     run = Run(section, trainset, scheduled_s, SCENARIOS[case.scenario])
-    return beside_optimum(case, run, case.driver, policy=policy if case.driver == DRIVER else "")
+    return beside_optimum(case, run, case.driver, policy=case.policy)
 
 
 def cases(sample: int) -> list[Case]:
@@ -162,8 +162,7 @@ def wide_cases(files: list[str]) -> list[Case]:
             ends = section.origin.code, section.destination.code
             load, ratio = str(random.choice(loads)), float(random.choice(WIDE_RATIOS))
             found += [
-                Case(line.id, *ends, str(key._replace(actuation=late)), load, ratio, LIMITED)
-                for late in ACTUATIONS
+                Case(line.id, *ends, str(key._replace(actuation=late)), load, ratio, LIMITED) for late in LATE
             ]
     return found
 
@@ -183,14 +182,14 @@ def others(folder: Path) -> list[Case]:
     return found
 
 
-def drive_all(wanted: list[Case], policy: str, processes: int, rows: Path | None) -> dict[Case, Result]:
+def drive_all(wanted: list[Case], processes: int, rows: Path | None) -> dict[Case, Result]:
     """Drive every case that is not in the rows yet, and add it to them."""
     known: dict[Case, Result | None] = {}
     for text in rows.read_text().splitlines() if rows and rows.exists() else ():
         case, values = json.loads(text)
         known[Case(**case)] = Result(case=Case(**case), **values) if values else None
     missing = [case for case in dict.fromkeys(wanted) if case not in known]
-    for case, result in zip(missing, _drive_missing(missing, policy, processes), strict=True):
+    for case, result in zip(missing, _drive_missing(missing, processes), strict=True):
         known[case] = result
         if rows:
             values = {k: v for k, v in asdict(result).items() if k != "case"} if result else None
@@ -199,13 +198,12 @@ def drive_all(wanted: list[Case], policy: str, processes: int, rows: Path | None
     return {case: result for case in wanted if (result := known[case])}
 
 
-def _drive_missing(missing: list[Case], policy: str, processes: int) -> Iterator[Result | None]:
-    one = partial(drive_case, policy=policy)
+def _drive_missing(missing: list[Case], processes: int) -> Iterator[Result | None]:
     if processes == 1:
-        yield from map(one, missing)
+        yield from map(drive_case, missing)
         return
     with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
-        yield from pool.map(one, missing, chunksize=4)
+        yield from pool.map(drive_case, missing, chunksize=4)
 
 
 def spread(values: list[float]) -> str:
@@ -305,16 +303,8 @@ def farthest(results: list[Result]) -> str:
 def wide(results: list[Result]) -> str:
     """The section on other trainsets: by declared dead time and lag, and by trainset."""
     keys = {r.case: parse_trainset(r.case.trainset) for r in results}
-    late = {
-        late: "their own"
-        if late is None
-        else "none"
-        if late == (0.0, 0.0)
-        else "{:g} s, {:g} s".format(*late)
-        for late in ACTUATIONS
-    }
     names = list(dict.fromkeys(key.id for key in keys.values()))
-    first = [line_of(words, [r for r in results if keys[r.case].actuation == k]) for k, words in late.items()]
+    first = [line_of(words, [r for r in results if keys[r.case].actuation == k]) for k, words in LATE.items()]
     second = [
         line_of(f"`{Path(name).name}`", [r for r in results if keys[r.case].id == name]) for name in names
     ]
@@ -338,6 +328,36 @@ def elsewhere(results: list[Result]) -> str:
         "its jerk limit, 1.1 and 1.3 of the minimum."
     )
     return f"## Other lines\n\n{words}\n\n{table(('track', *HEADS), lines)}\n\n"
+
+
+def beside_policy(pairs: list[tuple[Result, Result]], tried: str) -> str:
+    """The section on another policy in the same runs.
+
+    Args:
+        pairs: Results of the shipped policy and of the other one.
+        tried: File or run of the other one.
+    """
+    if not pairs:
+        return ""
+    about: Any = load_driving_policy(Path(tried)).about
+    line = [p for p in pairs if p[0].case.trainset == TRAINSET]
+    wider = [p for p in pairs if p[0].case.trainset != TRAINSET]
+    groups = {name: [p for p in line if p[0].case.scenario == name] for name in SCENARIOS}
+    for late, words in LATE.items():
+        name = f"other trainsets, dead time and lag {words}"
+        groups[name] = [p for p in wider if parse_trainset(p[0].case.trainset).actuation == late]
+    lines = [
+        [f"{name}, {words}", *line_of("", [p[k] for p in some])[1:-1]]
+        for name, some in groups.items()
+        if some
+        for k, words in enumerate(("shipped", "other"))
+    ]
+    words = (
+        f"The same runs by the policy of `{about['provenance']['command']}` (commit "
+        f"{about['provenance']['commit'][:9]}, {about['provenance']['date']}). Another policy is shipped if "
+        "it is better with other trainsets and no worse on the line."
+    )
+    return f"## Another policy beside it\n\n{words}\n\n{table(('runs, policy', *HEADS[:-1]), lines)}\n\n"
 
 
 def training_table(about: Any) -> str:  # noqa: ANN401 (what the policy's file says)
@@ -367,14 +387,15 @@ the draws of 0.2 to 20 km with trainsets of 80 to 600 t, 60 to 160 km/h, 0.4 to 
 lag to 0.6 s, with and without limits of acceleration and jerk, every brake blend"""
 
 
-def page(found: list[list[Result]], about: Any, options: argparse.Namespace) -> str:  # noqa: ANN401
+def page(found: list[list[Result]], pairs: list[tuple[Result, Result]], options: argparse.Namespace) -> str:
     """The page of the docs.
 
     Args:
         found: Results on the line, of other trainsets, and on other lines.
-        about: What the policy's file says.
+        pairs: Results of the shipped policy and of another one in the same runs.
         options: The command's options.
     """
+    about: Any = load_driving_policy(shipped_policy(DRIVER)).about
     results = [r for r in found[0] if r.case.driver == DRIVER]
     beside = [r for r in found[0] if r.case.driver == BESIDE]
     told = about["config"]
@@ -386,13 +407,14 @@ def page(found: list[list[Result]], about: Any, options: argparse.Namespace) -> 
         for name, (median, tail, most) in TARGETS.items()
     )
     sample = f" --sample {options.sample}" if options.sample else ""
+    sample += " --tried RUN" if options.tried else ""
     machine = circumstances(("metropilot", "clarabel", "numpy", "scipy"))
     return PAGE.format(
         worlds=worlds,
         command=about["provenance"]["command"],
         states=told["worlds"] * told["plans"] * told["states"],
         written=f"python -m benchmarks.generalist{sample} --write docs/generalist.md",
-        sampled=f" ({options.sample} runs drawn for each line of the first table)" if sample else "",
+        sampled=f" ({options.sample} runs drawn for each line of the first table)" if options.sample else "",
         about="; ".join(f"{k} {v}" for k, v in machine.items()),
         loads=", ".join(LOADS),
         ratios=", ".join(f"{ratio:g}" for ratio in RATIOS[1:]),
@@ -408,6 +430,7 @@ def page(found: list[list[Result]], about: Any, options: argparse.Namespace) -> 
         farthest=farthest(results),
         wide=wide(found[1]),
         elsewhere=elsewhere(found[2]),
+        other=beside_policy(pairs, options.tried),
         training=training_table(about),
     )
 
@@ -419,16 +442,18 @@ def main() -> None:
     parser.add_argument("--rows", type=Path, metavar="JSONL", help="runs that are in it are not driven again")
     parser.add_argument("--sample", type=int, default=0, metavar="N", help="so many runs on the line; 0: all")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--policy", default="", help="file or run of another policy than the shipped one")
+    parser.add_argument("--tried", default="", metavar="RUN", help="file or run of a policy to drive besides")
     parser.add_argument("--trainset", action="append", default=[], help="a further trainset, once for each")
     options = parser.parse_args()
     folder = os.environ.get("METROPILOT_TTOBENCH")
     parts = [cases(options.sample), wide_cases(options.trainset), others(Path(folder)) if folder else []]
-    wanted = [case for part in parts for case in part]
-    done = drive_all(wanted, options.policy, options.processes, options.rows)
-    path = Path(options.policy) if options.policy else shipped_policy(DRIVER)
+    ours = [case for part in parts[:2] for case in part if case.driver == DRIVER]
+    tried = {case: replace(case, policy=options.tried) for case in ours if options.tried}
+    wanted = [*(case for part in parts for case in part), *tried.values()]
+    done = drive_all(wanted, options.processes, options.rows)
     found = [[done[case] for case in part if case in done] for part in parts]
-    text = page(found, load_driving_policy(path).about, options)
+    pairs = [(done[case], done[other]) for case, other in tried.items() if case in done and other in done]
+    text = page(found, pairs, options)
     if options.write:
         options.write.write_text(text)
     else:

@@ -6,8 +6,20 @@ from dataclasses import replace
 import pytest
 from benchmarks import generalist
 from benchmarks.beside_optimum import Result
-from benchmarks.generalist import ACTUATIONS, IDEAL, LIMITED, Case, drive_all, spread, verdict, wide_cases
+from benchmarks.generalist import (
+    IDEAL,
+    LATE,
+    LIMITED,
+    Case,
+    beside_policy,
+    drive_all,
+    spread,
+    verdict,
+    wide_cases,
+)
 from benchmarks.report import Benchmark, Row, cells, circumstances, format_page, number, replace_section
+
+from metropilot.policy import load_driving_policy, shipped_policy
 
 
 @pytest.mark.parametrize(
@@ -43,15 +55,14 @@ def test_runs_in_the_rows_are_not_driven_again(tmp_path, monkeypatch):
     driven, path = [], tmp_path / "rows.jsonl"
     left_out = replace(CASE, ratio=0.0)
 
-    def drive_case(case, policy):
-        assert policy == "mine"
+    def drive_case(case):
         driven.append(case)
         return None if case == left_out else replace(GOOD, case=case)
 
     monkeypatch.setattr(generalist, "drive_case", drive_case)
-    assert list(drive_all([CASE, left_out], "mine", 1, path)) == [CASE]
-    other = replace(CASE, load="AW3")
-    found = drive_all([CASE, left_out, other], "mine", 1, path)
+    assert list(drive_all([CASE, left_out], 1, path)) == [CASE]
+    other = replace(CASE, policy="mine")
+    found = drive_all([CASE, left_out, other], 1, path)
     assert driven == [CASE, left_out, other]
     assert list(found) == [CASE, other]
     assert found[CASE].excess == GOOD.excess
@@ -62,7 +73,7 @@ def test_other_trainsets_drive_the_same_runs_with_every_dead_time():
     cases = wide_cases([])
     assert {case.trainset for case in cases} >= {"drawn-18-3", "drawn-18-3@0,0", "drawn-18-3@1,0.6"}
     runs = [(c.line, c.origin, c.destination, c.load, c.ratio) for c in cases]
-    size = len(ACTUATIONS)
+    size = len(LATE)
     assert all(len(set(runs[k : k + size])) == 1 for k in range(0, len(runs), size))
 
 
@@ -81,3 +92,17 @@ def test_the_verdict_judges_ideal_runs_by_the_optimum_and_others_by_the_attainab
 def test_what_has_no_attainable_optimum_is_left_out_of_the_spread():
     assert spread([1.0, math.nan, 2.0, 3.0]) == "2.00 / 2.90 / 3.00"
     assert spread([math.nan]) == "–"
+
+
+def test_another_policy_stands_beside_the_shipped_one_in_the_same_runs():
+    path = str(shipped_policy("ppo"))
+    other = replace(GOOD, case=replace(CASE, policy=path), excess=3.0)
+    far, near = (replace(r, case=replace(r.case, trainset="drawn-18-1@0,0")) for r in (GOOD, other))
+    text = beside_policy([(GOOD, other), (far, near)], path)
+    assert load_driving_policy(path).about["provenance"]["command"] in text
+    assert (
+        "| jerk limit, other | 1 | 1 | +0.20 | +0.010 | 0.000 | 0 | 2.00 / 2.00 / 2.00 | 3.00 / 3.00 / 3.00 |"
+        in text
+    )
+    assert "| other trainsets, dead time and lag none, shipped | 1 |" in text
+    assert beside_policy([], "") == ""
