@@ -9,7 +9,7 @@ from metropilot.drivers import DRIVERS
 from metropilot.errors import Infeasible
 from metropilot.planning import minimum_running_time, optimal_plan
 from metropilot.railway import Actuation, Restriction, Steps, load_line, load_trainset
-from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate, drive
+from metropilot.sim import Disturbance, Outcome, Rollout, Run, TimetableUpdate, drive
 
 LATE = {"delay_s": 0.6, "lag_s": 0.4, "speed_noise_mps": 0.05}
 
@@ -165,3 +165,27 @@ def test_a_lower_limit_is_met_without_intervention_where_commands_act_late():
     done = drive(run, DRIVERS.make("optimal"))
     check_safe_stop(done)
     assert done.interventions == 0
+
+
+def test_the_first_plan_begins_when_the_first_command_acts():
+    """It began at once: late by the dead time, a new one followed 2 s after departure."""
+    run = replace(run_of(ratio=1.12), trainset=LATE_TRAINSET)
+    rollout = Rollout(run, DRIVERS.make("optimal"))
+    while rollout.state.plant.time_s < 6.0:
+        rollout.advance()
+    assert rollout.memory.planned_at_s == 0.0
+
+
+@pytest.mark.parametrize("driver", ["optimal", "mpc"])
+def test_dead_time_and_lag_cost_little(driver):
+    """On the shortest section (0.026 and 0.059 before); the trainset itself loses 0.015 of it."""
+    gaps = []
+    for trainset in (load_trainset("dkz32"), LATE_TRAINSET):
+        run = replace(run_of("YZQ", "WHY", time_s=90.0), trainset=trainset)
+        done = drive(run, DRIVERS.make(driver))
+        check_safe_stop(done)
+        assert done.interventions == 0
+        assert abs(done.running_time_s - run.scheduled_time_s) <= 0.5
+        assert done.trajectory.jerk_mps3.max() <= 1.05
+        gaps.append(gap(done))
+    assert gaps[1] - gaps[0] <= 0.022

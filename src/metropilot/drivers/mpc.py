@@ -8,7 +8,8 @@ and resistance factor as the observer has them by then. That the brake is contro
 which the data sheet says, is believed: a wrong mass need not make anybody brake early.
 
 A plan made on the way starts from the one before, which saves a third of its passes; in between the plan is
-followed.
+followed. Each begins with a small correction, which a lag drags on until the next plan corrects it back:
+where commands act late, a plan that still holds is not made again.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ class MpcOptions:
 
     Attributes:
         objective: Energy the plan saves: ``wheel`` or ``line``.
-        period_s: Time between two plans; news and departures from the plan call for one at once.
+        period_s: Time between two plans; news and departures from the plan call for one at once, and where
+            commands act late a plan that still holds is kept.
         brake_use: Share of the braking force planned with where commands act late or the mass is not nominal.
         reserve_s: Time before the scheduled one at which the plan arrives.
         spacing_m: Mesh of the plan.

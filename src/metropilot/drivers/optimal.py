@@ -71,10 +71,12 @@ class OptimalOptions:
         speed_gain_per_s: Correction of a departure in speed.
         coast_band_mps2: Efforts below this are not given where the plan coasts.
         time_band_s: A departure in time that calls for a new plan.
+        late_time_band_s: The same where commands act late: to make up less takes a pulse of traction.
         speed_band_mps: A departure in speed that calls for a new plan.
         patience_s: Least time between two plans that a departure calls for.
         period_s: A new plan at least this often, with what was learned of the trainset by then.
         last_plan_m: No new plan this close to the braking point.
+        late_last_plan_m: The same where commands act late.
         release_share: Jerk of the last brake's release over the trainset's limit.
         late_release_share: The same where commands act late: what the lag keeps of the brake comes on top.
         brake_use: Share of the braking force that plan and stop count on; the rest is for corrections.
@@ -96,12 +98,14 @@ class OptimalOptions:
     speed_gain_per_s: float = declare(0.8, unit="1/s", low=0.0, high=10.0)
     coast_band_mps2: float = declare(0.1, unit="m/s^2", low=0.0, high=3.0)
     time_band_s: float = declare(0.1, unit="s", low=0.0, infinite=True)
+    late_time_band_s: float = declare(0.3, unit="s", low=0.0, infinite=True)
     speed_band_mps: float = declare(0.3, unit="m/s", low=0.0, infinite=True)
     patience_s: float = declare(2.0, unit="s", low=0.0, infinite=True)
     period_s: float = declare(math.inf, unit="s", low=0.0, above=True, infinite=True)
     last_plan_m: float = declare(30.0, unit="m", low=0.0, infinite=True)
+    late_last_plan_m: float = declare(150.0, unit="m", low=0.0, infinite=True)
     release_share: float = declare(0.95, low=0.0, high=1.0, above=True)
-    late_release_share: float = declare(0.5, low=0.0, high=1.0, above=True)
+    late_release_share: float = declare(0.85, low=0.0, high=1.0, above=True)
     brake_use: float = declare(0.995, low=0.0, high=1.0, above=True)
     careful_brake_use: float = declare(0.97, low=0.0, high=1.0, above=True)
     handover_m: float = declare(60.0, unit="m", low=0.0, infinite=True)
@@ -165,6 +169,8 @@ LAST_METRES_M = 8.0
 CREEP_M = 0.05
 LAST_STRETCH_M = 30.0
 EARLY_S = 1e-6
+DUE_SHARE = 0.5
+"""Share of what must have been learned for a plan that is due, where commands act late."""
 LATEST = 1.05
 """Braking begins where waiting a period would take more than this share of the largest deceleration."""
 SURPRISE = 0.05
@@ -191,7 +197,11 @@ class Optimal(AbstractDriver):
         check_running_time(run.scheduled_time_s, fastest_time(vehicle_arrays(trainset), track, least))
         use = self._brake_use(vehicle, Adaptation(), ceiling, coupled)
         careful = adapt_vehicle(vehicle, Adaptation(brake=use))
-        plan = _plan(careful, track, run.scheduled_time_s - self.options.reserve_s, options)
+        estimate = initial_estimate(model, weighed_brakes=weighs_load(vehicle))
+        # The trainset stands until the first command begins to act.
+        clock_s = look_ahead(model, estimate).seconds
+        left = max(run.scheduled_time_s - self.options.reserve_s - clock_s, 1.0)
+        plan = _plan(careful, track, left, options)
         curve = self._curve(model, plan, ceiling, coupled)
         return FollowingMemory(
             trainset=trainset,
@@ -199,9 +209,9 @@ class Optimal(AbstractDriver):
             supervision=at_start(ceiling.guard),
             ceiling=ceiling,
             model=model,
-            estimate=initial_estimate(model, weighed_brakes=weighs_load(vehicle)),
+            estimate=estimate,
             plan=plan,
-            clock_s=0.0,
+            clock_s=clock_s,
             curve=curve,
             braking=False,
             overruled=False,
@@ -314,20 +324,26 @@ class Optimal(AbstractDriver):
             return since_s >= self.options.patience_s
         if memory.braking or since_s < min(self.options.patience_s, self.options.period_s):
             return False
-        plan, estimate = memory.plan, memory.estimate
-        if float(memory.model.track.length_m) - estimate.position_m < self.options.last_plan_m + braking_room(
-            memory
-        ):
+        plan, estimate, options = memory.plan, memory.estimate, self.options
+        acts = acts_late(memory.ceiling, memory.coupled)
+        last_m = options.late_last_plan_m if acts else options.last_plan_m
+        if float(memory.model.track.length_m) - estimate.position_m < last_m + braking_room(memory):
             return False
-        if since_s >= self.options.period_s:
+        due = since_s >= options.period_s
+        if due and not acts:
             return True
+        # A plan begins with a correction, and a lag drags it on: late, a plan that holds is not made again,
+        # unless it leaves time unused.
+        ends_s = memory.clock_s + plan_time(plan, float(plan.position_m[-1]))
+        early_s = memory.scheduled_s - options.reserve_s - ends_s
         late = observation.time_s - memory.clock_s - plan_time(plan, estimate.position_m)
         off = estimate.speed_mps - plan_speed(plan, estimate.position_m)
         learned = np.abs(np.subtract(self._adaptation(estimate), memory.adapted))
         return (
-            abs(late) > self.options.time_band_s
-            or abs(off) > self.options.speed_band_mps
-            or bool((learned > LEARNED_BAND).any())
+            abs(late) > (options.late_time_band_s if acts else options.time_band_s)
+            or abs(off) > options.speed_band_mps
+            or (acts and early_s > options.late_time_band_s)
+            or bool((learned > (DUE_SHARE if due else 1.0) * np.array(LEARNED_BAND)).any())
         )
 
     def _replan(self, memory: FollowingMemory, observation: Observation) -> FollowingMemory:
