@@ -8,6 +8,7 @@ import pytest
 
 from metropilot._registry import RegistryRow
 from metropilot.cli import main
+from metropilot.learn import RunRecord, config_to_mapping
 from metropilot.studies import (
     STUDIES,
     AsPrinted,
@@ -15,8 +16,10 @@ from metropilot.studies import (
     Order,
     PrintedSetting,
     ReportRow,
+    SeedResult,
     Study,
     StudyReport,
+    learning,
     reproduce,
     study_page,
 )
@@ -88,6 +91,35 @@ def test_nothing_changes_where_it_is_not_asked_for(two_studies, tmp_path):
     assert report.as_dict()["as_printed"] is None
     assert "As printed" not in study_page(two_studies, report)
     assert list(report.deviations) == ["A deviation."]
+
+
+@pytest.fixture
+def learned(monkeypatch):
+    """Learning runs that are there, with one history for all of them."""
+    history = {}
+
+    def there(jobs, folder, processes, say):
+        assert len({job.run_id for job in jobs}) == len(jobs)
+        assert all(job.name.startswith("as-printed-") for job in jobs)
+        return [SeedResult(job, None, 0.0, history, record_of(job)) for job in jobs]
+
+    monkeypatch.setattr(learning, "learn_seeds", there)
+    return history
+
+
+def record_of(job):
+    """Record that the learning run of a job would have."""
+    told = (job.seed, "done", "2026-01-02T03:04:05+00:00", 61.0, job.config.steps, 1.0, "f" * 40)
+    return RunRecord(
+        job.run_id,
+        job.config.algorithm,
+        job.name,
+        *told,
+        config_to_mapping(job.config),
+        {},
+        {},
+        machine="one",
+    )
 
 
 @pytest.mark.parametrize("study_id", [name for name in STUDIES if STUDIES.get(name).as_printed])
@@ -189,3 +221,139 @@ class TestChen2023a:
         # standing still costs what being late costs, and no more
         assert float(returns[1]) == pytest.approx(-100.0)
         assert CODES[int(standing.outcome)] != Outcome.ARRIVED
+
+    def test_the_rows_are_those_of_the_figures(self, learned, tmp_path):
+        chunks = 20
+        flat = {"episodes": 100.0, "loss": 1.0, "length": 84.0, "return": 89.0, "term.energy": -10.0}
+        flat |= {"term.comfort": -0.5, "evaluation.running_time_s": 84.0, "evaluation.energy_kwh": 10.0}
+        flat |= {"evaluation.impact_mps3": 0.06, "evaluation.stopping_error_m": 0.5, "evaluation.score": 89.0}
+        flat |= {"evaluation.arrived": 1.0, "evaluation.end_mps": 3.3}
+        learned.update({name: np.full(chunks, value) for name, value in flat.items()})
+        run = STUDIES.get("chen2023a").as_printed.measure(Order(tmp_path, "paper", seeds=7))
+        found = {(row.case, row.driver, row.kpi): row for row in run.rows}
+        place = ("episodes with exploration", "ppo")
+        assert found[*place, "share of seeds converged"].ours == 1.0
+        assert found[*place, "share of seeds converged"].published == 0.0
+        assert found[*place, "final energy"].ours == 10.0
+        assert found["the policy itself", "ddpg", "speed at the end"].ours == 3.3
+        assert "PPO at 3.3 m/s after 84 s" in run.remarks[1]
+
+
+class TestLu2023:
+    """Position, speed and time; a decision every 0.2 s; no assist; eqs. 15 to 20 as printed."""
+
+    def test_a_step_earns_what_the_equations_say(self):
+        from metropilot.env import PeriodChange
+        from metropilot.studies.lu2023.as_printed import literal_task
+
+        zero = dict.fromkeys(PeriodChange._fields, np.float64(0.0))
+        zero |= {"ended": np.bool_(False), "arrived": np.bool_(False)}
+        rewards = literal_task(filtered=False).config.rewards
+
+        def paid(**given):
+            change = PeriodChange(**(zero | {name: np.asarray(value) for name, value in given.items()}))
+            return {term.name: float(term.value(change)) for term in rewards}
+
+        # Eq. 16 in joules: 1e-5 of traction and braking; eq. 18: P + a, also for a brake; eq. 20: 0.01
+        found = paid(wheel_j=2e5, braked_j=1e5, acceleration_mps2=-0.5, before_mps2=-0.5, speed_mps=9.0)
+        assert found["effort_energy"] == pytest.approx(-3.0)
+        assert found["acceleration_comfort"] == pytest.approx(1.0 - 0.5)
+        assert found["moving"] == pytest.approx(0.01)
+        assert paid(acceleration_mps2=0.7, before_mps2=0.6)["acceleration_comfort"] == pytest.approx(1.7)
+        assert paid(acceleration_mps2=0.9, before_mps2=0.8)["acceleration_comfort"] == pytest.approx(-1.0)
+        assert paid(acceleration_mps2=0.3, before_mps2=-0.2)["acceleration_comfort"] == pytest.approx(-10.0)
+        end = {"ended": True, "arrived": True, "late_s": 2.9, "error_m": 0.2}
+        assert paid(**end)["on_time"] == paid(**end)["stop_window"] == 1000.0
+        assert paid(**end | {"late_s": 3.1})["on_time"] == -1000.0
+
+    def test_the_network_sees_and_decides_as_printed(self):
+        from metropilot.studies.lu2023.as_printed import literal_config, literal_task
+
+        task = literal_task(filtered=True)
+        assert task.observation_size == 3
+        assert task.config.dt * task.config.periods == pytest.approx(0.2)
+        assert not task.config.assists.stop
+        assert not task.config.assists.ceiling
+        config = literal_config("paper", improved=True)
+        assert (config.learning_rate, config.gamma, config.hidden) == (1e-5, 0.98, (128, 256))
+        assert (config.reward_factor, config.huber, config.normalise_observations) == (1.0, None, False)
+        assert config.double
+        assert config.dueling
+        assert config.prioritised
+        assert not literal_config("paper", improved=False).double
+
+    def test_the_policy_kept_is_measured(self, learned, tmp_path):
+        columns = {
+            "score": [-900.0, 5.0, -3.0],
+            "120.arrived": [0.0, 1.0, 0.0],
+            "120.stop_m": [9.0, -0.2, 3.0],
+        }
+        columns |= {"120.late_s": [30.0, -1.5, 9.0], "120.kwh": [9.0, 18.0, 8.0], "120.over_mps": [0.0] * 3}
+        learned.update({f"evaluation.{name}": np.array(values) for name, values in columns.items()})
+        run = STUDIES.get("lu2023").as_printed.measure(Order(tmp_path, "paper", seeds=7))
+        found = {(row.driver, row.kpi): row.ours for row in run.rows}
+        for driver in ("improved_dqn", "dqn"):
+            assert found[driver, "stopping error"] == 0.2
+            assert found[driver, "time error"] == 1.5
+            assert found[driver, "wheel traction energy"] == 18.0
+        assert "1,500 episodes" in run.remarks[0]
+
+
+class TestHuang2025:
+    """The limits of EITOE, and the expert at another driver's arrival."""
+
+    def test_eitoe_needs_less_energy_the_more_it_may_accelerate(self):
+        from metropilot.studies.huang2025.as_printed import _rows, limited
+        from metropilot.studies.huang2025.drives import drive_at_arrival
+        from metropilot.studies.huang2025.setting import BY_ID, EITOE, IE, TOOK
+
+        case, used = BY_ID["101"], []
+        for limit in (0.6, 1.0):
+            found = drive_at_arrival(case, 101.0, limit, limited(EITOE, limit))
+            rows = {row.kpi: row for row in _rows(found)}
+            assert rows[TOOK].ours == pytest.approx(101.0, abs=0.2)
+            used.append(rows[IE].ours)
+            assert rows[IE].published == 380.0
+        # The peak that 101 s need falls from 19.5 to 18.4 m/s, and Ie is its square: about 11 % less.
+        assert 0.86 < used[1] / used[0] < 0.92
+
+    def test_eitop_learns_case_1_alone(self):
+        from metropilot.studies.huang2025.as_printed import jobs, literal_task
+
+        config = literal_task(0.6).config
+        assert len(config.sections) == 1
+        assert config.scenarios.time_s == (101.0, 101.0)
+        assert config.scenarios.on_the_way == 0.0
+        assert config.action.start_mps2 == 0.6
+        names = [job.run_id for job in jobs([0, 1], "quick")]
+        assert len(set(names)) == 4
+        assert all(name.startswith("as-printed-") for name in names)
+
+
+class TestChen2023b:
+    """Eq. 18 with the gap itself, eta 1000, one head, no disturbance, no protection."""
+
+    def test_only_the_speed_difference_is_rewarded(self):
+        from metropilot.convoy.env import follow_terms
+        from metropilot.studies.chen2023b.as_printed import literal_task
+
+        task = literal_task()
+        config = task.config
+        assert task.count == 1
+        assert (config.on_the_way, config.disturbed, config.eta_speed, config.eta_gap) == (0.0, 0.0, 1e3, 1e3)
+        assert config.rewarded_gap_m == 0.0
+        # Eq. 18 at the desired gap: 1 / (1 + 1000 x 5.92) = 0.00017; 2 mm/s off: 1 / (1 + 2)
+        terms = follow_terms(config, np.float64(5.92), np.float64(0.002), np.float64(0.0), np.float64(0.0))
+        assert float(terms["gap"]) == pytest.approx(1.0 / 5921.0)
+        assert float(terms["speed"]) == pytest.approx(1.0 / 3.0)
+
+    def test_the_reward_of_a_step_is_that_of_the_gap_itself(self):
+        import jax
+
+        from metropilot.studies.chen2023b.as_printed import literal_task
+
+        task = literal_task()
+        with jax.numpy_dtype_promotion("standard"):
+            state, _ = task.begin(np.int32(0))
+            _, found = jax.jit(task.step)(jax.random.key(0), state, np.zeros(3, np.float32))
+        assert float(found.terms["gap"]) < 3e-4

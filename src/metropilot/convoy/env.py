@@ -55,6 +55,7 @@ class ConvoyTaskConfig:
         gap_m: Desired gap.
         eta_speed: eta_1 of Chen23b, 1/(m/s).
         eta_gap: eta_2 of Chen23b, 1/m.
+        rewarded_gap_m: Gap that eq. 18 rewards most; None: the desired one (0, a contact, as printed).
         contact: C of Chen23b: cost of a contact.
         effort: Cost of a unit of change of the command (0 in the paper).
         disturbed: Share of episodes with a disturbance of the follower and of the link.
@@ -75,6 +76,7 @@ class ConvoyTaskConfig:
     gap_m: float = GAP_M
     eta_speed: float = 1000.0
     eta_gap: float = 1000.0
+    rewarded_gap_m: float | None = None
     contact: float = 100.0
     effort: float = 0.0
     disturbed: float = 0.0
@@ -97,7 +99,7 @@ def follow_terms(
         gap_m: Gap, rear to front.
         apart_mps: Speed ahead less own speed.
         change: Change of the command.
-        wanted_m: Desired gap.
+        wanted_m: Gap that is rewarded most.
     """
     xp = namespace(gap_m, apart_mps, change)
     return {
@@ -243,7 +245,8 @@ class ConvoyTask(AbstractTask):
         states = advance_members(pair, state.states, jnp.stack([head, share]), alarm, now, dt, noise)
         gap = gaps_m(pair, states)[0]
         apart = states.plant.speed_mps[0] - states.plant.speed_mps[1]
-        terms = follow_terms(config, gap, apart, share - seen.command, config.gap_m)
+        rewarded = config.gap_m if config.rewarded_gap_m is None else config.rewarded_gap_m
+        terms = follow_terms(config, gap, apart, share - seen.command, rewarded)
         contact = gap < 0.0
         after = state._replace(
             period=state.period + 1, states=states, errors=errors, contact=state.contact | contact

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metropilot.convoy import FOLLOWERS, AbstractFollower, ConvoyDrive, drive_convoy
+from metropilot.convoy import FOLLOWERS, AbstractFollower
 from metropilot.errors import InputError
+from metropilot.studies.chen2023b.as_printed import AS_PRINTED
 from metropilot.studies.chen2023b.beyond import (
     campaign_rows,
     needed_gap_rows,
@@ -17,14 +17,14 @@ from metropilot.studies.chen2023b.beyond import (
     stability_rows,
 )
 from metropilot.studies.chen2023b.drivers import FollowPolicyOptions
+from metropilot.studies.chen2023b.drives import drive_pair, drive_rows
 from metropilot.studies.chen2023b.figures import figures
 from metropilot.studies.chen2023b.learning import ETAS, NAMES, jobs
-from metropilot.studies.chen2023b.setting import CITATION, PUBLISHED, SIMPLE, head_run, pair
+from metropilot.studies.chen2023b.setting import CITATION, SIMPLE
 from metropilot.studies.chen2023b.words import (
     CLAIMS,
     DEVIATIONS,
     FIRST_RETURN,
-    HEAD_CASE,
     LAST_RETURN,
     remarks,
 )
@@ -34,12 +34,6 @@ from metropilot.studies.study import Order, Study
 if TYPE_CHECKING:
     from metropilot.studies.learning import SeedResult
 
-WORDS = {
-    "gap_min_m": ("smallest gap", "m"),
-    "gap_max_m": ("largest gap", "m"),
-    "speed_difference_max_mps": ("largest speed difference", "m/s"),
-}
-
 
 def reproduce(order: Order) -> StudyReport:
     """Reproduce figures 3 to 9 and beyond; quick: figures 7 to 9 with the shipped policies."""
@@ -47,8 +41,8 @@ def reproduce(order: Order) -> StudyReport:
     runs = {} if _uses_shipped(order) else _learn(order, seeds)
     drivers = _drivers(order, runs)
     order.say("driving")
-    drives = {name: [_drive(each) for each in each_seed] for name, each_seed in drivers.items()}
-    rows = [row for name, each in drives.items() for row in _rows(name, each)]
+    drives = {name: [drive_pair(each) for each in each_seed] for name, each_seed in drivers.items()}
+    rows = [row for name, each in drives.items() for row in drive_rows(name, each)]
     rows += _learning_rows(runs, order.budget)
     first = {name: each[0] for name, each in drivers.items()}
     shown = {name: each[0] for name, each in drives.items()}
@@ -111,30 +105,6 @@ def _drivers(order: Order, runs: dict[str, list[SeedResult]]) -> dict[str, list[
     return made | {name: [FOLLOWERS.make(name)] for name in SIMPLE}
 
 
-def _drive(follower: AbstractFollower) -> ConvoyDrive:
-    return drive_convoy(pair(), head_run(), follower)
-
-
-def _rows(name: str, drives: Sequence[ConvoyDrive]) -> list[ReportRow]:
-    """Rows of figures 8 and 9."""
-    values = {
-        "gap_min_m": [drive.gap_m.min() for drive in drives],
-        "gap_max_m": [drive.gap_m.max() for drive in drives],
-        "speed_difference_max_mps": [np.abs(drive.speed_difference_mps).max() for drive in drives],
-    }
-    rows = []
-    for key, measured in values.items():
-        published = PUBLISHED[key] if name == "sac_pid" else None
-        rows.append(
-            ReportRow("Figs. 7 to 9", HEAD_CASE, name, *WORDS[key], published=published).with_values(measured)
-        )
-    overruled = [float(sum(drive.interventions)) for drive in drives]
-    return [
-        *rows,
-        ReportRow("Figs. 7 to 9", HEAD_CASE, name, "interventions of protection", "").with_values(overruled),
-    ]
-
-
 def _learning_rows(runs: dict[str, list[SeedResult]], budget: str) -> list[ReportRow]:
     """Rows of learning: gap error, returns, learning time."""
     rows = []
@@ -170,4 +140,5 @@ STUDY = Study(
     citation=CITATION,
     reproduce=reproduce,
     options={"eta": tuple(ETAS), "learn": ("missing", "nothing")},
+    as_printed=AS_PRINTED,
 )

@@ -45,14 +45,13 @@ def literal_task(energy_j: float) -> TrackingTask:
 
 
 def literal_config(budget: str) -> DDPGConfig:
-    """DDPG with the paper's activation and without what its eqs. 11 to 14 do not have; the last policy."""
+    """DDPG without what the paper's eqs. 11 to 14 do not have; the last policy is kept."""
     steps = STEPS[budget]
     return replace(
         config(),
         steps=steps,
         evaluations=10,
         warmup=min(config().warmup, steps // 4),
-        activation="relu",
         saturation_cost=0.0,
         keep="last",
     )
@@ -139,7 +138,6 @@ SETTINGS = (
         "a failure costs nothing further: the paper prints no price for it. The KPIs of the drive are "
         "counted to standstill, as in the other tables.",
     ),
-    PrintedSetting("activation", "ReLU", "tanh"),
     PrintedSetting("price of saturated gains", "none", "0.003 of the squared output before tanh"),
     PrintedSetting(
         "policy kept",

@@ -83,14 +83,18 @@ def drive_case(
     return EvaluatedRun(case, driver, [drive(run_of(case, seed), one) for seed, one in enumerate(who)])
 
 
-def drive_at_arrival(case: PublishedCase, arrival_s: float) -> EvaluatedRun:
-    """Drive a case by the expert at EITOP's limit so that it arrives when EITOP does (secant search).
+def drive_at_arrival(
+    case: PublishedCase, arrival_s: float, start_mps2: float = GENTLE_MPS2[EITOP], name: str = EQUAL_EITOE
+) -> EvaluatedRun:
+    """Drive a case by the expert so that it arrives when EITOP does (secant search).
 
     Args:
         case: A case without a timetable update.
         arrival_s: Running time of EITOP.
+        start_mps2: Acceleration limit of the expert; EITOP's if not given.
+        name: Driver id of the run.
     """
-    (expert,) = make_drivers(BRISK_EITOE, {}, range(1))
+    expert = make_driver(EITOE, {"start_mps2": start_mps2})
 
     def drive_for(scheduled_s: float) -> Drive:
         return drive(run_of(replace(case, scheduled_s=scheduled_s)), expert)
@@ -102,7 +106,7 @@ def drive_at_arrival(case: PublishedCase, arrival_s: float) -> EvaluatedRun:
             break
         scheduled += missing
         found = drive_for(scheduled)
-    return EvaluatedRun(case, EQUAL_EITOE, [found])
+    return EvaluatedRun(case, name, [found])
 
 
 class LeastIndex:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metropilot.policy import shipped_policy
+from metropilot.studies.huang2025.as_printed import AS_PRINTED
 from metropilot.studies.huang2025.beyond import GAINS, beyond_rows, repeat_stops, stop_rows
 from metropilot.studies.huang2025.drives import (
     EvaluatedRun,
@@ -140,4 +141,5 @@ STUDY = Study(
     title="Expert driving, and PPO inside it (Huang et al. 2025)",
     citation=CITATION,
     reproduce=reproduce,
+    as_printed=AS_PRINTED,
 )

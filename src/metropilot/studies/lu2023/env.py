@@ -154,6 +154,7 @@ class AccelerationComfort(AbstractTerm):
         limit_mps2: a_lim, the largest gentle acceleration.
         jump_mps2: Change of acceleration from one decision to the next beyond which the price is L.
         jump_price: L.
+        literal: Add the acceleration to P, as printed, braking negative.
     """
 
     name = "acceleration_comfort"
@@ -161,12 +162,14 @@ class AccelerationComfort(AbstractTerm):
     limit_mps2: float = 0.8
     jump_mps2: float = 0.4
     jump_price: float = 10.0
+    literal: bool = False
 
     def value(self, change: PeriodChange) -> Array:
         """P less the size of the acceleration, -P beyond the limit, -L after a jump up."""
         xp = namespace(change.acceleration_mps2)
         size = xp.abs(change.acceleration_mps2)
-        gentle = xp.where(size <= self.limit_mps2, self.bonus - size, -self.bonus)
+        earned = self.bonus + (change.acceleration_mps2 if self.literal else -size)
+        gentle = xp.where(size <= self.limit_mps2, earned, -self.bonus)
         return xp.where(
             change.acceleration_mps2 - change.before_mps2 > self.jump_mps2, -self.jump_price, gentle
         )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from metropilot.evaluate import make_driver
 from metropilot.studies.learning import write_policy
+from metropilot.studies.lu2023.as_printed import AS_PRINTED
 from metropilot.studies.lu2023.drives import (
     NotchRun,
     arrival_rows,
@@ -205,4 +206,5 @@ STUDY = Study(
     title="Notch driving by improved DQN (Lu and Liu 2023)",
     citation=CITATION,
     reproduce=reproduce,
+    as_printed=AS_PRINTED,
 )
