@@ -3,9 +3,11 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from benchmarks import generalist
 from benchmarks.beside_optimum import Result
+from benchmarks.feeding import day_starts, variants
 from benchmarks.generalist import (
     IDEAL,
     LATE,
@@ -20,6 +22,7 @@ from benchmarks.generalist import (
 from benchmarks.report import Benchmark, Row, cells, circumstances, format_page, number, replace_section
 
 from metropilot.policy import load_driving_policy, shipped_policy
+from metropilot.railway import load_feeding
 
 
 @pytest.mark.parametrize(
@@ -45,6 +48,19 @@ def test_a_table_says_where_and_when_it_was_measured():
     text = format_page(Benchmark("x", "A title", (), lambda: rows, "A note."), rows, about)
     assert "| " + " | ".join(cells(rows[1])) + " |" in text
     assert about["commit"] in text
+
+
+def test_a_day_of_the_feeding_benchmark_has_324_journeys():
+    forward, backward = day_starts(1.0)
+    assert len(forward) + len(backward) == 324
+    assert max(forward) < 18 * 3600
+    assert set(np.diff(forward).tolist()) == {240, 496}
+
+
+def test_each_variant_of_the_feeding_changes_one_number():
+    usual, *changed = (feeding for _, feeding in variants(load_feeding("yizhuang")))
+    assert usual == load_feeding("yizhuang")
+    assert all(each != usual for each in changed)
 
 
 CASE = Case("yizhuang", "RJ", "WYJ", "dkz32", "AW0", 1.1, LIMITED)

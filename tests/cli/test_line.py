@@ -101,3 +101,18 @@ def test_a_bad_feeding_is_one_line(typed, tmp_path, old, new, told):
     assert said.out == ""
     assert said.err.count("\n") == 1
     assert told in said.err
+
+
+def test_a_feeding_is_shown_and_not_imported(typed, tmp_path):
+    text = (resources.files("metropilot.railway") / "catalogue/feedings/yizhuang.toml").read_text()
+    (tmp_path / "mine.toml").write_text(text)
+    said = typed("show", "mine.toml")
+    assert said.code == 0
+    assert "trains draw 6000 A" in " ".join(said.out.split())
+    told = json.loads(typed("show", "mine.toml", "--json").out)
+    assert told["kind"] == "feeding"
+    assert told["substations"][1]["position_m"] == 2631.0
+    said = typed("import", "mine.toml", "--out", "other.toml")
+    assert said.code == 2
+    assert said.err.count("\n") == 1
+    assert not (tmp_path / "other.toml").exists()
