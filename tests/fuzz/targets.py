@@ -94,11 +94,23 @@ class Target:
 
 
 def _read_railway(path: Path) -> None:
-    """Read a file; an accepted one is shown, written and read again without a change."""
-    from metropilot.railway import Line, Trainset, import_file, write_journey, write_line, write_trainset
+    """Read a file; an accepted one is written and read again without a change, a feeding is checked alone."""
+    from metropilot.railway import (
+        Feeding,
+        Line,
+        Trainset,
+        import_file,
+        write_journey,
+        write_line,
+        write_trainset,
+    )
 
     found = import_file(path)
     again = path.with_name("again.toml")
+    if isinstance(found, Feeding):
+        assert 0 < found.ohm_per_m < np.inf
+        assert all(0 < each.resistance_ohm < np.inf for each in found.substations)
+        return
     if isinstance(found, Line):
         for section in (*found.sections(), *found.sections(backward=True)):
             assert 0 < section.length_m < 1e6

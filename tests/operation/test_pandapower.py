@@ -43,13 +43,14 @@ def test_voltages_are_pandapowers(of):
     assert abs(flow.imbalance) < 1e-9
 
 
-def test_the_drawn_networks_have_rectifiers_that_block_and_trains_that_are_squeezed():
+def test_the_drawn_networks_have_every_kind_of_element_at_work():
     networks = DRAWN["networks"]
     assert len(networks) == 20
-    blocked = squeezed = 0
+    blocked = inverting = squeezed = 0
     for of in networks:
-        stations = zip(of["substation_v"], of["substations"], strict=True)
-        blocked += any(voltage_v > each["no_load_v"] for voltage_v, each in stations)
-        trains = zip(of["train_v"], of["trains"], strict=True)
-        squeezed += any(v > of["squeezed_above_v"] and each["power_w"] < 0.0 for v, each in trains)
-    assert min(blocked, squeezed) >= 3
+        for voltage_v, each in zip(of["substation_v"], of["substations"], strict=True):
+            blocked += voltage_v > each["no_load_v"]
+            inverting += each["inverter_v"] is not None and voltage_v > each["inverter_v"]
+        for voltage_v, each in zip(of["train_v"], of["trains"], strict=True):
+            squeezed += voltage_v > of["squeezed_above_v"] and each["power_w"] < 0.0
+    assert min(blocked, inverting, squeezed) >= 2

@@ -32,7 +32,7 @@ def draw(random):
             "position_m": round(float(x), 1),
             "no_load_v": round(float(random.uniform(820.0, 860.0)), 1),
             "resistance_ohm": round(float(random.uniform(0.008, 0.03)), 5),
-            "inverter_v": round(float(random.uniform(870.0, 885.0)), 1) if random.random() < 0.25 else None,
+            "inverter_v": round(float(random.uniform(861.0, 866.0)), 1) if random.random() < 0.5 else None,
             "inverter_ohm": round(float(random.uniform(0.02, 0.05)), 5),
         }
         for x in place
