@@ -115,7 +115,7 @@ def variants(feeding: Feeding) -> Iterator[tuple[str, Feeding]]:
         yield f"nothing returned at {volts:g} V", replace(feeding, max_v=volts)
     yield "squeezed above 890 V", replace(feeding, squeezed_above_v=890.0)
     yield "every second substation", replace(feeding, substations=feeding.substations[::2])
-    yield "inverters everywhere, 865 V, 20 mohm", each(inverter_v=865.0, inverter_ohm=0.02)
+    yield "inverters everywhere, 855 V, 10 mohm", each(inverter_v=855.0, inverter_ohm=0.01)
 
 
 def day_starts(days: float) -> tuple[list[int], list[int]]:

@@ -186,6 +186,16 @@ def test_seconds_beyond_one_chunk_and_without_trains_are_solved(monkeypatch):
     assert parts.rectifier_w[0].sum() == 0.0
 
 
+def test_a_second_without_solution_names_its_train(monkeypatch):
+    from metropilot.operation import network as module
+
+    monkeypatch.setattr(module, "MOST_STEPS", 1)
+    among = many(3, 4, np.random.default_rng(6), 0.0)._replace(power_w=np.repeat([0.0, 2e6, 0.0], 4))
+    with pytest.raises(Infeasible, match=r"train \d at \d+ m in second 1,") as error:
+        solve_network(load_feeding("yizhuang"), among, 3)
+    assert error.value.unit == "V"
+
+
 def test_a_heavy_load_has_the_voltages_that_root_finding_finds():
     # currents of the elements written again, one network of three substations with the limits at work
     network = feeding(*(substation(x) for x in (0.0, 2000.0, 4000.0)), max_current_a=5000.0)
