@@ -102,7 +102,7 @@ def test_a_share_of_wide_worlds_leaves_the_others_as_they_are():
 
 
 def test_an_ordinary_world_keeps_its_numbers():
-    """What is learned again from a seed is the same: the worlds of the policies shipped so far."""
+    """Draw the worlds that the shipped policy learned from, the same from a seed ever since."""
     world = domain_sample(0, 0)
     assert world.section.length_m == pytest.approx(1056.3931524279415, rel=1e-12)
     assert world.trainset.mass_kg == pytest.approx(121305.41179683615, rel=1e-12)
