@@ -118,6 +118,21 @@ def test_a_declared_dead_time_is_answered():
     assert kpis.trainsets[1].gap_error_m < 0.3
 
 
+def test_a_weak_late_trainset_follows_a_light_one_up_a_climb():
+    """Its driver reckoned with a climb that the head's protection does not count on: an intervention at 33 s.
+
+    Behind it a gap that was planned for the motion of the head was 0.3 m too small for what followed.
+    """
+    asked = request(disturbances=masses(0.9, 1.2), link=Link(0.1))
+    late = load_trainset("dkz32")
+    late = replace(late, actuation=replace(late.actuation, delay_s=0.5))
+    convoy = replace(asked.convoy(), trainsets=(late, late))
+    drive = drive_convoy(convoy, asked.driven_head(convoy), asked.make_follower())
+    kpis = convoy_kpis(drive, 115.0)
+    assert kpis.success, kpis.verdict
+    assert drive.interventions == (0, 0)
+
+
 @pytest.mark.parametrize(
     "disturbance", [Disturbance(delay_s=0.3), Disturbance(lag_s=0.3)], ids=["delay", "lag"]
 )

@@ -37,6 +37,8 @@ SMOOTH_S = 3.0
 """Length of each of the three means that smooth a planned gap."""
 EFFORT_USE, RATE_USE = 0.97, 0.97
 """Shares of efforts, and of rates and jerk limit, that a planned motion uses; the rest is for corrections."""
+LACK_M = 0.2
+"""Lack of gap behind what protection needs, margin included, for which a planned motion is planned again."""
 CLOSED_MPS = 3.0
 """Speed of the trainset ahead below which its stop is so near that the gap should be closed."""
 TRACKING_PER_S = 0.8
@@ -120,13 +122,23 @@ def place_behind(
     apart = level.position_m >= member.uncouple_at_m
     wanted = np.where(apart, float(member.apart_m), float(member.gap_m))
     needed = needed_along(ahead, member, length_ahead_m, level)
-    gap = smooth_gap(member, level, wanted, needed, first, planned_gap)
-    opening = np.gradient(gap, dt)
-    # It goes on as it was planned to.
-    around = planned_gap(float(times[0]) + dt * np.arange(-1.0, 2.0))
-    opening[0] = (around[2] - around[0]) / (2.0 * dt)
-    opening[1] = opening[0] + (around[2] - 2.0 * around[1] + around[0]) / dt
-    return drivable(member, ahead, rear - gap, np.maximum(ahead.speed_mps - opening, 0.0))
+    # A trainset that cannot follow at once makes up for it later, when the one ahead may already ease off.
+    for again in (True, False):
+        gap = smooth_gap(member, level, wanted, needed, first, planned_gap)
+        opening = np.gradient(gap, dt)
+        # It goes on as it was planned to.
+        around = planned_gap(float(times[0]) + dt * np.arange(-1.0, 2.0))
+        opening[0] = (around[2] - around[0]) / (2.0 * dt)
+        opening[1] = opening[0] + (around[2] - 2.0 * around[1] + around[0]) / dt
+        own = drivable(member, ahead, rear - gap, np.maximum(ahead.speed_mps - opening, 0.0))
+        if again:
+            behind = needed_along(ahead, member, length_ahead_m, own)
+            lacking = behind - (rear - own.position_m) > LACK_M
+            lacking &= own.speed_mps > CLOSED_MPS
+            if not lacking[first:].any():
+                break
+            needed = np.where(lacking, np.maximum(needed, behind + LACK_M), needed)
+    return own
 
 
 def drivable(

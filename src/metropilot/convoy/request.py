@@ -12,7 +12,7 @@ from typing import Any
 from metropilot._io import read_text
 from metropilot._schema import FieldSpec, check_fields, convert, declare, field_specs, from_table
 from metropilot.convoy.drivers import FOLLOWERS, AbstractFollower
-from metropilot.convoy.model import LEADER_SHARE, TRAINSETS, Convoy, ConvoySettings, Link
+from metropilot.convoy.model import LEADER_SHARE, TRAINSETS, Convoy, ConvoySettings, Link, member_bounds
 from metropilot.convoy.rollout import ConvoyDrive, DrivenHead, drive_convoy
 from metropilot.errors import InputError, rename_fields
 from metropilot.evaluate import (
@@ -140,7 +140,11 @@ class ConvoyRequest(ConvoySettings):
             for each in alone.disturbance.updates
         )
         disturbance = replace(convoy.disturbance(0), updates=updates)
-        return replace(alone, section=section, trainset=trainset, disturbance=disturbance, coupled=coupled)
+        # Protection of the head relies on a controlled emergency brake, and so must its driver.
+        bounds = member_bounds(convoy, 0) if convoy.guard == "coupled" else None
+        return replace(
+            alone, section=section, trainset=trainset, disturbance=disturbance, coupled=coupled, bounds=bounds
+        )
 
     def scheduled_time_s(self, convoy: Convoy) -> float:
         """Scheduled running time of the head after every new arrival time."""

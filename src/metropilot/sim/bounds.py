@@ -21,6 +21,8 @@ def declared_bounds(run: Run) -> Bounds:
 
     Drivers that avoid interventions and the host loop that supervises them use the same bounds.
     """
+    if run.bounds is not None:
+        return run.bounds
     disturbance = run.disturbance
     bounds = Bounds.of(
         disturbance.nominal(run.trainset),

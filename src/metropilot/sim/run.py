@@ -7,6 +7,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from metropilot._schema import check_fields, declare
+from metropilot.protection import Bounds
 from metropilot.railway import Section, Trainset
 from metropilot.sim.disturbance import Disturbance
 
@@ -40,6 +41,8 @@ class Run:
         seed: Seed of all random numbers of the run.
         coupled: Nominal trainsets virtually coupled behind, each with the distance of its front from that of
             this trainset. The section's limits hold until the last of them has cleared them.
+        bounds: Bounds that protection allows for; None: those of the disturbance
+            (:func:`metropilot.sim.declared_bounds`).
     """
 
     section: Section
@@ -49,6 +52,7 @@ class Run:
     dt: float = declare(CONTROL_PERIOD_S, "Control period.", unit="s", low=0.01, high=1.0)
     seed: int = 0
     coupled: tuple[tuple[Trainset, float], ...] = ()
+    bounds: Bounds | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
