@@ -333,27 +333,17 @@ class TestHuang2025:
 class TestChen2023b:
     """Eq. 18 with the gap itself, eta 1000, one head, no disturbance, no protection."""
 
-    def test_only_the_speed_difference_is_rewarded(self):
-        from metropilot.convoy.env import follow_terms
-        from metropilot.studies.chen2023b.as_printed import literal_task
-
-        task = literal_task()
-        config = task.config
-        assert task.count == 1
-        assert (config.on_the_way, config.disturbed, config.eta_speed, config.eta_gap) == (0.0, 0.0, 1e3, 1e3)
-        assert config.rewarded_gap_m == 0.0
-        # Eq. 18 at the desired gap: 1 / (1 + 1000 x 5.92) = 0.00017; 2 mm/s off: 1 / (1 + 2)
-        terms = follow_terms(config, np.float64(5.92), np.float64(0.002), np.float64(0.0), np.float64(0.0))
-        assert float(terms["gap"]) == pytest.approx(1.0 / 5921.0)
-        assert float(terms["speed"]) == pytest.approx(1.0 / 3.0)
-
     def test_the_reward_of_a_step_is_that_of_the_gap_itself(self):
         import jax
 
         from metropilot.studies.chen2023b.as_printed import literal_task
 
         task = literal_task()
+        config = task.config
+        assert task.count == 1
+        assert (config.on_the_way, config.disturbed, config.eta_speed, config.eta_gap) == (0.0, 0.0, 1e3, 1e3)
         with jax.numpy_dtype_promotion("standard"):
             state, _ = task.begin(np.int32(0))
             _, found = jax.jit(task.step)(jax.random.key(0), state, np.zeros(3, np.float32))
-        assert float(found.terms["gap"]) < 3e-4
+        # at the desired gap: 1 / (1 + 1000 x 5.92) = 0.00017, where this study has 1
+        assert float(found.terms["gap"]) == pytest.approx(1.0 / 5921.0, rel=0.05)

@@ -117,7 +117,7 @@ def measure(order: Order) -> LiteralRun:
 
 
 def _finding(rows: Sequence[ReportRow]) -> str:
-    """How the policies end their runs, as a sentence."""
+    """Sentence on the end of the policies' runs."""
     value = {(row.driver, row.kpi): row.ours for row in rows if row.case == drives.DRIVING}
     told = ", ".join(
         f"{words} at {value[name, SPEED]:.1f} m/s after {value[name, 'final running time']:.0f} s"

@@ -149,7 +149,7 @@ def _rows(one: EvaluatedRun) -> list[ReportRow]:
 
 
 def _findings(rows: Sequence[ReportRow]) -> list[str]:
-    """What EITOP saves against the expert at the same limit and arrival, from the rows."""
+    """Sentences on EITOP against the expert at the same limit and arrival, from the rows."""
     ie = {(row.case, row.driver): row.ours for row in rows if row.kpi == IE}
     found = []
     for limit in POLICY_LIMITS_MPS2:
