@@ -55,7 +55,9 @@ def test_the_command_prints_and_writes(typed, tmp_path):
         assert 20 <= int(row["dwell_s"]) <= 40
     plain = typed(*words, "--time-window", "0", "--json")
     before = json.loads(plain.out)
-    assert before["floor_kwh"] == told["floor_kwh"]
+    # with dwells that may change more trains can meet
+    assert before["all_received_floor_kwh"] == told["all_received_floor_kwh"] <= told["floor_kwh"]
+    assert told["floor_kwh"] <= before["floor_kwh"] <= before["energy_kwh"]
     assert before["energy_kwh"] >= told["energy_kwh"]
     assert before["feeding"] == told["feeding"]
     said = typed(*fed)

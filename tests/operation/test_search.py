@@ -1,5 +1,6 @@
 """The search for a timetable: within its windows, never below the floor, better than the plain timetable."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,10 +11,11 @@ from metropilot.operation import (
     LineOperation,
     OperationOptions,
     best_offset,
+    choose_plans,
     find_timetable,
     operation_energy,
 )
-from metropilot.operation.search import _plain, _Score, _timetable
+from metropilot.operation.search import _find_shortest, _plain, _Score, _timetable
 
 
 def operation(**given):
@@ -28,7 +30,7 @@ def profiles():
 
 def test_cells_add_up_to_the_exact_energy_of_a_moved_timetable():
     line = operation(headway_s=100)
-    score, state = _Score(line, profiles()), _plain(line)
+    score, state = _Score(line, [profiles()]), _plain(line)
     state.offset = 37
     state.running[[0, 1]] += 2, -2
     state.dwell[[4, 6]] += 7, -7
@@ -51,7 +53,8 @@ def test_the_best_offset_is_that_of_trying_every_second():
 def test_a_timetable_found_keeps_windows_and_sums_and_stays_above_the_floor(headway_s, zones):
     line = operation(headway_s=headway_s, zones=zones)
     plain = best_offset(line, profiles())
-    found = find_timetable(line, profiles(), moves=1500, restarts=1)
+    found, driven = find_timetable(line, [profiles()], moves=1500, restarts=1)
+    assert driven == profiles()
     energy, before = (line.energy(each, profiles()).supplied_j for each in (found, plain))
     assert line.floor_j(profiles()) <= energy <= before
     assert (found.departure_s == np.round(found.departure_s)).all()
@@ -65,7 +68,7 @@ def test_a_timetable_found_keeps_windows_and_sums_and_stays_above_the_floor(head
 
 def test_a_search_is_repeated_by_its_seed():
     line = operation()
-    once, again = (find_timetable(line, profiles(), seed=3, moves=300, restarts=2) for _ in range(2))
+    once, again = (find_timetable(line, [profiles()], seed=3, moves=300, restarts=2)[0] for _ in range(2))
     assert (once.departure_s == again.departure_s).all()
     assert (once.running_time_s == again.running_time_s).all()
 
@@ -73,14 +76,51 @@ def test_a_search_is_repeated_by_its_seed():
 def test_a_search_at_planned_running_times_leaves_them():
     line = operation(time_window_s=0, dwell_window_s=0)
     planned = [{t.planned_s: p[t.planned_s]} for t, p in zip(line.trips, profiles(), strict=True)]
-    found = find_timetable(line, planned, moves=200, restarts=1)
+    found, _ = find_timetable(line, [planned], moves=200, restarts=1)
     assert (found.running_time_s == line.planned_s).all()
     assert np.unique(line.dwells_s(found)).tolist() == [0.0, 30.0]
 
 
 def test_energies_are_in_order():
-    line = operation(time_window_s=1)
+    line = LineOperation(short_line(4), TRAINSET, OperationOptions(zones=3, headway_s=240, time_window_s=0))
     found = operation_energy(line, searched=True)
     assert found.floor_kwh <= found.energy_kwh < found.driving_only_kwh < found.cruise_kwh
     assert found.energy_kwh < found.timetable_only_kwh < found.cruise_kwh
     assert found.gap_percent == pytest.approx(100 * (found.energy_kwh / found.floor_kwh - 1))
+
+
+def test_the_shortest_path_is_the_best_of_all_offsets_and_dwells():
+    line = LineOperation(
+        short_line(3), TRAINSET, OperationOptions(zones=2, headway_s=150, dwell_window_s=2, dwell_s=30)
+    )
+    plans = [line.profiles(received_w=power_w) for power_w in (np.inf, 120e3)]
+    score = _Score(line, plans)
+    state = _find_shortest(score)
+    energies = []
+    for offset, *plan in np.ndindex(150, 2, 2, 2, 2):
+        energies.append(score(replace(_plain(line), offset=offset, plan=np.array(plan))))
+    # with one station on the way both sums fix its dwells
+    assert state.dwell.tolist() == _plain(line).dwell.tolist()
+    assert score(state) == pytest.approx(min(energies), rel=1e-12)
+
+
+def test_the_shortest_path_keeps_the_sums_of_dwells():
+    line = operation(zones=4, headway_s=300)
+    plans = [line.profiles(received_w=power_w) for power_w in (np.inf, 120e3)]
+    score = _Score(line, plans)
+    found, plain = _find_shortest(score), _plain(line)
+    changed = found.dwell - plain.dwell
+    assert changed[: line.count].sum() == changed[line.count :].sum() == 0
+    assert 0 < np.abs(changed).max() <= line.options.dwell_window_s
+    offsets = [score(replace(plain, offset=offset, plan=found.plan)) for offset in range(300)]
+    assert score(found) < 0.998 * min(offsets)
+
+
+def test_a_trip_whose_energy_nobody_receives_is_driven_to_draw_least():
+    quiet = replace(TRAINSET, auxiliary_w=0.0)
+    line = LineOperation(short_line(3), quiet, OperationOptions(zones=2, headway_s=7200))
+    plans = [line.profiles(received_w=power_w) for power_w in (np.inf, 0.0)]
+    alone = line.plain_timetable(3600.0)
+    chosen, energy_j = choose_plans(line, alone, plans)
+    assert all(a is b for a, b in zip(chosen, plans[1], strict=True))
+    assert energy_j == line.energy(alone, plans[1]).supplied_j < line.energy(alone, plans[0]).supplied_j

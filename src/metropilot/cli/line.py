@@ -134,6 +134,7 @@ def _print(found: OperationEnergy) -> None:
         ("cruise and brake", "best found", found.timetable_only_kwh),
         ("optimal driving", "best found", found.energy_kwh),
         ("floor", "any", found.floor_kwh),
+        ("floor, all received", "any", found.all_received_floor_kwh),
     ]
     cells = [
         (

@@ -2,10 +2,13 @@ from .feeding import FeedingEnergy as FeedingEnergy
 from .feeding import feed_line as feed_line
 from .feeding import train_loads as train_loads
 from .feeding import voltage_figure as voltage_figure
+from .floor import TripFloors as TripFloors
+from .floor import zone_floor_j as zone_floor_j
 from .line_service import Driving as Driving
 from .line_service import EnergyBalance as EnergyBalance
 from .line_service import LineOperation as LineOperation
 from .line_service import OperationOptions as OperationOptions
+from .line_service import Profiles as Profiles
 from .line_service import Timetable as Timetable
 from .line_service import Trip as Trip
 from .line_service import divide_zones as divide_zones
@@ -20,7 +23,9 @@ from .power import profile_of_trajectory as profile_of_trajectory
 from .report import OperationEnergy as OperationEnergy
 from .report import line_figure as line_figure
 from .report import operation_energy as operation_energy
+from .report import plan_trips as plan_trips
 from .report import power_figure as power_figure
 from .report import write_operation as write_operation
 from .search import best_offset as best_offset
+from .search import choose_plans as choose_plans
 from .search import find_timetable as find_timetable

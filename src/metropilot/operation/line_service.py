@@ -16,7 +16,7 @@ from metropilot._typing import Float, Int
 from metropilot.errors import Infeasible, InputError
 from metropilot.operation.power import PeriodicPower, PowerProfile, add_periodic, profile_of_plan
 from metropilot.physics import track_arrays, vehicle_arrays
-from metropilot.planning import PlanOptions, cruise_plan, minimum_running_time, plan_arrays
+from metropilot.planning import PlanOptions, ReceivedEnergy, cruise_plan, minimum_running_time, plan_arrays
 from metropilot.railway import Efficiency, Line, Section, Trainset
 from metropilot.units import J_PER_KWH
 
@@ -179,6 +179,7 @@ class LineOperation:
         line: Line.
         trainset: Trainset, its net energy counted as if every returned joule reached another train.
         options: Options.
+        silent: The same without auxiliaries.
         trips: Trips of one train, forward and then backward.
         count: Trips in one direction.
 
@@ -196,7 +197,7 @@ class LineOperation:
         }
         self.trainset = replace(trainset, receptivity=1.0 - options.transfer_loss, **given)
         # The time of a trip is given, and with it what auxiliaries take: without them a plan uses all of it.
-        self._silent = replace(self.trainset, auxiliary_w=0.0)
+        self.silent = replace(self.trainset, auxiliary_w=0.0)
         zones = divide_zones(line, options.zones)
         self.count = zones.size
         both = [
@@ -234,20 +235,38 @@ class LineOperation:
         running = sum(trip.planned_s for trip in self.trips if trip.backward == backward)
         return running + (self.count - 1) * self.options.dwell_s
 
-    def drive(self, trip: Trip, time_s: int, driving: Driving = "optimal") -> PowerProfile:
-        """Power of a trip driven in a running time."""
+    def drive(
+        self, trip: Trip, time_s: int, driving: Driving = "optimal", *, received_w: float = math.inf
+    ) -> PowerProfile:
+        """Power of a trip driven in a running time; see :meth:`profiles`."""
         options = PlanOptions(objective="line")
         if driving == "cruise":
             return profile_of_plan(
-                cruise_plan(trip.section, self._silent, float(time_s), options), self._silent
+                cruise_plan(trip.section, self.silent, float(time_s), options), self.silent
             )
-        vehicle, track = vehicle_arrays(self._silent), track_arrays(trip.section, self._silent)
-        return profile_of_plan(plan_arrays(vehicle, track, float(time_s), options), self._silent)
+        vehicle, track = vehicle_arrays(self.silent), track_arrays(trip.section, self.silent)
+        if math.isfinite(received_w):
+            plan = ReceivedEnergy(vehicle, track, float(time_s)).plan(received_w)
+        else:
+            plan = plan_arrays(vehicle, track, float(time_s), options)
+        return profile_of_plan(plan, self.silent)
 
-    def profiles(self, driving: Driving = "optimal", *, windows: bool = False) -> Profiles:
-        """Power of every trip at its planned running time, or at every running time of its window."""
+    def profiles(
+        self, driving: Driving = "optimal", *, windows: bool = False, received_w: float = math.inf
+    ) -> Profiles:
+        """Power of every trip at its planned running time, or at every running time of its window.
+
+        Args:
+            driving: How trips are driven.
+            windows: True for every running time of the window.
+            received_w: Power up to which optimal driving counts on being received. The floor asks for plans
+                that count on all of it.
+        """
         return [
-            {time_s: self.drive(trip, time_s, driving) for time_s in self._times(trip, windows=windows)}
+            {
+                time_s: self.drive(trip, time_s, driving, received_w=received_w)
+                for time_s in self._times(trip, windows=windows)
+            }
             for trip in self.trips
         ]
 

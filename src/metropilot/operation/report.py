@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -14,9 +15,12 @@ import numpy as np
 from metropilot._io import fill_folder, write_json
 from metropilot._provenance import provenance
 from metropilot.operation.feeding import FeedingEnergy, voltage_figure
+from metropilot.operation.floor import TripFloors, zone_floor_j
 from metropilot.operation.line_service import EnergyBalance, LineOperation, Profiles, Timetable
 from metropilot.operation.power import SAME_S
-from metropilot.operation.search import best_offset, find_timetable
+from metropilot.operation.search import best_offset, choose_plans, find_timetable
+from metropilot.physics import vehicle_arrays
+from metropilot.planning import is_mapped
 from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:
@@ -24,6 +28,10 @@ if TYPE_CHECKING:
 
 WIDTH_IN, HEIGHT_IN = 8.4, 5.2
 MW = 1e6
+RECEIVED = 1.0, 4.0
+"""Power that plans count on being received, where it is not all, over that of the auxiliaries."""
+SETTLED = 1e-3
+"""Nearer than this to the floor with all received, no sharper one is looked for."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +44,9 @@ class OperationEnergy:
         cruise_kwh: Cruise and brake with the plain timetable, mean over the offset.
         driving_only_kwh: Optimal driving with the plain timetable, mean over the offset.
         timetable_only_kwh: Cruise and brake with the best timetable found for it.
-        balance: Optimal driving with the best timetable found.
+        balance: Optimal driving with the best timetable found, by the best of its plans for each trip.
         floor_kwh: Energy that no timetable within the same windows undercuts.
+        all_received_floor_kwh: The same as far as it is known without zones and headway: all is received.
         timetable: Timetable of ``balance``.
         profiles: Its profiles of power.
     """
@@ -49,6 +58,7 @@ class OperationEnergy:
     timetable_only_kwh: float
     balance: EnergyBalance
     floor_kwh: float
+    all_received_floor_kwh: float
     timetable: Timetable
     profiles: Profiles
 
@@ -76,6 +86,7 @@ class OperationEnergy:
             "load": trainset.load,
             "headway_s": options.headway_s,
             "floor_kwh": self.floor_kwh,
+            "all_received_floor_kwh": self.all_received_floor_kwh,
             "energy_kwh": self.energy_kwh,
             "gap_percent": self.gap_percent,
             "cruise_kwh": self.cruise_kwh,
@@ -99,40 +110,65 @@ def operation_energy(
     *,
     searched: bool = False,
     seed: int = 0,
-    plans: Mapping[str, Profiles] | None = None,
+    plans: Mapping[str, Sequence[Profiles]] | None = None,
+    floors: TripFloors | None = None,
 ) -> OperationEnergy:
     """Compute the energy of a line by driving and timetable, and its floor.
+
+    The floor knows headway and zones where the energy is more than ``SETTLED`` above the floor with all that
+    is returned received.
 
     Args:
         operation: Line in operation.
         searched: Search dwells and running times too, within their windows; else only the offset.
         seed: Seed of the search.
-        plans: Profiles of ``optimal`` and ``cruise`` at all running times of the windows, if they are there;
-            they depend on neither headway nor zones.
+        plans: What :func:`plan_trips` gave for all running times of the windows, if it is there; it depends
+            on neither headway nor zones.
+        floors: Least energies of the trips, as far as they are there; the same holds.
     """
-    plans = plans or {
-        "optimal": operation.profiles(windows=searched),
-        "cruise": operation.profiles("cruise", windows=searched),
-    }
-    optimal, cruise = plans["optimal"], plans["cruise"]
+    plans = plans or plan_trips(operation, windows=searched)
+    (all_received, *_), (cruise, *_) = plans["optimal"], plans["cruise"]
 
-    def best(profiles: Profiles) -> Timetable:
-        return (
-            find_timetable(operation, profiles, seed=seed) if searched else best_offset(operation, profiles)
-        )
+    def find(driving: str) -> tuple[Timetable, Profiles]:
+        if searched:
+            return find_timetable(operation, plans[driving], seed=seed)
+        timetable = best_offset(operation, plans[driving][0])
+        return timetable, choose_plans(operation, timetable, plans[driving])[0]
 
-    timetable = best(optimal)
+    timetable, profiles = find("optimal")
+    balance, floor_j = operation.energy(timetable, profiles), operation.floor_j(all_received)
+    settled = balance.supplied_j <= (1.0 + SETTLED) * floor_j
+    met_j = floor_j if settled else zone_floor_j(operation, floors, windows=searched)
     return OperationEnergy(
         operation,
         searched,
         cruise_kwh=operation.mean_energy_j(cruise) / J_PER_KWH,
-        driving_only_kwh=operation.mean_energy_j(optimal) / J_PER_KWH,
-        timetable_only_kwh=operation.energy(best(cruise), cruise).supplied_kwh,
-        balance=operation.energy(timetable, optimal),
-        floor_kwh=operation.floor_j(optimal) / J_PER_KWH,
+        driving_only_kwh=operation.mean_energy_j(all_received) / J_PER_KWH,
+        timetable_only_kwh=operation.energy(*find("cruise")).supplied_kwh,
+        balance=balance,
+        floor_kwh=max(floor_j, met_j) / J_PER_KWH,
+        all_received_floor_kwh=floor_j / J_PER_KWH,
         timetable=timetable,
-        profiles=optimal,
+        profiles=profiles,
     )
+
+
+def plan_trips(operation: LineOperation, *, windows: bool = False) -> dict[str, list[Profiles]]:
+    """Profiles to choose from by driving: ``optimal``, and ``cruise``.
+
+    Where efficiencies are constant, optimal driving has further plans, which count on less being received.
+
+    Args:
+        operation: Line in operation.
+        windows: True for every running time of the windows.
+    """
+    received_w = [math.inf]
+    if not is_mapped(vehicle_arrays(operation.silent)):
+        received_w += [share * operation.trainset.auxiliary_w for share in RECEIVED]
+    return {
+        "optimal": [operation.profiles(windows=windows, received_w=each) for each in received_w],
+        "cruise": [operation.profiles("cruise", windows=windows)],
+    }
 
 
 def line_figure(found: OperationEnergy) -> Figure:

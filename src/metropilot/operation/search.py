@@ -1,19 +1,23 @@
-"""Search for a periodic timetable of little energy: dwells, running times and the offset of the directions.
+"""Search for a periodic timetable of little energy: dwells, running times, the offset of the directions.
 
 Everything is in whole seconds, and dwells and running times of a direction keep their sums, so that no
-passenger's journey from end to end gets longer and the floor holds.
+passenger's journey from end to end gets longer and the floor holds. A trip may be driven by one of several
+plans: where nobody receives what it returns, that of least energy drawn is the better one.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy import ndarray
 
 from metropilot._typing import Float, Int
 from metropilot.operation.line_service import LineOperation, Profiles, Timetable
+from metropilot.operation.path import SectionCost, find_least_path
 from metropilot.operation.power import PowerProfile
 
 CELLS_PER_S = 2
@@ -21,18 +25,21 @@ CELLS_PER_S = 2
 MOVES, RESTARTS = 12_000, 3
 WARMTH = 0.002, 1e-5
 """First and last temperature of the annealing, shares of the energy."""
-SHIFTS, DWELLS = 0.1, 0.55
-"""Up to these shares a move shifts the backward direction, or exchanges dwell; else running time."""
+COOL = 0.2
+"""Share of the first temperature where the start is a good one already."""
+SHIFTS, DWELLS, TIMES = 0.08, 0.45, 0.8
+"""Up to these shares a move shifts the backward direction, exchanges dwell or running time; else a plan."""
 NEAR_S, FAR = 5, 0.2
 """Most seconds of a shift, and the share of shifts by any part of the headway."""
 
 
 @dataclass
 class _State:
-    """Running times, dwells (none after a direction's last trip) and offset of the backward direction."""
+    """Running times, dwells (none after a direction's last trip), plans, offset of the backward direction."""
 
     running: Int[ndarray, " trips"]
     dwell: Int[ndarray, " trips"]
+    plan: Int[ndarray, " trips"]
     offset: int
 
     def departures(self, count: int) -> Int[ndarray, " trips"]:
@@ -46,25 +53,31 @@ class _State:
 class _Score:
     """Energy of a line from cell means of power: a trip that departs later is its power moved on."""
 
-    def __init__(self, operation: LineOperation, profiles: Profiles) -> None:
-        self.operation, self.profiles = operation, profiles
+    def __init__(self, operation: LineOperation, plans: Sequence[Profiles]) -> None:
+        self.operation, self.plans = operation, plans
         self.cells = CELLS_PER_S * operation.options.headway_s
         self.zones = [trip.zone for trip in operation.trips]
-        self._power: dict[tuple[int, int, int], ndarray] = {}
+        self._power: dict[tuple[int, int, int, int], ndarray] = {}
 
     def __call__(self, state: _State) -> float:
         n = self.cells
         total = np.zeros((self.operation.options.zones, n))
         starts = (CELLS_PER_S * state.departures(self.operation.count) % n).tolist()
-        for k, (running, dwell) in enumerate(zip(state.running.tolist(), state.dwell.tolist(), strict=True)):
-            twice = self._power.get((k, running, dwell))
-            if twice is None:
-                twice = self._power[k, running, dwell] = np.tile(self._means(k, running, dwell), 2)
-            total[self.zones[k]] += twice[n - starts[k] : 2 * n - starts[k]]
+        each = zip(state.running.tolist(), state.dwell.tolist(), state.plan.tolist(), strict=True)
+        for k, how in enumerate(each):
+            total[self.zones[k]] += self.power(k, *how)[n - starts[k] : 2 * n - starts[k]]
         return float(np.maximum(total, 0.0).sum()) / CELLS_PER_S
 
-    def _means(self, k: int, running: int, dwell: int) -> Float[ndarray, " cells"]:
-        options, profile = self.operation.options, self.profiles[k][running]
+    def power(self, k: int, running: int, dwell: int, plan: int) -> Float[ndarray, " cells"]:
+        """Mean power in the cells of two headways of a trip that departs with the first, and its dwell."""
+        twice = self._power.get((k, running, dwell, plan))
+        if twice is None:
+            twice = np.tile(self._means(k, running, dwell, plan), 2)
+            self._power[k, running, dwell, plan] = twice
+        return twice
+
+    def _means(self, k: int, running: int, dwell: int, plan: int) -> Float[ndarray, " cells"]:
+        options, profile = self.operation.options, self.plans[plan][k][running]
         edges = np.arange(CELLS_PER_S * (running + dwell) + 1) / CELLS_PER_S
         energy = _energy_until(profile, options.transfer_loss, edges)
         means = CELLS_PER_S * np.diff(energy) + self.operation.trainset.auxiliary_w
@@ -87,64 +100,135 @@ def _energy_until(
 
 def best_offset(operation: LineOperation, profiles: Profiles) -> Timetable:
     """The plain timetable with the offset between the directions, in whole seconds, of least energy."""
-    score, plain = _Score(operation, profiles), _plain(operation)
+    score, plain = _Score(operation, [profiles]), _plain(operation)
     energies = [score(replace(plain, offset=offset)) for offset in range(operation.options.headway_s)]
     return operation.plain_timetable(float(np.argmin(energies)))
 
 
+def choose_plans(
+    operation: LineOperation, timetable: Timetable, plans: Sequence[Profiles]
+) -> tuple[Profiles, float]:
+    """Choose for each trip of a timetable the plan with which the line takes least, one trip after the other.
+
+    Args:
+        operation: Line in operation.
+        timetable: Timetable.
+        plans: Profiles to choose from, those to begin with first.
+
+    Returns:
+        The profiles chosen, and the energy.
+    """
+    chosen = list(plans[0])
+    least_j, before_j = operation.energy(timetable, chosen).supplied_j, math.inf
+    while least_j < before_j:
+        before_j = least_j
+        for k, other in product(range(len(chosen)), plans):
+            tried = [*chosen[:k], other[k], *chosen[k + 1 :]]
+            energy_j = operation.energy(timetable, tried).supplied_j
+            if energy_j < least_j:
+                chosen, least_j = tried, energy_j
+    return chosen, least_j
+
+
 def find_timetable(
     operation: LineOperation,
-    profiles: Profiles,
+    plans: Sequence[Profiles],
     *,
     seed: int = 0,
     moves: int = MOVES,
     restarts: int = RESTARTS,
-) -> Timetable:
-    """Search for the timetable of least energy by annealing.
+) -> tuple[Timetable, Profiles]:
+    """Search for the timetable of least energy, and the plan of each trip, by annealing.
 
     A move takes seconds from one dwell, or one running time, and gives them to another of the same direction,
-    or it shifts the whole backward direction. The first start is the best offset of the plain timetable.
+    shifts the whole backward direction, or drives a trip by another plan. The first start is the best offset
+    of the plain timetable. Where each section has a zone of its own, energy adds up over sections and the
+    second start is the shortest path at planned running times.
 
     Args:
         operation: Line in operation, whose windows bound dwells and running times.
-        profiles: Power of every trip at its planned running time or at those of its window.
+        plans: Profiles to choose from: power of every trip at its planned running time or at those of its
+            window.
         seed: Seed of the moves.
         moves: Moves tried from each start.
         restarts: Starts.
     """
     random = np.random.default_rng(seed)
-    score, plain = _Score(operation, profiles), best_offset(operation, profiles)
-    headway_s, best, best_j = operation.options.headway_s, plain, math.inf
-    for k in range(restarts):
-        offset = plain.departure_s[operation.count] if k == 0 else random.integers(headway_s)
-        found = _anneal(score, replace(_plain(operation), offset=int(offset)), random, moves)
-        for timetable in (plain, _timetable(operation, found)) if k == 0 else (_timetable(operation, found),):
-            energy_j = operation.energy(timetable, profiles).supplied_j
-            if energy_j < best_j:
-                best, best_j = timetable, energy_j
-    return best
+    score, plain = _Score(operation, plans), best_offset(operation, plans[0])
+    starts = [replace(_plain(operation), offset=int(plain.departure_s[operation.count]))]
+    warmths = [WARMTH[0]] * restarts
+    if operation.options.zones == operation.count and restarts > 1:
+        starts.append(_find_shortest(score))
+        warmths[1] *= COOL
+    while len(starts) < restarts:
+        starts.append(replace(_plain(operation), offset=int(random.integers(operation.options.headway_s))))
+    timetables = [plain]
+    for start, warmth in zip(starts, warmths, strict=False):
+        found = _anneal(score, start, random, moves, warmth)
+        timetables.append(_timetable(operation, found))
+    tried = [(each, *choose_plans(operation, each, plans)) for each in timetables]
+    timetable, profiles, _ = min(tried, key=lambda each: each[2])
+    return timetable, profiles
 
 
 def _plain(operation: LineOperation) -> _State:
     dwell = np.full(len(operation.trips), operation.options.dwell_s)
     dwell[[operation.count - 1, -1]] = 0
-    return _State(operation.planned_s, dwell, 0)
+    return _State(operation.planned_s, dwell, np.zeros_like(dwell), 0)
 
 
 def _timetable(operation: LineOperation, state: _State) -> Timetable:
     return Timetable(state.departures(operation.count).astype(float), state.running.copy())
 
 
-def _anneal(score: _Score, state: _State, random: np.random.Generator, moves: int) -> _State:
+def _find_shortest(score: _Score) -> _State:
+    """Offset, dwells and plans of least energy at planned running times, if each section has its own zone."""
+    operation, state = score.operation, _plain(score.operation)
+    count, headway_s = operation.count, operation.options.headway_s
+    shift = np.arange(headway_s)
+    running, dwell = state.running.tolist(), state.dwell.tolist()
+    costs, best = [], []
+    for k, other in ((k, len(running) - 1 - k) for k in range(count)):
+        pairs, energies = list(product(range(len(score.plans)), repeat=2)), []
+        for plan, other_plan in pairs:
+            there = score.power(k, running[k], dwell[k], plan)[: score.cells]
+            back = score.power(other, running[other], dwell[other], other_plan)
+            # the backward train departs so much later
+            rows = score.cells - CELLS_PER_S * shift[:, None] + np.arange(score.cells)
+            energies.append(np.maximum(there + back[rows], 0.0).sum(axis=1) / CELLS_PER_S)
+        by_departure = np.stack(energies)
+        by_arrival = np.roll(by_departure, running[other], axis=1)
+        both_s = running[k] + running[other]
+        costs.append(SectionCost(by_arrival.min(axis=0)[:, None], both_s, both_s))
+        best.append([pairs[i] for i in by_arrival.argmin(axis=0)])
+    options = operation.options
+    path = find_least_path(costs, 2 * options.dwell_s, 2 * options.dwell_window_s)
+    # each direction gets half of a change, and the odd seconds in turn, so that its own sum is none too
+    odd = path.dwell_change_s % 2
+    there = (path.dwell_change_s + odd * (-1) ** np.cumsum(odd)) // 2
+    state.dwell[: count - 1] += there
+    state.dwell[count : 2 * count - 1] += (path.dwell_change_s - there)[::-1]
+    arrives_s = path.arrives_s
+    for k in range(count):
+        state.plan[[k, -1 - k]] = best[k][arrives_s % headway_s]
+        arrives_s -= costs[k].planned_s + 2 * options.dwell_s
+        arrives_s -= int(path.dwell_change_s[k]) if k < count - 1 else 0
+    # the first section is the last one of the backward direction
+    departs_s = path.arrives_s - running[-1] - int(np.sum((state.running + state.dwell)[count:-1]))
+    state.offset = departs_s % headway_s
+    return state
+
+
+def _anneal(score: _Score, state: _State, random: np.random.Generator, moves: int, warmth: float) -> _State:
     energy = score(state)
     best, best_energy = state, energy
-    warmth = energy * np.geomspace(*WARMTH, moves)
+    warmths = energy * np.geomspace(warmth, WARMTH[1], moves)
     for k in range(moves):
         tried = _move(score, state, random)
         if tried is None:
             continue
         cost = score(tried)
-        if cost <= energy or random.random() < math.exp((energy - cost) / warmth[k]):
+        if cost <= energy or random.random() < math.exp((energy - cost) / warmths[k]):
             state, energy = tried, cost
             if energy < best_energy:
                 best, best_energy = state, energy
@@ -166,9 +250,13 @@ def _move(score: _Score, state: _State, random: np.random.Generator) -> _State |
         dwell[[a, b]] += seconds, -seconds
         inside = abs(dwell[[a, b]] - options.dwell_s).max() <= options.dwell_window_s
         return replace(state, dwell=dwell) if inside else None
+    if kind > TIMES and len(score.plans) > 1:
+        plan = state.plan.copy()
+        plan[random.integers(plan.size)] = random.integers(len(score.plans))
+        return replace(state, plan=plan)
     a, b = first + random.choice(count, 2, replace=False)
     running = state.running.copy()
     seconds = int(random.integers(1, NEAR_S))
     running[[a, b]] += seconds, -seconds
-    inside = int(running[a]) in score.profiles[a] and int(running[b]) in score.profiles[b]
+    inside = all(int(running[k]) in score.plans[0][k] for k in (a, b))
     return replace(state, running=running) if inside else None

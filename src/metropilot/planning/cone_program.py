@@ -220,7 +220,7 @@ def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
         "w": bool(p.dwells),
         "late": p.late_w is not None,
         "cost": not p.prices.traction.single,
-        "gain": recovers and not p.prices.recovered.single,
+        "gain": recovers and not (p.prices.recovered.single and p.prices.received_w is None),
     }
     names = ["E", "v", "f", "b", "t", *(name for name, there in wanted.items() if there)]
     sizes = {"E": n + 1, "v": n + 1, "t": n, "w": len(p.dwells), "late": 1}
@@ -303,6 +303,12 @@ def _price_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray]) -> N
         if name in at:
             for slope, offset in zip(*lines, strict=True):
                 rows.add([(at[force], sign * slope), (at[name], -sign)], -sign * offset, offset.size)
+    if "gain" in at and p.prices.received_w is not None:
+        # over a segment no more than this power in its time
+        some = np.flatnonzero(np.isfinite(p.prices.received_w))
+        here, most = p.loads.segment[some], p.prices.received_w[some]
+        clock = at["t"][here], -most / p.mesh.length_m[here]
+        rows.add([(at["gain"][some], 1.0), clock], 0.0, some.size)
 
 
 def _equalities(p: Programme, rows: ConstraintRows, at: dict[str, ndarray]) -> None:

@@ -51,6 +51,8 @@ class Prices(NamedTuple):
         energy: Change of cost per metre with the kinetic energy in the middle of a segment, since efficiency
             depends on speed. Shape (U,).
         energy_at: The kinetic energy it is taken at. Shape (U,).
+        received_w: Most power of recovered braking that is worth anything, W per kg; None: all of it.
+            Shape (U,).
     """
 
     traction: Facets
@@ -58,6 +60,7 @@ class Prices(NamedTuple):
     second_w: float
     energy: Float[ndarray, " loads"]
     energy_at: Float[ndarray, " loads"]
+    received_w: Float[ndarray, " loads"] | None = None
 
 
 def constant_line(value: float, segments: int) -> Facets:

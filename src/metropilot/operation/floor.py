@@ -1,0 +1,278 @@
+"""Energy that no timetable undercuts where trains meet too seldom for all that is returned to be received.
+
+A train receives what another one returns only while both are in the same zone. The headway, the windows of
+dwells and running times and the offset of the directions say when that is. Two trains of opposite directions
+meet in every section of the line, and the times between their departures and arrivals there follow from one
+section to the next: the least sum over the line is a shortest path.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy import ndarray
+
+from metropilot._typing import Float
+from metropilot.operation.line_service import LineOperation
+from metropilot.operation.path import SectionCost, find_least_path
+from metropilot.physics import track_arrays, vehicle_arrays
+from metropilot.planning import LeastEnergy, ReceivedEnergy, Receiver, is_mapped
+
+GRID_S = 5.0
+"""Times of receivers are rounded up to this, which grants them more and asks for fewer plans."""
+LAST_S, FIRST_SHARE = 30.0, 0.5
+"""Who receives in so many of the last seconds is granted the whole trip, and any the first share of it."""
+SAME_J = 2e4
+"""Energies nearer than this are one."""
+PRICES = np.linspace(0.1, 0.9, 5)
+"""Prices of a second that are tried in the Lagrangian: quantiles of what a second saves."""
+
+
+class TripFloors:
+    """Least net energy of each trip by who receives what it returns, found when asked for.
+
+    It depends on neither headway nor zones: one of them does for a line at all headways.
+
+    Args:
+        operation: Line in operation.
+    """
+
+    def __init__(self, operation: LineOperation) -> None:
+        vehicle = vehicle_arrays(operation.silent)
+        self._own_w = operation.trainset.auxiliary_w
+        self._energies = [
+            ReceivedEnergy(vehicle, track_arrays(trip.section, operation.silent), float(trip.planned_s))
+            for trip in operation.trips
+        ]
+        self._found: list[dict[frozenset[Receiver], LeastEnergy]] = [{} for _ in operation.trips]
+        self._planned: list[dict[frozenset[Receiver], LeastEnergy]] = [{} for _ in operation.trips]
+
+    def least_energies(self, trip: int, cases: Sequence[frozenset[Receiver]]) -> list[LeastEnergy]:
+        """Least net energy of a trip with each set of receivers."""
+        found, planned = self._found[trip], self._planned[trip]
+        extremes = frozenset({Receiver(math.inf, math.inf, math.inf)}), frozenset[Receiver]()
+        ordered = sorted(set(cases), key=_granted_s)
+        # halving the order lets most cases fall between two equal ones
+        halving = sorted(range(len(ordered)), key=lambda k: f"{k:032b}"[::-1])
+        for case in (*extremes, *(ordered[k] for k in halving)):
+            if case not in found:
+                between = _between(planned, case)
+                if between is None:
+                    between = planned[case] = self._energies[trip].bound(self._own_w, case)
+                found[case] = between
+        return [found[case] for case in cases]
+
+
+def _between(
+    planned: dict[frozenset[Receiver], LeastEnergy], case: frozenset[Receiver]
+) -> LeastEnergy | None:
+    """The energy with more receivers, if it is that with fewer ones."""
+    order = sorted(planned.items(), key=lambda each: -each[1].bound_j)
+    more = next((each for other, each in order if _grants(other, case)), None)
+    if more is None:
+        return None
+    near = (other for other, each in order if each.bound_j < more.bound_j + SAME_J)
+    return more if any(_grants(case, other) for other in near) else None
+
+
+def _granted_s(case: frozenset[Receiver]) -> float:
+    """Seconds granted, of receivers that take everything above all."""
+    weighted = ((each, 1.0 if math.isinf(each.power_w) else 0.1) for each in case)
+    return math.fsum(weight * min(time_s, 1e3) for each, weight in weighted for time_s in each[:2])
+
+
+def _grants(more: frozenset[Receiver], less: frozenset[Receiver]) -> bool:
+    """True if receivers take at least what others take, at all times."""
+
+    def inside(one: Receiver, other: Receiver) -> bool:
+        return all(a <= b for a, b in zip(one, other, strict=True))
+
+    wide = [each for each in more if math.isinf(each.power_w)]
+    left = [each for each in less if not any(inside(each, other) for other in wide)]
+    # those of limited power add up: each needs one of its own
+    free = list(more - set(wide))
+    for each in left:
+        match = next((other for other in free if inside(each, other)), None)
+        if match is None:
+            return False
+        free.remove(match)
+    return True
+
+
+class _Stay(NamedTuple):
+    """Time in a zone of the train of a trip: before the trip, after it (least and most), and then at rest."""
+
+    before_s: int
+    after_s: tuple[int, int]
+    rest_s: int
+
+
+class _Meeting(NamedTuple):
+    """Least net energies of the two trips of a section, by the times at which they meet.
+
+    Attributes:
+        bound_j: Forward and backward, by the second after the departure of the forward train at which the
+            backward one arrives, and by the sum of both running times. Shape (2, H, C).
+        second_w: What one more second saves. Shape (2, H, C).
+        spread_s: Changes of the running times allowed, the least and the most of each. Shape (2, 2).
+    """
+
+    bound_j: Float[ndarray, "2 headway sums"]
+    second_w: Float[ndarray, "2 headway sums"]
+    spread_s: tuple[tuple[int, int], tuple[int, int]]
+
+    def cost(self, price_w: float, planned_s: int) -> SectionCost:
+        """Least energy of both trips with every second more than planned at a price."""
+        (low, high), (other_low, other_high) = self.spread_s
+        change = np.arange(low + other_low, high + other_high + 1)
+        ends = np.maximum(low, change - other_high), np.minimum(high, change - other_low)
+        # linear in how the change is divided: one of the ends is the least
+        energy = [
+            self.bound_j.sum(axis=0) - self.second_w[0] * end - self.second_w[1] * (change - end)
+            for end in ends
+        ]
+        return SectionCost(np.minimum(*energy) + price_w * change, planned_s + low + other_low, planned_s)
+
+
+class _Windows:
+    """Running times and dwells that a timetable may have."""
+
+    def __init__(self, operation: LineOperation, *, windows: bool) -> None:
+        self.operation = operation
+        self.dwell_s = operation.options.dwell_window_s if windows else 0
+        self.running_s = [trip.allowed_s if windows else (trip.planned_s,) for trip in operation.trips]
+
+    def stay(self, trip: int) -> _Stay:
+        """Time of a train in the zone of one of its trips."""
+        trips, planned_s = self.operation.trips, self.operation.options.dwell_s
+        here = trips[trip]
+        same = [k for k, k_th in enumerate(trips) if (k_th.backward, k_th.zone) == (here.backward, here.zone)]
+        low_s, high_s = planned_s - self.dwell_s, planned_s + self.dwell_s
+        later = [k for k in same if k > trip]
+        terminal = same[-1] in {self.operation.count - 1, len(trips) - 1}
+        return _Stay(
+            sum(self.running_s[k][-1] + high_s for k in same if k < trip),
+            (
+                sum(self.running_s[k][0] + low_s for k in later),
+                sum(self.running_s[k][-1] + high_s for k in later),
+            ),
+            0 if terminal else high_s,
+        )
+
+    def spread_s(self, trip: int) -> tuple[int, int]:
+        """Least and most change of a running time."""
+        planned_s = self.operation.trips[trip].planned_s
+        return self.running_s[trip][0] - planned_s, self.running_s[trip][-1] - planned_s
+
+
+def zone_floor_j(
+    operation: LineOperation, floors: TripFloors | None = None, *, windows: bool = False
+) -> float:
+    """Energy that no timetable undercuts, however the trains are driven: only trains that meet can receive.
+
+    Args:
+        operation: Line in operation.
+        floors: Least energies of its trips, as far as they are there.
+        windows: Dwells and running times, whole seconds, may change within their windows, at the same sums in
+            each direction.
+
+    Returns:
+        Energy in one headway; minus infinity, for not known, where an efficiency depends on speed or effort.
+    """
+    if is_mapped(vehicle_arrays(operation.silent)):
+        return -math.inf
+    floors = floors or TripFloors(operation)
+    allowed = _Windows(operation, windows=windows)
+    meetings = [_meeting(allowed, floors, section) for section in range(operation.count)]
+    slopes = np.concatenate([each.second_w.ravel() for each in meetings])
+    prices = np.quantile(slopes, PRICES).tolist() if windows else [0.0]
+    aboard_j = operation.trainset.auxiliary_w * sum(operation.journey_s(backward=b) for b in (False, True))
+    planned_s = [sum(operation.trips[k].planned_s for k in (i, -1 - i)) for i in range(operation.count)]
+    dwells_s = 2 * operation.options.dwell_s, 2 * allowed.dwell_s
+    return aboard_j + max(
+        find_least_path(
+            [each.cost(price, s) for each, s in zip(meetings, planned_s, strict=True)], *dwells_s
+        ).energy_j
+        for price in prices
+    )
+
+
+def _meeting(allowed: _Windows, floors: TripFloors, section: int) -> _Meeting:
+    operation = allowed.operation
+    pair = section, len(operation.trips) - 1 - section
+    sums_s = np.arange(*(sum(allowed.running_s[k][end] for k in pair) + (end == -1) for end in (0, -1)))
+    # a whole second stands for all instants up to the next one
+    behind_s = np.arange(operation.options.headway_s)[:, None] + np.zeros_like(sums_s)
+    ahead_s = sums_s - behind_s
+    found = [
+        _energies(allowed, floors, pair, behind_s, ahead_s),
+        _energies(allowed, floors, (pair[1], pair[0]), ahead_s - 1, behind_s + 1),
+    ]
+    bound_j, second_w = (np.stack(parts) for parts in zip(*found, strict=True))
+    return _Meeting(bound_j, second_w, (allowed.spread_s(pair[0]), allowed.spread_s(pair[1])))
+
+
+def _energies(
+    allowed: _Windows, floors: TripFloors, pair: tuple[int, int], arrives_s: ndarray, leads_s: ndarray
+) -> tuple[ndarray, ndarray]:
+    """Least energy of a trip and its slope.
+
+    Args:
+        allowed: Running times and dwells.
+        floors: Least energies of the trips.
+        pair: The trip, and the one of the other direction in its section.
+        arrives_s: Arrival of the other after the departure, at most a second later than this.
+        leads_s: Arrival after the departure of the other, at most this.
+    """
+    options, (trip, other) = allowed.operation.options, pair
+    headway_s, most_s = options.headway_s, allowed.running_s[trip][-1]
+    own, met, own_w = allowed.stay(trip), allowed.stay(other), allowed.operation.trainset.auxiliary_w
+    longest_s = most_s + allowed.running_s[other][-1]
+    longest_s += sum(each.before_s + each.after_s[1] + each.rest_s for each in (own, met))
+    cycles = math.ceil(longest_s / headway_s) + 1
+    pieces: list[tuple[ndarray | float, ndarray | float, float]] = []
+    for shift_s in (headway_s * cycle for cycle in range(-cycles, cycles + 1)):
+        gone_s = arrives_s + 1 + shift_s + met.after_s[1]
+        pieces.append((gone_s, leads_s - shift_s + met.before_s, math.inf))
+        if met.rest_s:
+            pieces.append((gone_s + met.rest_s, most_s - arrives_s - shift_s - met.after_s[0], own_w))
+    for shift_s in (headway_s * cycle for cycle in range(1, cycles + 1)):
+        gone_s = most_s + own.after_s[1] - shift_s
+        pieces += [(gone_s, math.inf, math.inf), (math.inf, most_s + own.before_s - shift_s, math.inf)]
+        if own.rest_s:
+            pieces.append((gone_s + own.rest_s, shift_s - own.after_s[0], own_w))
+    rounded = [
+        (*_round_up(np.asarray(first), np.asarray(last), most_s), power) for first, last, power in pieces
+    ]
+    shape = arrives_s.shape
+    codes = np.stack([np.broadcast_to(part, shape).ravel() for each in rounded for part in each[:2]], axis=1)
+    rows, index = np.unique(codes, axis=0, return_inverse=True)
+    powers = [power for *_, power in rounded]
+    cases = [_receivers(zip(row[::2], row[1::2], powers, strict=True)) for row in rows.tolist()]
+    found = np.array(floors.least_energies(trip, cases))[index.ravel()]
+    return found[:, 0].reshape(shape), found[:, 1].reshape(shape)
+
+
+def _round_up(first_s: ndarray, last_s: ndarray, most_s: int) -> tuple[ndarray, ndarray]:
+    """Times of a receiver that grant it at least as much; none at all if it is there at no time."""
+    there = (first_s > 0) & (last_s > 0)
+    first_s = GRID_S * np.ceil(np.maximum(first_s, FIRST_SHARE * most_s) / GRID_S)
+    last_s = GRID_S * np.ceil(last_s / GRID_S)
+    first_s = np.where(first_s >= most_s, math.inf, first_s)
+    last_s = np.where(last_s >= LAST_S, math.inf, last_s)
+    return np.where(there, first_s, 0.0), np.where(there, last_s, 0.0)
+
+
+def _receivers(pieces: Iterable[tuple[float, float, float]]) -> frozenset[Receiver]:
+    """Receivers that are there at some time, without those who are only where others take everything."""
+    there = [Receiver(*each) for each in pieces if each[0] > 0]
+    wide = {each for each in there if math.isinf(each.power_w)}
+    power_w: dict[tuple[float, float], float] = {}
+    for each in there:
+        times = each.first_s, each.last_s
+        if not any(other.first_s >= times[0] and other.last_s >= times[1] for other in wide):
+            power_w[times] = power_w.get(times, 0.0) + each.power_w
+    return frozenset(wide | {Receiver(*times, total_w) for times, total_w in power_w.items()})
