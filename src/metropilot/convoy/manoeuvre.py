@@ -237,12 +237,14 @@ def _gaps(
 def _least_gaps(
     convoy: Convoy, members: Sequence[Member], head: MotionPlan, first_gap_m: float
 ) -> list[float]:
-    """Smallest planned gap of each follower before the stop or the place, while the trainset ahead moves."""
+    """Smallest planned gap of each follower that is held before the stop or the place (``HOLD_S``)."""
     plans = plan_followers(members, head, first_gap_m)
-    return [
-        float(gap[(ahead.speed_mps > MOVES_MPS) & (ahead.position_m < convoy.uncouple_at_m)].min())
-        for ahead, gap in _gaps(members, plans)
-    ]
+    found = []
+    for ahead, gap in _gaps(members, plans):
+        moving = gap[(ahead.speed_mps > MOVES_MPS) & (ahead.position_m < convoy.uncouple_at_m)]
+        rows = min(max(round(HOLD_S / convoy.dt), 1), moving.size)
+        found.append(float(np.lib.stride_tricks.sliding_window_view(moving, rows).max(axis=1).min()))
+    return found
 
 
 def _check_coupling(convoy: Convoy, members: Sequence[Member], head: MotionPlan) -> None:
