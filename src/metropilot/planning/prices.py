@@ -119,7 +119,8 @@ def prices_at(
         parts.append(prices._replace(second_w=seconds))
     if len(parts) == 1:
         return parts[0]
-    traction, recovered, second_w, slope, at = zip(*parts, strict=True)
+    # what is received is set for the plan of one trainset only
+    traction, recovered, second_w, slope, at = zip(*(part[:5] for part in parts), strict=True)
     return Prices(
         _join_lines(traction),
         _join_lines(recovered),
