@@ -19,7 +19,7 @@ from metropilot._typing import Float
 from metropilot.operation.line_service import LineOperation
 from metropilot.operation.path import SectionCost, find_least_path
 from metropilot.physics import track_arrays, vehicle_arrays
-from metropilot.planning import LeastEnergy, ReceivedEnergy, Receiver, is_mapped
+from metropilot.planning import ReceivedEnergy, Receiver, TripBound, is_mapped
 
 GRID_S = 5.0
 """Times of receivers are rounded up to this, which grants them more and asks for fewer plans."""
@@ -47,10 +47,10 @@ class TripFloors:
             ReceivedEnergy(vehicle, track_arrays(trip.section, operation.silent), float(trip.planned_s))
             for trip in operation.trips
         ]
-        self._found: list[dict[frozenset[Receiver], LeastEnergy]] = [{} for _ in operation.trips]
-        self._planned: list[dict[frozenset[Receiver], LeastEnergy]] = [{} for _ in operation.trips]
+        self._found: list[dict[frozenset[Receiver], TripBound]] = [{} for _ in operation.trips]
+        self._planned: list[dict[frozenset[Receiver], TripBound]] = [{} for _ in operation.trips]
 
-    def least_energies(self, trip: int, cases: Sequence[frozenset[Receiver]]) -> list[LeastEnergy]:
+    def least_energies(self, trip: int, cases: Sequence[frozenset[Receiver]]) -> list[TripBound]:
         """Least net energy of a trip with each set of receivers."""
         found, planned = self._found[trip], self._planned[trip]
         extremes = frozenset({Receiver(math.inf, math.inf, math.inf)}), frozenset[Receiver]()
@@ -66,9 +66,7 @@ class TripFloors:
         return [found[case] for case in cases]
 
 
-def _between(
-    planned: dict[frozenset[Receiver], LeastEnergy], case: frozenset[Receiver]
-) -> LeastEnergy | None:
+def _between(planned: dict[frozenset[Receiver], TripBound], case: frozenset[Receiver]) -> TripBound | None:
     """The energy with more receivers, if it is that with fewer ones."""
     order = sorted(planned.items(), key=lambda each: -each[1].bound_j)
     more = next((each for other, each in order if _grants(other, case)), None)

@@ -47,9 +47,9 @@ from .optimal import time_energy_front as time_energy_front
 from .prices import Objective as Objective
 from .prices import cost_per_metre as cost_per_metre
 from .prices import is_mapped as is_mapped
-from .received import LeastEnergy as LeastEnergy
 from .received import ReceivedEnergy as ReceivedEnergy
 from .received import Receiver as Receiver
+from .received import TripBound as TripBound
 from .references import Reference as Reference
 from .references import ReferenceShape as ReferenceShape
 from .references import peak_speed as peak_speed

@@ -32,7 +32,7 @@ class Receiver(NamedTuple):
     power_w: float
 
 
-class LeastEnergy(NamedTuple):
+class TripBound(NamedTuple):
     """Net energy that no drive of a trip undercuts.
 
     Attributes:
@@ -83,7 +83,7 @@ class ReceivedEnergy:
         plan = evaluate_profile(self._vehicle, programme.table, programme.mesh, self._energy, options)
         return replace(plan, bound_j=found.bound_j, second_w=found.second_w)
 
-    def bound(self, own_w: float, receivers: Iterable[Receiver]) -> LeastEnergy:
+    def bound(self, own_w: float, receivers: Iterable[Receiver]) -> TripBound:
         """Least net energy of any drive.
 
         Args:
@@ -100,4 +100,4 @@ class ReceivedEnergy:
         )
         answer, _ = solve_until_settled(replace(self._programme, prices=prices), self._energy)
         self._energy = answer.energy
-        return LeastEnergy(answer.dual * mass_kg, answer.second * mass_kg)
+        return TripBound(answer.dual * mass_kg, answer.second * mass_kg)
