@@ -1,6 +1,7 @@
 """Parts of the pages, without a browser."""
 
 import asyncio
+import gc
 
 import pytest
 from nicegui import Client, core, ui
@@ -21,6 +22,7 @@ from metropilot.web.pages.drive import DrivePage
 from metropilot.web.pages.form import describe_range, validate
 from metropilot.web.pages.frame import frame
 from metropilot.web.pages.plots import compare_figure, convoy_figure, finished_convoy_figure, front_figure
+from metropilot.web.pages.runs import RunList
 from metropilot.web.schemas.requests import ConvoyIn, DriveIn, JourneyIn, LearnIn, NewLink
 from metropilot.web.service import Service
 from metropilot.web.settings import Settings
@@ -175,6 +177,33 @@ def test_what_is_under_way_for_a_page_ends_with_it():
         return [task.cancelled() for task in tasks]
 
     assert asyncio.run(leave()) == [True, False]
+
+
+def test_a_resumed_run_is_opened_though_the_list_was_drawn_anew(tmp_path, monkeypatch):
+    opened = []
+
+    async def resume():
+        core.loop = asyncio.get_running_loop()
+        service = Service(Settings(tmp_path))
+        scope = {"type": "http", "method": "GET", "path": "/", "headers": [], "query_string": b""}
+        client = Client(page("/runs"), request=Request(scope))
+        monkeypatch.setattr(client, "open", lambda path, new_tab=False: opened.append(path))
+        with client:
+            listed = RunList(service, None)
+            listed.build()
+            with listed.rows, ui.element("div"):
+                slot = ui.button("Resume").parent_slot
+
+        async def resume_slowly(_):
+            listed.rows.clear()
+            gc.collect()
+
+        monkeypatch.setattr(service, "resume_live", resume_slowly)
+        with slot:  # where the handler of the click runs
+            await listed.resume("live-1", "/?run=live-1")
+
+    asyncio.run(resume())
+    assert opened == ["/?run=live-1"]
 
 
 def test_a_drive_on_time_that_failed_something_else_is_not_called_late():

@@ -92,6 +92,8 @@ class RunList:
 
     async def resume(self, run: str, path: str) -> None:
         """Resume a run and open it."""
+        # Until it is ready the list may be drawn anew: this button, and what belongs to it, is gone by then.
+        client = ui.context.client
         with self.problem.show_errors():
             await self.service.resume_live(run)
-            ui.navigate.to(path)
+            client.open(path)
