@@ -19,7 +19,7 @@ from pathlib import Path
 
 import duckdb
 
-from benchmarks.report import ROOT, circumstances, replace_section
+from benchmarks.report import ROOT, circumstances, write_section
 
 NAME = "campaign"
 COSTS = "costs.json"
@@ -119,7 +119,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.growth:
         about = "; ".join(f"{key}: {value}" for key, value in circumstances(("metropilot", "jax")).items())
-        hand_over(options.write, f"{growth(options.growth)} Measured on {about}.")
+        write_section(options.write, NAME, f"{growth(options.growth)} Measured on {about}.")
         return
     if options.one:
         print(json.dumps(one(options.one, options.out, options.workers)))
@@ -133,15 +133,7 @@ def main() -> None:
             costs.append(json.loads(done.stdout.splitlines()[-1]))
             print(costs[-1], flush=True)
     text = table(costs, options.workers, circumstances(("metropilot", "jax", "clarabel")))
-    hand_over(options.write, text)
-
-
-def hand_over(page: Path | None, text: str) -> None:
-    """Write a section into the page, or print it."""
-    if page:
-        page.write_text(replace_section(page.read_text(), NAME, text))
-    else:
-        print(text)
+    write_section(options.write, NAME, text)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 
 from benchmarks.beside_optimum import table
-from benchmarks.report import circumstances, replace_section
+from benchmarks.report import circumstances, write_section
 from metropilot.convoy import Capacity, ServiceOptions, line_capacity, write_capacity
 from metropilot.railway import load_line, load_trainset
 
@@ -68,10 +68,9 @@ def main() -> None:
         f"stop, {below}, nothing random (no seed); {about}."
     )
     text = "\n".join([written, "", table(heads, lines, words=2)])
+    write_section(page, "capacity", text)
     if page is None:
-        print(text)
         return
-    page.write_text(replace_section(page.read_text(), "capacity", text))
     folder = page.parent / "images"
     title = f"{LINE}, {PICTURE} {load_trainset(PICTURE).load}, trainsets an hour"
     write_capacity(folder, found[PICTURE], title, below)

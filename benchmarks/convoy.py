@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.report import circumstances, replace_section
+from benchmarks.report import circumstances, write_section
 from metropilot.convoy import ConvoyRequest, Link, convoy_kpis, drive_convoy
 from metropilot.evaluate import RunSpec
 from metropilot.planning import joint_minimum_running_time
@@ -152,10 +152,7 @@ def main() -> None:
             + ".",
         ]
     )
-    if options.write:
-        options.write.write_text(replace_section(options.write.read_text(), "convoy", text))
-    else:
-        print(text)
+    write_section(options.write, "convoy", text)
 
 
 if __name__ == "__main__":

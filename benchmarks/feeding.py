@@ -15,7 +15,7 @@ import numpy as np
 from numpy import ndarray
 
 from benchmarks.beside_optimum import table
-from benchmarks.report import circumstances, replace_section
+from benchmarks.report import circumstances, write_section
 from metropilot.errors import Infeasible
 from metropilot.operation import (
     FeedingEnergy,
@@ -246,12 +246,7 @@ def main() -> None:
     """Compute everything; print the part of the page or write it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--write", type=Path, metavar="PAGE")
-    page = parser.parse_args().write
-    text = measure()
-    if page is None:
-        print(text)
-    else:
-        page.write_text(replace_section(page.read_text(), "feeding", text))
+    write_section(parser.parse_args().write, "feeding", measure())
 
 
 if __name__ == "__main__":

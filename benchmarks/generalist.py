@@ -241,7 +241,7 @@ def is_success(r: Result) -> bool:
     return r.outcome == "arrived" and abs(r.time_error_s) <= ON_TIME_S and abs(r.stop_error_m) <= IN_PLACE_M
 
 
-def judged(r: Result) -> float:
+def target_gap(r: Result) -> float:
     """Energy above what the targets are about: the optimum with ideal actuation, else the attainable one."""
     return r.gap if r.case.scenario == IDEAL else r.excess
 
@@ -251,7 +251,7 @@ def verdict(results: list[Result]) -> str:
     missed = []
     for name, most in TARGETS.items():
         some = [r for r in results if r.case.scenario == name]
-        gaps = np.array([judged(r) for r in some])
+        gaps = np.array([target_gap(r) for r in some])
         gaps = gaps[np.isfinite(gaps)]
         found = float(np.median(gaps)), float(np.percentile(gaps, 95)), float(gaps.max())
         for word, value, target in zip(("median", "95th percentile", "worst"), found, most, strict=True):
@@ -277,7 +277,7 @@ def by_time(results: list[Result], beside: list[Result]) -> str:
     columns[f"`{BESIDE}`, {LIMITED}"] = beside
     lines = []
     for ratios, words in [*(((ratio,), f"{ratio:g} of the minimum") for ratio in RATIOS), (RATIOS, "all")]:
-        cells = (spread([judged(r) for r in some if r.case.ratio in ratios]) for some in columns.values())
+        cells = (spread([target_gap(r) for r in some if r.case.ratio in ratios]) for some in columns.values())
         lines.append([words if ratios != (0.0,) else "as planned", *cells])
     above = {IDEAL: "gap", LIMITED: "above attainable", f"`{BESIDE}`, {LIMITED}": "above attainable"}
     heads = ("scheduled time", *(f"{name}, {above[name]}: median / 95th / worst %" for name in columns))
@@ -287,14 +287,14 @@ def by_time(results: list[Result], beside: list[Result]) -> str:
 def farthest(results: list[Result]) -> str:
     """The runs farthest above the optimum, under the jerk limit the attainable one."""
     lines = []
-    for r in sorted(results, key=lambda r: -np.nan_to_num(judged(r)))[:SHOWN]:
+    for r in sorted(results, key=lambda r: -np.nan_to_num(target_gap(r)))[:SHOWN]:
         c = r.case
         lines.append(
             [
                 f"{c.origin} to {c.destination}, {c.load}, {c.scenario}",
                 f"{r.scheduled_s:.1f}",
                 f"{r.time_error_s:+.2f}",
-                f"{judged(r):.2f}",
+                f"{target_gap(r):.2f}",
             ]
         )
     return table(("run", "scheduled s", "time error s", "above %"), lines)

@@ -13,7 +13,7 @@ from itertools import product
 from pathlib import Path
 
 from benchmarks.beside_optimum import table
-from benchmarks.report import circumstances, replace_section
+from benchmarks.report import circumstances, write_section
 from metropilot.operation import (
     LineOperation,
     OperationOptions,
@@ -100,12 +100,7 @@ def main() -> None:
     """Compute everything; print the part of the page or write it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--write", type=Path, metavar="PAGE")
-    page = parser.parse_args().write
-    text = describe(*measure())
-    if page is None:
-        print(text)
-    else:
-        page.write_text(replace_section(page.read_text(), "line", text))
+    write_section(parser.parse_args().write, "line", describe(*measure()))
 
 
 if __name__ == "__main__":

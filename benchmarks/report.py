@@ -153,6 +153,14 @@ def replace_section(page: str, name: str, text: str) -> str:
     return page.rstrip() + f"\n\n{section}\n"
 
 
+def write_section(page: Path | None, name: str, text: str) -> None:
+    """Replace one benchmark's section of a page; without a page, print it."""
+    if page is None:
+        print(text)
+    else:
+        page.write_text(replace_section(page.read_text(), name, text))
+
+
 def run(benchmarks: list[Benchmark], arguments: list[str] | None = None) -> None:
     """Command line of one or more benchmarks: measure, then print, ``--json`` or ``--write PAGE``."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Measure and report.")

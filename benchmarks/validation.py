@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tests.planning import published
 
-from benchmarks.report import circumstances, replace_section
+from benchmarks.report import circumstances, write_section
 from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
 from metropilot.railway import import_file, load_line, load_trainset
 
@@ -150,10 +150,7 @@ def main() -> None:
     parser.add_argument("--write", type=Path, metavar="PAGE", help="replace the tables of a page")
     options = parser.parse_args()
     text = page()
-    if options.write:
-        options.write.write_text(replace_section(options.write.read_text(), "validation", text))
-    else:
-        print(text)
+    write_section(options.write, "validation", text)
 
 
 if __name__ == "__main__":

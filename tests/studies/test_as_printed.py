@@ -94,7 +94,7 @@ def test_nothing_changes_where_it_is_not_asked_for(two_studies, tmp_path):
 
 
 @pytest.fixture
-def learned(monkeypatch):
+def history(monkeypatch):
     """Learning runs that are there, with one history for all of them."""
     history = {}
 
@@ -222,13 +222,13 @@ class TestChen2023a:
         assert float(returns[1]) == pytest.approx(-100.0)
         assert CODES[int(standing.outcome)] != Outcome.ARRIVED
 
-    def test_the_rows_are_those_of_the_figures(self, learned, tmp_path):
+    def test_the_rows_are_those_of_the_figures(self, history, tmp_path):
         chunks = 20
         flat = {"episodes": 100.0, "loss": 1.0, "length": 84.0, "return": 89.0, "term.energy": -10.0}
         flat |= {"term.comfort": -0.5, "evaluation.running_time_s": 84.0, "evaluation.energy_kwh": 10.0}
         flat |= {"evaluation.impact_mps3": 0.06, "evaluation.stopping_error_m": 0.5, "evaluation.score": 89.0}
         flat |= {"evaluation.arrived": 1.0, "evaluation.end_mps": 3.3}
-        learned.update({name: np.full(chunks, value) for name, value in flat.items()})
+        history.update({name: np.full(chunks, value) for name, value in flat.items()})
         run = STUDIES.get("chen2023a").as_printed.measure(Order(tmp_path, "paper", seeds=7))
         found = {(row.case, row.driver, row.kpi): row for row in run.rows}
         place = ("episodes with exploration", "ppo")
@@ -282,14 +282,14 @@ class TestLu2023:
         assert config.prioritised
         assert not literal_config("paper", improved=False).double
 
-    def test_the_policy_kept_is_measured(self, learned, tmp_path):
+    def test_the_policy_kept_is_measured(self, history, tmp_path):
         columns = {
             "score": [-900.0, 5.0, -3.0],
             "120.arrived": [0.0, 1.0, 0.0],
             "120.stop_m": [9.0, -0.2, 3.0],
         }
         columns |= {"120.late_s": [30.0, -1.5, 9.0], "120.kwh": [9.0, 18.0, 8.0], "120.over_mps": [0.0] * 3}
-        learned.update({f"evaluation.{name}": np.array(values) for name, values in columns.items()})
+        history.update({f"evaluation.{name}": np.array(values) for name, values in columns.items()})
         run = STUDIES.get("lu2023").as_printed.measure(Order(tmp_path, "paper", seeds=7))
         found = {(row.driver, row.kpi): row.ours for row in run.rows}
         for driver in ("improved_dqn", "dqn"):
@@ -303,13 +303,13 @@ class TestHuang2025:
     """The limits of EITOE, and the expert at another driver's arrival."""
 
     def test_eitoe_needs_less_energy_the_more_it_may_accelerate(self):
-        from metropilot.studies.huang2025.as_printed import _rows, limited
+        from metropilot.studies.huang2025.as_printed import _rows, driver_at
         from metropilot.studies.huang2025.drives import drive_at_arrival
         from metropilot.studies.huang2025.setting import BY_ID, EITOE, IE, TOOK
 
         case, used = BY_ID["101"], []
         for limit in (0.6, 1.0):
-            found = drive_at_arrival(case, 101.0, limit, limited(EITOE, limit))
+            found = drive_at_arrival(case, 101.0, limit, driver_at(EITOE, limit))
             rows = {row.kpi: row for row in _rows(found)}
             assert rows[TOOK].ours == pytest.approx(101.0, abs=0.2)
             used.append(rows[IE].ours)

@@ -76,22 +76,22 @@ def planned_j(time_s, position_m, *restrictions):
     return used_j
 
 
-def compared(row):
+def position_and_plan(row):
     """Position of a run, and the energy of the reference plan there by its row."""
     return row[ROW["position_m"]], row[ROW["plan_energy_wheel_j"]]
 
 
 def test_a_run_is_compared_with_the_plan_from_departure_whatever_the_lever_did():
     engine = Engine(RunSpec("yizhuang", "RJ", "WYJ", time_s=101.0))
-    at_m, planned = compared(until(engine, 45.0))
+    at_m, planned = position_and_plan(until(engine, 45.0))
     assert planned == pytest.approx(planned_j(101.0, at_m), rel=1e-3)
     before = engine.scene()["reference"]
     engine.apply(TAKE)
-    at_m, planned = compared(until(engine, 51.0))
+    at_m, planned = position_and_plan(until(engine, 51.0))
     assert planned == pytest.approx(planned_j(101.0, at_m), rel=1e-3)
     engine.apply(GIVE)
     assert engine.scene()["reference"] == before
-    at_m, planned = compared(row := until(engine, 60.0))
+    at_m, planned = position_and_plan(row := until(engine, 60.0))
     assert planned == pytest.approx(planned_j(101.0, at_m), rel=1e-3)
     assert row[ROW["energy_wheel_j"]] > 1.05 * planned, "full power for 6 s shows"
     row = until(engine, 300.0)
@@ -102,11 +102,11 @@ def test_a_run_is_compared_with_the_plan_for_what_is_in_force():
     engine = Engine(RunSpec("yizhuang", "RJ", "WYJ", time_s=101.0))
     until(engine, 20.0)
     engine.apply({"kind": "arrival", "scheduled_time_s": 125.0})
-    at_m, planned = compared(until(engine, 40.0))
+    at_m, planned = position_and_plan(until(engine, 40.0))
     assert planned == pytest.approx(planned_j(125.0, at_m), rel=1e-3)
     restriction = Restriction(900.0, 1000.0, 8.0)
     engine.apply({"kind": "restriction", "from_m": 900.0, "to_m": 1000.0, "limit_mps": 8.0})
-    at_m, planned = compared(until(engine, 300.0))
+    at_m, planned = position_and_plan(until(engine, 300.0))
     assert planned == pytest.approx(planned_j(125.0, at_m, restriction), rel=1e-3)
     assert engine.scene()["reference"]["running_time_s"] == pytest.approx(125.0, abs=0.1)
 
@@ -135,10 +135,10 @@ def test_a_restriction_is_checked_on_the_way_as_before_departure(from_m, to_m, k
 def test_news_that_the_request_brings_is_in_force_when_it_is_told():
     request = RunSpec.from_values(WHERE | {"arrivals": ["125@20"]})
     engine = Engine(request)
-    at_m, planned = compared(until(engine, 19.0))
+    at_m, planned = position_and_plan(until(engine, 19.0))
     assert planned == pytest.approx(planned_j(101.0, at_m), rel=1e-3)
     assert engine.pop_updates() == []
-    at_m, planned = compared(until(engine, 40.0))
+    at_m, planned = position_and_plan(until(engine, 40.0))
     assert planned == pytest.approx(planned_j(125.0, at_m), rel=1e-3)
     assert engine.pop_updates() == ["new arrival time, later: after 125 s"]
 

@@ -139,10 +139,10 @@ class NetworkFlow:
             return
         row = int(np.argmax(lacking))
         if self.train_w[row] < SERVED * self.loads.power_w[row]:
-            raise _overloaded(self.loads, row, float(self.train_v[row]))
+            raise _overload_error(self.loads, row, float(self.train_v[row]))
 
 
-def _overloaded(loads: TrainLoads, row: int, voltage_v: float) -> Infeasible:
+def _overload_error(loads: TrainLoads, row: int, voltage_v: float) -> Infeasible:
     way = "backward" if loads.backward[row] else "forward"
     return Infeasible(
         f"the network cannot carry the load: {way} train {loads.train[row]} at "
@@ -361,7 +361,7 @@ def solve_network(feeding: Feeding, loads: TrainLoads, seconds: int) -> NetworkF
         if lost.size:
             among = np.flatnonzero(np.isin(part.second, first + lost))
             worst = int(among[np.argmin(flow[0][among])])
-            raise _overloaded(part, worst, float(flow[0][worst]))
+            raise _overload_error(part, worst, float(flow[0][worst]))
         flows.append(flow)
         most = max(most, steps)
     back = np.argsort(order)

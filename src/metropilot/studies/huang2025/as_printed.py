@@ -50,14 +50,14 @@ SEEDS = {"quick": 1, "paper": 3}
 ENERGY = "wheel traction energy"
 
 
-def limited(driver: str, limit_mps2: float) -> str:
+def driver_at(driver: str, limit_mps2: float) -> str:
     """Driver id with its acceleration limit."""
     return f"{driver} at {limit_mps2:g} m/s²"
 
 
-def equal(limit_mps2: float, policy_mps2: float) -> str:
+def expert_at_arrival(limit_mps2: float, policy_mps2: float) -> str:
     """Driver id of the expert that arrives when EITOP does."""
-    return f"{limited(EITOE, limit_mps2)}, arrival of {limited(EITOP, policy_mps2)}"
+    return f"{driver_at(EITOE, limit_mps2)}, arrival of {driver_at(EITOP, policy_mps2)}"
 
 
 def literal_task(limit_mps2: float) -> DrivingTask:
@@ -112,12 +112,12 @@ def _drive(case: PublishedCase, policies: dict[float, list[Path]]) -> list[Evalu
     found = [EvaluatedRun(case, EITOE, [drive(replace(run_of(case), dt=STEP_S), literal)])]
     for limit in EXPERT_LIMITS_MPS2:
         expert = make_driver(EITOE, {"start_mps2": limit})
-        found.append(EvaluatedRun(case, limited(EITOE, limit), [drive(run_of(case), expert)]))
+        found.append(EvaluatedRun(case, driver_at(EITOE, limit), [drive(run_of(case), expert)]))
     for limit, paths in policies.items():
         drivers = [make_driver(EITOP, {"policy": str(path)}) for path in paths]
-        mine = EvaluatedRun(case, limited(EITOP, limit), [drive(run_of(case), one) for one in drivers])
+        mine = EvaluatedRun(case, driver_at(EITOP, limit), [drive(run_of(case), one) for one in drivers])
         arrival = float(np.median([one.running_time_s for one in mine.drives]))
-        experts = [(one, equal(one, limit)) for one in AT_ARRIVAL_MPS2[limit]]
+        experts = [(one, expert_at_arrival(one, limit)) for one in AT_ARRIVAL_MPS2[limit]]
         found += [mine, *(drive_at_arrival(case, arrival, one, name) for one, name in experts)]
     return found
 
@@ -155,8 +155,8 @@ def _findings(rows: Sequence[ReportRow]) -> list[str]:
     for limit in POLICY_LIMITS_MPS2:
         told = []
         for (case, driver), mine in ie.items():
-            other = ie.get((case, equal(limit, limit)))
-            if driver == limited(EITOP, limit) and mine is not None and other is not None:
+            other = ie.get((case, expert_at_arrival(limit, limit)))
+            if driver == driver_at(EITOP, limit) and mine is not None and other is not None:
                 told.append(f"{case}: {100.0 * (mine / other - 1.0):+.1f} %")
         found.append(
             f"Ie of EITOP against EITOE at the same limit ({limit:g} m/s²) and arrival: {'; '.join(told)}."
@@ -169,8 +169,8 @@ SETTINGS = (
         "largest acceleration (rule 2)",
         "below 0.6 m/s²",
         f"{RULE2_MPS2:g} m/s², EITOP {GENTLE_MPS2[EITOP]:g} m/s²",
-        f"0.6 m/s²; {', '.join(limited(EITOE, one) for one in EXPERT_LIMITS_MPS2)} and "
-        f"{', '.join(limited(EITOP, one) for one in POLICY_LIMITS_MPS2)} as well: the published 364 "
+        f"0.6 m/s²; {', '.join(driver_at(EITOE, one) for one in EXPERT_LIMITS_MPS2)} and "
+        f"{', '.join(driver_at(EITOP, one) for one in POLICY_LIMITS_MPS2)} as well: the published 364 "
         "J/kg needs 0.8.",
     ),
     PrintedSetting(

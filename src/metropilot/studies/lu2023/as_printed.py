@@ -127,7 +127,7 @@ def _rows(driver: str, results: Sequence[SeedResult]) -> list[ReportRow]:
     """Rows of the policies kept."""
     best = [int(np.nanargmax(result.history["evaluation.score"])) for result in results]
 
-    def measured(column: str) -> list[float]:
+    def values_of(column: str) -> list[float]:
         values = [result.history[f"evaluation.{PLAN}.{column}"] for result in results]
         return [float(each[k]) for each, k in zip(values, best, strict=True)]
 
@@ -135,11 +135,11 @@ def _rows(driver: str, results: Sequence[SeedResult]) -> list[ReportRow]:
         return ReportRow(TABLE, plan_case(PLAN).name, driver, kpi, unit).with_values(values)
 
     return [
-        row("drives that stand within 0.3 m of the stop", "%", [100.0 * one for one in measured("arrived")]),
-        row("stopping error", "m", [abs(one) for one in measured("stop_m")]),
-        row("time error", "s", [abs(one) for one in measured("late_s")]),
-        row("wheel traction energy", "kWh", measured("kwh")),
-        row("largest overspeed", "m/s", measured("over_mps")),
+        row("drives that stand within 0.3 m of the stop", "%", [100.0 * one for one in values_of("arrived")]),
+        row("stopping error", "m", [abs(one) for one in values_of("stop_m")]),
+        row("time error", "s", [abs(one) for one in values_of("late_s")]),
+        row("wheel traction energy", "kWh", values_of("kwh")),
+        row("largest overspeed", "m/s", values_of("over_mps")),
     ]
 
 
