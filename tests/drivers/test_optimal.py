@@ -65,6 +65,14 @@ def test_with_the_jerk_limit(origin, destination, load, ratio):
     assert -1e-3 <= gap(done) <= 0.04
 
 
+def test_a_tenth_of_a_second_is_not_made_up_by_a_pulse_of_traction():
+    done = drive(run_of("CQN", "JHL", "AW0", time_s=140.0), DRIVERS.make("optimal"))
+    check_safe_stop(done)
+    assert abs(done.running_time_s - 140.0) <= 0.35
+    assert done.interventions == 0
+    assert gap(done) <= 0.035
+
+
 @pytest.mark.parametrize(("mass", "resistance"), [(1.2, 1.5), (0.8, 0.5)])
 def test_a_trainset_that_is_not_as_told(mass, resistance):
     run = run_of("RJ", "WYJ", "AW2", 1.15, mass_factor=mass, resistance_factor=resistance, **LATE)

@@ -223,6 +223,29 @@ def test_a_run_leaves_everything_needed_to_show_resume_and_drive_it(tmp_path):
     assert store.show(record.id).status == "done"
 
 
+def test_a_run_goes_on_from_a_checkpoint_with_other_columns(tmp_path):
+    from safetensors import safe_open
+    from safetensors.numpy import save_file
+
+    def interrupt(progress):
+        raise KeyboardInterrupt
+
+    store = RunStore(tmp_path / "runs")
+    with pytest.raises(KeyboardInterrupt):
+        learn_run(store, REQUEST, TrainingOptions(on_progress=interrupt))
+    (stopped,) = store.recent(status="interrupted")
+    path = store.folder(stopped.id) / "checkpoint.safetensors"
+    with safe_open(path, "numpy") as file:
+        tensors, metadata = {name: file.get_tensor(name) for name in file.keys()}, file.metadata()  # noqa: SIM118
+    tensors["history.gone"] = tensors.pop("history.entropy")
+    save_file(tensors, path, metadata)
+    record, learned = learn_run(store, REQUEST, resume=stopped.id)
+    history = read_history(store.folder(record.id) / "history.parquet")
+    assert np.isnan(history["entropy"]).tolist() == [True, False]
+    assert np.isnan(history["gone"]).tolist() == [False, True]
+    assert learned.history["steps"].tolist() == [64.0, 128.0]
+
+
 def test_the_index_finds_and_is_made_anew(tmp_path):
     store = RunStore(tmp_path)
     a = store.create(CONFIG, "rongjing", 1, {"section": "RJ_WYJ"})

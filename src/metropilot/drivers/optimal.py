@@ -71,7 +71,8 @@ class OptimalOptions:
         speed_gain_per_s: Correction of a departure in speed.
         coast_band_mps2: Efforts below this are not given where the plan coasts.
         time_band_s: A departure in time that calls for a new plan.
-        late_time_band_s: The same where commands act late: to make up less takes a pulse of traction.
+        late_time_band_s: The same where making up less takes a pulse of traction: where commands act late,
+            and where the plan has no traction ahead.
         speed_band_mps: A departure in speed that calls for a new plan.
         patience_s: Least time between two plans that a departure calls for.
         period_s: A new plan at least this often, with what was learned of the trainset by then.
@@ -173,6 +174,7 @@ DUE_SHARE = 0.5
 """Share of what must have been learned for a plan that is due, where commands act late."""
 LATEST = 1.05
 """Braking begins where waiting a period would take more than this share of the largest deceleration."""
+POWERED_MPS2 = 1e-3
 SURPRISE = 0.05
 """A traction gain this far from 1 says that the mass is not nominal."""
 
@@ -339,8 +341,9 @@ class Optimal(AbstractDriver):
         late = observation.time_s - memory.clock_s - plan_time(plan, estimate.position_m)
         off = estimate.speed_mps - plan_speed(plan, estimate.position_m)
         learned = np.abs(np.subtract(self._adaptation(estimate), memory.adapted))
+        pulse = acts or (late > 0.0 and not powers_ahead(memory))
         return (
-            abs(late) > (options.late_time_band_s if acts else options.time_band_s)
+            abs(late) > (options.late_time_band_s if pulse else options.time_band_s)
             or abs(off) > options.speed_band_mps
             or (acts and early_s > options.late_time_band_s)
             or bool((learned > (DUE_SHARE if due else 1.0) * np.array(LEARNED_BAND)).any())
@@ -461,6 +464,14 @@ def _plan(
         return plan_arrays(vehicle, track, time_s, options, about)
     except SolverError:
         return plan_arrays(vehicle, track, time_s, replace(options, jerk_mps3=None, release_mps3=None))
+
+
+def powers_ahead(memory: FollowingMemory) -> bool:
+    """Tell if the plan still needs traction between here and the stop."""
+    plan = memory.plan
+    here = int(np.searchsorted(plan.position_m, memory.estimate.position_m, side="right")) - 1
+    mass = float(memory.model.vehicle.effective_mass_kg)
+    return bool((plan.traction_n[max(here, 0) :] / mass > POWERED_MPS2).any())
 
 
 def stands_short(memory: FollowingMemory) -> bool:

@@ -157,8 +157,10 @@ class TrainingLog:
             InputError: The checkpoint cannot be written.
         """
         self.seconds += spent_s
-        for name, value in row.items():
-            self.columns.setdefault(name, []).append(value)
+        before = self.chunks_done
+        # A checkpoint of an earlier version may lack a column, or have one more.
+        for name in {**self.columns, **row}:
+            self.columns.setdefault(name, [math.nan] * before).append(row.get(name, math.nan))
         number, options = self.chunks_done, self.options
         if options.checkpoint and (number % options.every == 0 or number == self.chunks):
             about = {**self.identity, "seconds": self.seconds}
