@@ -1,13 +1,14 @@
 """Verdicts of a study: intervals, rivals, judgements, and their table on the page."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from metropilot.studies import STUDIES, Claim, ReportRow, StudyReport, judge_claims
 from metropilot.studies.page import study_page
-from metropilot.studies.verdict import difference_p, judge_claim, median_interval
+from metropilot.studies.verdict import difference_p, judge_claim, median_interval, sum_up_rivals
 
 
 def rows(
@@ -113,3 +114,17 @@ def test_claims_name_rows_and_are_whole_sentences(study_id):
     assert len(claims) >= 3
     assert len({(c.driver, c.kpi, c.case, c.table) for c in claims}) == len(claims)
     assert judge_claims(claims, [])[0].verdict == "cannot be tested"
+
+
+def test_what_learning_adds_is_said_of_tested_claims_alone():
+    ours = tuple(np.linspace(7.0, 9.0, 10))
+    worse = judge_claim(CLAIM, rows(ours=ours))
+    better = judge_claim(CLAIM, rows(ours=ours, rival=(9.5,)))
+    untested = judge_claim(CLAIM, rows(ours=(7.0, 8.0), rival=(9.5,)))
+    assert [verdict.rival.ours_is for verdict in (worse, better) if verdict.rival] == ["worse", "better"]
+    assert sum_up_rivals([worse, untested]).startswith("**Learning adds nothing**")
+    assert "better in 0, worse in 1" in sum_up_rivals([worse, untested])
+    assert "or not tested in 1 of 2 claims" in sum_up_rivals([worse, untested])
+    assert sum_up_rivals([better, better, worse]).startswith("**Learning adds**")
+    assert sum_up_rivals([better, worse]).startswith("**Learning adds little**")
+    assert sum_up_rivals([judge_claim(replace(CLAIM, rivals=()), rows())]) == ""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from metropilot._io import fill_folder, to_json
 from metropilot.studies.report import LiteralReport, LiteralRow, ReportRow, StudyReport
 from metropilot.studies.study import Study
-from metropilot.studies.verdict import ClaimVerdict, count_verdicts
+from metropilot.studies.verdict import ClaimVerdict, count_verdicts, sum_up_rivals
 
 if TYPE_CHECKING:
     from metropilot.learn import RunRecord
@@ -77,7 +77,8 @@ def study_page(study: Study, report: StudyReport) -> str:
     took += " (without learning runs of earlier calls)"
     lines += [f"Written by `{command}`: {took}. {about}.", ""]
     if report.verdicts:
-        lines += ["## Verdicts", "", f"{count_verdicts(report.verdicts).capitalize()}. {VERDICT_LEGEND}", ""]
+        first = f"{count_verdicts(report.verdicts).capitalize()}. {sum_up_rivals(report.verdicts)}".rstrip()
+        lines += ["## Verdicts", "", first, "", VERDICT_LEGEND, ""]
         lines += [*_verdict_table(report.verdicts), ""]
     if report.remarks:
         lines += ["## Findings", "", *(f"- {remark}" for remark in report.remarks), ""]

@@ -12,6 +12,7 @@ from metropilot.studies.report import ReportRow
 
 Judgement = Literal["beaten", "matched", "missed", "cannot be tested"]
 Aim = Literal["low", "high", "same"]
+Standing = Literal["better", "worse", "same", "unsure"]
 CONFIDENCE, SIGNIFICANCE = 0.95, 0.05
 RESAMPLES = 2000
 ROUNDING = 0.005
@@ -53,11 +54,13 @@ class Rival:
         driver: Its id.
         value: Its median over the seeds.
         p: Two-sided probability of so large a difference from ours by chance; None: too few seeds.
+        ours_is: Our value beside it: better, worse or same, or unsure where that may be chance.
     """
 
     driver: str
     value: float
     p: float | None
+    ours_is: Standing
 
 
 @dataclass(frozen=True)
@@ -155,7 +158,7 @@ def judge_claim(claim: Claim, rows: Sequence[ReportRow]) -> ClaimVerdict:
     low, high = median_interval(row.values or (row.ours,))
     rival = find_rival(claim, row, rows)
     judgement = _against_published(claim, row, low, high)
-    why = _rival_words(claim, row.published, row.ours, rival)
+    why = _rival_words(claim, rival)
     if row.published is None:
         why = f"no number is printed; {why}"
     return ClaimVerdict(
@@ -182,8 +185,15 @@ def find_rival(claim: Claim, row: ReportRow, rows: Sequence[ReportRow]) -> Rival
         return None
 
     name, other, value = min(known, key=lambda one: _loss(claim, row.published, one[2]))
-    ours = row.values or (row.ours or 0.0,)
-    return Rival(name, value, difference_p(ours, other.values or (value,)))
+    middle = row.ours or 0.0
+    p = difference_p(row.values or (middle,), other.values or (value,))
+    ahead = _loss(claim, row.published, middle) < _loss(claim, row.published, value)
+    ours_is: Standing = "better" if ahead else "worse"
+    if value == middle:
+        ours_is = "same"
+    elif p is not None and p >= SIGNIFICANCE:
+        ours_is = "unsure"
+    return Rival(name, value, p, ours_is)
 
 
 def _against_published(claim: Claim, row: ReportRow, low: float, high: float) -> Judgement:
@@ -207,17 +217,31 @@ def _loss(claim: Claim, published: float | None, value: float) -> float:
     return value if claim.aim == "low" else -value
 
 
-def _rival_words(claim: Claim, published: float | None, ours: float, rival: Rival | None) -> str:
+def _rival_words(claim: Claim, rival: Rival | None) -> str:
     """Comparison with the strongest simple rival, as a sentence."""
     if rival is None:
         return "no simple rival measured" if claim.rivals else ""
-    if rival.value == ours:
+    if rival.ours_is == "same":
         return f"{rival.driver} does the same"
-    ahead = _loss(claim, published, ours) < _loss(claim, published, rival.value)
     sure = "too few seeds for a test" if rival.p is None else f"p = {rival.p:.2g}"
-    if rival.p is not None and rival.p >= SIGNIFICANCE:
+    if rival.ours_is == "unsure":
         return f"not distinguishable from {rival.driver} ({sure})"
-    return f"{'better' if ahead else 'worse'} than {rival.driver} ({sure})"
+    return f"{rival.ours_is} than {rival.driver} ({sure})"
+
+
+def sum_up_rivals(verdicts: Sequence[ClaimVerdict]) -> str:
+    """What learning adds over the strongest simple rivals, as a sentence; empty where none was measured."""
+    rivals = [verdict.rival for verdict in verdicts if verdict.rival]
+    if not rivals:
+        return ""
+    found = [rival.ours_is for rival in rivals if rival.p is not None]
+    better, worse = found.count("better"), found.count("worse")
+    open_ = len(rivals) - better - worse
+    verb = "adds nothing" if not better else "adds" if better > worse else "adds little"
+    return (
+        f"**Learning {verb}**: beside the strongest simple rival it is better in {better}, worse in {worse}, "
+        f"and the same, not distinguishable or not tested in {open_} of {len(rivals)} claims."
+    )
 
 
 def count_verdicts(verdicts: Sequence[ClaimVerdict]) -> str:
