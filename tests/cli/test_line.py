@@ -71,7 +71,7 @@ def test_the_command_prints_and_writes(typed, tmp_path):
     [
         (("yizhuang", "--zones", "0"), "--zones"),
         (("yizhuang", "--zones", "14"), "one for each section"),
-        (("yizhuang", "--headway", "30"), "cannot follow each other"),
+        (("yizhuang", "--headway", "30"), "trains disturb one another at station"),
         (("yizhuang", "--dwell", "5"), "--dwell-window"),
         (("nowhere",), "nowhere"),
         (("yizhuang", "--trainset", "none"), "none"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from inspect import Parameter
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any
@@ -24,6 +24,7 @@ EXAMPLES = {
     "capacity": (
         "metropilot capacity yizhuang --platform 260 --out capacity",
         "metropilot capacity yizhuang WYJ RC --trainset cheng2023 --counts 1,2 --dwell 40 --json",
+        "metropilot capacity yizhuang --counts 1 --age 0.36 --blocks 2 --places --out headways",
     ),
 }
 SERVICE = "The service"
@@ -53,13 +54,22 @@ def capacity_command(
             metavar="N,N,...", help="Trainsets of a convoy; 1: no convoys.", rich_help_panel=SERVICE
         ),
     ] = "1,2,4,8",
+    places: Annotated[
+        bool,
+        typer.Option(
+            "--places",
+            help="Show the least headway of every section and station too, of the shortest convoy.",
+            rich_help_panel=SERVICE,
+        ),
+    ] = False,
     out: opt.Out = None,
     as_json: opt.Json = False,
     **given: Any,  # noqa: ANN401 (the fields of a service and of a run)
 ) -> int:
-    """Compute the trainsets an hour of a line, alone and in convoys.
+    """Compute the trainsets an hour of a line, alone and in convoys, and the least headway of each place.
 
-    They stop at every station. Between convoys protection relies on a moving block, or on declared brakes.
+    They stop at every station. Between convoys protection relies on a moving block, on declared brakes, or on
+    fixed blocks (--blocks, --block-length).
     With --platform the result for platforms as long as each convoy stands beside it. Exit code 0: computed;
     2: invalid input.
     """
@@ -80,9 +90,11 @@ def capacity_command(
         rows = [row for each in services for row in line_capacity(sections, trainset, sizes, options=each)]
     ends = f"{sections[0].origin.name} – {sections[-1].destination.name}"
     title = f"{where.id} {ends}, {trainset.id} {trainset.load}"
-    below = f"dwell {service.dwell_s:g} s, running time {100 * service.reserve:g} % over the minimum"
-    if out is not None:
-        write_capacity(out, rows, title, below)
+    below = (
+        f"dwell {service.dwell_s:g} s, running time {100 * service.reserve:g} % over the minimum, "
+        f"messages {service.age_s:g} s old"
+    )
+    files = () if out is None else write_capacity(out, rows, title, below)
     if as_json:
         print_json({"service": title, "details": below, "rows": [row.as_dict() for row in rows]})
         return 0
@@ -91,9 +103,35 @@ def capacity_command(
     spare = ("length m", "journey s", "stops", "nearest", "plain line/h")
     shown = table(f"{title}; {below}", columns, map(_row, rows), right=(0, 1, 3, 4, 5, 6, 7, 8), spare=spare)
     console().print(shown)
+    if places:
+        _print_places(rows, title)
     if out is not None:
-        console().print(f"Written to {out}: capacity.json capacity.svg capacity.png")
+        console().print(f"Written to {out}: {' '.join(files)}")
     return 0
+
+
+def _print_places(rows: Sequence[Capacity], title: str) -> None:
+    """Least headways of sections and stations, of the shortest convoy at the platforms asked for."""
+    shortest = min(row.count for row in rows)
+    chosen = {row.guard: row.blocking for row in rows if row.count == shortest and row.blocking}
+    for guard, blocking in chosen.items():
+        cells = [
+            (
+                each.kind,
+                each.name,
+                number(each.headway_s, 1),
+                number(each.from_m, 0) if each.from_m == each.to_m else f"{each.from_m:.0f}–{each.to_m:.0f}",
+                number(3.6 * each.speed_mps, 0),
+                "binds" if each.binds else "",
+            )
+            for each in blocking.places
+        ]
+        columns = ("", "place", "headway s", "blocked m", "at km/h", "")
+        console().print(
+            table(
+                f"{title}, convoy of {shortest}, {guard.replace('_', ' ')}", columns, cells, right=(2, 3, 4)
+            )
+        )
 
 
 def _counts(text: str) -> tuple[int, ...]:

@@ -11,11 +11,10 @@ import typer
 from metropilot._schema import field_default, field_specs, field_type
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, number, print_json, show_activity, table
-from metropilot.errors import InputError
 from metropilot.operation import OperationOptions
 
 if TYPE_CHECKING:
-    from metropilot.operation import FeedingEnergy, LineOperation, OperationEnergy
+    from metropilot.operation import FeedingEnergy, OperationEnergy
 
 EXAMPLES = {
     "line": (
@@ -74,7 +73,6 @@ def line_command(
     if out is not None:
         check_writable(out)
     with show_activity(f"planning {len(operation.trips)} trips and their timetable"):
-        _check_headway(operation)
         found = operation_energy(operation, searched=optimise, seed=seed)
         fed = None if network is None else feed_line(operation, found.timetable, found.profiles, network)
     if out is not None:
@@ -90,39 +88,6 @@ def line_command(
         files += "" if fed is None else " voltage.svg voltage.png"
         console().print(f"Written to {out}: {files}")
     return 0
-
-
-def _check_headway(operation: LineOperation) -> None:
-    """Check that trains can follow each other at the headway.
-
-    Where every section holds one train at a time they can. Below that the capacity of the line decides, with
-    all trains at its running times over the minimum.
-
-    Raises:
-        InputError: They cannot.
-    """
-    from metropilot.convoy import ServiceOptions, line_capacity
-
-    options = operation.options
-    alone_s = max(trip.planned_s for trip in operation.trips) + options.dwell_s
-    if options.headway_s >= alone_s:
-        return
-    service = ServiceOptions(dwell_s=float(options.dwell_s), reserve=options.reserve)
-    for backward in (False, True):
-        sections = operation.line.sections(backward=backward)
-        if len(sections) < 2:
-            least_s = float(alone_s)
-        else:
-            (row,) = line_capacity(sections, operation.trainset, (1,), ("moving_block",), service)
-            least_s = row.headway_s
-        if options.headway_s < least_s:
-            raise InputError(
-                "trains cannot follow each other at this headway",
-                field="headway_s",
-                value=options.headway_s,
-                unit="s",
-                allowed=f"at least {least_s:.0f} s with a moving block (metropilot capacity)",
-            )
 
 
 def _print(found: OperationEnergy) -> None:
@@ -152,6 +117,11 @@ def _print(found: OperationEnergy) -> None:
     )
     columns = ("driving", "timetable", "kWh a round trip", "saved %", "gap %")
     console().print(table(title, columns, cells, right=(2, 3, 4)))
+    least = max((each.bottleneck for each in found.headways()), key=lambda each: each.headway_s)
+    console().print(
+        f"Least technical headway {least.headway_s:.1f} s, at {least.kind} {least.name}, messages "
+        f"{options.age_s:g} s old."
+    )
     if not found.searched:
         console().print(
             "Best found: offset of the directions alone; --optimise searches dwells and running times."

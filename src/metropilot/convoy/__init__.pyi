@@ -8,6 +8,17 @@ from .attack import MASS_AND_RESISTANCE as MASS_AND_RESISTANCE
 from .attack import AttackArena as AttackArena
 from .attack import AttackCampaign as AttackCampaign
 from .attack import AttackCase as AttackCase
+from .blocking import BlockingTimes as BlockingTimes
+from .blocking import PlaceHeadway as PlaceHeadway
+from .blocking import ServiceRun as ServiceRun
+from .blocking import blocking_figure as blocking_figure
+from .blocking import blocking_times as blocking_times
+from .blocking import first_times as first_times
+from .blocking import needed_m as needed_m
+from .blocking import reach_m as reach_m
+from .blocking import sample_run as sample_run
+from .blocking import trainset_behind as trainset_behind
+from .capacity import AGE_S as AGE_S
 from .capacity import Capacity as Capacity
 from .capacity import ServiceOptions as ServiceOptions
 from .capacity import line_capacity as line_capacity
@@ -39,6 +50,7 @@ from .model import Convoy as Convoy
 from .model import ConvoyGuard as ConvoyGuard
 from .model import Link as Link
 from .model import LinkQuality as LinkQuality
+from .model import Member as Member
 from .model import convoy_members as convoy_members
 from .pettingzoo import ConvoyParallelEnv as ConvoyParallelEnv
 from .plan import MotionPlan as MotionPlan

@@ -7,11 +7,12 @@ that stands at a platform and has to clear it.
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import accumulate
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy import ndarray
@@ -19,8 +20,18 @@ from numpy import ndarray
 from metropilot._io import fill_folder, write_json
 from metropilot._provenance import provenance
 from metropilot._schema import FieldSpec, Range, check_fields, declare
-from metropilot._typing import Float, Int
 from metropilot.convoy.analysis import FAR_M, Ahead, spare_m
+from metropilot.convoy.blocking import (
+    SAMPLE_S,
+    BlockingTimes,
+    PlaceHeadway,
+    ServiceRun,
+    blocking_figure,
+    blocking_times,
+    command_of,
+    sample_run,
+    trainset_behind,
+)
 from metropilot.convoy.model import (
     GAP_M,
     Convoy,
@@ -29,15 +40,15 @@ from metropilot.convoy.model import (
     convoy_members,
 )
 from metropilot.errors import Infeasible, InputError
-from metropilot.physics import command_for_force, resistance_and_gradient, track_arrays, vehicle_arrays
+from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import Plan, PlanOptions, couple_trainsets, fastest_time, plan_arrays
 from metropilot.railway import Section, Trainset
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SAMPLE_S = 0.5
-"""Interval at which the distance to the convoy ahead is looked at."""
+AGE_S = 2.4
+"""Age of what a train knows of the one ahead, by radio through a control centre."""
 HEADWAY_S = 0.1
 """Resolution of a headway."""
 LONGEST_S = 7200.0
@@ -47,6 +58,7 @@ NEAR_S, NEAR_MPS2, NEAR_M = 5.0, 0.4, 30.0
 COUNTS = FieldSpec("Trainsets of a convoy; 1: no convoys.", range=Range(1, 16))
 BETWEEN: tuple[ConvoyGuard, ...] = ("moving_block", "independent")
 """What protection may rely on between two convoys, which are not coupled."""
+RUNNING_IN, RUNNING = "running in to", "on the way to"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +71,10 @@ class ServiceOptions:
             None: every platform is as long as the convoy.
         gap_m: Desired gap inside a convoy. Where protection needs more, it is that.
         reserve: Running time over the minimum running time, less 1.
+        age_s: Age of what protection knows of the convoy ahead: by radio through a control centre about
+            2.4 s, from train to train about 0.36 s.
+        blocks: Fixed blocks of each section, all of one length; None: none.
+        block_m: Longest fixed block, in place of their number; None: as ``blocks`` says.
     """
 
     dwell_s: float = declare(30.0, "Time at every platform.", unit="s", low=0.0, high=600.0)
@@ -67,9 +83,38 @@ class ServiceOptions:
     )
     gap_m: float = declare(GAP_M, "Desired gap inside a convoy.", unit="m", low=0.5, high=2000.0)
     reserve: float = declare(0.05, "Running time over the minimum running time, less 1.", low=0.0, high=2.0)
+    age_s: float = declare(
+        AGE_S, "Age of what a train knows of the one ahead.", unit="s", low=0.0, high=60.0, option="age"
+    )
+    blocks: int | None = declare(None, "Fixed blocks of each section, beside the others.", low=1, high=1000)
+    block_m: float | None = declare(
+        None,
+        "Longest fixed block, in place of their number.",
+        unit="m",
+        low=10.0,
+        high=1e5,
+        option="block-length",
+    )
 
     def __post_init__(self) -> None:
         check_fields(self)
+        if self.blocks is not None and self.block_m is not None:
+            raise InputError(
+                "a number of blocks and a length of them",
+                field="block_m",
+                value=self.block_m,
+                unit="m",
+                allowed="one of both",
+            )
+
+    @property
+    def has_blocks(self) -> bool:
+        """True if there are fixed blocks."""
+        return self.blocks is not None or self.block_m is not None
+
+    def blocks_m(self, sections: Sequence[Section]) -> list[float]:
+        """Longest fixed block of each section."""
+        return [self.block_m or section.length_m / (self.blocks or 1) for section in sections]
 
 
 @dataclass(frozen=True)
@@ -78,7 +123,7 @@ class Capacity:
 
     Attributes:
         count: Trainsets of a convoy; 1: no convoys.
-        guard: What protection relies on between convoys.
+        guard: What protection relies on between convoys: ``moving_block``, ``fixed_block``, ``independent``.
         platform_m: Length of the platforms; None: as long as the convoy.
         convoy_m: Length of a convoy.
         gap_m: Gap inside it.
@@ -87,6 +132,7 @@ class Capacity:
         headway_s: Least time between two convoys.
         bottleneck: Where they are nearest: a section, with what the convoy behind does there.
         plain_headway_s: Least time between two at the highest speed, without stops.
+        blocking: Blocking times; None where protection relies on brakes, not on places.
     """
 
     count: int
@@ -99,6 +145,7 @@ class Capacity:
     headway_s: float
     bottleneck: str
     plain_headway_s: float
+    blocking: BlockingTimes | None
 
     @property
     def trainsets_per_h(self) -> float:
@@ -119,28 +166,11 @@ class Capacity:
 
     def as_dict(self) -> dict[str, Any]:
         """Values for JSON."""
+        told = asdict(replace(self, blocking=None))
+        del told["blocking"]
         rates = {"trainsets_per_h": self.trainsets_per_h, "plain_per_h": self.plain_per_h}
-        return asdict(self) | rates
-
-
-class ServiceRun(NamedTuple):
-    """Motion of the head of a convoy over all sections, in equal steps of time.
-
-    Attributes:
-        time_s: Time since departure. Shape (T,).
-        position_m: Position from the first stop. Shape (T,).
-        speed_mps: Shape (T,).
-        acceleration_mps2: Shape (T,).
-        section: Section that the head is in. Shape (T,).
-        from_m: Position at which each section begins. Shape (S,).
-    """
-
-    time_s: Float[ndarray, " times"]
-    position_m: Float[ndarray, " times"]
-    speed_mps: Float[ndarray, " times"]
-    acceleration_mps2: Float[ndarray, " times"]
-    section: Int[ndarray, " times"]
-    from_m: Float[ndarray, " sections"]
+        places = () if self.blocking is None else self.blocking.places
+        return told | rates | {"places": [each._asdict() for each in places]}
 
 
 def line_capacity(
@@ -169,7 +199,7 @@ def line_capacity(
     """
     options = options or ServiceOptions()
     _check(sections, trainset, counts, guards, options)
-    heads = {guard: [_head(section, trainset, guard) for section in sections] for guard in guards}
+    heads = {guard: [trainset_behind(section, trainset, guard) for section in sections] for guard in guards}
     controlled = [convoy_members(_convoy(section, trainset, 2, options.gap_m))[0] for section in sections]
     rows: list[Capacity] = []
     for count in counts:
@@ -180,17 +210,25 @@ def line_capacity(
         fits = min(int((platform_m + gap_m + 1e-6) // pitch_m), count)
         stops = -(-count // fits)
         journey = _journey(sections, trainset, count, gap_m, stops, fits * pitch_m, options)
-        for guard in guards:
-            members = heads[guard]
+        for guard in (*guards, *(("fixed_block",) if options.has_blocks else ())):
+            members = heads["moving_block" if guard == "fixed_block" else guard]
             if count > 1:
                 members = [
                     own._replace(bounds=alone.bounds._replace(held_mps2=own.bounds.held_mps2))
                     for own, alone in zip(controlled, members, strict=True)
                 ]
-            pursuit = _Pursuit(journey, members, convoy_m)
-            headway_s = pursuit.least_headway_s()
-            top = int(np.argmax(journey.speed_mps))
-            plain_m = convoy_m + pursuit.steady_gap_m(top)
+            at, x, v, _ = journey.state(int(np.argmax(journey.speed_mps)))
+            plain_m, blocking = convoy_m + _steady_gap_m(members[at], x, v, options.age_s), None
+            if guard == "independent":
+                pursuit = _Pursuit(journey, members, convoy_m, options.age_s)
+                headway_s, bottleneck = pursuit.least_headway_s(), pursuit.bottleneck(sections)
+            else:
+                blocks_m = options.blocks_m(sections) if guard == "fixed_block" else None
+                blocking = blocking_times(journey, members, sections, convoy_m, options.age_s, blocks_m)
+                least = blocking.bottleneck
+                headway_s, where = least.headway_s, RUNNING_IN if least.kind == "station" else RUNNING
+                bottleneck = f"{where} {least.name}"
+                plain_m += 0.0 if blocks_m is None else max(blocks_m)
             rows.append(
                 Capacity(
                     count=count,
@@ -201,8 +239,9 @@ def line_capacity(
                     stops_at_platform=stops,
                     journey_s=float(journey.time_s[-1]),
                     headway_s=headway_s,
-                    bottleneck=pursuit.bottleneck(sections),
-                    plain_headway_s=plain_m / float(journey.speed_mps[top]),
+                    bottleneck=bottleneck,
+                    plain_headway_s=plain_m / v,
+                    blocking=blocking,
                 )
             )
     return tuple(rows)
@@ -235,11 +274,6 @@ def _convoy(section: Section, trainset: Trainset, count: int, gap_m: float) -> C
     return Convoy(section=section, trainsets=(trainset,) * count, gap_m=gap_m)
 
 
-def _head(section: Section, trainset: Trainset, guard: ConvoyGuard) -> Member:
-    """A trainset by itself behind another one."""
-    return convoy_members(replace(_convoy(section, trainset, 2, GAP_M), guard=guard))[1]
-
-
 def _inside_gap_m(sections: Sequence[Section], trainset: Trainset, count: int, gap_m: float) -> float:
     """Gap inside a convoy: the desired one, or what protection needs at the highest steady speed."""
     section = max(sections, key=lambda each: each.length_m)
@@ -249,20 +283,11 @@ def _inside_gap_m(sections: Sequence[Section], trainset: Trainset, count: int, g
     return max(gap_m, _steady_gap_m(own, 0.4 * section.length_m, speed))
 
 
-def _command(own: Member, position_m: float, speed_mps: float, acceleration_mps2: float) -> float:
-    """Command with which a member has an acceleration; it holds its brakes at standstill."""
-    if speed_mps <= 0:
-        return -1.0
-    vehicle, v = own.believed, np.float64(speed_mps)
-    resistance, gradient = resistance_and_gradient(vehicle, own.track, np.float64(position_m), v)
-    force = vehicle.effective_mass_kg * acceleration_mps2 + resistance + gradient
-    return float(command_for_force(vehicle, v, force))
-
-
-def _steady_gap_m(own: Member, position_m: float, speed_mps: float) -> float:
+def _steady_gap_m(own: Member, position_m: float, speed_mps: float, age_s: float = 0.0) -> float:
     """Gap that protection needs at a common steady speed."""
-    share = _command(own, position_m, speed_mps, 0.0)
-    return FAR_M - spare_m(own, position_m, speed_mps, Ahead(FAR_M, speed_mps), share=share)
+    share = command_of(own, position_m, speed_mps, 0.0)
+    seen_m = FAR_M - age_s * speed_mps
+    return FAR_M - spare_m(own, position_m, speed_mps, Ahead(seen_m, speed_mps, age_s=age_s), share=share)
 
 
 def _journey(
@@ -299,18 +324,7 @@ def _journey(
                 (time, origin_m + plan.position_m, speed, np.append(rate, 0.0), np.full(time.size, k))
             )
             clock = float(time[-1])
-    time, position, speed, rate, section_at = (np.concatenate(part) for part in zip(*parts, strict=True))
-    grid = np.arange(0.0, clock, SAMPLE_S)
-    node = np.searchsorted(time, grid, side="right") - 1
-    since = grid - time[node]
-    return ServiceRun(
-        time_s=grid,
-        position_m=position[node] + since * (speed[node] + 0.5 * rate[node] * since),
-        speed_mps=np.maximum(speed[node] + rate[node] * since, 0.0),
-        acceleration_mps2=rate[node],
-        section=section_at[node],
-        from_m=np.array(from_m),
-    )
+    return sample_run(parts, np.array(from_m))
 
 
 def _leg(
@@ -332,13 +346,13 @@ def _leg(
 
 
 class _Pursuit:
-    """A convoy behind another one with the same journey."""
+    """A convoy behind another one with the same journey, each relying on the brakes of the other."""
 
-    def __init__(self, service: ServiceRun, members: Sequence[Member], convoy_m: float) -> None:
-        self.service, self.members, self.convoy_m = service, members, convoy_m
+    def __init__(self, service: ServiceRun, members: Sequence[Member], convoy_m: float, age_s: float) -> None:
+        self.service, self.members, self.convoy_m, self.age_s = service, members, convoy_m, age_s
         self.nearest = 0
         v = service.speed_mps
-        self.near_m = NEAR_M + v * (NEAR_S + v / (2.0 * NEAR_MPS2))
+        self.near_m = NEAR_M + v * (NEAR_S + age_s + v / (2.0 * NEAR_MPS2))
 
     def least_headway_s(self) -> float:
         """Least headway at which every command of the convoy behind passes."""
@@ -355,7 +369,7 @@ class _Pursuit:
     def _is_clear(self, headway_s: float) -> bool:
         """True if no command of the convoy behind is overruled on account of the one ahead."""
         j = self.service
-        then = j.time_s + headway_s
+        then = j.time_s + headway_s - self.age_s
         there = then <= j.time_s[-1]
         rear = np.interp(then, j.time_s, j.position_m) - self.convoy_m
         room = np.where(there, rear - j.position_m, np.inf)
@@ -366,34 +380,23 @@ class _Pursuit:
         near = np.flatnonzero(room < self.near_m)
         # the moment that was too near at the last headway is most likely too near again
         for k in sorted(near, key=lambda k: abs(int(k) - self.nearest)):
-            ahead = min(int(then[k] / SAMPLE_S), j.time_s.size - 1)
+            ahead = min(max(int(then[k] / SAMPLE_S), 0), j.time_s.size - 1)
             if self._spare_m(int(k), float(room[k]), float(speed[k]), float(j.acceleration_mps2[ahead])) < 0:
                 self.nearest = int(k)
                 return False
         return True
 
     def _spare_m(self, k: int, room_m: float, ahead_mps: float, ahead_mps2: float) -> float:
-        own, x, v = self._state(k)
-        a = float(self.service.acceleration_mps2[k])
-        share = _command(own, x, v, a)
-        ahead = Ahead(room_m, ahead_mps, ahead_mps2)
-        return spare_m(own, x, v, ahead, share=share, acceleration_mps2=a)
-
-    def _state(self, k: int) -> tuple[Member, float, float]:
-        """Member, position in its section and speed at a moment of the journey."""
-        j, at = self.service, int(self.service.section[k])
-        return self.members[at], float(j.position_m[k] - j.from_m[at]), float(j.speed_mps[k])
-
-    def steady_gap_m(self, k: int) -> float:
-        """Gap that protection needs where the convoy is at a moment, at a common steady speed."""
-        return _steady_gap_m(*self._state(k))
+        at, x, v, a = self.service.state(k)
+        own = self.members[at]
+        ahead = Ahead(room_m, ahead_mps, ahead_mps2, self.age_s)
+        return spare_m(own, x, v, ahead, share=command_of(own, x, v, a), acceleration_mps2=a)
 
     def bottleneck(self, sections: Sequence[Section]) -> str:
         """Place at which the convoy behind is nearest at the least headway."""
         section = sections[int(self.service.section[self.nearest])]
         braking = self.service.acceleration_mps2[self.nearest] < 0
-        where = "running in to" if braking else "on the way to"
-        return f"{where} {section.destination.name}"
+        return f"{RUNNING_IN if braking else RUNNING} {section.destination.name}"
 
 
 WIDTH_IN, HEIGHT_IN = 8.4, 4.6
@@ -433,21 +436,46 @@ def capacity_figure(rows: Sequence[Capacity], title: str, below: str) -> Figure:
         return figure
 
 
-def write_capacity(folder: Path, rows: Sequence[Capacity], title: str, below: str) -> None:
-    """Write `capacity.json`, `capacity.svg` and `capacity.png`.
+def write_capacity(folder: Path, rows: Sequence[Capacity], title: str, below: str) -> tuple[str, ...]:
+    """Write the rows as `capacity.json`, the headways of all sections and stations, and pictures.
+
+    The pictures, each as SVG and PNG, are `capacity`, and the blocking times of the shortest convoy in a
+    moving block (`moving_block`) and in fixed ones (`fixed_block`). `headways.csv` has a line for each
+    section and station.
 
     Args:
         folder: Folder; created if missing.
         rows: The rows.
-        title: Headline of the picture.
+        title: Headline of the pictures.
         below: Line under it.
+
+    Returns:
+        Names of the files.
 
     Raises:
         InputError: The folder cannot be made or written.
     """
     from metropilot.evaluate import save_figure
 
+    figures = {"capacity": capacity_figure(rows, title, below)}
+    for row in sorted(rows, key=lambda each: -each.count):
+        if row.blocking is not None:
+            block, least = row.guard.replace("_", " "), row.blocking.bottleneck
+            under = f"{block}: {row.headway_s:.1f} s at {least.kind} {least.name}; {below}"
+            figures[row.guard] = blocking_figure(row.blocking, row.convoy_m, title, under)
     with fill_folder(folder) as scratch:
         told = {"service": title, "details": below, "made_with": provenance()}
         write_json(scratch / "capacity.json", told | {"rows": [row.as_dict() for row in rows]})
-        save_figure(capacity_figure(rows, title, below), scratch / "capacity")
+        with (scratch / "headways.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(("count", "platform_m", "guard", *PlaceHeadway._fields))
+            writer.writerows(
+                (row.count, row.platform_m, row.guard, *place)
+                for row in rows
+                if row.blocking is not None
+                for place in row.blocking.places
+            )
+        for name, figure in figures.items():
+            save_figure(figure, scratch / name)
+    pictures = (f"{name}.{kind}" for name in figures for kind in ("svg", "png"))
+    return "capacity.json", "headways.csv", *pictures

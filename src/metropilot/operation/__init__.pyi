@@ -4,6 +4,9 @@ from .feeding import train_loads as train_loads
 from .feeding import voltage_figure as voltage_figure
 from .floor import TripFloors as TripFloors
 from .floor import zone_floor_j as zone_floor_j
+from .headway import LongestDwells as LongestDwells
+from .headway import check_headway as check_headway
+from .headway import line_headways as line_headways
 from .line_service import Driving as Driving
 from .line_service import EnergyBalance as EnergyBalance
 from .line_service import LineOperation as LineOperation

@@ -13,6 +13,7 @@ from numpy import ndarray
 
 from metropilot._schema import check_fields, declare
 from metropilot._typing import Float, Int
+from metropilot.convoy import AGE_S
 from metropilot.errors import Infeasible, InputError
 from metropilot.operation.power import PeriodicPower, PowerProfile, add_periodic, profile_of_plan
 from metropilot.physics import track_arrays, vehicle_arrays
@@ -36,6 +37,8 @@ class OperationOptions:
         turnround_s: Least time between arrival and departure at a terminal station.
         reserve: Running time over the minimum running time, less 1, on a line without planned times.
         zones: Feeding zones. They meet at stations; one zone for each section is the most.
+        age_s: Age of what a train knows of the one ahead.
+        blocks: Fixed blocks of each section; None: a moving block.
         transfer_loss: Share of the returned power that is lost on the way to another train of the zone.
         efficiency_traction: Wheel over line power in traction; None: the trainset's.
         efficiency_braking: Line over wheel power in electric braking; None: the trainset's.
@@ -57,6 +60,12 @@ class OperationOptions:
         high=2.0,
     )
     zones: int = declare(4, "Feeding zones, which meet at stations.", low=1, high=1000)
+    age_s: float = declare(
+        AGE_S, "Age of what a train knows of the one ahead.", unit="s", low=0.0, high=60.0, option="age"
+    )
+    blocks: int | None = declare(
+        None, "Fixed blocks of each section; a moving block if not given.", low=1, high=1000
+    )
     transfer_loss: float = declare(
         0.1, "Share of the returned power lost on the way to another train.", low=0.0, high=1.0
     )

@@ -28,6 +28,7 @@ class PowerProfile:
     Attributes:
         time_s: Time since departure at the nodes. Shape (N+1,).
         position_m: Position from the section's origin. Shape (N+1,).
+        speed_mps: Speed. Shape (N+1,).
         drawn_w: Power that traction draws, at the start and the end of each segment. Shape (N, 2).
         returned_w: Power that the electric brake returns, the same. Shape (N, 2).
         bound_j: Least net energy of any drive in this time; minus infinity where it is not known.
@@ -35,6 +36,7 @@ class PowerProfile:
 
     time_s: Float[ndarray, " nodes"]
     position_m: Float[ndarray, " nodes"]
+    speed_mps: Float[ndarray, " nodes"]
     drawn_w: Float[ndarray, "segments 2"]
     returned_w: Float[ndarray, "segments 2"]
     bound_j: float
@@ -125,13 +127,13 @@ def _profile(
 ) -> PowerProfile:
     vehicle = vehicle_arrays(trainset)._replace(receptivity=np.float64(1.0))
     table = specific(vehicle)
-    time_s, position_m, speed_mps = motion
+    *_, speed_mps = motion
     ends = np.stack([speed_mps[:-1], speed_mps[1:]], axis=1)
     middle, none = 0.5 * ends.mean(axis=1) ** 2, np.zeros(traction_n.size)
     traction, electric = traction_n / table.mass_kg, electric_n / table.mass_kg
     drawn = cost_per_metre(vehicle, table, "line", middle, traction, none) * table.mass_kg
     returned = -cost_per_metre(vehicle, table, "line", middle, none, electric) * table.mass_kg
-    return PowerProfile(time_s, position_m, drawn[:, None] * ends, returned[:, None] * ends, bound_j)
+    return PowerProfile(*motion, drawn[:, None] * ends, returned[:, None] * ends, bound_j)
 
 
 def _integral(time_s: ndarray, power_w: ndarray) -> float:

@@ -14,8 +14,10 @@ import numpy as np
 
 from metropilot._io import fill_folder, write_json
 from metropilot._provenance import provenance
+from metropilot.convoy import BlockingTimes
 from metropilot.operation.feeding import FeedingEnergy, voltage_figure
 from metropilot.operation.floor import TripFloors, zone_floor_j
+from metropilot.operation.headway import check_headway, line_headways
 from metropilot.operation.line_service import EnergyBalance, LineOperation, Profiles, Timetable
 from metropilot.operation.power import SAME_S
 from metropilot.operation.search import best_offset, choose_plans, find_timetable
@@ -72,6 +74,10 @@ class OperationEnergy:
         """Energy above the floor."""
         return 100.0 * (self.energy_kwh / self.floor_kwh - 1.0)
 
+    def headways(self) -> tuple[BlockingTimes, BlockingTimes]:
+        """Blocking times of ``timetable`` forward and backward."""
+        return line_headways(self.operation, self.timetable, self.profiles)
+
     def as_dict(self, network: FeedingEnergy | None = None) -> dict[str, Any]:
         """Values as JSON holds them.
 
@@ -93,6 +99,7 @@ class OperationEnergy:
             "driving_only_kwh": self.driving_only_kwh,
             "timetable_only_kwh": self.timetable_only_kwh,
             "optimised": self.searched,
+            "technical_headway_s": max(each.headway_s for each in self.headways()),
             "fleet": self.operation.fleet(self.timetable),
             "returned_kwh": balance.returned_j / J_PER_KWH,
             "received_kwh": balance.received_j / J_PER_KWH,
@@ -125,9 +132,14 @@ def operation_energy(
         plans: What :func:`plan_trips` gave for all running times of the windows, if it is there; it depends
             on neither headway nor zones.
         floors: Least energies of the trips, as far as they are there; the same holds.
+
+    Raises:
+        InputError: Trains disturb one another at the headway; names the section or station.
     """
     plans = plans or plan_trips(operation, windows=searched)
     (all_received, *_), (cruise, *_) = plans["optimal"], plans["cruise"]
+    for each in (all_received, cruise):
+        check_headway(operation, operation.plain_timetable(), each)
 
     def find(driving: str) -> tuple[Timetable, Profiles]:
         if searched:

@@ -1,8 +1,9 @@
 """Search for a periodic timetable of little energy: dwells, running times, the offset of the directions.
 
-Everything is in whole seconds, and dwells and running times of a direction keep their sums, so that no
-passenger's journey from end to end gets longer and the floor holds. A trip may be driven by one of several
-plans: where nobody receives what it returns, that of least energy drawn is the better one.
+Everything is in whole seconds, no train disturbs the next one, and dwells and running times of a direction
+keep their sums, so that no passenger's journey from end to end gets longer and the floor holds. A trip may be
+driven by one of several plans: where nobody receives what it returns, that of least energy drawn is the
+better one.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from numpy import ndarray
 
 from metropilot._typing import Float, Int
+from metropilot.operation.headway import LongestDwells
 from metropilot.operation.line_service import LineOperation, Profiles, Timetable
 from metropilot.operation.path import SectionCost, find_least_path
 from metropilot.operation.power import PowerProfile
@@ -106,7 +108,10 @@ def best_offset(operation: LineOperation, profiles: Profiles) -> Timetable:
 
 
 def choose_plans(
-    operation: LineOperation, timetable: Timetable, plans: Sequence[Profiles]
+    operation: LineOperation,
+    timetable: Timetable,
+    plans: Sequence[Profiles],
+    longest: LongestDwells | None = None,
 ) -> tuple[Profiles, float]:
     """Choose for each trip of a timetable the plan with which the line takes least, one trip after the other.
 
@@ -114,15 +119,19 @@ def choose_plans(
         operation: Line in operation.
         timetable: Timetable.
         plans: Profiles to choose from, those to begin with first.
+        longest: Longest dwells with each of them, as far as they are there.
 
     Returns:
         The profiles chosen, and the energy.
     """
-    chosen = list(plans[0])
+    longest = longest or LongestDwells(operation, plans)
+    dwell, chosen = operation.dwells_s(timetable), list(plans[0])
     least_j, before_j = operation.energy(timetable, chosen).supplied_j, math.inf
     while least_j < before_j:
         before_j = least_j
-        for k, other in product(range(len(chosen)), plans):
+        for k, (plan, other) in product(range(len(chosen)), enumerate(plans)):
+            if plan and dwell[k] > longest(k, int(timetable.running_time_s[k]), plan):
+                continue
             tried = [*chosen[:k], other[k], *chosen[k + 1 :]]
             energy_j = operation.energy(timetable, tried).supplied_j
             if energy_j < least_j:
@@ -155,18 +164,21 @@ def find_timetable(
     """
     random = np.random.default_rng(seed)
     score, plain = _Score(operation, plans), best_offset(operation, plans[0])
+    longest = LongestDwells(operation, plans)
     starts = [replace(_plain(operation), offset=int(plain.departure_s[operation.count]))]
     warmths = [WARMTH[0]] * restarts
     if operation.options.zones == operation.count and restarts > 1:
-        starts.append(_find_shortest(score))
-        warmths[1] *= COOL
+        shortest = _find_shortest(score)
+        if _keeps_headway(shortest, longest):
+            starts.append(shortest)
+            warmths[1] *= COOL
     while len(starts) < restarts:
         starts.append(replace(_plain(operation), offset=int(random.integers(operation.options.headway_s))))
     timetables = [plain]
     for start, warmth in zip(starts, warmths, strict=False):
-        found = _anneal(score, start, random, moves, warmth)
+        found = _anneal(score, longest, start, random, (moves, warmth))
         timetables.append(_timetable(operation, found))
-    tried = [(each, *choose_plans(operation, each, plans)) for each in timetables]
+    tried = [(each, *choose_plans(operation, each, plans, longest)) for each in timetables]
     timetable, profiles, _ = min(tried, key=lambda each: each[2])
     return timetable, profiles
 
@@ -219,13 +231,27 @@ def _find_shortest(score: _Score) -> _State:
     return state
 
 
-def _anneal(score: _Score, state: _State, random: np.random.Generator, moves: int, warmth: float) -> _State:
+def _keeps_headway(state: _State, longest: LongestDwells) -> bool:
+    """True if no train disturbs the next one."""
+    each = zip(state.running.tolist(), state.dwell.tolist(), state.plan.tolist(), strict=True)
+    return all(dwell <= longest(k, running, plan) for k, (running, dwell, plan) in enumerate(each))
+
+
+def _anneal(
+    score: _Score,
+    longest: LongestDwells,
+    state: _State,
+    random: np.random.Generator,
+    schedule: tuple[int, float],
+) -> _State:
+    """Anneal from a start with so many moves, from so warm on."""
+    moves, warmth = schedule
     energy = score(state)
     best, best_energy = state, energy
     warmths = energy * np.geomspace(warmth, WARMTH[1], moves)
     for k in range(moves):
         tried = _move(score, state, random)
-        if tried is None:
+        if tried is None or not _keeps_headway(tried, longest):
             continue
         cost = score(tried)
         if cost <= energy or random.random() < math.exp((energy - cost) / warmths[k]):

@@ -1,0 +1,102 @@
+"""Headways of a timetable: what binds, what the search may do, and that it keeps to it."""
+
+from functools import cache
+from math import ceil, inf
+
+import numpy as np
+import pytest
+from tests.operation.lines import TRAINSET, short_line
+
+from metropilot.errors import InputError
+from metropilot.operation import (
+    LineOperation,
+    LongestDwells,
+    OperationOptions,
+    check_headway,
+    find_timetable,
+    line_headways,
+    operation_energy,
+)
+
+
+def operation(**given):
+    options = {"zones": 3, "time_window_s": 0} | given
+    return LineOperation(short_line(4), TRAINSET, OperationOptions(**options))
+
+
+@cache
+def plans():
+    line = operation()
+    return [line.profiles(), line.profiles(received_w=TRAINSET.auxiliary_w)]
+
+
+def headways(line, timetable=None, profiles=None):
+    return line_headways(line, timetable or line.plain_timetable(), profiles or plans()[0])
+
+
+@pytest.mark.parametrize("blocks", [None, 1, 3])
+def test_a_second_of_dwell_is_a_second_of_headway_and_so_is_one_of_the_message(blocks):
+    now = headways(operation(blocks=blocks))
+    late = headways(operation(blocks=blocks, age_s=5.4))
+    long = headways(operation(blocks=blocks, dwell_s=40))
+    for a, b, c in zip(now, late, long, strict=True):
+        assert b.headway_s - a.headway_s == pytest.approx(3.0, abs=1e-6)
+        assert c.headway_s - a.headway_s == pytest.approx(10.0, abs=0.3)
+
+
+def test_blocks_are_farther_apart():
+    moving, three, one = (max(each.headway_s for each in headways(operation(blocks=n))) for n in (None, 3, 1))
+    assert 60.0 < moving < three - 10.0 < one - 50.0
+
+
+@pytest.mark.parametrize("blocks", [None, 2])
+def test_the_longest_dwells_are_those_of_the_blocking_times(blocks):
+    line = operation(blocks=blocks, headway_s=130)
+    longest, timetable = LongestDwells(line, plans()[:1]), line.plain_timetable()
+    for first, found in zip((0, line.count), headways(line), strict=True):
+        of = {each.name: each.headway_s for each in found.places if each.kind == "station"}
+        for k in range(first, first + line.count - 1):
+            spare = 130.0 - of[line.trips[k].section.destination.name]
+            most = longest(k, int(timetable.running_time_s[k]), 0)
+            # one samples the whole journey, the other the trip alone
+            assert most - line.options.dwell_s == pytest.approx(spare, abs=0.6)
+
+
+def test_who_has_left_before_the_next_sets_out_may_stay():
+    longest = LongestDwells(operation(headway_s=600), plans())
+    assert {longest(k, int(operation().planned_s[k]), 0) for k in range(6)} == {inf}
+
+
+def test_a_headway_below_the_technical_one_names_the_place_and_what_is_allowed():
+    least = max(headways(operation()), key=lambda each: each.headway_s)
+    for headway_s in (ceil(least.headway_s), ceil(least.headway_s) + 20):
+        line = operation(headway_s=headway_s)
+        check_headway(line, line.plain_timetable(), plans()[0])
+    line = operation(headway_s=int(least.headway_s))
+    with pytest.raises(InputError, match=f"{least.bottleneck.name}.*at least {ceil(least.headway_s)} s"):
+        check_headway(line, line.plain_timetable(), plans()[0])
+    with pytest.raises(InputError, match="headway_s"):
+        operation_energy(operation(headway_s=40))
+
+
+def test_the_search_keeps_the_headway():
+    least_s = max(each.headway_s for each in headways(operation()))
+    line = operation(headway_s=ceil(least_s) + 2)
+    found, profiles = find_timetable(line, plans(), moves=1500, restarts=2)
+    assert max(each.headway_s for each in headways(line, found, profiles)) <= line.options.headway_s
+
+
+def test_dwells_that_are_allowed_disturb_nobody_and_others_do():
+    least_s = max(each.headway_s for each in headways(operation()))
+    line, random = operation(headway_s=ceil(least_s) + 1), np.random.default_rng(3)
+    longest, allowed = LongestDwells(line, plans()[:1]), []
+    for _ in range(8):
+        timetable = line.plain_timetable()
+        change = random.integers(-4, 5, 2)
+        timetable.departure_s[1:3] += change[0]
+        timetable.departure_s[2] += change[1]
+        dwell = line.dwells_s(timetable)
+        allowed.append(all(dwell[k] <= longest(k, int(line.planned_s[k]), 0) for k in range(6)))
+        needed_s = headways(line, timetable)[0].headway_s
+        assert needed_s <= line.options.headway_s if allowed[-1] else needed_s > line.options.headway_s - 0.6
+    assert set(allowed) == {True, False}
