@@ -136,9 +136,9 @@ def main() -> None:
             convoy_figure(drive, kpis).savefig(page.parent / "images" / "manoeuvres.png", dpi=110)
     about = "; ".join(f"{k} {v}" for k, v in circumstances(("metropilot", "numpy")).items())
     written = (
-        f"Written by `python -m benchmarks.manoeuvres --write docs/convoy.md`: line `{LINE}`, `optimal` at the "
-        f"head, guard `coupled`, link 0.1 s, period 0.1 s, nothing random; {about}. *At its gap*: energy "
-        "that the follower would have needed in the same time at the gap of the beginning."
+        "Written by `python -m benchmarks.manoeuvres --write docs/convoy.md`: "
+        f"line `{LINE}`, `optimal` at the head, guard `coupled`, link 0.1 s, period 0.1 s; {about}. "
+        "*At its gap*: energy that the follower would have needed in the same time at the gap of the beginning."
     )
     text = [written, "", table(HEADS, lines, words=4)]
     text += [f"\nRefused: {'; '.join(refused)}."] * bool(refused)
