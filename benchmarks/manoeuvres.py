@@ -138,7 +138,7 @@ def main() -> None:
     written = (
         "Written by `python -m benchmarks.manoeuvres --write docs/convoy.md`: "
         f"line `{LINE}`, `optimal` at the head, guard `coupled`, link 0.1 s, period 0.1 s; {about}. "
-        "*At its gap*: energy that the follower would have needed in the same time at the gap of the beginning."
+        "*At its gap*: energy that it would have needed in the same time at the gap of the beginning."
     )
     text = [written, "", table(HEADS, lines, words=4)]
     text += [f"\nRefused: {'; '.join(refused)}."] * bool(refused)
