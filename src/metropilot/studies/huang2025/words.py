@@ -139,7 +139,7 @@ def _against_expert(rows: Sequence[ReportRow]) -> str:
     if most:
         room = (
             f" More than {sum(most) / len(most):.1f} % in the mean ({min(most):.1f} to {max(most):.1f} %) "
-            "cannot be gained: so far is the expert, dead time apart, above the optimum under the same limits."
+            "cannot be gained: so far is the expert above the optimum of the same limits, dead time apart."
         )
     return (
         "EITOP against the expert alone (EITOE) with the same acceleration limit of 0.8 m/s² and the same "
