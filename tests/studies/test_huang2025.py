@@ -15,8 +15,18 @@ from metropilot.studies.huang2025.drives import (
     rows_of,
 )
 from metropilot.studies.huang2025.learning import job
-from metropilot.studies.huang2025.setting import BY_ID, CASES, IE, LEARNED, comfortable, run_of, trainset
+from metropilot.studies.huang2025.setting import (
+    BY_ID,
+    CASES,
+    EQUAL_EITOE,
+    IE,
+    LEARNED,
+    comfortable,
+    run_of,
+    trainset,
+)
 from metropilot.studies.huang2025.words import DEVIATIONS, remarks
+from metropilot.studies.report import ReportRow
 from metropilot.studies.study import STUDIES
 
 
@@ -61,6 +71,15 @@ def test_rows_of_a_drive():
     words = remarks([*rows.values()], budget="quick")
     assert "380" in words[2]
     assert all(np.isfinite(row.ours) for row in rows.values())
+
+
+def test_what_learning_could_gain_at_most_is_what_the_expert_leaves():
+    name = BY_ID["101"].name
+    numbers = [("eitop", IE, 345.0), (EQUAL_EITOE, IE, 340.0), (EQUAL_EITOE, ABOVE_DEAD, 1.4)]
+    rows = [ReportRow("", name, driver, kpi, "").with_values([value]) for driver, kpi, value in numbers]
+    words = remarks(rows, budget="quick")[0]
+    assert "+1.5 % (RJ to WYJ, 101 s); less in 0 of 1 cases" in words
+    assert "More than 1.4 % in the mean" in words
 
 
 def test_seeds_of_the_drivers():
