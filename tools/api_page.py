@@ -36,6 +36,7 @@ LAYERS = (
     "convoy",
     "fit",
     "operation",
+    "aboard",
     "studies",
     "cli",
     "web",

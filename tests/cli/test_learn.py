@@ -181,6 +181,7 @@ def test_tasks_are_the_registry(metropilot):
     assert "drive_jerk" in metropilot("tasks").out
 
 
+ABOARD = ("--to", "c", "--line", "yizhuang", "--out", "aboard")
 BAD = [
     (("learn",), "driver: missing (allowed: ppo, ppo_scaled"),
     (("learn", "pp0"), "did you mean ppo"),
@@ -198,7 +199,18 @@ BAD = [
     (("export", "nowhere"), "no such run"),
     (("export", "nowhere.safetensors"), "No such file"),
     (("export", "learned"), "the driver has no policy of its own"),
-    (("export", "optimal", "--to", "pickle"), "allowed: onnx"),
+    (("export", "optimal", "--to", "pickle"), "allowed: onnx, c"),
+    (("export", "ppo", "--line", "yizhuang"), "only of --to c"),
+    (("export", "ppo", "--to", "c", "--out", "x"), "--to c needs --line"),
+    (("export", "ppo", "--to", "c", "--line", "yizhuang"), "--to c needs --out"),
+    (("export", "ppo", *ABOARD, "--number", "half"), "allowed: double, float"),
+    (("export", "ppo", *ABOARD, "--sections", "RJ"), "allowed: ORIGIN-DESTINATION"),
+    (("export", "ppo", *ABOARD, "--sections", "RJ-NOWHERE"), "NOWHERE"),
+    (("export", "ppo", *ABOARD, "--trainset", "dkz32@0.4,0.2"), "allowed: ID@0,0"),
+    *(
+        (("export", name, *ABOARD), "only a learned policy has a form in C")
+        for name in ("pid", "eitop", "mpc")
+    ),
 ]
 
 

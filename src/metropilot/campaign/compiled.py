@@ -14,6 +14,7 @@ from metropilot.campaign.batch_tables import (
     GUARD_NODES,
     SEEN_NODES,
     Place,
+    map_tree,
     most_slots,
     stack_tables,
     table_cache,
@@ -26,6 +27,7 @@ from metropilot.campaign.program import (
     EpisodeParams,
     EpisodeState,
     Kind,
+    first_memory,
     program,
 )
 from metropilot.campaign.rows import (
@@ -51,7 +53,7 @@ from metropilot.physics import (
     track_arrays,
     vehicle_arrays,
 )
-from metropilot.policy import LoadedPolicy
+from metropilot.policy import LoadedPolicy, PolicySpec
 from metropilot.protection import Memory
 from metropilot.railway import Section, Trainset
 from metropilot.sim import (
@@ -230,7 +232,7 @@ def _run_batch(
     kind = Kind(policy.spec, loaded.interface, campaign.dt_s, GUARD_SPACING_M)
     slots = most_slots(campaign.trainset_keys, campaign.dt_s)
     tables, given = _episode_params(loaded, starts, slots)
-    going = _at_departure(given, slots, policy.spec.discrete, policy.spec.actions)
+    going = _at_departure(given, slots, policy.spec)
     streams = [
         noise_stream(start.run.seed) if start.run.disturbance.speed_noise_mps > 0 else None
         for start in starts
@@ -291,7 +293,7 @@ def _episode_params(
     return tuple(stack_tables(t, size, slots) for t, size in zip(found, sizes, strict=True)), given
 
 
-def _at_departure(given: EpisodeParams, slots: int, discrete: bool, actions: int) -> EpisodeState:
+def _at_departure(given: EpisodeParams, slots: int, spec: PolicySpec) -> EpisodeState:
     """States of the runs of a batch at departure (NumPy)."""
     zero, count = np.zeros(BATCH), np.zeros(BATCH, np.int32)
     state = at_rest(given.vehicle, delay_steps=slots - 1)
@@ -309,11 +311,7 @@ def _at_departure(given: EpisodeParams, slots: int, discrete: bool, actions: int
             stood_since_s=zero,
             outcome=np.full(BATCH, RUNNING, np.int32),
         ),
-        command=zero,
-        action=count if discrete else np.zeros((BATCH, actions)),
-        wanted=zero,
-        decided=count,
-        stopping=count > 0,
+        policy=map_tree(lambda value: np.stack([value] * BATCH), first_memory(spec)),
     )
 
 

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple, cast
 
+import numpy as np
+
 from metropilot._typing import Array
 from metropilot.drivers import DECISION_EARLY_S
 from metropilot.env import (
     PERMITTED_COLUMN,
-    FeatureContext,
     PolicyInterface,
     SectionRows,
     SectionTables,
@@ -67,11 +68,10 @@ class EpisodeParams(NamedTuple):
     length_m: Array
 
 
-class EpisodeState(NamedTuple):
-    """State of one run of a batch. All 0-d except the pipelines and the action.
+class PolicyMemory(NamedTuple):
+    """Memory of a policy between two control periods. All 0-d except the action.
 
     Attributes:
-        run: State of the run; its outcome may be ``BROKEN``.
         command: Last command of the policy, assists included.
         action: Action of its last decision.
         wanted: Command requested by that action.
@@ -79,12 +79,29 @@ class EpisodeState(NamedTuple):
         stopping: True after station-stop braking has begun.
     """
 
-    run: RunState
     command: Array
     action: Array
     wanted: Array
     decided: Array
     stopping: Array
+
+
+def first_memory(spec: PolicySpec) -> PolicyMemory:
+    """Memory of a policy at departure (NumPy)."""
+    zero, none = np.float64(0.0), np.int32(0)
+    return PolicyMemory(zero, none if spec.discrete else np.zeros(spec.actions), zero, none, np.bool_(False))
+
+
+class EpisodeState(NamedTuple):
+    """State of one run of a batch.
+
+    Attributes:
+        run: State of the run; its outcome may be ``BROKEN``.
+        policy: Memory of the policy.
+    """
+
+    run: RunState
+    policy: PolicyMemory
 
 
 class CompiledRow(NamedTuple):
@@ -178,32 +195,25 @@ def period(
         dt=kind.dt,
     )
 
-    def decide(going: EpisodeState, run: RunState) -> tuple[Command, tuple[EpisodeState, Array]]:
-        row, at = given.seen[told], run.plant.position_m
-        found = seen.case(row)
-        context = feature_context(
-            seen,
-            row,
-            found,
-            stop_mps2=kind.interface.assists.planned_mps2(seen, row, found.stop_mps2, at),
-            time_s=run.plant.time_s,
-            position_m=run.plant.position_m,
-            speed_mps=run.measured_mps,
-            acceleration_mps2=run.plant.acceleration_mps2,
-            scheduled_s=params.scheduled_s,
-            command=going.command,
+    def decide(memory: PolicyMemory, run: RunState) -> tuple[Command, tuple[PolicyMemory, Array]]:
+        measured = Measurements(
+            run.plant.time_s, run.plant.position_m, run.measured_mps, run.plant.acceleration_mps2
         )
-        going, broken = _decide(kind, params_of_policy, context, going)
-        return Command(going.command, jnp.zeros((), bool)), (going, broken)
+        memory, broken = decide_by_policy(
+            kind, params_of_policy, seen, given.seen[told], measured, params.scheduled_s, memory
+        )
+        return Command(memory.command, jnp.zeros((), bool)), (memory, broken)
 
-    run, (going, broken), record = control_period(params, before.run, before, decide, rule=RULE, noise=noise)
+    run, (memory, broken), record = control_period(
+        params, before.run, before.policy, decide, rule=RULE, noise=noise
+    )
     supervision = cast("Memory", run.supervision)
     older = jnp.arange(supervision.recent.shape[0]) >= given.slots - 1
     recent = jnp.where(older, -1.0, supervision.recent)
     run = run._replace(
         supervision=supervision._replace(recent=recent), outcome=jnp.where(broken, BROKEN, run.outcome)
     )
-    going = hold_ended(before.run, going._replace(run=run), before)
+    going = hold_ended(before.run, EpisodeState(run, memory), before)
     after = run.plant
     row = CompiledRow(
         time_s=after.time_s,
@@ -224,13 +234,58 @@ def period(
     return going, row
 
 
-def _decide(
-    kind: Kind, params: Params, context: FeatureContext, before: EpisodeState
-) -> tuple[EpisodeState, Array]:
-    """Take a decision if one is due and apply the assists; also returns True if the output was not finite."""
+class Measurements(NamedTuple):
+    """Measurements at the beginning of a control period. All 0-d.
+
+    Attributes:
+        time_s: Time since departure.
+        position_m: Position of the head.
+        speed_mps: Measured speed.
+        acceleration_mps2: Acceleration over the last period.
+    """
+
+    time_s: Array
+    position_m: Array
+    speed_mps: Array
+    acceleration_mps2: Array
+
+
+def decide_by_policy(
+    kind: Kind,
+    params: Params,
+    seen: SectionRows,
+    row: Array,
+    measured: Measurements,
+    scheduled_s: Array,
+    before: PolicyMemory,
+) -> tuple[PolicyMemory, Array]:
+    """Take a decision if one is due and apply the assists, in one control period (JAX).
+
+    Args:
+        kind: Policy and control period.
+        params: Parameters of the policy.
+        seen: Tables of the policy.
+        row: Their row in force.
+        measured: Measurements.
+        scheduled_s: Scheduled running time in force.
+        before: Memory of the policy.
+
+    Returns:
+        Its next memory, command included, and True if the output was not finite.
+    """
     import jax.numpy as jnp
 
     interface, spec = kind.interface, kind.spec
+    found = seen.case(row)
+    context = feature_context(
+        seen,
+        row,
+        found,
+        stop_mps2=interface.assists.planned_mps2(seen, row, found.stop_mps2, measured.position_m),
+        **measured._asdict(),
+        scheduled_s=scheduled_s,
+        command=before.command,
+    )
     output = network_output(spec, params, observe(interface.features, context), jnp)
     action = choose_action(spec, output, interface.action.action_mask(context, interface.period_s), jnp)
     action = action.astype(before.action.dtype)

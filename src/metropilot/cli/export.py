@@ -8,18 +8,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from metropilot.cli import complete
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, print_json, show_activity, table
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
     from metropilot.cli.show_learned import PolicyFile
+    from metropilot.railway import Line, Section
 
-FORMATS = ("onnx",)
+FORMATS = ("onnx", "c")
+TRAINSET = "dkz32"
+CONTROLLER = "On a controller (--to c)"
 EXAMPLES = {
     "export": (
         "metropilot export ppo_scaled --to onnx --out ppo_scaled.onnx",
         "metropilot export mine --to onnx --json",
+        "metropilot export generalist --to c --line yizhuang --sections RJ-WYJ --load AW2 --out aboard",
     ),
 }
 
@@ -31,24 +36,67 @@ def export_command(
             metavar="DRIVER|RUN|FILE", help="Learned driver, learning run (folder or id) or policy file."
         ),
     ],
-    to: Annotated[str, typer.Option(help="Format: onnx.")] = "onnx",
+    to: Annotated[str, typer.Option(help="Format: onnx, or c (with protection).")] = "onnx",
     out: Annotated[
         Path | None,
-        typer.Option(help="File to write; NAME.onnx here if not given.", rich_help_panel=opt.OUTPUT),
+        typer.Option(
+            help="File to write, NAME.onnx here if not given; with --to c a folder.",
+            rich_help_panel=opt.OUTPUT,
+        ),
+    ] = None,
+    line: Annotated[
+        str | None,
+        typer.Option(
+            help="Line: catalogue id or path.", autocompletion=complete.lines, rich_help_panel=CONTROLLER
+        ),
+    ] = None,
+    sections: Annotated[
+        str | None,
+        typer.Option(
+            help="Sections, ORIGIN-DESTINATION,...; all of the line, both ways, if not given.",
+            rich_help_panel=CONTROLLER,
+        ),
+    ] = None,
+    trainset: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Trainset: catalogue id or path; {TRAINSET} if not given.",
+            autocompletion=complete.trainsets,
+            rich_help_panel=CONTROLLER,
+        ),
+    ] = None,
+    load: Annotated[str | None, typer.Option(help="Load aboard.", rich_help_panel=CONTROLLER)] = None,
+    number: Annotated[
+        str | None, typer.Option(help="Number type: double or float.", rich_help_panel=CONTROLLER)
     ] = None,
     as_json: opt.Json = False,
 ) -> int:
-    """Write a learned driver's policy in another format.
+    """Write a learned driver in another format.
 
+    ONNX: its policy, a graph from an observation to an action; the file's metadata describes both as JSON.
     Prints the largest difference of its actions from the policy's (parity, at most 1e-5) and the time of a
-    decision. The graph maps an observation to an action; the file's metadata describes both as JSON.
-    """
-    from metropilot.learn import export_onnx
+    decision.
 
+    C: the whole driver with its features and assists, and protection around it, for the sections of a line
+    and a trainset; a folder with one header, one source file, test vectors and an example.
+    """
     if to not in FORMATS:
         raise InputError("unknown format", field="to", value=to, allowed=", ".join(FORMATS))
+    given = {"line": line, "sections": sections, "trainset": trainset, "load": load, "number": number}
+    if to == "c":
+        return write_c(what, out, as_json=as_json, **given)
+    for name, value in given.items():
+        if value is not None:
+            raise InputError("only of --to c", field=name, value=value)
+    return write_onnx(what, out, as_json=as_json)
+
+
+def write_onnx(what: str, out: Path | None, *, as_json: bool) -> int:
+    """Write a policy as ONNX and report it."""
+    from metropilot.learn import export_onnx
+
     name, file = find_policy(what)
-    path = out or Path(f"{name}.{to}")
+    path = out or Path(f"{name}.onnx")
     with show_activity(f"writing {path}"):
         report = export_onnx(file.policy, path, about=file.about)
     if as_json:
@@ -60,9 +108,69 @@ def export_command(
         ("decision, 99th percentile", f"{report.latency_us_p99:.1f} µs", ""),
         ("size", f"{report.bytes / 1000:.1f} kB", ""),
     ]
-    console().print(table(f"{what} as {to}", ("", "value", ""), rows, right=(1,)))
+    console().print(table(f"{what} as onnx", ("", "value", ""), rows, right=(1,)))
     console().print(f"Written to {path}")
     return 0
+
+
+def write_c(
+    what: str,
+    out: Path | None,
+    *,
+    line: str | None,
+    sections: str | None,
+    trainset: str | None,
+    load: str | None,
+    number: str | None,
+    as_json: bool,
+) -> int:
+    """Write a driver with protection as C and report it."""
+    from metropilot.aboard import NUMBERS, check_exportable, trace_driver, write_driver
+    from metropilot.policy import load_driving_policy
+    from metropilot.railway import load_line, load_trainset
+
+    for field, value in (("line", line), ("out", out)):
+        if value is None:
+            raise InputError("missing", field=field, allowed=f"--to c needs --{field}")
+    number = number or "double"
+    if number not in NUMBERS:
+        raise InputError("unknown number type", field="number", value=number, allowed=", ".join(NUMBERS))
+    known = load_trainset(trainset or TRAINSET, load)
+    check_exportable(what, known)
+    name, file = find_policy(what)
+    loaded = load_driving_policy(file.path)
+    chosen = choose_sections(load_line(str(line)), sections)
+    with show_activity(f"writing {out}"):
+        program = trace_driver(name, loaded, chosen, known, number=number)
+        report = write_driver(program, loaded, Path(str(out)))
+    if as_json:
+        print_json(asdict(report) | {"driver": name, "trainset": known.id, "policy": str(file.path)})
+        return 0
+    rows = [
+        ("sections", str(len(report.sections)), " ".join(report.sections[:6])),
+        ("constant tables", f"{report.table_bytes / 1000:.0f} kB", f"network included, in {number}"),
+        ("test vectors", str(report.vectors), "control periods"),
+    ]
+    console().print(table(f"{what} as c, under protection", ("", "value", ""), rows, right=(1,)))
+    console().print(f"Written to {report.folder}: {' '.join(report.files)}")
+    return 0
+
+
+def choose_sections(line: Line, sections: str | None) -> list[Section]:
+    """Sections of a line: those named, ``ORIGIN-DESTINATION,...``, or all of them both ways.
+
+    Raises:
+        InputError: A name is not that of two stations.
+    """
+    if sections is None:
+        return [*line.sections(), *line.sections(backward=True)]
+    found = []
+    for word in sections.split(","):
+        ends = word.split("-")
+        if len(ends) != 2:
+            raise InputError("not a section", field="sections", value=word, allowed="ORIGIN-DESTINATION,...")
+        found.append(line.section(*ends))
+    return found
 
 
 def find_policy(what: str) -> tuple[str, PolicyFile]:

@@ -1,0 +1,646 @@
+"""C99 of a graph: loops with fixed bounds over local arrays, constant tables, no call but ``sqrt``."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from math import prod
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from metropilot.aboard.graph import Graph, Node, is_uniform, operands
+from metropilot.errors import InputError
+
+TYPES: Mapping[str, str] = MappingProxyType(
+    {"float64": "double", "float32": "float", "int32": "int32_t", "int64": "int64_t", "bool": "bool"}
+)
+SHORT = MappingProxyType({"float64": "f64", "float32": "f32", "int32": "i32", "int64": "i64", "bool": "bool"})
+WIDTH = 110
+CODED_BYTES, CODED_SHARE = 4096, 0.65
+"""Tables from this size on are stored as their distinct values and a number for each entry, where this takes
+at most such a share of it."""
+
+VIEWS = frozenset(
+    {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "slice", "transpose", "rev", "dynamic_slice"}
+)
+"""Operations that only rename entries: they become arithmetic on indices."""
+ARITHMETIC = MappingProxyType({"add": "+", "sub": "-", "mul": "*", "div": "/"})
+COMPARISONS = MappingProxyType({"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="})
+LOGIC = MappingProxyType({"and": "&&", "or": "||", "xor": "!="})
+CALLS = MappingProxyType(
+    {
+        **{op: op for op in ("exp", "tanh", "floor", "sign", "max", "min")},
+        "is_finite": "finite",
+    }
+)
+"""Operations that are functions of the preamble, ``NAME_f64`` and ``NAME_f32``."""
+ELEMENTWISE = frozenset(
+    {*ARITHMETIC, *COMPARISONS, *LOGIC, *CALLS, "not", "neg", "abs", "sqrt", "pow", "integer_pow", "rem"}
+    | {"round", "select_n", "clamp", "convert_element_type", "iota", "square", "logistic"}
+)
+REDUCTIONS = MappingProxyType({"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min"})
+LOGICAL_REDUCTIONS = MappingProxyType({"reduce_and": "and", "reduce_or": "or"})
+
+
+def literal(value: Any, dtype: np.dtype) -> str:  # noqa: ANN401 (a number)
+    """A number of a type as C writes it; reads back as the same number."""
+    if dtype.kind == "b":
+        return "true" if value else "false"
+    if dtype.kind in "iu":
+        return str(int(value)) if int(value) >= 0 else f"({int(value)})"
+    kind = TYPES[dtype.name]
+    if np.isnan(value):
+        return f"({kind})NAN"
+    if np.isinf(value):
+        return f"({'-' if value < 0 else ''}({kind})INFINITY)"
+    text = repr(float(value)) if dtype == np.float64 else f"{np.format_float_scientific(value, unique=True)}f"
+    return f"({text})" if text.startswith("-") else text
+
+
+class Tables:
+    """Constant tables of a source file, each stored once.
+
+    Attributes:
+        lines: Their definitions.
+        bytes: Their size in the object file.
+    """
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.bytes = 0
+        self.known: dict[Any, tuple[str, str | None]] = {}
+
+    def at(self, array: np.ndarray, flat: str) -> str:
+        """Expression of one entry."""
+        name, coded = self.name(array)
+        return f"{name}[{flat}]" if coded is None else f"{name}[{coded}[{flat}]]"
+
+    def name(self, array: np.ndarray) -> tuple[str, str | None]:
+        """Name of a table, and (coded tables) that of the numbers of its entries."""
+        key = (array.dtype.str, array.tobytes())
+        if key not in self.known:
+            name = f"t{len(self.known)}"
+            self.known[key] = self._define(name, array.reshape(-1))
+        return self.known[key]
+
+    def _define(self, name: str, flat: np.ndarray) -> tuple[str, str | None]:
+        # By their bits: of the two zeros, and of the bits of NaN, none may stand for the other.
+        bits = flat.view(f"u{flat.dtype.itemsize}") if flat.dtype.kind == "f" else flat
+        values, numbers = np.unique(bits, return_inverse=True)
+        index = np.uint8 if values.size <= 1 << 8 else np.uint16
+        coded = values.nbytes + numbers.size * np.dtype(index).itemsize
+        if flat.nbytes < CODED_BYTES or values.size > 1 << 16 or coded > CODED_SHARE * flat.nbytes:
+            self._write(name, flat, TYPES[flat.dtype.name])
+            return name, None
+        self._write(name, values.view(flat.dtype), TYPES[flat.dtype.name])
+        self._write(f"{name}_of", numbers.astype(index), f"{np.dtype(index).name}_t")
+        return name, f"{name}_of"
+
+    def _write(self, name: str, values: np.ndarray, kind: str) -> None:
+        if kind == "double" and np.array_equal(values.astype(np.float32), values):
+            # numbers that are in single precision, as those of a network, are stored so
+            values, kind = values.astype(np.float32), "float"
+        self.bytes += values.nbytes
+        texts = [literal(value, values.dtype) for value in values]
+        self.lines.append(f"static const {kind} {name}[{values.size}] = {{")
+        self.lines += fill(f"{text}," for text in texts)
+        self.lines.append("};")
+
+
+def fill(words: Iterable[str], indent: str = "    ") -> list[str]:
+    """Lines of words, none longer than ``WIDTH``."""
+    lines, line = [], indent.rstrip(" ") + indent[:-1]
+    for word in words:
+        if len(line) + len(word) + 1 > WIDTH:
+            lines.append(line)
+            line = indent[:-1]
+        line += " " + word
+    return [*lines, line]
+
+
+def emit_body(
+    graph: Graph, inputs: Sequence[str], outputs: Sequence[str], tables: Tables, indent: str = "    "
+) -> list[str]:
+    """Lines of C that compute a graph, to stand in a function.
+
+    Args:
+        graph: The graph.
+        inputs: Lvalue of each input, an array where the input is not a single number.
+        outputs: Lvalue of each output; written last, so that they may be inputs too.
+        tables: Constant tables of the file.
+        indent: Indentation.
+
+    Raises:
+        InputError: An operation has no form in C.
+    """
+    return _Emitter(graph, inputs, tables).body(outputs, indent)
+
+
+class _Arena:
+    """Local array of one number type that results share, each for as long as it is needed."""
+
+    def __init__(self) -> None:
+        self.size = 0
+        self.taken: list[tuple[int, int]] = []
+
+    def take(self, size: int) -> int:
+        start = 0
+        for first, count in sorted(self.taken):
+            if start + size <= first:
+                break
+            start = max(start, first + count)
+        self.taken.append((start, size))
+        self.size = max(self.size, start + size)
+        return start
+
+    def release(self, start: int, size: int) -> None:
+        self.taken.remove((start, size))
+
+
+class _Emitter:
+    """Writer of one function's body."""
+
+    def __init__(self, graph: Graph, inputs: Sequence[str], tables: Tables) -> None:
+        self.graph, self.tables = graph, tables
+        self.names: dict[int, str] = {id(node): name for node, name in zip(graph.inputs, inputs, strict=True)}
+        self.order = _flatten(graph.nodes)
+        self.own = self._own_variables()
+        self.last = self._last_uses()
+        self.arenas: dict[str, _Arena] = defaultdict(_Arena)
+        self.places: dict[int, tuple[str, int, int]] = {}
+        self.starts: dict[int, int] = {}
+        self.offsets: dict[int, list[str]] = {}
+        self.lines: list[str] = []
+        self.count = 0
+
+    def body(self, outputs: Sequence[str], indent: str) -> list[str]:
+        """All lines."""
+        self.block(self.graph.nodes, indent)
+        copies = []
+        for node, target in zip(self.graph.outputs, outputs, strict=True):
+            copies += self.copy(node, target, indent)
+        arenas = [
+            f"{indent}{TYPES[kind]} w_{SHORT[kind]}[{arena.size}];"
+            for kind, arena in sorted(self.arenas.items())
+        ]
+        return [*arenas, *self.lines, *copies]
+
+    def copy(self, node: Node, target: str, indent: str) -> list[str]:
+        """Lines that write a result to where it belongs."""
+        if node.shape == ():
+            return [f"{indent}{target} = {self.at(node, [])};"]
+        flat = _flat([f"i{k}" for k in range(len(node.shape))], node.shape)
+        value = self.at(node, [f"i{k}" for k in range(len(node.shape))])
+        return _loops(node.shape, [f"{target}[{flat}] = {value};"], indent)
+
+    # ---------------------------------------------------------------------------------------- what is stored
+    def _own_variables(self) -> set[int]:
+        """Nodes whose result is stored, not computed anew wherever it is read."""
+        readers: dict[int, list[Node | None]] = defaultdict(list)
+        grown: set[int] = set()
+        for reader in [*self.order, None]:
+            if reader is not None and reader.op in VIEWS:
+                continue
+            used = self.graph.outputs if reader is None else operands(reader)
+            for arg in used:
+                base, size = arg, arg.size
+                while base.op in VIEWS:
+                    base = base.args[0]
+                readers[id(base)].append(reader)
+                if size > base.size or (
+                    reader is not None and reader.size > size and reader.op in ELEMENTWISE
+                ):
+                    grown.add(id(base))
+        own = set()
+        for node in self.order:
+            if node.op in VIEWS:
+                continue
+            found = readers[id(node)]
+            once = len(found) == 1 and found[0] is not None and found[0].op in {*ELEMENTWISE, *REDUCTIONS}
+            if node.size == 1 or node.op not in ELEMENTWISE or not once or id(node) in grown:
+                own.add(id(node))
+        return own
+
+    def _last_uses(self) -> dict[int, int]:
+        """Position in the order after which a stored array is not read any more."""
+        last: dict[int, int] = {}
+
+        def read(node: Node, position: int) -> None:
+            last[id(node)] = max(last.get(id(node), 0), position)
+            if node.op in VIEWS or (id(node) not in self.own and node.op not in {"input", "const"}):
+                for arg in node.args:
+                    read(arg, position)
+
+        for position, node in enumerate(self.order):
+            for arg in operands(node):
+                read(arg, position)
+        for node in self.graph.outputs:
+            read(node, len(self.order))
+        self.position = {id(node): k for k, node in enumerate(self.order)}
+        return last
+
+    # -------------------------------------------------------------------------------------------- statements
+    def block(self, nodes: Sequence[Node], indent: str) -> None:
+        """Write the statements of some nodes."""
+        for node in nodes:
+            if node.op == "cond":
+                self.branches(node, indent)
+            elif node.op == "dynamic_slice":
+                self.start(node, indent)
+            elif id(node) in self.own and node.op != "result":
+                self.store(node, indent)
+            self.free(self.position[id(node)])
+
+    def free(self, position: int) -> None:
+        """Give back the arrays that were read for the last time."""
+        for key, (kind, start, size) in list(self.places.items()):
+            if self.last.get(key, position) <= position:
+                self.arenas[kind].release(start, size)
+                del self.places[key]
+
+    def store(self, node: Node, indent: str) -> None:
+        """Write the statement or loop that computes a node."""
+        kind = TYPES[node.dtype.name]
+        if node.size == 1:
+            name = self.variable()
+            index = ["0"] * len(node.shape)
+            if node.op in ELEMENTWISE:
+                self.lines += wrap(f"{indent}const {kind} {name} = {self.value(node, index)};", indent)
+            else:
+                self.lines.append(f"{indent}{kind} {name};")
+                self.lines += self.loop(node, lambda _: name, indent)
+            self.names[id(node)] = name
+            return
+        name = f"w_{SHORT[node.dtype.name]}"
+        start = self.arenas[node.dtype.name].take(node.size)
+        self.lines += self.loop(
+            node, lambda index: f"{name}[{_plus(start, _flat(index, node.shape))}]", indent
+        )
+        self.places[id(node)] = node.dtype.name, start, node.size
+        self.names[id(node)], self.starts[id(node)] = name, start
+
+    def loop(self, node: Node, target: Callable[[list[str]], str], indent: str) -> list[str]:
+        """Lines that write every entry of a node."""
+        index = [f"i{k}" for k in range(len(node.shape))] if node.size > 1 else ["0"] * len(node.shape)
+        shape = node.shape if node.size > 1 else ()
+        if node.op in ELEMENTWISE:
+            return _loops(shape, [f"{target(index)} = {self.value(node, index)};"], indent)
+        if node.op in {*REDUCTIONS, *LOGICAL_REDUCTIONS}:
+            return self.reduction(node, target(index), index, shape, indent)
+        if node.op in {"concatenate", "stack"}:
+            return self.joined(node, target, indent)
+        if node.op == "dot_general":
+            return self.product(node, target, indent)
+        if node.op == "gather":
+            return self.gathered(node, target(index), index, shape, indent)
+        if node.op == "argmax":
+            return self.largest(node, target(index), indent)
+        raise InputError(f"the driver needs the operation {node.op}, which has no form in C", field="to")
+
+    def branches(self, node: Node, indent: str) -> None:
+        """Write a ``cond``: an ``if`` per branch, the last for every other number."""
+        sides = node.params["sides"]
+        names = [self.variable() for _ in sides[0].results]
+        for name, result in zip(names, sides[0].results, strict=True):
+            self.lines.append(f"{indent}{TYPES[result.dtype.name]} {name};")
+        self.names[id(node)] = "\n".join(names)
+        which = self.at(node.args[0], [])
+        for number, side in enumerate(sides):
+            if node.args[0].dtype.kind == "b":
+                test = which if number else f"!({which})"
+            else:
+                test = f"{which} <= 0" if number == 0 else f"{which} == {number}"
+            last = number == len(sides) - 1
+            head = f"if ({test}) {{" if number == 0 else "} else {" if last else f"}} else if ({test}) {{"
+            self.lines.append(indent + head)
+            self.block(side.nodes, indent + "    ")
+            for name, result in zip(names, side.results, strict=True):
+                value = self.at(result, ["0"] * len(result.shape))
+                self.lines.append(f"{indent}    {name} = {value};")
+        self.lines.append(f"{indent}}}")
+
+    def start(self, node: Node, indent: str) -> None:
+        """Write the first index of a slice, kept inside the array."""
+        starts = []
+        for arg, whole, part in zip(node.args[1:], node.args[0].shape, node.shape, strict=True):
+            if whole == part:
+                starts.append("0")
+            elif arg.op == "const":
+                starts.append(str(int(np.clip(arg.params["value"], 0, whole - part))))
+            else:
+                name = self.variable()
+                self.lines += wrap(
+                    f"{indent}const int32_t {name} = within({self.at(arg, [])}, {whole - part});", indent
+                )
+                starts.append(name)
+        self.offsets[id(node)] = starts
+
+    def reduction(
+        self, node: Node, target: str, index: list[str], shape: tuple[int, ...], indent: str
+    ) -> list[str]:
+        """Sum, largest, smallest, all or any."""
+        (arg,), axes, kind = node.args, tuple(node.params["axes"]), TYPES[node.dtype.name]
+        inner = [f"j{k}" for k in axes]
+        rest = iter(index)
+        read = self.at(arg, [f"j{k}" if k in axes else next(rest) for k in range(len(arg.shape))])
+        first = {"reduce_sum": literal(0, node.dtype), "reduce_and": "true", "reduce_or": "false"}.get(
+            node.op, f"{'-' if node.op == 'reduce_max' else ''}({kind})INFINITY"
+        )
+        op = REDUCTIONS.get(node.op) or LOGICAL_REDUCTIONS[node.op]
+        if node.dtype.kind in "iu" and node.op != "reduce_sum":
+            raise InputError(
+                f"the driver needs {node.op} of whole numbers, which has no form in C", field="to"
+            )
+        step = self.apply(op, ["s", read], node.dtype, node.dtype)
+        depth = indent + "    " * (len(shape) if shape else 0)
+        lines = [f"{kind} s = {first};", *_loops([arg.shape[k] for k in axes], [f"s = {step};"], "", inner)]
+        lines += [f"{target} = s;"]
+        if shape:
+            return _loops(shape, lines, indent)
+        return [f"{depth}{{", *(f"{depth}    {line}" for line in lines), f"{depth}}}"]
+
+    def joined(self, node: Node, target: Callable[[list[str]], str], indent: str) -> list[str]:
+        """Arrays one after the other."""
+        stacked = node.op == "stack"
+        axis, begin = node.params["axis" if stacked else "dimension"], 0
+        lines = []
+        for arg in node.args:
+            index = [f"i{k}" for k in range(len(arg.shape))]
+            if arg.size == 1:
+                index = ["0"] * len(arg.shape)
+            place = list(index)
+            if stacked:
+                place.insert(axis, str(begin))
+                begin += 1
+            else:
+                place[axis] = _plus(begin, place[axis])
+                begin += arg.shape[axis]
+            shape = arg.shape if arg.size > 1 else ()
+            lines += _loops(shape, [f"{target(place)} = {self.at(arg, index)};"], indent)
+        return lines
+
+    def product(self, node: Node, target: Callable[[list[str]], str], indent: str) -> list[str]:
+        """Product of matrices, the entries of a sum in order."""
+        (left_axes, right_axes), (left_batch, right_batch) = node.params["dimension_numbers"]
+        left, right = node.args
+        if left_batch or right_batch or len(left_axes) != 1:
+            raise InputError("the driver multiplies arrays in a way that has no form in C", field="to")
+        (k_left,), (k_right,) = left_axes, right_axes
+        rows = [n for k, n in enumerate(left.shape) if k != k_left]
+        columns = [n for k, n in enumerate(right.shape) if k != k_right]
+        i, j = [f"i{k}" for k in range(len(rows))], [f"j{k}" for k in range(len(columns))]
+        out = target([*i, *j])
+        at_left, at_right = list(i), list(j)
+        at_left.insert(k_left, "k")
+        at_right.insert(k_right, "k")
+        zero = literal(0, node.dtype)
+        term = self.apply("mul", [self.at(left, at_left), self.at(right, at_right)], node.dtype, node.dtype)
+        add = self.apply("add", [out, term], node.dtype, node.dtype)
+        inner = _loops(columns, [f"{out} = {add};"], "", j)
+        lines = [*_loops(columns, [f"{out} = {zero};"], "", j)]
+        lines += _loops([left.shape[k_left]], inner, "", ["k"])
+        return _loops(rows, lines, indent, i)
+
+    def gathered(
+        self, node: Node, target: str, index: list[str], shape: tuple[int, ...], indent: str
+    ) -> list[str]:
+        """Entries looked up by indices, which are kept inside the array."""
+        dims, (array, places) = node.params["dimension_numbers"], node.args
+        if tuple(dims.operand_batching_dims):
+            raise InputError("the driver looks up arrays in a way that has no form in C", field="to")
+        batch = [i for k, i in enumerate(index) if k not in dims.offset_dims]
+        within = iter([i for k, i in enumerate(index) if k in dims.offset_dims])
+        sizes, read = node.params["slice_sizes"], []
+        for axis, whole in enumerate(array.shape):
+            place = "0" if axis in dims.collapsed_slice_dims else next(within)
+            if axis in dims.start_index_map and whole > sizes[axis]:
+                first = self.first_index(places, batch, dims.start_index_map.index(axis), whole - sizes[axis])
+                place = first if place == "0" else f"{first} + {place}"
+            read.append(place)
+        return _loops(shape, [f"{target} = {self.at(array, read)};"], indent)
+
+    def first_index(self, places: Node, batch: list[str], number: int, last: int) -> str:
+        """Expression of one of the indices of a look-up, at most ``last``; a constant one as such."""
+        part = places
+        if places.op == "concatenate" and all(arg.shape[-1] == 1 for arg in places.args):
+            part = places.args[number]
+        if is_uniform(part):
+            return str(int(np.clip(part.params["value"].flat[0], 0, last)))
+        return f"within({self.at(places, [*batch, str(number)])}, {last})"
+
+    def largest(self, node: Node, target: str, indent: str) -> list[str]:
+        """Number of the largest entry, the first of equal ones."""
+        (arg,) = node.args
+        kind = TYPES[node.dtype.name]
+        if len(arg.shape) != 1:
+            raise InputError("the driver needs argmax of a matrix, which has no form in C", field="to")
+        test = f"if ({self.at(arg, ['k'])} > {self.at(arg, [target])}) {target} = ({kind})k;"
+        return [f"{indent}{target} = 0;", *_loops(arg.shape, [test], indent, ["k"])]
+
+    def variable(self) -> str:
+        """A new name."""
+        self.count += 1
+        return f"v{self.count}"
+
+    # ------------------------------------------------------------------------------------------- expressions
+    def at(self, node: Node, index: list[str]) -> str:  # noqa: PLR0911 (one per kind of node)
+        """Expression of one entry of a node."""
+        if node.op == "const":
+            value = node.params["value"]
+            if is_uniform(node):
+                return literal(value.flat[0], value.dtype)
+            if all(i.isdigit() for i in index):
+                return literal(value[tuple(map(int, index))], value.dtype)
+            # a column of a table is a table of its own: the others may never be read
+            while value.ndim > 1 and index[-1].isdigit():
+                value, index = value[..., int(index[-1])], index[:-1]
+            return self.tables.at(value, _flat(index, value.shape))
+        if node.op == "input":
+            name = self.names[id(node)]
+            return f"{name}[{_flat(index, node.shape)}]" if node.shape else name
+        if node.op == "result":
+            return self.names[id(node.args[0])].split("\n")[node.params["number"]]
+        if id(node) in self.own:
+            name = self.names[id(node)]
+            if node.size == 1:
+                return name
+            return f"{name}[{_plus(self.starts[id(node)], _flat(index, node.shape))}]"
+        if node.op in VIEWS:
+            return self.at(node.args[0], self.through(node, index))
+        return self.value(node, index)
+
+    def through(self, node: Node, index: list[str]) -> list[str]:  # noqa: PLR0911 (one per view)
+        """Index of an entry of a view in what it is a view of."""
+        (arg, *_), params = node.args, node.params
+        if arg.size == 1:
+            return ["0"] * len(arg.shape)
+        if node.op == "broadcast_in_dim":
+            dims = params["broadcast_dimensions"]
+            return ["0" if n == 1 else index[k] for n, k in zip(arg.shape, dims, strict=True)]
+        if node.op in {"squeeze", "reshape", "expand_dims"}:
+            kept = iter([i for n, i in zip(node.shape, index, strict=True) if n != 1])
+            if [n for n in node.shape if n != 1] != [n for n in arg.shape if n != 1]:
+                raise InputError("the driver reshapes an array in a way that has no form in C", field="to")
+            return ["0" if n == 1 else next(kept) for n in arg.shape]
+        if node.op == "slice":
+            strides = params["strides"] or (1,) * len(index)
+            starts = params["start_indices"]
+            return [_plus(b, _times(s, i)) for b, s, i in zip(starts, strides, index, strict=True)]
+        if node.op == "transpose":
+            found = dict(zip(params["permutation"], index, strict=True))
+            return [found[k] for k in range(len(index))]
+        if node.op == "rev":
+            turned = params["dimensions"]
+            return [f"({arg.shape[k] - 1} - {i})" if k in turned else i for k, i in enumerate(index)]
+        starts = self.offsets[id(node)]
+        return [
+            b if i == "0" else i if b == "0" else f"{b} + {i}" for b, i in zip(starts, index, strict=True)
+        ]
+
+    def value(self, node: Node, index: list[str]) -> str:
+        """Expression of one entry of an elementwise operation."""
+        if node.op == "iota":
+            return f"({TYPES[node.dtype.name]})({index[node.params['dimension']]})"
+        values = [
+            self.at(arg, ["0" if n == 1 else i for n, i in zip(arg.shape, index, strict=False)])
+            for arg in node.args
+        ]
+        return self.apply(node.op, values, node.args[0].dtype, node.dtype, node.params, node)
+
+    def apply(  # noqa: PLR0911 (one per kind of operation)
+        self,
+        op: str,
+        values: list[str],
+        given: np.dtype,
+        dtype: np.dtype,
+        params: Mapping[str, Any] = MappingProxyType({}),
+        node: Node | None = None,
+    ) -> str:
+        """Expression of an operation on numbers."""
+        kind = SHORT[given.name]
+        if op in ARITHMETIC and dtype.kind == "f":
+            return f"({values[0]} {ARITHMETIC[op]} {values[1]})"
+        if op in ARITHMETIC and dtype.kind == "i" and op != "div":
+            # unsigned, as the overflow of a signed number is undefined
+            whole = f"uint{8 * dtype.itemsize}_t"
+            return f"({TYPES[dtype.name]})(({whole})({values[0]}) {ARITHMETIC[op]} ({whole})({values[1]}))"
+        if op in COMPARISONS:
+            return f"({values[0]} {COMPARISONS[op]} {values[1]})"
+        if op in LOGIC and dtype.kind == "b":
+            return f"({values[0]} {LOGIC[op]} {values[1]})"
+        if op in CALLS and given.kind == "f":
+            return f"{CALLS[op]}_{kind}({', '.join(values)})"
+        if op in {"max", "min"}:
+            sign = ">" if op == "max" else "<"
+            return f"({values[0]} {sign} {values[1]} ? {values[0]} : {values[1]})"
+        written = {
+            "not": lambda x: f"(!{x})",
+            "neg": lambda x: f"(-{x})",
+            "abs": lambda x: f"abs_{kind}({x})",
+            "square": lambda x: f"({x} * {x})",
+            "sqrt": lambda x: f"{'sqrt' if kind == 'f64' else 'sqrtf'}({x})",
+            "logistic": lambda x: f"({literal(1.0, dtype)} / ({literal(1.0, dtype)} + exp_{kind}(-{x})))",
+            "clamp": lambda low, x, high: f"min_{kind}(max_{kind}({x}, {low}), {high})",
+        }
+        if op in written:
+            return written[op](*values)
+        return self.special(op, values, given, dtype, params, node)
+
+    def special(
+        self,
+        op: str,
+        values: list[str],
+        given: np.dtype,
+        dtype: np.dtype,
+        params: Mapping[str, Any],
+        node: Node | None,
+    ) -> str:
+        """Expression of the operations that only some of their operands or parameters have a form for."""
+        kind = SHORT[given.name]
+        if op == "select_n" and len(values) == 3 and given.kind == "b":
+            return f"({values[0]} ? {values[2]} : {values[1]})"
+        if op == "convert_element_type":
+            return _converted(values[0], given, dtype)
+        if op == "round":
+            return f"round_{kind}({values[0]})"
+        by = None if node is None or len(node.args) < 2 else node.args[1].params.get("value")
+        if op == "rem" and by is not None and by.size == 1 and float(by) == 1.0:
+            return f"fraction_{kind}({values[0]})"
+        if op == "pow" and by is not None and by.size == 1 and float(by) == 0.5:
+            return self.apply("sqrt", values[:1], given, dtype)
+        if op == "integer_pow" and 1 <= params["y"] <= 4:
+            return f"({' * '.join(values * params['y'])})"
+        raise InputError(f"the driver needs the operation {op}, which has no form in C", field="to")
+
+
+def _converted(value: str, given: np.dtype, dtype: np.dtype) -> str:
+    """A number in another type; a float outside an integer's range becomes its nearest, NaN 0."""
+    if dtype.kind == "b":
+        return f"({value} != {literal(0, given)})"
+    if given.kind == "b":
+        return f"({value} ? {literal(1, dtype)} : {literal(0, dtype)})"
+    if given.kind == "f" and dtype.kind == "i":
+        return f"({TYPES[dtype.name]})to_i32({value if given == np.float64 else f'(double){value}'})"
+    return f"({TYPES[dtype.name]}){value}"
+
+
+def _flatten(nodes: Sequence[Node]) -> list[Node]:
+    """All nodes in the order of their statements; a ``cond`` follows its branches."""
+    order: list[Node] = []
+    for node in nodes:
+        for side in node.params.get("sides", ()) if node.op == "cond" else ():
+            order += _flatten(side.nodes)
+        order.append(node)
+    return order
+
+
+def _flat(index: Sequence[str], shape: Sequence[int]) -> str:
+    """Number of an entry in row-major order."""
+    terms, constant = [], 0
+    for k, i in enumerate(index):
+        stride = prod(shape[k + 1 :])
+        if shape[k] == 1 or i == "0":
+            continue
+        if i.isdigit():
+            constant += stride * int(i)
+        else:
+            terms.append(_times(stride, i))
+    return _plus(constant, " + ".join(terms)) if terms else str(constant)
+
+
+def _times(stride: int, i: str) -> str:
+    if stride == 1:
+        return i
+    if i.isdigit():
+        return str(stride * int(i))
+    return f"{stride} * {i}" if i.isidentifier() else f"{stride} * ({i})"
+
+
+def _plus(begin: int, i: str) -> str:
+    if begin == 0:
+        return i
+    return str(begin + int(i)) if i.isdigit() else f"{begin} + {i}"
+
+
+def _loops(
+    shape: Sequence[int], inner: Sequence[str], indent: str, names: Sequence[str] | None = None
+) -> list[str]:
+    """Nested loops over a shape around some lines."""
+    names = names or [f"i{k}" for k in range(len(shape))]
+    lines, depth = [], indent
+    for n, name in zip(shape, names, strict=True):
+        lines.append(f"{depth}for (int32_t {name} = 0; {name} < {n}; {name}++) {{")
+        depth += "    "
+    for line in inner:
+        lines += wrap(depth + line, depth)
+    for _ in shape:
+        depth = depth[:-4]
+        lines.append(f"{depth}}}")
+    return lines
+
+
+def wrap(line: str, indent: str) -> list[str]:
+    """A statement in lines of at most ``WIDTH``, broken at spaces."""
+    return [line] if len(line) <= WIDTH else fill(line.split(), indent + "    ")

@@ -1,0 +1,224 @@
+"""Graph of a traced function: calls inlined, constants folded, equal operations shared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from math import prod
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from metropilot.errors import InputError
+
+CALLS = {"jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "custom_vmap_call"}
+"""Primitives that only call another traced function; which one, is in a parameter of one of these names."""
+CALLED = ("jaxpr", "call_jaxpr", "call")
+SAME = {"copy", "copy_p", "stop_gradient", "optimization_barrier"}
+
+
+@dataclass(eq=False)
+class Node:
+    """One operation and its result.
+
+    Attributes:
+        op: Name of the JAX primitive, or ``input``, ``const``, ``cond``, ``result``.
+        args: Operands.
+        shape: Shape of the result.
+        dtype: Number type of the result.
+        params: Parameters of the primitive; of ``const`` the value, of ``cond`` the branches.
+    """
+
+    op: str
+    args: tuple[Node, ...]
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    params: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def size(self) -> int:
+        """Number of entries."""
+        return prod(self.shape)
+
+
+class Branch(NamedTuple):
+    """One side of a ``cond``: the operations that only it needs, and its results."""
+
+    nodes: list[Node]
+    results: list[Node]
+
+
+class Graph(NamedTuple):
+    """A traced function as operations in order.
+
+    Attributes:
+        inputs: Arguments, flattened.
+        outputs: Results, flattened.
+        nodes: Operations that the results need, each after its operands.
+    """
+
+    inputs: list[Node]
+    outputs: list[Node]
+    nodes: list[Node]
+
+
+def trace_graph(function: Callable[..., Any], *arguments: Any) -> Graph:  # noqa: ANN401 (trees of arrays)
+    """Trace a function of JAX arrays.
+
+    Args:
+        function: The function; what it closes over becomes constants.
+        arguments: Arguments of the shapes and number types to trace with.
+
+    Raises:
+        InputError: It does something that has no graph, as a loop whose end depends on its data.
+    """
+    import jax
+
+    closed = jax.make_jaxpr(function)(*arguments)
+    builder = _Builder()
+    inputs = [
+        Node("input", (), tuple(v.aval.shape), np.dtype(v.aval.dtype), {"number": k})
+        for k, v in enumerate(closed.jaxpr.invars)
+    ]
+    outputs = builder.inline(closed.jaxpr, closed.consts, inputs)
+    return Graph(inputs, outputs, _needed(builder.scopes[0].nodes, outputs))
+
+
+class _Scope:
+    """Operations of the function or of a branch, and which of them are known."""
+
+    def __init__(self) -> None:
+        self.nodes: list[Node] = []
+        self.known: dict[Any, Node] = {}
+
+
+class _Builder:
+    """Interpreter of a jaxpr that builds the graph."""
+
+    def __init__(self) -> None:
+        self.scopes = [_Scope()]
+        self.constants: dict[Any, Node] = {}
+
+    def constant(self, value: Any) -> Node:  # noqa: ANN401 (a number or an array)
+        array = np.asarray(value)
+        key = (array.dtype.str, array.shape, array.tobytes())
+        if key not in self.constants:
+            self.constants[key] = Node("const", (), array.shape, array.dtype, {"value": array})
+        return self.constants[key]
+
+    def inline(self, jaxpr: Any, consts: Sequence[Any], given: Sequence[Node]) -> list[Node]:  # noqa: ANN401
+        """Add the operations of a jaxpr; returns its results."""
+        known: dict[Any, Node] = dict(zip(jaxpr.invars, given, strict=True))
+        known |= {var: self.constant(value) for var, value in zip(jaxpr.constvars, consts, strict=True)}
+
+        def read(var: Any) -> Node:  # noqa: ANN401 (a variable or a literal)
+            if hasattr(var, "val"):
+                return self.constant(np.asarray(var.val, var.aval.dtype))
+            return known[var]
+
+        for equation in jaxpr.eqns:
+            results = self.add(equation, [read(var) for var in equation.invars])
+            known |= dict(zip(equation.outvars, results, strict=True))
+        return [read(var) for var in jaxpr.outvars]
+
+    def add(self, equation: Any, given: list[Node]) -> list[Node]:  # noqa: ANN401 (an equation)
+        """Results of one equation."""
+        name, params = equation.primitive.name, equation.params
+        if name in CALLS:
+            called = next(params[key] for key in CALLED if key in params)
+            return self.inline(called.jaxpr, called.consts, given)
+        if name in SAME:
+            return given
+        if all(node.op == "const" for node in given):
+            found = equation.primitive.bind(*(node.params["value"] for node in given), **params)
+            return [self.constant(v) for v in (found if equation.primitive.multiple_results else [found])]
+        if name == "cond":
+            return self.branch(params["branches"], given)
+        if equation.primitive.multiple_results:
+            raise InputError(f"the driver needs the operation {name}, which has no form in C", field="to")
+        aval = equation.outvars[0].aval
+        if name in {"dynamic_slice", "gather"} and is_uniform(given[0]):
+            return [self.constant(np.full(aval.shape, given[0].params["value"].flat[0], aval.dtype))]
+        if name == "dynamic_slice":
+            given = self.narrow(given, params["slice_sizes"])
+        return [self.node(name, tuple(given), tuple(aval.shape), np.dtype(aval.dtype), params)]
+
+    def narrow(self, given: list[Node], sizes: Sequence[int]) -> list[Node]:
+        """Operands of a slice of a constant, without the columns that it cannot reach."""
+        array, *starts = given
+        if array.op != "const":
+            return given
+        value, zero = array.params["value"], self.constant(np.int32(0))
+        for axis, (first, size) in enumerate(zip(starts, sizes, strict=True)):
+            if first.op == "const" and size < value.shape[axis]:
+                begin = int(np.clip(first.params["value"], 0, value.shape[axis] - size))
+                value = np.take(value, np.arange(begin, begin + size), axis)
+                starts[axis] = zero
+        return [self.constant(value), *starts]
+
+    def node(
+        self, op: str, args: tuple[Node, ...], shape: tuple[int, ...], dtype: np.dtype, params: dict[str, Any]
+    ) -> Node:
+        """A node, the known one where there is an equal one."""
+        if op == "convert_element_type" and args[0].dtype == dtype:
+            return args[0]
+        if op == "select_n" and args[0].op == "const" and args[0].size == 1:
+            return args[1 + int(args[0].params["value"].reshape(()))]
+        key = (op, tuple(map(id, args)), shape, dtype.str, repr(sorted(params.items())))
+        for scope in self.scopes:
+            if key in scope.known:
+                return scope.known[key]
+        made = Node(op, args, shape, dtype, params)
+        self.scopes[-1].nodes.append(made)
+        self.scopes[-1].known[key] = made
+        return made
+
+    def branch(self, branches: Sequence[Any], given: list[Node]) -> list[Node]:
+        """Results of a ``cond``."""
+        index, rest = given[0], given[1:]
+        sides = []
+        for side in branches:
+            self.scopes.append(_Scope())
+            results = self.inline(side.jaxpr, side.consts, rest)
+            nodes = _needed(self.scopes.pop().nodes, results)
+            sides.append(Branch(nodes, results))
+        if any(result.size != 1 for side in sides for result in side.results):
+            raise InputError("the driver chooses between arrays, which has no form in C", field="to")
+        made = Node("cond", (index,), (), np.dtype(np.int32), {"sides": sides})
+        self.scopes[-1].nodes.append(made)
+        picked = [
+            Node("result", (made,), result.shape, result.dtype, {"number": k})
+            for k, result in enumerate(sides[0].results)
+        ]
+        self.scopes[-1].nodes += picked
+        return picked
+
+
+def operands(node: Node) -> list[Node]:
+    """Operands of a node; those of a ``cond`` include what its branches take from outside."""
+    if node.op != "cond":
+        return list(node.args)
+    outside = list(node.args)
+    for side in node.params["sides"]:
+        inside = set(map(id, side.nodes))
+        used = [*side.results, *(each for inner in side.nodes for each in operands(inner))]
+        outside += [each for each in used if id(each) not in inside]
+    return outside
+
+
+def is_uniform(node: Node) -> bool:
+    """Tell if a node is a constant of which all entries have the same bits."""
+    if node.op != "const":
+        return False
+    value = node.params["value"]
+    return value.tobytes() == value.flat[0].tobytes() * value.size
+
+
+def _needed(nodes: Sequence[Node], results: Sequence[Node]) -> list[Node]:
+    """The nodes that the results need, in order."""
+    wanted, kept = set(map(id, results)), []
+    for node in reversed(nodes):
+        if id(node) in wanted:
+            kept.append(node)
+            wanted |= set(map(id, operands(node)))
+    return kept[::-1]

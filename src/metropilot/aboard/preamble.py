@@ -1,0 +1,135 @@
+"""Functions that a generated source may call: each is written only if it is used."""
+
+from __future__ import annotations
+
+import re
+from types import MappingProxyType
+
+SINGLE = """
+/* the larger number; NaN wins, as in NumPy */
+static TYPE max_SHORT(TYPE a, TYPE b) { return (a >= b || a != a) ? a : b; }
+
+/* the smaller number; NaN wins */
+static TYPE min_SHORT(TYPE a, TYPE b) { return (a <= b || a != a) ? a : b; }
+
+static TYPE abs_SHORT(TYPE x) { return x < 0 ? -x : x; }
+
+static bool finite_SHORT(TYPE x) { return x - x == 0; }
+
+static TYPE sign_SHORT(TYPE x) { return x > 0 ? (TYPE)1 : x < 0 ? (TYPE)-1 : x; }
+
+/* the whole part; beyond 2^52 every number is whole */
+static TYPE whole_SHORT(TYPE x)
+{
+    if (!(x > (TYPE)-4503599627370496.0 && x < (TYPE)4503599627370496.0)) return x;
+    return (TYPE)(int64_t)x;
+}
+
+static TYPE floor_SHORT(TYPE x)
+{
+    const TYPE t = whole_SHORT(x);
+    return t > x ? t - 1 : t;
+}
+
+static TYPE fraction_SHORT(TYPE x) { return x - whole_SHORT(x); }
+
+/* the nearest whole number, halves away from zero */
+static TYPE round_SHORT(TYPE x)
+{
+    const TYPE t = whole_SHORT(x), rest = x - t;
+    return rest >= (TYPE)0.5 ? t + 1 : rest <= (TYPE)-0.5 ? t - 1 : t;
+}
+"""
+BASE = """
+/* an index, kept inside an array */
+static int32_t within(int64_t i, int32_t last) { return i < 0 ? 0 : i > last ? last : (int32_t)i; }
+
+/* a whole number; one out of range becomes the nearest, NaN becomes 0 */
+static int32_t to_i32(double x)
+{
+    if (x != x) return 0;
+    if (x <= -2147483648.0) return INT32_MIN;
+    if (x >= 2147483647.0) return INT32_MAX;
+    return (int32_t)x;
+}
+
+/* e^x, within EXP_ULP units in the last place: 2^n times a rational function (Cephes, Moshier 1984) */
+static double exp_f64(double x)
+{
+    uint64_t bits;
+    double n, xx, p, scale;
+    if (x != x) return x;
+    if (x > 709.782712893383973096) return (double)INFINITY;
+    if (x < -708.0) return 0.0;
+    n = floor_f64(1.4426950408889634073599 * x + 0.5);
+    x -= n * 6.93145751953125e-1;
+    x -= n * 1.42860682030941723212e-6;
+    xx = x * x;
+    p = x * ((1.26177193074810590878e-4 * xx + 3.02994407707441961300e-2) * xx + 9.99999999999999999910e-1);
+    x = p / ((((3.00198505138664455042e-6 * xx + 2.52448340349684104192e-3) * xx
+               + 2.27265548208155028766e-1) * xx + 2.0) - p);
+    /* 2^1024 has no exponent of its own: half of it, twice */
+    bits = (uint64_t)((int64_t)n - (n > 1023.0 ? 1 : 0) + 1023) << 52;
+    memcpy(&scale, &bits, sizeof scale);
+    return (1.0 + 2.0 * x) * scale * (n > 1023.0 ? 2.0 : 1.0);
+}
+
+static float exp_f32(float x) { return (float)exp_f64((double)x); }
+
+/* tanh x, within TANH_ULP units in the last place (Cephes) */
+static double tanh_f64(double x)
+{
+    const double z = abs_f64(x);
+    if (x != x) return x;
+    if (z > 22.0) return x > 0.0 ? 1.0 : -1.0;
+    if (z >= 0.625) {
+        const double t = 1.0 - 2.0 / (exp_f64(2.0 * z) + 1.0);
+        return x > 0.0 ? t : -t;
+    }
+    {
+        const double s = x * x;
+        const double p = (-9.64399179425052238628e-1 * s - 9.92877231001918586564e1) * s
+                         - 1.61468768441708447952e3;
+        const double q = ((s + 1.12811678491632931402e2) * s + 2.23548839060100448583e3) * s
+                         + 4.84406305325125486048e3;
+        return x + x * s * (p / q);
+    }
+}
+
+static float tanh_f32(float x) { return (float)tanh_f64((double)x); }
+"""
+EXP_ULP, TANH_ULP = 2, 2
+"""Largest errors of ``exp`` and ``tanh``, units in the last place; a test measures them."""
+FUNCTION = re.compile(r"^static \w+ (\w+)\(", re.MULTILINE)
+
+
+def _functions() -> dict[str, str]:
+    """Text of every function by its name, in an order in which each comes after those that it calls."""
+    doubles = SINGLE.replace("TYPE", "double").replace("SHORT", "f64")
+    floats = SINGLE.replace("TYPE", "float").replace("SHORT", "f32")
+    base = BASE.replace("EXP_ULP", str(EXP_ULP)).replace("TANH_ULP", str(TANH_ULP))
+    found = {}
+    for part in (doubles + floats + base).strip().split("\n\n"):
+        match = FUNCTION.search(part)
+        if match is None:
+            raise ValueError(f"not a function: {part}")
+        found[match[1]] = part.strip()
+    return found
+
+
+FUNCTIONS = MappingProxyType(_functions())
+
+
+def preamble(body: str) -> str:
+    """The functions that a text calls, and those that they call.
+
+    Args:
+        body: Text of the generated functions.
+    """
+    wanted: list[str] = []
+    text = body
+    for name in reversed(FUNCTIONS):
+        if re.search(rf"\b{name}\(", text):
+            wanted.append(FUNCTIONS[name])
+            text += FUNCTIONS[name]
+    return "\n\n".join(reversed(wanted))

@@ -1,0 +1,124 @@
+"""The C of a graph computes what JAX computes, for every operation that drivers use."""
+
+import ctypes
+import shutil
+import subprocess
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from metropilot.aboard import STRICT
+from metropilot.aboard.emit import Tables, emit_body
+from metropilot.aboard.graph import trace_graph
+from metropilot.aboard.preamble import EXP_ULP, TANH_ULP, preamble
+from metropilot.errors import InputError
+from metropilot.physics import double_precision
+
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+X = np.array([0.3, -1.7, 2.5, 0.0, -0.25, 4.0, 1e-9, -3.2])
+TABLE = np.linspace(-1.0, 2.0, 40).reshape(2, 10, 2) ** 3
+STEPS = np.repeat([1.5, -2.0, 0.25], 400)
+
+
+def look_up(x, i):
+    """Gather with a constant column, a slice at a moving place, an entry by number."""
+    nodes = jnp.clip(i + jnp.arange(5), 0, 9)
+    return (
+        jnp.asarray(TABLE)[jnp.minimum(i, 1), nodes, 1]
+        + jax.lax.dynamic_slice_in_dim(x, i, 5)
+        + jnp.asarray(TABLE)[1, i, 0]
+    )
+
+
+FUNCTIONS = {
+    "arithmetic": lambda x, i: (x[0] * x[1] - x[2]) / (1.0 + x[5]) + jnp.sqrt(jnp.abs(x)) * i,
+    "functions": lambda x, i: jnp.exp(-x) + jnp.tanh(x * 3.0) + jnp.floor(x) + jnp.sign(x) + x**2 + x // 1.0,
+    "choices": lambda x, i: jnp.where((x > 0.0) & (x < 3.0) | (x == -3.2), jnp.minimum(x, 2.0), -x),
+    "reductions": lambda x, i: jnp.stack(
+        [x.sum(), x.max(), x.min(), 1.0 * jnp.all(x < 5.0), 1.0 * jnp.any(x > 9)]
+    ),
+    "matrices": lambda x, i: (x @ jnp.asarray(TABLE.reshape(8, 5))) * jnp.asarray(TABLE.reshape(5, 8))[:, 2],
+    "rows": lambda x, i: (x[None] * x[:, None])[1:4].sum(0) + jnp.concatenate([x[4:], x[:4]]) + x[::-1],
+    "look up": look_up,
+    "branches": lambda x, i: jax.lax.cond(x[i] > 0.0, lambda: x.sum() * 2.0, lambda: x[i] - 1.0),
+    "largest": lambda x, i: jnp.argmax(x) + i,
+    "whole numbers": lambda x, i: (x * 7.0).astype(jnp.int32) * i - 3,
+    "not a number": lambda x, i: jnp.where(jnp.isfinite(x / 0.0), 1.0, jnp.maximum(x / x, 0.5)),
+    "coded table": lambda x, i: jnp.asarray(STEPS)[100 * i + 1] * x,
+}
+
+
+def compile_c(folder, text):
+    (folder / "one.c").write_text(text)
+    command = ["cc", *STRICT, "-O1", "-shared", "-fPIC", "one.c", "-lm", "-o", "one.so"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return ctypes.CDLL(str(folder / "one.so"))
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    """All functions in one source, compiled once."""
+    tables, bodies, results = Tables(), [], {}
+    with double_precision(), jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
+        for number, (name, function) in enumerate(FUNCTIONS.items()):
+            graph = trace_graph(function, jnp.asarray(X), jnp.int32(0))
+            lines = emit_body(graph, ["x", "i"], ["out" if graph.outputs[0].shape else "*out"], tables)
+            kind = {"f": "double", "i": f"int{8 * graph.outputs[0].dtype.itemsize}_t"}[
+                graph.outputs[0].dtype.kind
+            ]
+            head = f"void f{number}(const double *x, int32_t i, {kind} *out);\n"
+            head += f"void f{number}(const double *x, int32_t i, {kind} *out)\n{{\n    (void)x; (void)i;"
+            bodies.append("\n".join([head, *lines, "}"]))
+            results[name] = graph.outputs[0]
+    text = "\n".join(bodies)
+    include = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n"
+    library = compile_c(
+        tmp_path_factory.mktemp("emit"), include + preamble(text) + "\n" + "\n".join(tables.lines) + text
+    )
+    return library, results, tables
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize("i", [0, 2])
+def test_c_computes_what_jax_computes(compiled, name, i):
+    library, results, _ = compiled
+    out = np.zeros(results[name].shape, results[name].dtype)
+    function = getattr(library, f"f{list(FUNCTIONS).index(name)}")
+    function(X.ctypes.data_as(ctypes.c_void_p), ctypes.c_int32(i), out.ctypes.data_as(ctypes.c_void_p))
+    with double_precision(), jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
+        expected = np.asarray(FUNCTIONS[name](jnp.asarray(X), jnp.int32(i)))
+    np.testing.assert_allclose(out, expected, rtol=1e-14, atol=1e-15)
+
+
+def test_a_table_of_few_values_is_stored_by_their_numbers(compiled):
+    _, _, tables = compiled
+    assert any("_of[1200]" in line for line in tables.lines)
+    assert tables.bytes < 1200 * 8
+
+
+def test_what_has_no_form_in_c_is_refused_by_name():
+    graph = trace_graph(jnp.cumsum, jnp.zeros(4))
+    with pytest.raises(InputError, match="cumsum, which has no form in C"):
+        emit_body(graph, ["x"], ["out"], Tables())
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high", "most"), [("exp", -700.0, 709.0, EXP_ULP), ("tanh", -25.0, 25.0, TANH_ULP)]
+)
+def test_exp_and_tanh_are_as_exact_as_they_say(tmp_path, name, low, high, most):
+    wrapper = f"double call(double x);\ndouble call(double x) {{ return {name}_f64(x); }}\n"
+    text = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n"
+    library = compile_c(tmp_path, text + preamble(wrapper) + "\n" + wrapper)
+    library.call.restype, library.call.argtypes = ctypes.c_double, [ctypes.c_double]
+    rng = np.random.default_rng(3)
+    x = np.concatenate([rng.uniform(low, high, 4000), rng.normal(0.0, 0.5, 4000), [0.0, 0.625, -0.625]])
+    found = np.array([library.call(each) for each in x])
+    exact = getattr(np, name)(x.astype(np.longdouble))
+    ulp = np.abs(found - exact) / np.spacing(np.abs(exact.astype(np.float64)))
+    assert ulp.max() <= most
+    assert library.call(np.inf) == (np.inf if name == "exp" else 1.0)
+    assert library.call(-np.inf) == (0.0 if name == "exp" else -1.0)
+    assert np.isnan(library.call(np.nan))
