@@ -18,15 +18,15 @@ from benchmarks.beside_optimum import table
 from benchmarks.report import circumstances, write_section
 from metropilot.errors import Infeasible
 from metropilot.operation import (
-    FeedingEnergy,
     LineOperation,
     OperationOptions,
     Timetable,
     TrainLoads,
+    feed_line,
     solve_network,
     train_loads,
 )
-from metropilot.railway import Feeding, load_feeding, load_line, load_trainset
+from metropilot.railway import Feeding, Storage, load_feeding, load_line, load_trainset
 from metropilot.units import J_PER_KWH
 
 LINE, TRAINSET, LOAD, FEEDING = "yizhuang", "dkz32", "AW2", "yizhuang"
@@ -55,7 +55,11 @@ class Fed:
         return self.operation.plain_timetable(offset_s)
 
     def energies_kwh(self, driving: str, feeding: Feeding) -> ndarray:
-        """Energy of every offset, all of them one long run of seconds."""
+        """Energy of every offset, all of them one long run of seconds if there is no storage."""
+        if feeding.storages or feeding.onboard is not None:
+            plans = self.plans[driving]
+            tables = [self.timetable(offset_s) for offset_s in self.offsets]
+            return np.array([feed_line(self.operation, each, plans, feeding).energy_kwh for each in tables])
         parts = []
         for k, offset_s in enumerate(self.offsets):
             loads, seconds = train_loads(self.operation, self.timetable(offset_s), self.plans[driving])
@@ -70,8 +74,7 @@ class Fed:
         """Energies by driving and offset, and the flow of optimal driving at its best offset."""
         cruise, optimal = (self.energies_kwh(each, feeding) for each in ("cruise", "optimal"))
         best = self.timetable(self.offsets[int(np.argmin(optimal))])
-        loads, seconds = train_loads(self.operation, best, self.plans["optimal"])
-        told = FeedingEnergy(feeding, solve_network(feeding, loads, seconds)).as_dict()
+        told = feed_line(self.operation, best, self.plans["optimal"], feeding).as_dict()
         return {
             "cruise": cruise.mean(),
             "driving": optimal.mean(),
@@ -116,6 +119,17 @@ def variants(feeding: Feeding) -> Iterator[tuple[str, Feeding]]:
     yield "squeezed above 890 V", replace(feeding, squeezed_above_v=890.0)
     yield "every second substation", replace(feeding, substations=feeding.substations[::2])
     yield "inverters everywhere, 855 V, 10 mohm", each(inverter_v=855.0, inverter_ohm=0.01)
+    usual = {"charge_above_v": 860.0, "discharge_below_v": 820.0, "resistance_ohm": 0.01, "efficiency": 0.95}
+    beside = [
+        Storage(name=s.name, position_m=s.position_m, capacity_j=10.0 * J_PER_KWH, power_w=1.5e6, **usual)
+        for s in feeding.substations
+    ]
+    yield "storage at all substations, 10 kWh, 1.5 MW", replace(feeding, storages=tuple(beside))
+    yield "the same at every second one", replace(feeding, storages=tuple(beside[::2]))
+    aboard = Storage(name="on board", capacity_j=3.0 * J_PER_KWH, power_w=8e5, **usual)
+    yield "storage on board, 3 kWh, 0.8 MW", replace(feeding, onboard=aboard)
+    lower = replace(aboard, charge_above_v=845.0)
+    yield "the same charged above 845 V", replace(feeding, onboard=lower)
 
 
 def day_starts(days: float) -> tuple[list[int], list[int]]:

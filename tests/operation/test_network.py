@@ -166,10 +166,10 @@ def test_a_second_does_not_depend_on_its_neighbours():
     together = solve_network(network, among, 40)
     for second in (0, 17, 39):
         rows = among.second == second
-        alone = TrainLoads(*(each[rows] for each in among))._replace(second=np.zeros(6, dtype=int))
+        alone = among.part(np.flatnonzero(rows))._replace(second=np.zeros(6, dtype=int))
         assert solve_network(network, alone, 1).train_v == pytest.approx(together.train_v[rows], abs=1e-5)
     mixed = np.random.default_rng(4).permutation(among.second.size)
-    again = solve_network(network, TrainLoads(*(each[mixed] for each in among)), 40)
+    again = solve_network(network, among.part(mixed), 40)
     assert again.train_v == pytest.approx(together.train_v[mixed], abs=1e-5)
 
 

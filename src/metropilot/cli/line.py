@@ -144,6 +144,10 @@ def _print_network(fed: FeedingEnergy) -> None:
     title = f"feeding {told['id']}: {told['energy_kwh']:.1f} kWh a round trip"
     columns = ("substation", "m", "kWh", "mean MW", "peak MW", "lowest V")
     console().print(table(title, columns, rows, right=range(1, 6)))
+    stores = [*told.get("storages", ()), *([told["onboard_storage"]] if "onboard_storage" in told else [])]
+    if stores:
+        charged, discharged = (sum(each[f"{way}charged_kwh"] for each in stores) for way in ("", "dis"))
+        console().print(f"Storages take {charged:.1f} kWh and give back {discharged:.1f}.")
     inverted = f"; inverters return {told['inverted_kwh']:.1f}" if told["inverted_kwh"] else ""
     console().print(
         f"Trains draw {told['drawn_kwh']:.1f} kWh and return {told['returned_kwh']:.1f}, "

@@ -15,7 +15,7 @@ from metropilot.cli import options as opt
 from metropilot.cli.console import citations, console, heading, number, print_json, table
 from metropilot.cli.show_learned import policy_json, read_policy, say_policy, show_learning_run, show_policy
 from metropilot.errors import InputError
-from metropilot.units import KMH_PER_MPS
+from metropilot.units import J_PER_KWH, KMH_PER_MPS
 
 if TYPE_CHECKING:
     from metropilot._registry import Registry
@@ -228,6 +228,12 @@ def show_feeding(feeding: Feeding, *, as_json: bool) -> int:
         f"at most above {feeding.reduced_below_v:g} V, nothing at {feeding.cut_off_v:g} V; they return "
         f"all below {feeding.squeezed_above_v:g} V, nothing at {feeding.max_v:g} V."
     )
+    for each in (*feeding.storages, *(() if feeding.onboard is None else (feeding.onboard,))):
+        where = each.name if each is feeding.onboard else f"{each.name} at {each.position_m:.0f} m"
+        out.print(
+            f"Storage {where}: {each.capacity_j / J_PER_KWH:g} kWh, {each.power_w / 1000.0:g} kW, charged "
+            f"above {each.charge_above_v:g} V, discharged below {each.discharge_below_v:g} V."
+        )
     heading(out, "notes", feeding.notes)
     citations(out, "sources", feeding.source)
     return 0

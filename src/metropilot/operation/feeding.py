@@ -106,6 +106,8 @@ def train_loads(
                 np.full(second.size, backward),
                 np.tile(journey.position_m, copies),
                 np.tile(journey.power_w, copies),
+                # in a headway the same train comes by again and again, forward and then back
+                np.zeros(second.size, int) if starts_s is None else 2 * train + backward,
             )
         )
     loads = TrainLoads(*(np.concatenate(each) for each in zip(*rows, strict=True)))
@@ -132,6 +134,25 @@ class FeedingEnergy:
         """Energy from the grid less that of the inverters."""
         return (self.flow.supplied_j - self.flow.inverted_j) / J_PER_KWH
 
+    def _stored(self) -> dict[str, Any]:
+        """Energy through storages beside the track and aboard, nothing where there are none."""
+        flow, told = self.flow, {}
+        beside = zip(self.feeding.storages, flow.storage_w.T, flow.storage_j.T, strict=True)
+        if self.feeding.storages:
+            told["storages"] = [
+                {
+                    "name": each.name,
+                    "position_m": each.position_m,
+                    **_through(power_w),
+                    "lowest_kwh": float(energy_j.min()) / J_PER_KWH,
+                    "highest_kwh": float(energy_j.max()) / J_PER_KWH,
+                }
+                for each, power_w, energy_j in beside
+            ]
+        if self.feeding.onboard is not None:
+            told["onboard_storage"] = _through(flow.onboard_w)
+        return told | ({"storage_change_kwh": flow.stored_j / J_PER_KWH} if told else {})
+
     def as_dict(self) -> dict[str, Any]:
         """Values as JSON holds them."""
         flow = self.flow
@@ -148,6 +169,7 @@ class FeedingEnergy:
             "rail_loss_kwh": float(flow.rail_loss_w.sum()) / J_PER_KWH,
             "substation_loss_kwh": float(flow.substation_loss_w.sum()) / J_PER_KWH,
             "balance": flow.imbalance,
+            **self._stored(),
             "lowest_v": float(flow.train_v[row]),
             "lowest_second": int(flow.loads.second[row]),
             "lowest_position_m": float(flow.loads.position_m[row]),
@@ -168,6 +190,12 @@ class FeedingEnergy:
         }
 
 
+def _through(power_w: ndarray) -> dict[str, float]:
+    """Energy into a storage and out of it."""
+    parts = {"charged_kwh": np.maximum(power_w, 0.0), "discharged_kwh": np.maximum(-power_w, 0.0)}
+    return {name: float(part.sum()) / J_PER_KWH for name, part in parts.items()}
+
+
 def feed_line(
     operation: LineOperation, timetable: Timetable, profiles: Profiles, feeding: Feeding
 ) -> FeedingEnergy:
@@ -184,7 +212,7 @@ def feed_line(
         Infeasible: The network cannot carry the load.
     """
     feeding.check_line(operation.line)
-    flow = solve_network(feeding, *train_loads(operation, timetable, profiles))
+    flow = solve_network(feeding, *train_loads(operation, timetable, profiles), periodic=True)
     flow.check_served()
     return FeedingEnergy(feeding, flow)
 

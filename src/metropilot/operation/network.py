@@ -10,15 +10,18 @@ carry the same current; the potential of the running rails against earth is not 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
 
 from metropilot._typing import Bool, Float, Int
-from metropilot.errors import Infeasible
-from metropilot.railway import Feeding
+from metropilot.errors import Infeasible, SolverError
+from metropilot.operation.storage import allowed_w, periodic_start_j, stored_j
+from metropilot.railway import Feeding, Storage
 
 CHUNK = 2048
 """Seconds solved together: few enough for a row of numbers to stay in the processor's cache."""
@@ -35,6 +38,8 @@ BISECTIONS = 30
 LEAST_V = 1.0
 LEAK_S = 1e-9
 """Conductance added to the tangent alone, which would be singular where every rectifier blocks."""
+MOST_ROUNDS, FULL_J = 60, 1.0
+"""Times that a network is solved until its storages have room and energy for what they do, within a joule."""
 SERVED = 1.0 - 1e-6
 """Share of its power below which a train lacks some."""
 
@@ -48,6 +53,8 @@ class TrainLoads(NamedTuple):
         backward: True in the direction of falling positions. Shape (K,).
         position_m: Position along the line. Shape (K,).
         power_w: Power that the train wants to draw; negative: to return. Shape (K,).
+        journey: Rows of one storage aboard, one after the other in their order; None: one for each train.
+            Shape (K,).
     """
 
     second: Int[ndarray, " rows"]
@@ -55,6 +62,18 @@ class TrainLoads(NamedTuple):
     backward: Bool[ndarray, " rows"]
     position_m: Float[ndarray, " rows"]
     power_w: Float[ndarray, " rows"]
+    journey: Int[ndarray, " rows"] | None = None
+
+    def journeys(self) -> list[Int[ndarray, " part"]]:
+        """Rows of each journey, in their order."""
+        key = 2 * self.train + self.backward if self.journey is None else self.journey
+        order = np.lexsort((self.second, key)) if self.journey is None else np.argsort(key, kind="stable")
+        return np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
+
+    def part(self, rows: Int[ndarray, " part"]) -> TrainLoads:
+        """Some of the rows."""
+        *usual, journey = self
+        return TrainLoads(*(each[rows] for each in usual), None if journey is None else journey[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +90,10 @@ class NetworkFlow:
         substation_loss_w: Loss in the inner resistances. Shape (T, S).
         rail_loss_w: Loss in the rails. Shape (T,).
         steps: Most Newton steps of a second.
+        storage_w: Power into each storage beside the track, negative out of it. Shape (T, G).
+        storage_j: Its energy before each second, and after the last. Shape (T+1, G).
+        onboard_w: Power into the storage aboard at each row. Shape (K,).
+        onboard_change_j: Change of the energy aboard, from the first to the last of each journey.
     """
 
     loads: TrainLoads
@@ -82,6 +105,20 @@ class NetworkFlow:
     substation_loss_w: Float[ndarray, "seconds substations"]
     rail_loss_w: Float[ndarray, " seconds"]
     steps: int
+    storage_w: Float[ndarray, "seconds storages"]
+    storage_j: Float[ndarray, "instants storages"]
+    onboard_w: Float[ndarray, " rows"]
+    onboard_change_j: float
+
+    @property
+    def stored_j(self) -> float:
+        """Energy that storages hold more at the end than at the beginning."""
+        return float((self.storage_j[-1] - self.storage_j[0]).sum()) + self.onboard_change_j
+
+    @property
+    def storage_in_j(self) -> float:
+        """Energy into storages less that out of them: their losses, and what they hold more in the end."""
+        return float(self.storage_w.sum() + self.onboard_w.sum())
 
     @property
     def lacking_w(self) -> Float[ndarray, " rows"]:
@@ -122,7 +159,8 @@ class NetworkFlow:
     def imbalance(self) -> float:
         """Energy that the sums lack, over that which flows in."""
         into = self.supplied_j + self.returned_j
-        return (into - self.inverted_j - self.drawn_j - self.loss_j) / into if into else 0.0
+        out = self.inverted_j + self.drawn_j + self.loss_j + self.storage_in_j
+        return (into - out) / into if into else 0.0
 
     def lowest(self) -> int | None:
         """Row of the lowest voltage at a train; None without trains."""
@@ -186,6 +224,10 @@ class _Nodes(NamedTuple):
         inverter_s: Conductance of its inverter; 0 elsewhere.
         no_load_v: No-load voltage of the rectifier.
         inverter_v: Voltage above which the inverter works.
+        storage: Conductance and voltage of charging and the same of discharging. Shape (4, N, T), or
+            (0, N, T) without any.
+        charge_w: Most power of charging.
+        discharge_w: Most power of discharging.
         rail_s: Conductance of the rails of one track to the next node. One row less.
     """
 
@@ -196,11 +238,14 @@ class _Nodes(NamedTuple):
     inverter_s: ndarray
     no_load_v: ndarray
     inverter_v: ndarray
+    storage: ndarray
+    charge_w: ndarray
+    discharge_w: ndarray
     rail_s: ndarray
 
     def part(self, seconds: ndarray) -> _Nodes:
         """The nodes of some of the seconds."""
-        return _Nodes(*(each[:, seconds] for each in self))
+        return _Nodes(*(each[..., seconds] for each in self))
 
     def element(self, voltage_v: ndarray) -> ndarray:
         """Voltage at each node's train or substation."""
@@ -213,7 +258,31 @@ class _Nodes(NamedTuple):
         below_v, above_v = self.no_load_v - at_v, at_v - self.inverter_v
         current_a += self.inverter_s * np.maximum(above_v, 0.0) - self.rectifier_s * np.maximum(below_v, 0.0)
         slope_s += self.inverter_s * (above_v > 0.0) + self.rectifier_s * (below_v >= 0.0)
+        if self.storage.size:
+            stored_a, stored_s = self.storage_current(at_v)
+            current_a, slope_s = current_a + stored_a, slope_s + stored_s
         return current_a, slope_s
+
+    def storage_current(self, at_v: ndarray) -> tuple[ndarray, ndarray]:
+        """Current into the storages, and its derivative."""
+        if not self.storage.size:
+            return np.zeros_like(at_v), np.zeros_like(at_v)
+        charge_s, charge_v, discharge_s, discharge_v = self.storage
+        total_a, total_s = np.zeros_like(at_v), np.zeros_like(at_v)
+        for sign, amps, conductance, most_w in (
+            (1.0, charge_s * np.maximum(at_v - charge_v, 0.0), charge_s * (at_v > charge_v), self.charge_w),
+            (
+                -1.0,
+                discharge_s * np.maximum(discharge_v - at_v, 0.0),
+                -discharge_s * (at_v < discharge_v),
+                self.discharge_w,
+            ),
+        ):
+            most_a = most_w / at_v
+            limited = amps > most_a
+            total_a += sign * np.where(limited, most_a, amps)
+            total_s += sign * np.where(limited, -most_a / at_v, conductance)
+        return total_a, total_s
 
     def residual(self, voltage_v: ndarray, current_a: ndarray) -> ndarray:
         """Sum of the currents out of each node of each track."""
@@ -333,40 +402,102 @@ def _solve(feeding: Feeding, nodes: _Nodes) -> tuple[ndarray, ndarray, int]:
     return voltage_v, left, MOST_STEPS
 
 
-def solve_network(feeding: Feeding, loads: TrainLoads, seconds: int) -> NetworkFlow:
+def solve_network(
+    feeding: Feeding, loads: TrainLoads, seconds: int, *, periodic: bool = False
+) -> NetworkFlow:
     """Solve a network second by second.
 
     A train draws its power, limited by its current; below a voltage that limit falls to nil. Where it
     lacks power the flow says so (:meth:`NetworkFlow.check_served`). A braking train returns its power, above
     a voltage less and less.
 
+    Storages have room and energy for what they do. Their power in one second alters that of no other but by
+    their energy, so all seconds are solved with what that energy allows, until it does.
+
     Args:
         feeding: Substations, rails and limits.
         loads: Trains, every second below ``seconds``.
         seconds: Number of seconds.
+        periodic: True if all repeats: storages then end with the energy they begin with. Else they begin
+            half full.
 
     Raises:
         Infeasible: No voltages were found for a second; names the train with the lowest one.
+        SolverError: Storages do not settle.
     """
-    most, flows = 0, []
+    count = len(feeding.storages)
+    aboard = feeding.onboard
+    most = [np.full((seconds, count), np.array([each.power_w for each in feeding.storages])) for _ in "cd"]
+    most_aboard = [np.full(loads.second.size, aboard.power_w if aboard else 0.0)] * 2
+    journeys = [] if aboard is None else loads.journeys()
+    for turn in range(MOST_ROUNDS):
+        flow = _solve_all(feeding, loads, seconds, most, most_aboard)
+        beside = [_keep(each, flow.storage_w[:, k], periodic) for k, each in enumerate(feeding.storages)]
+        on_way = [_keep(aboard, flow.onboard_w[rows], periodic) for rows in journeys if aboard]
+        if max((lost_j for *_, lost_j in (*beside, *on_way)), default=0.0) <= FULL_J:
+            energy_j = [energy_j for energy_j, _ in beside]
+            change_j = math.fsum(energy_j[-1] - energy_j[0] for energy_j, _ in on_way)
+            held = np.stack(energy_j, axis=1) if energy_j else np.zeros((seconds + 1, 0))
+            return replace(flow, storage_j=held, onboard_change_j=change_j)
+        for k, (storage, (energy_j, _)) in enumerate(zip(feeding.storages, beside, strict=True)):
+            for which, watts in enumerate(allowed_w(storage, energy_j[:-1])):
+                most[which][:, k] = np.minimum(watts, most[which][:, k]) if turn > MOST_ROUNDS // 2 else watts
+        if aboard is not None:
+            found = [np.empty(loads.second.size) for _ in "cd"]
+            for rows, (energy_j, _) in zip(journeys, on_way, strict=True):
+                for which, watts in enumerate(allowed_w(aboard, energy_j[:-1])):
+                    found[which][rows] = watts
+            tight = turn > MOST_ROUNDS // 2
+            most_aboard = [
+                np.minimum(*each) if tight else each[0] for each in zip(found, most_aboard, strict=True)
+            ]
+    raise SolverError("the storages of the network do not settle")
+
+
+def _keep(storage: Storage, power_w: ndarray, periodic: bool) -> tuple[ndarray, float]:
+    """Energy before each second and after the last, and how far the power exceeds what there is."""
+    begins_j = periodic_start_j(storage, power_w) if periodic else 0.5 * storage.capacity_j
+    energy_j = stored_j(storage, power_w, begins_j)
+    gain_j = np.where(power_w > 0.0, power_w * storage.efficiency, power_w / storage.efficiency)
+    return energy_j, float(np.abs(np.diff(energy_j) - gain_j).max(initial=0.0))
+
+
+def _solve_all(
+    feeding: Feeding, loads: TrainLoads, seconds: int, most: list[ndarray], most_aboard: list[ndarray]
+) -> NetworkFlow:
+    """Solve all seconds with the most power of charging and discharging."""
+    steps, flows = 0, []
     order = np.argsort(loads.second, kind="stable")
     for first in range(0, seconds, CHUNK):
         last = min(first + CHUNK, seconds)
         begin, end = np.searchsorted(loads.second[order], [first, last])
         rows = order[begin:end]
-        part = TrainLoads(*(each[rows] for each in loads))
-        nodes, place = _arrange(feeding, part, first, last)
-        voltage_v, lost, steps = _solve(feeding, nodes)
+        part = loads.part(rows)
+        power = [each[first:last] for each in most], [each[rows] for each in most_aboard]
+        nodes, place = _arrange(feeding, part, first, last, power)
+        voltage_v, lost, count = _solve(feeding, nodes)
         flow = _measure(feeding, nodes, voltage_v, part, place)
         if lost.size:
             among = np.flatnonzero(np.isin(part.second, first + lost))
             worst = int(among[np.argmin(flow[0][among])])
             raise _overload_error(part, worst, float(flow[0][worst]))
         flows.append(flow)
-        most = max(most, steps)
+        steps = max(steps, count)
     back = np.argsort(order)
-    train_v, train_w, *rest = (np.concatenate(each) for each in zip(*flows, strict=True))
-    return NetworkFlow(loads, train_v[back], train_w[back], *rest, steps=most)
+    train_v, train_w, onboard_w, *rest, storage_w = (
+        np.concatenate(each) for each in zip(*flows, strict=True)
+    )
+    return NetworkFlow(
+        loads,
+        train_v[back],
+        train_w[back],
+        *rest,
+        steps=steps,
+        storage_w=storage_w,
+        storage_j=np.zeros((seconds + 1, storage_w.shape[1])),
+        onboard_w=onboard_w[back],
+        onboard_change_j=0.0,
+    )
 
 
 class _Place(NamedTuple):
@@ -375,26 +506,42 @@ class _Place(NamedTuple):
     Attributes:
         train: Those of each row of the loads.
         substation: Those of each second and substation. Two of shape (T, S).
+        storage: Those of each second and storage beside the track. Two of shape (T, G).
     """
 
     train: tuple[ndarray, ndarray]
     substation: tuple[ndarray, ndarray]
+    storage: tuple[ndarray, ndarray]
 
 
-def _arrange(feeding: Feeding, loads: TrainLoads, first: int, last: int) -> tuple[_Nodes, _Place]:
-    """Nodes of the seconds from ``first`` to before ``last``."""
-    stations, seconds, trains = feeding.substations, last - first, loads.second.size
-    count = len(stations)
-    second = np.concatenate([loads.second - first, np.repeat(np.arange(seconds), count)])
-    position_m = np.concatenate([loads.position_m, np.tile([each.position_m for each in stations], seconds)])
+def _arrange(
+    feeding: Feeding,
+    loads: TrainLoads,
+    first: int,
+    last: int,
+    most: tuple[Sequence[ndarray], Sequence[ndarray]],
+) -> tuple[_Nodes, _Place]:
+    """Nodes of the seconds from ``first`` to before ``last``, with the most power of storages."""
+    stations, storages, seconds, trains = (
+        feeding.substations,
+        feeding.storages,
+        last - first,
+        loads.second.size,
+    )
+    count, beside = len(stations), len(storages)
+    fixed_m = [each.position_m for each in (*stations, *storages)]
+    second = np.concatenate([loads.second - first, np.repeat(np.arange(seconds), count + beside)])
+    position_m = np.concatenate([loads.position_m, np.tile(fixed_m, seconds)])
     order = np.lexsort((position_m, second))
     start = np.searchsorted(second[order], np.arange(seconds))
     rank = np.empty(order.size, dtype=int)
     rank[order] = np.arange(order.size) - start[second[order]]
     shape = int(rank.max()) + 1, seconds
+    at_rank, at_second = (each[trains:].reshape(seconds, count + beside) for each in (rank, second))
     place = _Place(
         (rank[:trains], second[:trains]),
-        (rank[trains:].reshape(seconds, count), second[trains:].reshape(seconds, count)),
+        (at_rank[:, :count], at_second[:, :count]),
+        (at_rank[:, count:], at_second[:, count:]),
     )
 
     def spread(at: tuple[ndarray, ndarray], values: object, other: float | bool = 0.0) -> ndarray:
@@ -410,14 +557,40 @@ def _arrange(feeding: Feeding, loads: TrainLoads, first: int, last: int) -> tupl
     nodes = _Nodes(
         power_w=spread(place.train, loads.power_w),
         backward=spread(place.train, loads.backward, other=False),
-        tied=spread(place.substation, values=True, other=False),
+        tied=spread((at_rank, at_second), values=True, other=False),
         rectifier_s=spread(place.substation, [1.0 / each.resistance_ohm for each in stations]),
         inverter_s=spread(place.substation, inverter_s),
         no_load_v=spread(place.substation, [each.no_load_v for each in stations]),
         inverter_v=spread(place.substation, inverter_v, np.inf),
+        storage=_storages(feeding, place, shape),
+        charge_w=_both(place, shape, most[0][0], most[1][0]),
+        discharge_w=_both(place, shape, most[0][1], most[1][1]),
         rail_s=1.0 / (feeding.ohm_per_m * gap_m),
     )
     return nodes, place
+
+
+def _both(place: _Place, shape: tuple[int, int], beside: ndarray, aboard: ndarray | float) -> ndarray:
+    """Values at the storages beside the track and aboard the trains; 0 elsewhere."""
+    found = np.zeros(shape)
+    found[place.train], found[place.storage] = aboard, beside
+    return found
+
+
+def _storages(feeding: Feeding, place: _Place, shape: tuple[int, int]) -> ndarray:
+    """Conductances and voltages of all storages."""
+    if not feeding.storages and feeding.onboard is None:
+        return np.zeros((0, *shape))
+    rows = [
+        [(s.charge_above_v, s.discharge_below_v, 1.0 / s.resistance_ohm) for s in each]
+        for each in (feeding.storages, [] if feeding.onboard is None else [feeding.onboard])
+    ]
+    beside = np.array(rows[0]).reshape(-1, 3).T
+    aboard = rows[1][0] if rows[1] else (0.0, 0.0, 0.0)
+    charge_v, discharge_v, conductance = (
+        _both(place, shape, fixed, own) for fixed, own in zip(beside, aboard, strict=True)
+    )
+    return np.stack([conductance, charge_v, conductance, discharge_v])
 
 
 def _measure(
@@ -434,4 +607,15 @@ def _measure(
     loss_w = rectifier_a * inner_v[0] + inverter_a * inner_v[1]
     rail_loss_w = np.sum(nodes.rail_s * np.diff(voltage_v, axis=1) ** 2, axis=(0, 1))
     inverter_w = inverter_a * np.where(inverter_a > 0.0, inverter_v, 0.0)
-    return train_v, train_v * train_a, substation_v, no_load_v * rectifier_a, inverter_w, loss_w, rail_loss_w
+    stored_w = at_v * nodes.storage_current(at_v)[0]
+    return (
+        train_v,
+        train_v * train_a,
+        stored_w[place.train],
+        substation_v,
+        no_load_v * rectifier_a,
+        inverter_w,
+        loss_w,
+        rail_loss_w,
+        stored_w[place.storage],
+    )

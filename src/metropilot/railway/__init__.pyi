@@ -3,6 +3,7 @@ from .effort import Efficiency as Efficiency
 from .effort import EffortCurve as EffortCurve
 from .effort import EffortPiece as EffortPiece
 from .feeding import Feeding as Feeding
+from .feeding import Storage as Storage
 from .feeding import Substation as Substation
 from .formats.toml import write_journey as write_journey
 from .formats.toml import write_line as write_line

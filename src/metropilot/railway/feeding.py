@@ -50,6 +50,45 @@ class Substation:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Storage:
+    """Storage of energy on the line's voltage, beside the track or aboard each train.
+
+    It charges above one voltage and discharges below another, by as much current as the voltage is beyond it
+    over a resistance, up to its power and as long as there is room or energy.
+
+    Attributes:
+        position_m: Position along the line; of no meaning aboard.
+        name: Name.
+        capacity_j: Energy that it takes, at its cells.
+        power_w: Most power, at its terminals.
+        efficiency: Of charging, and once more of discharging.
+        charge_above_v: Voltage above which it charges.
+        discharge_below_v: Voltage below which it discharges.
+        resistance_ohm: Fall of the voltage per current that its control keeps; nothing is lost in it.
+    """
+
+    position_m: float = 0.0
+    name: str = ""
+    capacity_j: float = declare(36e6, unit="J", low=0.0, above=True, high=1e12, shown=KINDS["energy"]["kWh"])
+    power_w: float = declare(1e6, unit="W", low=0.0, above=True, high=1e9, shown=KINDS["power"]["kW"])
+    efficiency: float = declare(0.95, low=0.0, above=True, high=1.0)
+    charge_above_v: float = declare(860.0, unit="V", low=0.0, above=True, high=MOST_V)
+    discharge_below_v: float = declare(820.0, unit="V", low=0.0, above=True, high=MOST_V)
+    resistance_ohm: float = declare(0.01, unit="ohm", low=0.0, above=True, high=100.0, shown=MILLIOHM)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if not self.charge_above_v > self.discharge_below_v:
+            raise InputError(
+                "a storage that charges and discharges at once",
+                field="charge_above_v",
+                value=tidy(self.charge_above_v),
+                unit="V",
+                allowed=f"above discharge_below, {self.discharge_below_v:g} V",
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
 class Feeding:
     """DC feeding of one line.
 
@@ -68,6 +107,8 @@ class Feeding:
         cut_off_v: Voltage at which it is nil.
         squeezed_above_v: Voltage above which a braking train returns less than it could, linearly.
         max_v: Voltage at which it returns nothing.
+        storages: Storages beside the track by increasing position; the tracks are tied there.
+        onboard: Storage aboard each train; None: none.
         source: Citation of each block of data, by block name.
         notes: Remarks worth showing to a user.
         extra: Keys of the source file that metropilot does not use, kept for writing back.
@@ -87,6 +128,8 @@ class Feeding:
     cut_off_v: float = declare(500.0, unit="V", low=0.0, above=True, high=MOST_V)
     squeezed_above_v: float = declare(870.0, unit="V", low=0.0, above=True, high=MOST_V)
     max_v: float = declare(900.0, unit="V", low=0.0, above=True, high=MOST_V)
+    storages: tuple[Storage, ...] = ()
+    onboard: Storage | None = None
     source: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
@@ -96,15 +139,16 @@ class Feeding:
         check_fields(self)
         if not self.substations:
             raise InputError("needs substations", field="substations", value=0, allowed="at least 1")
-        for index, (before, after) in enumerate(pairwise(self.substations), start=1):
-            if not after.position_m > before.position_m:
-                raise InputError(
-                    "must increase",
-                    field=f"substations[{index}].position",
-                    value=tidy(after.position_m),
-                    unit="m",
-                    allowed=f"> {before.position_m:g} m",
-                )
+        for block, places in (("substations", self.substations), ("storages", self.storages)):
+            for index, (before, after) in enumerate(pairwise(places), start=1):
+                if not after.position_m > before.position_m:
+                    raise InputError(
+                        "must increase",
+                        field=f"{block}[{index}].position",
+                        value=tidy(after.position_m),
+                        unit="m",
+                        allowed=f"> {before.position_m:g} m",
+                    )
         highest_v = max(s.no_load_v for s in self.substations)
         lowest_v = min(s.no_load_v for s in self.substations)
         order = (
@@ -127,22 +171,23 @@ class Feeding:
         return self.conductor_ohm_per_m + self.running_ohm_per_m
 
     def check_line(self, line: Line) -> None:
-        """Refuse a substation off the line.
+        """Refuse a substation or a storage off the line.
 
         Args:
             line: Line to feed.
 
         Raises:
-            InputError: Naming the substation, its position and where the line is.
+            InputError: Naming it, its position and where the line is.
         """
         first_m, last_m = (line.stations[k].position_m for k in (0, -1))
-        for index, substation in enumerate(self.substations):
-            if not first_m <= substation.position_m <= last_m:
-                raise InputError(
-                    f"substation off the line: {substation.name or index}",
-                    file=self.id,
-                    field=f"substations[{index}].position",
-                    value=tidy(substation.position_m),
-                    unit="m",
-                    allowed=f"{first_m:g} to {last_m:g} m",
-                )
+        for kind, places in (("substation", self.substations), ("storage", self.storages)):
+            for index, each in enumerate(places):
+                if not first_m <= each.position_m <= last_m:
+                    raise InputError(
+                        f"{kind} off the line: {each.name or index}",
+                        file=self.id,
+                        field=f"{kind}s[{index}].position",
+                        value=tidy(each.position_m),
+                        unit="m",
+                        allowed=f"{first_m:g} to {last_m:g} m",
+                    )

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from metropilot._schema import field_default, field_specs
 from metropilot.errors import rename_fields
-from metropilot.railway.feeding import Feeding, Substation
+from metropilot.railway.feeding import Feeding, Storage, Substation
 from metropilot.railway.formats.reader import ANY, Node
 from metropilot.railway.formats.toml import Document
 
 SUBSTATION = {"no_load_voltage": ("no_load_v", "voltage"), "resistance": ("resistance_ohm", "resistance")}
 INVERTER = {"voltage": ("inverter_v", "voltage"), "resistance": ("inverter_ohm", "resistance")}
+STORAGE = {
+    "capacity": ("capacity_j", "energy"),
+    "power": ("power_w", "power"),
+    "efficiency": ("efficiency", "share"),
+    "charge_above": ("charge_above_v", "voltage"),
+    "discharge_below": ("discharge_below_v", "voltage"),
+    "resistance": ("resistance_ohm", "resistance"),
+}
 RAILS = {
     "conductor": ("conductor_ohm_per_m", "resistance per length"),
     "running": ("running_ohm_per_m", "resistance per length"),
@@ -38,6 +47,37 @@ def read_feeding(root: Node) -> Feeding:
     inverter = _read(inverters, Substation, INVERTER) if inverters else {}
     names = inverters.texts("at") if inverters else ()
     substations = []
+    for name, position_m, own in _places(block, Substation, SUBSTATION):
+        given = usual | own | (inverter if name in names else {})
+        with rename_fields({"inverter_v": "inverters.voltage"}, root.file):
+            substations.append(Substation(name=name, position_m=position_m, **given))
+    beside, aboard = document.optional("storage"), document.optional("onboard_storage")
+    storages = []
+    if beside is not None:
+        usual = _read(beside, Storage, STORAGE)
+        for name, position_m, own in _places(beside, Storage, STORAGE):
+            with rename_fields({"charge_above_v": "storage.charge_above"}, root.file):
+                storages.append(Storage(name=name, position_m=position_m, **usual | own))
+    with rename_fields({"charge_above_v": "onboard_storage.charge_above"}, root.file):
+        onboard = None if aboard is None else Storage(name="on board", **_read(aboard, Storage, STORAGE))
+    known = [each.name for each in substations]
+    for index, name in enumerate(names):
+        if inverters and name not in known:
+            raise inverters.fail("no such substation", f"at[{index}]", name, ", ".join(known))
+    return document.build(
+        Feeding,
+        name=root.text("name"),
+        line_id=root.text("line"),
+        substations=tuple(substations),
+        storages=tuple(storages),
+        onboard=onboard,
+        **_read(document.block("rails"), Feeding, RAILS),
+        **_read(document.block("trains"), Feeding, TRAINS),
+    )
+
+
+def _places(block: Node, kind: type[Any], keys: Keys) -> Iterator[tuple[str, float, dict[str, float]]]:
+    """Name, position and own values of each entry of a block's list."""
     for index, entry in enumerate(block.items("list")):
         where = f"list[{index}]"
         if not isinstance(entry, dict):
@@ -46,25 +86,11 @@ def read_feeding(root: Node) -> Feeding:
         node = Node({"units": block.get("units")} | entry, block.file, block.at(where))
         name = node.text("name")
         position_m = node.quantity("position", "length", ANY)
-        own = _read(node, Substation, {key: SUBSTATION[key] for key in SUBSTATION if key in entry})
-        node.may_have_units("position", *SUBSTATION)
+        own = _read(node, kind, {key: keys[key] for key in keys if key in entry})
+        node.may_have_units("position", *keys)
         node.close()
-        given = usual | own | (inverter if name in names else {})
-        with rename_fields({"inverter_v": "inverters.voltage"}, root.file):
-            substations.append(Substation(name=name, position_m=position_m, **given))
-    known = [each.name for each in substations]
-    for index, name in enumerate(names):
-        if inverters and name not in known:
-            raise inverters.fail("no such substation", f"at[{index}]", name, ", ".join(known))
+        yield name, position_m, own
     block.may_have_units("position")
-    return document.build(
-        Feeding,
-        name=root.text("name"),
-        line_id=root.text("line"),
-        substations=tuple(substations),
-        **_read(document.block("rails"), Feeding, RAILS),
-        **_read(document.block("trains"), Feeding, TRAINS),
-    )
 
 
 def _read(block: Node, kind: type[Any], keys: Keys) -> dict[str, float]:
