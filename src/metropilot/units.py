@@ -7,6 +7,7 @@ one quantity kept outside SI: they are in permil, as is usual in railway enginee
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import overload
@@ -164,3 +165,30 @@ def pick(kind: str, values: Sequence[float], wish: str) -> tuple[Callable[[float
     liked = KINDS[kind][wish]
     chosen = liked if liked.exact(values) else si_unit(kind)
     return chosen.from_si, chosen.name
+
+
+CLOCK = re.compile(r"([0-9]{1,2}):([0-5][0-9])(?::([0-5][0-9]))?")
+
+
+def parse_clock(text: str, *, file: object = None, field: str | None = None) -> int:
+    """Seconds from the midnight that a day begins with; hours go on after 24 in the night that follows.
+
+    Args:
+        text: ``HH:MM`` or ``HH:MM:SS``.
+        file: The file, for the message.
+        field: The field, for the message.
+
+    Raises:
+        InputError: It is no time.
+    """
+    match = CLOCK.fullmatch(text.strip())
+    if match is None:
+        raise InputError("not a time", file=file, field=field, value=text, allowed="HH:MM or HH:MM:SS")
+    hours, minutes, seconds = (int(part or 0) for part in match.groups())
+    return 3600 * hours + 60 * minutes + seconds
+
+
+def format_clock(time_s: int | float) -> str:
+    """A time from midnight as ``HH:MM:SS``, rounded to whole seconds."""
+    minutes, seconds = divmod(round(time_s), 60)
+    return f"{minutes // 60:02d}:{minutes % 60:02d}:{seconds:02d}"

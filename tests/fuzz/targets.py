@@ -94,10 +94,11 @@ class Target:
 
 
 def _read_railway(path: Path) -> None:
-    """Read a file; an accepted one is written and read again without a change, a feeding is checked alone."""
+    """Read a file; one that is accepted is written and read again, a feeding or a day is checked."""
     from metropilot.railway import (
         Feeding,
         Line,
+        ServiceDay,
         Trainset,
         import_file,
         write_journey,
@@ -110,6 +111,9 @@ def _read_railway(path: Path) -> None:
     if isinstance(found, Feeding):
         assert 0 < found.ohm_per_m < np.inf
         assert all(0 < each.resistance_ohm < np.inf for each in found.substations)
+        return
+    if isinstance(found, ServiceDay):
+        assert all(0 <= each.from_s < each.to_s and each.headway_s >= 10 for each in found.periods)
         return
     if isinstance(found, Line):
         for section in (*found.sections(), *found.sections(backward=True)):
@@ -284,7 +288,10 @@ def _trajectories() -> list[bytes]:
 
 
 def _catalogue() -> list[bytes]:
-    return [text.encode() for text in (samples.LINE, samples.TRAINSET, samples.JOURNEY, samples.FEEDING)]
+    return [
+        text.encode()
+        for text in (samples.LINE, samples.TRAINSET, samples.JOURNEY, samples.FEEDING, samples.DAY)
+    ]
 
 
 def _texts(*texts: str) -> Callable[[], list[bytes]]:

@@ -134,6 +134,26 @@ squeezed_above = 875
 max_voltage = 900
 """
 
+DAY = """
+kind = "day"
+id = "toy"
+name = "Toy day"
+line = "toy"
+
+[periods]
+units = { headway = "min", dwell = "s" }
+source = "made up"
+list = [
+  { name = "early", from = "05:30", to = "06:00", headway = 10 },
+  { name = "late", from = "23:15:30", to = "25:00", headway = 20, dwell = 45 },
+]
+
+[trains]
+units = { longest_wait = "min" }
+fleet = 3
+longest_wait = 5
+"""
+
 JOURNEY = """
 kind = "journey"
 id = "toy"

@@ -171,11 +171,32 @@ FEEDING = [
     ("max_current = 6", "max_curent = 6", "trains.max_curent", "max_current", None, "cut_off"),
     ('max_current = "kA", ', "", "trains.units.max_current", None, None, "current in A, kA"),
 ]
+DAY = [
+    ('from = "05:30"', 'from = "5h30"', "periods.list[0].from", "5h30", None, "HH:MM or HH:MM:SS"),
+    ('from = "05:30", ', "", "periods.list[0].from", None, None, "HH:MM"),
+    ('to = "06:00"', 'to = "05:00"', "periods.list[0].to", "05:00:00", None, "after 05:30:00"),
+    ('to = "06:00"', 'to = "23:30"', "periods.list[1].from", "23:15:30", None, "23:30:00 or later"),
+    ('to = "25:00"', 'to = "37:00"', "periods.list[1].to", "133200", "s", "0 to 129600 s"),
+    ("headway = 10 ", "headway = 0.1 ", "periods.list[0].headway", "0.1", "min", "0.166667 to 120 min"),
+    (
+        "headway = 10 ",
+        "headway = 0.51 ",
+        "periods.list[0].headway",
+        "0.51",
+        None,
+        "a whole number of seconds",
+    ),
+    ('headway = "min", ', "", "periods.list[0].units.headway", None, None, "time in s, min, h"),
+    ("dwell = 45", "dwel = 45", "periods.list[1].dwel", "dwell", None, "dwell, from"),
+    ("fleet = 3", "fleet = 2.5", "trains.fleet", "2.5", None, "a whole number"),
+    ("fleet = 3", "fleet = 0", "trains.fleet", "0", None, "1 to 10000"),
+]
 CASES = [
     *((samples.LINE, *case) for case in LINE),
     *((samples.TRAINSET, *case) for case in TRAINSET),
     *((samples.JOURNEY, *case) for case in JOURNEY),
     *((samples.FEEDING, *case) for case in FEEDING),
+    *((samples.DAY, *case) for case in DAY),
 ]
 
 

@@ -44,6 +44,7 @@ def import_command(
         Feeding,
         Journey,
         Line,
+        ServiceDay,
         import_file,
         write_journey,
         write_line,
@@ -51,8 +52,8 @@ def import_command(
     )
 
     found = import_file(file)
-    if isinstance(found, Feeding):
-        raise InputError("a feeding needs no import", file=file, allowed="a line, a trainset or a journey")
+    if isinstance(found, Feeding | ServiceDay):
+        raise InputError("needs no import", file=file, allowed="a line, a trainset or a journey")
     target = out if out is not None else Path(f"{found.id}.toml")
     if target.exists() and not force:
         raise InputError("the file exists", file=target, field="out", allowed="a new name, or --force")

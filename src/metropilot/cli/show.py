@@ -20,7 +20,7 @@ from metropilot.units import J_PER_KWH, KMH_PER_MPS
 if TYPE_CHECKING:
     from metropilot._registry import Registry
     from metropilot.learn import RunRecord
-    from metropilot.railway import Feeding, Journey, Line, Section, Trainset
+    from metropilot.railway import Feeding, Journey, Line, Section, ServiceDay, Trainset
 
 SPEEDS_KMH = (0.0, 20.0, 40.0, 60.0, 80.0)
 EXAMPLES = {
@@ -97,8 +97,8 @@ def show_run_folder(folder: Path, *, as_json: bool) -> int:
 
 
 def show_file(path: Path, *, as_json: bool) -> int:
-    """Show a line, trainset, journey or policy file, or a `run.toml`."""
-    from metropilot.railway import Feeding, Line, Trainset, import_file
+    """Show a line, trainset, journey, feeding, day or policy file, or a `run.toml`."""
+    from metropilot.railway import Feeding, Line, ServiceDay, Trainset, import_file
 
     if path.name == "run.toml":
         return show_run_folder(path.parent, as_json=as_json)
@@ -111,6 +111,8 @@ def show_file(path: Path, *, as_json: bool) -> int:
         code = show_trainset(found, as_json=as_json)
     elif isinstance(found, Feeding):
         code = show_feeding(found, as_json=as_json)
+    elif isinstance(found, ServiceDay):
+        code = show_day(found, as_json=as_json)
     else:
         code = show_journey(found, as_json=as_json)
     return code
@@ -236,6 +238,28 @@ def show_feeding(feeding: Feeding, *, as_json: bool) -> int:
         )
     heading(out, "notes", feeding.notes)
     citations(out, "sources", feeding.source)
+    return 0
+
+
+def show_day(day: ServiceDay, *, as_json: bool) -> int:
+    """Show periods, trains, notes, sources."""
+    from dataclasses import asdict
+
+    from metropilot.units import format_clock
+
+    if as_json:
+        print_json({"kind": "day", **asdict(day)})
+        return 0
+    out = console()
+    rows = [
+        (p.name, format_clock(p.from_s), format_clock(p.to_s), f"{p.headway_s}", number(p.dwell_s, 0))
+        for p in day.periods
+    ]
+    out.print(table(day.name, ("period", "from", "to", "headway s", "dwell s"), rows, right=range(1, 5)))
+    fleet = "as many trains as it takes" if day.fleet is None else f"{day.fleet} trains"
+    out.print(f"{fleet}; one that would wait more than {day.longest_wait_s} s goes to the depot.")
+    heading(out, "notes", day.notes)
+    citations(out, "sources", day.source)
     return 0
 
 

@@ -1,3 +1,5 @@
+from .day import Period as Period
+from .day import ServiceDay as ServiceDay
 from .drawn import drawn_trainset as drawn_trainset
 from .effort import Efficiency as Efficiency
 from .effort import EffortCurve as EffortCurve
@@ -14,9 +16,11 @@ from .journey import TimingPoint as TimingPoint
 from .journey import planned_journey as planned_journey
 from .library import TrainsetKey as TrainsetKey
 from .library import import_file as import_file
+from .library import list_days as list_days
 from .library import list_feedings as list_feedings
 from .library import list_lines as list_lines
 from .library import list_trainsets as list_trainsets
+from .library import load_day as load_day
 from .library import load_feeding as load_feeding
 from .library import load_journey as load_journey
 from .library import load_line as load_line

@@ -14,11 +14,13 @@ from typing import Any, NamedTuple, TypeVar
 
 from metropilot._io import read_text
 from metropilot.errors import InputError
+from metropilot.railway.day import ServiceDay
 from metropilot.railway.drawn import NAME as DRAWN_NAME
 from metropilot.railway.drawn import drawn_trainset
 from metropilot.railway.feeding import Feeding
 from metropilot.railway.formats.reader import ACTUATION_TIME, Node, nearest
 from metropilot.railway.formats.toml import read_journey, read_line
+from metropilot.railway.formats.toml_day import read_day
 from metropilot.railway.formats.toml_feeding import read_feeding
 from metropilot.railway.formats.toml_trainset import read_trainset
 from metropilot.railway.formats.ttobench import read_ttobench
@@ -26,18 +28,24 @@ from metropilot.railway.journey import Journey, planned_journey
 from metropilot.railway.line import Line
 from metropilot.railway.trainset import Trainset
 
-T = TypeVar("T", Line, Trainset, Journey, Feeding)
+Catalogued = Line | Trainset | Journey | Feeding | ServiceDay
+"""Whatever a file describes."""
+T = TypeVar("T", Line, Trainset, Journey, Feeding, ServiceDay)
 
-_READERS: dict[str, Callable[[Node], Line | Trainset | Journey | Feeding]] = {
+_READERS: dict[str, Callable[[Node], Catalogued]] = {
     "line": read_line,
     "trainset": read_trainset,
     "journey": read_journey,
     "feeding": read_feeding,
+    "day": read_day,
 }
 
 
-def import_file(path: str | Path) -> Line | Trainset | Journey | Feeding:
-    """Read a line, a trainset, a journey or a feeding from a file: metropilot's TOML or TTOBench JSON.
+_KINDS = {"line": Line, "trainset": Trainset, "journey": Journey, "feeding": Feeding, "day": ServiceDay}
+
+
+def import_file(path: str | Path) -> Catalogued:
+    """Read a line, a trainset, a journey, a feeding or a day from a file: metropilot's TOML or TTOBench JSON.
 
     Args:
         path: A file ending in ``.toml`` or ``.json``.
@@ -56,7 +64,7 @@ def import_file(path: str | Path) -> Line | Trainset | Journey | Feeding:
     return _read_toml(text, path)
 
 
-def _read_toml(text: str, file: object) -> Line | Trainset | Journey | Feeding:
+def _read_toml(text: str, file: object) -> Catalogued:
     root = Node(_parse(file, text, tomllib.loads, "TOML"), file)
     kind = root.text("kind", allowed=", ".join(_READERS))
     if kind not in _READERS:
@@ -103,6 +111,11 @@ def list_feedings() -> tuple[str, ...]:
     return _ids("feedings")
 
 
+def list_days() -> tuple[str, ...]:
+    """Ids of the working days in the catalogue."""
+    return _ids("days")
+
+
 @lru_cache
 def _ids(folder: str) -> tuple[str, ...]:
     names = (entry.name for entry in (files("metropilot.railway") / "catalogue" / folder).iterdir())
@@ -110,7 +123,7 @@ def _ids(folder: str) -> tuple[str, ...]:
 
 
 @lru_cache
-def _from_catalogue(folder: str, key: str) -> Line | Trainset | Journey | Feeding:
+def _from_catalogue(folder: str, key: str) -> Catalogued:
     name = f"catalogue/{folder}/{key}.toml"
     return _read_toml((files("metropilot.railway") / name).read_text(encoding="utf-8"), name)
 
@@ -119,7 +132,7 @@ def _load(key: str | Path, folder: str, what: str, kind: type[T]) -> T:
     if str(key).lower().endswith((".toml", ".json")):
         found = import_file(key)
         if not isinstance(found, kind):
-            other = type(found).__name__.lower()
+            other = next(name for name, of in _KINDS.items() if isinstance(found, of))
             raise InputError(f"describes a {other}, not a {what}", file=key, allowed=f"a file of a {what}")
         return found
     ids = _ids(folder)
@@ -158,6 +171,18 @@ def load_feeding(id_or_path: str | Path) -> Feeding:
         InputError: No such id (the catalogue is listed), or the file is not usable.
     """
     return _load(id_or_path, "feedings", "feeding", Feeding)
+
+
+def load_day(id_or_path: str | Path) -> ServiceDay:
+    """A working day of a line, of the catalogue or of a file.
+
+    Args:
+        id_or_path: A catalogue id, or a path ending in ``.toml``.
+
+    Raises:
+        InputError: No such id (the catalogue is listed), or the file is not usable.
+    """
+    return _load(id_or_path, "days", "day", ServiceDay)
 
 
 class TrainsetKey(NamedTuple):
