@@ -14,7 +14,7 @@ import shutil
 import sqlite3
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -154,6 +154,35 @@ def to_json(values: object) -> str:
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
     """Write a JSON object; a number that is not finite becomes null."""
     path.write_text(to_json(values) + "\n", encoding="utf-8")
+
+
+def encode_parquet(columns: Mapping[str, str], rows: Sequence[Mapping[str, Any]]) -> bytes:
+    """Encode rows as a Parquet file with these columns in this order; the same rows give the same bytes."""
+    import duckdb
+
+    with tempfile.TemporaryDirectory(prefix="metropilot-") as folder:
+        source, target = Path(folder) / "rows.json", Path(folder) / "rows.parquet"
+        source.write_text(
+            "".join(json.dumps({n: _plain_cell(r.get(n)) for n in columns}) + "\n" for r in rows)
+        )
+        kinds = ", ".join(f"'{name}': '{kind}'" for name, kind in columns.items())
+        with duckdb.connect(config={"threads": 1}) as database:
+            database.execute(
+                f"COPY (SELECT * FROM read_json('{source}', format='newline_delimited', "
+                f"columns={{{kinds}}})) TO '{target}' (FORMAT parquet, COMPRESSION zstd)"
+            )
+        return target.read_bytes()
+
+
+def _plain_cell(value: object) -> object:
+    """A value for JSON: NumPy scalars as Python numbers, infinity and NaN as None."""
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    if hasattr(value, "item"):
+        value = value.item()  # pyright: ignore[reportAttributeAccessIssue]
+    if isinstance(value, float) and value in (float("inf"), float("-inf")):
+        return None
+    return None if value != value else value  # noqa: PLR0124 (NaN)
 
 
 def load_or_compute(path: Path, identity: Mapping[str, Any], compute: Callable[[], Any]) -> Any:  # noqa: ANN401 (whatever JSON holds)

@@ -13,6 +13,7 @@ from pathlib import Path
 import duckdb
 import pytest
 
+from metropilot._io import encode_parquet
 from metropilot.campaign import (
     Campaign,
     DisturbanceCase,
@@ -24,7 +25,7 @@ from metropilot.campaign import (
 from metropilot.campaign.declared import case_request, draw_disturbance, from_text, seed_of
 from metropilot.campaign.leaderboard import write_leaderboard
 from metropilot.campaign.page import collect_parts, median_ranks, share_interval
-from metropilot.campaign.rows import RESULTS, TIMINGS, Shard, parquet
+from metropilot.campaign.rows import RESULTS, TIMINGS, Shard
 from metropilot.campaign.store import CampaignStore
 from metropilot.cli import main
 from metropilot.errors import InputError
@@ -160,7 +161,7 @@ def shard_of(campaign, piece, outcome="arrived"):
         {"cell": row % campaign.cells, "driver": piece.driver, "outcome": outcome}
         for row in campaign.shard(piece)
     ]
-    return Shard(piece, len(rows), parquet(RESULTS, rows), parquet(TIMINGS, rows), "0")
+    return Shard(piece, len(rows), encode_parquet(RESULTS, rows), encode_parquet(TIMINGS, rows), "0")
 
 
 def test_a_shard_counts_once_its_line_is_whole(tmp_path):

@@ -183,15 +183,16 @@ def test_a_listed_failure_is_the_same_run_again(tmp_path, campaign):
 
 
 def test_parts_of_an_earlier_version_are_reported_too(tmp_path, campaign):
+    from metropilot._io import encode_parquet
     from metropilot.campaign import RESULTS, CampaignStore
-    from metropilot.campaign.rows import PLANT, TIMINGS, Shard, parquet
+    from metropilot.campaign.rows import PLANT, TIMINGS, Shard
 
     old = {name: kind for name, kind in RESULTS.items() if name not in {"actuation", *PLANT}}
     store = CampaignStore(tmp_path, campaign)
     for piece in campaign.pieces():
         row: dict[str, object] = {"driver": "flat_out", "outcome": "infeasible", "processor_s": 1.0}
         cells = [row | {"cell": number} for number in campaign.shard(piece)]
-        store.keep(Shard(piece, len(cells), parquet(old, cells), parquet(TIMINGS, cells), "0"))
+        store.keep(Shard(piece, len(cells), encode_parquet(old, cells), encode_parquet(TIMINGS, cells), "0"))
     collect_parts(tmp_path)
     write_leaderboard(tmp_path / "page.md", tmp_path, summarise(tmp_path), 1.0, "made")
     assert f"| `flat_out` | {campaign.rows} | 0 of 0 |" in (tmp_path / "page.md").read_text()

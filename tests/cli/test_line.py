@@ -2,9 +2,13 @@
 
 import csv
 import json
+import shlex
+import shutil
+import tomllib
 from importlib import resources
 from itertools import pairwise
 
+import duckdb
 import pytest
 
 FIELDS = {
@@ -76,6 +80,24 @@ def test_the_command_prints_and_writes(typed, tmp_path):
         (("nowhere",), "nowhere"),
         (("yizhuang", "--trainset", "none"), "none"),
         (("yizhuang", "--feeding", "none"), "unknown feeding"),
+        (("yizhuang", "--day", "none"), "--day: unknown day"),
+        (
+            ("lu2023", "--zones", "1", "--day", "yizhuang"),
+            "a day of another line: 'yizhuang' (allowed: lu2023)",
+        ),
+        (
+            ("yizhuang", "--day", "yizhuang", "--timetable", "x.zip"),
+            "--timetable: a day and a timetable at once",
+        ),
+        (("yizhuang", "--timetable", "x.zip"), "x.zip: timetable: cannot be read"),
+        (("yizhuang", "--timetable", "x.zip", "--optimise"), "--optimise: a timetable that is given"),
+        (("yizhuang", "--day", "yizhuang", "--driver", "nobody"), "--driver: unknown driver"),
+        (("yizhuang", "--driver", "pid"), "--driver: needs a day"),
+        (("yizhuang", "--service", "x"), "--service: needs a timetable"),
+        (
+            ("yizhuang", "--day", "yizhuang", "--turnround", "1500"),
+            "trains.fleet: the timetable needs more trains: 23",
+        ),
         (("lu2023", "--zones", "1", "--feeding", "yizhuang"), "substation off the line: XC"),
     ],
 )
@@ -118,3 +140,48 @@ def test_a_feeding_is_shown_and_not_imported(typed, tmp_path):
     assert said.code == 2
     assert said.err.count("\n") == 1
     assert not (tmp_path / "other.toml").exists()
+
+
+def test_a_day_is_printed_written_and_computed_again(typed, tmp_path):
+    text = (resources.files("metropilot.railway") / "catalogue/days/yizhuang.toml").read_text()
+    (tmp_path / "mine.toml").write_text(text)
+    words = ("line", "yizhuang", "--day", "mine.toml", "--feeding", "yizhuang", "--load", "AW2")
+    said = typed(*words, "--out", "out", "--json")
+    assert said.code == 0, said.err
+    told = json.loads(said.out)
+    assert told["journeys"] == {"forward": 162, "backward": 162}
+    assert told["floor_kwh"] < told["energy_kwh"] < told["driving_only_kwh"] < told["cruise_kwh"]
+    assert told["feeding"]["network"]["energy_kwh"] > told["energy_kwh"]
+    assert abs(told["feeding"]["network"]["balance"]) < 1e-9
+    out = tmp_path / "out"
+    assert {path.name for path in out.iterdir()} == {
+        *("day.json", "day.toml", "run.toml", "timetable.csv", "timetable.parquet", "gtfs.zip"),
+        *(f"{stem}.{kind}" for stem in ("trains", "power", "voltage") for kind in ("svg", "png")),
+    }
+    with (out / "timetable.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 324 * 13
+    stored = duckdb.sql(f"SELECT * FROM '{out}/timetable.parquet'").fetchall()
+    assert [tuple(map(str, row)) for row in stored] == [tuple(row.values()) for row in rows]
+    assert len({row["train"] for row in rows}) == told["fleet"] <= 23
+    command, *_ = (out / "run.toml").read_text().splitlines()
+    run = tomllib.loads((out / "run.toml").read_text())["line"]
+    assert run["day"] == "day.toml"
+    for name in ("day.toml", "gtfs.zip"):
+        shutil.copy(out / name, tmp_path)
+    again = typed(*shlex.split(command.partition(": metropilot ")[2]), "--json")
+    assert json.loads(again.out) == told
+    given = json.loads(typed("line", "yizhuang", "--timetable", "gtfs.zip", "--load", "AW2", "--json").out)
+    assert given["journeys"] == told["journeys"]
+    assert given["floor_kwh"] == pytest.approx(told["floor_kwh"], rel=1e-9)
+    assert given["fleet"] == told["fleet"]
+    assert told["energy_kwh"] <= given["energy_kwh"] < told["driving_only_kwh"]
+
+
+def test_a_day_is_shown_and_not_imported(typed, tmp_path):
+    text = (resources.files("metropilot.railway") / "catalogue/days/yizhuang.toml").read_text()
+    (tmp_path / "mine.toml").write_text(text)
+    assert "morning peak" in typed("show", "mine.toml").out
+    assert json.loads(typed("show", "mine.toml", "--json").out)["periods"][1]["headway_s"] == 240
+    said = typed("import", "mine.toml", "--out", "other.toml")
+    assert (said.code, said.err.count("\n")) == (2, 1)

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import math
 import resource
 import sys
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any, NamedTuple
 
+from metropilot._io import encode_parquet
 from metropilot.campaign.declared import (
     DRAWN,
     OWN,
@@ -258,8 +256,8 @@ def drive_shard(text: str, piece: Piece) -> Shard:
 
         found = dict(zip((case.row for case in batch), drive_batch(campaign, batch), strict=True))
     driven = [found[case.row] if case.row in found else drive_row(campaign, case) for case in cases]
-    results = parquet(RESULTS, [result for result, _ in driven])
-    timings = parquet(TIMINGS, [timing for _, timing in driven])
+    results = encode_parquet(RESULTS, [result for result, _ in driven])
+    timings = encode_parquet(TIMINGS, [timing for _, timing in driven])
     return Shard(piece, len(driven), results, timings, metropilot.__version__)
 
 
@@ -357,30 +355,3 @@ def scheduled_time(case: CampaignCase, section: Section) -> float:
     if section.planned_time_s is None:
         raise Infeasible(f"the line plans no running time for {section.name}", field="time", value=PLANNED)
     return float(section.planned_time_s)
-
-
-def parquet(columns: Mapping[str, str], rows: Sequence[Mapping[str, Any]]) -> bytes:
-    """Encode rows as a Parquet file with these columns in this order; the same rows give the same bytes."""
-    import duckdb
-
-    with tempfile.TemporaryDirectory(prefix="metropilot-") as folder:
-        source, target = Path(folder) / "rows.json", Path(folder) / "rows.parquet"
-        source.write_text("".join(json.dumps({n: _plain(r.get(n)) for n in columns}) + "\n" for r in rows))
-        kinds = ", ".join(f"'{name}': '{kind}'" for name, kind in columns.items())
-        with duckdb.connect(config={"threads": 1}) as database:
-            database.execute(
-                f"COPY (SELECT * FROM read_json('{source}', format='newline_delimited', "
-                f"columns={{{kinds}}})) TO '{target}' (FORMAT parquet, COMPRESSION zstd)"
-            )
-        return target.read_bytes()
-
-
-def _plain(value: object) -> object:
-    """A value for JSON: NumPy scalars as Python numbers, infinity and NaN as None."""
-    if value is None or isinstance(value, str | bool | int):
-        return value
-    if hasattr(value, "item"):
-        value = value.item()  # pyright: ignore[reportAttributeAccessIssue]
-    if isinstance(value, float) and value in (float("inf"), float("-inf")):
-        return None
-    return None if value != value else value  # noqa: PLR0124 (NaN)

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from inspect import Parameter
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from metropilot._schema import field_default, field_specs, field_type
+from metropilot.cli import complete
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, number, print_json, show_activity, table
+from metropilot.cli.line_day import DayRequest, check_day_options, compute_day, print_day
 from metropilot.operation import OperationOptions
 
 if TYPE_CHECKING:
-    from metropilot.operation import FeedingEnergy, OperationEnergy
+    from metropilot.operation import FeedingEnergy, LineOperation, OperationEnergy
+    from metropilot.railway import Feeding
 
 EXAMPLES = {
     "line": (
         "metropilot line yizhuang --headway 180 --zones 4",
         "metropilot line yizhuang --headway 180 --feeding yizhuang",
+        "metropilot line yizhuang --day yizhuang --feeding yizhuang",
         "metropilot line yizhuang --headway 300 --optimise --time-window 1 --out line --json",
     ),
 }
@@ -44,6 +49,41 @@ def line_command(
         ),
     ] = False,
     seed: Annotated[int, typer.Option(help="Seed of the search.", min=0, rich_help_panel=OPERATION)] = 0,
+    day: Annotated[
+        str | None,
+        typer.Option(
+            help="Working day, instead of one headway: its journeys, trains and energy by hours.",
+            metavar="ID|FILE",
+            rich_help_panel=OPERATION,
+        ),
+    ] = None,
+    timetable: Annotated[
+        Path | None,
+        typer.Option(
+            help="Timetable of a day from a GTFS feed, instead of one that is found.",
+            metavar="FOLDER|FILE.zip",
+            rich_help_panel=OPERATION,
+        ),
+    ] = None,
+    service: Annotated[
+        str | None,
+        typer.Option(help="Service of that feed, where it has several.", rich_help_panel=OPERATION),
+    ] = None,
+    driver: Annotated[
+        str | None,
+        typer.Option(
+            help="A driver who drives every trip of the day besides; see `metropilot drivers`.",
+            metavar="ID",
+            autocompletion=complete.drivers,
+            rich_help_panel=OPERATION,
+        ),
+    ] = None,
+    runs: Annotated[
+        int,
+        typer.Option(
+            help="Runs of every trip by that driver, by seeds.", min=1, max=100, rich_help_panel=OPERATION
+        ),
+    ] = 1,
     feeding: Annotated[
         str | None,
         typer.Option(
@@ -59,12 +99,16 @@ def line_command(
     """Compute the energy of all trains of a line, beside its floor.
 
     Braking trains feed those that draw at the same moment in the same feeding zone. Energies are those of all
-    trains in one headway, which is one train's in a round trip. Exit code 0: computed; 2: invalid input.
+    trains in one headway, which is one train's in a round trip, or those of a day. Exit code 0: computed; 2:
+    invalid input.
     """
     from metropilot._io import check_writable
     from metropilot.operation import LineOperation, feed_line, operation_energy, write_operation
     from metropilot.railway import load_feeding, load_line, load_trainset
 
+    request = DayRequest(day, timetable, service, driver, runs, optimise, seed)
+    check_day_options(request)
+    typed = {"line": line, **given, **vars(request), "feeding": feeding}
     trainset = load_trainset(given.pop("trainset"), given.pop("load"))
     operation = LineOperation(load_line(line), trainset, OperationOptions(**given))
     network = None if feeding is None else load_feeding(feeding)
@@ -72,6 +116,8 @@ def line_command(
         network.check_line(operation.line)
     if out is not None:
         check_writable(out)
+    if day is not None or timetable is not None:
+        return _run_day(operation, request, network, typed, out, as_json=as_json)
     with show_activity(f"planning {len(operation.trips)} trips and their timetable"):
         found = operation_energy(operation, searched=optimise, seed=seed)
         fed = None if network is None else feed_line(operation, found.timetable, found.profiles, network)
@@ -85,6 +131,34 @@ def line_command(
         _print_network(fed)
     if out is not None:
         files = "line.json timetable.csv trains.svg trains.png power.svg power.png"
+        files += "" if fed is None else " voltage.svg voltage.png"
+        console().print(f"Written to {out}: {files}")
+    return 0
+
+
+def _run_day(
+    operation: LineOperation,
+    request: DayRequest,
+    network: Feeding | None,
+    typed: dict[str, Any],
+    out: Path | None,
+    *,
+    as_json: bool,
+) -> int:
+    from metropilot.operation import feed_day, write_day
+
+    with show_activity(f"planning {len(operation.trips)} trips and the timetable of a day"):
+        found = compute_day(operation, request)
+        fed = None if network is None else feed_day(found.day, network)
+    if out is not None:
+        write_day(out, found, typed, fed)
+    if as_json:
+        print_json(found.as_dict(fed))
+        return 0
+    print_day(found, fed)
+    if out is not None:
+        files = "day.json run.toml timetable.csv timetable.parquet gtfs.zip"
+        files += " trains.svg trains.png power.svg power.png"
         files += "" if fed is None else " voltage.svg voltage.png"
         console().print(f"Written to {out}: {files}")
     return 0

@@ -91,6 +91,11 @@ def check_headway(operation: LineOperation, timetable: Timetable, profiles: Prof
     Raises:
         InputError: Naming the section or station that binds, its least headway and the direction.
     """
+    options, running_s = operation.options, timetable.running_time_s
+    both_s = running_s + np.roll(running_s, -1) + operation.dwells_s(timetable)
+    if options.headway_s >= options.age_s + float(both_s.max()):
+        # the train ahead is two stations on when the next one sets out
+        return
     found = line_headways(operation, timetable, profiles)
     backward = found[1].headway_s > found[0].headway_s
     least = found[backward].bottleneck
@@ -111,7 +116,8 @@ class _Members:
 
     def __init__(self, operation: LineOperation) -> None:
         self._operation = operation
-        self._made: dict[int, Member] = {}
+        # the protection of a section takes some tenths of a second, and no headway or dwell changes it
+        self._made = operation.members
 
     def __getitem__(self, trip: int) -> Member:
         if trip not in self._made:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, NamedTuple
@@ -13,7 +14,7 @@ from numpy import ndarray
 
 from metropilot._schema import check_fields, declare
 from metropilot._typing import Float, Int
-from metropilot.convoy import AGE_S
+from metropilot.convoy import AGE_S, Member
 from metropilot.errors import Infeasible, InputError
 from metropilot.operation.power import PeriodicPower, PowerProfile, add_periodic, profile_of_plan
 from metropilot.physics import track_arrays, vehicle_arrays
@@ -129,7 +130,7 @@ class Timetable:
 
 @dataclass(frozen=True)
 class EnergyBalance:
-    """Energy of all trains in one headway, which is that of one train in a round trip.
+    """Energy of all trains in one headway, which is that of one train in a round trip, or in a day.
 
     Attributes:
         supplied_j: From the substations.
@@ -146,6 +147,29 @@ class EnergyBalance:
     received_j: float
     transferred_loss_j: float
     unreceived_j: float
+
+    @classmethod
+    def from_sums(
+        cls, *, supplied_j: float, unused_j: float, drawn_j: float, returned_j: float, through: float
+    ) -> EnergyBalance:
+        """Balance of what is drawn and returned.
+
+        Args:
+            supplied_j: From the substations.
+            unused_j: What nobody takes of that which comes through.
+            drawn_j: Drawn by the trains.
+            returned_j: Returned by braking trains.
+            through: Share of it that comes through, the transfer loss left out.
+        """
+        received_j = through * returned_j - unused_j
+        return cls(
+            supplied_j=supplied_j,
+            drawn_j=drawn_j,
+            returned_j=returned_j,
+            received_j=received_j,
+            transferred_loss_j=received_j / through - received_j if through else returned_j,
+            unreceived_j=unused_j / through if through else 0.0,
+        )
 
     @property
     def supplied_kwh(self) -> float:
@@ -191,6 +215,7 @@ class LineOperation:
         silent: The same without auxiliaries.
         trips: Trips of one train, forward and then backward.
         count: Trips in one direction.
+        members: Trainsets behind another on the section of a trip, as far as they are made.
 
     Raises:
         InputError: More zones than sections.
@@ -209,6 +234,7 @@ class LineOperation:
         self.silent = replace(self.trainset, auxiliary_w=0.0)
         zones = divide_zones(line, options.zones)
         self.count = zones.size
+        self.members: dict[int, Member] = {}
         both = [
             *((section, False, zone) for section, zone in zip(line.sections(), zones.tolist(), strict=True)),
             *(
@@ -233,6 +259,14 @@ class LineOperation:
         window = self.options.time_window_s
         allowed = range(max(planned_s - window, math.ceil(minimum_s)), planned_s + window + 1)
         return Trip(section, backward, zone, planned_s, tuple(allowed))
+
+    def with_headway(self, headway_s: int, dwell_s: int | None = None) -> LineOperation:
+        """The same at another headway, and dwell where one is given; its window is no longer."""
+        dwell_s = self.options.dwell_s if dwell_s is None else dwell_s
+        window_s = min(self.options.dwell_window_s, dwell_s)
+        other = copy(self)
+        other.options = replace(self.options, headway_s=headway_s, dwell_s=dwell_s, dwell_window_s=window_s)
+        return other
 
     @property
     def planned_s(self) -> Int[ndarray, " trips"]:
@@ -261,27 +295,27 @@ class LineOperation:
         return profile_of_plan(plan, self.silent)
 
     def profiles(
-        self, driving: Driving = "optimal", *, windows: bool = False, received_w: float = math.inf
+        self,
+        driving: Driving = "optimal",
+        *,
+        windows: bool = False,
+        times_s: Sequence[Iterable[int]] | None = None,
+        received_w: float = math.inf,
     ) -> Profiles:
         """Power of every trip at its planned running time, or at every running time of its window.
 
         Args:
             driving: How trips are driven.
             windows: True for every running time of the window.
+            times_s: Running times of each trip, instead of these.
             received_w: Power up to which optimal driving counts on being received. The floor asks for plans
                 that count on all of it.
         """
+        times_s = times_s or [trip.allowed_s if windows else (trip.planned_s,) for trip in self.trips]
         return [
-            {
-                time_s: self.drive(trip, time_s, driving, received_w=received_w)
-                for time_s in self._times(trip, windows=windows)
-            }
-            for trip in self.trips
+            {time_s: self.drive(trip, time_s, driving, received_w=received_w) for time_s in times}
+            for trip, times in zip(self.trips, times_s, strict=True)
         ]
-
-    @staticmethod
-    def _times(trip: Trip, *, windows: bool) -> tuple[int, ...]:
-        return trip.allowed_s if windows else (trip.planned_s,)
 
     def plain_timetable(self, offset_s: float = 0.0) -> Timetable:
         """Planned running times and dwells.
@@ -335,16 +369,12 @@ class LineOperation:
         standing_s = float(self.dwells_s(timetable).sum())
         aboard_j = self.trainset.auxiliary_w * (sum(each.running_time_s for each in driven) + standing_s)
         returned_j = sum(each.returned_j for each in driven)
-        through = 1.0 - self.options.transfer_loss
-        unused_j = sum(zone.negative_j for zone in zones)
-        received_j = through * returned_j - unused_j
-        return EnergyBalance(
+        return EnergyBalance.from_sums(
             supplied_j=sum(zone.positive_j for zone in zones),
+            unused_j=sum(zone.negative_j for zone in zones),
             drawn_j=sum(each.drawn_j for each in driven) + aboard_j,
             returned_j=returned_j,
-            received_j=received_j,
-            transferred_loss_j=received_j / through - received_j if through else returned_j,
-            unreceived_j=unused_j / through if through else 0.0,
+            through=1.0 - self.options.transfer_loss,
         )
 
     def mean_energy_j(self, profiles: Profiles, phases: int = 60) -> float:
@@ -366,9 +396,10 @@ class LineOperation:
             profiles: Optimal profiles at the planned running times, or at all of their windows.
         """
         aboard_j = self.trainset.auxiliary_w * sum(self.journey_s(backward=b) for b in (False, True))
-        return aboard_j + sum(self._floor_of(profiles, backward=b) for b in (False, True))
+        return aboard_j + sum(self.trips_floor_j(profiles, backward=b) for b in (False, True))
 
-    def _floor_of(self, profiles: Profiles, *, backward: bool) -> float:
+    def trips_floor_j(self, profiles: Profiles, *, backward: bool) -> float:
+        """The part of the floor that the trips of one direction have, without auxiliaries."""
         of = [k for k, trip in enumerate(self.trips) if trip.backward == backward]
         bounds = [{s: each.bound_j for s, each in profiles[k].items()} for k in of]
         total_s = sum(self.trips[k].planned_s for k in of)

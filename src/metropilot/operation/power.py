@@ -76,18 +76,34 @@ class PeriodicPower:
     @property
     def positive_j(self) -> float:
         """Integral of the positive part over one headway."""
-        first, last = self.power_w.T
-        high, low = np.maximum(first, last), np.minimum(first, last)
-        crosses = (low < 0) & (high > 0)
-        # of an interval that crosses zero the part above it is a triangle
-        share = np.divide(high, high - low, out=np.ones_like(high), where=crosses)
-        above = 0.5 * np.maximum(high, 0.0) * share + 0.5 * np.maximum(low, 0.0)
-        return float(np.sum(np.diff(self.time_s) * above))
+        return float(np.sum(_positive_parts_j(self.time_s, self.power_w)))
 
     @property
     def negative_j(self) -> float:
         """Integral of the negative part over one headway, positive."""
-        return PeriodicPower(self.time_s, -self.power_w).positive_j
+        return float(np.sum(_positive_parts_j(self.time_s, -self.power_w)))
+
+    def split(self, count: int) -> Float[ndarray, "2 parts"]:
+        """Integrals of the positive and the negative part over each of so many equal parts of the headway.
+
+        Args:
+            count: Number of parts, each of which begins at a knot.
+        """
+        middle_s = 0.5 * (self.time_s[:-1] + self.time_s[1:])
+        part = np.minimum((middle_s * (count / self.time_s[-1])).astype(int), count - 1)
+        energies = (_positive_parts_j(self.time_s, sign * self.power_w) for sign in (1.0, -1.0))
+        return np.stack([np.bincount(part, each, count) for each in energies])
+
+
+def _positive_parts_j(time_s: ndarray, power_w: ndarray) -> Float[ndarray, " intervals"]:
+    """Integral of the positive part over each interval."""
+    first, last = power_w.T
+    high, low = np.maximum(first, last), np.minimum(first, last)
+    crosses = (low < 0) & (high > 0)
+    # of an interval that crosses zero the part above it is a triangle
+    share = np.divide(high, high - low, out=np.ones_like(high), where=crosses)
+    above = 0.5 * np.maximum(high, 0.0) * share + 0.5 * np.maximum(low, 0.0)
+    return np.diff(time_s) * above
 
 
 def profile_of_plan(plan: Plan, trainset: Trainset) -> PowerProfile:

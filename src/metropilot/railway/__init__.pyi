@@ -1,3 +1,4 @@
+from .day import LONGEST_WAIT_S as LONGEST_WAIT_S
 from .day import Period as Period
 from .day import ServiceDay as ServiceDay
 from .drawn import drawn_trainset as drawn_trainset

@@ -14,6 +14,8 @@ from metropilot.units import format_clock
 LATEST_S = 36.0 * 3600
 """Latest time of a day, counted from its midnight; the night after belongs to it."""
 
+LONGEST_WAIT_S = 900
+
 
 @dataclass(frozen=True, kw_only=True)
 class Period:
@@ -66,7 +68,7 @@ class ServiceDay:
     line_id: str
     periods: tuple[Period, ...]
     fleet: int | None = declare(None, low=1, high=10_000)
-    longest_wait_s: int = declare(900, unit="s", low=0.0, high=LATEST_S)
+    longest_wait_s: int = declare(LONGEST_WAIT_S, unit="s", low=0.0, high=LATEST_S)
     source: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)

@@ -1,0 +1,141 @@
+"""A day of `metropilot line`: table, JSON and folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from metropilot.cli.console import console, number, table
+from metropilot.errors import InputError
+
+if TYPE_CHECKING:
+    from metropilot.operation import DayEnergy, FeedingEnergy, LineOperation
+
+
+@dataclass(frozen=True)
+class DayRequest:
+    """Options of a day.
+
+    Attributes:
+        day: Day: id of the catalogue, or file; None: the timetable is given.
+        timetable: GTFS feed with its timetable; None: it is found.
+        service: Service of that feed.
+        driver: Driver id of a driver who drives the trips besides.
+        runs: His runs of every trip.
+        optimise: Search dwells and running times too.
+        seed: Seed.
+    """
+
+    day: str | None
+    timetable: Path | None
+    service: str | None
+    driver: str | None
+    runs: int
+    optimise: bool
+    seed: int
+
+
+def check_day_options(request: DayRequest) -> None:
+    """Refuse options that do not go together.
+
+    Raises:
+        InputError: A day and a timetable, or an option of a day without one.
+    """
+    if request.day is not None and request.timetable is not None:
+        raise InputError("a day and a timetable at once", field="timetable", allowed="--day or --timetable")
+    if request.timetable is not None and request.optimise:
+        raise InputError("a timetable that is given is not searched", field="optimise", allowed="--day FILE")
+    if request.service is not None and request.timetable is None:
+        raise InputError("needs a timetable", field="service", allowed="--timetable FOLDER|FILE.zip")
+    if request.driver is not None and request.day is None and request.timetable is None:
+        raise InputError("needs a day", field="driver", allowed="--day FILE or --timetable FOLDER|FILE.zip")
+    if request.driver is not None:
+        from metropilot.evaluate import make_driver
+
+        make_driver(request.driver)
+
+
+def compute_day(operation: LineOperation, request: DayRequest) -> DayEnergy:
+    """Compute the energy of a day.
+
+    Args:
+        operation: Line in operation.
+        request: Options.
+
+    Raises:
+        InputError: A day of another line, or a timetable that cannot be used.
+    """
+    from metropilot.operation import day_energy, read_gtfs, timetable_energy
+    from metropilot.railway import load_day
+
+    more = {"seed": request.seed, "driver": request.driver, "runs": request.runs}
+    line = operation.line
+    if request.timetable is not None:
+        given = read_gtfs(request.timetable, line, request.service)
+        return timetable_energy(operation, given, str(request.timetable), **more)
+    assert request.day is not None
+    day = load_day(request.day)
+    if day.line_id != line.id:
+        words = "a day of another line"
+        raise InputError(words, file=request.day, field="line", value=day.line_id, allowed=line.id)
+    return day_energy(operation, day, searched=request.optimise, **more)
+
+
+def print_day(found: DayEnergy, fed: FeedingEnergy | None) -> None:
+    """Print the energies of a day, its hours and what a network makes of it."""
+    operation, timetable, driven = found.day.operation, found.day.timetable, found.driven
+    given = not found.period_names
+    rows = [
+        ("cruise and brake", "given" if given else "plain, mean offset", found.cruise_kwh),
+        ("optimal driving", "given" if given else "plain, mean offset", found.driving_only_kwh),
+    ]
+    if not given:
+        rows += [
+            ("cruise and brake", "best found", found.timetable_only_kwh),
+            ("optimal driving", "best found", found.energy_kwh),
+        ]
+    if driven is not None:
+        if not given:
+            rows.append((driven.driver, "plain, mean offset", driven.plain_kwh))
+        rows.append((driven.driver, "given" if given else "best found", driven.energy_kwh))
+    rows.append(("floor, all received", "any", found.floor_kwh))
+    cells = [
+        (
+            *words,
+            number(kwh, 0),
+            number(100.0 * (1.0 - kwh / found.cruise_kwh), 2),
+            number(100.0 * (kwh / found.floor_kwh - 1.0), 2),
+        )
+        for *words, kwh in rows
+    ]
+    ways = " + ".join(str(each.period.size) for each in timetable)
+    title = (
+        f"{operation.line.id}, {operation.trainset.id} {operation.trainset.load}, {found.name}; "
+        f"{ways} journeys, {found.links.fleet} trains"
+    )
+    columns = ("driving", "timetable", "kWh a day", "saved %", "gap %")
+    out = console()
+    out.print(table(title, columns, cells, right=(2, 3, 4)))
+    told = found.as_dict(fed)
+    out.print(
+        f"First departure {told['first_departure']}, last arrival {told['last_arrival']}; "
+        f"{told['pull_outs']} times a train leaves the depot. Highest minute "
+        f"{told['peak_minute_w'] / 1e6:.1f} MW; "
+        f"{told['unreceived_kwh']:.0f} of {told['returned_kwh']:.0f} kWh returned are not received."
+    )
+    hours = "  ".join(f"{each['from'][:2]} h {each['energy_kwh']:.0f}" for each in told["hours"])
+    out.print(f"Energy by hours, kWh: {hours}")
+    if driven is not None:
+        out.print(
+            f"{driven.driver} arrives {driven.mean_late_s:+.1f} s after the timetable, standard deviation "
+            f"{driven.scatter_s:.1f} s."
+        )
+    if fed is not None:
+        flow = told["feeding"]["network"]
+        out.print(
+            f"Feeding {flow['id']}: {flow['energy_kwh']:.0f} kWh a day; {flow['rail_loss_kwh']:.0f} are "
+            f"lost in the rails, {flow['substation_loss_kwh']:.0f} in substations, "
+            f"{flow['squeezed_kwh']:.0f} squeezed; lowest voltage {flow['lowest_v']:.0f} V, peak of all "
+            f"substations {flow['peak_w'] / 1e6:.1f} MW."
+        )
