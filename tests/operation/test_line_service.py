@@ -19,7 +19,7 @@ from metropilot.operation import (
     profile_of_plan,
     profile_of_trajectory,
 )
-from metropilot.planning import PlanOptions, cruise_plan, minimum_running_time, optimal_plan
+from metropilot.planning import PlanOptions, coast_plan, cruise_plan, minimum_running_time, optimal_plan
 from metropilot.railway import load_line
 from metropilot.sim import Run, drive
 
@@ -107,6 +107,28 @@ def test_cruise_and_brake_keeps_its_time_and_costs_more_than_the_bound():
     with pytest.raises(Infeasible, match="minimum running time"):
         cruise_plan(section, TRAINSET, minimum_running_time(section, TRAINSET) - 1.0)
     assert cruise_plan(section, TRAINSET, 140.0).bound_j == -np.inf
+
+
+@pytest.mark.parametrize("share", [1.05, 1.2, 1.5])
+@pytest.mark.parametrize("ends", [("XHM", "JG"), ("XC", "XHM"), ("JG", "XHM")])
+def test_coasting_keeps_its_time_and_costs_more_than_the_bound(ends, share):
+    section = short_line(4).section(*ends)
+    time_s = share * minimum_running_time(section, TRAINSET)
+    options = PlanOptions(objective="line")
+    coast = coast_plan(section, TRAINSET, time_s, options)
+    assert coast.running_time_s == pytest.approx(time_s, abs=1e-5)
+    assert coast.energy_j > optimal_plan(section, TRAINSET, time_s, options).bound_j
+    assert coast.effort_excess < 0.01
+    # after the flat-out run neither traction nor brake, until the stop or the brake that holds the speed
+    begins = int(np.argmax(coast.traction_n < 1.0))
+    assert begins > 3
+    assert (np.diff(coast.speed_mps[begins:]) < 1e-9).all()
+
+
+def test_coasting_takes_no_less_than_the_minimum():
+    section = short_line(4).section("XC", "XHM")
+    with pytest.raises(Infeasible, match="minimum running time"):
+        coast_plan(section, TRAINSET, minimum_running_time(section, TRAINSET) - 1.0)
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.1, 1.0])

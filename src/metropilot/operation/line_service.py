@@ -18,12 +18,20 @@ from metropilot.convoy import AGE_S, Member
 from metropilot.errors import Infeasible, InputError
 from metropilot.operation.power import PeriodicPower, PowerProfile, add_periodic, profile_of_plan
 from metropilot.physics import track_arrays, vehicle_arrays
-from metropilot.planning import PlanOptions, ReceivedEnergy, cruise_plan, minimum_running_time, plan_arrays
+from metropilot.planning import (
+    PlanOptions,
+    ReceivedEnergy,
+    coast_plan,
+    cruise_plan,
+    minimum_running_time,
+    plan_arrays,
+)
 from metropilot.railway import Efficiency, Line, Section, Trainset
 from metropilot.units import J_PER_KWH
 
-Driving = Literal["optimal", "cruise"]
-"""How trips are driven: by the plan of least net energy, or at one speed and with full service braking."""
+Driving = Literal["optimal", "cruise", "coast"]
+"""How trips are driven: by the plan of least net energy, or to one speed, which is held or coasted from, with
+full service braking."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -283,10 +291,9 @@ class LineOperation:
     ) -> PowerProfile:
         """Power of a trip driven in a running time; see :meth:`profiles`."""
         options = PlanOptions(objective="line")
-        if driving == "cruise":
-            return profile_of_plan(
-                cruise_plan(trip.section, self.silent, float(time_s), options), self.silent
-            )
+        if driving != "optimal":
+            plan_of = cruise_plan if driving == "cruise" else coast_plan
+            return profile_of_plan(plan_of(trip.section, self.silent, float(time_s), options), self.silent)
         vehicle, track = vehicle_arrays(self.silent), track_arrays(trip.section, self.silent)
         if math.isfinite(received_w):
             plan = ReceivedEnergy(vehicle, track, float(time_s)).plan(received_w)

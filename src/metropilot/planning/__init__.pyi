@@ -3,6 +3,7 @@ from .attainable import Ramp as Ramp
 from .attainable import attainable_plan as attainable_plan
 from .attainable import departure_ramp as departure_ramp
 from .attainable import stop_ramp as stop_ramp
+from .cruise import coast_plan as coast_plan
 from .cruise import cruise_plan as cruise_plan
 from .effort_table import STEP_MPS as STEP_MPS
 from .effort_table import Specific as Specific
