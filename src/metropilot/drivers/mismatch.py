@@ -60,7 +60,7 @@ LET_GO_M = 60.0
 """...if there is more than this left to the stop."""
 CAREFUL_STOP = StopOptions(release_share=0.95)
 """The station stop of a careful driver: a quick release, as its policy's own stop takes longer."""
-LATE_STOP = StopOptions(build_share=0.7, release_share=0.5, end_share=0.125)
+LATE_STOP = StopOptions(build_share=0.9, release_share=0.8, end_share=0.125)
 """The same where dead time or lag are in the bounds: what is on its way cannot be taken back, and the rest of
 the jerk limit is there to correct the error."""
 NEAR_ENOUGH_M = 0.1
