@@ -20,6 +20,7 @@ from benchmarks.generalist import (
     wide_cases,
 )
 from benchmarks.report import Benchmark, Row, cells, circumstances, format_page, number, replace_section
+from benchmarks.shanghai import replica, working_day
 
 from metropilot.policy import load_driving_policy, shipped_policy
 from metropilot.railway import load_feeding
@@ -55,6 +56,16 @@ def test_a_day_of_the_feeding_benchmark_has_324_journeys():
     assert len(forward) + len(backward) == 324
     assert max(forward) < 18 * 3600
     assert set(np.diff(forward).tolist()) == {240, 496}
+
+
+def test_the_replica_of_shanghai_has_the_published_length_and_stations():
+    line, day = replica(), working_day()
+    assert len(line.stations) == 30
+    assert line.stations[-1].position_m == 37_400.0
+    lengths_m = np.diff([each.position_m for each in line.stations])
+    assert 700.0 < lengths_m.min() < lengths_m.max() < 3000.0
+    assert [each.headway_s for each in day.periods] == [100, 90, 100, 90, 100]
+    assert 1331 <= 2 * sum((p.to_s - p.from_s) / p.headway_s for p in day.periods) <= 1336
 
 
 def test_each_variant_of_the_feeding_changes_one_number():

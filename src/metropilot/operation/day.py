@@ -285,7 +285,10 @@ class LineDay:
         pieces = [
             [(edges, np.full(edges.size, float(MINUTE_S)), np.zeros((edges.size, 2)))] for _ in range(zones)
         ]
-        for way, each in enumerate(self.timetable):
+        for way, whole in enumerate(self.timetable):
+            # a running time of a late train is longer than the timetable's
+            about = (whole.departure_s[:, 0] < end_s) & (whole.arrival_s[:, -1] > begin_s - HOUR_S)
+            each = Journeys(*(part[about] for part in whole))
             for rows, k, profile in self._groups(each, way):
                 leaves_s = each.departure_s[rows, k]
                 arrives_s = leaves_s + profile.running_time_s
