@@ -187,6 +187,32 @@ def test_a_bad_feed_gets_one_line(tmp_path, table, change, words):
     assert "\n" not in line
 
 
+def test_a_damaged_table_gets_one_line_or_is_read(tmp_path):
+    write(tmp_path)
+    random = np.random.default_rng(1)
+    whole = {name: (tmp_path / name).read_bytes() for name in ("stops.txt", "trips.txt", "stop_times.txt")}
+    outcomes = set()
+    (tmp_path / "trips.txt").write_bytes(b"trip_id,service\rid\r\nx,y\r\n")
+    with pytest.raises(InputError, match=r"trips\.txt: not CSV"):
+        read_gtfs(tmp_path, LINE)
+    for _ in range(150):
+        name = str(random.choice(list(whole)))
+        data = bytearray(whole[name])
+        at = int(random.integers(len(data)))
+        if random.random() < 0.5:
+            data[at] = int(random.integers(256))
+        else:
+            del data[at : at + int(random.integers(1, 40))]
+        for each, text in whole.items():
+            (tmp_path / each).write_bytes(bytes(data) if each == name else text)
+        try:
+            read_gtfs(tmp_path, LINE)
+            outcomes.add("read")
+        except InputError as error:
+            outcomes.add("refused on one line" if "\n" not in error.line() else error.line())
+    assert outcomes == {"read", "refused on one line"}
+
+
 def test_a_file_that_is_no_feed_gets_one_line(tmp_path):
     path = tmp_path / "feed.zip"
     with pytest.raises(InputError, match="cannot be read"):

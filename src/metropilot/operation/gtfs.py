@@ -284,13 +284,13 @@ def _read_table(path: Path, stem: str) -> list[dict[str, str]]:
     name = f"{stem}.txt"
     text = _read_zip(path, name) if path.suffix.lower() == ".zip" else read_text(path / name, "timetable")
     reader = csv.DictReader(io.StringIO(text.removeprefix("\ufeff")), skipinitialspace=True)
-    columns = [each.strip() for each in reader.fieldnames or ()]
-    reader.fieldnames = columns
-    for column in NEEDED[stem]:
-        if column not in columns:
-            raise InputError(f"{name} has no column {column}", file=path, allowed=", ".join(NEEDED[stem]))
     rows = []
     try:
+        columns = [each.strip() for each in reader.fieldnames or ()]
+        reader.fieldnames = columns
+        for column in NEEDED[stem]:
+            if column not in columns:
+                raise InputError(f"{name} has no column {column}", file=path, allowed=", ".join(NEEDED[stem]))
         for row in reader:
             if None in row or any(row[column] is None for column in NEEDED[stem]):
                 where = f"{name} line {reader.line_num}"
