@@ -1,5 +1,6 @@
 """A driver in C, its protection included, drives as it does in Python, hostile commands and all."""
 
+import ctypes
 import shutil
 import subprocess
 
@@ -134,6 +135,74 @@ def test_there_is_no_other_section(driver):
         with pytest.raises(Exception, match="no such section"):
             driver.init(number)
     assert bytes(driver.state) == state
+
+
+class Spec(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_int) for name in ("brake", "power", "ats", "b67", "cars")]
+
+
+class Vehicle(ctypes.Structure):
+    _fields_ = [
+        ("location_m", ctypes.c_double),
+        ("speed_kmh", ctypes.c_float),
+        ("time_ms", ctypes.c_int),
+        *((name, ctypes.c_float) for name in ("bc", "mr", "er", "bp", "sap", "current")),
+    ]
+
+
+class Beacon(ctypes.Structure):
+    _fields_ = [
+        ("type", ctypes.c_int),
+        ("signal", ctypes.c_int),
+        ("distance_m", ctypes.c_float),
+        ("optional", ctypes.c_int),
+    ]
+
+
+class Handles(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_int) for name in ("brake", "power", "reverser", "constant_speed")]
+
+
+def test_the_plugin_drives_a_simulator(written):
+    """A crude vehicle of ten notches: it leaves, keeps the limit by hand at full power, and brakes."""
+    program, folder, _ = written
+    done = subprocess.run(["make", "plugin"], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    plugin = ctypes.CDLL(str(folder / "ats.so"))
+    plugin.Elapse.restype = Handles
+    panel = (ctypes.c_int * 256)()
+    plugin.Load()
+    assert plugin.GetPluginVersion() == 0x00020000
+    plugin.SetVehicleSpec(Spec(10, 10, 1, 7, 6))
+    plugin.Initialize(0)
+    plugin.SetBeaconData(Beacon(300, 0, 0.0, 1))
+    top_mps = max(program.sections[1].limit_mps.value)
+
+    def drive(seconds):
+        position_m, speed_mps, fastest_mps, notches = 5000.0, 0.0, 0.0, set()
+        plugin.DoorClose()
+        for frame in range(30 * seconds):
+            state = Vehicle(position_m, 3.6 * speed_mps, 3_600_000 + frame * 1000 // 30)
+            handles = plugin.Elapse(state, panel, panel)
+            notches.add((handles.power, handles.brake))
+            share = -1.2 if handles.brake > 10 else handles.power / 10 - handles.brake / 10
+            speed_mps = max(speed_mps + 0.9 * share / 30, 0.0)
+            position_m += speed_mps / 30
+            fastest_mps = max(fastest_mps, speed_mps)
+        plugin.DoorOpen()
+        return position_m - 5000.0, fastest_mps, notches
+
+    gone_m, _, notches = drive(40)
+    assert gone_m > 150.0
+    assert panel[200] == 1
+    assert len(notches) > 2
+    plugin.KeyDown(0)
+    plugin.SetPower(10)
+    gone_m, fastest_mps, notches = drive(90)
+    assert panel[200] == 0
+    assert 0.8 * top_mps < fastest_mps <= top_mps
+    assert any(power < 10 for power, _ in notches)
+    assert plugin.Elapse(Vehicle(0.0, 0.0, 0), panel, panel).power == 10
 
 
 def test_the_makefile_builds_the_example_and_checks_the_vectors(written):

@@ -199,7 +199,7 @@ BAD = [
     (("export", "nowhere"), "no such run"),
     (("export", "nowhere.safetensors"), "No such file"),
     (("export", "learned"), "the driver has no policy of its own"),
-    (("export", "optimal", "--to", "pickle"), "allowed: onnx, c"),
+    (("export", "optimal", "--to", "pickle"), "allowed: onnx, c, wasm"),
     (("export", "ppo", "--line", "yizhuang"), "only of --to c"),
     (("export", "ppo", "--to", "c", "--out", "x"), "--to c needs --line"),
     (("export", "ppo", "--to", "c", "--line", "yizhuang"), "--to c needs --out"),

@@ -11,3 +11,4 @@ from .program import in_precision as in_precision
 from .program import trace_driver as trace_driver
 from .source import AboardReport as AboardReport
 from .source import write_driver as write_driver
+from .wasm import find_zig as find_zig

@@ -17,7 +17,7 @@ CALLED = ("jaxpr", "call_jaxpr", "call")
 SAME = {"copy", "copy_p", "stop_gradient", "optimization_barrier"}
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class Node:
     """One operation and its result.
 
@@ -144,11 +144,14 @@ class _Builder:
         return [self.node(name, tuple(given), tuple(aval.shape), np.dtype(aval.dtype), params)]
 
     def narrow(self, given: list[Node], sizes: Sequence[int]) -> list[Node]:
-        """Operands of a slice of a constant, without the columns that it cannot reach."""
+        """Operands of a slice, without a start that has no choice, nor columns that it cannot reach."""
         array, *starts = given
+        zero = self.constant(np.int32(0))
+        choices = zip(starts, array.shape, sizes, strict=True)
+        starts = [zero if whole == size else first for first, whole, size in choices]
         if array.op != "const":
-            return given
-        value, zero = array.params["value"], self.constant(np.int32(0))
+            return [array, *starts]
+        value = array.params["value"]
         for axis, (first, size) in enumerate(zip(starts, sizes, strict=True)):
             if first.op == "const" and size < value.shape[axis]:
                 begin = int(np.clip(first.params["value"], 0, value.shape[axis] - size))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from metropilot._provenance import provenance
 from metropilot.aboard.emit import TYPES, Tables, emit_body, literal
 from metropilot.aboard.preamble import preamble
 from metropilot.aboard.program import NUMBERS, AboardProgram, in_precision
+from metropilot.aboard.wasm import compile_wasm
 from metropilot.drivers import LearnedDriver
 from metropilot.physics import Forces, State
 from metropilot.policy import LoadedPolicy, Policy
@@ -25,6 +27,8 @@ from metropilot.sim import Rollout, Run
 TOLERANCES = {"double": "1e-9", "float": "2e-3"}
 """Largest difference of a command in the test vectors."""
 DRIVER_FILES = ("driver.h", "driver.c")
+VECTOR_SECTIONS = 4
+"""Sections in the test vectors."""
 FALLBACK_RATIO = 1.2
 """Scheduled over minimum running time where the line has no timetable."""
 
@@ -50,18 +54,21 @@ class AboardReport:
     vectors: int
 
 
-def write_driver(program: AboardProgram, loaded: LoadedPolicy, folder: Path) -> AboardReport:
+def write_driver(
+    program: AboardProgram, loaded: LoadedPolicy, folder: Path, *, compiler: Sequence[str] | None = None
+) -> AboardReport:
     """Write the folder.
 
     Args:
         program: The driver.
         loaded: Its policy, which drives for the test vectors.
-        folder: Folder; it is made, and replaced where this function made it before.
+        folder: Folder; it is made, and files of the same names are replaced.
+        compiler: Command of a compiler for WebAssembly (:func:`find_zig`), to write the module too.
 
     Raises:
-        InputError: It cannot be written, or an operation has no form in C.
+        InputError: It cannot be written, an operation has no form in C, or the compiler refuses the source.
     """
-    texts, table_bytes = driver_texts(program)
+    texts, table_bytes = driver_texts(program, door=compiler is not None)
     rows = vector_rows(program, loaded)
     head = "section,time_s,position_m,speed_mps,acceleration_mps2,scheduled_s,share,level"
     texts["vectors.csv"] = "\n".join([head, *rows]) + "\n"
@@ -69,9 +76,12 @@ def write_driver(program: AboardProgram, loaded: LoadedPolicy, folder: Path) -> 
     with fill_folder(folder) as scratch:
         for name, text in texts.items():
             (scratch / name).write_text(text, encoding="utf-8")
+        if compiler is not None:
+            compile_wasm(scratch, identifier(program.name), compiler)
+        names = sorted(path.name for path in scratch.iterdir())
     return AboardReport(
         folder=folder,
-        files=tuple(texts),
+        files=tuple(names),
         sections=tuple(_section_name(each) for each in program.sections),
         number=program.number,
         table_bytes=table_bytes,
@@ -85,8 +95,13 @@ def identifier(name: str) -> str:
     return f"driver_{found}" if not found or found[0].isdigit() else found
 
 
-def driver_texts(program: AboardProgram) -> tuple[dict[str, str], int]:
-    """Texts of all files but the vectors, by name, and the size of the driver's tables in bytes."""
+def driver_texts(program: AboardProgram, *, door: bool = False) -> tuple[dict[str, str], int]:
+    """Texts of all files but the vectors, by name, and the size of the driver's tables in bytes.
+
+    Args:
+        program: The driver.
+        door: With the files for WebAssembly; door and module are yet to be put into the page.
+    """
     name, dtype = identifier(program.name), np.dtype(NUMBERS[program.number])
     policy, supervision = program.memory
     tables, plant_tables = Tables(), Tables()
@@ -104,6 +119,9 @@ def driver_texts(program: AboardProgram) -> tuple[dict[str, str], int]:
             f"    {name.upper()}_{identifier(_section_name(each)).upper()} = {k},"
             for k, each in enumerate(program.sections)
         ),
+        "JS_SECTIONS": "\n".join(_section_script(each) for each in program.sections),
+        "DOOR": "@DOOR@",
+        "WASM": "@WASM@",
         "SECTIONS": "\n".join(_section_row(each, dtype) for each in program.sections),
         "POLICY": _fields(policy._asdict(), dtype, 8),
         "PROTECTION": _fields(supervision._asdict(), dtype, 8),
@@ -121,7 +139,9 @@ def driver_texts(program: AboardProgram) -> tuple[dict[str, str], int]:
     plant = values | {"PREAMBLE": preamble(values["MOVE"]), "TABLES": values["PLANT_TABLES"]}
     texts = {f"{name}{Path(each).suffix}": _filled(each, values) for each in DRIVER_FILES}
     texts |= {each: _filled(each, plant) for each in ("plant.h", "plant.c")}
-    texts |= {each: _filled(each, values) for each in ("example.c", "check.c", "Makefile")}
+    texts |= {each: _filled(each, values) for each in ("example.c", "check.c", "ats.c", "Makefile")}
+    if door:
+        texts |= {each: _filled(each, values) for each in ("door.c", "door.mjs", "drive.html")}
     return texts, tables.bytes
 
 
@@ -159,6 +179,17 @@ def _section_row(section: Section, dtype: np.dtype) -> str:
     stations = (re.sub(r'[^ -~]|["\\]', "?", each.code) for each in (section.origin, section.destination))
     words = [*(f'"{each}"' for each in stations), *(literal(each, dtype) for each in numbers)]
     return f"    {{{', '.join(words)}}},"
+
+
+def _section_script(section: Section) -> str:
+    """The same for JavaScript."""
+    values = {
+        "origin": section.origin.name,
+        "destination": section.destination.name,
+        "length_m": section.length_m,
+        "scheduled_s": section.planned_time_s or 0.0,
+    }
+    return f"  {json.dumps(values)},"
 
 
 def _c_type(value: Any, dtype: np.dtype) -> str:  # noqa: ANN401 (a number or an array)
@@ -224,14 +255,14 @@ def _move(program: AboardProgram, tables: Tables) -> str:
 
 
 def vector_rows(program: AboardProgram, loaded: LoadedPolicy) -> list[str]:
-    """Drives in Python as rows of test vectors, each section in its scheduled running time.
+    """Drives in Python as rows of test vectors: the first sections, each in its scheduled running time.
 
     Args:
         program: The driver.
         loaded: Its policy.
     """
     rows = []
-    for number, section in enumerate(program.sections):
+    for number, section in enumerate(program.sections[:VECTOR_SECTIONS]):
         rows += [",".join(map(_number, row)) for row in drive_vectors(program, loaded, section, number)]
     return rows
 

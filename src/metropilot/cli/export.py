@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from metropilot.cli.show_learned import PolicyFile
     from metropilot.railway import Line, Section
 
-FORMATS = ("onnx", "c")
+FORMATS = ("onnx", "c", "wasm")
 TRAINSET = "dkz32"
-CONTROLLER = "On a controller (--to c)"
+CONTROLLER = "On a controller, in a browser (--to c, --to wasm)"
 EXAMPLES = {
     "export": (
         "metropilot export ppo_scaled --to onnx --out ppo_scaled.onnx",
@@ -36,11 +36,11 @@ def export_command(
             metavar="DRIVER|RUN|FILE", help="Learned driver, learning run (folder or id) or policy file."
         ),
     ],
-    to: Annotated[str, typer.Option(help="Format: onnx, or c (with protection).")] = "onnx",
+    to: Annotated[str, typer.Option(help="Format: onnx; c or wasm, with protection.")] = "onnx",
     out: Annotated[
         Path | None,
         typer.Option(
-            help="File to write, NAME.onnx here if not given; with --to c a folder.",
+            help="File to write, NAME.onnx here if not given; with --to c or wasm a folder.",
             rich_help_panel=opt.OUTPUT,
         ),
     ] = None,
@@ -78,16 +78,17 @@ def export_command(
     decision.
 
     C: the whole driver with its features and assists, and protection around it, for the sections of a line
-    and a trainset; a folder with one header, one source file, test vectors and an example.
+    and a trainset; a folder with one header, one source file, test vectors and an example. WASM: the same
+    compiled, with a door for JavaScript and a page to drive in; needs the package ziglang.
     """
     if to not in FORMATS:
         raise InputError("unknown format", field="to", value=to, allowed=", ".join(FORMATS))
     given = {"line": line, "sections": sections, "trainset": trainset, "load": load, "number": number}
-    if to == "c":
-        return write_c(what, out, as_json=as_json, **given)
+    if to != "onnx":
+        return write_c(what, to, out, as_json=as_json, **given)
     for name, value in given.items():
         if value is not None:
-            raise InputError("only of --to c", field=name, value=value)
+            raise InputError("only of --to c or wasm", field=name, value=value)
     return write_onnx(what, out, as_json=as_json)
 
 
@@ -115,6 +116,7 @@ def write_onnx(what: str, out: Path | None, *, as_json: bool) -> int:
 
 def write_c(
     what: str,
+    to: str,
     out: Path | None,
     *,
     line: str | None,
@@ -124,17 +126,18 @@ def write_c(
     number: str | None,
     as_json: bool,
 ) -> int:
-    """Write a driver with protection as C and report it."""
-    from metropilot.aboard import NUMBERS, check_exportable, trace_driver, write_driver
+    """Write a driver with protection as C, or also as WebAssembly, and report it."""
+    from metropilot.aboard import NUMBERS, check_exportable, find_zig, trace_driver, write_driver
     from metropilot.policy import load_driving_policy
     from metropilot.railway import load_line, load_trainset
 
     for field, value in (("line", line), ("out", out)):
         if value is None:
-            raise InputError("missing", field=field, allowed=f"--to c needs --{field}")
+            raise InputError("missing", field=field, allowed=f"--to {to} needs --{field}")
     number = number or "double"
     if number not in NUMBERS:
         raise InputError("unknown number type", field="number", value=number, allowed=", ".join(NUMBERS))
+    compiler = find_zig() if to == "wasm" else None
     known = load_trainset(trainset or TRAINSET, load)
     check_exportable(what, known)
     name, file = find_policy(what)
@@ -142,7 +145,7 @@ def write_c(
     chosen = choose_sections(load_line(str(line)), sections)
     with show_activity(f"writing {out}"):
         program = trace_driver(name, loaded, chosen, known, number=number)
-        report = write_driver(program, loaded, Path(str(out)))
+        report = write_driver(program, loaded, Path(str(out)), compiler=compiler)
     if as_json:
         print_json(asdict(report) | {"driver": name, "trainset": known.id, "policy": str(file.path)})
         return 0
@@ -151,7 +154,7 @@ def write_c(
         ("constant tables", f"{report.table_bytes / 1000:.0f} kB", f"network included, in {number}"),
         ("test vectors", str(report.vectors), "control periods"),
     ]
-    console().print(table(f"{what} as c, under protection", ("", "value", ""), rows, right=(1,)))
+    console().print(table(f"{what} as {to}, under protection", ("", "value", ""), rows, right=(1,)))
     console().print(f"Written to {report.folder}: {' '.join(report.files)}")
     return 0
 

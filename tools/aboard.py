@@ -1,0 +1,451 @@
+"""Compare a driver in C with Python, and measure it: drives, hostile states, time, size, sanitizers.
+
+    python tools/aboard.py drives --load AW0 --keep DIR      # 13 drives; --way backward, --number float
+    python tools/aboard.py supervisor --keep DIR             # 10 million states
+    python tools/aboard.py build --keep DIR                  # compilers, sanitizers, time; and float
+    python tools/aboard.py page --keep DIR --write docs/howto/controller.md
+
+Each part takes a few minutes and keeps its numbers in a folder, from which the last writes the table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import json
+import re
+import statistics
+import subprocess
+import sys
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import numpy as np
+
+from metropilot.aboard import (
+    STRICT,
+    AboardProgram,
+    CompiledDriver,
+    compile_driver,
+    drive_compiled,
+    in_precision,
+    trace_driver,
+    write_driver,
+)
+from metropilot.drivers import LearnedDriver
+from metropilot.physics import Command, double_precision, to_jax
+from metropilot.policy import LoadedPolicy, Policy, load_driving_policy, shipped_policy
+from metropilot.protection import LEVELS, Memory, protect, supervise
+from metropilot.railway import Section, load_line, load_trainset
+from metropilot.sim import Rollout, Run
+
+ROOT = Path(__file__).resolve().parent.parent
+LINE, TRAINSET, DRIVER = "yizhuang", "dkz32", "generalist"
+STATES, CHUNK = 10_000_000, 200_000
+MARGIN_MPS = 2e-3
+"""Speed by which the verdicts of a supervisor in single precision may differ."""
+STEPS = 200_000
+COMMANDS = (1.0, 0.5, 0.0, -0.3, -1.0, 3.0, -7.0, float("inf"), float("-inf"), float("nan"))
+ZIG = f"{sys.executable} -m ziglang cc"
+SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+MANY = """
+#include "@NAME@.h"
+#include <math.h>
+#include <time.h>
+void many(int64_t n, int32_t section, const double *x, const double *v, const double *share,
+    const bool *asked, const double *kept, const double *acceleration, const bool *latched,
+    const int32_t *before, int32_t *level, bool *emergency, double *out);
+void many(int64_t n, int32_t section, const double *x, const double *v, const double *share,
+    const bool *asked, const double *kept, const double *acceleration, const bool *latched,
+    const int32_t *before, int32_t *level, bool *emergency, double *out)
+{
+    for (int64_t k = 0; k < n; k++) {
+        @NAME@_state state;
+        @NAME@_input input = {0};
+        @NAME@_output output;
+        @NAME@_init(&state, section);
+        state.protection.share = (@NAME@_real)kept[k];
+        state.protection.acceleration_mps2 = (@NAME@_real)acceleration[k];
+        state.protection.emergency = latched[k];
+        state.protection.level = before[k];
+        input.position_m = (@NAME@_real)x[k];
+        input.speed_mps = (@NAME@_real)v[k];
+        @NAME@_supervise(&state, &input, (@NAME@_real)share[k], asked[k], &output);
+        level[k] = output.level;
+        emergency[k] = output.emergency;
+        out[k] = (double)output.share;
+    }
+}
+void clocked(int64_t n, int64_t rows, const double *vectors, double *us);
+void clocked(int64_t n, int64_t rows, const double *vectors, double *us)
+{
+    @NAME@_state state;
+    @NAME@_input input;
+    @NAME@_output output;
+    for (int64_t k = 0; k < n; k++) {
+        const double *row = vectors + 8 * (k % rows);
+        struct timespec a, b;
+        if (row[1] <= 0.0) @NAME@_init(&state, (int32_t)row[0]);
+        input.time_s = (@NAME@_real)row[1];
+        input.position_m = (@NAME@_real)row[2];
+        input.speed_mps = (@NAME@_real)row[3];
+        input.acceleration_mps2 = (@NAME@_real)row[4];
+        input.scheduled_s = (@NAME@_real)row[5];
+        clock_gettime(CLOCK_THREAD_CPUTIME_ID, &a);
+        @NAME@_step(&state, &input, &output);
+        clock_gettime(CLOCK_THREAD_CPUTIME_ID, &b);
+        us[k] = 1e6 * (double)(b.tv_sec - a.tv_sec) + 1e-3 * (double)(b.tv_nsec - a.tv_nsec);
+    }
+}
+"""
+HOSTILE = """
+#include "@NAME@.h"
+#include <math.h>
+#include <stdio.h>
+int main(void)
+{
+    const double extreme[] = {0.0, 1.0, -1.0, 20.0, 700.0, 1e6, -1e6, 1e300, -1e300, 1e-300, INFINITY,
+        -INFINITY, NAN};
+    uint64_t seed = 2026;
+    @NAME@_state state;
+    @NAME@_output output;
+    long wrong = 0;
+    @NAME@_init(&state, 0);
+    for (long k = 0; k < 300000; k++) {
+        double value[6];
+        @NAME@_input input;
+        for (int j = 0; j < 6; j++) {
+            seed = seed * 6364136223846793005u + 1442695040888963407u;
+            value[j] = extreme[(seed >> 40) % (sizeof extreme / sizeof *extreme)];
+        }
+        input.time_s = (@NAME@_real)value[0];
+        input.position_m = (@NAME@_real)value[1];
+        input.speed_mps = (@NAME@_real)value[2];
+        input.acceleration_mps2 = (@NAME@_real)value[3];
+        input.scheduled_s = (@NAME@_real)value[4];
+        if (k % 2) @NAME@_step(&state, &input, &output);
+        else @NAME@_supervise(&state, &input, (@NAME@_real)value[5], k % 7 == 0, &output);
+        wrong += !(output.share >= -1.0 && output.share <= 1.0) || output.level < 0 || output.level > 3;
+    }
+    printf("%ld", wrong);
+    return wrong != 0;
+}
+"""
+
+
+def loaded_policy() -> LoadedPolicy:
+    """The policy of the driver."""
+    return load_driving_policy(shipped_policy(DRIVER))
+
+
+def exported(sections: Sequence[Section], load: str, number: str, *, many: bool = False) -> tuple[Any, Path]:
+    """A driver written and compiled; with ``many`` together with the loops of this file."""
+    program = trace_driver(DRIVER, loaded_policy(), sections, load_trainset(TRAINSET, load), number=number)
+    folder = Path(mkdtemp(prefix="aboard-"))
+    write_driver(program, loaded_policy(), folder)
+    if many:
+        source = folder / f"{DRIVER}.c"
+        source.write_text(
+            "#define _POSIX_C_SOURCE 199309L\n" + source.read_text() + MANY.replace("@NAME@", DRIVER)
+        )
+    return compile_driver(program, folder), folder
+
+
+def sections_of(way: str) -> list[Section]:
+    """Sections of the leaderboard, one way."""
+    return list(load_line(LINE).sections(backward=way == "backward"))
+
+
+def drive_python(program: AboardProgram, section: Section, *, exact: bool) -> Rollout:
+    """The same drive in Python; ``exact``: its network in double precision."""
+    loaded = loaded_policy()
+    policy = loaded.policy.policy
+    exactly = Policy(policy.spec, in_precision(policy.params, np.float64))
+    driver = LearnedDriver(exactly if exact else loaded.policy, loaded.interface)
+    return Rollout(Run(section, program.trainset, float(section.planned_time_s or 0.0)), driver)
+
+
+def compare_drive(driver: CompiledDriver, number: int, *, exact: bool) -> dict[str, float]:
+    """Largest differences of one drive from Python's."""
+    section = driver.program.sections[number]
+    run = drive_compiled(driver, number, float(section.planned_time_s or 0.0))
+    rollout = drive_python(driver.program, section, exact=exact)
+    worst, last = 0.0, len(run.states) - 1
+    for k, state in enumerate(run.states):
+        if rollout.outcome is None:
+            rollout.advance()
+        if k < last:
+            worst = max(worst, abs(float(state.plant.position_m - rollout.state.plant.position_m)))
+    while rollout.outcome is None:
+        rollout.advance()
+    end, python = run.states[-1], rollout.state
+    return {
+        "position_m": worst,
+        "stop_m": abs(float(end.plant.position_m - python.plant.position_m)),
+        "time_s": abs(float(end.stood_since_s - python.stood_since_s)),
+        "energy": abs(float(end.plant.traction_j / python.plant.traction_j) - 1.0),
+        "outcome": float(end.outcome != python.outcome),
+        "overruled": float(sum(answer.level > 0 for answer in run.supervised)),
+    }
+
+
+def measure_drives(load: str, way: str, number: str) -> dict[str, Any]:
+    """Sections one way with a load; in double against both networks of Python, in single and double."""
+    found: dict[str, Any] = {}
+    driver, _ = exported(sections_of(way), load, number)
+    for name, exact in (("exact", True), ("shipped", False)):
+        if number == "double" or not exact:
+            rows = [compare_drive(driver, k, exact=exact) for k in range(len(driver.program.sections))]
+            worst = {key: max(row[key] for row in rows) for key in rows[0]}
+            found[f"{number}_{name}"] = worst | {"runs": len(rows)}
+            print(load, number, name, worst, flush=True)
+    return found
+
+
+def random_states(rng: np.random.Generator, guard: Any, count: int) -> dict[str, np.ndarray]:  # noqa: ANN401
+    """States about the curves, and hostile commands and measurements."""
+    at = float(guard.start_m) + float(guard.spacing_m) * np.arange(guard.permitted_mps.size)
+    x = rng.uniform(at[0] - 20.0, at[int(np.flatnonzero(guard.permitted_mps)[-1])] + 40.0, count)
+    near = np.interp(x, at, np.sqrt(2.0 * guard.emergency)) + rng.normal(0.0, 0.6, count)
+    v = np.where(rng.random(count) < 0.7, np.maximum(near, 0.0), rng.uniform(0.0, 28.0, count))
+    v = np.where(rng.random(count) < 0.05, 0.0, v)
+    share = np.where(rng.random(count) < 0.5, rng.choice(COMMANDS, count), rng.uniform(-1.2, 1.2, count))
+    lost = rng.random(count) < 0.01
+    return {
+        "x": np.where(lost, rng.choice([np.nan, np.inf, -np.inf], count), x),
+        "v": np.where(rng.random(count) < 0.01, rng.choice([np.nan, np.inf], count), v),
+        "share": share,
+        "asked": rng.random(count) < 0.01,
+        "kept": rng.uniform(-1.0, 1.0, count),
+        "acceleration": rng.uniform(-1.5, 1.2, count),
+        "latched": rng.random(count) < 0.05,
+        "before": rng.integers(0, 4, count, np.int32),
+    }
+
+
+def call_many(driver: CompiledDriver, states: dict[str, np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Answers of the compiled supervisor."""
+    count = states["x"].size
+    out = np.zeros(count, np.int32), np.zeros(count, np.bool_), np.zeros(count)
+    pointers = [np.ascontiguousarray(a).ctypes.data_as(ctypes.c_void_p) for a in (*states.values(), *out)]
+    driver.library.many(ctypes.c_int64(count), ctypes.c_int32(0), *pointers)
+    return out
+
+
+def measure_supervisor(count: int) -> dict[str, Any]:
+    """Verdicts of Python and C; where the compiled Python differs, NumPy decides."""
+    import jax
+
+    section, load = load_line(LINE).section("RJ", "WYJ"), "AW2"
+    double, _ = exported([section], load, "double", many=True)
+    single, _ = exported([section], load, "float", many=True)
+    guard = protect(section, double.program.trainset, double.program.bounds)
+
+    def verdict(guard: Any, s: dict[str, Any]) -> Any:  # noqa: ANN401 (arrays)
+        memory = Memory(guard.slots, s["kept"], s["acceleration"], s["latched"], s["before"], 0, 0, 0)
+        command, _, found = supervise(guard, memory, s["x"], s["v"], Command(s["share"], s["asked"]))
+        return found.level, command.emergency, command.share
+
+    rng = np.random.default_rng(2026)
+    different, less, beyond, levels = 0, 0, 0, np.zeros(len(LEVELS), int)
+    with double_precision(), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        batch = jax.jit(jax.vmap(partial(verdict, to_jax(guard))))
+        for first in range(0, count, CHUNK):
+            states = random_states(rng, guard, min(CHUNK, count - first))
+            python = [np.asarray(a) for a in batch(states)]
+            c = call_many(double, states)
+            off = np.flatnonzero((python[0] != c[0]) | (python[1] != c[1]) | (python[2] != c[2]))
+            for k in off:
+                one = {name: values[k].item() for name, values in states.items()}
+                with np.errstate(all="ignore"):
+                    host = verdict(guard, one)
+                different += (int(host[0]), bool(host[1]), float(host[2])) != tuple(a[k].item() for a in c)
+            levels += np.bincount(c[0], minlength=len(LEVELS))
+            looser = np.flatnonzero(call_many(single, states)[0] < c[0])
+            less += looser.size
+            slower = {name: values[looser] for name, values in states.items()}
+            found = call_many(single, slower)[0]
+            slower["v"] = np.maximum(slower["v"] - MARGIN_MPS, 0.0)
+            beyond += int((call_many(double, slower)[0] > found).sum())
+            print(first, different, less, beyond, flush=True)
+    return {
+        "states": count,
+        "different": different,
+        "float_less": less,
+        "float_beyond": beyond,
+        "levels": levels.tolist(),
+    }
+
+
+def call(folder: Path, *command: str) -> tuple[bool, str]:
+    """Run a command in a folder: whether it succeeded, and what it said."""
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    return done.returncode == 0, done.stdout + done.stderr
+
+
+def stack_bytes(text: str) -> int:
+    """Stack of a step from the report of gcc: step, the larger of what it calls, and all that these call."""
+    used = {m[1]: int(m[2]) for m in re.finditer(r":(\w+)\t(\d+)\t", text)}
+    large = (f"{DRIVER}_step", "decide", f"{DRIVER}_supervise")
+    helpers = sum(size for name, size in used.items() if name not in large)
+    return used[large[0]] + max(used.get("decide", 0), used[large[2]]) + helpers
+
+
+def measure_build(number: str, second: str) -> dict[str, Any]:
+    """Compilers, sanitizers, size, stack and time of one section.
+
+    Args:
+        number: Number type.
+        second: Command of the second compiler.
+    """
+    section = load_line(LINE).section("RJ", "WYJ")
+    driver, folder = exported([section], "AW2", number, many=True)
+    vectors, us = np.loadtxt(folder / "vectors.csv", delimiter=",", skiprows=1), np.zeros(STEPS)
+    pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (vectors, us)]
+    driver.library.clocked(ctypes.c_int64(STEPS), ctypes.c_int64(len(vectors)), *pointers)
+    print(number, statistics.median(us.tolist()), us.max(), flush=True)
+    write_driver(driver.program, loaded_policy(), folder)
+    (folder / "hostile.c").write_text(HOSTILE.replace("@NAME@", DRIVER))
+    builds = {}
+    for name, compiler in {"clang": second, "gcc": "cc -fstack-usage"}.items():
+        built, said = call(folder, "make", "clean", "check", "example", f"CC={compiler}")
+        builds[name] = built and "0 wrong" in said
+    _, size = call(folder, "size", f"{DRIVER}.o")
+    stack = stack_bytes((folder / f"{DRIVER}.su").read_text())
+    good, said = call(folder, "make", "clean", "check", "example", "SANITIZE=1")
+    hostile = [*STRICT, *SANITIZERS, "hostile.c", f"{DRIVER}.o", "-lm", "-o", "hostile"]
+    for command in (("./example",), ("cc", *hostile), ("./hostile",)):
+        good, more = call(folder, *command) if good else (False, "")
+        said += more
+    if not good:
+        print(said[-1500:])
+    return {
+        "median_us": statistics.median(us.tolist()),
+        "p999_us": float(np.quantile(us, 0.999)),
+        "worst_us": float(us.max()),
+        "object_bytes": sum(map(int, size.splitlines()[1].split()[:2])),
+        "stack_bytes": stack,
+        "builds": builds,
+        "sanitized": good,
+    }
+
+
+def drive_rows(drives: Sequence[dict[str, Any]]) -> list[tuple[str, str, str]]:
+    """Rows of the drives."""
+
+    def most(kind: str, key: str) -> float:
+        return max(each[kind][key] for each in drives if kind in each)
+
+    def count(kind: str) -> int:
+        return sum(each[kind]["runs"] for each in drives if kind in each)
+
+    odd = sum(value["outcome"] + value["overruled"] for each in drives for value in each.values())
+    rows = [
+        (
+            f"{count('double_exact')} drives: position, network of Python in double precision",
+            f"{most('double_exact', 'position_m'):.0e} m",
+            "1e-9 m",
+        ),
+        (
+            "position, network of Python in single precision",
+            f"{most('double_shipped', 'position_m'):.0e} m",
+            "–",
+        ),
+        ("energy of traction, the same", f"{most('double_shipped', 'energy'):.0e}", "–"),
+    ]
+    if count("float_shipped"):
+        rows += [
+            (
+                f"`float`, {count('float_shipped')} drives: position at the stop",
+                f"{1e3 * most('float_shipped', 'stop_m'):.1f} mm",
+                "5 mm",
+            ),
+            ("`float`: arrival", f"{most('float_shipped', 'time_s'):.3f} s", "0.05 s"),
+            ("`float`: position on the way", f"{most('float_shipped', 'position_m'):.2f} m", "–"),
+        ]
+    return [*rows, ("drives with another outcome, or overruled by protection", f"{odd:.0f}", "0")]
+
+
+def state_rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Rows of the supervisor."""
+    return [
+        (f"{state['states']:,} random and hostile states: other verdicts", f"{state['different']}", "0"),
+        (
+            f"`float`: verdicts milder by more than {1e3 * MARGIN_MPS:g} mm/s; milder at all",
+            f"{state['float_beyond']}; {state['float_less']}",
+            "0",
+        ),
+    ]
+
+
+def build_rows(number: str, build: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Rows of a build."""
+    said = f"`{number}`: "
+    built = ", ".join(name for name, good in build["builds"].items() if good)
+    return [
+        (f"{said}processor time of a period, median of {STEPS:,}", f"{build['median_us']:.0f} µs", "100 µs"),
+        (f"{said}99.9 %; worst", f"{build['p999_us']:.0f} µs; {build['worst_us']:,.0f} µs", "200 µs"),
+        (f"{said}object file, network included", f"{build['object_bytes'] / 1e3:.0f} kB", "300 kB"),
+        (f"{said}stack", f"{build['stack_bytes'] / 1e3:.1f} kB", "16 kB"),
+        (f"{said}no warning, test vectors right", built, "two compilers"),
+        (
+            f"{said}address and undefined-behaviour sanitizers",
+            "clean" if build["sanitized"] else "no",
+            "clean",
+        ),
+    ]
+
+
+def page(kept: Path) -> str:
+    """The table of what was kept."""
+    sys.path.insert(0, str(ROOT))
+    from benchmarks.report import circumstances
+
+    values = {path.stem: json.loads(path.read_text()) for path in sorted(kept.glob("*.json"))}
+    rows = drive_rows([value for name, value in values.items() if name.startswith("drives-")])
+    if "supervisor" in values:
+        rows += state_rows(values["supervisor"])
+    for number in ("double", "float"):
+        if f"build-{number}" in values:
+            rows += build_rows(number, values[f"build-{number}"])
+    lines = ["| what: largest difference or amount | measured | wanted |", "|---|---:|---:|"]
+    lines += [f"| {' | '.join(row)} |" for row in rows]
+    about = "; ".join(f"{k}: {v}" for k, v in circumstances(("jax", "numpy")).items())
+    said = f"`{DRIVER}` on {LINE} with {TRAINSET}; one section for states and builds; seed 2026."
+    return "\n".join([*lines, "", f"{said} Measured on {about}."])
+
+
+def main() -> None:
+    """Measure one part, or write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("part", choices=("drives", "supervisor", "build", "page"))
+    parser.add_argument("--load", default="AW2", help="load aboard, of drives")
+    parser.add_argument("--way", default="forward", help="forward or backward, of drives")
+    parser.add_argument("--number", default="double", help="number type, of drives and build")
+    parser.add_argument("--states", type=int, default=STATES, help="states, of the supervisor")
+    parser.add_argument("--second", default=ZIG, metavar="CC", help="second compiler, of build")
+    parser.add_argument("--keep", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--write", type=Path, metavar="PAGE")
+    options = parser.parse_args()
+    if options.part == "page":
+        sys.path.insert(0, str(ROOT))
+        from benchmarks.report import write_section
+
+        write_section(options.write, "aboard", page(options.keep))
+        return
+    measures = {
+        "drives": lambda: measure_drives(options.load, options.way, options.number),
+        "supervisor": lambda: measure_supervisor(options.states),
+        "build": lambda: measure_build(options.number, options.second),
+    }
+    more = {"drives": f"-{options.load}-{options.way}-{options.number}", "build": f"-{options.number}"}
+    name = options.part + more.get(options.part, "")
+    options.keep.mkdir(parents=True, exist_ok=True)
+    (options.keep / f"{name}.json").write_text(json.dumps(measures[options.part]()))
+
+
+if __name__ == "__main__":
+    main()
