@@ -50,6 +50,8 @@ LONGEST_S = 240.0
 RULE = OutcomeRule()
 OFF_MPS, OFF_M = 0.1, 0.5
 """Departure of the head from its plan, in speed or position, that calls for a new one."""
+LOOK_S = 1.0
+"""Time ahead, beside what is late, within which traction respects a lower permitted speed, as of one alone."""
 PATIENCE_S = 2.0
 """Least time between two plans that a departure calls for."""
 OUTDATED = 0.03
@@ -446,7 +448,7 @@ class ConvoyRollout:
             return UNLIMITED_MPS
         rates, believed = own.protection.rates, own.believed
         late_s = rates.mass_high / rates.mass_low * (rates.reaction_s + believed.delay_s + believed.lag_s)
-        at_m = float(state.plant.position_m + late_s * state.plant.speed_mps)
+        at_m = float(state.plant.position_m + (LOOK_S + late_s) * state.plant.speed_mps)
         return float(permitted_speed(own.protection, at_m))
 
     def head_share(self, state: MemberState, period: int, permitted_mps: float) -> np.float64:
