@@ -51,7 +51,7 @@ RULE = OutcomeRule()
 OFF_MPS, OFF_M = 0.1, 0.5
 """Departure of the head from its plan, in speed or position, that calls for a new one."""
 LOOK_S = 1.0
-"""Time ahead, beside what is late, within which traction respects a lower permitted speed, as of one alone."""
+"""Time ahead, beside what is late, in which traction respects a lower permitted speed, as of one alone."""
 PATIENCE_S = 2.0
 """Least time between two plans that a departure calls for."""
 OUTDATED = 0.03
