@@ -50,7 +50,7 @@ console.log(JSON.stringify({ automatic, overruled, excess, highest, intervention
 
 
 def drive_in_node(page, folder):
-    """What the script of a page says when node drives with it."""
+    """Answer of the script of a page to a drive in node."""
     script = page.read_text(encoding="utf-8").split('<script type="module">')[1].split("const bytes")[0]
     module = re.search(r'atob\("([^"]+)"\)', page.read_text(encoding="utf-8"))[1]
     (folder / "drive.mjs").write_text(script + DRIVE.replace("MODULE", json.dumps(module)))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from metropilot.aboard.graph import Graph, Node, is_uniform, operands
+from metropilot.aboard.graph import Graph, Operation, is_uniform, operands
 from metropilot.errors import InputError
 
 TYPES: Mapping[str, str] = MappingProxyType(
@@ -187,7 +187,7 @@ class _Emitter:
         ]
         return [*arenas, *self.lines, *copies]
 
-    def copy(self, node: Node, target: str, indent: str) -> list[str]:
+    def copy(self, node: Operation, target: str, indent: str) -> list[str]:
         """Lines that write a result to where it belongs."""
         if node.shape == ():
             return [f"{indent}{target} = {self.at(node, [])};"]
@@ -198,7 +198,7 @@ class _Emitter:
     # ---------------------------------------------------------------------------------------- what is stored
     def _own_variables(self) -> set[int]:
         """Nodes whose result is stored, not computed anew wherever it is read."""
-        readers: dict[int, list[Node | None]] = defaultdict(list)
+        readers: dict[int, list[Operation | None]] = defaultdict(list)
         grown: set[int] = set()
         for reader in [*self.order, None]:
             if reader is not None and reader.op in VIEWS:
@@ -227,7 +227,7 @@ class _Emitter:
         """Position in the order after which a stored array is not read any more."""
         last: dict[int, int] = {}
 
-        def read(node: Node, position: int) -> None:
+        def read(node: Operation, position: int) -> None:
             last[id(node)] = max(last.get(id(node), 0), position)
             if node.op in VIEWS or (id(node) not in self.own and node.op not in {"input", "const"}):
                 for arg in node.args:
@@ -242,7 +242,7 @@ class _Emitter:
         return last
 
     # -------------------------------------------------------------------------------------------- statements
-    def block(self, nodes: Sequence[Node], indent: str) -> None:
+    def block(self, nodes: Sequence[Operation], indent: str) -> None:
         """Write the statements of some nodes."""
         for node in nodes:
             if node.op == "cond":
@@ -260,7 +260,7 @@ class _Emitter:
                 self.arenas[kind].release(start, size)
                 del self.places[key]
 
-    def store(self, node: Node, indent: str) -> None:
+    def store(self, node: Operation, indent: str) -> None:
         """Write the statement or loop that computes a node."""
         kind = TYPES[node.dtype.name]
         if node.size == 1:
@@ -281,7 +281,7 @@ class _Emitter:
         self.places[id(node)] = node.dtype.name, start, node.size
         self.names[id(node)], self.starts[id(node)] = name, start
 
-    def loop(self, node: Node, target: Callable[[list[str]], str], indent: str) -> list[str]:
+    def loop(self, node: Operation, target: Callable[[list[str]], str], indent: str) -> list[str]:
         """Lines that write every entry of a node."""
         index = [f"i{k}" for k in range(len(node.shape))] if node.size > 1 else ["0"] * len(node.shape)
         shape = node.shape if node.size > 1 else ()
@@ -299,7 +299,7 @@ class _Emitter:
             return self.largest(node, target(index), indent)
         raise InputError(f"the driver needs the operation {node.op}, which has no form in C", field="to")
 
-    def branches(self, node: Node, indent: str) -> None:
+    def branches(self, node: Operation, indent: str) -> None:
         """Write a ``cond``: an ``if`` per branch, the last for every other number."""
         sides = node.params["sides"]
         names = [self.variable() for _ in sides[0].results]
@@ -321,7 +321,7 @@ class _Emitter:
                 self.lines.append(f"{indent}    {name} = {value};")
         self.lines.append(f"{indent}}}")
 
-    def start(self, node: Node, indent: str) -> None:
+    def start(self, node: Operation, indent: str) -> None:
         """Write the first index of a slice, kept inside the array."""
         starts = []
         for arg, whole, part in zip(node.args[1:], node.args[0].shape, node.shape, strict=True):
@@ -338,7 +338,7 @@ class _Emitter:
         self.offsets[id(node)] = starts
 
     def reduction(
-        self, node: Node, target: str, index: list[str], shape: tuple[int, ...], indent: str
+        self, node: Operation, target: str, index: list[str], shape: tuple[int, ...], indent: str
     ) -> list[str]:
         """Sum, largest, smallest, all or any."""
         (arg,), axes, kind = node.args, tuple(node.params["axes"]), TYPES[node.dtype.name]
@@ -361,7 +361,7 @@ class _Emitter:
             return _loops(shape, lines, indent)
         return [f"{depth}{{", *(f"{depth}    {line}" for line in lines), f"{depth}}}"]
 
-    def joined(self, node: Node, target: Callable[[list[str]], str], indent: str) -> list[str]:
+    def joined(self, node: Operation, target: Callable[[list[str]], str], indent: str) -> list[str]:
         """Arrays one after the other."""
         stacked = node.op == "stack"
         axis, begin = node.params["axis" if stacked else "dimension"], 0
@@ -381,7 +381,7 @@ class _Emitter:
             lines += _loops(shape, [f"{target(place)} = {self.at(arg, index)};"], indent)
         return lines
 
-    def product(self, node: Node, target: Callable[[list[str]], str], indent: str) -> list[str]:
+    def product(self, node: Operation, target: Callable[[list[str]], str], indent: str) -> list[str]:
         """Product of matrices, the entries of a sum in order."""
         (left_axes, right_axes), (left_batch, right_batch) = node.params["dimension_numbers"]
         left, right = node.args
@@ -404,7 +404,7 @@ class _Emitter:
         return _loops(rows, lines, indent, i)
 
     def gathered(
-        self, node: Node, target: str, index: list[str], shape: tuple[int, ...], indent: str
+        self, node: Operation, target: str, index: list[str], shape: tuple[int, ...], indent: str
     ) -> list[str]:
         """Entries looked up by indices, which are kept inside the array."""
         dims, (array, places) = node.params["dimension_numbers"], node.args
@@ -421,7 +421,7 @@ class _Emitter:
             read.append(place)
         return _loops(shape, [f"{target} = {self.at(array, read)};"], indent)
 
-    def first_index(self, places: Node, batch: list[str], number: int, last: int) -> str:
+    def first_index(self, places: Operation, batch: list[str], number: int, last: int) -> str:
         """Expression of one of the indices of a look-up, at most ``last``; a constant one as such."""
         part = places
         if places.op == "concatenate" and all(arg.shape[-1] == 1 for arg in places.args):
@@ -430,7 +430,7 @@ class _Emitter:
             return str(int(np.clip(part.params["value"].flat[0], 0, last)))
         return f"within({self.at(places, [*batch, str(number)])}, {last})"
 
-    def largest(self, node: Node, target: str, indent: str) -> list[str]:
+    def largest(self, node: Operation, target: str, indent: str) -> list[str]:
         """Number of the largest entry, the first of equal ones."""
         (arg,) = node.args
         kind = TYPES[node.dtype.name]
@@ -445,7 +445,7 @@ class _Emitter:
         return f"v{self.count}"
 
     # ------------------------------------------------------------------------------------------- expressions
-    def at(self, node: Node, index: list[str]) -> str:  # noqa: PLR0911 (one per kind of node)
+    def at(self, node: Operation, index: list[str]) -> str:  # noqa: PLR0911 (one per kind of node)
         """Expression of one entry of a node."""
         if node.op == "const":
             value = node.params["value"]
@@ -471,7 +471,7 @@ class _Emitter:
             return self.at(node.args[0], self.through(node, index))
         return self.value(node, index)
 
-    def through(self, node: Node, index: list[str]) -> list[str]:  # noqa: PLR0911 (one per view)
+    def through(self, node: Operation, index: list[str]) -> list[str]:  # noqa: PLR0911 (one per view)
         """Index of an entry of a view in what it is a view of."""
         (arg, *_), params = node.args, node.params
         if arg.size == 1:
@@ -499,7 +499,7 @@ class _Emitter:
             b if i == "0" else i if b == "0" else f"{b} + {i}" for b, i in zip(starts, index, strict=True)
         ]
 
-    def value(self, node: Node, index: list[str]) -> str:
+    def value(self, node: Operation, index: list[str]) -> str:
         """Expression of one entry of an elementwise operation."""
         if node.op == "iota":
             return f"({TYPES[node.dtype.name]})({index[node.params['dimension']]})"
@@ -516,7 +516,7 @@ class _Emitter:
         given: np.dtype,
         dtype: np.dtype,
         params: Mapping[str, Any] = MappingProxyType({}),
-        node: Node | None = None,
+        node: Operation | None = None,
     ) -> str:
         """Expression of an operation on numbers."""
         kind = SHORT[given.name]
@@ -555,7 +555,7 @@ class _Emitter:
         given: np.dtype,
         dtype: np.dtype,
         params: Mapping[str, Any],
-        node: Node | None,
+        node: Operation | None,
     ) -> str:
         """Expression of the operations that only some of their operands or parameters have a form for."""
         kind = SHORT[given.name]
@@ -586,9 +586,9 @@ def _converted(value: str, given: np.dtype, dtype: np.dtype) -> str:
     return f"({TYPES[dtype.name]}){value}"
 
 
-def _flatten(nodes: Sequence[Node]) -> list[Node]:
+def _flatten(nodes: Sequence[Operation]) -> list[Operation]:
     """All nodes in the order of their statements; a ``cond`` follows its branches."""
-    order: list[Node] = []
+    order: list[Operation] = []
     for node in nodes:
         for side in node.params.get("sides", ()) if node.op == "cond" else ():
             order += _flatten(side.nodes)

@@ -18,7 +18,7 @@ SAME = {"copy", "copy_p", "stop_gradient", "optimization_barrier"}
 
 
 @dataclass(eq=False, repr=False)
-class Node:
+class Operation:
     """One operation and its result.
 
     Attributes:
@@ -30,7 +30,7 @@ class Node:
     """
 
     op: str
-    args: tuple[Node, ...]
+    args: tuple[Operation, ...]
     shape: tuple[int, ...]
     dtype: np.dtype
     params: dict[str, Any] = field(default_factory=dict)
@@ -44,8 +44,8 @@ class Node:
 class Branch(NamedTuple):
     """One side of a ``cond``: the operations that only it needs, and its results."""
 
-    nodes: list[Node]
-    results: list[Node]
+    nodes: list[Operation]
+    results: list[Operation]
 
 
 class Graph(NamedTuple):
@@ -57,9 +57,9 @@ class Graph(NamedTuple):
         nodes: Operations that the results need, each after its operands.
     """
 
-    inputs: list[Node]
-    outputs: list[Node]
-    nodes: list[Node]
+    inputs: list[Operation]
+    outputs: list[Operation]
+    nodes: list[Operation]
 
 
 def trace_graph(function: Callable[..., Any], *arguments: Any) -> Graph:  # noqa: ANN401 (trees of arrays)
@@ -77,7 +77,7 @@ def trace_graph(function: Callable[..., Any], *arguments: Any) -> Graph:  # noqa
     closed = jax.make_jaxpr(function)(*arguments)
     builder = _Builder()
     inputs = [
-        Node("input", (), tuple(v.aval.shape), np.dtype(v.aval.dtype), {"number": k})
+        Operation("input", (), tuple(v.aval.shape), np.dtype(v.aval.dtype), {"number": k})
         for k, v in enumerate(closed.jaxpr.invars)
     ]
     outputs = builder.inline(closed.jaxpr, closed.consts, inputs)
@@ -88,8 +88,8 @@ class _Scope:
     """Operations of the function or of a branch, and which of them are known."""
 
     def __init__(self) -> None:
-        self.nodes: list[Node] = []
-        self.known: dict[Any, Node] = {}
+        self.nodes: list[Operation] = []
+        self.known: dict[Any, Operation] = {}
 
 
 class _Builder:
@@ -97,21 +97,21 @@ class _Builder:
 
     def __init__(self) -> None:
         self.scopes = [_Scope()]
-        self.constants: dict[Any, Node] = {}
+        self.constants: dict[Any, Operation] = {}
 
-    def constant(self, value: Any) -> Node:  # noqa: ANN401 (a number or an array)
+    def constant(self, value: Any) -> Operation:  # noqa: ANN401 (a number or an array)
         array = np.asarray(value)
         key = (array.dtype.str, array.shape, array.tobytes())
         if key not in self.constants:
-            self.constants[key] = Node("const", (), array.shape, array.dtype, {"value": array})
+            self.constants[key] = Operation("const", (), array.shape, array.dtype, {"value": array})
         return self.constants[key]
 
-    def inline(self, jaxpr: Any, consts: Sequence[Any], given: Sequence[Node]) -> list[Node]:  # noqa: ANN401
+    def inline(self, jaxpr: Any, consts: Sequence[Any], given: Sequence[Operation]) -> list[Operation]:  # noqa: ANN401
         """Add the operations of a jaxpr; returns its results."""
-        known: dict[Any, Node] = dict(zip(jaxpr.invars, given, strict=True))
+        known: dict[Any, Operation] = dict(zip(jaxpr.invars, given, strict=True))
         known |= {var: self.constant(value) for var, value in zip(jaxpr.constvars, consts, strict=True)}
 
-        def read(var: Any) -> Node:  # noqa: ANN401 (a variable or a literal)
+        def read(var: Any) -> Operation:  # noqa: ANN401 (a variable or a literal)
             if hasattr(var, "val"):
                 return self.constant(np.asarray(var.val, var.aval.dtype))
             return known[var]
@@ -121,7 +121,7 @@ class _Builder:
             known |= dict(zip(equation.outvars, results, strict=True))
         return [read(var) for var in jaxpr.outvars]
 
-    def add(self, equation: Any, given: list[Node]) -> list[Node]:  # noqa: ANN401 (an equation)
+    def add(self, equation: Any, given: list[Operation]) -> list[Operation]:  # noqa: ANN401 (an equation)
         """Results of one equation."""
         name, params = equation.primitive.name, equation.params
         if name in CALLS:
@@ -143,7 +143,7 @@ class _Builder:
             given = self.narrow(given, params["slice_sizes"])
         return [self.node(name, tuple(given), tuple(aval.shape), np.dtype(aval.dtype), params)]
 
-    def narrow(self, given: list[Node], sizes: Sequence[int]) -> list[Node]:
+    def narrow(self, given: list[Operation], sizes: Sequence[int]) -> list[Operation]:
         """Operands of a slice, without a start that has no choice, nor columns that it cannot reach."""
         array, *starts = given
         zero = self.constant(np.int32(0))
@@ -160,8 +160,13 @@ class _Builder:
         return [self.constant(value), *starts]
 
     def node(
-        self, op: str, args: tuple[Node, ...], shape: tuple[int, ...], dtype: np.dtype, params: dict[str, Any]
-    ) -> Node:
+        self,
+        op: str,
+        args: tuple[Operation, ...],
+        shape: tuple[int, ...],
+        dtype: np.dtype,
+        params: dict[str, Any],
+    ) -> Operation:
         """A node, the known one where there is an equal one."""
         if op == "convert_element_type" and args[0].dtype == dtype:
             return args[0]
@@ -171,12 +176,12 @@ class _Builder:
         for scope in self.scopes:
             if key in scope.known:
                 return scope.known[key]
-        made = Node(op, args, shape, dtype, params)
+        made = Operation(op, args, shape, dtype, params)
         self.scopes[-1].nodes.append(made)
         self.scopes[-1].known[key] = made
         return made
 
-    def branch(self, branches: Sequence[Any], given: list[Node]) -> list[Node]:
+    def branch(self, branches: Sequence[Any], given: list[Operation]) -> list[Operation]:
         """Results of a ``cond``."""
         index, rest = given[0], given[1:]
         sides = []
@@ -187,17 +192,17 @@ class _Builder:
             sides.append(Branch(nodes, results))
         if any(result.size != 1 for side in sides for result in side.results):
             raise InputError("the driver chooses between arrays, which has no form in C", field="to")
-        made = Node("cond", (index,), (), np.dtype(np.int32), {"sides": sides})
+        made = Operation("cond", (index,), (), np.dtype(np.int32), {"sides": sides})
         self.scopes[-1].nodes.append(made)
         picked = [
-            Node("result", (made,), result.shape, result.dtype, {"number": k})
+            Operation("result", (made,), result.shape, result.dtype, {"number": k})
             for k, result in enumerate(sides[0].results)
         ]
         self.scopes[-1].nodes += picked
         return picked
 
 
-def operands(node: Node) -> list[Node]:
+def operands(node: Operation) -> list[Operation]:
     """Operands of a node; those of a ``cond`` include what its branches take from outside."""
     if node.op != "cond":
         return list(node.args)
@@ -209,7 +214,7 @@ def operands(node: Node) -> list[Node]:
     return outside
 
 
-def is_uniform(node: Node) -> bool:
+def is_uniform(node: Operation) -> bool:
     """Tell if a node is a constant of which all entries have the same bits."""
     if node.op != "const":
         return False
@@ -217,7 +222,7 @@ def is_uniform(node: Node) -> bool:
     return value.tobytes() == value.flat[0].tobytes() * value.size
 
 
-def _needed(nodes: Sequence[Node], results: Sequence[Node]) -> list[Node]:
+def _needed(nodes: Sequence[Operation], results: Sequence[Operation]) -> list[Operation]:
     """The nodes that the results need, in order."""
     wanted, kept = set(map(id, results)), []
     for node in reversed(nodes):

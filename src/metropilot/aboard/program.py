@@ -10,7 +10,7 @@ import numpy as np
 
 from metropilot._typing import Array
 from metropilot.aboard.graph import Graph, trace_graph
-from metropilot.campaign import Kind, Measurements, PolicyMemory, decide_by_policy, first_memory
+from metropilot.campaign import DecisionMemory, Kind, Measurements, decide_by_policy, first_memory
 from metropilot.drivers import DRIVERS, AbstractPolicyDriver
 from metropilot.env import SectionRows, build_tables, near_track
 from metropilot.errors import InputError
@@ -54,7 +54,7 @@ class AboardMemory(NamedTuple):
         supervision: Memory of protection.
     """
 
-    policy: PolicyMemory
+    policy: DecisionMemory
     supervision: Memory
 
 
@@ -203,8 +203,8 @@ def _policy(
     params = in_precision(policy.params, dtype)
 
     def decide(
-        case: Array, measured: Measurements, scheduled_s: Array, memory: PolicyMemory
-    ) -> tuple[Array, PolicyMemory]:
+        case: Array, measured: Measurements, scheduled_s: Array, memory: DecisionMemory
+    ) -> tuple[Array, DecisionMemory]:
         after, broken = decide_by_policy(kind, params, seen, case, measured, scheduled_s, memory)
         known = jnp.all(jnp.isfinite(jnp.stack([*measured, scheduled_s]))) & (broken ^ True)
         # with a measurement lost the policy waits as it is, and protection brakes

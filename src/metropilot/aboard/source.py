@@ -26,6 +26,8 @@ from metropilot.sim import Rollout, Run
 
 TOLERANCES = {"double": "1e-9", "float": "2e-3"}
 """Largest difference of a command in the test vectors."""
+SPARED = {"double": "0.0", "float": "0.05"}
+"""Share of the periods in which it may be larger: in single precision a policy may switch earlier."""
 DRIVER_FILES = ("driver.h", "driver.c")
 VECTOR_SECTIONS = 4
 """Sections in the test vectors."""
@@ -115,6 +117,7 @@ def driver_texts(program: AboardProgram, *, door: bool = False) -> tuple[dict[st
         "PERIOD": f"{program.bounds.dt_s:g}",
         "COUNT": str(len(program.sections)),
         "TOLERANCE": TOLERANCES[program.number],
+        "SPARED": SPARED[program.number],
         "ENUM": "\n".join(
             f"    {name.upper()}_{identifier(_section_name(each)).upper()} = {k},"
             for k, each in enumerate(program.sections)

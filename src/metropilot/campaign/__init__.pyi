@@ -7,9 +7,9 @@ from .page import RESULTS_FILE as RESULTS_FILE
 from .page import collect_parts as collect_parts
 from .page import summarise as summarise
 from .page import write_campaign_report as write_campaign_report
+from .program import DecisionMemory as DecisionMemory
 from .program import Kind as Kind
 from .program import Measurements as Measurements
-from .program import PolicyMemory as PolicyMemory
 from .program import decide_by_policy as decide_by_policy
 from .program import first_memory as first_memory
 from .reading import campaign_from_toml as campaign_from_toml

@@ -68,7 +68,7 @@ class EpisodeParams(NamedTuple):
     length_m: Array
 
 
-class PolicyMemory(NamedTuple):
+class DecisionMemory(NamedTuple):
     """Memory of a policy between two control periods. All 0-d except the action.
 
     Attributes:
@@ -86,10 +86,12 @@ class PolicyMemory(NamedTuple):
     stopping: Array
 
 
-def first_memory(spec: PolicySpec) -> PolicyMemory:
+def first_memory(spec: PolicySpec) -> DecisionMemory:
     """Memory of a policy at departure (NumPy)."""
     zero, none = np.float64(0.0), np.int32(0)
-    return PolicyMemory(zero, none if spec.discrete else np.zeros(spec.actions), zero, none, np.bool_(False))
+    return DecisionMemory(
+        zero, none if spec.discrete else np.zeros(spec.actions), zero, none, np.bool_(False)
+    )
 
 
 class EpisodeState(NamedTuple):
@@ -101,7 +103,7 @@ class EpisodeState(NamedTuple):
     """
 
     run: RunState
-    policy: PolicyMemory
+    policy: DecisionMemory
 
 
 class CompiledRow(NamedTuple):
@@ -195,7 +197,7 @@ def period(
         dt=kind.dt,
     )
 
-    def decide(memory: PolicyMemory, run: RunState) -> tuple[Command, tuple[PolicyMemory, Array]]:
+    def decide(memory: DecisionMemory, run: RunState) -> tuple[Command, tuple[DecisionMemory, Array]]:
         measured = Measurements(
             run.plant.time_s, run.plant.position_m, run.measured_mps, run.plant.acceleration_mps2
         )
@@ -257,8 +259,8 @@ def decide_by_policy(
     row: Array,
     measured: Measurements,
     scheduled_s: Array,
-    before: PolicyMemory,
-) -> tuple[PolicyMemory, Array]:
+    before: DecisionMemory,
+) -> tuple[DecisionMemory, Array]:
     """Take a decision if one is due and apply the assists, in one control period (JAX).
 
     Args:
