@@ -18,14 +18,19 @@ from benchmarks.beside_optimum import table
 from benchmarks.report import circumstances, write_section
 from metropilot.errors import Infeasible
 from metropilot.operation import (
+    FeedingEnergy,
     LineOperation,
     OperationOptions,
     Timetable,
     TrainLoads,
     feed_line,
+    find_timetable,
+    plan_trips,
+    refine_timetable,
     solve_network,
     train_loads,
 )
+from metropilot.operation.network_search import NEIGHBOURS, ROUNDS
 from metropilot.railway import Feeding, Storage, load_feeding, load_line, load_trainset
 from metropilot.units import J_PER_KWH
 
@@ -34,6 +39,7 @@ HEADWAYS_S, SENSITIVE_S, OFFSET_S = (90, 120, 180, 300, 600), 180, 5
 OPTIONS = OperationOptions(efficiency_traction=0.9, efficiency_braking=0.76)
 DAY_H, PEAKS_H, PEAK_S, QUIET_S = 18, 4, 240, 496
 DAYS = (0.25, 1.0, 4.0)
+STORAGE_OFFSET_S, SEARCHED_S = 15, (120, 180, 300)
 
 
 class Fed:
@@ -42,13 +48,14 @@ class Fed:
     Args:
         headway_s: Headway.
         plans: Powers of the trips by driving, at planned running times.
+        every_s: Step of the offsets.
     """
 
-    def __init__(self, headway_s: int, plans: dict[str, list]) -> None:
+    def __init__(self, headway_s: int, plans: dict[str, list], every_s: int = OFFSET_S) -> None:
         line, trainset = load_line(LINE), load_trainset(TRAINSET, LOAD)
         self.operation = LineOperation(line, trainset, replace(OPTIONS, headway_s=headway_s))
         self.plans, self.headway_s = plans, headway_s
-        self.offsets = np.arange(0.0, headway_s, OFFSET_S)
+        self.offsets = np.arange(0.0, headway_s, every_s)
 
     def timetable(self, offset_s: float) -> Timetable:
         """Planned running times and dwells at an offset."""
@@ -119,6 +126,11 @@ def variants(feeding: Feeding) -> Iterator[tuple[str, Feeding]]:
     yield "squeezed above 890 V", replace(feeding, squeezed_above_v=890.0)
     yield "every second substation", replace(feeding, substations=feeding.substations[::2])
     yield "inverters everywhere, 855 V, 10 mohm", each(inverter_v=855.0, inverter_ohm=0.01)
+
+
+def stores(feeding: Feeding) -> Iterator[tuple[str, Feeding]]:
+    """The feeding without and with storages, of assumed sizes and voltages."""
+    yield "none", feeding
     usual = {"charge_above_v": 860.0, "discharge_below_v": 820.0, "resistance_ohm": 0.01, "efficiency": 0.95}
     beside = [
         Storage(name=s.name, position_m=s.position_m, capacity_j=10.0 * J_PER_KWH, power_w=1.5e6, **usual)
@@ -197,7 +209,6 @@ def measure() -> str:
         ]
         change = f"{100.0 * (found['both'] / usual - 1.0):+.1f}"
         rows.append([name, f"{found['both']:.1f}", change, *saved, *cells(found)])
-    about = "; ".join(f"{k} {v}" for k, v in circumstances(("metropilot", "clarabel", "numpy")).items())
     common = (
         "rails lose kWh",
         "substations lose kWh",
@@ -251,16 +262,101 @@ def measure() -> str:
                 days,
             ),
             "",
-            f"`python -m benchmarks.feeding --write docs/line.md`; {about}.",
+            written("feeding"),
         ]
     )
 
 
+def measure_storage() -> str:
+    """Text of the part on storages."""
+    fed, feeding, rows, usual = (
+        Fed(SENSITIVE_S, planned_profiles(), STORAGE_OFFSET_S),
+        load_feeding(FEEDING),
+        [],
+        0.0,
+    )
+    for name, variant in stores(feeding):
+        kwh = fed.energies_kwh("optimal", variant)
+        best = fed.timetable(fed.offsets[int(np.argmin(kwh))])
+        flow = feed_line(fed.operation, best, fed.plans["optimal"], variant).flow
+        usual = usual or kwh.min()
+        into = np.concatenate([flow.storage_w.ravel(), flow.onboard_w])
+        moved = [float(part.sum()) / J_PER_KWH for part in (np.maximum(into, 0.0), np.maximum(-into, 0.0))]
+        told = FeedingEnergy(variant, flow).as_dict()
+        rows.append(
+            [
+                name,
+                f"{kwh.mean():.1f}",
+                f"{kwh.min():.1f}",
+                f"{100.0 * (kwh.min() / usual - 1.0):+.1f}",
+                *(f"{each:.1f}" for each in (*moved, told["squeezed_kwh"])),
+                f"{told['lowest_v']:.0f}",
+                f"{told['peak_w'] / 1e6:.1f}",
+                f"{abs(flow.imbalance):.0e}",
+            ]
+        )
+    heads = (
+        "storage",
+        "mean kWh",
+        "best offset kWh",
+        "change %",
+        "taken kWh",
+        "given back kWh",
+        "squeezed kWh",
+    )
+    heads = (*heads, "lowest V", "peak MW", "imbalance")
+    text = (
+        f"Storages on `{FEEDING}`, every {SENSITIVE_S} s, optimal driving, planned running times, offsets "
+        f"every {STORAGE_OFFSET_S} s. Sizes and voltages are assumed: charged above 860 V, discharged below "
+        "820 V, 95 % each way."
+    )
+    return "\n".join([text, "", table(heads, rows), "", written("storage")])
+
+
+def measure_search() -> str:
+    """Text of the part on timetables sought on the network."""
+    plans, rows = {}, []
+    for headway_s in SEARCHED_S:
+        options = replace(OPTIONS, headway_s=headway_s)
+        operation = LineOperation(load_line(LINE), load_trainset(TRAINSET, LOAD), options)
+        plans = plans or plan_trips(operation, windows=True)
+        feeding, chosen = load_feeding(FEEDING), plans["optimal"]
+        plain = feed_line(operation, operation.plain_timetable(), chosen[0], feeding).energy_kwh
+        timetable, profiles = find_timetable(operation, chosen)
+        zones = feed_line(operation, timetable, profiles, feeding).energy_kwh
+        begun = time.process_time()
+        timetable, profiles = refine_timetable(operation, timetable, profiles, chosen, feeding)
+        used = time.process_time() - begun
+        kwh = feed_line(operation, timetable, profiles, feeding).energy_kwh
+        saved = 100.0 * (1.0 - kwh / zones)
+        rows.append(
+            [f"{headway_s}", *(f"{each:.1f}" for each in (plain, zones, kwh)), f"{saved:.1f}", f"{used:.0f}"]
+        )
+    heads = ("headway s", "plain, offset 0 kWh", "best for 4 zones kWh", "sought on the network kWh")
+    text = (
+        f"Energy that `{FEEDING}` takes with optimal driving, running times and dwells within their windows; "
+        f"seed 0, {ROUNDS} rounds of {NEIGHBOURS} timetables."
+    )
+    return "\n".join([text, "", table((*heads, "saved %", "search s"), rows), "", written("search")])
+
+
+def written(part: str) -> str:
+    """What wrote a part, where and when."""
+    about = "; ".join(f"{k} {v}" for k, v in circumstances(("metropilot", "clarabel", "numpy")).items())
+    return f"`python -m benchmarks.feeding --part {part} --write docs/line.md`; {about}."
+
+
+PARTS = {"feeding": measure, "storage": measure_storage, "search": measure_search}
+
+
 def main() -> None:
-    """Compute everything; print the part of the page or write it."""
+    """Compute one part or all; print the parts of the page or write them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--write", type=Path, metavar="PAGE")
-    write_section(parser.parse_args().write, "feeding", measure())
+    parser.add_argument("--part", choices=PARTS, help="only this part")
+    given = parser.parse_args()
+    for part in (given.part,) if given.part else PARTS:
+        write_section(given.write, part if part == "feeding" else f"network-{part}", PARTS[part]())
 
 
 if __name__ == "__main__":

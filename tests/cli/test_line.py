@@ -77,6 +77,7 @@ def test_the_command_prints_and_writes(typed, tmp_path):
         (("yizhuang", "--zones", "14"), "one for each section"),
         (("yizhuang", "--headway", "30"), "trains disturb one another at station"),
         (("yizhuang", "--dwell", "5"), "--dwell-window"),
+        (("yizhuang", "--sharp"), "where each section is a zone"),
         (("nowhere",), "nowhere"),
         (("yizhuang", "--trainset", "none"), "none"),
         (("yizhuang", "--feeding", "none"), "unknown feeding"),

@@ -15,7 +15,7 @@ from metropilot.operation import (
     find_timetable,
     operation_energy,
 )
-from metropilot.operation.search import _find_shortest, _plain, _Score, _timetable
+from metropilot.operation.search import _find_shortest, _plain, _Score, timetable_of
 
 
 def operation(**given):
@@ -34,7 +34,7 @@ def test_cells_add_up_to_the_exact_energy_of_a_moved_timetable():
     state.offset = 37
     state.running[[0, 1]] += 2, -2
     state.dwell[[4, 6]] += 7, -7
-    exact_j = line.energy(_timetable(line, state), profiles()).supplied_j
+    exact_j = line.energy(timetable_of(line, state), profiles()).supplied_j
     # means of a cell hide what crosses zero within it, and nothing else
     assert score(state) == pytest.approx(exact_j, rel=2e-3)
     assert score(state) <= exact_j * (1.0 + 1e-9)

@@ -48,6 +48,14 @@ def line_command(
             rich_help_panel=OPERATION,
         ),
     ] = False,
+    sharp: Annotated[
+        bool,
+        typer.Option(
+            "--sharp",
+            help="Sharpen the floor where each section is a zone, in minutes.",
+            rich_help_panel=OPERATION,
+        ),
+    ] = False,
     seed: Annotated[int, typer.Option(help="Seed of the search.", min=0, rich_help_panel=OPERATION)] = 0,
     day: Annotated[
         str | None,
@@ -87,7 +95,7 @@ def line_command(
     feeding: Annotated[
         str | None,
         typer.Option(
-            help="DC network that feeds the trains of the timetable found, besides the zones.",
+            help="DC network that feeds the trains; --optimise seeks the timetable for it.",
             metavar="ID|FILE",
             rich_help_panel=OPERATION,
         ),
@@ -119,7 +127,7 @@ def line_command(
     if day is not None or timetable is not None:
         return _run_day(operation, request, network, typed, out, as_json=as_json)
     with show_activity(f"planning {len(operation.trips)} trips and their timetable"):
-        found = operation_energy(operation, searched=optimise, seed=seed)
+        found = operation_energy(operation, searched=optimise, seed=seed, feeding=network, sharp=sharp)
         fed = None if network is None else feed_line(operation, found.timetable, found.profiles, network)
     if out is not None:
         write_operation(out, found, fed)
@@ -128,7 +136,7 @@ def line_command(
         return 0
     _print(found)
     if fed is not None:
-        _print_network(fed)
+        _print_network(found, fed)
     if out is not None:
         files = "line.json timetable.csv trains.svg trains.png power.svg power.png"
         files += "" if fed is None else " voltage.svg voltage.png"
@@ -202,8 +210,8 @@ def _print(found: OperationEnergy) -> None:
         )
 
 
-def _print_network(fed: FeedingEnergy) -> None:
-    told = fed.as_dict()
+def _print_network(found: OperationEnergy, fed: FeedingEnergy) -> None:
+    told = found.as_dict(fed)["feeding"]["network"]
     rows = [
         (
             each["name"],
@@ -218,6 +226,11 @@ def _print_network(fed: FeedingEnergy) -> None:
     title = f"feeding {told['id']}: {told['energy_kwh']:.1f} kWh a round trip"
     columns = ("substation", "m", "kWh", "mean MW", "peak MW", "lowest V")
     console().print(table(title, columns, rows, right=range(1, 6)))
+    if "zones_timetable_kwh" in told:
+        console().print(
+            f"The timetable is sought on the network; the best for the zones takes "
+            f"{told['zones_timetable_kwh']:.1f} kWh there."
+        )
     stores = [*told.get("storages", ()), *([told["onboard_storage"]] if "onboard_storage" in told else [])]
     if stores:
         charged, discharged = (sum(each[f"{way}charged_kwh"] for each in stores) for way in ("", "dis"))

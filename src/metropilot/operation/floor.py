@@ -16,10 +16,12 @@ import numpy as np
 from numpy import ndarray
 
 from metropilot._typing import Float
+from metropilot.errors import InputError
+from metropilot.operation.exchange_floor import SectionTrips, pair_energies
 from metropilot.operation.line_service import LineOperation
 from metropilot.operation.path import SectionCost, find_least_path
 from metropilot.physics import track_arrays, vehicle_arrays
-from metropilot.planning import ReceivedEnergy, Receiver, TripBound, is_mapped
+from metropilot.planning import ExchangeTrip, ReceivedEnergy, Receiver, TripBound, is_mapped
 
 GRID_S = 5.0
 """Times of receivers are rounded up to this, which grants them more and asks for fewer plans."""
@@ -49,6 +51,21 @@ class TripFloors:
         ]
         self._found: list[dict[frozenset[Receiver], TripBound]] = [{} for _ in operation.trips]
         self._planned: list[dict[frozenset[Receiver], TripBound]] = [{} for _ in operation.trips]
+        self._operation = operation
+        self._exchanging: dict[tuple[int, int, int], ExchangeTrip] = {}
+
+    def exchange_trip(self, trip: int, spread_s: tuple[int, int]) -> ExchangeTrip:
+        """A trip as one that exchanges energy with another, its running time within a window."""
+        key = trip, *spread_s
+        if key not in self._exchanging:
+            silent, asked = self._operation.silent, self._operation.trips[trip]
+            self._exchanging[key] = ExchangeTrip(
+                vehicle_arrays(silent),
+                track_arrays(asked.section, silent),
+                float(asked.planned_s),
+                range(spread_s[0], spread_s[1] + 1),
+            )
+        return self._exchanging[key]
 
     def least_energies(self, trip: int, cases: Sequence[frozenset[Receiver]]) -> list[TripBound]:
         """Least net energy of a trip with each set of receivers."""
@@ -116,13 +133,15 @@ class _Meeting(NamedTuple):
             backward one arrives, and by the sum of both running times. Shape (2, H, C).
         second_w: What one more second saves. Shape (2, H, C).
         spread_s: Changes of the running times allowed, the least and the most of each. Shape (2, 2).
+        planned_s: Planned sum of both.
     """
 
     bound_j: Float[ndarray, "2 headway sums"]
     second_w: Float[ndarray, "2 headway sums"]
     spread_s: tuple[tuple[int, int], tuple[int, int]]
+    planned_s: int
 
-    def cost(self, price_w: float, planned_s: int) -> SectionCost:
+    def priced(self, price_w: float) -> SectionCost:
         """Least energy of both trips with every second more than planned at a price."""
         (low, high), (other_low, other_high) = self.spread_s
         change = np.arange(low + other_low, high + other_high + 1)
@@ -132,7 +151,8 @@ class _Meeting(NamedTuple):
             self.bound_j.sum(axis=0) - self.second_w[0] * end - self.second_w[1] * (change - end)
             for end in ends
         ]
-        return SectionCost(np.minimum(*energy) + price_w * change, planned_s + low + other_low, planned_s)
+        least_s = self.planned_s + low + other_low
+        return SectionCost(np.minimum(*energy) + price_w * change, least_s, self.planned_s)
 
 
 class _Windows:
@@ -166,8 +186,27 @@ class _Windows:
         return self.running_s[trip][0] - planned_s, self.running_s[trip][-1] - planned_s
 
 
+def check_sharp(operation: LineOperation) -> None:
+    """Refuse a sharp floor of zones with several sections.
+
+    Raises:
+        InputError: A zone has several sections.
+    """
+    if operation.options.zones != operation.count:
+        raise InputError(
+            "a floor is sharpened where each section is a zone",
+            field="zones",
+            value=operation.options.zones,
+            allowed=f"{operation.count}",
+        )
+
+
 def zone_floor_j(
-    operation: LineOperation, floors: TripFloors | None = None, *, windows: bool = False
+    operation: LineOperation,
+    floors: TripFloors | None = None,
+    *,
+    windows: bool = False,
+    sharp: bool = False,
 ) -> float:
     """Energy that no timetable undercuts, however the trains are driven: only trains that meet can receive.
 
@@ -176,26 +215,47 @@ def zone_floor_j(
         floors: Least energies of its trips, as far as they are there.
         windows: Dwells and running times, whole seconds, may change within their windows, at the same sums in
             each direction.
+        sharp: Ask what trains can exchange at the moments at which they meet, where each section is a zone:
+            minutes of processor time.
 
     Returns:
         Energy in one headway; minus infinity, for not known, where an efficiency depends on speed or effort.
+
+    Raises:
+        InputError: A sharp floor of zones with several sections.
     """
     if is_mapped(vehicle_arrays(operation.silent)):
         return -math.inf
     floors = floors or TripFloors(operation)
     allowed = _Windows(operation, windows=windows)
-    meetings = [_meeting(allowed, floors, section) for section in range(operation.count)]
-    slopes = np.concatenate([each.second_w.ravel() for each in meetings])
-    prices = np.quantile(slopes, PRICES).tolist() if windows else [0.0]
+    sections: list[_Meeting] | list[SectionCost]
+    if sharp:
+        check_sharp(operation)
+        sections = [_exchange(allowed, floors, k) for k in range(operation.count)]
+        second_w = [-np.diff(each.energy_j.max(axis=0)).mean() for each in sections] if windows else []
+    else:
+        sections = [_meeting(allowed, floors, k) for k in range(operation.count)]
+        second_w = np.concatenate([each.second_w.ravel() for each in sections])
+    prices = np.quantile(second_w, PRICES).tolist() if windows else [0.0]
     aboard_j = operation.trainset.auxiliary_w * sum(operation.journey_s(backward=b) for b in (False, True))
-    planned_s = [sum(operation.trips[k].planned_s for k in (i, -1 - i)) for i in range(operation.count)]
     dwells_s = 2 * operation.options.dwell_s, 2 * allowed.dwell_s
     return aboard_j + max(
-        find_least_path(
-            [each.cost(price, s) for each, s in zip(meetings, planned_s, strict=True)], *dwells_s
-        ).energy_j
-        for price in prices
+        find_least_path([each.priced(price) for each in sections], *dwells_s).energy_j for price in prices
     )
+
+
+def _exchange(allowed: _Windows, floors: TripFloors, section: int) -> SectionCost:
+    """Least energies of a section that is a zone: its trips exchange energy."""
+    operation = allowed.operation
+    pair = section, len(operation.trips) - 1 - section
+    trips = (
+        floors.exchange_trip(pair[0], allowed.spread_s(pair[0])),
+        floors.exchange_trip(pair[1], allowed.spread_s(pair[1])),
+    )
+    rest_s = allowed.stay(pair[0]).rest_s, allowed.stay(pair[1]).rest_s
+    both = SectionTrips(trips, rest_s, operation.trainset.auxiliary_w, operation.options.headway_s)
+    planned_s = sum(operation.trips[k].planned_s for k in pair)
+    return SectionCost(pair_energies(both), both.sums_s[0], planned_s)
 
 
 def _meeting(allowed: _Windows, floors: TripFloors, section: int) -> _Meeting:
@@ -210,7 +270,8 @@ def _meeting(allowed: _Windows, floors: TripFloors, section: int) -> _Meeting:
         _energies(allowed, floors, (pair[1], pair[0]), ahead_s - 1, behind_s + 1),
     ]
     bound_j, second_w = (np.stack(parts) for parts in zip(*found, strict=True))
-    return _Meeting(bound_j, second_w, (allowed.spread_s(pair[0]), allowed.spread_s(pair[1])))
+    spread_s = allowed.spread_s(pair[0]), allowed.spread_s(pair[1])
+    return _Meeting(bound_j, second_w, spread_s, sum(operation.trips[k].planned_s for k in pair))
 
 
 def _energies(

@@ -126,6 +126,11 @@ class NetworkFlow:
         return np.maximum(self.loads.power_w, 0.0) - np.maximum(self.train_w, 0.0)
 
     @property
+    def served(self) -> Bool[ndarray, " rows"]:
+        """True where a train gets what it wants."""
+        return (self.loads.power_w <= 0.0) | (self.train_w >= SERVED * self.loads.power_w)
+
+    @property
     def supplied_j(self) -> float:
         """Energy from the grid."""
         return float(self.rectifier_w.sum())
@@ -176,7 +181,7 @@ class NetworkFlow:
         if not lacking.size:
             return
         row = int(np.argmax(lacking))
-        if self.train_w[row] < SERVED * self.loads.power_w[row]:
+        if not self.served[row]:
             raise _overload_error(self.loads, row, float(self.train_v[row]))
 
 

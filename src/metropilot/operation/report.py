@@ -15,14 +15,16 @@ import numpy as np
 from metropilot._io import fill_folder, write_json
 from metropilot._provenance import provenance
 from metropilot.convoy import BlockingTimes
-from metropilot.operation.feeding import FeedingEnergy, voltage_figure
-from metropilot.operation.floor import TripFloors, zone_floor_j
+from metropilot.operation.feeding import FeedingEnergy, feed_line, voltage_figure
+from metropilot.operation.floor import TripFloors, check_sharp, zone_floor_j
 from metropilot.operation.headway import check_headway, line_headways
 from metropilot.operation.line_service import EnergyBalance, LineOperation, Profiles, Timetable
+from metropilot.operation.network_search import refine_timetable
 from metropilot.operation.power import SAME_S
 from metropilot.operation.search import best_offset, choose_plans, find_timetable
 from metropilot.physics import vehicle_arrays
 from metropilot.planning import is_mapped
+from metropilot.railway import Feeding
 from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:
@@ -51,6 +53,8 @@ class OperationEnergy:
         all_received_floor_kwh: The same as far as it is known without zones and headway: all is received.
         timetable: Timetable of ``balance``.
         profiles: Its profiles of power.
+        zones_network_kwh: What a network takes with the timetable that is best for the zones, where the one
+            above was sought on the network.
     """
 
     operation: LineOperation
@@ -63,6 +67,7 @@ class OperationEnergy:
     all_received_floor_kwh: float
     timetable: Timetable
     profiles: Profiles
+    zones_network_kwh: float | None = None
 
     @property
     def energy_kwh(self) -> float:
@@ -77,6 +82,10 @@ class OperationEnergy:
     def headways(self) -> tuple[BlockingTimes, BlockingTimes]:
         """Blocking times of ``timetable`` forward and backward."""
         return line_headways(self.operation, self.timetable, self.profiles)
+
+    def _zones_network(self) -> dict[str, float]:
+        found = self.zones_network_kwh
+        return {} if found is None else {"zones_timetable_kwh": found}
 
     def as_dict(self, network: FeedingEnergy | None = None) -> dict[str, Any]:
         """Values as JSON holds them.
@@ -107,7 +116,7 @@ class OperationEnergy:
             "feeding": {
                 "zones": options.zones,
                 "transfer_loss": options.transfer_loss,
-                **({} if network is None else {"network": network.as_dict()}),
+                **({} if network is None else {"network": network.as_dict() | self._zones_network()}),
             },
         }
 
@@ -119,6 +128,8 @@ def operation_energy(
     seed: int = 0,
     plans: Mapping[str, Sequence[Profiles]] | None = None,
     floors: TripFloors | None = None,
+    feeding: Feeding | None = None,
+    sharp: bool = False,
 ) -> OperationEnergy:
     """Compute the energy of a line by driving and timetable, and its floor.
 
@@ -132,10 +143,15 @@ def operation_energy(
         plans: What :func:`plan_trips` gave for all running times of the windows, if it is there; it depends
             on neither headway nor zones.
         floors: Least energies of the trips, as far as they are there; the same holds.
+        feeding: Network for which the timetable of optimal driving is sought in the end, where dwells and
+            running times are searched.
+        sharp: Sharpen the floor too, where each section is a zone; see :func:`zone_floor_j`.
 
     Raises:
         InputError: Trains disturb one another at the headway; names the section or station.
     """
+    if sharp:
+        check_sharp(operation)
     plans = plans or plan_trips(operation, windows=searched)
     (all_received, *_), (cruise, *_) = plans["optimal"], plans["cruise"]
     for each in (all_received, cruise):
@@ -147,10 +163,17 @@ def operation_energy(
         timetable = best_offset(operation, plans[driving][0])
         return timetable, choose_plans(operation, timetable, plans[driving])[0]
 
-    timetable, profiles = find("optimal")
+    (timetable, profiles), for_zones_kwh = find("optimal"), None
+    if searched and feeding is not None:
+        for_zones_kwh = feed_line(operation, timetable, profiles, feeding).energy_kwh
+        chosen = plans["optimal"]
+        timetable, profiles = refine_timetable(operation, timetable, profiles, chosen, feeding, seed=seed)
     balance, floor_j = operation.energy(timetable, profiles), operation.floor_j(all_received)
     settled = balance.supplied_j <= (1.0 + SETTLED) * floor_j
+    floors = floors or TripFloors(operation)
     met_j = floor_j if settled else zone_floor_j(operation, floors, windows=searched)
+    if sharp:
+        met_j = max(met_j, zone_floor_j(operation, floors, windows=searched, sharp=True))
     return OperationEnergy(
         operation,
         searched,
@@ -162,6 +185,7 @@ def operation_energy(
         all_received_floor_kwh=floor_j / J_PER_KWH,
         timetable=timetable,
         profiles=profiles,
+        zones_network_kwh=for_zones_kwh,
     )
 
 

@@ -36,13 +36,17 @@ NEAR_S, FAR = 5, 0.2
 
 
 @dataclass
-class _State:
+class SearchState:
     """Running times, dwells (none after a direction's last trip), plans, offset of the backward direction."""
 
     running: Int[ndarray, " trips"]
     dwell: Int[ndarray, " trips"]
     plan: Int[ndarray, " trips"]
     offset: int
+
+    def shifted(self, by_s: int, headway_s: int) -> SearchState:
+        """The same with the backward direction moved on."""
+        return replace(self, offset=(self.offset + by_s) % headway_s)
 
     def departures(self, count: int) -> Int[ndarray, " trips"]:
         """Departure of each trip."""
@@ -61,7 +65,7 @@ class _Score:
         self.zones = [trip.zone for trip in operation.trips]
         self._power: dict[tuple[int, int, int, int], ndarray] = {}
 
-    def __call__(self, state: _State) -> float:
+    def __call__(self, state: SearchState) -> float:
         n = self.cells
         total = np.zeros((self.operation.options.zones, n))
         starts = (CELLS_PER_S * state.departures(self.operation.count) % n).tolist()
@@ -169,7 +173,7 @@ def find_timetable(
     warmths = [WARMTH[0]] * restarts
     if operation.options.zones == operation.count and restarts > 1:
         shortest = _find_shortest(score)
-        if _keeps_headway(shortest, longest):
+        if keeps_headway(shortest, longest):
             starts.append(shortest)
             warmths[1] *= COOL
     while len(starts) < restarts:
@@ -177,23 +181,24 @@ def find_timetable(
     timetables = [plain]
     for start, warmth in zip(starts, warmths, strict=False):
         found = _anneal(score, longest, start, random, (moves, warmth))
-        timetables.append(_timetable(operation, found))
+        timetables.append(timetable_of(operation, found))
     tried = [(each, *choose_plans(operation, each, plans, longest)) for each in timetables]
     timetable, profiles, _ = min(tried, key=lambda each: each[2])
     return timetable, profiles
 
 
-def _plain(operation: LineOperation) -> _State:
+def _plain(operation: LineOperation) -> SearchState:
     dwell = np.full(len(operation.trips), operation.options.dwell_s)
     dwell[[operation.count - 1, -1]] = 0
-    return _State(operation.planned_s, dwell, np.zeros_like(dwell), 0)
+    return SearchState(operation.planned_s, dwell, np.zeros_like(dwell), 0)
 
 
-def _timetable(operation: LineOperation, state: _State) -> Timetable:
+def timetable_of(operation: LineOperation, state: SearchState) -> Timetable:
+    """The timetable of a state."""
     return Timetable(state.departures(operation.count).astype(float), state.running.copy())
 
 
-def _find_shortest(score: _Score) -> _State:
+def _find_shortest(score: _Score) -> SearchState:
     """Offset, dwells and plans of least energy at planned running times, if each section has its own zone."""
     operation, state = score.operation, _plain(score.operation)
     count, headway_s = operation.count, operation.options.headway_s
@@ -231,7 +236,7 @@ def _find_shortest(score: _Score) -> _State:
     return state
 
 
-def _keeps_headway(state: _State, longest: LongestDwells) -> bool:
+def keeps_headway(state: SearchState, longest: LongestDwells) -> bool:
     """True if no train disturbs the next one."""
     each = zip(state.running.tolist(), state.dwell.tolist(), state.plan.tolist(), strict=True)
     return all(dwell <= longest(k, running, plan) for k, (running, dwell, plan) in enumerate(each))
@@ -240,18 +245,18 @@ def _keeps_headway(state: _State, longest: LongestDwells) -> bool:
 def _anneal(
     score: _Score,
     longest: LongestDwells,
-    state: _State,
+    state: SearchState,
     random: np.random.Generator,
     schedule: tuple[int, float],
-) -> _State:
+) -> SearchState:
     """Anneal from a start with so many moves, from so warm on."""
     moves, warmth = schedule
     energy = score(state)
     best, best_energy = state, energy
     warmths = energy * np.geomspace(warmth, WARMTH[1], moves)
     for k in range(moves):
-        tried = _move(score, state, random)
-        if tried is None or not _keeps_headway(tried, longest):
+        tried = draw_move(score.operation, score.plans, state, random)
+        if tried is None or not keeps_headway(tried, longest):
             continue
         cost = score(tried)
         if cost <= energy or random.random() < math.exp((energy - cost) / warmths[k]):
@@ -261,9 +266,11 @@ def _anneal(
     return best
 
 
-def _move(score: _Score, state: _State, random: np.random.Generator) -> _State | None:
+def draw_move(
+    operation: LineOperation, plans: Sequence[Profiles], state: SearchState, random: np.random.Generator
+) -> SearchState | None:
     """A neighbour of a timetable; None if the move drawn leaves a window."""
-    count, options = score.operation.count, score.operation.options
+    count, options = operation.count, operation.options
     kind = random.random()
     if kind < SHIFTS or count < 2:
         far = options.headway_s if random.random() < FAR else NEAR_S
@@ -276,13 +283,13 @@ def _move(score: _Score, state: _State, random: np.random.Generator) -> _State |
         dwell[[a, b]] += seconds, -seconds
         inside = abs(dwell[[a, b]] - options.dwell_s).max() <= options.dwell_window_s
         return replace(state, dwell=dwell) if inside else None
-    if kind > TIMES and len(score.plans) > 1:
+    if kind > TIMES and len(plans) > 1:
         plan = state.plan.copy()
-        plan[random.integers(plan.size)] = random.integers(len(score.plans))
+        plan[random.integers(plan.size)] = random.integers(len(plans))
         return replace(state, plan=plan)
     a, b = first + random.choice(count, 2, replace=False)
     running = state.running.copy()
     seconds = int(random.integers(1, NEAR_S))
     running[[a, b]] += seconds, -seconds
-    inside = all(int(running[k]) in score.plans[0][k] for k in (a, b))
+    inside = all(int(running[k]) in plans[0][k] for k in (a, b))
     return replace(state, running=running) if inside else None

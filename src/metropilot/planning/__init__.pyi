@@ -8,6 +8,10 @@ from .cruise import cruise_plan as cruise_plan
 from .effort_table import STEP_MPS as STEP_MPS
 from .effort_table import Specific as Specific
 from .effort_table import specific as specific
+from .exchange import ExchangeTrip as ExchangeTrip
+from .exchange import PairBound as PairBound
+from .exchange import Passing as Passing
+from .exchange import exchange_bound as exchange_bound
 from .fastest import LONGEST_RATIO as LONGEST_RATIO
 from .fastest import TimeToGo as TimeToGo
 from .fastest import check_running_time as check_running_time

@@ -21,14 +21,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import clarabel as _clarabel
 import numpy as np
 from numpy import ndarray
 from scipy import sparse
 
-from metropilot._typing import Float
+from metropilot._typing import Float, Int
 from metropilot.errors import SolverError
 from metropilot.planning.effort_table import Specific
 from metropilot.planning.fastest import lowest_service_rate
@@ -162,7 +162,7 @@ class Answer:
         recovered: Per kg, the electric part that is recovered. Shape (U,).
         time: On each segment. Shape (N,).
         dwell: Dwell at each free stop. Shape (D,).
-        second: Cost of one second less: the multiplier of the last upper time bound, W per kg.
+        seconds: Cost of one second less: the multiplier of each upper time bound, W per kg.
         primal: Objective, J/kg.
         dual: Dual objective: no drive of the programme costs less, J/kg.
         late: Delay beyond the last bound, s.
@@ -176,11 +176,16 @@ class Answer:
     recovered: Float[ndarray, " loads"]
     time: Float[ndarray, " segments"]
     dwell: Float[ndarray, " dwells"]
-    second: float
+    seconds: tuple[float, ...]
     primal: float
     dual: float
     late: float
     status: str
+
+    @property
+    def second(self) -> float:
+        """Cost of one second less of the last upper time bound."""
+        return self.seconds[-1] if self.seconds else 0.0
 
 
 Effort = Literal["traction", "braking", "electric"]
@@ -212,34 +217,60 @@ def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
     Raises:
         SolverError: The solver did not finish (also if the timing cannot be met: check that first).
     """
-    p = programme
-    n, loads = p.mesh.length_m.size, p.loads.segment.size
-    recovers = bool(np.any(p.prices.recovered.slope > 0))
-    wanted = {
-        "e": recovers,
-        "w": bool(p.dwells),
-        "late": p.late_w is not None,
-        "cost": not p.prices.traction.single,
-        "gain": recovers and not (p.prices.recovered.single and p.prices.received_w is None),
-    }
-    names = ["E", "v", "f", "b", "t", *(name for name, there in wanted.items() if there)]
-    sizes = {"E": n + 1, "v": n + 1, "t": n, "w": len(p.dwells), "late": 1}
-    starts = np.cumsum([0, *(sizes.get(k, loads) for k in names)])
-    at = {k: s + np.arange(sizes.get(k, loads)) for k, s in zip(names, starts[:-1], strict=True)}
-    total = int(starts[-1])
-    cost, constant = _objective(p, at, total)
+    return solve_together([programme], [energy])[0][0]
+
+
+class Exchange(NamedTuple):
+    """What drives solved together receive of each other: energy by groups of segments.
+
+    Returned energy of a group is received up to a power over the time on its segments, and beyond that by
+    groups whose traction draws, each joule once.
+
+    Attributes:
+        group: Group of each segment of all programmes, one after the other. Shape (N,).
+        pairs: Group of returns and group of draws that may meet. Shape (P, 2).
+        power_w: Power received in any case on each segment, W per kg. Shape (N,).
+    """
+
+    group: Int[ndarray, " segments"]
+    pairs: Int[ndarray, "pairs 2"]
+    power_w: Float[ndarray, " segments"]
+
+
+def solve_together(
+    programmes: Sequence[Programme], energies: Sequence[ndarray], exchange: Exchange | None = None
+) -> tuple[list[Answer], float]:
+    """Solve programmes in one, with what they exchange, and the dual objective of all.
+
+    Raises:
+        SolverError: The solver did not finish.
+    """
+    total, ats = 0, []
+    for p in programmes:
+        at, total = _columns(p, total, exchange is not None)
+        ats.append(at)
+    own = total
+    total += 0 if exchange is None else exchange.pairs.shape[0]
+    parts = list(zip(programmes, ats, energies, strict=True))
+    costs = [_objective(p, at, total) for p, at, _ in parts]
+    cost, constant = sum(each for each, _ in costs), sum(each for _, each in costs)
 
     rows = ConstraintRows()
-    _equalities(p, rows, at)
-    equal = rows.count
-    _effort_rows(p, rows, at, energy)
-    _price_rows(p, rows, at)
-    _motion_rows(p, rows, at)
-    if p.jerk_mps3 is not None:
-        _jerk_rows(p, rows, at, energy)
-    clock = _time_rows(p, rows, at, energy)
+    for p, at, _ in parts:
+        _equalities(p, rows, at)
+    equal, clocks = rows.count, []
+    for p, at, energy in parts:
+        _effort_rows(p, rows, at, energy)
+        _price_rows(p, rows, at)
+        _motion_rows(p, rows, at)
+        if p.jerk_mps3 is not None:
+            _jerk_rows(p, rows, at, energy)
+        clocks.append(_time_rows(p, rows, at, energy))
+    if exchange is not None:
+        _exchange_rows(programmes, ats, rows, exchange, own)
     inequal = rows.count - equal
-    _cone_rows(p, rows, at)
+    for p, at, _ in parts:
+        _cone_rows(p, rows, at)
     matrix = sparse.csc_matrix(
         (np.concatenate(rows.val), (np.concatenate(rows.row), np.concatenate(rows.col))),
         shape=(rows.count, total),
@@ -255,22 +286,67 @@ def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
     status = str(solution.status)
     if status not in {"Solved", "AlmostSolved"}:
         raise SolverError(f"the plan's solver stopped: {status}")
-    x = np.asarray(solution.x)
-    late = max(float(x[at["late"]][0]), 0.0) if "late" in at else 0.0
-    return Answer(
-        energy=np.maximum(x[at["E"]], 0.0),
-        speed=np.maximum(x[at["v"]], 0.0),
-        traction=np.maximum(x[at["f"]], 0.0),
-        braking=np.maximum(x[at["b"]], 0.0),
-        recovered=x[at["e"]] if recovers else np.zeros(loads),
-        time=x[at["t"]],
-        dwell=x[at["w"]] if p.dwells else np.zeros(0),
-        second=float(solution.z[clock]) if clock is not None else 0.0,
-        primal=float(solution.obj_val) + constant,
-        dual=float(solution.obj_val_dual) + constant,
-        late=late,
-        status=status,
+    x, dual = np.asarray(solution.x), float(solution.obj_val_dual) + constant
+    primal = float(solution.obj_val) + constant
+    return [
+        Answer(
+            energy=np.maximum(x[at["E"]], 0.0),
+            speed=np.maximum(x[at["v"]], 0.0),
+            traction=np.maximum(x[at["f"]], 0.0),
+            braking=np.maximum(x[at["b"]], 0.0),
+            recovered=x[at["e"]] if "e" in at else np.zeros(p.loads.segment.size),
+            time=x[at["t"]],
+            dwell=x[at["w"]] if p.dwells else np.zeros(0),
+            seconds=tuple(float(solution.z[row]) for row in clock),
+            primal=primal,
+            dual=dual,
+            late=max(float(x[at["late"]][0]), 0.0) if "late" in at else 0.0,
+            status=status,
+        )
+        for (p, at, _), clock in zip(parts, clocks, strict=True)
+    ], dual
+
+
+def _columns(p: Programme, first: int, exchanged: bool) -> tuple[dict[str, ndarray], int]:
+    """Columns of the variables of a programme from a first one on, and the next free one."""
+    n, loads = p.mesh.length_m.size, p.loads.segment.size
+    recovers = bool(np.any(p.prices.recovered.slope > 0))
+    wanted = {
+        "e": recovers,
+        "w": bool(p.dwells),
+        "late": p.late_w is not None,
+        "cost": not p.prices.traction.single,
+        "gain": recovers
+        and not (p.prices.recovered.single and p.prices.received_w is None and not exchanged),
+    }
+    names = ["E", "v", "f", "b", "t", *(name for name, there in wanted.items() if there)]
+    sizes = {"E": n + 1, "v": n + 1, "t": n, "w": len(p.dwells), "late": 1}
+    starts = first + np.cumsum([0, *(sizes.get(k, loads) for k in names)])
+    return {k: s + np.arange(sizes.get(k, loads)) for k, s in zip(names, starts[:-1], strict=True)}, int(
+        starts[-1]
     )
+
+
+def _exchange_rows(
+    programmes: Sequence[Programme],
+    ats: Sequence[dict[str, ndarray]],
+    rows: ConstraintRows,
+    exchange: Exchange,
+    first: int,
+) -> None:
+    """What is received of each group, and no more than is drawn."""
+    ds = np.concatenate([p.mesh.length_m for p in programmes])
+    gain, force, clock = (np.concatenate([at[name] for at in ats]) for name in ("gain", "f", "t"))
+    slope = np.concatenate([p.prices.traction.slope[0] for p in programmes])
+    taken = first + np.arange(exchange.pairs.shape[0])
+    for group in range(int(exchange.group.max()) + 1):
+        of = np.flatnonzero(exchange.group == group)
+        some = taken[exchange.pairs[:, 0] == group]
+        rows.add_sum([(gain[of], ds[of]), (clock[of], -exchange.power_w[of]), (some, -1.0)], 0.0)
+    for group in np.unique(exchange.pairs[:, 1]):
+        of = np.flatnonzero(exchange.group == group)
+        rows.add_sum([(taken[exchange.pairs[:, 1] == group], 1.0), (force[of], -(ds * slope)[of])], 0.0)
+    rows.add([(taken, -1.0)], 0.0, taken.size)
 
 
 def _objective(p: Programme, at: dict[str, ndarray], total: int) -> tuple[ndarray, float]:
@@ -418,16 +494,16 @@ def _brake_release_rows(p: Programme) -> ndarray:
     return p.mesh.node_m[1:-1] > p.mesh.node_m[-1] - stretch
 
 
-def _time_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray], energy: ndarray) -> int | None:
-    """Partial sums of time, and the range of each free dwell; returns the row of the last upper bound."""
-    clock = None
+def _time_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray], energy: ndarray) -> list[int]:
+    """Partial sums of time, and the range of each free dwell; returns the rows of the upper bounds."""
+    clock: list[int] = []
     none = np.zeros(0, int)
     for bound in p.bounds:
         waits = at["w"][list(bound.waits)] if bound.waits else none
         part = at["t"][bound.first : bound.last]
         if bound.high_s is not None:
             late = at["late"] if bound is p.bounds[-1] and p.late_w is not None else none
-            clock = rows.add_sum([(part, 1.0), (waits, 1.0), (late, -1.0)], bound.high_s)
+            clock.append(rows.add_sum([(part, 1.0), (waits, 1.0), (late, -1.0)], bound.high_s))
         if bound.low_s is not None and p.strictly_early:
             rows.add_sum(*_not_before(p, at, energy, bound, waits))
         elif bound.low_s is not None:

@@ -13,7 +13,16 @@ from numpy import ndarray
 from metropilot._typing import Float
 from metropilot.errors import Infeasible, InputError
 from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
-from metropilot.planning.cone_program import Answer, Effort, Programme, TimeBound, solve, tangents
+from metropilot.planning.cone_program import (
+    Answer,
+    Effort,
+    Exchange,
+    Programme,
+    TimeBound,
+    solve,
+    solve_together,
+    tangents,
+)
 from metropilot.planning.effort_table import Specific, specific
 from metropilot.planning.fastest import braking_energy, fastest_profile, relaxed_cap, times
 from metropilot.planning.follow_map import follow_map
@@ -341,13 +350,29 @@ def iterate(
 
 def solve_until_settled(base: Programme, energy: ndarray, passes: int = PASSES) -> tuple[Answer, int]:
     """Solve about the last answer until the energy settles; the answer and the number of passes."""
-    answer, last, count = solve(base, energy), np.inf, 1
+    answers, _, count = _settle([base], [energy], None, passes)
+    return answers[0], count
+
+
+def solve_together_until_settled(
+    programmes: Sequence[Programme], energies: Sequence[ndarray], exchange: Exchange
+) -> tuple[list[Answer], float]:
+    """Solve programmes that exchange energy in the same way; the answers and the dual objective of all."""
+    answers, dual, _ = _settle(programmes, energies, exchange, PASSES)
+    return answers, dual
+
+
+def _settle(
+    programmes: Sequence[Programme], energies: Sequence[ndarray], exchange: Exchange | None, passes: int
+) -> tuple[list[Answer], float, int]:
+    (answers, dual), last, count = solve_together(programmes, energies, exchange), np.inf, 1
     while count < passes:
-        if abs(answer.dual - last) <= DUAL_TOLERANCE * abs(answer.dual) or _curves_fit(base, energy, answer):
+        each = zip(programmes, energies, answers, strict=True)
+        if abs(dual - last) <= DUAL_TOLERANCE * abs(dual) or all(_curves_fit(*one) for one in each):
             break
-        energy, last = answer.energy, answer.dual
-        answer, count = solve(base, energy), count + 1
-    return answer, count
+        energies, last = [answer.energy for answer in answers], dual
+        (answers, dual), count = solve_together(programmes, energies, exchange), count + 1
+    return answers, dual, count
 
 
 def _curves_fit(base: Programme, energy: ndarray, answer: Answer) -> bool:

@@ -56,6 +56,11 @@ class ReceivedEnergy:
         vehicle: Trainset, its efficiencies constant; received power is worth its receptivity.
         track: Section.
         time_s: Running time, at least the minimum.
+
+    Attributes:
+        programme: Programme of the plan, all that is returned received.
+        clock_s: Time of the flat-out run at the nodes.
+        energy: Kinetic energy per kg at the nodes of the last answer.
     """
 
     def __init__(self, vehicle: Vehicle, track: Track, time_s: float) -> None:
@@ -63,9 +68,9 @@ class ReceivedEnergy:
         table = specific(vehicle)
         mesh = build_mesh(vehicle, track, np.array([0.0, float(track.length_m)]), PlanOptions.spacing_m)
         loads, fastest = build_loads(vehicle, table, mesh), fastest_profile(table, mesh)
-        self._clock_s = np.concatenate([[0.0], np.cumsum(times(mesh, fastest))])
-        self._energy = fastest
-        self._programme = Programme(
+        self.clock_s = np.concatenate([[0.0], np.cumsum(times(mesh, fastest))])
+        self.energy = fastest
+        self.programme = Programme(
             mesh=mesh,
             table=table,
             loads=loads,
@@ -79,8 +84,8 @@ class ReceivedEnergy:
     def plan(self, own_w: float, receivers: Iterable[Receiver] = ()) -> Plan:
         """Plan of least net energy; its ``energy_j`` counts all that it returns as received."""
         found = self.bound(own_w, receivers)
-        programme, options = self._programme, PlanOptions(objective="line")
-        plan = evaluate_profile(self._vehicle, programme.table, programme.mesh, self._energy, options)
+        programme, options = self.programme, PlanOptions(objective="line")
+        plan = evaluate_profile(self._vehicle, programme.table, programme.mesh, self.energy, options)
         return replace(plan, bound_j=found.bound_j, second_w=found.second_w)
 
     def bound(self, own_w: float, receivers: Iterable[Receiver]) -> TripBound:
@@ -90,14 +95,14 @@ class ReceivedEnergy:
             own_w: Power that the trainset itself takes, at any time.
             receivers: Others, who take what is returned beyond that.
         """
-        mass_kg, clock_s = self._programme.table.mass_kg, self._clock_s
+        mass_kg, clock_s = self.programme.table.mass_kg, self.clock_s
         taken_w = np.full(clock_s.size - 1, own_w)
         for each in receivers:
             reached = clock_s[:-1] < each.first_s
             taken_w[reached & (clock_s[1:] > clock_s[-1] - each.last_s)] += each.power_w
-        prices = self._programme.prices._replace(
+        prices = self.programme.prices._replace(
             received_w=None if np.isinf(taken_w).all() else taken_w / mass_kg
         )
-        answer, _ = solve_until_settled(replace(self._programme, prices=prices), self._energy)
-        self._energy = answer.energy
+        answer, _ = solve_until_settled(replace(self.programme, prices=prices), self.energy)
+        self.energy = answer.energy
         return TripBound(answer.dual * mass_kg, answer.second * mass_kg)

@@ -1,0 +1,99 @@
+"""The sharp floor: what trains can exchange while they meet; no timetable and no driving undercuts it."""
+
+from functools import cache
+from math import inf
+
+import numpy as np
+import pytest
+from tests.operation.test_floor import drivings, floors, operation, random_timetable
+
+from metropilot.errors import InputError
+from metropilot.operation import find_timetable, zone_floor_j
+from metropilot.physics import track_arrays, vehicle_arrays
+from metropilot.planning import ExchangeTrip, ReceivedEnergy, Receiver, exchange_bound
+
+EVERYBODY = Receiver(inf, inf, inf)
+
+
+@cache
+def sharp_floor_j(headway_s):
+    return zone_floor_j(operation(headway_s=headway_s), floors(), windows=True, sharp=True)
+
+
+@pytest.mark.parametrize("headway_s", [150, 320])
+def test_no_timetable_and_no_driving_undercuts_the_sharp_floor(headway_s):
+    random = np.random.default_rng(headway_s)
+    line = operation(headway_s=headway_s)
+    floor_j, lowest = sharp_floor_j(headway_s), inf
+    for _ in range(500):
+        driven = [kinds[random.integers(len(kinds))] for kinds in drivings()]
+        lowest = min(lowest, line.energy(random_timetable(line, random), driven).supplied_j)
+    plans = [[kinds[k] for kinds in drivings()] for k in range(3)]
+    lowest = min(lowest, line.energy(*find_timetable(line, plans, moves=1500, restarts=2)).supplied_j)
+    assert floor_j < lowest < 1.08 * floor_j
+
+
+def test_it_is_sharper_where_trains_meet_seldom():
+    plain_j = zone_floor_j(operation(headway_s=320), floors(), windows=True)
+    assert sharp_floor_j(320) > 1.003 * plain_j
+
+
+def test_zones_of_several_sections_are_refused():
+    with pytest.raises(InputError, match=r"zones.*allowed: 3"):
+        zone_floor_j(operation(zones=2), sharp=True)
+
+
+@cache
+def trips():
+    line = operation()
+    vehicle = vehicle_arrays(line.silent)
+    asked = line.trips[1], line.trips[-2]
+    tracks = [track_arrays(each.section, line.silent) for each in asked]
+    changes = [[s - each.planned_s for s in each.allowed_s] for each in asked]
+    made = zip(tracks, asked, changes, strict=True)
+    return (
+        tuple(ExchangeTrip(vehicle, track, float(each.planned_s), change) for track, each, change in made),
+        [
+            ReceivedEnergy(vehicle, track, float(each.planned_s))
+            for track, each in zip(tracks, asked, strict=True)
+        ],
+    )
+
+
+def test_two_trips_that_always_meet_receive_all_and_apart_what_they_take_themselves():
+    both, alone = trips()
+    count = sum(each.groups for each in both)
+    every = np.argwhere(np.ones((count, count), dtype=bool))
+    none = np.zeros((0, 2), dtype=int)
+    nothing, plenty = np.zeros(count), np.full(count, 1e9)
+    whole_j = sum(each.bound(0.0, [EVERYBODY]).bound_j for each in alone)
+    apart_j = sum(each.bound(0.0, []).bound_j for each in alone)
+    assert exchange_bound(both, none, plenty).bound_j == pytest.approx(whole_j, rel=1e-4)
+    assert exchange_bound(both, none, nothing).bound_j == pytest.approx(apart_j, rel=1e-4)
+    # more is drawn than returned, so all that is returned finds somebody
+    assert exchange_bound(both, every, nothing).bound_j == pytest.approx(whole_j, rel=1e-4)
+    half = every[every[:, 0] < both[0].groups]
+    assert whole_j * 1.001 < exchange_bound(both, half, nothing).bound_j < apart_j * 0.999
+
+
+def test_drives_that_cost_little_more_pass_when_they_are_said_to():
+    (trip, _), _ = trips()
+    kinds = drivings()[1]
+    checked = 0
+    for excess_j in (0.5 * 3.6e6, 2.0 * 3.6e6):
+        passing = trip.passing(excess_j)
+        edges_m = trip.edges_m
+        for kind in kinds:
+            for time_s, profile in kind.items():
+                net_j = profile.drawn_j - 0.9 * profile.returned_j
+                if net_j > trip.least_j[time_s - round(trip.time_s)] + excess_j:
+                    continue
+                at_s = np.interp(edges_m, profile.position_m, profile.time_s)
+                assert (at_s >= passing.after_s[1:] - 0.05).all()
+                assert (profile.running_time_s - at_s >= passing.before_s[:-1] - 0.05).all()
+                checked += 1
+    assert checked > 5
+    tight, wide = trip.passing(1e5), trip.passing(1e7)
+    assert (tight.after_s >= wide.after_s).all()
+    assert (tight.before_s >= wide.before_s).all()
+    assert (tight.after_s - wide.after_s).max() > 2.0
