@@ -191,3 +191,13 @@ def test_a_storage_off_the_line_is_named(tmp_path):
     found = load_feeding(written(tmp_path, change=("position = 8254, power", "position = 98254, power")))
     with pytest.raises(InputError, match="storage off the line: S2"):
         found.check_line(load_line("yizhuang"))
+
+
+def test_every_journey_of_a_day_has_a_storage_of_its_own():
+    line, timetable = line_and_loads()
+    loads, _ = train_loads(line, timetable, profiles(), (range(0, 300, 100), range(31, 300, 100)))
+    parts = loads.journeys()
+    assert len(parts) == 6
+    for rows in parts:
+        assert len(set(zip(loads.train[rows].tolist(), loads.backward[rows].tolist(), strict=True))) == 1
+        assert (np.diff(loads.second[rows]) == 1).all()

@@ -14,6 +14,7 @@ from metropilot.cli import complete
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, number, print_json, show_activity, table
 from metropilot.cli.line_day import DayRequest, check_day_options, compute_day, print_day
+from metropilot.errors import InputError
 from metropilot.operation import OperationOptions
 
 if TYPE_CHECKING:
@@ -125,6 +126,8 @@ def line_command(
     if out is not None:
         check_writable(out)
     if day is not None or timetable is not None:
+        if sharp:
+            raise InputError("a day has no sharp floor", field="sharp", allowed="with a headway")
         return _run_day(operation, request, network, typed, out, as_json=as_json)
     with show_activity(f"planning {len(operation.trips)} trips and their timetable"):
         found = operation_energy(operation, searched=optimise, seed=seed, feeding=network, sharp=sharp)

@@ -352,7 +352,8 @@ class LineDay:
             for number, pattern in enumerate(patterns):
                 journeys = np.flatnonzero(index.ravel() == number)
                 part = self._pattern_loads(way, pattern, whole_s[journeys, 0] - first_s)
-                rows.append(part._replace(train=journeys[part.train]))
+                train = journeys[part.train]
+                rows.append(part._replace(train=train, journey=2 * train + way))
         loads = TrainLoads(*(np.concatenate(each) for each in zip(*rows, strict=True)))
         return loads, int(loads.second.max()) + 1
 
