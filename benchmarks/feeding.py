@@ -18,6 +18,8 @@ from benchmarks.beside_optimum import table
 from benchmarks.report import circumstances, write_section
 from metropilot.errors import Infeasible
 from metropilot.operation import (
+    SEARCH_NEIGHBOURS,
+    SEARCH_ROUNDS,
     FeedingEnergy,
     LineOperation,
     OperationOptions,
@@ -30,7 +32,6 @@ from metropilot.operation import (
     solve_network,
     train_loads,
 )
-from metropilot.operation.network_search import NEIGHBOURS, ROUNDS
 from metropilot.railway import Feeding, Storage, load_feeding, load_line, load_trainset
 from metropilot.units import J_PER_KWH
 
@@ -335,13 +336,13 @@ def measure_search() -> str:
     heads = ("headway s", "plain, offset 0 kWh", "best for 4 zones kWh", "sought on the network kWh")
     text = (
         f"Energy that `{FEEDING}` takes with optimal driving, running times and dwells within their windows; "
-        f"seed 0, {ROUNDS} rounds of {NEIGHBOURS} timetables."
+        f"seed 0, {SEARCH_ROUNDS} rounds of {SEARCH_NEIGHBOURS} timetables."
     )
     return "\n".join([text, "", table((*heads, "saved %", "search s"), rows), "", written("search")])
 
 
 def written(part: str) -> str:
-    """What wrote a part, where and when."""
+    """Name what wrote a part, where and when."""
     about = "; ".join(f"{k} {v}" for k, v in circumstances(("metropilot", "clarabel", "numpy")).items())
     return f"`python -m benchmarks.feeding --part {part} --write docs/line.md`; {about}."
 

@@ -11,8 +11,7 @@ from pathlib import Path
 
 from benchmarks.beside_optimum import table
 from benchmarks.report import circumstances, write_section
-from metropilot.convoy import ConvoyDrive, ConvoyKpis, ConvoyRequest, convoy_kpis
-from metropilot.convoy.kpis import convoy_figure
+from metropilot.convoy import ConvoyDrive, ConvoyKpis, ConvoyRequest, convoy_figure, convoy_kpis
 from metropilot.errors import Infeasible
 from metropilot.evaluate import RunSpec
 from metropilot.units import J_PER_KWH

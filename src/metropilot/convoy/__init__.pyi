@@ -38,6 +38,7 @@ from .joint import joint_attainable as joint_attainable
 from .joint import joint_optimum as joint_optimum
 from .kpis import ConvoyKpis as ConvoyKpis
 from .kpis import MemberKpis as MemberKpis
+from .kpis import convoy_figure as convoy_figure
 from .kpis import convoy_kpis as convoy_kpis
 from .kpis import write_convoy as write_convoy
 from .leaders import record_leader as record_leader

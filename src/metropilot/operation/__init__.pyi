@@ -41,6 +41,8 @@ from .line_service import divide_zones as divide_zones
 from .network import NetworkFlow as NetworkFlow
 from .network import TrainLoads as TrainLoads
 from .network import solve_network as solve_network
+from .network_search import SEARCH_NEIGHBOURS as SEARCH_NEIGHBOURS
+from .network_search import SEARCH_ROUNDS as SEARCH_ROUNDS
 from .network_search import refine_timetable as refine_timetable
 from .power import PeriodicPower as PeriodicPower
 from .power import PowerProfile as PowerProfile

@@ -15,7 +15,7 @@ from metropilot.operation.network import TrainLoads, solve_network
 from metropilot.operation.search import SearchState, draw_move, keeps_headway, timetable_of
 from metropilot.railway import Feeding
 
-ROUNDS, NEIGHBOURS = 60, 10
+SEARCH_ROUNDS, SEARCH_NEIGHBOURS = 60, 10
 """Rounds of the search, and timetables solved together in each."""
 OFFSETS = 24
 """Offsets of the directions that are tried first."""
@@ -29,7 +29,7 @@ def refine_timetable(
     feeding: Feeding,
     *,
     seed: int = 0,
-    rounds: int = ROUNDS,
+    rounds: int = SEARCH_ROUNDS,
 ) -> tuple[Timetable, Profiles]:
     """Search around a timetable for one that takes less from a network.
 
@@ -62,9 +62,9 @@ def refine_timetable(
         if found_j.min() < energy_j:
             state, energy_j = tried[int(np.argmin(found_j))], float(found_j.min())
         if turn < rounds - 1:
-            moves = (draw_move(operation, plans, state, random) for _ in range(20 * NEIGHBOURS))
+            moves = (draw_move(operation, plans, state, random) for _ in range(20 * SEARCH_NEIGHBOURS))
             kept = (each for each in moves if each is not None and keeps_headway(each, longest))
-            tried = [each for each, _ in zip(kept, range(NEIGHBOURS), strict=False)]
+            tried = [each for each, _ in zip(kept, range(SEARCH_NEIGHBOURS), strict=False)]
             if not tried:
                 break
     return _of(operation, state, plans)

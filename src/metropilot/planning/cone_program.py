@@ -221,7 +221,7 @@ def solve(programme: Programme, energy: Float[ndarray, " nodes"]) -> Answer:
 
 
 class Exchange(NamedTuple):
-    """What drives solved together receive of each other: energy by groups of segments.
+    """Energy that drives solved together receive of each other, by groups of segments.
 
     Returned energy of a group is received up to a power over the time on its segments, and beyond that by
     groups whose traction draws, each joule once.
@@ -334,7 +334,7 @@ def _exchange_rows(
     exchange: Exchange,
     first: int,
 ) -> None:
-    """What is received of each group, and no more than is drawn."""
+    """Rows of what is received of each group, which is no more than is drawn."""
     ds = np.concatenate([p.mesh.length_m for p in programmes])
     gain, force, clock = (np.concatenate([at[name] for at in ats]) for name in ("gain", "f", "t"))
     slope = np.concatenate([p.prices.traction.slope[0] for p in programmes])

@@ -31,7 +31,7 @@ SPARE = 1.08
 
 
 class Passing(NamedTuple):
-    """When a drive passes each group of segments.
+    """Passing times of a drive through each group of segments.
 
     Attributes:
         after_s: Earliest time after the departure at which it is there. Shape (G,).
@@ -105,7 +105,7 @@ class ExchangeTrip:
         return asked_s, answer.dual * self.mass_kg, part_w, whole_w
 
     def passing(self, excess_j: float) -> Passing:
-        """When drives that cost at most so much more than the least pass the groups, in any time allowed."""
+        """Find when drives of at most so much more than the least pass the groups, in any time allowed."""
         edges = self._edges
         after, before = self.flat_s[edges].copy(), self.flat_s[-1] - self.flat_s[edges]
         for least_s, probes in ((after, self._early), (before, self._late)):

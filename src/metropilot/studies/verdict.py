@@ -230,7 +230,7 @@ def _rival_words(claim: Claim, rival: Rival | None) -> str:
 
 
 def sum_up_rivals(verdicts: Sequence[ClaimVerdict]) -> str:
-    """What learning adds over the strongest simple rivals, as a sentence; empty where none was measured."""
+    """Sum up, as a sentence, how learning does beside the strongest simple rivals; empty without rivals."""
     rivals = [verdict.rival for verdict in verdicts if verdict.rival]
     if not rivals:
         return ""
