@@ -72,8 +72,15 @@ class TrainLoads(NamedTuple):
 
     def part(self, rows: Int[ndarray, " part"]) -> TrainLoads:
         """Some of the rows."""
-        *usual, journey = self
-        return TrainLoads(*(each[rows] for each in usual), None if journey is None else journey[rows])
+        journey = None if self.journey is None else self.journey[rows]
+        return TrainLoads(
+            self.second[rows],
+            self.train[rows],
+            self.backward[rows],
+            self.position_m[rows],
+            self.power_w[rows],
+            journey,
+        )
 
 
 @dataclass(frozen=True, eq=False)
