@@ -26,7 +26,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "metropilot.cli.convoy",
         "Drive virtually coupled trainsets: a head, and followers a few metres behind each other.",
     ),
-    "capacity": ("metropilot.cli.capacity", "Compute the trainsets an hour of a line, alone and in convoys."),
+    "capacity": (
+        "metropilot.cli.capacity",
+        "Compute the trainsets an hour of a line, alone and in convoys, and the least headway of each place.",
+    ),
     "line": ("metropilot.cli.line", "Compute the energy of all trains of a line, beside its floor."),
     "campaign": ("metropilot.cli.campaign", "Drive a declared matrix of runs, resumable, and report it."),
     "plan": ("metropilot.cli.plan", "Compute the optimal plan, its certificate, the time-energy front."),

@@ -71,7 +71,7 @@ def export_command(
     ] = None,
     as_json: opt.Json = False,
 ) -> int:
-    """Write a learned driver in another format.
+    """Write a learned driver as ONNX or, with protection, as C.
 
     ONNX: its policy, a graph from an observation to an action; the file's metadata describes both as JSON.
     Prints the largest difference of its actions from the policy's (parity, at most 1e-5) and the time of a
