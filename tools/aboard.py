@@ -136,16 +136,18 @@ int main(void)
 """
 
 
-def loaded_policy() -> LoadedPolicy:
+def load_generalist() -> LoadedPolicy:
     """The policy of the driver."""
     return load_driving_policy(shipped_policy(DRIVER))
 
 
-def exported(sections: Sequence[Section], load: str, number: str, *, many: bool = False) -> tuple[Any, Path]:
+def export_driver(
+    sections: Sequence[Section], load: str, number: str, *, many: bool = False
+) -> tuple[Any, Path]:
     """A driver written and compiled; with ``many`` together with the loops of this file."""
-    program = trace_driver(DRIVER, loaded_policy(), sections, load_trainset(TRAINSET, load), number=number)
+    program = trace_driver(DRIVER, load_generalist(), sections, load_trainset(TRAINSET, load), number=number)
     folder = Path(mkdtemp(prefix="aboard-"))
-    write_driver(program, loaded_policy(), folder)
+    write_driver(program, load_generalist(), folder)
     if many:
         source = folder / f"{DRIVER}.c"
         source.write_text(
@@ -161,7 +163,7 @@ def sections_of(way: str) -> list[Section]:
 
 def drive_python(program: AboardProgram, section: Section, *, exact: bool) -> Rollout:
     """The same drive in Python; ``exact``: its network in double precision."""
-    loaded = loaded_policy()
+    loaded = load_generalist()
     policy = loaded.policy.policy
     exactly = Policy(policy.spec, in_precision(policy.params, np.float64))
     driver = LearnedDriver(exactly if exact else loaded.policy, loaded.interface)
@@ -195,7 +197,7 @@ def compare_drive(driver: CompiledDriver, number: int, *, exact: bool) -> dict[s
 def measure_drives(load: str, way: str, number: str) -> dict[str, Any]:
     """Sections one way with a load; in double against both networks of Python, in single and double."""
     found: dict[str, Any] = {}
-    driver, _ = exported(sections_of(way), load, number)
+    driver, _ = export_driver(sections_of(way), load, number)
     for name, exact in (("exact", True), ("shipped", False)):
         if number == "double" or not exact:
             rows = [compare_drive(driver, k, exact=exact) for k in range(len(driver.program.sections))]
@@ -240,8 +242,8 @@ def measure_supervisor(count: int) -> dict[str, Any]:
     import jax
 
     section, load = load_line(LINE).section("RJ", "WYJ"), "AW2"
-    double, _ = exported([section], load, "double", many=True)
-    single, _ = exported([section], load, "float", many=True)
+    double, _ = export_driver([section], load, "double", many=True)
+    single, _ = export_driver([section], load, "float", many=True)
     guard = protect(section, double.program.trainset, double.program.bounds)
 
     def verdict(guard: Any, s: dict[str, Any]) -> Any:  # noqa: ANN401 (arrays)
@@ -302,12 +304,12 @@ def measure_build(number: str, second: str) -> dict[str, Any]:
         second: Command of the second compiler.
     """
     section = load_line(LINE).section("RJ", "WYJ")
-    driver, folder = exported([section], "AW2", number, many=True)
+    driver, folder = export_driver([section], "AW2", number, many=True)
     vectors, us = np.loadtxt(folder / "vectors.csv", delimiter=",", skiprows=1), np.zeros(STEPS)
     pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (vectors, us)]
     driver.library.clocked(ctypes.c_int64(STEPS), ctypes.c_int64(len(vectors)), *pointers)
     print(number, statistics.median(us.tolist()), us.max(), flush=True)
-    write_driver(driver.program, loaded_policy(), folder)
+    write_driver(driver.program, load_generalist(), folder)
     (folder / "hostile.c").write_text(HOSTILE.replace("@NAME@", DRIVER))
     builds = {}
     for name, compiler in {"clang": second, "gcc": "cc -fstack-usage"}.items():

@@ -20,33 +20,33 @@ NEAR_M = 1e-9
 
 
 @pytest.fixture(scope="module")
-def loaded():
+def ppo():
     return load_driving_policy(shipped_policy("ppo"))
 
 
 @pytest.fixture(scope="module")
-def written(loaded, tmp_path_factory):
+def sources(ppo, tmp_path_factory):
     line, folder = load_line("yizhuang"), tmp_path_factory.mktemp("aboard")
     sections = [line.section("RJ", "WYJ"), line.section("XC", "XHM")]
-    program = trace_driver("ppo", loaded, sections, load_trainset("dkz32", "AW2"))
-    return program, folder, write_driver(program, loaded, folder)
+    program = trace_driver("ppo", ppo, sections, load_trainset("dkz32", "AW2"))
+    return program, folder, write_driver(program, ppo, folder)
 
 
 @pytest.fixture(scope="module")
-def driver(written):
-    program, folder, _ = written
+def driver(sources):
+    program, folder, _ = sources
     return compile_driver(program, folder, options=("-O1",))
 
 
-def test_a_drive_is_that_of_python(driver, loaded):
+def test_a_drive_is_that_of_python(driver, ppo):
     """Position by position; both networks in double precision, as sums in single depend on their order."""
-    policy = loaded.policy.policy
+    policy = ppo.policy.policy
     exact = Policy(policy.spec, in_precision(policy.params, np.float64))
     for number, section in enumerate(driver.program.sections):
         scheduled_s = section.planned_time_s
         run = drive_compiled(driver, number, scheduled_s)
         rollout = Rollout(
-            Run(section, driver.program.trainset, scheduled_s), LearnedDriver(exact, loaded.interface)
+            Run(section, driver.program.trainset, scheduled_s), LearnedDriver(exact, ppo.interface)
         )
         for state in run.states:
             rollout.advance()
@@ -163,9 +163,9 @@ class Handles(ctypes.Structure):
     _fields_ = [(name, ctypes.c_int) for name in ("brake", "power", "reverser", "constant_speed")]
 
 
-def test_the_plugin_drives_a_simulator(written):
+def test_the_plugin_drives_a_simulator(sources):
     """A crude vehicle of ten notches: it leaves, keeps the limit by hand at full power, and brakes."""
-    program, folder, _ = written
+    program, folder, _ = sources
     done = subprocess.run(["make", "plugin"], cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     plugin = ctypes.CDLL(str(folder / "ats.so"))
@@ -205,8 +205,8 @@ def test_the_plugin_drives_a_simulator(written):
     assert plugin.Elapse(Vehicle(0.0, 0.0, 0), panel, panel).power == 10
 
 
-def test_the_makefile_builds_the_example_and_checks_the_vectors(written):
-    _, folder, report = written
+def test_the_makefile_builds_the_example_and_checks_the_vectors(sources):
+    _, folder, report = sources
     assert report.sections == ("RJ-WYJ", "XC-XHM")
     done = subprocess.run(
         ["make", "check", "example"], cwd=folder, capture_output=True, text=True, check=False

@@ -59,7 +59,7 @@ def compile_c(folder, text):
 
 
 @pytest.fixture(scope="module")
-def compiled(tmp_path_factory):
+def shared_library(tmp_path_factory):
     """All functions in one source, compiled once."""
     tables, bodies, results = Tables(), [], {}
     with double_precision(), jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
@@ -83,8 +83,8 @@ def compiled(tmp_path_factory):
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 @pytest.mark.parametrize("i", [0, 2])
-def test_c_computes_what_jax_computes(compiled, name, i):
-    library, results, _ = compiled
+def test_c_computes_what_jax_computes(shared_library, name, i):
+    library, results, _ = shared_library
     out = np.zeros(results[name].shape, results[name].dtype)
     function = getattr(library, f"f{list(FUNCTIONS).index(name)}")
     function(X.ctypes.data_as(ctypes.c_void_p), ctypes.c_int32(i), out.ctypes.data_as(ctypes.c_void_p))
@@ -93,8 +93,8 @@ def test_c_computes_what_jax_computes(compiled, name, i):
     np.testing.assert_allclose(out, expected, rtol=1e-14, atol=1e-15)
 
 
-def test_a_table_of_few_values_is_stored_by_their_numbers(compiled):
-    _, _, tables = compiled
+def test_a_table_of_few_values_is_stored_by_their_numbers(shared_library):
+    _, _, tables = shared_library
     assert any("_of[1200]" in line for line in tables.lines)
     assert tables.bytes < 1200 * 8
 

@@ -34,7 +34,7 @@ def answer(said, code=0):
 
 
 @pytest.fixture(scope="module")
-def learned(tmp_path_factory):
+def run_folder(tmp_path_factory):
     """The folder of a run that was never interrupted, and what learning it said."""
     folder = tmp_path_factory.mktemp("learned")
     command = [PROGRAM, *LEARN, "--out", "mine"]
@@ -43,7 +43,7 @@ def learned(tmp_path_factory):
 
 
 def test_learning_says_how_it_goes(learned):
-    folder, said = learned
+    folder, said = run_folder
     lines = said.splitlines()
     assert lines[0].startswith("ppo: ppo on drive_both, seed 3, in ")
     rows = [line.split() for line in lines if re.match(r"\s+[\d ]+\d\s", line)]
@@ -53,8 +53,8 @@ def test_learning_says_how_it_goes(learned):
     assert f"--driver learned --set policy={folder}" in said
 
 
-def test_a_run_can_be_shown_driven_and_exported(learned, metropilot, typed, tmp_path):
-    folder, _ = learned
+def test_a_run_can_be_shown_driven_and_exported(run_folder, metropilot, typed, tmp_path):
+    folder, _ = run_folder
     record = answer(metropilot("show", folder, "--json"))
     assert (record["kind"], record["status"], record["steps"]) == ("learning run", "done", STEPS)
     assert record["command"].startswith("metropilot learn ppo --budget quick --steps 20480 --seed 3 --set")
@@ -77,17 +77,17 @@ def test_a_run_can_be_shown_driven_and_exported(learned, metropilot, typed, tmp_
     assert (tmp_path / "mine.onnx").read_bytes() == (tmp_path / "again.onnx").read_bytes()
 
 
-def test_an_onnx_file_says_what_its_numbers_mean(learned, metropilot, tmp_path):
+def test_an_onnx_file_says_what_its_numbers_mean(run_folder, metropilot, tmp_path):
     import onnx
 
     path = tmp_path / "mine.onnx"
-    assert metropilot("export", learned[0], "--out", path).code == 0
+    assert metropilot("export", run_folder[0], "--out", path).code == 0
     told = {item.key: json.loads(item.value) for item in onnx.load(path).metadata_props}
     assert told["perception"]["period_s"] == 0.5
     assert told["algorithm"] == "ppo"
 
 
-def stopped(folder, command, how):
+def stop_run(folder, command, how):
     """Start learning, and stop it by a signal after its first evaluation; what it said."""
     pipe = subprocess.PIPE
     # A suite that a shell runs in the background ignores Ctrl-C, and its children would inherit that;
@@ -110,13 +110,13 @@ def stopped(folder, command, how):
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-def test_interrupted_twice_it_learns_the_same(learned, metropilot, program, tmp_path):
-    code, err = stopped(tmp_path, [*LEARN, "--out", "mine"], signal.SIGINT)
+def test_interrupted_twice_it_learns_the_same(run_folder, metropilot, program, tmp_path):
+    code, err = stop_run(tmp_path, [*LEARN, "--out", "mine"], signal.SIGINT)
     assert code == 130
     again = shlex.split(err.strip().partition("resume with: ")[2])
     assert again[:3] == ["metropilot", "learn", "--resume"]
     assert answer(metropilot("show", tmp_path / "mine", "--json"))["status"] == "interrupted"
-    code, _ = stopped(tmp_path, again[1:], signal.SIGKILL)
+    code, _ = stop_run(tmp_path, again[1:], signal.SIGKILL)
     assert code == -signal.SIGKILL
     shown = answer(metropilot("show", tmp_path / "mine", "--json"))
     assert shown["status"] == "interrupted"
@@ -124,7 +124,7 @@ def test_interrupted_twice_it_learns_the_same(learned, metropilot, program, tmp_
     assert "Resume with: metropilot learn --resume" in metropilot("show", tmp_path / "mine").out
     done = answer(program(*again[1:], "--json"))
     assert (done["status"], done["steps"]) == ("done", STEPS)
-    ours, theirs = (load_policy(f / "policy.safetensors")[0] for f in (tmp_path / "mine", learned[0]))
+    ours, theirs = (load_policy(f / "policy.safetensors")[0] for f in (tmp_path / "mine", run_folder[0]))
     for name, value in theirs.params.items():
         assert (ours.params[name] == value).all(), name
     assert answer(metropilot("learn", "--resume", tmp_path / "mine", "--json")) == done
@@ -222,8 +222,8 @@ def test_bad_input_is_one_line(metropilot, arguments, words, tmp_path, monkeypat
     assert words in said.err
 
 
-def test_a_folder_that_holds_a_run_is_not_written_over(learned, program):
-    said = program(*LEARN, "--out", learned[0])
+def test_a_folder_that_holds_a_run_is_not_written_over(run_folder, program):
+    said = program(*LEARN, "--out", run_folder[0])
     assert said.code == 2
     assert "holds a run already" in said.err
 

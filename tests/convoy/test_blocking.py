@@ -104,7 +104,7 @@ def test_the_age_of_the_message_is_a_longer_headway():
     assert late.headway_s < rows()["moving_block"].headway_s
 
 
-def overruled(found, members, headway_s):
+def count_interventions(found, members, headway_s):
     """Moments at which the second of two trains is overruled on account of the first."""
     run, times = found.run, found.run.time_s
     then = times + headway_s - AGE_S
@@ -135,8 +135,8 @@ def overruled(found, members, headway_s):
 def test_two_trains_at_the_least_headway_do_not_disturb_each_other_and_a_second_less_they_do():
     row = rows()["moving_block"]
     members = [trainset_behind(each, TRAINSET) for each in sections()]
-    assert overruled(row.blocking, members, row.headway_s + 0.1) == 0
-    assert overruled(row.blocking, members, row.headway_s - 1.0) > 0
+    assert count_interventions(row.blocking, members, row.headway_s + 0.1) == 0
+    assert count_interventions(row.blocking, members, row.headway_s - 1.0) > 0
 
 
 def test_a_faster_train_needs_more_room():

@@ -140,7 +140,7 @@ def test_one_of_several_services_is_read(tmp_path):
         read_gtfs(tmp_path, LINE, "monday")
 
 
-def replaced(row, **values):
+def replace_row(row, **values):
     def change(rows):
         rows[row] |= values
         return rows
@@ -153,15 +153,19 @@ def replaced(row, **values):
     [
         (
             "stop_times",
-            replaced(1, arrival_time="7h"),
+            replace_row(1, arrival_time="7h"),
             "stop_times.txt line 3, arrival_time: not a time: '7h'",
         ),
-        ("stop_times", replaced(1, arrival_time=""), "stop_times.txt line 3, arrival_time: not a time"),
-        ("stop_times", replaced(1, departure_time="00:00:00"), "departure_time: before the arrival"),
-        ("stop_times", replaced(1, arrival_time="01:00:00"), "trip F0001, XC, arrival_time: too early"),
-        ("stop_times", replaced(0, trip_id="none"), "unknown trip: 'none'"),
-        ("stop_times", replaced(0, stop_sequence="one"), "stop_sequence: not a number: 'one'"),
-        ("stop_times", replaced(0, stop_id="nowhere"), "trip F0001, stop_id: stop off the line: 'nowhere'"),
+        ("stop_times", replace_row(1, arrival_time=""), "stop_times.txt line 3, arrival_time: not a time"),
+        ("stop_times", replace_row(1, departure_time="00:00:00"), "departure_time: before the arrival"),
+        ("stop_times", replace_row(1, arrival_time="01:00:00"), "trip F0001, XC, arrival_time: too early"),
+        ("stop_times", replace_row(0, trip_id="none"), "unknown trip: 'none'"),
+        ("stop_times", replace_row(0, stop_sequence="one"), "stop_sequence: not a number: 'one'"),
+        (
+            "stop_times",
+            replace_row(0, stop_id="nowhere"),
+            "trip F0001, stop_id: stop off the line: 'nowhere'",
+        ),
         (
             "stop_times",
             lambda rows: rows[1:],

@@ -189,7 +189,9 @@ def journeys(draw):
         points = [
             TimingPoint(-p.position_m, *(p.earliest_s, p.latest_s, None, p.fastest_mps)) for p in points
         ]
-    return Journey(draw(names), draw(st.just("") | names), tuple(points), draw(sources), draw(extras))
+    return Journey(
+        draw(names), draw(st.just("") | names), tuple(points), source=draw(sources), extra=draw(extras)
+    )
 
 
 def through_toml(thing):

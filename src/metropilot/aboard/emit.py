@@ -290,11 +290,11 @@ class _Emitter:
         if node.op in {*REDUCTIONS, *LOGICAL_REDUCTIONS}:
             return self.reduction(node, target(index), index, shape, indent)
         if node.op in {"concatenate", "stack"}:
-            return self.joined(node, target, indent)
+            return self.concatenate(node, target, indent)
         if node.op == "dot_general":
             return self.product(node, target, indent)
         if node.op == "gather":
-            return self.gathered(node, target(index), index, shape, indent)
+            return self.gather(node, target(index), index, shape, indent)
         if node.op == "argmax":
             return self.largest(node, target(index), indent)
         raise InputError(f"the driver needs the operation {node.op}, which has no form in C", field="to")
@@ -361,7 +361,7 @@ class _Emitter:
             return _loops(shape, lines, indent)
         return [f"{depth}{{", *(f"{depth}    {line}" for line in lines), f"{depth}}}"]
 
-    def joined(self, node: Operation, target: Callable[[list[str]], str], indent: str) -> list[str]:
+    def concatenate(self, node: Operation, target: Callable[[list[str]], str], indent: str) -> list[str]:
         """Arrays one after the other."""
         stacked = node.op == "stack"
         axis, begin = node.params["axis" if stacked else "dimension"], 0
@@ -403,7 +403,7 @@ class _Emitter:
         lines += _loops([left.shape[k_left]], inner, "", ["k"])
         return _loops(rows, lines, indent, i)
 
-    def gathered(
+    def gather(
         self, node: Operation, target: str, index: list[str], shape: tuple[int, ...], indent: str
     ) -> list[str]:
         """Entries looked up by indices, which are kept inside the array."""
@@ -562,7 +562,7 @@ class _Emitter:
         if op == "select_n" and len(values) == 3 and given.kind == "b":
             return f"({values[0]} ? {values[2]} : {values[1]})"
         if op == "convert_element_type":
-            return _converted(values[0], given, dtype)
+            return _convert(values[0], given, dtype)
         if op == "round":
             return f"round_{kind}({values[0]})"
         by = None if node is None or len(node.args) < 2 else node.args[1].params.get("value")
@@ -575,7 +575,7 @@ class _Emitter:
         raise InputError(f"the driver needs the operation {op}, which has no form in C", field="to")
 
 
-def _converted(value: str, given: np.dtype, dtype: np.dtype) -> str:
+def _convert(value: str, given: np.dtype, dtype: np.dtype) -> str:
     """A number in another type; a float outside an integer's range becomes its nearest, NaN 0."""
     if dtype.kind == "b":
         return f"({value} != {literal(0, given)})"

@@ -81,7 +81,7 @@ def trace_graph(function: Callable[..., Any], *arguments: Any) -> Graph:  # noqa
         for k, v in enumerate(closed.jaxpr.invars)
     ]
     outputs = builder.inline(closed.jaxpr, closed.consts, inputs)
-    return Graph(inputs, outputs, _needed(builder.scopes[0].nodes, outputs))
+    return Graph(inputs, outputs, _drop_unused(builder.scopes[0].nodes, outputs))
 
 
 class _Scope:
@@ -188,7 +188,7 @@ class _Builder:
         for side in branches:
             self.scopes.append(_Scope())
             results = self.inline(side.jaxpr, side.consts, rest)
-            nodes = _needed(self.scopes.pop().nodes, results)
+            nodes = _drop_unused(self.scopes.pop().nodes, results)
             sides.append(Branch(nodes, results))
         if any(result.size != 1 for side in sides for result in side.results):
             raise InputError("the driver chooses between arrays, which has no form in C", field="to")
@@ -222,7 +222,7 @@ def is_uniform(node: Operation) -> bool:
     return value.tobytes() == value.flat[0].tobytes() * value.size
 
 
-def _needed(nodes: Sequence[Operation], results: Sequence[Operation]) -> list[Operation]:
+def _drop_unused(nodes: Sequence[Operation], results: Sequence[Operation]) -> list[Operation]:
     """The nodes that the results need, in order."""
     wanted, kept = set(map(id, results)), []
     for node in reversed(nodes):

@@ -140,15 +140,15 @@ def driver_texts(program: AboardProgram, *, door: bool = False) -> tuple[dict[st
         values[key] = "\n".join(table.lines)
     values["PREAMBLE"] = preamble(values["DECIDE"] + values["SUPERVISE"])
     plant = values | {"PREAMBLE": preamble(values["MOVE"]), "TABLES": values["PLANT_TABLES"]}
-    texts = {f"{name}{Path(each).suffix}": _filled(each, values) for each in DRIVER_FILES}
-    texts |= {each: _filled(each, plant) for each in ("plant.h", "plant.c")}
-    texts |= {each: _filled(each, values) for each in ("example.c", "check.c", "ats.c", "Makefile")}
+    texts = {f"{name}{Path(each).suffix}": _fill(each, values) for each in DRIVER_FILES}
+    texts |= {each: _fill(each, plant) for each in ("plant.h", "plant.c")}
+    texts |= {each: _fill(each, values) for each in ("example.c", "check.c", "ats.c", "Makefile")}
     if door:
-        texts |= {each: _filled(each, values) for each in ("door.c", "door.mjs", "drive.html")}
+        texts |= {each: _fill(each, values) for each in ("door.c", "door.mjs", "drive.html")}
     return texts, tables.bytes
 
 
-def _filled(template: str, values: Mapping[str, str]) -> str:
+def _fill(template: str, values: Mapping[str, str]) -> str:
     """A template with its ``@NAME@`` replaced."""
     text = files("metropilot.aboard").joinpath("templates", template).read_text(encoding="utf-8")
     return re.sub(r"@([A-Z_]+)@", lambda match: values[match[1]], text)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from metropilot.errors import Infeasible, rename_fields
 from metropilot.evaluate import make_driver
+from metropilot.operation.comparison import ComparedEnergy
 from metropilot.operation.day import (
     HOUR_S,
     MINUTE_S,
@@ -24,7 +24,7 @@ from metropilot.operation.day import (
 )
 from metropilot.operation.feeding import FeedingEnergy
 from metropilot.operation.headway import check_headway
-from metropilot.operation.line_service import EnergyBalance, LineOperation, Profiles, Timetable
+from metropilot.operation.line_service import LineOperation, Profiles, Timetable
 from metropilot.operation.network import solve_network
 from metropilot.operation.power import profile_of_trajectory
 from metropilot.operation.report import plan_trips
@@ -97,19 +97,15 @@ class DrivenDay:
     scatter_s: float
 
 
-@dataclass(frozen=True)
-class DayEnergy:
-    """Energy of all journeys of a day.
+@dataclass(frozen=True, kw_only=True)
+class DayEnergy(ComparedEnergy):
+    """Energy of all journeys of a day; its floor is that of all received at the same journey times.
 
     Attributes:
         name: Name of the day.
         day: The day with the timetable found, driven by its plans.
         links: Trains.
-        searched: True if dwells and running times were searched, not the offset of the directions alone.
-        cruise_kwh: Cruise and brake with the plain timetable, mean over the offset.
-        driving_only_kwh: Optimal driving with the plain timetable, mean over the offset.
-        timetable_only_kwh: Cruise and brake with the timetable found for it.
-        floor_kwh: Energy that no timetable with the same journey times undercuts: all is received.
+        power: Power of the day.
         driven: The same day with a driver, where one was asked for.
         period_names: Names of the periods; none where the timetable was given.
     """
@@ -117,33 +113,9 @@ class DayEnergy:
     name: str
     day: LineDay
     links: TrainLinks
-    searched: bool
-    cruise_kwh: float
-    driving_only_kwh: float
-    timetable_only_kwh: float
-    floor_kwh: float
+    power: DayPower
     driven: DrivenDay | None = None
     period_names: tuple[str, ...] = ()
-
-    @cached_property
-    def power(self) -> DayPower:
-        """Power of the day."""
-        return self.day.power()
-
-    @cached_property
-    def balance(self) -> EnergyBalance:
-        """Energy of the day with optimal driving and the timetable found."""
-        return self.day.energy(self.power)
-
-    @property
-    def energy_kwh(self) -> float:
-        """Energy with optimal driving and the timetable found."""
-        return self.balance.supplied_kwh
-
-    @property
-    def gap_percent(self) -> float:
-        """Energy above the floor."""
-        return 100.0 * (self.energy_kwh / self.floor_kwh - 1.0)
 
     def as_dict(self, network: FeedingEnergy | None = None) -> dict[str, Any]:
         """Values as JSON holds them.
@@ -151,14 +123,11 @@ class DayEnergy:
         Args:
             network: What a network makes of the day, if one feeds the line.
         """
-        operation, balance, power = self.day.operation, self.balance, self.power
-        trainset, options = operation.trainset, operation.options
+        power = self.power
         first_s, last_s = self.day.timetable.span_s
-        return {
-            "line": operation.line.id,
+        shared = self.describe(self.day.operation, None if network is None else network.as_dict())
+        return shared | {
             "day": self.name,
-            "trainset": trainset.id,
-            "load": trainset.load,
             "first_departure": format_clock(first_s),
             "last_arrival": format_clock(last_s),
             "journeys": {
@@ -168,28 +137,13 @@ class DayEnergy:
             "fleet": self.links.fleet,
             "pull_outs": self.links.pull_outs,
             "pull_ins": self.links.pull_ins,
-            "floor_kwh": self.floor_kwh,
-            "energy_kwh": self.energy_kwh,
-            "gap_percent": self.gap_percent,
-            "cruise_kwh": self.cruise_kwh,
-            "driving_only_kwh": self.driving_only_kwh,
-            "timetable_only_kwh": self.timetable_only_kwh,
-            "optimised": self.searched,
             "driver": None if self.driven is None else vars(self.driven),
-            "returned_kwh": balance.returned_j / J_PER_KWH,
-            "received_kwh": balance.received_j / J_PER_KWH,
-            "unreceived_kwh": balance.unreceived_j / J_PER_KWH,
             "zones_kwh": (power.supplied_w.sum(axis=0) * MINUTE_S / J_PER_KWH).tolist(),
             "hours": [
                 {"from": format_clock(power.first_s + HOUR_S * hour), "energy_kwh": float(kwh)}
                 for hour, kwh in enumerate(power.hourly_kwh)
             ],
             "peak_minute_w": float(power.supplied_w.sum(axis=1).max()),
-            "feeding": {
-                "zones": options.zones,
-                "transfer_loss": options.transfer_loss,
-                **({} if network is None else {"network": network.as_dict()}),
-            },
         }
 
 
@@ -328,11 +282,14 @@ def day_energy(
     driven = None
     if driver is not None:
         driven = _driven(operation, driver, range(seed, seed + runs), plain, best)
+    power = found.power()
     return DayEnergy(
-        day.name,
-        found,
-        links,
-        searched,
+        name=day.name,
+        day=found,
+        links=links,
+        power=power,
+        balance=found.energy(power),
+        searched=searched,
         cruise_kwh=float(mean["cruise"]),
         driving_only_kwh=float(mean["optimal"]),
         timetable_only_kwh=_kwh(operation, cruise, plans["cruise"]),
@@ -374,14 +331,17 @@ def timetable_energy(
     driven = None
     if driver is not None:
         driven = _driven(operation, driver, range(seed, seed + runs), [timetable], timetable, times_s)
-    energy_kwh, cruise_kwh = (_kwh(operation, timetable, [profiles]) for profiles in (optimal, cruise))
+    power, cruise_kwh = found.power(), _kwh(operation, timetable, [cruise])
+    balance = found.energy(power)
     return DayEnergy(
-        name,
-        found,
-        link_trains(timetable, operation.options.turnround_s, longest_wait_s),
+        name=name,
+        day=found,
+        links=link_trains(timetable, operation.options.turnround_s, longest_wait_s),
+        power=power,
+        balance=balance,
         searched=False,
         cruise_kwh=cruise_kwh,
-        driving_only_kwh=energy_kwh,
+        driving_only_kwh=balance.supplied_kwh,
         timetable_only_kwh=cruise_kwh,
         floor_kwh=day_floor_j(operation, timetable, optimal) / J_PER_KWH,
         driven=driven,

@@ -134,7 +134,7 @@ class FeedingEnergy:
         """Energy from the grid less that of the inverters."""
         return (self.flow.supplied_j - self.flow.inverted_j) / J_PER_KWH
 
-    def _stored(self) -> dict[str, Any]:
+    def _describe_storage(self) -> dict[str, Any]:
         """Energy through storages beside the track and aboard, nothing where there are none."""
         flow, told = self.flow, {}
         beside = zip(self.feeding.storages, flow.storage_w.T, flow.storage_j.T, strict=True)
@@ -169,7 +169,7 @@ class FeedingEnergy:
             "rail_loss_kwh": float(flow.rail_loss_w.sum()) / J_PER_KWH,
             "substation_loss_kwh": float(flow.substation_loss_w.sum()) / J_PER_KWH,
             "balance": flow.imbalance,
-            **self._stored(),
+            **self._describe_storage(),
             "lowest_v": float(flow.train_v[row]),
             "lowest_second": int(flow.loads.second[row]),
             "lowest_position_m": float(flow.loads.position_m[row]),

@@ -141,7 +141,7 @@ class _Meeting(NamedTuple):
     spread_s: tuple[tuple[int, int], tuple[int, int]]
     planned_s: int
 
-    def priced(self, price_w: float) -> SectionCost:
+    def add_price(self, price_w: float) -> SectionCost:
         """Least energy of both trips with every second more than planned at a price."""
         (low, high), (other_low, other_high) = self.spread_s
         change = np.arange(low + other_low, high + other_high + 1)
@@ -240,7 +240,7 @@ def zone_floor_j(
     aboard_j = operation.trainset.auxiliary_w * sum(operation.journey_s(backward=b) for b in (False, True))
     dwells_s = 2 * operation.options.dwell_s, 2 * allowed.dwell_s
     return aboard_j + max(
-        find_least_path([each.priced(price) for each in sections], *dwells_s).energy_j for price in prices
+        find_least_path([each.add_price(price) for each in sections], *dwells_s).energy_j for price in prices
     )
 
 

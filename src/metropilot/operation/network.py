@@ -133,7 +133,7 @@ class NetworkFlow:
         return np.maximum(self.loads.power_w, 0.0) - np.maximum(self.train_w, 0.0)
 
     @property
-    def served(self) -> Bool[ndarray, " rows"]:
+    def is_served(self) -> Bool[ndarray, " rows"]:
         """True where a train gets what it wants."""
         return (self.loads.power_w <= 0.0) | (self.train_w >= SERVED * self.loads.power_w)
 
@@ -188,7 +188,7 @@ class NetworkFlow:
         if not lacking.size:
             return
         row = int(np.argmax(lacking))
-        if not self.served[row]:
+        if not self.is_served[row]:
             raise _overload_error(self.loads, row, float(self.train_v[row]))
 
 

@@ -55,7 +55,7 @@ def refine_timetable(
         round(float(timetable.departure_s[operation.count])),
     )
     shifts = np.linspace(0, operation.options.headway_s, OFFSETS, endpoint=False).astype(int)
-    tried = [state.shifted(int(shift), operation.options.headway_s) for shift in shifts]
+    tried = [state.shift(int(shift), operation.options.headway_s) for shift in shifts]
     energy_j = np.inf
     for turn in range(rounds):
         found_j = _energies_j(operation, [_of(operation, each, plans) for each in tried], feeding)
@@ -98,6 +98,6 @@ def _together_j(
     flow = solve_network(feeding, loads, len(tried) * headway_s, periodic=True)
     net_w = (flow.rectifier_w - flow.inverter_w).sum(axis=1)
     energy_j = net_w.reshape(len(tried), headway_s).sum(axis=1)
-    unserved = np.unique(loads.second[~flow.served] // headway_s)
+    unserved = np.unique(loads.second[~flow.is_served] // headway_s)
     energy_j[unserved] = np.inf
     return energy_j

@@ -33,7 +33,7 @@ class SectionCost(NamedTuple):
     least_s: int
     planned_s: int
 
-    def priced(self, price_w: float) -> SectionCost:
+    def add_price(self, price_w: float) -> SectionCost:
         """The same with every second more than planned at a price."""
         change_s = self.least_s - self.planned_s + np.arange(self.energy_j.shape[1])
         return self._replace(energy_j=self.energy_j + price_w * change_s)

@@ -15,10 +15,11 @@ import numpy as np
 from metropilot._io import fill_folder, write_json
 from metropilot._provenance import provenance
 from metropilot.convoy import BlockingTimes
+from metropilot.operation.comparison import ComparedEnergy
 from metropilot.operation.feeding import FeedingEnergy, feed_line, voltage_figure
 from metropilot.operation.floor import TripFloors, check_sharp, zone_floor_j
 from metropilot.operation.headway import check_headway, line_headways
-from metropilot.operation.line_service import EnergyBalance, LineOperation, Profiles, Timetable
+from metropilot.operation.line_service import LineOperation, Profiles, Timetable
 from metropilot.operation.network_search import refine_timetable
 from metropilot.operation.power import SAME_S
 from metropilot.operation.search import best_offset, choose_plans, find_timetable
@@ -38,18 +39,12 @@ SETTLED = 1e-3
 """Nearer than this to the floor with all received, no sharper one is looked for."""
 
 
-@dataclass(frozen=True)
-class OperationEnergy:
+@dataclass(frozen=True, kw_only=True)
+class OperationEnergy(ComparedEnergy):
     """Energy of all trains of a line in one headway, which is that of one train in a round trip.
 
     Attributes:
         operation: Line in operation.
-        searched: True if dwells and running times were searched, not the offset of the directions alone.
-        cruise_kwh: Cruise and brake with the plain timetable, mean over the offset.
-        driving_only_kwh: Optimal driving with the plain timetable, mean over the offset.
-        timetable_only_kwh: Cruise and brake with the best timetable found for it.
-        balance: Optimal driving with the best timetable found, by the best of its plans for each trip.
-        floor_kwh: Energy that no timetable within the same windows undercuts.
         all_received_floor_kwh: The same as far as it is known without zones and headway: all is received.
         timetable: Timetable of ``balance``.
         profiles: Its profiles of power.
@@ -58,26 +53,10 @@ class OperationEnergy:
     """
 
     operation: LineOperation
-    searched: bool
-    cruise_kwh: float
-    driving_only_kwh: float
-    timetable_only_kwh: float
-    balance: EnergyBalance
-    floor_kwh: float
     all_received_floor_kwh: float
     timetable: Timetable
     profiles: Profiles
     zones_network_kwh: float | None = None
-
-    @property
-    def energy_kwh(self) -> float:
-        """Energy with optimal driving and the best timetable found."""
-        return self.balance.supplied_kwh
-
-    @property
-    def gap_percent(self) -> float:
-        """Energy above the floor."""
-        return 100.0 * (self.energy_kwh / self.floor_kwh - 1.0)
 
     def headways(self) -> tuple[BlockingTimes, BlockingTimes]:
         """Blocking times of ``timetable`` forward and backward."""
@@ -93,31 +72,12 @@ class OperationEnergy:
         Args:
             network: What a network makes of ``timetable``, if one feeds the line.
         """
-        options, balance = self.operation.options, self.balance
-        trainset = self.operation.trainset
-        return {
-            "line": self.operation.line.id,
-            "trainset": trainset.id,
-            "load": trainset.load,
-            "headway_s": options.headway_s,
-            "floor_kwh": self.floor_kwh,
+        fed = None if network is None else network.as_dict() | self._zones_network()
+        return self.describe(self.operation, fed) | {
+            "headway_s": self.operation.options.headway_s,
             "all_received_floor_kwh": self.all_received_floor_kwh,
-            "energy_kwh": self.energy_kwh,
-            "gap_percent": self.gap_percent,
-            "cruise_kwh": self.cruise_kwh,
-            "driving_only_kwh": self.driving_only_kwh,
-            "timetable_only_kwh": self.timetable_only_kwh,
-            "optimised": self.searched,
             "technical_headway_s": max(each.headway_s for each in self.headways()),
             "fleet": self.operation.fleet(self.timetable),
-            "returned_kwh": balance.returned_j / J_PER_KWH,
-            "received_kwh": balance.received_j / J_PER_KWH,
-            "unreceived_kwh": balance.unreceived_j / J_PER_KWH,
-            "feeding": {
-                "zones": options.zones,
-                "transfer_loss": options.transfer_loss,
-                **({} if network is None else {"network": network.as_dict() | self._zones_network()}),
-            },
         }
 
 
@@ -175,8 +135,8 @@ def operation_energy(
     if sharp:
         met_j = max(met_j, zone_floor_j(operation, floors, windows=searched, sharp=True))
     return OperationEnergy(
-        operation,
-        searched,
+        operation=operation,
+        searched=searched,
         cruise_kwh=operation.mean_energy_j(cruise) / J_PER_KWH,
         driving_only_kwh=operation.mean_energy_j(all_received) / J_PER_KWH,
         timetable_only_kwh=operation.energy(*find("cruise")).supplied_kwh,

@@ -44,7 +44,7 @@ class SearchState:
     plan: Int[ndarray, " trips"]
     offset: int
 
-    def shifted(self, by_s: int, headway_s: int) -> SearchState:
+    def shift(self, by_s: int, headway_s: int) -> SearchState:
         """The same with the backward direction moved on."""
         return replace(self, offset=(self.offset + by_s) % headway_s)
 

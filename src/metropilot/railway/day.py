@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 from metropilot._schema import check_fields, declare
 from metropilot.errors import InputError
+from metropilot.railway.record import CatalogueRecord
 from metropilot.units import format_clock
 
 LATEST_S = 36.0 * 3600
@@ -47,7 +46,7 @@ class Period:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ServiceDay:
+class ServiceDay(CatalogueRecord):
     """A working day of one line.
 
     Attributes:
@@ -57,10 +56,6 @@ class ServiceDay:
         periods: Periods, one after the other; between two of them nothing has to depart.
         fleet: Trains that there are; None: as many as it takes.
         longest_wait_s: A train that would wait longer at a terminal station goes to the depot.
-        source: Citation of each block of data, by block name.
-        notes: Remarks worth showing to a user.
-        extra: Keys of the source file that metropilot does not use, kept for writing back.
-        unused: Names of the blocks of the file that were read but have no effect.
     """
 
     id: str
@@ -69,10 +64,6 @@ class ServiceDay:
     periods: tuple[Period, ...]
     fleet: int | None = declare(None, low=1, high=10_000)
     longest_wait_s: int = declare(LONGEST_WAIT_S, unit="s", low=0.0, high=LATEST_S)
-    source: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    extra: Mapping[str, Any] = field(default_factory=dict)
-    unused: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from itertools import pairwise
-from typing import Any
+from dataclasses import dataclass
 
 from metropilot._schema import check_fields, declare
 from metropilot.errors import InputError
 from metropilot.railway.line import Line
+from metropilot.railway.record import CatalogueRecord, check_positions
 from metropilot.units import KINDS, tidy
 
 MOST_V = 1e4
@@ -89,7 +87,7 @@ class Storage:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Feeding:
+class Feeding(CatalogueRecord):
     """DC feeding of one line.
 
     Each direction has a conductor rail and running rails of its own, both tied to those of the other
@@ -109,10 +107,6 @@ class Feeding:
         max_v: Voltage at which it returns nothing.
         storages: Storages beside the track by increasing position; the tracks are tied there.
         onboard: Storage aboard each train; None: none.
-        source: Citation of each block of data, by block name.
-        notes: Remarks worth showing to a user.
-        extra: Keys of the source file that metropilot does not use, kept for writing back.
-        unused: Names of the blocks of the file that were read but have no effect.
     """
 
     id: str
@@ -130,25 +124,13 @@ class Feeding:
     max_v: float = declare(900.0, unit="V", low=0.0, above=True, high=MOST_V)
     storages: tuple[Storage, ...] = ()
     onboard: Storage | None = None
-    source: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    extra: Mapping[str, Any] = field(default_factory=dict)
-    unused: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
         if not self.substations:
             raise InputError("needs substations", field="substations", value=0, allowed="at least 1")
-        for block, places in (("substations", self.substations), ("storages", self.storages)):
-            for index, (before, after) in enumerate(pairwise(places), start=1):
-                if not after.position_m > before.position_m:
-                    raise InputError(
-                        "must increase",
-                        field=f"{block}[{index}].position",
-                        value=tidy(after.position_m),
-                        unit="m",
-                        allowed=f"> {before.position_m:g} m",
-                    )
+        check_positions("substations", [each.position_m for each in self.substations])
+        check_positions("storages", [each.position_m for each in self.storages])
         highest_v = max(s.no_load_v for s in self.substations)
         lowest_v = min(s.no_load_v for s in self.substations)
         order = (

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 from metropilot.errors import InputError
 from metropilot.railway.line import Line
+from metropilot.railway.record import CatalogueRecord
 from metropilot.units import tidy
 
 
@@ -40,26 +39,18 @@ class TimingPoint:
 
 
 @dataclass(frozen=True)
-class Journey:
+class Journey(CatalogueRecord):
     """Timing points by position and time, on a line.
 
     Attributes:
         id: Name of the journey.
         line_id: The line it runs on.
         points: At least a start and an end; positions grow all the way, or fall all the way.
-        source: Origin of the data.
-        extra: Keys of the source file kept for writing back.
-        notes: Remarks worth showing.
-        unused: Blocks read but without effect.
     """
 
     id: str
     line_id: str
     points: tuple[TimingPoint, ...]
-    source: Mapping[str, str] = field(default_factory=dict)
-    extra: Mapping[str, Any] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    unused: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_journey(self)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, replace
+from dataclasses import MISSING, dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from metropilot._schema import check_fields, declare
 from metropilot.errors import InputError
 from metropilot.railway.profile import Steps
+from metropilot.railway.record import CatalogueRecord, check_positions
 from metropilot.units import KINDS, KMH_PER_MPS, tidy
 
 RESTRICTION_KMH = (5.0, 400.0)
@@ -223,7 +222,7 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Line:
+class Line(CatalogueRecord):
     """A line: stations and the track between them, positions growing in the forward direction.
 
     Attributes:
@@ -240,10 +239,6 @@ class Line:
             (entry k is the section between stations k and k+1), or empty.
         authority: End of the movement authority behind every stop.
         dwell_s: Planned dwell at each intermediate station, forward order, or empty.
-        source: Citation of each block of data, by block name.
-        notes: Corrections and remarks worth showing to a user.
-        extra: Keys of the source file that metropilot does not use, kept for writing back.
-        unused: Names of the blocks of the file that were read but have no effect.
     """
 
     id: str
@@ -258,10 +253,6 @@ class Line:
     planned_backward_s: tuple[float, ...] = ()
     dwell_s: tuple[float, ...] = ()
     authority: MovementAuthority = MovementAuthority()
-    source: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    extra: Mapping[str, Any] = field(default_factory=dict)
-    unused: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_line(self)
@@ -303,15 +294,7 @@ def check_line(line: Line) -> None:
     stops = line.stations
     if len(stops) < 2:
         raise InputError("needs stations", field="stations", value=len(stops), allowed="at least 2")
-    for index, (before, after) in enumerate(pairwise(stops), start=1):
-        if not after.position_m > before.position_m:
-            raise InputError(
-                "must increase",
-                field=f"stations[{index}].position",
-                value=tidy(after.position_m),
-                unit="m",
-                allowed=f"> {before.position_m:g} m",
-            )
+    check_positions("stations", [each.position_m for each in stops])
     seen: set[str] = set()
     for index, stop in enumerate(stops):
         if _key(stop.code) in seen:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from metropilot.errors import InputError
 from metropilot.railway.effort import Efficiency, EffortCurve
+from metropilot.railway.record import CatalogueRecord
 from metropilot.units import KMH_PER_MPS
 
 CurveFormula = Literal["none", "600/r", "6.3/(r-55)"]
@@ -95,7 +96,7 @@ class Couplers:
 
 
 @dataclass(frozen=True)
-class Trainset:
+class Trainset(CatalogueRecord):
     """A trainset with one load aboard; :meth:`with_load` gives the same vehicle with another.
 
     Attributes:
@@ -126,10 +127,6 @@ class Trainset:
         couplers: Multi-body data.
         notches: Named lists of forces in N, traction positive, braking negative (e.g. Lu23's twelve levels).
         gravity_mps2: Standard gravity used with this data.
-        source: Citation of each block, by block name.
-        notes: Remarks worth showing.
-        extra: Keys of the source file kept for writing back.
-        unused: Blocks read but without effect.
     """
 
     id: str
@@ -158,10 +155,6 @@ class Trainset:
     couplers: Couplers = Couplers()
     notches: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     gravity_mps2: float = 9.81
-    source: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    extra: Mapping[str, Any] = field(default_factory=dict)
-    unused: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.load not in self.loads:

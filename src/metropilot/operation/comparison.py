@@ -1,0 +1,69 @@
+"""Energy of a line by driving and by timetable beside its floor, of a headway or of a day."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from metropilot.operation.line_service import EnergyBalance, LineOperation
+from metropilot.units import J_PER_KWH
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComparedEnergy:
+    """Energy of all trains of a line.
+
+    Attributes:
+        searched: True if dwells and running times were searched, not the offset of the directions alone.
+        cruise_kwh: Cruise and brake with the plain timetable, mean over the offset.
+        driving_only_kwh: Optimal driving with the plain timetable, mean over the offset.
+        timetable_only_kwh: Cruise and brake with the timetable found for it.
+        floor_kwh: Energy that no timetable with the same freedom undercuts.
+        balance: Optimal driving with the best timetable found, by the best of its plans for each trip.
+    """
+
+    searched: bool
+    cruise_kwh: float
+    driving_only_kwh: float
+    timetable_only_kwh: float
+    floor_kwh: float
+    balance: EnergyBalance
+
+    @property
+    def energy_kwh(self) -> float:
+        """Energy with optimal driving and the timetable found."""
+        return self.balance.supplied_kwh
+
+    @property
+    def gap_percent(self) -> float:
+        """Energy above the floor."""
+        return 100.0 * (self.energy_kwh / self.floor_kwh - 1.0)
+
+    def describe(self, operation: LineOperation, network: dict[str, Any] | None) -> dict[str, Any]:
+        """Values that a headway and a day have, as JSON holds them.
+
+        Args:
+            operation: Line in operation.
+            network: Values of the network that feeds it, if one does.
+        """
+        trainset, options, balance = operation.trainset, operation.options, self.balance
+        return {
+            "line": operation.line.id,
+            "trainset": trainset.id,
+            "load": trainset.load,
+            "floor_kwh": self.floor_kwh,
+            "energy_kwh": self.energy_kwh,
+            "gap_percent": self.gap_percent,
+            "cruise_kwh": self.cruise_kwh,
+            "driving_only_kwh": self.driving_only_kwh,
+            "timetable_only_kwh": self.timetable_only_kwh,
+            "optimised": self.searched,
+            "returned_kwh": balance.returned_j / J_PER_KWH,
+            "received_kwh": balance.received_j / J_PER_KWH,
+            "unreceived_kwh": balance.unreceived_j / J_PER_KWH,
+            "feeding": {
+                "zones": options.zones,
+                "transfer_loss": options.transfer_loss,
+                **({} if network is None else {"network": network}),
+            },
+        }
