@@ -14,6 +14,7 @@ from metropilot.convoy import (
     line_capacity,
     needed_gap_m,
     needed_m,
+    reach_m,
     trainset_behind,
 )
 from metropilot.convoy.blocking import command_of
@@ -54,7 +55,7 @@ def test_at_constant_speed_a_moving_block_is_length_and_gap_over_speed_and_the_a
     # under power a train needs a little more than coasting
     assert 0.0 < need_m - needed_gap_m(convoy, "moving_block", SPEED_MPS) < 4.0
     for age_s in (0.0, 0.36, AGE_S):
-        found = blocking_times(run, members, [level()], LENGTH_M, age_s)
+        found = blocking_times(run, reach_m(run, members), [level()], LENGTH_M, age_s)
         assert found.headway_s == pytest.approx((LENGTH_M + need_m) / SPEED_MPS + age_s, abs=0.02)
 
 
@@ -63,7 +64,7 @@ def test_at_constant_speed_a_fixed_block_adds_its_own_length(block_m):
     run, members, _ = cruise()
     need_m = needed_m(members[0], 700.0, SPEED_MPS, 0.0)
     whole = replace(level(), length_m=float(run.position_m[-1]))
-    found = blocking_times(run, members, [whole], LENGTH_M, AGE_S, [block_m])
+    found = blocking_times(run, reach_m(run, members), [whole], LENGTH_M, AGE_S, [block_m])
     own_m = np.ptp(run.position_m) / np.ceil(np.ptp(run.position_m) / block_m)
     assert found.headway_s == pytest.approx((LENGTH_M + own_m + need_m) / SPEED_MPS + AGE_S, abs=0.02)
 

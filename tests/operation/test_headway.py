@@ -12,10 +12,13 @@ from metropilot.operation import (
     LineOperation,
     LongestDwells,
     OperationOptions,
+    PeriodicPart,
+    check_day,
     check_headway,
     find_timetable,
     line_headways,
     operation_energy,
+    repeat_timetables,
 )
 
 
@@ -100,3 +103,31 @@ def test_dwells_that_are_allowed_disturb_nobody_and_others_do():
         needed_s = headways(line, timetable)[0].headway_s
         assert needed_s <= line.options.headway_s if allowed[-1] else needed_s > line.options.headway_s - 0.6
     assert set(allowed) == {True, False}
+
+
+def day_of(line, headway_s, timetable=None):
+    plan = np.zeros(len(line.trips), dtype=int)
+    part = PeriodicPart(0, 5 * headway_s, headway_s, timetable or line.plain_timetable(), plan)
+    return repeat_timetables([part])
+
+
+@pytest.mark.parametrize("blocks", [None, 2])
+def test_a_day_keeps_the_headway_between_any_two_trains(blocks):
+    line = operation(blocks=blocks)
+    least_s = max(each.headway_s for each in headways(line))
+    near = day_of(line, ceil(least_s))
+    check_day(line, near, plans()[0])
+    with pytest.raises(InputError, match=rf"timetable: .*allowed: at least {ceil(least_s)} s later"):
+        check_day(line, day_of(line, ceil(least_s) - 1), plans()[0])
+    # the third train stays longer at the first stop: the fourth comes too near
+    late_s = near.forward.departure_s.copy()
+    late_s[2, 1:] += 40.0
+    held = near._replace(forward=near.forward._replace(departure_s=late_s))
+    ways = {each: f"{int(near.forward.departure_s[each, 0]) // 60:02d}:" for each in (2, 3)}
+    with pytest.raises(InputError, match=rf"forward, those of 00:{ways[2]}.* and 00:{ways[3]}") as told:
+        check_day(line, held, plans()[0])
+    least = max(headways(line), key=lambda each: each.headway_s)
+    assert f"at station {least.bottleneck.name}" in str(told.value)
+    # with as much more distance it does not
+    late_s[3:] += 41.0
+    check_day(line, near._replace(forward=near.forward._replace(departure_s=late_s)), plans()[0])

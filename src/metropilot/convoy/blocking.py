@@ -19,7 +19,7 @@ from numpy import ndarray
 
 from metropilot._typing import Float, Int
 from metropilot.convoy.analysis import FAR_M, Ahead, spare_m
-from metropilot.convoy.model import Convoy, ConvoyGuard, Member, convoy_members
+from metropilot.convoy.model import Convoy, ConvoyGuard, Member, convoy_member
 from metropilot.physics import command_for_force, resistance_and_gradient
 from metropilot.railway import Section, Trainset
 
@@ -87,7 +87,7 @@ def sample_run(
 
 def trainset_behind(section: Section, trainset: Trainset, guard: ConvoyGuard = "moving_block") -> Member:
     """A trainset by itself behind another one on a section."""
-    return convoy_members(Convoy(section=section, trainsets=(trainset,) * 2, guard=guard))[1]
+    return convoy_member(Convoy(section=section, trainsets=(trainset,) * 2, guard=guard), 1)
 
 
 def command_of(own: Member, position_m: float, speed_mps: float, acceleration_mps2: float) -> float:
@@ -197,7 +197,7 @@ class BlockingTimes:
 
 def blocking_times(
     run: ServiceRun,
-    members: Sequence[Member],
+    reach: Float[ndarray, " times"],
     sections: Sequence[Section],
     length_m: float,
     age_s: float,
@@ -210,13 +210,13 @@ def blocking_times(
 
     Args:
         run: Journey.
-        members: A trainset behind another in each section.
+        reach: Farthest place that must have been free by each moment of it; see :func:`reach_m`.
         sections: Sections of the journey.
         length_m: Length of a train.
         age_s: Age of what a train knows of the one ahead.
         blocks_m: Longest fixed block of each section, which is divided evenly; None: a moving block.
     """
-    reach, end_m = reach_m(run, members), float(run.position_m[-1])
+    end_m = float(run.position_m[-1])
     stops_m = np.append(run.from_m[1:], end_m)
     # what is asked for beyond a stop, before the train leaves it
     overlap_m = np.array([reach[run.position_m <= stop + SAME_M][-1] for stop in stops_m[:-1]]) - stops_m[:-1]

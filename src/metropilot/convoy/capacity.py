@@ -29,6 +29,7 @@ from metropilot.convoy.blocking import (
     blocking_figure,
     blocking_times,
     command_of,
+    reach_m,
     sample_run,
     trainset_behind,
 )
@@ -224,7 +225,8 @@ def line_capacity(
                 headway_s, bottleneck = pursuit.least_headway_s(), pursuit.bottleneck(sections)
             else:
                 blocks_m = options.blocks_m(sections) if guard == "fixed_block" else None
-                blocking = blocking_times(journey, members, sections, convoy_m, options.age_s, blocks_m)
+                reach = reach_m(journey, members)
+                blocking = blocking_times(journey, reach, sections, convoy_m, options.age_s, blocks_m)
                 least = blocking.bottleneck
                 headway_s, where = least.headway_s, RUNNING_IN if least.kind == "station" else RUNNING
                 bottleneck = f"{where} {least.name}"

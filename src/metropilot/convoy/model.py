@@ -362,11 +362,16 @@ def convoy_members(convoy: Convoy, dtype: type = np.float64) -> tuple[Member, ..
     Raises:
         InputError: A trainset's emergency brake does not hold it on the section.
     """
-    before = -convoy.starts_m[-1] + 50.0
-    return tuple(_member(convoy, k, before, dtype) for k in range(len(convoy.trainsets)))
+    return tuple(convoy_member(convoy, k, dtype) for k in range(len(convoy.trainsets)))
 
 
-def _member(convoy: Convoy, k: int, before_m: float, dtype: type) -> Member:
+def convoy_member(convoy: Convoy, k: int, dtype: type = np.float64) -> Member:
+    """Make the arrays of one trainset of a convoy (NumPy), counted from the head.
+
+    Raises:
+        InputError: Its emergency brake does not hold it on the section.
+    """
+    before_m = -convoy.starts_m[-1] + 50.0
     disturbance, rates = convoy.disturbance(k), convoy.rates_mps2
     trainset = disturbance.nominal(convoy.trainsets[k])
     section = convoy.leader()[0] if k == 0 else convoy.section

@@ -28,6 +28,7 @@ from .floor import zone_floor_j as zone_floor_j
 from .gtfs import read_gtfs as read_gtfs
 from .gtfs import write_gtfs as write_gtfs
 from .headway import LongestDwells as LongestDwells
+from .headway import check_day as check_day
 from .headway import check_headway as check_headway
 from .headway import line_headways as line_headways
 from .line_service import Driving as Driving

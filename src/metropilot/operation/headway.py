@@ -16,7 +16,6 @@ from numpy import ndarray
 from metropilot._typing import Float
 from metropilot.convoy import (
     BlockingTimes,
-    Member,
     ServiceRun,
     blocking_times,
     first_times,
@@ -25,13 +24,80 @@ from metropilot.convoy import (
     trainset_behind,
 )
 from metropilot.errors import InputError
+from metropilot.operation.day import DayTimetable
 from metropilot.operation.line_service import LineOperation, Profiles, Timetable
 from metropilot.operation.power import PowerProfile
+from metropilot.units import format_clock
 
 OVERLAP_M = 100.0
 """No supervisor asks for so much beyond a stop: who has left it so far behind disturbs nobody there."""
 PLACE_M = 2.0
+SAMPLE_S = 0.5
+"""Interval at which motions are looked at."""
 ROUNDING_S = 1e-6
+
+
+class TripMotions:
+    """Motion of trips, and how far ahead each must have the way free, whatever headway and dwells.
+
+    Made when asked for, and kept with the operation and whatever is the same at another headway.
+
+    Args:
+        operation: Line in operation.
+    """
+
+    def __init__(self, operation: LineOperation) -> None:
+        self._operation, self._members, self._made = operation, operation.members, operation.motions
+
+    def motion(self, trip: int, profile: PowerProfile) -> tuple[ServiceRun, Float[ndarray, " times"]]:
+        """Motion of a trip by itself, and the farthest place that it must have free by each moment."""
+        if profile not in self._made:
+            section = self._operation.trips[trip].section
+            if trip not in self._members:
+                self._members[trip] = trainset_behind(section, self._operation.trainset)
+            run = sample_run([_nodes(profile)], np.zeros(1))
+            self._made[profile] = run, reach_m(run, [self._members[trip]])
+        return self._made[profile]
+
+    def blocking(
+        self, first: int, departure_s: Float[ndarray, " sections"], profiles: Sequence[PowerProfile]
+    ) -> BlockingTimes:
+        """Blocking times of a journey from end to end.
+
+        Args:
+            first: Its first trip.
+            departure_s: Departures of its trips.
+            profiles: Powers of its trips.
+        """
+        options = self._operation.options
+        sections = [self._operation.trips[first + i].section for i in range(len(profiles))]
+        from_m = np.cumsum([0.0, *(section.length_m for section in sections[:-1])])
+        runs: list[ServiceRun] = []
+        needs: list[ndarray] = []
+        for i, profile in enumerate(profiles):
+            own, reach = self.motion(first + i, profile)
+            since_s = float(departure_s[i] - departure_s[0])
+            if i:
+                # until a moment before it leaves, a train at a platform needs no more than when it arrived
+                last = runs[-1]
+                until_s = max(since_s - SAMPLE_S, float(last.time_s[-1]))
+                stands = [part[-1:] for part in last[1:-1]]
+                runs.append(ServiceRun(np.array([until_s]), *stands, from_m))
+                needs.append(needs[-1][-1:])
+            position = from_m[i] + own.position_m
+            section = np.full(position.size, i)
+            runs.append(own._replace(time_s=since_s + own.time_s, position_m=position, section=section))
+            needs.append(from_m[i] + reach)
+        parts = (np.concatenate(each) for each in zip(*(run[:-1] for run in runs), strict=True))
+        blocks_m = None if options.blocks is None else [each.length_m / options.blocks for each in sections]
+        return blocking_times(
+            ServiceRun(*parts, from_m),
+            np.maximum.accumulate(np.concatenate(needs)),
+            sections,
+            self._operation.trainset.length_m,
+            options.age_s,
+            blocks_m,
+        )
 
 
 def line_headways(
@@ -44,40 +110,21 @@ def line_headways(
         timetable: Timetable.
         profiles: Its trips.
     """
-    options, members = operation.options, _Members(operation)
+    motions, count = TripMotions(operation), operation.count
     found = []
-    for first in (0, operation.count):
-        of = range(first, first + operation.count)
-        sections = [operation.trips[k].section for k in of]
-        from_m = np.cumsum([0.0, *(section.length_m for section in sections[:-1])])
-        nodes = []
-        for i, k in enumerate(of):
-            profile = profiles[k][int(timetable.running_time_s[k])]
-            departs_s = float(timetable.departure_s[k] - timetable.departure_s[first])
-            nodes.append(_nodes(profile, departs_s, float(from_m[i]), i))
-        blocks_m = None if options.blocks is None else [each.length_m / options.blocks for each in sections]
-        found.append(
-            blocking_times(
-                sample_run(nodes, from_m),
-                [members[k] for k in of],
-                sections,
-                operation.trainset.length_m,
-                options.age_s,
-                blocks_m,
-            )
-        )
+    for first in (0, count):
+        of = range(first, first + count)
+        driven = [profiles[k][int(timetable.running_time_s[k])] for k in of]
+        found.append(motions.blocking(first, timetable.departure_s[first : first + count], driven))
     return found[0], found[1]
 
 
-def _nodes(
-    profile: PowerProfile, departs_s: float, from_m: float, section: int
-) -> tuple[ndarray, ndarray, ndarray, ndarray, ndarray]:
-    """Time, position, speed, acceleration and section; after the last node the train stands."""
+def _nodes(profile: PowerProfile) -> tuple[ndarray, ndarray, ndarray, ndarray, ndarray]:
+    """Time, position, speed, acceleration and section of a trip; after the last node the train stands."""
     lasts_s = np.diff(profile.time_s)
     rate = np.divide(np.diff(profile.speed_mps), lasts_s, out=np.zeros_like(lasts_s), where=lasts_s > 0)
     speed = np.append(profile.speed_mps[:-1], 0.0)
-    time, position = departs_s + profile.time_s, from_m + profile.position_m
-    return time, position, speed, np.append(rate, 0.0), np.full(time.size, section)
+    return profile.time_s, profile.position_m, speed, np.append(rate, 0.0), np.zeros(speed.size, dtype=int)
 
 
 def check_headway(operation: LineOperation, timetable: Timetable, profiles: Profiles) -> None:
@@ -111,19 +158,69 @@ def check_headway(operation: LineOperation, timetable: Timetable, profiles: Prof
         )
 
 
-class _Members:
-    """A trainset behind another on the section of each trip, made when asked for."""
+def check_day(operation: LineOperation, timetable: DayTimetable, profiles: Profiles) -> None:
+    """Refuse a day on which a train disturbs the next one of its direction.
 
-    def __init__(self, operation: LineOperation) -> None:
-        self._operation = operation
-        # the protection of a section takes some tenths of a second, and no headway or dwell changes it
-        self._made = operation.members
+    Args:
+        operation: Line in operation.
+        timetable: Timetable of the day, journeys in the order of their departures.
+        profiles: Its trips.
 
-    def __getitem__(self, trip: int) -> Member:
-        if trip not in self._made:
-            section = self._operation.trips[trip].section
-            self._made[trip] = trainset_behind(section, self._operation.trainset)
-        return self._made[trip]
+    Raises:
+        InputError: Naming the two trains by their departures, the direction and the section or station.
+    """
+    motions, count = TripMotions(operation), operation.count
+    for way, each in enumerate(timetable):
+        known: dict[bytes, BlockingTimes] = {}
+        before, left_s = None, 0.0
+        for departure_s, running_s in zip(each.departure_s, each.running_time_s, strict=True):
+            key = (departure_s - departure_s[0]).tobytes() + running_s.tobytes()
+            if key not in known:
+                driven = [profiles[count * way + i][int(s)] for i, s in enumerate(running_s)]
+                known[key] = motions.blocking(count * way, departure_s, driven)
+            own, leaves_s = known[key], float(departure_s[0])
+            if before is not None:
+                _check_pair(operation, before, own, (left_s, leaves_s), backward=bool(way))
+            before, left_s = own, leaves_s
+
+
+def _check_pair(
+    operation: LineOperation,
+    ahead: BlockingTimes,
+    behind: BlockingTimes,
+    leaves_s: tuple[float, float],
+    *,
+    backward: bool,
+) -> None:
+    """Refuse two journeys that follow each other too soon."""
+    lead_s = leaves_s[1] - leaves_s[0]
+    if lead_s >= float(ahead.to_s[-1] - behind.from_s[0]):
+        return
+    if operation.options.blocks is None:
+        asked_s = np.interp(ahead.from_m, behind.from_m, behind.from_s)
+    else:
+        # overlaps may differ: the block in which this one begins
+        asked_s = behind.from_s[np.searchsorted(behind.from_m, ahead.from_m, side="right") - 1]
+    held_s = ahead.to_s - asked_s
+    worst = int(np.argmax(held_s))
+    if lead_s >= held_s[worst] - ROUNDING_S:
+        return
+    stops_m = np.append(ahead.run.from_m[1:], ahead.run.position_m[-1])
+    end_m, length_m = float(ahead.to_m[worst]), operation.trainset.length_m
+    # the first stop that the rear has yet to leave when it leaves this place
+    k = min(int(np.searchsorted(stops_m, end_m - length_m, side="right")), operation.count - 1)
+    section = operation.trips[operation.count * backward + k].section
+    at_stop = end_m > stops_m[k] - length_m
+    where = f"station {section.destination.name}" if at_stop else f"section {section.name}"
+    way = "backward" if backward else "forward"
+    raise InputError(
+        f"trains disturb one another at {where}, {way}, those of {format_clock(leaves_s[0])} and "
+        f"{format_clock(leaves_s[1])}",
+        field="timetable",
+        value=round(lead_s),
+        unit="s",
+        allowed=f"at least {math.ceil(held_s[worst])} s later",
+    )
 
 
 class LongestDwells:
@@ -137,7 +234,7 @@ class LongestDwells:
     """
 
     def __init__(self, operation: LineOperation, plans: Sequence[Profiles]) -> None:
-        self._operation, self._plans, self._members = operation, plans, _Members(operation)
+        self._operation, self._plans, self._motions = operation, plans, TripMotions(operation)
         self._found: dict[tuple[int, int, int], float] = {}
         beyond = np.arange(0.0, operation.trainset.length_m + OVERLAP_M, PLACE_M)
         self._beyond_m = np.append(beyond, beyond[-1] + PLACE_M)
@@ -164,8 +261,8 @@ class LongestDwells:
             # the train ahead has left the next station when this one sets out
             return math.inf
         profile, length_m = self._plans[plan][trip][running_s], operation.trainset.length_m
-        run = sample_run([_nodes(profile, 0.0, 0.0, 0)], np.zeros(1))
-        to_m, from_s = self._blocks(run, trip)
+        run, reach = self._motions.motion(trip, profile)
+        to_m, from_s = self._blocks(run, reach)
         end_m = float(profile.position_m[-1])
         behind = to_m > end_m - length_m
         passes_s = first_times(run.time_s, run.position_m - length_m, to_m)
@@ -175,9 +272,9 @@ class LongestDwells:
             return -math.inf
         return options.headway_s - float(held_s[behind].max(initial=0.0)) + ROUNDING_S
 
-    def _blocks(self, run: ServiceRun, trip: int) -> tuple[ndarray, ndarray]:
+    def _blocks(self, run: ServiceRun, reach: ndarray) -> tuple[ndarray, ndarray]:
         """End and first time of the blocks of a trip, and of what is asked for beyond its end."""
-        reach, end_m = reach_m(run, [self._members[trip]]), float(run.position_m[-1])
+        end_m = float(run.position_m[-1])
         if self._operation.options.blocks is None:
             from_m = to_m = np.arange(reach[0], max(reach[-1], end_m), PLACE_M)
         else:

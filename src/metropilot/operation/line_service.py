@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from metropilot._schema import check_fields, declare
 from metropilot._typing import Float, Int
-from metropilot.convoy import AGE_S, Member
+from metropilot.convoy import AGE_S, Member, ServiceRun
 from metropilot.errors import Infeasible, InputError
 from metropilot.operation.power import PeriodicPower, PowerProfile, add_periodic, profile_of_plan
 from metropilot.physics import track_arrays, vehicle_arrays
@@ -224,6 +224,7 @@ class LineOperation:
         trips: Trips of one train, forward and then backward.
         count: Trips in one direction.
         members: Trainsets behind another on the section of a trip, as far as they are made.
+        motions: Motion of each profile and how far ahead it needs the way free, as far as they are known.
 
     Raises:
         InputError: More zones than sections.
@@ -243,6 +244,7 @@ class LineOperation:
         zones = divide_zones(line, options.zones)
         self.count = zones.size
         self.members: dict[int, Member] = {}
+        self.motions: dict[PowerProfile, tuple[ServiceRun, Float[ndarray, " times"]]] = {}
         both = [
             *((section, False, zone) for section, zone in zip(line.sections(), zones.tolist(), strict=True)),
             *(
@@ -274,6 +276,19 @@ class LineOperation:
         window_s = min(self.options.dwell_window_s, dwell_s)
         other = copy(self)
         other.options = replace(self.options, headway_s=headway_s, dwell_s=dwell_s, dwell_window_s=window_s)
+        return other
+
+    def with_zones(self, zones: int) -> LineOperation:
+        """The same with other feeding zones.
+
+        Raises:
+            InputError: More zones than sections.
+        """
+        forward = divide_zones(self.line, zones).tolist()
+        other = copy(self)
+        other.options = replace(self.options, zones=zones)
+        both = zip(self.trips, forward + forward[::-1], strict=True)
+        other.trips = tuple(trip._replace(zone=zone) for trip, zone in both)
         return other
 
     @property
@@ -342,26 +357,23 @@ class LineOperation:
 
         A train at a platform is fed by the zone that it has come from.
         """
-        start: list[list[ndarray]] = [[] for _ in range(self.options.zones)]
-        lasts: list[list[ndarray]] = [[] for _ in range(self.options.zones)]
-        power: list[list[ndarray]] = [[] for _ in range(self.options.zones)]
+        return tuple(self.power_in(zone, timetable, profiles) for zone in range(self.options.zones))
+
+    def power_in(self, zone: int, timetable: Timetable, profiles: Profiles) -> PeriodicPower:
+        """Net power of the trains in one zone."""
+        start: list[ndarray] = []
+        lasts: list[ndarray] = []
+        power: list[ndarray] = []
         dwell = self.dwells_s(timetable)
-        for k, trip in enumerate(self.trips):
+        for k in (k for k, trip in enumerate(self.trips) if trip.zone == zone):
             profile = profiles[k][int(timetable.running_time_s[k])]
             time = np.append(profile.time_s, profile.running_time_s + dwell[k])
             net = profile.net_w(self.options.transfer_loss)
-            start[trip.zone].append(timetable.departure_s[k] + time[:-1])
-            lasts[trip.zone].append(np.diff(time))
-            power[trip.zone].append(np.append(net, np.zeros((1, 2)), axis=0) + self.trainset.auxiliary_w)
-        return tuple(
-            add_periodic(
-                np.concatenate(start[z]),
-                np.concatenate(lasts[z]),
-                np.concatenate(power[z]),
-                float(self.options.headway_s),
-            )
-            for z in range(self.options.zones)
-        )
+            start.append(timetable.departure_s[k] + time[:-1])
+            lasts.append(np.diff(time))
+            power.append(np.append(net, np.zeros((1, 2)), axis=0) + self.trainset.auxiliary_w)
+        parts = (np.concatenate(each) for each in (start, lasts, power))
+        return add_periodic(*parts, float(self.options.headway_s))
 
     def dwells_s(self, timetable: Timetable) -> Float[ndarray, " trips"]:
         """Time at the platform after each trip; none at the terminal stations, where trains are shut down."""

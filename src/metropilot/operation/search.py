@@ -130,17 +130,22 @@ def choose_plans(
     """
     longest = longest or LongestDwells(operation, plans)
     dwell, chosen = operation.dwells_s(timetable), list(plans[0])
-    least_j, before_j = operation.energy(timetable, chosen).supplied_j, math.inf
-    while least_j < before_j:
-        before_j = least_j
+    zones_j = [each.positive_j for each in operation.zone_power(timetable, chosen)]
+    before_j = math.inf
+    while sum(zones_j) < before_j:
+        before_j = sum(zones_j)
         for k, (plan, other) in product(range(len(chosen)), enumerate(plans)):
-            if plan and dwell[k] > longest(k, int(timetable.running_time_s[k]), plan):
+            if other[k] is chosen[k] or (
+                plan and dwell[k] > longest(k, int(timetable.running_time_s[k]), plan)
+            ):
                 continue
-            tried = [*chosen[:k], other[k], *chosen[k + 1 :]]
-            energy_j = operation.energy(timetable, tried).supplied_j
-            if energy_j < least_j:
-                chosen, least_j = tried, energy_j
-    return chosen, least_j
+            tried, zone = [*chosen[:k], other[k], *chosen[k + 1 :]], operation.trips[k].zone
+            # the plan of a trip acts on its own zone alone
+            energies_j = [*zones_j]
+            energies_j[zone] = operation.power_in(zone, timetable, tried).positive_j
+            if sum(energies_j) < sum(zones_j):
+                chosen, zones_j = tried, energies_j
+    return chosen, sum(zones_j)
 
 
 def find_timetable(
