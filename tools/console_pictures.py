@@ -19,6 +19,8 @@ OUT = Path(__file__).resolve().parent.parent / "docs" / "images"
 PATIENCE_MS = 300_000
 COLOURS = 128
 READY = "minimum 83.3 s"
+SWEEP = 7
+"""Headways that the button of the page Line computes."""
 LIVE, CONVOY = '[data-test="live"]', '[data-test="convoy"]'
 
 
@@ -67,6 +69,15 @@ def journey(page: Page) -> None:
     page.locator('[data-test="sections"] tbody tr').first.wait_for()
 
 
+def line(page: Page) -> None:
+    """A headway and the sweep."""
+    page.locator('[data-test="compute"]').click()
+    page.get_by_role("link", name="timetable.csv").wait_for()
+    page.locator('[data-test="sweep"]').click()
+    while page.evaluate("document.querySelector('[data-test=curve]').data[0].x.length") < SWEEP:
+        time.sleep(0.5)
+
+
 def convoy(page: Page) -> None:
     """A link that falls silent."""
     depart(page, "5 ×")
@@ -94,6 +105,7 @@ PICTURES: dict[str, tuple[str, Callable[[Page], None]]] = {
     "drive": ("/", drive),
     "compare": ("/compare", compare),
     "journey": ("/journey", journey),
+    "line": ("/line", line),
     "convoy": ("/convoy", convoy),
     "learn": (f"/learn?job={os.environ.get('JOB', '')}", learn),
     "lines": ("/lines", lines),

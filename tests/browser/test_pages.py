@@ -11,7 +11,7 @@ from metropilot.policy import shipped_policy
 from metropilot.railway import load_line, write_line
 
 PATIENCE_MS = 90_000
-PAGES = ("/", "/compare", "/journey", "/convoy", "/learn", "/lines")
+PAGES = ("/", "/compare", "/journey", "/line", "/convoy", "/learn", "/lines")
 
 
 def test_compare(visit):
@@ -109,8 +109,12 @@ def test_what_was_learned_is_compared(visit, server):
 @pytest.mark.parametrize("width", [390, 360])
 def test_every_page_is_reached_on_a_telephone(visit, width):
     page = visit("/learn", width=width, height=844)
-    for name in ("Drive", "Compare", "Journey", "Convoy", "Learn", "Lines"):
-        box = page.get_by_role("navigation", name="Pages").get_by_role("link", name=name).bounding_box()
+    for name in ("Drive", "Compare", "Journey", "Line", "Convoy", "Learn", "Lines"):
+        box = (
+            page.get_by_role("navigation", name="Pages")
+            .get_by_role("link", name=name, exact=True)
+            .bounding_box()
+        )
         assert box["x"] >= 0, name
         assert box["x"] + box["width"] <= width, name
 

@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import zipfile
+from pathlib import Path
 
 import pytest
 from tests.web.program import PROGRAM
@@ -85,6 +86,70 @@ def test_a_comparison(server):
     assert energy[0] < energy[1]
 
 
+def test_a_line_in_operation_with_its_timetable(server):
+    body = {"line": "lu2023", "zones": 1, "headway_s": 240}
+    job = server.post("/api/jobs/line", body, code=202)["id"]
+    server.wait(job)
+    found = server.get(f"/api/jobs/{job}/line")
+    told, least = found["energies"], found["bottleneck"]
+    assert told["floor_kwh"] <= told["energy_kwh"] <= told["driving_only_kwh"] < told["cruise_kwh"]
+    assert 20 < least["headway_s"] == told["technical_headway_s"] < 240
+    stops = [stop["position_m"] for stop in found["graph"]["stops"]]
+    for path in found["graph"]["paths"].values():
+        assert len(path["time_s"]) == len(path["position_m"])
+        assert {x is None for x in path["time_s"]} == {True, False}
+        places = [x for x in path["position_m"] if x is not None]
+        assert stops[0] - 1 <= min(places) < max(places) <= stops[-1] + 1
+    rows = server.client.get(f"/api/jobs/{job}/files/timetable.csv").text.splitlines()
+    assert rows[0].startswith("direction,origin,destination,zone,departure_s")
+    assert len(rows) == 1 + 2 * (len(stops) - 1)
+    with zipfile.ZipFile(io.BytesIO(server.client.get(f"/api/jobs/{job}/files/run.zip").content)) as packed:
+        assert {Path(name).name for name in packed.namelist()} == set(found["files"])
+    early = server.post("/api/jobs/line", {**body, "headway_s": 20}, code=202)["id"]
+    failed = server.wait(early, until=("failed",))
+    assert failed["error"]["field"] == "headway_s"
+    assert "at least" in failed["error"]["allowed"]
+    refusal_of(server.get(f"/api/jobs/{early}/line", code=404), "id")
+
+
+def test_a_day_of_a_line_gives_a_gtfs_feed(server):
+    assert [day["line"] for day in server.get("/api/days")] == ["yizhuang"]
+    fed = {row["id"]: row["lines"] for row in server.get("/api/feedings")}
+    assert "yizhuang" in fed["yizhuang"]
+    assert "lu2023" not in fed["yizhuang"]
+    job = server.post("/api/jobs/line", {"day": "yizhuang", "time_window_s": 0}, code=202)["id"]
+    server.wait(job)
+    found = server.get(f"/api/jobs/{job}/line")
+    assert set(found["graph"]["paths"]) == {"forward", "backward"}
+    assert found["bottleneck"] is None
+    feed = server.client.get(f"/api/jobs/{job}/files/gtfs.zip").content
+    with zipfile.ZipFile(io.BytesIO(feed)) as packed:
+        trips = packed.read("trips.txt").decode().splitlines()
+    assert len(trips) == 1 + sum(found["energies"]["journeys"].values())
+
+
+@pytest.mark.parametrize(
+    ("body", "field"),
+    [
+        ({"line": "/etc/passwd"}, "line"),
+        ({"line": "nowhere"}, "line"),
+        ({"trainset": "none"}, "trainset"),
+        ({"load": "AW9"}, "load"),
+        ({"headway_s": 5}, "headway_s"),
+        ({"headway_s": 180.5}, "headway_s"),
+        ({"dwell_s": 5}, "dwell_window_s"),
+        ({"zones": 14}, "zones"),
+        ({"day": "none"}, "day"),
+        ({"day": "../days/yizhuang"}, "day"),
+        ({"line": "lu2023", "zones": 1, "day": "yizhuang"}, "line"),
+        ({"feeding": "none"}, "feeding"),
+        ({"line": "lu2023", "zones": 1, "feeding": "yizhuang"}, "substations"),
+    ],
+)
+def test_a_line_that_cannot_be_operated_is_refused_at_once(server, body, field):
+    refusal_of(server.post("/api/jobs/line", body, code=422), field)
+
+
 @pytest.mark.parametrize(
     ("body", "field"),
     [
@@ -143,6 +208,40 @@ def test_an_uploaded_policy_drives_by_its_id(server, tmp_path):
     refusal_of(server.post("/api/jobs/drive", {**SECTION, **told}, code=422), "options.policy")
 
 
+def test_a_line_has_versions_and_the_second_hand_is_told(server):
+    text = server.client.get("/api/lines/yizhuang/toml").text
+    assert "# Confidence of the sources" in text
+    key = server.client.post("/api/uploads", files={"file": ("mine.toml", text.encode())}).json()["id"]
+    faster = text.replace("[1090, 80]", "[1090, 60]")
+    assert faster != text
+    saved = server.client.put(f"/api/uploads/{key}", json={"toml": faster, "version": 1})
+    assert saved.json()["number"] == 2, saved.text
+    assert server.get(f"/api/lines/{key}")["limit_mps"]["value"][3] == pytest.approx(60 / 3.6)
+    section = {**SECTION, "origin": "SJZ", "destination": "XC"}
+    slow, usual = (server.post("/api/section", {**section, "line": line}) for line in (key, "yizhuang"))
+    assert slow["minimum_running_time_s"] > usual["minimum_running_time_s"]
+    late = server.client.put(f"/api/uploads/{key}", json={"toml": text, "version": 1})
+    assert late.status_code == 409
+    error = refusal_of(late.json(), "version")
+    assert (error["message"], error["value"], error["allowed"]) == ("version 2 was saved meanwhile", 1, "2")
+    bad = server.client.put(
+        f"/api/uploads/{key}", json={"toml": text.replace("[1090, 80]", "[1090, 800]"), "version": 2}
+    )
+    assert bad.status_code == 422
+    assert refusal_of(bad.json(), "speed_limits.values[3].speed")["value"] == 800
+    other = server.client.get("/api/trainsets/dkz32/toml").text
+    refusal_of(server.client.put(f"/api/uploads/{key}", json={"toml": other, "version": 2}).json(), "kind")
+    assert [row["number"] for row in server.get(f"/api/uploads/{key}/versions")] == [2, 1]
+    assert server.client.get(f"/api/lines/{key}/toml").text == faster
+    assert server.client.get(f"/api/lines/{key}/toml?version=1").text == text
+    refusal_of(server.get(f"/api/lines/{key}/toml?version=9", code=404), "version")
+    refusal_of(server.get(f"/api/trainsets/{key}/toml", code=404), "trainset")
+    kept = {path.name for path in (server.data / "uploads").iterdir()}
+    server.client.delete(f"/api/uploads/{key}")
+    assert len(kept - {path.name for path in (server.data / "uploads").iterdir()}) == 2
+    refusal_of(server.get(f"/api/uploads/{key}/versions", code=404), "id")
+
+
 @pytest.mark.parametrize("kind", ["drive", "live"])
 def test_the_archive_of_a_run_on_an_uploaded_line_is_driven_again_anywhere(server, tmp_path, kind):
     write_line(load_line("yizhuang"), tmp_path / "mine.toml")
@@ -185,7 +284,7 @@ def test_a_bad_upload_names_the_field(server, tmp_path):
     assert odd.status_code == 422
 
 
-@pytest.mark.parametrize("path", ["/", "/compare", "/journey", "/convoy", "/learn", "/lines"])
+@pytest.mark.parametrize("path", ["/", "/compare", "/journey", "/line", "/convoy", "/learn", "/lines"])
 def test_pages_are_there_and_load_nothing_from_elsewhere(server, path):
     answer = server.client.get(path)
     assert answer.status_code == 200

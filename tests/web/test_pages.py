@@ -13,6 +13,7 @@ from metropilot.convoy import ConvoyRequest, Link
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
 from metropilot.evaluate import SERIES_STYLES, RunSpec, driver_styles
+from metropilot.operation import OperationOptions
 from metropilot.railway import Restriction
 from metropilot.sim import Disturbance, TimetableUpdate
 from metropilot.units import KINDS
@@ -21,6 +22,7 @@ from metropilot.web.pages.convoy import ConvoyPage, member_outcome
 from metropilot.web.pages.drive import DrivePage
 from metropilot.web.pages.form import describe_range, validate
 from metropilot.web.pages.frame import frame
+from metropilot.web.pages.operation import OperationPage
 from metropilot.web.pages.plots import compare_figure, convoy_figure, finished_convoy_figure, front_figure
 from metropilot.web.pages.runs import RunList
 from metropilot.web.schemas.requests import ConvoyIn, DriveIn, JourneyIn, LearnIn, NewLink
@@ -77,12 +79,13 @@ def test_a_form_shows_what_is_declared(monkeypatch, tmp_path):
         scope = {"type": "http", "method": "GET", "path": "/", "headers": [], "query_string": b""}
         with Client(page("/form"), request=Request(scope)):
             DrivePage(service, None).build_news()
-            convoy = ConvoyPage(service, None)
-            convoy.build()
+            ConvoyPage(service, None).build()
+            OperationPage(service, None).build()
 
     asyncio.run(build())
     defaults = {"count": 3, "from_m": 700.0, "to_m": 900.0, "limit_mps": 40 / 3.6, "scheduled_time_s": 101.0}
-    for kind in (Disturbance, Restriction, TimetableUpdate, Link, ConvoyRequest, RunSpec):
+    shown.pop("Seed of the search")
+    for kind in (Disturbance, Restriction, TimetableUpdate, Link, ConvoyRequest, OperationOptions, RunSpec):
         for name, spec in field_specs(kind).items():
             if not spec.label or spec.range is None:
                 continue
@@ -95,7 +98,11 @@ def test_a_form_shows_what_is_declared(monkeypatch, tmp_path):
                 assert f"{displayed(spec.range.high):.10g}" in hint, name
             assert field.props["step"] == pytest.approx(displayed(spec.step)), name
             default = defaults.get(name, field_default(kind, name))
-            value = None if default is None or default == float("inf") else pytest.approx(displayed(default))
+            value = (
+                None
+                if default is None or default == float("inf")
+                else pytest.approx(displayed(float(default)))
+            )
             assert field.value == value, name
     assert shown == {}
 

@@ -76,9 +76,7 @@ def compute_day(operation: LineOperation, request: DayRequest) -> DayEnergy:
         return timetable_energy(operation, given, str(request.timetable), **more)
     assert request.day is not None
     day = load_day(request.day)
-    if day.line_id != line.id:
-        words = "a day of another line"
-        raise InputError(words, file=request.day, field="line", value=day.line_id, allowed=line.id)
+    day.check_line(line)
     return day_energy(operation, day, searched=request.optimise, **more)
 
 

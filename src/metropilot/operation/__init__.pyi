@@ -50,11 +50,14 @@ from .power import PowerProfile as PowerProfile
 from .power import add_periodic as add_periodic
 from .power import profile_of_plan as profile_of_plan
 from .power import profile_of_trajectory as profile_of_trajectory
+from .report import HEADWAYS_DRAWN as HEADWAYS_DRAWN
 from .report import OperationEnergy as OperationEnergy
+from .report import TrainPath as TrainPath
 from .report import line_figure as line_figure
 from .report import operation_energy as operation_energy
 from .report import plan_trips as plan_trips
 from .report import power_figure as power_figure
+from .report import train_paths as train_paths
 from .report import write_operation as write_operation
 from .search import best_offset as best_offset
 from .search import choose_plans as choose_plans

@@ -53,39 +53,103 @@ class OperationOptions:
         efficiency_braking: Line over wheel power in electric braking; None: the trainset's.
     """
 
-    headway_s: int = declare(180, "Time between two trains of a direction.", unit="s", low=10.0, high=7200.0)
-    dwell_s: int = declare(30, "Planned time at every platform on the way.", unit="s", low=0.0, high=600.0)
+    headway_s: int = declare(
+        180,
+        "Time between two trains of a direction.",
+        unit="s",
+        low=10.0,
+        high=7200.0,
+        label="Headway",
+        step=5.0,
+    )
+    dwell_s: int = declare(
+        30,
+        "Planned time at every platform on the way.",
+        unit="s",
+        low=0.0,
+        high=600.0,
+        label="Dwell",
+        step=5.0,
+    )
     dwell_window_s: int = declare(
-        10, "Most by which the timetable may change a dwell.", unit="s", low=0.0, high=300.0
+        10,
+        "Most by which the timetable may change a dwell.",
+        unit="s",
+        low=0.0,
+        high=300.0,
+        label="Dwell, most change",
+        step=1.0,
     )
     time_window_s: int = declare(
-        4, "Most by which the timetable may change a running time.", unit="s", low=0.0, high=60.0
+        4,
+        "Most by which the timetable may change a running time.",
+        unit="s",
+        low=0.0,
+        high=60.0,
+        label="Running time, most change",
+        step=1.0,
     )
-    turnround_s: int = declare(120, "Least time at a terminal station.", unit="s", low=0.0, high=3600.0)
+    turnround_s: int = declare(
+        120,
+        "Least time at a terminal station.",
+        unit="s",
+        low=0.0,
+        high=3600.0,
+        label="Least turn-round",
+        step=10.0,
+    )
     reserve: float = declare(
         0.1,
         "Running time over the minimum, less 1, on a line without planned times.",
         low=0.0,
         high=2.0,
+        label="Running time reserve, share",
+        step=0.01,
     )
-    zones: int = declare(4, "Feeding zones, which meet at stations.", low=1, high=1000)
+    zones: int = declare(
+        4, "Feeding zones, which meet at stations.", low=1, high=1000, label="Feeding zones", step=1.0
+    )
     age_s: float = declare(
-        AGE_S, "Age of what a train knows of the one ahead.", unit="s", low=0.0, high=60.0, option="age"
+        AGE_S,
+        "Age of what a train knows of the one ahead.",
+        unit="s",
+        low=0.0,
+        high=60.0,
+        option="age",
+        label="Age of messages",
+        step=0.1,
     )
     blocks: int | None = declare(
-        None, "Fixed blocks of each section; a moving block if not given.", low=1, high=1000
+        None,
+        "Fixed blocks of each section; a moving block if not given.",
+        low=1,
+        high=1000,
+        label="Fixed blocks of a section",
+        step=1.0,
     )
     transfer_loss: float = declare(
-        0.1, "Share of the returned power lost on the way to another train.", low=0.0, high=1.0
+        0.1,
+        "Share of the returned power lost on the way to another train.",
+        low=0.0,
+        high=1.0,
+        label="Transfer loss, share",
+        step=0.01,
     )
     efficiency_traction: float | None = declare(
-        None, "Wheel over line power in traction; that of the trainset if not given.", low=0.01, high=1.0
+        None,
+        "Wheel over line power in traction; that of the trainset if not given.",
+        low=0.01,
+        high=1.0,
+        label="Traction efficiency",
+        step=0.01,
     )
     efficiency_braking: float | None = declare(
         None,
         "Line over wheel power in electric braking; that of the trainset if not given.",
         low=0.01,
         high=1.0,
+        label="Braking efficiency",
+        step=0.01,
     )
 
     def __post_init__(self) -> None:

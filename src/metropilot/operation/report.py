@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from metropilot._io import fill_folder, write_json
 from metropilot._provenance import provenance
+from metropilot._typing import Float
 from metropilot.convoy import BlockingTimes
 from metropilot.operation.comparison import ComparedEnergy
 from metropilot.operation.feeding import FeedingEnergy, feed_line, voltage_figure
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 WIDTH_IN, HEIGHT_IN = 8.4, 5.2
 MW = 1e6
+HEADWAYS_DRAWN = 3
+"""Headways that a train graph shows."""
 RECEIVED = 1.0, 4.0
 """Power that plans count on being received, where it is not all, over that of the auxiliaries."""
 SETTLED = 1e-3
@@ -167,35 +170,58 @@ def plan_trips(operation: LineOperation, *, windows: bool = False) -> dict[str, 
     }
 
 
+class TrainPath(NamedTuple):
+    """A piece of a train graph over which the train draws, returns, or does neither.
+
+    Attributes:
+        use: 1 where it draws, -1 where it returns, 0 where it coasts or stands.
+        time_s: Times.
+        position_m: Positions on the line.
+    """
+
+    use: int
+    time_s: Float[np.ndarray, " points"]
+    position_m: Float[np.ndarray, " points"]
+
+
+def train_paths(found: OperationEnergy, last_s: float) -> Iterator[TrainPath]:
+    """Paths of all trains of a train graph from 0 to a time.
+
+    Args:
+        found: Energy and timetable.
+        last_s: End of the graph.
+    """
+    operation, table = found.operation, found.timetable
+    headway_s = operation.options.headway_s
+    arrival, dwell = table.arrival_s, operation.dwells_s(table)
+    for k, trip in enumerate(operation.trips):
+        profile = found.profiles[k][int(table.running_time_s[k])]
+        start_m, end_m = trip.section.origin.position_m, trip.section.destination.position_m
+        position = start_m + (1.0 if end_m > start_m else -1.0) * profile.position_m
+        net = profile.net_w(0.0).mean(axis=1)
+        use = np.sign(np.where(np.abs(net) > 1e3, net, 0.0))
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(use)) + 1, [use.size]])
+        first = int(-(arrival[k] + dwell[k]) // headway_s)
+        for turn in range(first, int((last_s - table.departure_s[k]) // headway_s) + 1):
+            time = profile.time_s + table.departure_s[k] + turn * headway_s
+            for a, b in pairwise(edges.tolist()):
+                yield TrainPath(int(use[a]), time[a : b + 1], position[a : b + 1])
+            yield TrainPath(0, np.array([time[-1], time[-1] + dwell[k]]), position[[-1, -1]])
+
+
 def line_figure(found: OperationEnergy) -> Figure:
     """Train graph of three headways, with what each train draws and returns."""
     from metropilot.evaluate import GREEN, GREY, VERMILION, add_headline, house_style, new_panels
 
-    operation, table = found.operation, found.timetable
-    headway_s = operation.options.headway_s
-    last_s = 3 * headway_s
+    last_s = HEADWAYS_DRAWN * found.operation.options.headway_s
     with house_style():
         figure, (axes,) = new_panels(WIDTH_IN, HEIGHT_IN, (1.0,))
-        named = {"draws": VERMILION, "coasts or stands": GREY, "returns": GREEN}
-        for name, colour in named.items():
-            axes.plot([], [], color=colour, label=name)
-        arrival, dwell = table.arrival_s, operation.dwells_s(table)
-        for k, trip in enumerate(operation.trips):
-            profile = found.profiles[k][int(table.running_time_s[k])]
-            start_m, end_m = trip.section.origin.position_m, trip.section.destination.position_m
-            sign = 1.0 if end_m > start_m else -1.0
-            km = (start_m + sign * profile.position_m) / 1000.0
-            net = profile.net_w(0.0).mean(axis=1)
-            kind = np.sign(np.where(np.abs(net) > 1e3, net, 0.0))
-            edges = np.concatenate([[0], np.flatnonzero(np.diff(kind)) + 1, [kind.size]])
-            first = int(-(arrival[k] + dwell[k]) // headway_s)
-            for turn in range(first, int((last_s - table.departure_s[k]) // headway_s) + 1):
-                time = profile.time_s + table.departure_s[k] + turn * headway_s
-                for a, b in pairwise(edges.tolist()):
-                    colour = (GREY, VERMILION, GREEN)[int(kind[a])]
-                    axes.plot(time[a : b + 1], km[a : b + 1], color=colour, linewidth=1.1)
-                axes.plot([time[-1], time[-1] + dwell[k]], [km[-1], km[-1]], color=GREY, linewidth=1.1)
-        stations = operation.line.stations
+        colours = {1: VERMILION, 0: GREY, -1: GREEN}
+        for use, name in ((1, "draws"), (0, "coasts or stands"), (-1, "returns")):
+            axes.plot([], [], color=colours[use], label=name)
+        for path in train_paths(found, last_s):
+            axes.plot(path.time_s, path.position_m / 1000.0, color=colours[path.use], linewidth=1.1)
+        stations = found.operation.line.stations
         axes.set_yticks([s.position_m / 1000.0 for s in stations], [s.code for s in stations])
         axes.set_xlim(0, last_s)
         axes.set_xlabel("time, s")

@@ -8,6 +8,7 @@ from .effort import EffortPiece as EffortPiece
 from .feeding import Feeding as Feeding
 from .feeding import Storage as Storage
 from .feeding import Substation as Substation
+from .formats.toml import toml_text as toml_text
 from .formats.toml import write_journey as write_journey
 from .formats.toml import write_line as write_line
 from .formats.toml_trainset import write_trainset as write_trainset
@@ -16,6 +17,7 @@ from .journey import Journey as Journey
 from .journey import TimingPoint as TimingPoint
 from .journey import planned_journey as planned_journey
 from .library import TrainsetKey as TrainsetKey
+from .library import document_text as document_text
 from .library import import_file as import_file
 from .library import list_days as list_days
 from .library import list_feedings as list_feedings
@@ -26,6 +28,7 @@ from .library import load_feeding as load_feeding
 from .library import load_journey as load_journey
 from .library import load_line as load_line
 from .library import load_trainset as load_trainset
+from .library import parse_document as parse_document
 from .library import parse_trainset as parse_trainset
 from .line import RESTRICTION_KMH as RESTRICTION_KMH
 from .line import Curve as Curve

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 from metropilot._schema import check_fields, declare
 from metropilot.errors import InputError
+from metropilot.railway.line import Line
 from metropilot.railway.record import CatalogueRecord
 from metropilot.units import format_clock
 
@@ -77,3 +78,17 @@ class ServiceDay(CatalogueRecord):
                     value=format_clock(after.from_s),
                     allowed=f"{format_clock(before.to_s)} or later",
                 )
+
+    def check_line(self, line: Line) -> None:
+        """Refuse another line than that of the day.
+
+        Args:
+            line: Line to operate.
+
+        Raises:
+            InputError: Another line.
+        """
+        if self.line_id != line.id:
+            raise InputError(
+                "a day of another line", file=self.id, field="line", value=self.line_id, allowed=line.id
+            )

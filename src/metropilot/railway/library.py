@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 from metropilot._io import read_text
 from metropilot.errors import InputError
@@ -19,10 +19,10 @@ from metropilot.railway.drawn import NAME as DRAWN_NAME
 from metropilot.railway.drawn import drawn_trainset
 from metropilot.railway.feeding import Feeding
 from metropilot.railway.formats.reader import ACTUATION_TIME, Node, nearest
-from metropilot.railway.formats.toml import read_journey, read_line
+from metropilot.railway.formats.toml import line_document, read_journey, read_line, toml_text
 from metropilot.railway.formats.toml_day import read_day
 from metropilot.railway.formats.toml_feeding import read_feeding
-from metropilot.railway.formats.toml_trainset import read_trainset
+from metropilot.railway.formats.toml_trainset import read_trainset, trainset_document
 from metropilot.railway.formats.ttobench import read_ttobench
 from metropilot.railway.journey import Journey, planned_journey
 from metropilot.railway.line import Line
@@ -61,10 +61,19 @@ def import_file(path: str | Path) -> Catalogued:
     text = read_text(path)
     if kind == ".json":
         return read_ttobench(Node(_parse(path, text, _json, "JSON"), path), path.stem)
-    return _read_toml(text, path)
+    return parse_document(text, path)
 
 
-def _read_toml(text: str, file: object) -> Catalogued:
+def parse_document(text: str, file: object) -> Catalogued:
+    """Read a line, a trainset, a journey, a feeding or a day from the text of a TOML document.
+
+    Args:
+        text: The document.
+        file: Its name in errors.
+
+    Raises:
+        InputError: It is malformed: one line that names the field, the value, its unit and what is allowed.
+    """
     root = Node(_parse(file, text, tomllib.loads, "TOML"), file)
     kind = root.text("kind", allowed=", ".join(_READERS))
     if kind not in _READERS:
@@ -124,8 +133,11 @@ def _ids(folder: str) -> tuple[str, ...]:
 
 @lru_cache
 def _from_catalogue(folder: str, key: str) -> Catalogued:
-    name = f"catalogue/{folder}/{key}.toml"
-    return _read_toml((files("metropilot.railway") / name).read_text(encoding="utf-8"), name)
+    return parse_document(_catalogue_text(folder, key), f"catalogue/{folder}/{key}.toml")
+
+
+def _catalogue_text(folder: str, key: str) -> str:
+    return (files("metropilot.railway") / "catalogue" / folder / f"{key}.toml").read_text(encoding="utf-8")
 
 
 def _load(key: str | Path, folder: str, what: str, kind: type[T]) -> T:
@@ -183,6 +195,25 @@ def load_day(id_or_path: str | Path) -> ServiceDay:
         InputError: No such id (the catalogue is listed), or the file is not usable.
     """
     return _load(id_or_path, "days", "day", ServiceDay)
+
+
+def document_text(kind: Literal["line", "trainset"], id_or_path: str | Path) -> str:
+    """TOML document of a line or trainset, as it stands in its file where that is one.
+
+    Args:
+        kind: Kind of the entry.
+        id_or_path: As :func:`load_line` and :func:`load_trainset` take it.
+
+    Raises:
+        InputError: No such id, or the file is not usable.
+    """
+    key = str(id_or_path)
+    if key.lower().endswith(".toml"):
+        return read_text(Path(key))
+    if key in _ids(f"{kind}s"):
+        return _catalogue_text(f"{kind}s", key)
+    found = load_line(key) if kind == "line" else load_trainset(key)
+    return toml_text(line_document(found) if isinstance(found, Line) else trainset_document(found))
 
 
 class TrainsetKey(NamedTuple):

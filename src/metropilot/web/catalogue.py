@@ -14,7 +14,18 @@ from zipfile import ZIP_DEFLATED, ZipFile
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
 from metropilot.evaluate import option_defaults
-from metropilot.railway import Line, Trainset, list_lines, list_trainsets, load_line, load_trainset
+from metropilot.railway import (
+    Line,
+    Trainset,
+    list_days,
+    list_feedings,
+    list_lines,
+    list_trainsets,
+    load_day,
+    load_feeding,
+    load_line,
+    load_trainset,
+)
 from metropilot.web.errors import Refused
 from metropilot.web.service import Service
 from metropilot.web.work.learning import PROGRESS
@@ -62,7 +73,16 @@ def line(service: Service, key: str) -> Line:
 
 def line_out(service: Service, key: str) -> dict[str, Any]:
     """A line with stations, sections, limits and gradients."""
-    found = line(service, key)
+    return line_values(line(service, key), key)
+
+
+def line_values(found: Line, key: str) -> dict[str, Any]:
+    """Plain values of a line.
+
+    Args:
+        found: Line.
+        key: Id by which it is asked for.
+    """
     forward, backward = found.sections(), found.sections(backward=True)[::-1]
     first, last = found.stations[0].position_m, found.stations[-1].position_m
     sections = [
@@ -117,6 +137,36 @@ def _trainset_out(found: Trainset, key: str, *, uploaded: bool) -> dict[str, Any
         "max_deceleration_mps2": found.max_deceleration_mps2,
         "uploaded": uploaded,
     }
+
+
+def day_rows() -> list[dict[str, Any]]:
+    """Every working day."""
+    days = [load_day(key) for key in list_days()]
+    return [
+        {
+            "id": day.id,
+            "name": day.name,
+            "line": day.line_id,
+            "first_s": day.periods[0].from_s,
+            "last_s": day.periods[-1].to_s,
+        }
+        for day in days
+    ]
+
+
+def feeding_rows(service: Service) -> list[dict[str, Any]]:
+    """Every DC network, with the lines that reach all of its substations."""
+    keys = [row["id"] for row in line_rows(service)]
+    lines = {key: line(service, key) for key in keys}
+    rows = []
+    for feeding in map(load_feeding, list_feedings()):
+        fed = []
+        for key, each in lines.items():
+            with suppress(InputError):
+                feeding.check_line(each)
+                fed.append(key)
+        rows.append({"id": feeding.id, "name": feeding.name, "lines": fed})
+    return rows
 
 
 def driver_rows() -> list[dict[str, Any]]:

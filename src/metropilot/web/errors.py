@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -41,6 +41,11 @@ def detail_of(error: Exception) -> dict[str, Any]:
     """Convert an error to plain values."""
     message = error.message if isinstance(error, InputError) else str(error)
     return {"message": message, **{name: plain(getattr(error, name, None)) for name in FIELDS}}
+
+
+def error_of(told: Mapping[str, Any]) -> InputError:
+    """Convert plain values of :func:`detail_of` back to an error."""
+    return InputError(told["message"], **{name: told.get(name) for name in FIELDS})
 
 
 def plain(value: Any) -> Any:  # noqa: ANN401 (whatever was sent)

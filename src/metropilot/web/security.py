@@ -84,7 +84,7 @@ class Guard:
         return None
 
     def _largest_body_bytes(self, scope: Scope) -> int:
-        uploads = scope["path"] == "/api/uploads" or scope["path"].startswith("/_nicegui/client/")
+        uploads = scope["path"].startswith("/api/uploads") or scope["path"].startswith("/_nicegui/client/")
         return self.settings.upload_bytes + OVERHEAD if uploads else self.settings.request_bytes
 
     def _presents(self, scope: Scope, headers: Headers) -> bool:

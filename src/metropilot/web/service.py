@@ -7,12 +7,14 @@ import secrets
 from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from metropilot._schema import field_specs
 from metropilot.errors import InputError
 from metropilot.evaluate import POLICY, RunSpec
+from metropilot.operation import OperationOptions
 from metropilot.policy import POLICY_FILE
+from metropilot.railway import document_text, list_lines, list_trainsets
 from metropilot.web.errors import Refused, detail_of
 from metropilot.web.live.session import Session, Spare, start_spare
 from metropilot.web.pools import Pools, explain
@@ -22,6 +24,7 @@ from metropilot.web.schemas.requests import (
     DriveIn,
     LearnIn,
     LiveIn,
+    OperationIn,
     PlanIn,
     SectionIn,
     StudyIn,
@@ -29,7 +32,7 @@ from metropilot.web.schemas.requests import (
 from metropilot.web.schemas.requests import request_of as resolve
 from metropilot.web.settings import Settings
 from metropilot.web.store import OVER, JobRow, JobStore, UploadRow
-from metropilot.web.work import drives, learning, plans
+from metropilot.web.work import drives, learning, operations, plans
 
 if TYPE_CHECKING:
     from metropilot.convoy import ConvoyRequest
@@ -121,12 +124,53 @@ class Service:
         values = body.model_dump(exclude={"drivers", "seeds", "pace"})
         return resolve(DriveIn.model_validate(values), self.path)
 
+    def operation_request(self, body: OperationIn) -> operations.OperationRequest:
+        """Resolve the request of a line in operation.
+
+        Raises:
+            InputError: Options do not go together.
+        """
+        values = body.model_dump()
+        options = OperationOptions(**{name: values.pop(name) for name in field_specs(OperationOptions)})
+        names = {kind: self.path(kind, values.pop(kind)) for kind in ("line", "trainset")}
+        return operations.OperationRequest(**names, **values, options=options)
+
     async def upload(self, name: str, content: bytes) -> tuple[UploadRow, dict[str, Any]]:
         """Take a line, trainset or policy file.
 
         Raises:
             InputError: It is too large, of no known kind, or malformed: the message names the field.
         """
+        file, found = await self._take(name, content)
+        return self.store.add_upload(found["kind"], found["name"][:120], file), found
+
+    async def save(self, upload: str, text: str, based_on: int) -> int:
+        """Save a TOML document as the next version of a line or trainset; return its number.
+
+        Args:
+            upload: Id of the upload.
+            text: The document.
+            based_on: Version that was edited.
+
+        Raises:
+            InputError: It is too large or malformed.
+            Refused: No such upload (404), or somebody saved another version meanwhile (409).
+        """
+        kind = self.upload_row(upload).kind
+        if kind == POLICY:
+            raise Refused("a policy has no versions", 409, field="id", value=upload)
+        file, found = await self._take("document.toml", text.encode())
+        path = self.root / "uploads" / file
+        try:
+            if found["kind"] != kind:
+                raise InputError(f"another kind than that of {upload}", field="kind", allowed=kind)
+            return self.store.add_version(upload, based_on, found["name"][:120], file)
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
+
+    async def _take(self, name: str, content: bytes) -> tuple[str, dict[str, Any]]:
+        """Check a file and keep it; return its new name and what it holds."""
         shown = Path(name.replace("\\", "/")).name[:80] or "file"
         suffix = Path(shown).suffix.lower()
         if suffix not in SUFFIXES:
@@ -141,24 +185,54 @@ class Service:
         path = folder / f"{secrets.token_hex(8)}{suffix}"
         path.write_bytes(content)
         try:
-            found = await self.pools.answer(plans.read_upload, str(path), shown)
+            return path.name, await self.pools.answer(plans.read_upload, str(path), shown)
         except BaseException:
             path.unlink(missing_ok=True)
             raise
-        return self.store.add_upload(found["kind"], found["name"][:120], path.name), found
 
-    def forget(self, upload: str) -> None:
-        """Remove an upload.
+    def upload_row(self, upload: str) -> UploadRow:
+        """An upload.
 
         Raises:
             Refused: No such upload (404).
         """
         for row in self.store.uploads():
             if row.id == upload:
-                self.store.forget_upload(upload)
-                (self.root / "uploads" / row.file).unlink(missing_ok=True)
-                return
+                return row
         raise Refused("no such upload", 404, field="id", value=upload)
+
+    def text(self, kind: Literal["line", "trainset"], key: str, version: int | None = None) -> str:
+        """TOML document of a line or trainset.
+
+        Args:
+            kind: Kind of the entry.
+            key: Id of the catalogue, or of an upload.
+            version: Version of the upload; None: the newest.
+
+        Raises:
+            Refused: No such entry or version (404).
+        """
+        known = list_lines() if kind == "line" else list_trainsets()
+        if key not in self.paths(kind) and key not in known:
+            raise Refused(f"no such {kind}", 404, field=kind, value=key)
+        if version is None:
+            return document_text(kind, self.path(kind, key))
+        for row in self.store.versions(key) if key in self.paths(kind) else ():
+            if row.number == version:
+                return document_text(kind, str(self.root / "uploads" / row.file))
+        raise Refused("no such version", 404, field="version", value=version)
+
+    def forget(self, upload: str) -> None:
+        """Remove an upload with its versions.
+
+        Raises:
+            Refused: No such upload (404).
+        """
+        self.upload_row(upload)
+        files = [version.file for version in self.store.versions(upload)]
+        self.store.forget_upload(upload)
+        for file in files:
+            (self.root / "uploads" / file).unlink(missing_ok=True)
 
     # ------------------------------------------------------------------------------------------ answers
     async def section(self, body: SectionIn) -> dict[str, Any]:
@@ -179,7 +253,7 @@ class Service:
         return await self.pools.answer(plans.journey_of, {**body, **names})
 
     # ------------------------------------------------------------------------------------------ jobs
-    def submit(self, body: DriveIn | CompareIn | LearnIn | StudyIn) -> str:
+    def submit(self, body: DriveIn | CompareIn | OperationIn | LearnIn | StudyIn) -> str:
         """Queue a job; return its id.
 
         Raises:
@@ -196,6 +270,9 @@ class Service:
 
             STUDIES.get(body.study)
             kind = "study"
+        elif isinstance(body, OperationIn):
+            self.operation_request(body).read()
+            kind = "line"
         else:
             request = self.run_spec(body)
             request.run()
@@ -242,6 +319,9 @@ class Service:
             future = self.pools.submit(kind, learning.learn_job, root, job, body, run)
         elif kind == "study":
             future = self.pools.submit(kind, learning.study_job, root, job, body)
+        elif kind == "line":
+            operation = self.operation_request(OperationIn.model_validate(body))
+            future = self.pools.submit(kind, operations.line_job, root, job, operation)
         elif kind == "compare":
             compared = CompareIn.model_validate(body)
             what = (self.run_spec(compared), self._drivers_of(compared), compared.seeds)

@@ -28,6 +28,12 @@ CREATE TABLE IF NOT EXISTS journal (
 CREATE TABLE IF NOT EXISTS uploads (
     id TEXT PRIMARY KEY, kind TEXT NOT NULL, name TEXT NOT NULL, file TEXT NOT NULL, created TEXT NOT NULL
 );
+CREATE TABLE IF NOT EXISTS versions (
+    upload TEXT NOT NULL, number INTEGER NOT NULL, name TEXT NOT NULL, file TEXT NOT NULL,
+    created TEXT NOT NULL, PRIMARY KEY (upload, number)
+);
+INSERT INTO versions SELECT id, 1, name, file, created FROM uploads
+    WHERE id NOT IN (SELECT upload FROM versions);
 """
 OVER = ("done", "failed", "stopped")
 
@@ -55,6 +61,16 @@ class UploadRow:
     kind: str
     name: str
     file: str
+
+
+@dataclass(frozen=True)
+class VersionRow:
+    """A version of an upload; the newest is the one that its id stands for."""
+
+    number: int
+    name: str
+    file: str
+    created: str
 
 
 class JobStore:
@@ -154,14 +170,44 @@ class JobStore:
         return [(int(step), json.loads(event)) for step, event in rows]
 
     def add_upload(self, kind: str, name: str, file: str) -> UploadRow:
-        """Add an upload under a new id."""
-        row = UploadRow(f"upload-{secrets.token_hex(4)}", kind, name, file)
-        now = datetime.now(UTC).isoformat(timespec="seconds")
+        """Add an upload under a new id, with its first version."""
+        row, now = UploadRow(f"upload-{secrets.token_hex(4)}", kind, name, file), _now()
         with self._open() as database:
-            database.execute(
-                "INSERT INTO uploads VALUES (?, ?, ?, ?, ?)", (row.id, row.kind, row.name, row.file, now)
-            )
+            database.execute("INSERT INTO uploads VALUES (?, ?, ?, ?, ?)", (row.id, kind, name, file, now))
+            database.execute("INSERT INTO versions VALUES (?, 1, ?, ?, ?)", (row.id, name, file, now))
         return row
+
+    def add_version(self, upload: str, based_on: int, name: str, file: str) -> int:
+        """Add a version of an upload and make it the one that its id stands for; return its number.
+
+        Args:
+            upload: Id of the upload.
+            based_on: Version that was edited; it must be the newest one.
+            name: Name that the file gives.
+            file: File of the version.
+
+        Raises:
+            Refused: No such upload (404), or somebody saved another version meanwhile (409).
+        """
+        with self._open() as database:
+            database.execute("BEGIN IMMEDIATE")
+            sql = "SELECT max(number) FROM versions WHERE upload = ?"
+            newest = database.execute(sql, (upload,)).fetchone()[0]
+            if newest is None:
+                raise Refused("no such upload", 404, field="id", value=upload)
+            if newest != based_on:
+                words = f"version {newest} was saved meanwhile"
+                raise Refused(words, 409, field="version", value=based_on, allowed=f"{newest}")
+            row = (upload, newest + 1, name, file, _now())
+            database.execute("INSERT INTO versions VALUES (?, ?, ?, ?, ?)", row)
+            database.execute("UPDATE uploads SET name = ?, file = ? WHERE id = ?", (name, file, upload))
+        return newest + 1
+
+    def versions(self, upload: str) -> list[VersionRow]:
+        """Versions of an upload, the newest first; empty if there is no such upload."""
+        sql = "SELECT number, name, file, created FROM versions WHERE upload = ? ORDER BY number DESC"
+        with self._open() as database:
+            return [VersionRow(*row) for row in database.execute(sql, (upload,)).fetchall()]
 
     def uploads(self, kind: str | None = None) -> list[UploadRow]:
         """Uploads, the newest first."""
@@ -172,15 +218,20 @@ class JobStore:
         return [row for row in (UploadRow(*r) for r in rows) if kind is None or row.kind == kind]
 
     def forget_upload(self, upload: str) -> None:
-        """Remove an upload's row."""
+        """Remove the rows of an upload."""
         with self._open() as database:
             database.execute("DELETE FROM uploads WHERE id = ?", (upload,))
+            database.execute("DELETE FROM versions WHERE upload = ?", (upload,))
 
     def _jobs(self, rest: str, values: tuple[Any, ...]) -> list[JobRow]:
         columns = "id, kind, status, request, created, progress, words, run, error"
         with self._open() as database:
             rows = database.execute(f"SELECT {columns} FROM jobs {rest}", values).fetchall()
         return [_job(row) for row in rows]
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def _job(row: tuple[Any, ...]) -> JobRow:

@@ -1,4 +1,4 @@
-"""Routes of jobs: drives, comparisons, learning runs and studies, computed in worker processes."""
+"""Routes of jobs: drives, comparisons, lines, learning runs and studies, computed in worker processes."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from fastapi.responses import FileResponse, Response
 from metropilot.web import catalogue
 from metropilot.web.api.catalogue import Key
 from metropilot.web.errors import Refused
-from metropilot.web.schemas.requests import CompareIn, DriveIn, LearnIn, StudyIn
+from metropilot.web.schemas.requests import CompareIn, DriveIn, LearnIn, OperationIn, StudyIn
 from metropilot.web.schemas.responses import (
     CompareOut,
     DriveOut,
     HistoryOut,
     JobKind,
     JobOut,
+    OperationOut,
     RecipeOut,
     RunOut,
     StudyOut,
@@ -27,7 +28,7 @@ from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 
 ARCHIVE = "run.zip"
-FileName = Annotated[str, Path(pattern=r"^[a-z]{1,16}(-[0-9])?\.(csv|json|svg|png|toml|zip)$")]
+FileName = Annotated[str, Path(pattern=r"^[a-z]{1,16}(-[0-9])?\.(csv|json|parquet|svg|png|toml|zip)$")]
 
 
 def routes(service: Service) -> APIRouter:
@@ -42,6 +43,11 @@ def routes(service: Service) -> APIRouter:
     @router.post("/jobs/compare", response_model=JobOut, status_code=202)
     def compare(body: CompareIn) -> JobRow:
         """Drive the same run with several drivers and seeds."""
+        return service.store.job(service.submit(body))
+
+    @router.post("/jobs/line", response_model=JobOut, status_code=202)
+    def line(body: OperationIn) -> JobRow:
+        """Compute the energy of all trains of a line, beside its floor."""
         return service.store.job(service.submit(body))
 
     @router.post("/jobs/learn", response_model=JobOut, status_code=202)
@@ -74,13 +80,19 @@ def routes(service: Service) -> APIRouter:
         """Result of a comparison."""
         return _result(service, job_id, ("compare",))
 
+    @router.get("/jobs/{job_id}/line", response_model=OperationOut)
+    def line_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
+        """Energies and train graph of a line; there as soon as the files are being written."""
+        return _result(service, job_id, ("line",))
+
     @router.get("/jobs/{job_id}/files/{name}", response_class=FileResponse)
     def file(job_id: Key, name: FileName) -> Response:
         """A file of a job: `trajectory.csv`, `kpis.json`, `profile.svg`, `profile.png`, `run.toml`, ...
 
         `run.zip` holds all of them and the files that `run.toml` names (an uploaded line, trainset or
         policy), so that `metropilot drive --from run.toml` drives it again anywhere. Of a convoy there are
-        `trajectory-1.csv` and so on, and all of these in `trajectories.zip`.
+        `trajectory-1.csv` and so on, and all of these in `trajectories.zip`; of a line in operation
+        `line.json` or `day.json`, `timetable.csv` and, of a day, `gtfs.zip`.
         """
         if name == ARCHIVE:
             told = {"Content-Disposition": f'attachment; filename="{job_id}.zip"'}

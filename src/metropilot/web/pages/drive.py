@@ -11,7 +11,7 @@ from nicegui import events, ui
 from metropilot.errors import InputError, MetropilotError
 from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
-from metropilot.web.errors import Refused
+from metropilot.web.errors import Refused, error_of
 from metropilot.web.live.session import Session
 from metropilot.web.pages.form import (
     DisturbanceForm,
@@ -188,8 +188,7 @@ class DrivePage:
                 self.plot.update_figure(drive_figure(found))
                 self.show_kpis(self.row.id, found)
             if self.row.error is not None:
-                told = self.row.error
-                self.departure.show(InputError(told["message"], field=told["field"], allowed=told["allowed"]))
+                self.departure.show(error_of(self.row.error))
         if self.lost is not None:
             self.departure.show(self.lost)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from typing import Any, TypeVar
 
 from nicegui import ui
@@ -295,38 +295,71 @@ def describe_hidden(kept: dict[str, Any], options: dict[str, Any]) -> str:
     return f"Of the linked run: {'; '.join(said)}." if said else ""
 
 
-class DisturbanceForm:
+class FoldedNumbers:
+    """Number fields of a request in a closed expansion; an empty field has its default.
+
+    Args:
+        kind: Type of the request.
+        title: Heading of the expansion.
+        fields: Names of its fields.
+    """
+
+    def __init__(self, kind: type[BaseModel], title: str, fields: Sequence[str]) -> None:
+        self.kind, self.title, self.fields = kind, title, tuple(fields)
+
+    def build(self, problem: Problem, changed: Callable[[], Any] | None = None) -> None:
+        """Place the fields."""
+        self.inputs: dict[str, ui.number] = {}
+        self.fold = ui.expansion(self.title).props("dense").classes("mp-soft")
+        with self.fold, ui.element("div").classes("mp-stack") as self.stack:
+            for name in self.fields:
+                field = number_field(self.kind, name, on_change=changed)
+                self.inputs[name] = problem.beside(name, field, self.fold)
+
+    def defaults(self) -> dict[str, Any]:
+        """Defaults of the fields."""
+        return {name: self.kind.model_fields[name].get_default() for name in self.fields}
+
+    def values(self) -> dict[str, Any]:
+        """Values of the fields for a request."""
+        plain = FoldedNumbers.defaults(self)
+        return {n: plain[n] if e.value is None else e.value for n, e in self.inputs.items()}
+
+    def restore(self, body: dict[str, Any]) -> None:
+        """Fill the fields with a request; open the expansion if one is not the default."""
+        plain = self.defaults()
+        for name, element in self.inputs.items():
+            element.value = body.get(name, plain[name])
+        if self.values() != plain:
+            self.fold.open()
+
+
+class DisturbanceForm(FoldedNumbers):
     """Fields of the disturbance."""
 
     FIELDS = tuple(name for name, spec in run_fields().items() if spec.label and spec.range is not None)
 
-    def build(self, problem: Problem) -> None:
-        """Place the fields in a closed expansion."""
-        self.inputs: dict[str, ui.number] = {}
-        self.fold = ui.expansion("Disturbances").props("dense").classes("mp-soft")
-        with self.fold, ui.element("div").classes("mp-stack"):
-            for name in self.FIELDS:
-                self.inputs[name] = problem.beside(name, number_field(DriveIn, name), self.fold)
+    def __init__(self) -> None:
+        super().__init__(DriveIn, "Disturbances", self.FIELDS)
+
+    def build(self, problem: Problem, changed: Callable[[], Any] | None = None) -> None:
+        """Place the fields, and that of an ideal trainset."""
+        super().build(problem, changed)
+        with self.stack:
             self.ideal = ui.checkbox(run_fields()["ideal"].help.rstrip("."))
 
     def defaults(self) -> dict[str, Any]:
         """Values of the fields of a run without disturbance."""
-        return {name: DriveIn.model_fields[name].get_default() for name in (*self.FIELDS, "ideal")}
+        return super().defaults() | {"ideal": DriveIn.model_fields["ideal"].get_default()}
 
     def values(self) -> dict[str, Any]:
-        """Values of the fields for a request; an empty field has its default."""
-        plain = self.defaults()
-        given = {n: plain[n] if e.value is None else e.value for n, e in self.inputs.items()}
-        return {**given, "ideal": self.ideal.value}
+        """Values of the fields for a request."""
+        return super().values() | {"ideal": self.ideal.value}
 
     def restore(self, body: dict[str, Any]) -> None:
         """Fill the fields with the request of a run; open the expansion if there is a disturbance."""
-        planned = self.defaults()
-        for name, element in self.inputs.items():
-            element.value = body.get(name, planned[name])
-        self.ideal.value = body.get("ideal", planned["ideal"])
-        if self.values() != planned:
-            self.fold.open()
+        self.ideal.value = body.get("ideal", self.defaults()["ideal"])
+        super().restore(body)
 
 
 def driver_names(service: Service | None = None) -> dict[str, str]:

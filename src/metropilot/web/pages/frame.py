@@ -18,6 +18,7 @@ PAGES = (
     ("/", "Drive"),
     ("/compare", "Compare"),
     ("/journey", "Journey"),
+    ("/line", "Line"),
     ("/convoy", "Convoy"),
     ("/learn", "Learn"),
     ("/lines", "Lines"),
@@ -76,17 +77,17 @@ def _theme_button(theme: str) -> None:
 
 
 @contextmanager
-def card(title: str = "", note: str = "", *, late: bool = False) -> Iterator[None]:
+def card(title: str = "", note: str = "", *, late: bool = False) -> Iterator[ui.element]:
     """Place a card with a heading; a late one comes last on a narrow screen."""
     with (
-        ui.element("section").classes("mp-card" + (" mp-late" if late else "")),
+        ui.element("section").classes("mp-card" + (" mp-late" if late else "")) as made,
         ui.element("div").classes("mp-stack"),
     ):
         if title:
             heading(title)
         if note:
             ui.label(note).classes("mp-soft")
-        yield
+        yield made
 
 
 def heading(text: str) -> ui.label:
@@ -99,7 +100,7 @@ def reads(items: Sequence[tuple[str, str, str]]) -> None:
     with (
         ui.element("div")
         .classes("mp-reads")
-        .style(f"--mp-columns: {next(n for n in (5, 4, 3, 1) if len(items) % n == 0)}")
+        .style(f"--mp-columns: {next(n for n in (6, 5, 4, 3, 1) if len(items) % n == 0)}")
     ):
         for name, value, part in items:
             with ui.element("div").classes("mp-read"):
@@ -180,7 +181,9 @@ class Problem:
         told = detail_of(error)
         allowed = f" (allowed: {told['allowed']})" if told["allowed"] else ""
         words = f"{told['message']}{allowed}"
-        name = (told["field"] or "").split("[")[0].split(".")[0]
+        name = (told["field"] or "").split("[")[0]
+        while name not in self.fields and "." in name:
+            name = name.rpartition(".")[0]
         element = self.fields.get(name)
         if element is None:
             where = ": ".join(str(told[k]) for k in ("file", "field") if told[k])

@@ -8,11 +8,10 @@ from fastapi import Request
 from nicegui import events, ui
 
 from metropilot.errors import MetropilotError
-from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.errors import detail_of
 from metropilot.web.pages.frame import card, empty, frame, heading, number, table
-from metropilot.web.pages.plots import BLACK, BLUE, axis, figure, line, stairs
+from metropilot.web.pages.plots import line_figure
 from metropilot.web.pages.strip import line_strip
 from metropilot.web.service import Service
 
@@ -77,29 +76,7 @@ class LinesPage:
                 found["name"], f"{found['stations']} stations, {found['length_m'] / 1000:.3f} km · id {key}"
             ):
                 ui.html(line_strip(found)).classes("mp-strip")
-                end = found["stops"][-1]["position_m"]
-                limits = stairs(found["limit_mps"], end, KMH_PER_MPS)
-                slopes = stairs(found["gradient_permil"], end)
-                km = [[x / 1000 for x in limits[0]], [x / 1000 for x in slopes[0]]]
-                traces = [
-                    line("speed limit (km/h)", km[0], limits[1], BLACK, width=1.6, shape="hv"),
-                    line(
-                        "gradient (‰)",
-                        km[1],
-                        slopes[1],
-                        BLUE,
-                        width=1.4,
-                        shape="hv",
-                        fill="tozeroy",
-                        yaxis="y2",
-                    ),
-                ]
-                layout = {
-                    "xaxis": axis("position (km)", anchor="y2"),
-                    "yaxis": axis("limit (km/h)", domain=[0.55, 1.0], rangemode="tozero"),
-                    "yaxis2": axis("gradient (‰)", domain=[0.0, 0.45]),
-                }
-                ui.plotly(figure(traces, 380, showlegend=False, **layout)).classes("mp-plot")
+                ui.plotly(line_figure(found)).classes("mp-plot")
             with card("Sections"):
                 rows = [
                     (

@@ -279,6 +279,97 @@ def journey_figure(journey: dict[str, Any]) -> Figure:
     )
 
 
+PATHS = {
+    "draws": ("draws", VERMILION),
+    "stands": ("coasts or stands", GREY),
+    "returns": ("returns", GREEN),
+    "forward": ("forward", BLUE),
+    "backward": ("backward", VERMILION),
+}
+"""Name and colour of each kind of path of a train graph of many trains."""
+HEADWAY_SERIES = {
+    "cruise_kwh": ("cruise and brake, plain timetable", GREY, "dash"),
+    "timetable_only_kwh": ("cruise and brake, timetable found", GREY, "solid"),
+    "driving_only_kwh": ("optimal driving, plain timetable", BLUE, "dash"),
+    "energy_kwh": ("optimal driving, timetable found", BLUE, "solid"),
+    "floor_kwh": ("floor", VERMILION, "dot"),
+}
+"""Energies over the headway: label, colour and style."""
+
+
+def line_figure(values: dict[str, Any]) -> Figure:
+    """Limits and gradients of a line.
+
+    Args:
+        values: Values of :class:`metropilot.web.schemas.responses.LineOut`.
+    """
+    end = values["stops"][-1]["position_m"]
+    limits = stairs(values["limit_mps"], end, KMH_PER_MPS)
+    slopes = stairs(values["gradient_permil"], end)
+    km = [[x / 1000 for x in limits[0]], [x / 1000 for x in slopes[0]]]
+    low: Trace = {"width": 1.4, "shape": "hv", "fill": "tozeroy", "yaxis": "y2"}
+    return figure(
+        [
+            line("speed limit (km/h)", km[0], limits[1], BLACK, width=1.6, shape="hv"),
+            line("gradient (‰)", km[1], slopes[1], BLUE, **low),
+        ],
+        380,
+        showlegend=False,
+        xaxis=axis("position (km)", anchor="y2"),
+        yaxis=axis("limit (km/h)", domain=[0.55, 1.0], rangemode="tozero"),
+        yaxis2=axis("gradient (‰)", domain=[0.0, 0.45]),
+    )
+
+
+def operation_figure(graph: dict[str, Any], *, day: bool) -> Figure:
+    """Train graph of all trains of a line.
+
+    Args:
+        graph: Values of :class:`metropilot.web.schemas.responses.TrainGraphOut`.
+        day: True for a day, in hours; else a few headways, in seconds.
+    """
+    scale, unit = (3600.0, "time of day (h)") if day else (1.0, "time (s)")
+    traces = []
+    for kind, (name, colour) in PATHS.items():
+        path = graph["paths"].get(kind)
+        if path is not None:
+            time = [None if t is None else round(t / scale, 4) for t in path["time_s"]]
+            at = [None if x is None else x / 1000 for x in path["position_m"]]
+            traces.append(line(name, time, at, colour, width=1.0 if day else 1.5, hoverinfo="skip"))
+    ticks = [stop["position_m"] / 1000 for stop in graph["stops"]]
+    return figure(
+        traces,
+        460,
+        xaxis=axis(unit, range=[t / scale for t in graph["span_s"]]),
+        yaxis=axis("", tickvals=ticks, ticktext=[stop["code"] for stop in graph["stops"]], showgrid=True),
+        hovermode=False,
+        uirevision=str(graph["span_s"]),
+    )
+
+
+def headways_figure(found: dict[int, dict[str, Any]], headway_s: float) -> Figure:
+    """Energies and floor over the headways that are computed, with a cursor.
+
+    Args:
+        found: Values of `line.json` by headway.
+        headway_s: Headway of the cursor.
+    """
+    at = sorted(found)
+    traces = [
+        line(label, at, [found[h][name] for h in at], colour, dash=dash, mode="lines+markers")
+        for name, (label, colour, dash) in HEADWAY_SERIES.items()
+    ]
+    now = {"type": "line", "x0": headway_s, "x1": headway_s, "yref": "paper", "y0": 0, "y1": 1}
+    return figure(
+        traces,
+        360,
+        xaxis=axis("headway (s)"),
+        yaxis=axis("energy of a round trip (kWh)"),
+        shapes=[{**now, "line": {"color": SKY, "width": 1}}],
+        margin={"l": 58, "r": 14, "t": 64, "b": 44},
+    )
+
+
 def sections_figure(journey: dict[str, Any]) -> Figure:
     """Figure of energy and reserve of every section."""
     calls = journey["calls"]

@@ -12,6 +12,7 @@ from pydantic_core import CoreSchema, core_schema
 from metropilot._schema import FieldSpec, Range, field_default, field_specs, field_type
 from metropilot.convoy import ConvoyRequest, Link
 from metropilot.evaluate import POLICY, RunSpec, parse_driver, run_fields
+from metropilot.operation import OperationOptions
 from metropilot.railway import Restriction
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance, TimetableUpdate
 
@@ -182,6 +183,28 @@ class JourneyIn(RequestBody):
     load: Annotated[str, Field(max_length=32)] | None = None
     total_s: Seconds | None = None
     objective: Literal["wheel", "line"] = "wheel"
+
+
+class OperationIn(create_model("OperationFields", __base__=RequestBody, **declared_fields(OperationOptions))):
+    """A line in operation at a headway, or through a working day.
+
+    ``optimise`` searches dwells and running times too, not only the offset of the directions.
+    """
+
+    line: Id = "yizhuang"
+    trainset: Id = "dkz32"
+    load: Annotated[str, Field(max_length=32)] | None = None
+    day: Id | None = None
+    feeding: Id | None = None
+    optimise: bool = False
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+
+
+class VersionIn(RequestBody):
+    """The next version of a line or trainset: its TOML document, and the version that was edited."""
+
+    toml: Annotated[str, Field(max_length=1_000_000)]
+    version: Annotated[int, Field(ge=1, lt=2**31)]
 
 
 class LearnIn(RequestBody):

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
-JobKind = Literal["drive", "compare", "learn", "study", "live"]
+JobKind = Literal["drive", "compare", "line", "learn", "study", "live"]
 JobStatus = Literal["queued", "running", "done", "failed", "stopped", "interrupted"]
 
 
@@ -97,6 +97,14 @@ class UploadOut(BaseModel):
     id: str
     name: str
     notes: list[str]
+
+
+class VersionOut(BaseModel):
+    """A version of an uploaded or edited file."""
+
+    number: int
+    name: str
+    created: str
 
 
 class SectionOut(BaseModel):
@@ -218,6 +226,57 @@ class CompareOut(BaseModel):
     """Several drivers on one run."""
 
     entries: list[EntryOut]
+
+
+class DayRow(BaseModel):
+    """A working day of a line."""
+
+    id: str
+    name: str
+    line: str
+    first_s: float
+    last_s: float
+
+
+class FeedingRow(BaseModel):
+    """A DC network."""
+
+    id: str
+    name: str
+    lines: list[str]
+
+
+class BottleneckOut(BaseModel):
+    """The place that needs the longest headway."""
+
+    kind: str
+    name: str
+    headway_s: float
+    direction: str
+
+
+class PathOut(BaseModel):
+    """Pieces of a train graph, one after the other; null parts them."""
+
+    time_s: list[float | None]
+    position_m: list[float | None]
+
+
+class TrainGraphOut(BaseModel):
+    """Train graph: stations, and paths by what the trains do (a headway) or by direction (a day)."""
+
+    stops: list[StationOut]
+    paths: dict[str, PathOut]
+    span_s: list[float]
+
+
+class OperationOut(BaseModel):
+    """A line in operation: energies as in `line.json` or `day.json`, train graph, names of the files."""
+
+    energies: dict[str, Any]
+    bottleneck: BottleneckOut | None
+    graph: TrainGraphOut
+    files: list[str]
 
 
 class LeverOut(BaseModel):

@@ -43,6 +43,15 @@ FILES = {
         *(f"trajectory-{k + 1}.csv" for k in range(MOST)),
     ),
     "compare": ("comparison.json", "comparison.svg", "comparison.png", "run.toml"),
+    "line": (
+        "line.json",
+        "day.json",
+        "run.toml",
+        "timetable.csv",
+        "timetable.parquet",
+        "gtfs.zip",
+        *(f"{name}.{kind}" for name in ("trains", "power", "voltage") for kind in ("svg", "png")),
+    ),
 }
 
 

@@ -1,0 +1,426 @@
+"""Line: a line in operation, its energy by driving and timetable beside its floor, over the headway."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import Request
+from nicegui import events, ui
+
+from metropilot._schema import field_specs
+from metropilot.errors import MetropilotError
+from metropilot.operation import OperationOptions
+from metropilot.web import catalogue
+from metropilot.web.errors import Refused, error_of
+from metropilot.web.pages.form import FoldedNumbers, loads, number_field, validate
+from metropilot.web.pages.frame import (
+    Problem,
+    card,
+    empty,
+    frame,
+    heading,
+    links,
+    number,
+    reads,
+    refresh_while,
+    table,
+)
+from metropilot.web.pages.plots import headways_figure, operation_figure
+from metropilot.web.schemas.requests import OperationIn
+from metropilot.web.service import Service
+from metropilot.web.store import OVER, JobRow
+
+POLL_S = 0.5
+SHORTEST_S, LONGEST_S = 60, 900
+"""Ends of the slider; the field beside it takes every headway."""
+SWEEP_S = (90, 120, 180, 240, 300, 450, 600)
+FIELDS = tuple(name for name in field_specs(OperationOptions) if name not in {"headway_s", "zones"})
+LISTED = 300
+"""Newest jobs among which those with the same settings are looked for."""
+ROWS = (
+    ("cruise and brake", "plain, mean offset", "cruise_kwh"),
+    ("optimal driving", "plain, mean offset", "driving_only_kwh"),
+    ("cruise and brake", "best found", "timetable_only_kwh"),
+    ("optimal driving", "best found", "energy_kwh"),
+    ("floor", "any", "floor_kwh"),
+    ("floor, all received", "any", "all_received_floor_kwh"),
+)
+
+
+class OperationPage:
+    """State of the page for one browser.
+
+    Attributes:
+        found: Jobs with a result and its values, by headway, for the settings of the form.
+        results: Results of jobs that are over, as far as they were read.
+        jobs: Jobs of this page that are not over.
+        dragged: The one of them that the slider asked for last.
+        drawn: What the curve over the headway shows.
+        shown: Job that is shown.
+        filling: True while the page itself changes its fields.
+    """
+
+    def __init__(self, service: Service, job: str | None) -> None:
+        self.service = service
+        self.job = job
+        self.found: dict[int, tuple[str, dict[str, Any]]] = {}
+        self.results: dict[str, dict[str, Any]] = {}
+        self.jobs: list[str] = []
+        self.dragged = ""
+        self.drawn: object = None
+        self.shown: tuple[str, int] | None = None
+        self.filling = True
+
+    def build(self) -> None:
+        """Build the fields on the left and the results on the right."""
+        lines = {row["id"]: row["name"] for row in catalogue.line_rows(self.service)}
+        trainsets = {row["id"]: row["name"] for row in catalogue.trainset_rows(self.service)}
+        self.feedings = catalogue.feeding_rows(self.service)
+        with (
+            ui.element("div").classes("mp-col"),
+            card(
+                "Line in operation", "All trains of a line: their energy, and the floor that none undercuts."
+            ),
+        ):
+            self.problem = Problem()
+            first = "dkz32" if "dkz32" in trainsets else next(iter(trainsets))
+            fields: dict[str, ui.select] = {
+                "line": ui.select(lines, value="yizhuang", label="Line", on_change=self.change_line),
+                "trainset": ui.select(
+                    trainsets, value=first, label="Trainset", on_change=self.change_trainset
+                ),
+                "load": ui.select(loads(self.service, first), label="Load", on_change=self.change),
+                "day": ui.select({"": "One headway"}, value="", label="Timetable", on_change=self.change),
+                "feeding": ui.select({"": "Zones"}, value="", label="Feeding", on_change=self.change),
+            }
+            fields["load"].value = next(iter(fields["load"].options))
+            self.fields = fields
+            for name, element in fields.items():
+                self.problem.beside(name, element.props("outlined dense options-dense"))
+            with ui.element("div").classes("mp-stack") as self.periodic:
+                self.slider = ui.slider(
+                    min=SHORTEST_S, max=LONGEST_S, step=5, value=180, on_change=self.drag
+                ).props('label aria-label="Headway in seconds" data-test="headway"')
+                self.slider.on("change", self.release)
+                self.headway = number_field(OperationIn, "headway_s")
+                # not on every change of its value: those that the slider makes come back late
+                self.headway.on("change", self.type_headway)
+                self.problem.beside("headway_s", self.headway)
+            self.zones = number_field(OperationIn, "zones", on_change=self.change)
+            self.problem.beside("zones", self.zones)
+            self.more = FoldedNumbers(OperationIn, "Dwells, windows, messages, losses", FIELDS)
+            self.more.build(self.problem, self.change)
+            self.optimise = ui.checkbox(
+                "Search dwells and running times too (minutes)", on_change=self.change
+            )
+            self.seed = number_field(OperationIn, "seed", label="Seed of the search", step=1)
+            self.problem.beside("seed", self.seed)
+            self.seed.bind_visibility_from(self.optimise, "value")
+            with ui.element("div").classes("mp-row"):
+                ui.button("Compute", on_click=self.start).props('unelevated data-test="compute"')
+                self.sweep_button = ui.button("Sweep headways", on_click=self.sweep).props(
+                    'outline data-test="sweep"'
+                )
+                ui.button("Stop", on_click=self.stop).props('outline data-test="stop"')
+            self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="status"')
+        with ui.element("div").classes("mp-col"):
+            with card():
+                self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
+            with card("Over the headway") as self.curve_card:
+                self.curve = (
+                    ui.plotly(headways_figure({}, 180.0)).classes("mp-plot").props('data-test="curve"')
+                )
+        self.fill_names()
+
+    def fill_names(self) -> None:
+        """Offer the days and feedings of the line."""
+        line = self.fields["line"].value
+        name = catalogue.line(self.service, line).id
+        days = {row["id"]: row["name"] for row in catalogue.day_rows() if row["line"] == name}
+        fed = {row["id"]: row["name"] for row in self.feedings if line in row["lines"]}
+        self.fields["day"].set_options({"": "One headway", **days}, value="")
+        self.fields["feeding"].set_options({"": "Zones, no network", **fed}, value="")
+
+    def request(self, headway_s: float | None = None) -> OperationIn:
+        """Request of the fields.
+
+        Raises:
+            InputError: A field is not allowed.
+        """
+        values = {name: element.value or None for name, element in self.fields.items()}
+        values |= self.more.values() | {"zones": self.zones.value, "optimise": self.optimise.value}
+        values |= {"seed": self.seed.value, "headway_s": headway_s or self.headway.value}
+        return validate(OperationIn, values)
+
+    def change_line(self) -> None:
+        """Offer what belongs to the line."""
+        if not self.filling:
+            self.filling = True
+            self.fill_names()
+            self.filling = False
+            self.change()
+
+    def change_trainset(self) -> None:
+        """Offer the loads of the trainset."""
+        if not self.filling:
+            self.filling = True
+            aboard = loads(self.service, self.fields["trainset"].value)
+            self.fields["load"].set_options(aboard, value=next(iter(aboard)))
+            self.filling = False
+            self.change()
+
+    def change(self) -> None:
+        """Show what is computed for other settings."""
+        if self.filling:
+            return
+        day = bool(self.fields["day"].value)
+        for element in (self.periodic, self.sweep_button, self.curve_card):
+            element.set_visibility(not day)
+        with self.problem.show_errors():
+            self.find()
+            self.show()
+
+    def drag(self) -> None:
+        """Show the headway of the slider, if it is computed."""
+        if not self.filling:
+            self.filling = True
+            self.headway.value = self.slider.value
+            self.filling = False
+            self.show()
+
+    def type_headway(self) -> None:
+        """Move the slider to the headway of the field."""
+        if self.headway.value is not None:
+            self.filling = True
+            self.slider.value = min(max(self.headway.value, SHORTEST_S), LONGEST_S)
+            self.filling = False
+            self.show()
+
+    def release(self, event: events.GenericEventArguments) -> None:
+        """Compute the headway at which the slider was let go, once there is one result.
+
+        One that was dragged to before and still waits is left out.
+        """
+        # the event is sooner here than the last change of the value, which is slowed down
+        self.slider.value = event.args
+        if not self.found:
+            return
+        if self.dragged in self.jobs and self.service.store.job(self.dragged).status == "queued":
+            self.service.stop(self.dragged)
+        before = set(self.jobs)
+        self.start()
+        self.dragged = next(iter(set(self.jobs) - before), "")
+
+    def start(self) -> None:
+        """Compute the headway or the day of the fields."""
+        with self.problem.show_errors():
+            self.submit(self.request())
+            self.find()
+            self.show()
+
+    def sweep(self) -> None:
+        """Compute all headways of the sweep."""
+        with self.problem.show_errors():
+            for headway_s in SWEEP_S:
+                self.submit(self.request(headway_s))
+
+    def submit(self, body: OperationIn) -> None:
+        """Queue a job, unless the same was computed or is under way."""
+        values = body.model_dump()
+        same = [row for row in self.rows() if row.request == values]
+        if any(row.status == "done" or row.id in self.jobs for row in same):
+            return
+        self.jobs.append(self.service.submit(body))
+        self.watch()
+
+    def rows(self) -> list[JobRow]:
+        """Newest jobs of lines."""
+        return self.service.store.jobs("line", LISTED)
+
+    def find(self) -> None:
+        """Find the results for the settings of the form, the newest of each headway."""
+        wanted = self.request().model_dump()
+        day = wanted["day"] is not None
+        self.found = {}
+        for row in self.rows():
+            headway_s = 0 if day else row.request["headway_s"]
+            same = {**row.request, "headway_s": wanted["headway_s"]} == wanted
+            if not same or headway_s in self.found or row.status not in {"running", *OVER}:
+                continue
+            found = self.results.get(row.id) or self.service.store.result(row.id)
+            if found is not None:
+                self.found[headway_s] = row.id, found
+            if found is not None and row.status in OVER:
+                self.results[row.id] = found
+
+    def watch(self) -> None:
+        """Follow the jobs until they are over."""
+        if len(self.jobs) == 1:
+            refresh_while(lambda: bool(self.jobs), POLL_S, self.look)
+
+    def look(self) -> None:
+        """Show the progress of the jobs, and their results."""
+        going = "queued"
+        for job in list(self.jobs):
+            row = self.service.store.job(job)
+            if row.status in OVER:
+                self.jobs.remove(job)
+                if row.status == "failed":
+                    self.fail(row)
+            elif row.status == "running":
+                left = f", {len(self.jobs) - 1} more" if len(self.jobs) > 1 else ""
+                going = f"{self.name(row)}: {row.progress:.0%} · {row.words}{left}"
+        self.status.text = going if self.jobs else ""
+        try:
+            self.find()
+        except MetropilotError:
+            return  # a field that is being typed
+        self.show()
+
+    def fail(self, row: JobRow) -> None:
+        """Show why a job failed."""
+        told = row.error or {"message": row.words}
+        if len(self.jobs):
+            ui.notify(f"{self.name(row)}: {told['message']}", type="warning")
+        else:
+            self.problem.show(error_of(told))
+
+    @staticmethod
+    def name(row: JobRow) -> str:
+        """Name of what a job computes."""
+        return row.request["day"] or f"every {row.request['headway_s']} s"
+
+    def stop(self) -> None:
+        """Stop every job of this page."""
+        with self.problem.show_errors():
+            for job in self.jobs:
+                self.service.stop(job)
+
+    def show(self) -> None:
+        """Show the result of the headway or day of the fields."""
+        day = bool(self.fields["day"].value)
+        at = 0 if day else round(self.headway.value or 0)
+        if not day:
+            self.draw_curve(float(at))
+        job, found = self.found.get(at, ("", None))
+        now = job, 0 if found is None else len(found["files"])
+        if now == self.shown and found is not None:
+            return
+        self.shown = now
+        self.result.clear()
+        with self.result:
+            if found is None:
+                what = "This day" if day else f"A headway of {number(at, 0, 's')}"
+                empty(f"{what} is not computed for these settings. Press Compute.")
+                return
+            ui.run_javascript(f"history.replaceState(null, '', '/line?job={job}')")
+            self.show_energies(found, day=day)
+            links([(name, f"/api/jobs/{job}/files/{name}") for name in self.files(found)])
+
+    def draw_curve(self, headway_s: float) -> None:
+        """Draw the energies over the headway, where they or the cursor have changed."""
+        now = {h: job for h, (job, _) in self.found.items()}, headway_s
+        if now != self.drawn:
+            self.drawn = now
+            energies = {h: found["energies"] for h, (_, found) in self.found.items()}
+            self.curve.update_figure(headways_figure(energies, headway_s))
+
+    @staticmethod
+    def files(found: dict[str, Any]) -> list[str]:
+        """Names of the files of a result, and of all of them together."""
+        return [*found["files"], "run.zip"] if found["files"] else []
+
+    def show_energies(self, found: dict[str, Any], *, day: bool) -> None:
+        """Show numbers, train graph and energies."""
+        told, least = found["energies"], found["bottleneck"]
+        unit = "kWh a day" if day else "kWh a round trip"
+        heading(told["day"] if day else f"{told['line']}, every {told['headway_s']} s")
+        network = told["feeding"].get("network")
+        items = [
+            ("energy", number(told["energy_kwh"], 1, "kWh"), ""),
+            ("floor", number(told["floor_kwh"], 1, "kWh"), ""),
+            ("gap", number(told["gap_percent"], 2, "%"), ""),
+            ("saved by both", number(100 * (1 - told["energy_kwh"] / told["cruise_kwh"]), 1, "%"), ""),
+            ("trains", str(told["fleet"]), ""),
+            (
+                ("highest minute", number(told["peak_minute_w"] / 1e6, 1, "MW"), "")
+                if least is None
+                else ("technical headway", number(least["headway_s"], 1, "s"), "")
+            ),
+        ]
+        reads(items)
+        ui.plotly(operation_figure(found["graph"], day=day)).classes("mp-plot").props('data-test="graph"')
+        rows = [
+            (
+                driving,
+                timetable,
+                number(told[name], 1),
+                number(100 * (1 - told[name] / told["cruise_kwh"]), 2),
+                number(100 * (told[name] / told["floor_kwh"] - 1), 2),
+            )
+            for driving, timetable, name in ROWS
+            if name in told
+        ]
+        table(("driving", "timetable", unit, "saved %", "gap %"), rows, right=(2, 3, 4), name="Energies")
+        words = (
+            f"{told['unreceived_kwh']:.1f} of {told['returned_kwh']:.1f} kWh that braking trains return, "
+            "nobody receives."
+        )
+        if least is not None:
+            words += (
+                f" Least technical headway {least['headway_s']:.1f} s, at {least['kind']} {least['name']}, "
+                f"{least['direction']}."
+            )
+        if network is not None:
+            words += (
+                f" Feeding {network['id']}: {network['energy_kwh']:.1f} kWh; rails lose "
+                f"{network['rail_loss_kwh']:.1f}, substations {network['substation_loss_kwh']:.1f}; lowest "
+                f"voltage {network['lowest_v']:.0f} V, peak of all substations "
+                f"{network['peak_w'] / 1e6:.1f} MW."
+            )
+        ui.label(words).classes("mp-soft").props('data-test="words"')
+
+    def load(self) -> None:
+        """Fill the form with the linked job and follow it; runs once the page is connected."""
+        with self.problem.show_errors():
+            if self.job:
+                self.restore(self.service.store.job(self.job))
+        self.filling = False
+        self.change()
+
+    def restore(self, row: JobRow) -> None:
+        """Fill the form with the request of a job.
+
+        Raises:
+            MetropilotError: No job of a line, or its line or trainset does not exist any more.
+        """
+        if row.kind != "line":
+            raise Refused(f"the job is a {row.kind}, no line in operation", 404, field="id", value=row.id)
+        body = row.request
+        catalogue.line(self.service, body["line"])
+        aboard = loads(self.service, body["trainset"])
+        self.fields["line"].value, self.fields["trainset"].value = body["line"], body["trainset"]
+        self.fields["load"].set_options(aboard, value=body["load"] or next(iter(aboard)))
+        self.fill_names()
+        self.fields["day"].value, self.fields["feeding"].value = body["day"] or "", body["feeding"] or ""
+        self.headway.value, self.zones.value = body["headway_s"], body["zones"]
+        self.slider.value = min(max(body["headway_s"], SHORTEST_S), LONGEST_S)
+        self.optimise.value, self.seed.value = body["optimise"], body["seed"]
+        self.more.restore(body)
+        if row.status not in OVER:
+            self.jobs.append(row.id)
+            self.watch()
+        elif row.error is not None:
+            self.problem.show(error_of(row.error))
+
+
+def install(service: Service) -> None:
+    """Register the page."""
+
+    @ui.page("/line", title="Line · metropilot")
+    async def line(request: Request, job: str | None = None) -> None:
+        with frame(request, "/line"):
+            page = OperationPage(service, job)
+            page.build()
+        await ui.context.client.connected()
+        page.load()

@@ -1,0 +1,179 @@
+"""Lines in operation, at a headway or through a day."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from metropilot.operation import (
+    HEADWAYS_DRAWN,
+    DayEnergy,
+    LineOperation,
+    OperationEnergy,
+    OperationOptions,
+    Profiles,
+    TripFloors,
+    day_energy,
+    divide_zones,
+    feed_day,
+    feed_line,
+    operation_energy,
+    plan_trips,
+    train_paths,
+    write_day,
+    write_operation,
+)
+from metropilot.railway import Feeding, Line, ServiceDay, load_day, load_feeding, load_line, load_trainset
+from metropilot.web.store import JobStore
+from metropilot.web.work.drives import folder_of
+from metropilot.web.work.plans import numbers, station
+
+PLANNED = 2
+"""Operations whose plans a worker keeps: a headway after another asks for the same ones."""
+POINTS = 12
+"""Points of a piece of the train graph, which bends little."""
+USES = {1: "draws", 0: "stands", -1: "returns"}
+
+
+@dataclass(frozen=True)
+class OperationRequest:
+    """A line in operation.
+
+    Attributes:
+        line: Id of the catalogue, or path.
+        trainset: The same of the trainset.
+        load: Its load; None: the trainset's.
+        options: Headway, dwells, windows, feeding zones.
+        optimise: Search dwells and running times too.
+        seed: Seed of the search.
+        day: Working day instead of the headway.
+        feeding: DC network.
+    """
+
+    line: str
+    trainset: str
+    load: str | None
+    options: OperationOptions
+    optimise: bool = False
+    seed: int = 0
+    day: str | None = None
+    feeding: str | None = None
+
+    def read(self) -> tuple[Line, ServiceDay | None, Feeding | None]:
+        """Read and check what it names.
+
+        Raises:
+            InputError: A name is unknown, or of another line.
+        """
+        line = load_line(self.line)
+        load_trainset(self.trainset, self.load)
+        divide_zones(line, self.options.zones)
+        day = None if self.day is None else load_day(self.day)
+        feeding = None if self.feeding is None else load_feeding(self.feeding)
+        for each in (day, feeding):
+            if each is not None:
+                each.check_line(line)
+        return line, day, feeding
+
+
+def line_job(root: str, job: str, request: OperationRequest) -> dict[str, Any]:
+    """Compute the energy of a line beside its floor; write the files into the job's folder.
+
+    The result is stored before the pictures are drawn.
+    """
+    store = JobStore(Path(root))
+    folder, headway_s = folder_of(root, job), request.options.headway_s
+    _, day, feeding = request.read()
+    searching = "searching" if request.optimise else "choosing"
+    store.update(job, status="running", progress=0.05, words="planning the trips")
+    neutral = replace(request.options, headway_s=OperationOptions.headway_s)
+    planned, plans, floors = _plan(request.line, request.trainset, request.load, neutral, request.optimise)
+    operation = planned.with_headway(headway_s)
+    search = {"searched": request.optimise, "seed": request.seed, "plans": plans}
+    store.update(job, progress=0.4, words=f"{searching} the timetable")
+    if day is None:
+        found = operation_energy(operation, floors=floors, feeding=feeding, **search)
+        store.update(job, progress=0.7, words="checking headways and feeding")
+        fed = feeding and feed_line(operation, found.timetable, found.profiles, feeding)
+        result = _headway_out(found, found.as_dict(fed))
+        store.update(job, result=result, progress=0.8, words="drawing")
+        write_operation(folder, found, fed)
+    else:
+        of_day = day_energy(operation, day, **search)
+        store.update(job, progress=0.7, words="adding up the day")
+        fed = feeding and feed_day(of_day.day, feeding)
+        result = _day_out(of_day, of_day.as_dict(fed))
+        store.update(job, result=result, progress=0.8, words="drawing")
+        options = asdict(request) | asdict(request.options)
+        del options["options"]
+        write_day(folder, of_day, options, fed)
+    return result | {"files": sorted(path.name for path in folder.glob("[!.]*"))}
+
+
+@lru_cache(maxsize=PLANNED)
+def _plan(
+    line: str, trainset: str, load: str | None, options: OperationOptions, windows: bool
+) -> tuple[LineOperation, Mapping[str, Sequence[Profiles]], TripFloors]:
+    """Operation with the plans and floors of its trips; no headway changes these."""
+    operation = LineOperation(load_line(line), load_trainset(trainset, load), options)
+    return operation, plan_trips(operation, windows=windows), TripFloors(operation)
+
+
+def _headway_out(found: OperationEnergy, energies: dict[str, Any]) -> dict[str, Any]:
+    headway_s = found.operation.options.headway_s
+    last_s = float(HEADWAYS_DRAWN * headway_s)
+    drawn = ((USES[path.use], path.time_s, path.position_m) for path in train_paths(found, last_s))
+    backward, most = max(enumerate(found.headways()), key=lambda each: each[1].headway_s)
+    least = most.bottleneck
+    return {
+        "energies": energies,
+        "bottleneck": {
+            "kind": least.kind,
+            "name": least.name,
+            "headway_s": least.headway_s,
+            "direction": ("forward", "backward")[backward],
+        },
+        "graph": _graph(found.operation.line, drawn, (0.0, last_s)),
+        "files": [],
+    }
+
+
+def _day_out(found: DayEnergy, energies: dict[str, Any]) -> dict[str, Any]:
+    line, timetable = found.day.operation.line, found.day.timetable
+    at_m = np.array([stop.position_m for stop in line.stations])
+
+    def draw() -> Iterable[tuple[str, np.ndarray, np.ndarray]]:
+        for name, each in (("forward", timetable.forward), ("backward", timetable.backward)):
+            place = np.repeat(at_m if name == "forward" else at_m[::-1], 2)[1:-1]
+            times = np.stack([each.departure_s, each.arrival_s], axis=2).reshape(each.period.size, -1)
+            yield from ((name, row, place) for row in times)
+
+    span_s = tuple(float(x) for x in timetable.span_s)
+    return {
+        "energies": energies,
+        "bottleneck": None,
+        "graph": _graph(line, draw(), (span_s[0], span_s[1])),
+        "files": [],
+    }
+
+
+def _graph(
+    line: Line, paths: Iterable[tuple[str, np.ndarray, np.ndarray]], span_s: tuple[float, float]
+) -> dict[str, Any]:
+    """Train graph: for each kind one path, in which null parts the pieces."""
+    drawn: dict[str, dict[str, list[float | None]]] = {}
+    for kind, time_s, position_m in paths:
+        if time_s[-1] < span_s[0] or time_s[0] > span_s[1]:
+            continue
+        keep = np.arange(time_s.size)
+        if time_s.size > POINTS and kind in USES.values():
+            keep = np.unique(np.linspace(0, time_s.size - 1, POINTS).round().astype(int))
+        path = drawn.setdefault(kind, {"time_s": [], "position_m": []})
+        path["time_s"] += [*numbers(time_s[keep], 1), None]
+        path["position_m"] += [*numbers(position_m[keep], 0), None]
+    return {"stops": [station(stop) for stop in line.stations], "paths": drawn, "span_s": list(span_s)}
