@@ -57,6 +57,7 @@ settings.load_profile("ci" if os.environ.get("CI") else "dev")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
+    checking.begin_test()
     brief = item.path.relative_to(Path(__file__).parent).parts[0] in BRIEF
     os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(int(brief))
     if (jax := sys.modules.get("jax")) is not None:

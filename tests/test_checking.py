@@ -6,6 +6,7 @@ import sys
 import jaxtyping
 import numpy as np
 import pytest
+from tests import checking
 
 MODULE = '''
 from __future__ import annotations
@@ -125,6 +126,21 @@ def test_what_is_right_goes_through(checked_module):
     assert checked_module.Thing.of_class(1) == checked_module.Thing().of_none(1) == 1
     assert checked_module.Plain(3.0).length_m == 3.0
     assert checked_module.Arrays(TWO, TWO).x is TWO
+
+
+def test_calls_are_checked_from_time_to_time_when_there_are_very_many(checked_module):
+    for _ in range(10 * checking.FIRST):
+        checked_module.half(2.0)
+    refused = 0
+    for _ in range(10 * checking.EVERY):
+        try:
+            checked_module.half(-1.0)
+        except jaxtyping.TypeCheckError:
+            refused += 1
+    assert refused == 10
+    checking.begin_test()
+    with pytest.raises(jaxtyping.TypeCheckError):
+        checked_module.half(-1.0)
 
 
 def test_a_type_that_is_named_before_it_is_there_is_not_checked(checked_module):
