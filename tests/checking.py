@@ -5,9 +5,9 @@ between floats that is two thirds of the time, for nothing: without axes there i
 the same type checker directly. The types checked are the same ones either way.
 
 A drive calls the same functions ten thousand times from the same places, and defines functions inside of
-others as often. In every test the first ``FIRST`` calls of a function are checked, and of the later ones every
-``EVERY``-th; of a function inside of another the first ``DEFINED`` definitions. All of them would be half of
-the time of a drive.
+others as often. In every test the first ``FIRST`` calls of a function are checked, and later ones every
+``EVERY``-th time; of a function inside of another the first ``DEFINED`` definitions. All of them would be
+half of the time of a drive.
 """
 
 import collections
