@@ -21,8 +21,6 @@ from benchmarks.generalist import (
 )
 from benchmarks.report import Benchmark, Row, cells, circumstances, format_page, number, replace_section
 from benchmarks.shanghai import replica, working_day
-from benchmarks.synchronisation import Row as Sync
-from benchmarks.synchronisation import describe
 
 from metropilot.policy import load_driving_policy, shipped_policy
 from metropilot.railway import load_feeding
@@ -68,14 +66,6 @@ def test_the_replica_of_shanghai_has_the_published_length_and_stations():
     assert 700.0 < lengths_m.min() < lengths_m.max() < 3000.0
     assert [each.headway_s for each in day.periods] == [100, 90, 100, 90, 100]
     assert 1331 <= 2 * sum((p.to_s - p.from_s) / p.headway_s for p in day.periods) <= 1336
-
-
-def test_the_worth_of_synchronisation_is_that_of_its_energies():
-    energies = {"cruise": 800.0, "optimal": 720.0, "manual": 900.0}
-    found = {"cruise": 784.0, "optimal": 700.0, "manual": 891.0}
-    row = Sync(180, "4 zones", energies, found, {"3": (701.0, 0.2), "10": (705.0, 1.0)})
-    line = next(each for each in describe([row]).splitlines() if each.startswith("| 4 zones"))
-    assert "| 10.0 | 2.0 | 12.5 | 2.8 | 1.0 | 701.0 ± 0.2 | 705.0 ± 1.0 |" in line
 
 
 def test_each_variant_of_the_feeding_changes_one_number():

@@ -75,7 +75,7 @@ def learn_small(place: Path) -> None:
 
 def campaign(place: Path) -> None:
     """Drive a small campaign, from where its folder left it."""
-    from metropilot.campaign import CampaignStore, campaign_from_toml, collect_parts, drive_shard
+    from metropilot.campaign import CampaignStore, campaign_from_toml, collect_parts, compute_shard
 
     told = place / "mine.toml"
     told.write_text(CAMPAIGN)
@@ -84,7 +84,7 @@ def campaign(place: Path) -> None:
     done = store.finished_shards()
     for piece in declared.pieces():
         if piece not in done:
-            store.keep(drive_shard(declared.text, piece))
+            store.keep(compute_shard(declared.text, piece))
     collect_parts(place / "out")
     (place / "out" / "results.parquet").replace(place / "result")
 

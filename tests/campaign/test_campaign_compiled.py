@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 
 from metropilot._io import encode_parquet
-from metropilot.campaign import Campaign, DisturbanceCase
+from metropilot.campaign import Campaign, DisturbanceCase, compute_shard
 from metropilot.campaign.compiled import drive_batch
 from metropilot.campaign.declared import BATCH
-from metropilot.campaign.rows import RESULTS, EnergyCurve, drive_row, drive_shard
+from metropilot.campaign.rows import RESULTS, EnergyCurve, drive_row
 from metropilot.evaluate import attainable_of, driving_limits
 from metropilot.planning import optimal_plan
 from metropilot.railway import load_line, load_trainset, write_trainset
@@ -87,7 +87,7 @@ def test_a_compiled_shard_gives_the_same_bytes_again(driven):
     _, results = driven
     (piece,) = MATRIX.pieces()
     assert len(MATRIX.shard(piece)) == MATRIX.rows < BATCH
-    assert drive_shard(MATRIX.text, piece).results == encode_parquet(RESULTS, results)
+    assert compute_shard(MATRIX.text, piece).results == encode_parquet(RESULTS, results)
 
 
 PLANTS = {
@@ -156,7 +156,7 @@ def test_a_shard_of_both_engines_has_the_rows_of_each_in_their_order():
     found = [drive_row(few, case)[0] for case in cases[:2]]
     found += [result for result, _ in drive_batch(few, cases[2:])]
     assert [row["engine"] for row in found] == ["host", "host", "compiled", "compiled"]
-    assert drive_shard(few.text, piece).results == encode_parquet(RESULTS, found)
+    assert compute_shard(few.text, piece).results == encode_parquet(RESULTS, found)
 
 
 @pytest.mark.parametrize("objective", ["wheel", "line"])

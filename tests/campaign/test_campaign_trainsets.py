@@ -6,10 +6,17 @@ from dataclasses import replace
 import duckdb
 import pytest
 
-from metropilot.campaign import Campaign, DisturbanceCase, read_campaign, run_campaign, summarise
-from metropilot.campaign.declared import case_request, from_text, seed_of
-from metropilot.campaign.leaderboard import write_leaderboard
-from metropilot.campaign.page import collect_parts
+from metropilot.campaign import (
+    Campaign,
+    DisturbanceCase,
+    collect_parts,
+    read_campaign,
+    run_campaign,
+    summarise,
+    write_campaign_page,
+)
+from metropilot.campaign.declared import case_request, seed_of
+from metropilot.campaign.matrix import Shard, from_text
 from metropilot.cli import main
 from metropilot.errors import InputError
 from metropilot.railway import parse_trainset
@@ -155,7 +162,7 @@ def test_it_is_driven_and_the_page_says_what_failed(tmp_path, monkeypatch, campa
         ).fetchall()
     assert ("dkz32", "0.6 s, 0.4 s", 0.5, 0.6, 0.4, 0.0, 1) in rows
     assert ("drawn-5-1", "0 s, 0 s", 0.2, 0.0, 0.0, 0.0, 1) in rows
-    write_leaderboard(tmp_path / "page.md", tmp_path / "out", summarise(tmp_path / "out"), 1.0, "made")
+    write_campaign_page(tmp_path / "page.md", tmp_path / "out", summarise(tmp_path / "out"), 1.0, "made")
     page = (tmp_path / "page.md").read_text()
     assert "| `flat_out` | 8 | 8 of 8 | 0 of 8 | 0 |" in page  # early: it keeps no time
     assert "## By declared dead time and lag" in page
@@ -168,7 +175,8 @@ def test_it_is_driven_and_the_page_says_what_failed(tmp_path, monkeypatch, campa
     monkeypatch.setattr(FlatOut, "act", broken)
     one = replace(small, name="broken", trainsets=small.trainsets[:1], actuations=((0.6, 0.4),))
     run_campaign(replace(one, periods=()), tmp_path / "broken", workers=1)
-    write_leaderboard(tmp_path / "page.md", tmp_path / "broken", summarise(tmp_path / "broken"), 1.0, "made")
+    summary = summarise(tmp_path / "broken")
+    write_campaign_page(tmp_path / "page.md", tmp_path / "broken", summary, 1.0, "made")
     (line,) = [row for row in (tmp_path / "page.md").read_text().splitlines() if "metropilot drive" in row]
     assert line.startswith("metropilot drive lu2023 WHY WYJ --time ")
     assert "--trainset dkz32@0.6,0.4 --load AW3 --driver flat_out --dt 0.2  # " in line
@@ -185,7 +193,7 @@ def test_a_listed_failure_is_the_same_run_again(tmp_path, campaign):
 def test_parts_of_an_earlier_version_are_reported_too(tmp_path, campaign):
     from metropilot._io import encode_parquet
     from metropilot.campaign import RESULTS, CampaignStore
-    from metropilot.campaign.rows import PLANT, TIMINGS, Shard
+    from metropilot.campaign.rows import PLANT, TIMINGS
 
     old = {name: kind for name, kind in RESULTS.items() if name not in {"actuation", *PLANT}}
     store = CampaignStore(tmp_path, campaign)
@@ -194,7 +202,7 @@ def test_parts_of_an_earlier_version_are_reported_too(tmp_path, campaign):
         cells = [row | {"cell": number} for number in campaign.shard(piece)]
         store.keep(Shard(piece, len(cells), encode_parquet(old, cells), encode_parquet(TIMINGS, cells), "0"))
     collect_parts(tmp_path)
-    write_leaderboard(tmp_path / "page.md", tmp_path, summarise(tmp_path), 1.0, "made")
+    write_campaign_page(tmp_path / "page.md", tmp_path, summarise(tmp_path), 1.0, "made")
     assert f"| `flat_out` | {campaign.rows} | 0 of 0 |" in (tmp_path / "page.md").read_text()
     with duckdb.connect() as database:
         names = [row[0] for row in database.execute(f"DESCRIBE '{tmp_path}/results.parquet'").fetchall()]

@@ -93,7 +93,8 @@ def test_the_command_prints_and_writes(typed, tmp_path):
         (("yizhuang", "--timetable", "x.zip"), "x.zip: timetable: cannot be read"),
         (("yizhuang", "--timetable", "x.zip", "--optimise"), "--optimise: a timetable that is given"),
         (("yizhuang", "--day", "yizhuang", "--driver", "nobody"), "--driver: unknown driver"),
-        (("yizhuang", "--driver", "pid"), "--driver: needs a day"),
+        (("yizhuang", "--driver", "nobody"), "--driver: unknown driver"),
+        (("yizhuang", "--scatter", "-1"), "--scatter"),
         (("yizhuang", "--service", "x"), "--service: needs a timetable"),
         (
             ("yizhuang", "--day", "yizhuang", "--turnround", "1500"),

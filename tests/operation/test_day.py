@@ -15,9 +15,10 @@ from metropilot.operation import (
     LineOperation,
     OperationOptions,
     PeriodicPart,
+    ServiceScatter,
+    TripDrives,
     day_energy,
     day_floor_j,
-    drive_trips,
     feed_day,
     lay_out_day,
     link_trains,
@@ -271,7 +272,8 @@ def test_a_fleet_too_small_is_named():
 
 def test_a_driver_drives_the_trips_of_a_day():
     line = LineOperation(short_line(2), TRAINSET, OperationOptions(zones=1))
-    found = day_energy(line, working_day(), driver="manual", runs=2)
+    drives = TripDrives(line, "manual", (0, 1))
+    found = day_energy(line, working_day(), scatter=ServiceScatter(drives))
     assert found.driven is not None
     assert abs(found.driven.mean_late_s) < 5.0
     assert 0.0 < found.driven.scatter_s < 5.0
@@ -279,4 +281,4 @@ def test_a_driver_drives_the_trips_of_a_day():
     with pytest.raises(
         Infeasible, match="driver: flat_out does not arrive, SJZ-XC in 5 s, seed 3: 'out_of_time'"
     ):
-        drive_trips(line, "flat_out", seeds=(3,), times_s=[(5,)] * 2)
+        TripDrives(line, "flat_out", (3,)).profiles([(5,)] * 2)

@@ -20,6 +20,7 @@ from metropilot.campaign.batch_tables import (
     table_cache,
 )
 from metropilot.campaign.declared import BATCH, Campaign, CampaignCase, seed_of
+from metropilot.campaign.matrix import FAILED, capture_errors, peak_memory_mb
 from metropilot.campaign.program import (
     BROKEN,
     PERIODS,
@@ -30,15 +31,7 @@ from metropilot.campaign.program import (
     first_memory,
     program,
 )
-from metropilot.campaign.rows import (
-    FAILED,
-    Curves,
-    add_kpis,
-    capture_errors,
-    new_result,
-    peak_memory_mb,
-    prepare_run,
-)
+from metropilot.campaign.rows import Curves, add_kpis, new_result, prepare_run
 from metropilot.drivers import AbstractPolicyDriver
 from metropilot.errors import Infeasible
 from metropilot.evaluate import Optimum, RunSpec

@@ -14,11 +14,12 @@ from functools import cache, lru_cache
 from hashlib import sha256
 from itertools import product
 from math import prod
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
 from metropilot._schema import field_specs
+from metropilot.campaign.matrix import DRIVES, AbstractCampaign, CellRow, count_axes
 from metropilot.drivers import DRIVERS, AbstractPolicyDriver
 from metropilot.evaluate import RunSpec, parse_driver
 from metropilot.planning import Objective
@@ -26,6 +27,11 @@ from metropilot.protection import Bounds, guarantees_less
 from metropilot.railway import Restriction, load_trainset, parse_trainset
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance, TimetableUpdate
 from metropilot.units import KMH_PER_MPS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from duckdb import DuckDBPyConnection
 
 PLANNED = "planned"
 SHARDS = 20
@@ -100,20 +106,10 @@ class CampaignCase(NamedTuple):
     period_s: float
 
 
-class Piece(NamedTuple):
-    """A shard: rows that are driven and stored together.
-
-    Attributes:
-        driver: Driver id, options included.
-        chunk: Number of the shard among those of the driver.
-    """
-
-    driver: str
-    chunk: int
-
-
 AXES = ("sections", "trainsets and loads", "times", "control periods", "disturbances", "seeds", "actuations")
 """Axes of a matrix after the drivers, in words."""
+SINGLE = ("control periods", "actuations")
+"""Axes that most campaigns do not have."""
 
 
 def declare_actuation(trainset: str, actuation: ActuationPair | None) -> str:
@@ -124,7 +120,7 @@ def declare_actuation(trainset: str, actuation: ActuationPair | None) -> str:
 
 
 @dataclass(frozen=True)
-class Campaign:
+class Campaign(AbstractCampaign):
     """A matrix of runs: cells, each driven by every driver.
 
     Attributes:
@@ -146,6 +142,8 @@ class Campaign:
             those of learned policies on the nominal plant in batches.
     """
 
+    kind: ClassVar[str] = DRIVES
+    group_column: ClassVar[str] = "driver"
     name: str
     drivers: tuple[str, ...]
     sections: tuple[tuple[str, str, str], ...]
@@ -184,9 +182,9 @@ class Campaign:
         return self.combinations * len(self.actuations)
 
     @property
-    def rows(self) -> int:
-        """Number of runs."""
-        return len(self.drivers) * self.cells
+    def groups(self) -> tuple[str, ...]:
+        """Drivers."""
+        return self.drivers
 
     @property
     def trainset_keys(self) -> tuple[tuple[str, str], ...]:
@@ -217,23 +215,12 @@ class Campaign:
         late, weak = _declares(*trainset)
         return not weak and (disturbance.ideal or not late)
 
-    def shard_rows(self, driver: str) -> int:
+    def shard_rows(self, group: str) -> int:
         """Number of rows in a shard of a driver; depends on driver and matrix only."""
         pairs = product(self.disturbances, self.trainset_keys)
-        if any(self.is_compiled(driver, disturbance, trainset) for disturbance, trainset in pairs):
+        if any(self.is_compiled(group, disturbance, trainset) for disturbance, trainset in pairs):
             return BATCH
         return min(max(-(-self.cells // SHARDS), 1), LARGEST_SHARD)
-
-    def pieces(self) -> tuple[Piece, ...]:
-        """All shards. Each is of one driver, so that adding a driver keeps the shards of the others."""
-        counts = [(name, -(-self.cells // self.shard_rows(name))) for name in self.drivers]
-        return tuple(Piece(name, chunk) for name, count in counts for chunk in range(count))
-
-    def shard(self, piece: Piece) -> range:
-        """The rows of a shard."""
-        size = self.shard_rows(piece.driver)
-        first, base = piece.chunk * size, self.drivers.index(piece.driver) * self.cells
-        return range(base + first, base + min(first + size, self.cells))
 
     def case(self, row: int) -> CampaignCase:
         """The cell of a row."""
@@ -273,9 +260,61 @@ class Campaign:
         return json.dumps(values, sort_keys=True)
 
     @property
-    def digest(self) -> str:
-        """Identifier of the campaign: the same for the same cells, whatever the drivers."""
-        return sha256(replace(self, drivers=()).text.encode()).hexdigest()[:16]
+    def identity(self) -> str:
+        """The text without drivers."""
+        return replace(self, drivers=()).text
+
+    @property
+    def columns(self) -> Mapping[str, str]:
+        """Columns of the results."""
+        from metropilot.campaign.rows import RESULTS
+
+        return RESULTS
+
+    @property
+    def timing_columns(self) -> Mapping[str, str]:
+        """Columns of measured times."""
+        from metropilot.campaign.rows import TIMINGS
+
+        return TIMINGS
+
+    @property
+    def matrix_words(self) -> str:
+        """Axes with their sizes, and the sample if there is one."""
+        sizes = zip(("drivers", *AXES), self.axes, strict=True)
+        words = count_axes([each for each in sizes if each[1] > 1 or each[0] not in SINGLE])
+        if self.cells < prod(self.axes[1:]):
+            words += f", a sample of {self.combinations} combinations with every driver and actuation"
+        return words
+
+    def compute_rows(self, rows: range) -> list[CellRow]:
+        """Results and timings of the runs of a shard."""
+        from metropilot.campaign.rows import drive_rows
+
+        return drive_rows(self, rows)
+
+    def statistics(self, database: DuckDBPyConnection | None) -> dict[str, Any]:
+        """``drivers`` (one row a driver), ``cells`` (one per driver and disturbance), ``worst``."""
+        from metropilot.campaign.page import drive_statistics
+
+        return drive_statistics(database)
+
+    def succeeds(self, summary: Mapping[str, Any]) -> bool:
+        """True if every run was safe, and on time where that was possible."""
+        drivers = summary["drivers"]
+        return all(row["successes"] == row["possible"] and row["safe"] == row["driven"] for row in drivers)
+
+    def report_parts(self, folder: Path, summary: Mapping[str, Any]) -> list[str]:
+        """Tables, energy against time, and the worst runs, of which each gets a folder."""
+        from metropilot.campaign.page import report_drives
+
+        return report_drives(self, folder, summary)
+
+    def page_parts(self, folder: Path, summary: Mapping[str, Any], written: str) -> list[str]:
+        """The leaderboard."""
+        from metropilot.campaign.leaderboard import leaderboard
+
+        return leaderboard(self, folder, summary, written)
 
 
 @lru_cache(maxsize=8)
@@ -307,17 +346,6 @@ def _in_turn(groups: list[np.ndarray], count: int) -> np.ndarray:
     """Values from each group in turn, each group from its beginning again."""
     chosen = (groups[k % len(groups)] for k in range(count))
     return np.array([group[k // len(groups) % group.size] for k, group in enumerate(chosen)])
-
-
-def from_text(text: str) -> Campaign:
-    """The campaign of :attr:`Campaign.text`.
-
-    Raises:
-        ValueError: The text does not describe a campaign.
-    """
-    from pydantic import TypeAdapter
-
-    return TypeAdapter(Campaign).validate_json(text)
 
 
 def seed_of(campaign: Campaign, case: CampaignCase) -> int:

@@ -1,17 +1,14 @@
-"""The leaderboard: a campaign as a page of the documentation."""
+"""The leaderboard: a campaign of drives as a page of the documentation."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from metropilot._io import atomic_write
-from metropilot._provenance import provenance
-from metropilot.campaign.page import POSSIBLE, matrix_words, open_database, query_rows
-from metropilot.campaign.store import campaign_of_folder
+from metropilot.campaign.declared import Campaign
+from metropilot.campaign.page import POSSIBLE
+from metropilot.campaign.report import open_database, query_rows
 from metropilot.campaign.trainsets_page import trainset_sections
 
 DASH = "–"
@@ -33,43 +30,14 @@ BY_SECTION = f"""
 """
 
 
-def write_leaderboard(
-    page: Path, folder: Path, summary: Mapping[str, Any], seconds: float, command: str
-) -> None:
-    """Write the page.
-
-    Args:
-        page: File to write.
-        folder: The campaign's folder.
-        summary: From :func:`summarise`.
-        seconds: Duration of the command.
-        command: Command line.
-
-    Raises:
-        InputError: It cannot be written.
-    """
-    text = leaderboard(folder, summary, seconds, f"{command} --write-docs {page}")
-    atomic_write(page, lambda partial: partial.write_text(text, encoding="utf-8"))
-
-
-def leaderboard(folder: Path, summary: Mapping[str, Any], seconds: float, command: str) -> str:
-    """The page, in Markdown."""
-    campaign = campaign_of_folder(folder)
-    made = provenance()
-    spent, today = summary["cost"].get("processor_s", 0.0), datetime.now(UTC).date().isoformat()
-    about = (
-        f"{summary['done']} runs, {seconds:.0f} s in the last call, {spent:.0f} s of processor time; "
-        f"{os.cpu_count()} cores; date {today}; commit {made.get('commit', DASH)[:9]}; "
-        f"metropilot {made['metropilot']}, Python {made['python']}"
-    )
+def leaderboard(campaign: Campaign, folder: Path, summary: Mapping[str, Any], written: str) -> list[str]:
+    """Lines of the page, after its title."""
     sections = len(campaign.sections)
     trainsets = ", ".join(f"{name} {load}" for name, load in campaign.trainsets)
     if len(campaign.trainsets) > NAMED:
-        trainsets = f"{len({name for name, _ in campaign.trainsets})} trainsets ({matrix_words(campaign)})"
-    lines = [f"# {campaign.name[:1].upper()}{campaign.name[1:]}", ""]
+        trainsets = f"{len({name for name, _ in campaign.trainsets})} trainsets ({campaign.matrix_words})"
     compared = f"{len(campaign.drivers)} drivers on {sections} sections with {trainsets}"
-    lines += [f"This page compares {compared}, all under protection.", ""]
-    lines += [f"Written by `{command}`: {about}.", "", LEGEND]
+    lines = [f"This page compares {compared}, all under protection.", "", written, "", LEGEND]
     for disturbance in campaign.disturbances:
         rows = [row for row in summary["cells"] if row["disturbance"] == disturbance.name]
         ranges = "; ".join(
@@ -82,9 +50,8 @@ def leaderboard(folder: Path, summary: Mapping[str, Any], seconds: float, comman
     by_trainset = trainset_sections(folder, campaign)
     if not by_trainset:
         by_section = _by_section(folder, campaign.disturbances[0].name)
-        return "\n".join(lines + by_section + _failures(summary["worst"])).rstrip() + "\n"
-    lines += by_trainset
-    return "\n".join(lines).rstrip() + "\n"
+        return lines + by_section + _failures(summary["worst"])
+    return lines + by_trainset
 
 
 def _number(value: float | None, digits: int) -> str:

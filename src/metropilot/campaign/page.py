@@ -1,20 +1,17 @@
-"""Summary and report of a campaign: one self-contained HTML file, and a folder for each worst run."""
+"""Statistics of a campaign of drives, and the parts of its report."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from metropilot._io import atomic_write
-from metropilot.campaign.declared import AXES, Campaign
-from metropilot.campaign.rows import FAILED, INFEASIBLE, RESULTS, TIMINGS
-from metropilot.campaign.store import PARTS_FOLDER, TIMINGS_FOLDER, CampaignStore, campaign_of_folder
+from metropilot.campaign.declared import Campaign
+from metropilot.campaign.matrix import FAILED, INFEASIBLE
+from metropilot.campaign.report import open_database, query_rows
 from metropilot.campaign.worst import drive_worst, worst_table
-from metropilot.errors import InputError
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -23,7 +20,6 @@ if TYPE_CHECKING:
 
 CONFIDENCE = 0.95
 WORST = 10
-RESULTS_FILE, TIMINGS_FILE = "results.parquet", "timings.parquet"
 DRIVEN = f"outcome <> '{INFEASIBLE}'"
 POSSIBLE = f"{DRIVEN} AND coalesce(scheduled_time_s >= minimum_running_time_s, true)"
 """Condition that the true plant can keep the scheduled time with all restrictions known in advance."""
@@ -64,102 +60,15 @@ WORST_FIRST = f"""
 """
 
 
-def open_database(folder: Path) -> DuckDBPyConnection:
-    """Open a database with the view ``runs``: the results of the drivers with their rows and timings."""
-    import duckdb
-
-    database = duckdb.connect(config={"memory_limit": "512MB"})
-    database.execute(
-        f"CREATE VIEW runs AS SELECT * FROM ({_parts(folder, PARTS_FOLDER)}) AS result "
-        f"LEFT JOIN ({_parts(folder, TIMINGS_FOLDER)}) AS timing USING (row, driver, cell)"
-    )
-    return database
-
-
-def _parts(folder: Path, kind: str) -> str:
-    """Query for all parts of one kind, ordered by driver, with the number of the row."""
-    campaign = campaign_of_folder(folder)
-    quoted = [name.replace("'", "''") for name in campaign.drivers]
-    names = ", ".join(f"'{name}'" for name in quoted)
-    parts = str(folder / kind / "*" / "*.parquet").replace("'", "''")
-    columns = RESULTS if kind == PARTS_FOLDER else TIMINGS
-    # parts of an earlier version lack the columns of a later one
-    whole = ", ".join(f"NULL::{sql} AS {name}" for name, sql in {"row": "BIGINT", **columns}.items())
-    return (
-        f"SELECT {whole} WHERE false UNION ALL BY NAME "
-        f"SELECT (list_position([{names}], driver) - 1) * {campaign.cells} + cell AS row, * "
-        f"FROM read_parquet('{parts}', union_by_name=true) WHERE driver IN ({names})"
-    )
-
-
-def collect_parts(folder: Path) -> None:
-    """Write all parts as one file each: ``results.parquet``, ``timings.parquet``, ordered by row.
-
-    Raises:
-        InputError: A file cannot be written, or a part cannot be read.
-    """
-    for kind, target in ((PARTS_FOLDER, RESULTS_FILE), (TIMINGS_FOLDER, TIMINGS_FILE)):
-        query = f"SELECT * FROM ({_parts(folder, kind)}) ORDER BY row"
-        atomic_write(folder / target, lambda partial, query=query: _copy(query, partial))
-
-
-def _copy(query: str, partial: Path) -> None:
-    """Write a query's rows as Parquet."""
-    import duckdb
-
-    place = str(partial).replace("'", "''")
-    with duckdb.connect(config={"threads": 1, "memory_limit": "512MB"}) as database:
-        try:
-            database.execute(f"COPY ({query}) TO '{place}' (FORMAT parquet, COMPRESSION zstd)")
-        except duckdb.Error as error:
-            words = str(error).splitlines()[0]
-            raise InputError("cannot collect the results", file=partial, value=words) from None
-
-
-def summarise(folder: Path) -> dict[str, Any]:
-    """Summarise a campaign as plain values.
-
-    Args:
-        folder: Folder of the campaign, which may be unfinished.
-
-    Returns:
-        ``campaign, digest, rows, done, checksum``, and lists of rows ``drivers`` (one per driver), ``cells``
-        (one per driver and disturbance) and ``worst``; ``cost`` holds processor time and memory.
-
-    Raises:
-        InputError: Not the folder of a campaign.
-    """
-    campaign = campaign_of_folder(folder)
-    store = CampaignStore(folder, campaign)
-    done = sum(len(campaign.shard(piece)) for piece in store.finished_shards())
-    found: dict[str, Any] = {
-        "campaign": campaign.name,
-        "digest": campaign.digest,
-        "rows": campaign.rows,
-        "done": done,
-        "checksum": store.checksum(),
+def drive_statistics(database: DuckDBPyConnection | None) -> dict[str, Any]:
+    """Statistics by driver, by driver and disturbance, and the worst runs."""
+    if database is None:
+        return {"drivers": [], "cells": [], "worst": []}
+    return {
+        "drivers": group_statistics(database, "driver"),
+        "cells": group_statistics(database, "driver", "disturbance"),
+        "worst": query_rows(database, WORST_FIRST),
     }
-    if not done:
-        return found | {"drivers": [], "cells": [], "worst": [], "cost": {}}
-    with open_database(folder) as database:
-        drivers = group_statistics(database, "driver")
-        cells = group_statistics(database, "driver", "disturbance")
-        worst = query_rows(database, WORST_FIRST)
-        cost = query_rows(database, COST)[0]
-    return found | {"drivers": drivers, "cells": cells, "worst": worst, "cost": cost}
-
-
-COST = """
-    SELECT sum(processor_s) AS processor_s, avg(processor_s) AS processor_s_mean,
-        quantile_cont(processor_s, 0.95) AS processor_s_95, max(worker_mb) AS worker_mb FROM runs
-"""
-
-
-def query_rows(database: DuckDBPyConnection, query: str) -> list[dict[str, Any]]:
-    """The rows of a query, as dictionaries."""
-    answer = database.execute(query)
-    names = [column[0] for column in answer.description or ()]
-    return [dict(zip(names, row, strict=True)) for row in answer.fetchall()]
 
 
 def group_statistics(database: DuckDBPyConnection, *by: str) -> list[dict[str, Any]]:
@@ -207,18 +116,6 @@ def median_ranks(count: int) -> tuple[float, float]:
 
 CLOUD = 3000
 DASH = "–"
-REPORT = "report.html"
-STYLE = """
-body{font:14px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:76rem;padding:0 1rem;color:#202020}
-h1{font-size:1.5rem}h2{font-size:1.15rem;margin-top:2rem}
-table{border-collapse:collapse;font-variant-numeric:tabular-nums;margin:.6rem 0}
-th,td{padding:.25rem .7rem;border-bottom:1px solid #d9d9d9;text-align:right;vertical-align:top}
-th:first-child,td:first-child,td.text,th.text{text-align:left}th{border-bottom:2px solid #6b6b6b}
-small{color:#6b6b6b}code{background:#efefef;padding:0 .25rem}svg{max-width:100%;height:auto}
-.wide{overflow-x:auto}
-.runs{display:grid;grid-template-columns:repeat(auto-fill,minmax(26rem,1fr));gap:1.2rem}
-figure{margin:0}figcaption{font-size:.9rem}
-"""
 PARETO = """
     SELECT driver, time,
         median(running_time_s / minimum_running_time_s) AS at,
@@ -238,58 +135,18 @@ POINTS = """
 """
 
 
-def write_campaign_report(folder: Path, summary: Mapping[str, Any], about: Mapping[str, str]) -> Path:
-    """Write ``report.html``, and a folder ``worst/NN`` for each of the worst runs.
-
-    Args:
-        folder: The campaign's folder.
-        summary: From :func:`summarise`.
-        about: Further lines of the head by name: time, machine, commit.
+def report_drives(campaign: Campaign, folder: Path, summary: Mapping[str, Any]) -> list[str]:
+    """Parts of the report on drives, and a folder ``worst/NN`` for each of the worst runs.
 
     Raises:
         InputError: The folder cannot be written.
     """
-    campaign = campaign_of_folder(folder)
     worst = drive_worst(folder, campaign, summary["worst"])
-    parts = [f"<h1>Campaign {escape(campaign.name)}</h1>", _head(campaign, summary, about)]
-    parts += ["<h2>Drivers</h2>", _legend(), _table(summary["drivers"], ("driver",))]
+    parts = ["<h2>Drivers</h2>", _legend(), _table(summary["drivers"], ("driver",))]
     if len(campaign.disturbances) > 1:
         parts += ["<h2>By disturbance</h2>", _table(summary["cells"], ("disturbance", "driver"))]
     parts += ["<h2>Energy against time</h2>", _pareto(folder, campaign)]
-    parts += ["<h2>The worst runs</h2>", worst_table(summary["worst"], worst)]
-    body = "\n".join(parts)
-    head = f"<meta charset='utf-8'><title>{escape(campaign.name)}</title><style>{STYLE}</style>"
-    path = folder / REPORT
-    text = f"<!doctype html><html lang='en'><head>{head}</head><body>{body}</body></html>\n"
-    atomic_write(path, lambda partial: partial.write_text(text, encoding="utf-8"))
-    return path
-
-
-def _head(campaign: Campaign, summary: Mapping[str, Any], about: Mapping[str, str]) -> str:
-    matrix = matrix_words(campaign)
-    lines = [f"{summary['done']} of {summary['rows']} runs: {matrix}."]
-    cost = summary["cost"]
-    if cost:
-        lines.append(
-            f"{cost['processor_s']:.0f} s of processor time, {cost['processor_s_mean']:.3f} s a run "
-            f"(95 %: {cost['processor_s_95']:.3f} s); workers used up to {cost['worker_mb']:.0f} MB."
-        )
-    lines.append(f"Checksum of the results: <code>{summary['checksum']}</code>.")
-    lines += [f"{escape(name)}: {escape(text)}." for name, text in about.items()]
-    return "".join(f"<p>{line}</p>" for line in lines)
-
-
-def matrix_words(campaign: Campaign) -> str:
-    """The matrix of a campaign in words: its axes with their sizes, and the sample if there is one."""
-    sizes = zip(("drivers", *AXES), campaign.axes, strict=True)
-    words = " × ".join(f"{count} {name}" for name, count in sizes if count > 1 or name not in SINGLE)
-    if campaign.cells < prod(campaign.axes[1:]):
-        words += f", a sample of {campaign.combinations} combinations with every driver and actuation"
-    return words
-
-
-SINGLE = ("control periods", "actuations")
-"""Axes that most campaigns do not have."""
+    return [*parts, "<h2>The worst runs</h2>", worst_table(summary["worst"], worst)]
 
 
 def _legend() -> str:

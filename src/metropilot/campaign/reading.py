@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import shlex
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import Field, create_model
 
-from metropilot._io import read_text
 from metropilot._schema import field_specs
 from metropilot.campaign.declared import DRAWN, OWN, Campaign, DisturbanceCase
+from metropilot.campaign.line_sweep import sweep_from_values
+from metropilot.campaign.matrix import DRIVES, KINDS, LINE, AbstractCampaign
+from metropilot.campaign.toml_file import (
+    DrawnTrainsets,
+    StrictModel,
+    add_place,
+    keep_once,
+    list_trainsets,
+    read_values,
+    resolve_name,
+    validate,
+)
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError, rename_fields
-from metropilot.evaluate import is_file, make_driver, run_fields
-from metropilot.railway import RESTRICTION_KMH, load_line, load_trainset
+from metropilot.evaluate import make_driver, run_fields
+from metropilot.railway import RESTRICTION_KMH, load_line
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance
 
 ALL = "all"
@@ -26,24 +36,20 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Spread = float | tuple[float, float]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _Restriction(_Strict):
+class _Restriction(StrictModel):
     start: Annotated[float, Field(alias="from", ge=0, lt=1)]
     end: Annotated[float, Field(alias="to", gt=0, le=1)]
     kmh: Annotated[float, Field(ge=RESTRICTION_KMH[0], le=RESTRICTION_KMH[1])]
     announced: Share | None = None
 
 
-class _Arrival(_Strict):
+class _Arrival(StrictModel):
     factor: Annotated[float, Field(ge=0.5, le=3)]
     announced: Share
 
 
 _RANGES: dict[str, Any] = dict.fromkeys(DRAWN, (Spread | None, None))
-_Ranges = create_model("_Ranges", __base__=_Strict, **_RANGES)
+_Ranges = create_model("_Ranges", __base__=StrictModel, **_RANGES)
 
 
 class _Disturbance(_Ranges):
@@ -54,57 +60,47 @@ class _Disturbance(_Ranges):
     actuation: tuple[Annotated[float, Field(ge=0, le=5)], Annotated[float, Field(ge=0, le=5)]] | None = None
 
 
-class _Drawn(_Strict):
-    drawn: Annotated[int, Field(ge=1, le=10**6)]
-    seed: Annotated[int, Field(ge=0, lt=10**9)] = 0
-
-
 Seconds = Annotated[float, Field(ge=0, le=5)]
 Late = tuple[Seconds, Seconds]
-LEAST, MOST = "least", "most"
-"""The lightest and the heaviest load of any trainset."""
 
 
-class _Matrix(_Strict):
+class _Matrix(StrictModel):
     drivers: Annotated[list[str], Field(min_length=1)] | Literal["all"]
     sections: Annotated[list[str], Field(min_length=1)]
-    trainsets: Annotated[list[str | _Drawn], Field(min_length=1)] | _Drawn = ["dkz32"]
-    actuation: Annotated[list[Literal["own"] | Late], Field(min_length=1)] = ["own"]
+    trainsets: Annotated[list[str | DrawnTrainsets], Field(min_length=1)] | DrawnTrainsets = Field(["dkz32"])
+    actuation: Annotated[list[Literal["own"] | Late], Field(min_length=1)] = Field(["own"])
     periods: Annotated[list[float], Field(min_length=1)] | None = None
     sample: Annotated[int, Field(ge=1, le=10**9)] | None = None
     loads: Annotated[list[str], Field(min_length=1)] | Literal["all"] = "all"
-    times: Annotated[list[Literal["planned"] | Annotated[float, Field(ge=1, le=10)]], Field(min_length=1)] = [
-        "planned"
-    ]
+    times: Annotated[list[Literal["planned"] | Annotated[float, Field(ge=1, le=10)]], Field(min_length=1)] = (
+        Field(["planned"])
+    )
     seeds: Annotated[int, Field(ge=1, le=10**9)] = 1
     first_seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
 
 
-class _File(_Strict):
+class _File(StrictModel):
     name: Annotated[str, Field(min_length=1)]
     objective: Literal["wheel", "line"] = "wheel"
     dt_s: float = CONTROL_PERIOD_S
     engine: Literal["host", "compiled"] = "host"
     matrix: _Matrix
-    disturbance: list[_Disturbance] = [_Disturbance(name="nominal")]
+    disturbance: list[_Disturbance] = Field([_Disturbance(name="nominal")])
 
 
-def campaign_from_toml(path: Path) -> Campaign:
+def campaign_from_toml(path: Path) -> AbstractCampaign:
     """Read a campaign.
 
     Raises:
         InputError: Not readable, or something in it cannot be used.
     """
-    try:
-        values = tomllib.loads(read_text(path, "campaign"))
-    except InputError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"not TOML ({error})", file=path, field="campaign") from None
-    try:
-        found = _File.model_validate(values)
-    except ValidationError as error:
-        raise _input_error(path, error) from None
+    values = read_values(path)
+    kind = values.pop("kind", DRIVES)
+    with rename_fields({"kind": "kind"}, path):
+        KINDS.row(str(kind))
+    if kind == LINE:
+        return sweep_from_values(path, values)
+    found = validate(path, _File, values)
     with rename_fields({"dt_s": "dt_s"}, path):
         run_fields()["dt_s"].check("dt_s", found.dt_s)
     periods = _periods(path, found)
@@ -116,15 +112,15 @@ def campaign_from_toml(path: Path) -> Campaign:
         name=found.name,
         drivers=_drivers(path, found.matrix.drivers),
         sections=_sections(path, found.matrix.sections),
-        trainsets=_trainsets(path, found.matrix.trainsets, found.matrix.loads),
-        times=_once(found.matrix.times),
+        trainsets=list_trainsets(path, found.matrix.trainsets, found.matrix.loads),
+        times=keep_once(found.matrix.times),
         disturbances=tuple(_disturbance(path, item) for item in found.disturbance),
         seeds=found.matrix.seeds,
         first_seed=found.matrix.first_seed,
         objective=found.objective,
         dt_s=periods[0],
         engine=found.engine,
-        actuations=tuple(None if late == OWN else late for late in _once(found.matrix.actuation)),
+        actuations=tuple(None if late == OWN else late for late in keep_once(found.matrix.actuation)),
         periods=periods if len(periods) > 1 else (),
         sample=found.matrix.sample,
     )
@@ -143,23 +139,7 @@ def _periods(path: Path, found: _File) -> tuple[float, ...]:
     with rename_fields({"dt_s": "matrix.periods"}, path):
         for period in found.matrix.periods:
             run_fields()["dt_s"].check("dt_s", period)
-    return _once(found.matrix.periods)
-
-
-def _input_error(path: Path, error: ValidationError) -> InputError:
-    """The first of the validation errors, at the deepest field it names."""
-    first = max(error.errors(), key=lambda item: (item["type"] == "extra_forbidden", len(item["loc"])))
-    words = [str(part) for part in first["loc"] if not str(part).startswith(("list[", "literal[", "tuple["))]
-    known = {"float", "constrained-float", "function-before"}
-    field = ".".join(word for word in words if word not in known)
-    message = "unknown key" if first["type"] == "extra_forbidden" else first["msg"]
-    value = None if first["type"] == "missing" else str(first["input"])
-    return InputError(message[:1].lower() + message[1:], file=path, field=field, value=value)
-
-
-def _once(values: list[Any]) -> tuple[Any, ...]:
-    """The values without repetitions, in their order."""
-    return tuple(dict.fromkeys(values))
+    return keep_once(found.matrix.periods)
 
 
 def _drivers(path: Path, wanted: list[str] | str) -> tuple[str, ...]:
@@ -169,8 +149,8 @@ def _drivers(path: Path, wanted: list[str] | str) -> tuple[str, ...]:
         try:
             make_driver(name)
         except InputError as error:
-            raise _at(path, "matrix.drivers", error) from None
-    return _once(wanted)
+            raise add_place(path, "matrix.drivers", error) from None
+    return keep_once(wanted)
 
 
 def _sections(path: Path, wanted: list[str]) -> tuple[tuple[str, str, str], ...]:
@@ -178,7 +158,7 @@ def _sections(path: Path, wanted: list[str]) -> tuple[tuple[str, str, str], ...]
     found = []
     for text in wanted:
         line_id, *stations = _words(path, text)
-        line_id = _place(path, line_id)
+        line_id = resolve_name(path, line_id)
         try:
             line = load_line(line_id)
             if not stations:
@@ -188,9 +168,9 @@ def _sections(path: Path, wanted: list[str]) -> tuple[tuple[str, str, str], ...]
             else:
                 raise InputError("not a section", value=text, allowed="LINE, or LINE ORIGIN DESTINATION")
         except InputError as error:
-            raise _at(path, "matrix.sections", error) from None
+            raise add_place(path, "matrix.sections", error) from None
         found += [(line_id, cut.origin.code, cut.destination.code) for cut in cuts]
-    return _once(found)
+    return keep_once(found)
 
 
 def _words(path: Path, text: str) -> list[str]:
@@ -202,34 +182,6 @@ def _words(path: Path, text: str) -> list[str]:
         allowed = "LINE, or LINE ORIGIN DESTINATION"
         raise InputError("not a section", file=path, field="matrix.sections", value=text, allowed=allowed)
     return words
-
-
-def _trainsets(
-    path: Path, wanted: list[str | _Drawn] | _Drawn, loads: list[str] | str
-) -> tuple[tuple[str, str], ...]:
-    """Trainset and load of each; ``least`` and ``most`` are the lightest and the heaviest of a trainset."""
-    names: list[str] = []
-    for item in wanted if isinstance(wanted, list) else [wanted]:
-        numbers = range(1, item.drawn + 1) if isinstance(item, _Drawn) else ()
-        names += [item] if isinstance(item, str) else [f"drawn-{item.seed}-{k}" for k in numbers]
-    found = []
-    for name in names:
-        place = _place(path, name)
-        try:
-            trainset = load_trainset(place)
-            masses = trainset.loads
-            ends = {LEAST: min(masses, key=masses.__getitem__), MOST: max(masses, key=masses.__getitem__)}
-            named = list(masses) if isinstance(loads, str) else loads
-            told = [load if load in masses else ends.get(load, load) for load in named]
-            found += [(place, trainset.with_load(load).load) for load in told]
-        except InputError as error:
-            raise _at(path, "matrix.trainsets", error) from None
-    return _once(found)
-
-
-def _place(path: Path, name: str) -> str:
-    """A catalogue id unchanged; a file name relative to the folder of the campaign."""
-    return str((path.parent / name).resolve()) if is_file(name) else name
 
 
 def _disturbance(path: Path, item: _Disturbance) -> DisturbanceCase:
@@ -244,7 +196,7 @@ def _disturbance(path: Path, item: _Disturbance) -> DisturbanceCase:
             for value in (low, high):
                 specs[name].check(name, value)
         except InputError as error:
-            raise _at(path, field, error) from None
+            raise add_place(path, field, error) from None
         if low > high:
             raise InputError("ends before it begins", file=path, field=field, value=f"{low:g} to {high:g}")
         ranges[name] = (float(low), float(high))
@@ -264,11 +216,6 @@ def _disturbance(path: Path, item: _Disturbance) -> DisturbanceCase:
     )
 
 
-def _at(path: Path, field: str, error: InputError) -> InputError:
-    """The same error with the file and field of the campaign."""
-    return error.at(file=path, field=field)
-
-
 FOLDER = Path(__file__).parent / "files"
 
 
@@ -277,7 +224,9 @@ def shipped_campaigns() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
 
 
-def read_campaign(name_or_path: str, drivers: str | None = None, sample: int | None = None) -> Campaign:
+def read_campaign(
+    name_or_path: str, drivers: str | None = None, sample: int | None = None
+) -> AbstractCampaign:
     """A campaign by the name of one that ships, or by its file.
 
     Args:
@@ -296,6 +245,11 @@ def read_campaign(name_or_path: str, drivers: str | None = None, sample: int | N
         allowed = f"a TOML file, or one of {', '.join(shipped_campaigns())}"
         raise InputError("no such campaign", field="campaign", value=name_or_path, allowed=allowed)
     campaign = campaign_from_toml(path)
+    if not isinstance(campaign, Campaign):
+        for field, value in {"drivers": drivers, "sample": sample}.items():
+            if value is not None:
+                raise InputError("only for a campaign of drives", file=path, field=field, value=value)
+        return campaign
     if sample is not None:
         if sample < 0:
             raise InputError("out of range", field="sample", value=sample, allowed=">= 0")

@@ -1,29 +1,24 @@
-"""Work of a worker: drive the rows of a shard and write them as Parquet, with their optima."""
+"""Runs of a campaign: drive the rows of a shard, with their optima."""
 
 from __future__ import annotations
 
 import math
-import resource
-import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from time import perf_counter, process_time
-from typing import Any, NamedTuple
+from typing import Any
 
-from metropilot._io import encode_parquet
 from metropilot.campaign.declared import (
     DRAWN,
     OWN,
     PLANNED,
     Campaign,
     CampaignCase,
-    Piece,
     case_request,
-    from_text,
 )
-from metropilot.errors import Infeasible, MetropilotError
+from metropilot.campaign.matrix import CellRow, capture_errors, peak_memory_mb
+from metropilot.errors import Infeasible
 from metropilot.evaluate import (
     OPTIMUM_SPACING_M,
     OPTIMUM_TOLERANCE,
@@ -212,56 +207,25 @@ TIMINGS: Mapping[str, str] = {
     "worker_mb": "DOUBLE",
 }
 """Columns of measured times, in a file of their own because they are not reproducible."""
-FAILED, INFEASIBLE = "failed", "infeasible"
-"""Outcomes of a row besides those of a run: the driver ended with an error; no driver could meet the time."""
 
 
-class Shard(NamedTuple):
-    """A finished shard, as a worker returns it.
-
-    Attributes:
-        piece: Identity of the shard.
-        rows: Number of rows.
-        results: Parquet file of :data:`RESULTS`.
-        timings: Parquet file of :data:`TIMINGS`.
-        version: Version of metropilot of the worker.
-    """
-
-    piece: Piece
-    rows: int
-    results: bytes
-    timings: bytes
-    version: str
-
-
-def drive_shard(text: str, piece: Piece) -> Shard:
-    """Drive a shard of the campaign that ``text`` describes.
-
-    Args:
-        text: :attr:`Campaign.text`.
-        piece: Shard to drive.
-    """
-    import metropilot
-
-    campaign, piece = from_text(text), Piece(*piece)
-    cases = [campaign.case(row) for row in campaign.shard(piece)]
+def drive_rows(campaign: Campaign, rows: range) -> list[CellRow]:
+    """Drive rows: those of learned policies as a batch where they can be, all others one by one."""
+    cases = [campaign.case(row) for row in rows]
     batch = [
         case
         for case in cases
         if campaign.is_compiled(case.driver, case.disturbance, (case.trainset, case.load))
     ]
-    found: dict[int, tuple[dict[str, Any], dict[str, Any]]] = {}
+    found: dict[int, CellRow] = {}
     if batch:
         from metropilot.campaign.compiled import drive_batch
 
         found = dict(zip((case.row for case in batch), drive_batch(campaign, batch), strict=True))
-    driven = [found[case.row] if case.row in found else drive_row(campaign, case) for case in cases]
-    results = encode_parquet(RESULTS, [result for result, _ in driven])
-    timings = encode_parquet(TIMINGS, [timing for _, timing in driven])
-    return Shard(piece, len(driven), results, timings, metropilot.__version__)
+    return [found[case.row] if case.row in found else drive_row(campaign, case) for case in cases]
 
 
-def drive_row(campaign: Campaign, case: CampaignCase) -> tuple[dict[str, Any], dict[str, Any]]:
+def drive_row(campaign: Campaign, case: CampaignCase) -> CellRow:
     """Drive one row; returns its result and its timing. An error of the driver is recorded as a result."""
     began, spent = perf_counter(), process_time()
     result, timing = new_result(campaign, case)
@@ -279,7 +243,7 @@ def drive_row(campaign: Campaign, case: CampaignCase) -> tuple[dict[str, Any], d
     return result, timing
 
 
-def new_result(campaign: Campaign, case: CampaignCase) -> tuple[dict[str, Any], dict[str, Any]]:
+def new_result(campaign: Campaign, case: CampaignCase) -> CellRow:
     """Result and timing of a row before its run: the cell only."""
     cell = case.row % campaign.cells
     result: dict[str, Any] = {name: str(getattr(case, name)) for name in WORDS[:-1]}
@@ -288,19 +252,6 @@ def new_result(campaign: Campaign, case: CampaignCase) -> tuple[dict[str, Any], 
     result |= {"cell": cell, "disturbance": case.disturbance.name, "number": case.number}
     result |= {"trainset": str(key._replace(actuation=None)), "actuation": late, "period_s": case.period_s}
     return result | {"success": False, "engine": "host"}, {"cell": cell, "driver": case.driver}
-
-
-@contextmanager
-def capture_errors(result: dict[str, Any]) -> Iterator[None]:
-    """Record an exception of the block as the result, so that one failing driver does not stop a campaign."""
-    try:
-        yield
-    except Infeasible as error:
-        result |= {"outcome": INFEASIBLE, "error": error.line()}
-    except MetropilotError as error:
-        result |= {"outcome": FAILED, "error": str(error)}
-    except Exception as error:  # noqa: BLE001 (whatever it is)
-        result |= {"outcome": FAILED, "error": f"{type(error).__name__}: {error}"}
 
 
 def prepare_run(campaign: Campaign, case: CampaignCase, result: dict[str, Any]) -> tuple[RunSpec, Run]:
@@ -323,13 +274,6 @@ def add_kpis(campaign: Campaign, driven: Drive, optimum: Optimum | None, result:
     result |= {name: found[name] for name in (*TRUTHS, *NUMBERS, *COUNTS, "outcome", "scheduled_time_s")}
     result["success"] = kpis.on_time
     return kpis
-
-
-def peak_memory_mb() -> float:
-    """Largest resident memory of this process so far, MB."""
-    # getrusage counts bytes on macOS and KiB on Linux.
-    scale = 1024.0 * 1024.0 if sys.platform == "darwin" else 1024.0
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / scale
 
 
 @lru_cache(maxsize=64)

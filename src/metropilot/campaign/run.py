@@ -1,4 +1,4 @@
-"""Runner of a campaign: a pool of workers drives the shards that its folder does not hold yet."""
+"""Runner of a campaign: a pool of workers computes the shards that its folder does not hold yet."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 
 import metropilot
 from metropilot._processes import ONE_THREAD, environment
-from metropilot.campaign.declared import Campaign, Piece
-from metropilot.campaign.rows import Shard, drive_shard, peak_memory_mb
+from metropilot.campaign.matrix import AbstractCampaign, Piece, Shard, compute_shard, peak_memory_mb
 from metropilot.campaign.store import CampaignStore
 from metropilot.errors import InputError, MetropilotError
 
@@ -25,11 +24,11 @@ class WorkersDied(MetropilotError, RuntimeError):
 
 
 def drive_locally(text: str, shards: Sequence[Piece], workers: int) -> Iterator[Shard]:
-    """Drive shards in processes of this machine, each on one thread; one that dies is replaced.
+    """Compute shards in processes of this machine, each on one thread; one that dies is replaced.
 
     Args:
         text: The campaign.
-        shards: Shards to drive.
+        shards: Shards to compute.
         workers: Number of processes.
 
     Raises:
@@ -48,7 +47,7 @@ def drive_locally(text: str, shards: Sequence[Piece], workers: int) -> Iterator[
                 batch_size=1,  # pyright: ignore[reportArgumentType]
                 pre_dispatch=f"{AHEAD} * n_jobs",
             )
-            driven = pool(delayed(drive_shard)(text, piece) for piece in tuple(left))
+            driven = pool(delayed(compute_shard)(text, piece) for piece in tuple(left))
             try:
                 for shard in driven:
                     del left[shard.piece]
@@ -63,11 +62,11 @@ def drive_locally(text: str, shards: Sequence[Piece], workers: int) -> Iterator[
 
 
 def drive_on_cluster(text: str, shards: Sequence[Piece], workers: int, address: str) -> Iterator[Shard]:
-    """Drive shards on a Ray cluster; a shard whose worker dies is driven again by another.
+    """Compute shards on a Ray cluster; a shard whose worker dies is computed again by another.
 
     Args:
         text: The campaign.
-        shards: Shards to drive.
+        shards: Shards to compute.
         workers: Processes, if the cluster is started here.
         address: Address of a running cluster, or ``local`` to start one on this machine.
 
@@ -103,7 +102,7 @@ def drive_on_cluster(text: str, shards: Sequence[Piece], workers: int, address: 
 
 
 def _from_ray(ray: Any, text: str, shards: Sequence[Piece]) -> Iterator[Shard]:  # noqa: ANN401 (the module)
-    remote = ray.remote(num_cpus=1, max_retries=RETRIES)(drive_shard)
+    remote = ray.remote(num_cpus=1, max_retries=RETRIES)(compute_shard)
     campaign = ray.put(text)
     ahead = AHEAD * max(int(ray.cluster_resources().get("CPU", 1)), 1)
     waiting, coming = list(reversed(shards)), {}
@@ -139,13 +138,13 @@ class CampaignProgress(NamedTuple):
 
 
 def run_campaign(
-    campaign: Campaign,
+    campaign: AbstractCampaign,
     folder: Path,
     workers: int = 2,
     cluster: str | None = None,
     say: Callable[[CampaignProgress], object] = lambda progress: None,  # noqa: ARG005 (silent)
 ) -> CampaignProgress:
-    """Drive every row that the folder does not hold yet.
+    """Compute every row that the folder does not hold yet.
 
     Args:
         campaign: The matrix.

@@ -14,8 +14,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from metropilot._io import atomic_write
-from metropilot.campaign.declared import Campaign, Piece, from_text
-from metropilot.campaign.rows import Shard
+from metropilot.campaign.matrix import AbstractCampaign, Piece, Shard, from_text
 from metropilot.errors import InputError
 
 ABOUT_FILE, DONE_FILE = "campaign.json", "done.txt"
@@ -27,14 +26,15 @@ class CampaignStore:
     """A campaign's folder, written by one process.
 
     Args:
-        folder: Created if missing; a campaign with the same cells in it is resumed, also with other drivers.
+        folder: Created if missing; a campaign with the same cells in it is resumed, also with other
+            groups.
         campaign: The campaign.
 
     Raises:
         InputError: The folder cannot be written, or holds another campaign.
     """
 
-    def __init__(self, folder: Path, campaign: Campaign) -> None:
+    def __init__(self, folder: Path, campaign: AbstractCampaign) -> None:
         self.folder, self.campaign = folder, campaign
         about = folder / ABOUT_FILE
         try:
@@ -69,7 +69,7 @@ class CampaignStore:
         path, found = self.folder / DONE_FILE, {}
         text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
         lines = text.splitlines(keepends=True)
-        pieces = {(key_of(piece.driver), piece.chunk): piece for piece in self.campaign.pieces()}
+        pieces = {(key_of(piece.group), piece.chunk): piece for piece in self.campaign.pieces()}
         for line in lines:
             words = line.split()
             if not line.endswith("\n") or len(words) != 5 or not words[1].isdigit():
@@ -84,11 +84,11 @@ class CampaignStore:
 
     def part(self, piece: Piece) -> Path:
         """Path of the results of a shard."""
-        return self.folder / PARTS_FOLDER / key_of(piece.driver) / f"{piece.chunk:06d}.parquet"
+        return self.folder / PARTS_FOLDER / key_of(piece.group) / f"{piece.chunk:06d}.parquet"
 
     def timing(self, piece: Piece) -> Path:
         """Path of the timings of a shard."""
-        return self.folder / TIMINGS_FOLDER / key_of(piece.driver) / f"{piece.chunk:06d}.parquet"
+        return self.folder / TIMINGS_FOLDER / key_of(piece.group) / f"{piece.chunk:06d}.parquet"
 
     def keep(self, shard: Shard) -> None:
         """Write a shard, then its line in the list.
@@ -103,7 +103,7 @@ class CampaignStore:
             checksum = sha256(shard.results).hexdigest()[:16]
             path = self.folder / DONE_FILE
             torn = _torn(path)
-            words = (key_of(piece.driver), piece.chunk, shard.rows, len(shard.results), checksum)
+            words = (key_of(piece.group), piece.chunk, shard.rows, len(shard.results), checksum)
             with path.open("a") as file:
                 file.write("\n" * torn + " ".join(map(str, words)) + "\n")
                 file.flush()
@@ -117,7 +117,7 @@ class CampaignStore:
         """One checksum of all results in the order of the rows; the same for every pool of workers."""
         done = self.finished_shards()
         words = (
-            f"{piece.driver} {piece.chunk} {done[piece]}" for piece in self.campaign.pieces() if piece in done
+            f"{piece.group} {piece.chunk} {done[piece]}" for piece in self.campaign.pieces() if piece in done
         )
         return sha256("\n".join(words).encode()).hexdigest()[:16]
 
@@ -131,13 +131,13 @@ def _torn(path: Path) -> bool:
         return file.read(1) != b"\n"
 
 
-def key_of(driver: str) -> str:
-    """Name of the folder of a driver with its options."""
-    plain = "".join(letter if letter.isalnum() or letter == "_" else "-" for letter in driver)[:40]
-    return plain if plain == driver else f"{plain}-{sha256(driver.encode()).hexdigest()[:8]}"
+def key_of(group: str) -> str:
+    """Name of the folder of a group."""
+    plain = "".join(letter if letter.isalnum() or letter == "_" else "-" for letter in group)[:40]
+    return plain if plain == group else f"{plain}-{sha256(group.encode()).hexdigest()[:8]}"
 
 
-def campaign_of_folder(folder: Path) -> Campaign:
+def campaign_of_folder(folder: Path) -> AbstractCampaign:
     """The campaign of a folder.
 
     Raises:
@@ -147,7 +147,7 @@ def campaign_of_folder(folder: Path) -> Campaign:
         found = json.loads((folder / ABOUT_FILE).read_text())
         campaign = from_text(json.dumps(found["campaign"]))
         known = campaign.rows > 0 and found["digest"] == campaign.digest
-        whole = known and len(set(campaign.drivers)) == len(campaign.drivers)
+        whole = known and len(set(campaign.groups)) == len(campaign.groups)
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         campaign, whole = None, False
     if campaign is None or not whole:

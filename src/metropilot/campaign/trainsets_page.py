@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from metropilot.campaign.declared import Campaign, CampaignCase, DisturbanceCase
-from metropilot.campaign.page import DRIVEN, POSSIBLE, open_database, query_rows
-from metropilot.campaign.rows import FAILED
+from metropilot.campaign.matrix import FAILED
+from metropilot.campaign.page import DRIVEN, POSSIBLE
+from metropilot.campaign.report import open_database, query_rows
 
 DASH = "–"
 JERK_MARGIN = 1.05

@@ -15,7 +15,7 @@ from metropilot.cli.console import console, number, print_json, table
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
-    from metropilot.campaign import Campaign, CampaignProgress
+    from metropilot.campaign import CampaignProgress, LineSweep
 
 EXAMPLES = {
     "campaign": (
@@ -24,6 +24,7 @@ EXAMPLES = {
         "metropilot campaign robustness.toml --cluster local --workers 2",
         "metropilot campaign leaderboard --write-docs docs/leaderboard.md",
         "metropilot campaign trainsets --sample 400 --out trainsets",
+        "metropilot campaign line-example --out lines",
     ),
 }
 SAY_EVERY_S = 5.0
@@ -52,18 +53,19 @@ def campaign_command(
     ] = None,
     as_json: opt.Json = False,
 ) -> int:
-    """Drive a declared matrix of runs, resumable, and report it.
+    """Compute a declared matrix of runs or of lines in operation, resumable, and report it.
 
     After an interruption the same command resumes it. Exit code 0: every run was safe, and arrived on time
-    where that was possible; 1: not; 2: invalid input.
+    where that was possible, or every line was computed; 1: not; 2: invalid input.
     """
     from metropilot.campaign import (
+        LineSweep,
         collect_parts,
         read_campaign,
         run_campaign,
         summarise,
+        write_campaign_page,
         write_campaign_report,
-        write_leaderboard,
     )
 
     campaign = read_campaign(file, drivers, sample)
@@ -73,23 +75,30 @@ def campaign_command(
             "not a page", field="write-docs", value=str(write_docs), allowed="a path ending in .md"
         )
     began = perf_counter()
-    progress = run_campaign(campaign, folder, workers, cluster, _Saying(campaign))
+    progress = run_campaign(campaign, folder, workers, cluster, _Saying())
     collect_parts(folder)
     summary = summarise(folder)
     summary |= call_summary(progress, workers, cluster)
     write_campaign_report(folder, summary, circumstances(progress, workers, cluster))
     if write_docs is not None:
-        write_leaderboard(
+        write_campaign_page(
             write_docs, folder, summary, perf_counter() - began, campaign_line(file, drivers, sample)
         )
     if as_json:
         print_json(summary)
     else:
-        report(summary, folder)
-    good = [
-        row["successes"] == row["possible"] and row["safe"] == row["driven"] for row in summary["drivers"]
-    ]
-    return 0 if all(good) else 1
+        files = "report.html results.parquet timings.parquet"
+        if isinstance(campaign, LineSweep):
+            report_lines(campaign, summary)
+        else:
+            report(summary)
+            files += " worst/"
+        done = summary["sitting"]
+        if done["driven"]:
+            rate = f"{done['driven']} rows in {done['seconds']:.1f} s, {done['runs_per_s']:.2f} a second."
+            console().print(rate)
+        console().print(f"Written to {folder}: {files}")
+    return 0 if campaign.succeeds(summary) else 1
 
 
 def campaign_line(file: str, drivers: str | None, sample: int | None) -> str:
@@ -103,8 +112,8 @@ def campaign_line(file: str, drivers: str | None, sample: int | None) -> str:
 class _Saying:
     """Progress on the error stream, every few seconds."""
 
-    def __init__(self, campaign: Campaign) -> None:
-        self.campaign, self.next_s = campaign, SAY_EVERY_S
+    def __init__(self) -> None:
+        self.next_s = SAY_EVERY_S
 
     def __call__(self, progress: CampaignProgress) -> None:
         if progress.seconds < self.next_s:
@@ -113,7 +122,7 @@ class _Saying:
         rate = progress.driven / max(progress.seconds, 1e-9)
         left = (progress.total - progress.rows) / max(rate, 1e-9)
         sys.stderr.write(
-            f"{progress.rows} of {progress.total} runs, {rate:.1f} a second, {left:.0f} s left, "
+            f"{progress.rows} of {progress.total} rows, {rate:.2g} a second, {left:.0f} s left, "
             f"{progress.memory_mb:.0f} MB\n"
         )
 
@@ -132,14 +141,24 @@ def circumstances(progress: CampaignProgress, workers: int, cluster: str | None)
     where = f"{workers} processes" if cluster is None else f"Ray cluster {cluster}"
     made = ", ".join(f"{name} {text}" for name, text in provenance().items())
     return {
-        "This sitting": f"{progress.driven} runs in {progress.seconds:.0f} s on {where}",
+        "This sitting": f"{progress.driven} rows in {progress.seconds:.0f} s on {where}",
         "Machine": f"{os.cpu_count()} cores",
         "Made with": made,
     }
 
 
-def report(summary: dict[str, Any], folder: Path) -> None:
-    """Print the summary."""
+def report_lines(sweep: LineSweep, summary: dict[str, Any]) -> None:
+    """Print the summary of a campaign of lines in operation."""
+    from metropilot.campaign import table_of_lines
+
+    heads, cells = table_of_lines(sweep, summary["lines"])
+    title = f"{summary['campaign']}: {summary['done']} of {summary['rows']} rows, kWh"
+    spare = [name for name in heads if name.endswith((" s", ", found", ", plain")) and "optimal" not in name]
+    console().print(table(title, heads, cells, right=range(1, len(heads)), spare=spare))
+
+
+def report(summary: dict[str, Any]) -> None:
+    """Print the summary of a campaign of drives."""
     rows = []
     for row in summary["drivers"]:
         share = 100.0 * row["successes"] / row["possible"] if row["possible"] else None
@@ -166,7 +185,3 @@ def report(summary: dict[str, Any], folder: Path) -> None:
     title = f"{summary['campaign']}: {summary['done']} of {summary['rows']} runs"
     spare = ("decision µs", "95 %", "intervened", "stop worst m", "worst %")
     out.print(table(title, columns, rows, right=range(1, len(columns)), spare=spare))
-    done = summary["sitting"]
-    if done["driven"]:
-        out.print(f"{done['driven']} runs in {done['seconds']:.1f} s, {done['runs_per_s']:.2f} a second.")
-    out.print(f"Written to {folder}: report.html results.parquet timings.parquet worst/")

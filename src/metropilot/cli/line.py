@@ -13,7 +13,14 @@ from metropilot._schema import field_default, field_specs, field_type
 from metropilot.cli import complete
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, number, print_json, show_activity, table
-from metropilot.cli.line_day import DayRequest, check_day_options, compute_day, print_day
+from metropilot.cli.line_day import (
+    DayRequest,
+    check_day_options,
+    compute_day,
+    make_scatter,
+    print_day,
+    print_scatter,
+)
 from metropilot.errors import InputError
 from metropilot.operation import OperationOptions
 
@@ -81,7 +88,7 @@ def line_command(
     driver: Annotated[
         str | None,
         typer.Option(
-            help="A driver who drives every trip of the day besides; see `metropilot drivers`.",
+            help="A driver who drives every trip besides; see `metropilot drivers`.",
             metavar="ID",
             autocompletion=complete.drivers,
             rich_help_panel=OPERATION,
@@ -93,6 +100,16 @@ def line_command(
             help="Runs of every trip by that driver, by seeds.", min=1, max=100, rich_help_panel=OPERATION
         ),
     ] = 1,
+    scatter: Annotated[
+        float | None,
+        typer.Option(
+            help="Departures that move by up to so many seconds either way, evenly drawn.",
+            metavar="S",
+            min=0.0,
+            max=300.0,
+            rich_help_panel=OPERATION,
+        ),
+    ] = None,
     feeding: Annotated[
         str | None,
         typer.Option(
@@ -115,7 +132,7 @@ def line_command(
     from metropilot.operation import LineOperation, feed_line, operation_energy, write_operation
     from metropilot.railway import load_feeding, load_line, load_trainset
 
-    request = DayRequest(day, timetable, service, driver, runs, optimise, seed)
+    request = DayRequest(day, timetable, service, driver, runs, scatter, optimise, seed)
     check_day_options(request)
     typed = {"line": line, **given, **vars(request), "feeding": feeding}
     trainset = load_trainset(given.pop("trainset"), given.pop("load"))
@@ -130,7 +147,14 @@ def line_command(
             raise InputError("a day has no sharp floor", field="sharp", allowed="with a headway")
         return _run_day(operation, request, network, typed, out, as_json=as_json)
     with show_activity(f"planning {len(operation.trips)} trips and their timetable"):
-        found = operation_energy(operation, searched=optimise, seed=seed, feeding=network, sharp=sharp)
+        found = operation_energy(
+            operation,
+            searched=optimise,
+            seed=seed,
+            feeding=network,
+            sharp=sharp,
+            scatter=make_scatter(operation, request),
+        )
         fed = None if network is None else feed_line(operation, found.timetable, found.profiles, network)
     if out is not None:
         write_operation(out, found, fed)
@@ -140,6 +164,7 @@ def line_command(
     _print(found)
     if fed is not None:
         _print_network(found, fed)
+    print_scatter(found)
     if out is not None:
         files = "line.json timetable.csv trains.svg trains.png power.svg power.png"
         files += "" if fed is None else " voltage.svg voltage.png"
@@ -229,6 +254,14 @@ def _print_network(found: OperationEnergy, fed: FeedingEnergy) -> None:
     title = f"feeding {told['id']}: {told['energy_kwh']:.1f} kWh a round trip"
     columns = ("substation", "m", "kWh", "mean MW", "peak MW", "lowest V")
     console().print(table(title, columns, rows, right=range(1, 6)))
+    plain, found_for = (
+        [number(told[f"{name}_kwh"], 1) for name in names]
+        for names in (("cruise", "driving_only"), ("timetable_only", "energy"))
+    )
+    console().print(
+        f"Here cruise and brake takes {plain[0]} kWh with the plain timetable and {found_for[0]} with the "
+        f"one found for the zones, optimal driving {plain[1]} and {found_for[1]}."
+    )
     if "zones_timetable_kwh" in told:
         console().print(
             f"The timetable is sought on the network; the best for the zones takes "

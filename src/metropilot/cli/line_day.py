@@ -10,7 +10,13 @@ from metropilot.cli.console import console, number, table
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
-    from metropilot.operation import DayEnergy, FeedingEnergy, LineOperation
+    from metropilot.operation import (
+        DayEnergy,
+        FeedingEnergy,
+        LineOperation,
+        OperationEnergy,
+        ServiceScatter,
+    )
 
 
 @dataclass(frozen=True)
@@ -23,6 +29,7 @@ class DayRequest:
         service: Service of that feed.
         driver: Driver id of a driver who drives the trips besides.
         runs: His runs of every trip.
+        scatter: Seconds by which departures scatter; None: they do not.
         optimise: Search dwells and running times too.
         seed: Seed.
     """
@@ -32,6 +39,7 @@ class DayRequest:
     service: str | None
     driver: str | None
     runs: int
+    scatter: float | None
     optimise: bool
     seed: int
 
@@ -48,12 +56,19 @@ def check_day_options(request: DayRequest) -> None:
         raise InputError("a timetable that is given is not searched", field="optimise", allowed="--day FILE")
     if request.service is not None and request.timetable is None:
         raise InputError("needs a timetable", field="service", allowed="--timetable FOLDER|FILE.zip")
-    if request.driver is not None and request.day is None and request.timetable is None:
-        raise InputError("needs a day", field="driver", allowed="--day FILE or --timetable FOLDER|FILE.zip")
     if request.driver is not None:
         from metropilot.evaluate import make_driver
 
         make_driver(request.driver)
+
+
+def make_scatter(operation: LineOperation, request: DayRequest) -> ServiceScatter:
+    """Make the deviations from the plan: a driver, and departures that scatter."""
+    from metropilot.operation import ServiceScatter, TripDrives
+
+    seeds = range(request.seed, request.seed + request.runs)
+    drives = None if request.driver is None else TripDrives(operation, request.driver, seeds)
+    return ServiceScatter(drives, () if request.scatter is None else (request.scatter,), request.seed)
 
 
 def compute_day(operation: LineOperation, request: DayRequest) -> DayEnergy:
@@ -69,15 +84,15 @@ def compute_day(operation: LineOperation, request: DayRequest) -> DayEnergy:
     from metropilot.operation import day_energy, read_gtfs, timetable_energy
     from metropilot.railway import load_day
 
-    more = {"seed": request.seed, "driver": request.driver, "runs": request.runs}
+    scatter = make_scatter(operation, request)
     line = operation.line
     if request.timetable is not None:
         given = read_gtfs(request.timetable, line, request.service)
-        return timetable_energy(operation, given, str(request.timetable), **more)
+        return timetable_energy(operation, given, str(request.timetable), scatter=scatter)
     assert request.day is not None
     day = load_day(request.day)
     day.check_line(line)
-    return day_energy(operation, day, searched=request.optimise, **more)
+    return day_energy(operation, day, searched=request.optimise, seed=request.seed, scatter=scatter)
 
 
 def print_day(found: DayEnergy, fed: FeedingEnergy | None) -> None:
@@ -124,11 +139,7 @@ def print_day(found: DayEnergy, fed: FeedingEnergy | None) -> None:
     )
     hours = "  ".join(f"{each['from'][:2]} h {each['energy_kwh']:.0f}" for each in told["hours"])
     out.print(f"Energy by hours, kWh: {hours}")
-    if driven is not None:
-        out.print(
-            f"{driven.driver} arrives {driven.mean_late_s:+.1f} s after the timetable, standard deviation "
-            f"{driven.scatter_s:.1f} s."
-        )
+    print_scatter(found)
     if fed is not None:
         flow = told["feeding"]["network"]
         out.print(
@@ -136,4 +147,20 @@ def print_day(found: DayEnergy, fed: FeedingEnergy | None) -> None:
             f"lost in the rails, {flow['substation_loss_kwh']:.0f} in substations, "
             f"{flow['squeezed_kwh']:.0f} squeezed; lowest voltage {flow['lowest_v']:.0f} V, peak of all "
             f"substations {flow['peak_w'] / 1e6:.1f} MW."
+        )
+
+
+def print_scatter(found: DayEnergy | OperationEnergy) -> None:
+    """Print how late a driver arrives, and what departures that scatter cost."""
+    driven, out = found.driven, console()
+    if driven is not None:
+        out.print(
+            f"{driven.driver}: {driven.plain_kwh:.1f} kWh with the plain timetable, {driven.energy_kwh:.1f} "
+            f"with the one found; arrives {driven.mean_late_s:+.1f} s after the timetable, standard "
+            f"deviation {driven.scatter_s:.1f} s."
+        )
+    for each in found.scattered:
+        out.print(
+            f"Departures that scatter by {each.seconds:g} s: {each.energy_kwh:.1f} kWh with optimal driving, "
+            f"standard deviation {each.deviation_kwh:.1f}."
         )

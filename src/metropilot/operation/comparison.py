@@ -9,6 +9,40 @@ from metropilot.operation.line_service import EnergyBalance, LineOperation
 from metropilot.units import J_PER_KWH
 
 
+@dataclass(frozen=True)
+class DrivenEnergy:
+    """Energy of a line as a driver drives it.
+
+    Attributes:
+        driver: Driver id.
+        plain_kwh: Energy with the plain timetable, mean over the offset.
+        energy_kwh: Energy with the timetable found.
+        mean_late_s: Mean arrival after the timetable.
+        scatter_s: Standard deviation of it.
+    """
+
+    driver: str
+    plain_kwh: float
+    energy_kwh: float
+    mean_late_s: float
+    scatter_s: float
+
+
+@dataclass(frozen=True)
+class ScatteredEnergy:
+    """Energy with optimal driving and the timetable found, where departures scatter.
+
+    Attributes:
+        seconds: Most by which a departure moves either way, evenly drawn.
+        energy_kwh: Mean energy of several draws.
+        deviation_kwh: Standard deviation of it.
+    """
+
+    seconds: float
+    energy_kwh: float
+    deviation_kwh: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class ComparedEnergy:
     """Energy of all trains of a line.
@@ -20,6 +54,8 @@ class ComparedEnergy:
         timetable_only_kwh: Cruise and brake with the timetable found for it.
         floor_kwh: Energy that no timetable with the same freedom undercuts.
         balance: Optimal driving with the best timetable found, by the best of its plans for each trip.
+        driven: The same with a driver, where one was asked for.
+        scattered: Optimal driving and the timetable found, with departures that scatter, where asked for.
     """
 
     searched: bool
@@ -28,6 +64,8 @@ class ComparedEnergy:
     timetable_only_kwh: float
     floor_kwh: float
     balance: EnergyBalance
+    driven: DrivenEnergy | None = None
+    scattered: tuple[ScatteredEnergy, ...] = ()
 
     @property
     def energy_kwh(self) -> float:
@@ -58,6 +96,8 @@ class ComparedEnergy:
             "driving_only_kwh": self.driving_only_kwh,
             "timetable_only_kwh": self.timetable_only_kwh,
             "optimised": self.searched,
+            "driver": None if self.driven is None else vars(self.driven),
+            "scattered": [vars(each) for each in self.scattered],
             "returned_kwh": balance.returned_j / J_PER_KWH,
             "received_kwh": balance.received_j / J_PER_KWH,
             "unreceived_kwh": balance.unreceived_j / J_PER_KWH,

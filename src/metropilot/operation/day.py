@@ -14,10 +14,11 @@ import numpy as np
 from numpy import ndarray
 
 from metropilot._typing import Float, Int
-from metropilot.operation.feeding import train_loads
+from metropilot.operation.feeding import FeedingEnergy, train_loads
 from metropilot.operation.line_service import EnergyBalance, LineOperation, Profiles, Timetable
-from metropilot.operation.network import TrainLoads
+from metropilot.operation.network import TrainLoads, solve_network
 from metropilot.operation.power import PowerProfile, add_periodic
+from metropilot.railway import Feeding
 from metropilot.units import J_PER_KWH
 
 HOUR_S, MINUTE_S = 3600, 60
@@ -388,3 +389,20 @@ def _cut(
     start_s, lasts_s, power_w, low, high = (each[kept] for each in (start_s, lasts_s, power_w, low, high))
     share = np.stack([low - start_s, high - start_s], axis=1) / lasts_s[:, None]
     return low - begin_s, high - low, power_w[:, :1] + share * (power_w[:, 1:] - power_w[:, :1])
+
+
+def feed_day(day: LineDay, feeding: Feeding) -> FeedingEnergy:
+    """Feed all trains of a day by a DC network.
+
+    Args:
+        day: Day of a line.
+        feeding: Network.
+
+    Raises:
+        InputError: A substation off the line.
+        Infeasible: The network cannot carry the load.
+    """
+    feeding.check_line(day.operation.line)
+    flow = solve_network(feeding, *day.loads())
+    flow.check_served()
+    return FeedingEnergy(feeding, flow)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from metropilot.errors import Infeasible, rename_fields
-from metropilot.evaluate import make_driver
 from metropilot.operation.comparison import ComparedEnergy
 from metropilot.operation.day import (
     HOUR_S,
@@ -23,78 +23,13 @@ from metropilot.operation.day import (
     repeat_timetables,
 )
 from metropilot.operation.feeding import FeedingEnergy
-from metropilot.operation.headway import check_headway
+from metropilot.operation.headway import check_day, check_headway
 from metropilot.operation.line_service import LineOperation, Profiles, Timetable
-from metropilot.operation.network import solve_network
-from metropilot.operation.power import profile_of_trajectory
 from metropilot.operation.report import plan_trips
 from metropilot.operation.search import MOVES, best_offset, choose_plans, find_timetable
-from metropilot.railway import LONGEST_WAIT_S, Feeding, Period, ServiceDay
-from metropilot.sim import Outcome, Run, drive
+from metropilot.operation.service_hours import AS_PLANNED, PHASES, ServiceScatter, scatter_service
+from metropilot.railway import LONGEST_WAIT_S, Period, ServiceDay
 from metropilot.units import J_PER_KWH, format_clock
-
-PHASES = 4
-"""Offsets between the directions over which a plain day is averaged."""
-
-
-def drive_trips(
-    operation: LineOperation,
-    driver: str,
-    *,
-    seeds: Sequence[int] = (0,),
-    times_s: Sequence[Iterable[int]] | None = None,
-) -> list[Profiles]:
-    """Power of every trip as a driver drives it under protection, once for each seed.
-
-    Args:
-        operation: Line in operation.
-        driver: Driver id.
-        seeds: Seeds of the runs.
-        times_s: Running times of each trip; None: the planned one.
-
-    Raises:
-        InputError: No such driver.
-        Infeasible: A run does not arrive.
-    """
-    acting = make_driver(driver)
-    times_s = times_s or [(trip.planned_s,) for trip in operation.trips]
-    driven = []
-    for seed in seeds:
-        profiles = []
-        for trip, times in zip(operation.trips, times_s, strict=True):
-            of = {}
-            for time_s in times:
-                done = drive(Run(trip.section, operation.trainset, float(time_s), seed=seed), acting)
-                if done.outcome is not Outcome.ARRIVED:
-                    raise Infeasible(
-                        f"{driver} does not arrive, {trip.section.name} in {time_s} s, seed {seed}",
-                        field="driver",
-                        value=done.outcome.value,
-                        allowed="arrived",
-                    )
-                of[time_s] = profile_of_trajectory(done.trajectory, operation.silent)
-            profiles.append(of)
-        driven.append(profiles)
-    return driven
-
-
-@dataclass(frozen=True)
-class DrivenDay:
-    """A day as a driver drives it.
-
-    Attributes:
-        driver: Driver id.
-        plain_kwh: Energy with the plain timetable, mean over the offset.
-        energy_kwh: Energy with the timetable found.
-        mean_late_s: Mean arrival after the timetable.
-        scatter_s: Standard deviation of it.
-    """
-
-    driver: str
-    plain_kwh: float
-    energy_kwh: float
-    mean_late_s: float
-    scatter_s: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +41,6 @@ class DayEnergy(ComparedEnergy):
         day: The day with the timetable found, driven by its plans.
         links: Trains.
         power: Power of the day.
-        driven: The same day with a driver, where one was asked for.
         period_names: Names of the periods; none where the timetable was given.
     """
 
@@ -114,7 +48,6 @@ class DayEnergy(ComparedEnergy):
     day: LineDay
     links: TrainLinks
     power: DayPower
-    driven: DrivenDay | None = None
     period_names: tuple[str, ...] = ()
 
     def as_dict(self, network: FeedingEnergy | None = None) -> dict[str, Any]:
@@ -137,7 +70,6 @@ class DayEnergy(ComparedEnergy):
             "fleet": self.links.fleet,
             "pull_outs": self.links.pull_outs,
             "pull_ins": self.links.pull_ins,
-            "driver": None if self.driven is None else vars(self.driven),
             "zones_kwh": (power.supplied_w.sum(axis=0) * MINUTE_S / J_PER_KWH).tolist(),
             "hours": [
                 {"from": format_clock(power.first_s + HOUR_S * hour), "energy_kwh": float(kwh)}
@@ -243,8 +175,7 @@ def day_energy(
     searched: bool = False,
     seed: int = 0,
     moves: int = MOVES,
-    driver: str | None = None,
-    runs: int = 1,
+    scatter: ServiceScatter = AS_PLANNED,
     plans: Mapping[str, Sequence[Profiles]] | None = None,
 ) -> DayEnergy:
     """Compute the energy of a day by driving and timetable, and its floor.
@@ -253,10 +184,9 @@ def day_energy(
         operation: Line in operation.
         day: Day of that line.
         searched: Search dwells and running times too, within their windows; else only the offset.
-        seed: Seed of the search, and of the first run of a driver.
+        seed: Seed of the search.
         moves: Moves that the search tries from each start.
-        driver: A driver who drives the same trips besides.
-        runs: His runs of every trip, by seeds; every journey draws its own.
+        scatter: What does not go as planned, reported besides.
         plans: What :func:`plan_trips` gave, if it is there.
 
     Raises:
@@ -279,10 +209,7 @@ def day_energy(
         )
     found = LineDay(operation, best, plans["optimal"])
     mean = {name: np.mean([_kwh(operation, each, plans[name]) for each in plain]) for name in plans}
-    driven = None
-    if driver is not None:
-        driven = _driven(operation, driver, range(seed, seed + runs), plain, best)
-    power = found.power()
+    power, kwh = found.power(), partial(_kwh, operation)
     return DayEnergy(
         name=day.name,
         day=found,
@@ -294,8 +221,8 @@ def day_energy(
         driving_only_kwh=float(mean["optimal"]),
         timetable_only_kwh=_kwh(operation, cruise, plans["cruise"]),
         floor_kwh=day_floor_j(operation, best, plans["optimal"][0], windows=searched) / J_PER_KWH,
-        driven=driven,
         period_names=tuple(each.name for each in day.periods),
+        **scatter_service(scatter, plain, best, plans["optimal"], kwh),
     )
 
 
@@ -305,9 +232,7 @@ def timetable_energy(
     name: str,
     *,
     longest_wait_s: int = LONGEST_WAIT_S,
-    seed: int = 0,
-    driver: str | None = None,
-    runs: int = 1,
+    scatter: ServiceScatter = AS_PLANNED,
 ) -> DayEnergy:
     """Compute the energy of a day whose timetable is given, and its floor at these running times.
 
@@ -316,22 +241,20 @@ def timetable_energy(
         timetable: Timetable.
         name: Name of the day.
         longest_wait_s: A train that would wait longer at a terminal station goes to the depot.
-        seed: Seed of the first run of a driver.
-        driver: A driver who drives the same trips besides.
-        runs: His runs of every trip, by seeds; every journey draws its own.
+        scatter: What does not go as planned, reported besides.
 
     Raises:
         Infeasible: A running time is below the minimum.
+        InputError: A train disturbs the next one; names both and the section or station.
     """
     times_s = [
         sorted({int(s) for s in running_s}) for each in timetable for running_s in each.running_time_s.T
     ]
     optimal, cruise = (operation.profiles(driving, times_s=times_s) for driving in ("optimal", "cruise"))
-    found = LineDay(operation, timetable, [optimal])
-    driven = None
-    if driver is not None:
-        driven = _driven(operation, driver, range(seed, seed + runs), [timetable], timetable, times_s)
-    power, cruise_kwh = found.power(), _kwh(operation, timetable, [cruise])
+    for profiles in (optimal, cruise):
+        check_day(operation, timetable, profiles)
+    found, kwh = LineDay(operation, timetable, [optimal]), partial(_kwh, operation)
+    power, cruise_kwh = found.power(), kwh(timetable, [cruise])
     balance = found.energy(power)
     return DayEnergy(
         name=name,
@@ -344,52 +267,9 @@ def timetable_energy(
         driving_only_kwh=balance.supplied_kwh,
         timetable_only_kwh=cruise_kwh,
         floor_kwh=day_floor_j(operation, timetable, optimal) / J_PER_KWH,
-        driven=driven,
+        **scatter_service(scatter, [timetable], timetable, [optimal], kwh),
     )
 
 
 def _kwh(operation: LineOperation, timetable: DayTimetable, plans: Sequence[Profiles]) -> float:
     return float(LineDay(operation, timetable, plans).power().supplied_w.sum()) * MINUTE_S / J_PER_KWH
-
-
-def _driven(
-    operation: LineOperation,
-    driver: str,
-    seeds: Sequence[int],
-    plain: Sequence[DayTimetable],
-    best: DayTimetable,
-    times_s: Sequence[Iterable[int]] | None = None,
-) -> DrivenDay:
-    """A driver on plain days and on the day found, at the running times of each."""
-    if times_s is None:
-        both = [np.concatenate([each[way].running_time_s for each in (plain[0], best)]) for way in (0, 1)]
-        times_s = [sorted({int(s) for s in running_s}) for each in both for running_s in each.T]
-    runs, random = (
-        drive_trips(operation, driver, seeds=seeds, times_s=times_s),
-        np.random.default_rng(seeds[0]),
-    )
-    late_s = [profile.running_time_s - time_s for run in runs for of in run for time_s, profile in of.items()]
-    return DrivenDay(
-        driver,
-        float(np.mean([_kwh(operation, each.with_plans(len(runs), random), runs) for each in plain])),
-        _kwh(operation, best.with_plans(len(runs), random), runs),
-        float(np.mean(late_s)),
-        float(np.std(late_s)),
-    )
-
-
-def feed_day(day: LineDay, feeding: Feeding) -> FeedingEnergy:
-    """Feed all trains of a day by a DC network.
-
-    Args:
-        day: Day of a line.
-        feeding: Network.
-
-    Raises:
-        InputError: A substation off the line.
-        Infeasible: The network cannot carry the load.
-    """
-    feeding.check_line(day.operation.line)
-    flow = solve_network(feeding, *day.loads())
-    flow.check_served()
-    return FeedingEnergy(feeding, flow)

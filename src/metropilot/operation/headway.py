@@ -81,17 +81,26 @@ class TripMotions:
                 # until a moment before it leaves, a train at a platform needs no more than when it arrived
                 last = runs[-1]
                 until_s = max(since_s - SAMPLE_S, float(last.time_s[-1]))
-                stands = [part[-1:] for part in last[1:-1]]
-                runs.append(ServiceRun(np.array([until_s]), *stands, from_m))
+                runs.append(
+                    last._replace(
+                        time_s=np.array([until_s]),
+                        position_m=last.position_m[-1:],
+                        speed_mps=last.speed_mps[-1:],
+                        acceleration_mps2=last.acceleration_mps2[-1:],
+                        section=last.section[-1:],
+                    )
+                )
                 needs.append(needs[-1][-1:])
             position = from_m[i] + own.position_m
             section = np.full(position.size, i)
             runs.append(own._replace(time_s=since_s + own.time_s, position_m=position, section=section))
             needs.append(from_m[i] + reach)
-        parts = (np.concatenate(each) for each in zip(*(run[:-1] for run in runs), strict=True))
+        time, position, speed, rate, at = (
+            np.concatenate(each) for each in zip(*(run[:-1] for run in runs), strict=True)
+        )
         blocks_m = None if options.blocks is None else [each.length_m / options.blocks for each in sections]
         return blocking_times(
-            ServiceRun(*parts, from_m),
+            ServiceRun(time, position, speed, rate, at, from_m),
             np.maximum.accumulate(np.concatenate(needs)),
             sections,
             self._operation.trainset.length_m,

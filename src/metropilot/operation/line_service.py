@@ -436,8 +436,8 @@ class LineOperation:
             start.append(timetable.departure_s[k] + time[:-1])
             lasts.append(np.diff(time))
             power.append(np.append(net, np.zeros((1, 2)), axis=0) + self.trainset.auxiliary_w)
-        parts = (np.concatenate(each) for each in (start, lasts, power))
-        return add_periodic(*parts, float(self.options.headway_s))
+        pieces = np.concatenate(start), np.concatenate(lasts), np.concatenate(power)
+        return add_periodic(*pieces, float(self.options.headway_s))
 
     def dwells_s(self, timetable: Timetable) -> Float[ndarray, " trips"]:
         """Time at the platform after each trip; none at the terminal stations, where trains are shut down."""

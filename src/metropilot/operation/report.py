@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,13 +17,14 @@ from metropilot._provenance import provenance
 from metropilot._typing import Float
 from metropilot.convoy import BlockingTimes
 from metropilot.operation.comparison import ComparedEnergy
-from metropilot.operation.feeding import FeedingEnergy, feed_line, voltage_figure
+from metropilot.operation.feeding import FeedingEnergy, voltage_figure
 from metropilot.operation.floor import TripFloors, check_sharp, zone_floor_j
 from metropilot.operation.headway import check_headway, line_headways
 from metropilot.operation.line_service import LineOperation, Profiles, Timetable
 from metropilot.operation.network_search import refine_timetable
 from metropilot.operation.power import SAME_S
 from metropilot.operation.search import best_offset, choose_plans, find_timetable
+from metropilot.operation.service_hours import AS_PLANNED, ServiceHours, ServiceScatter
 from metropilot.physics import vehicle_arrays
 from metropilot.planning import is_mapped
 from metropilot.railway import Feeding
@@ -51,23 +52,21 @@ class OperationEnergy(ComparedEnergy):
         all_received_floor_kwh: The same as far as it is known without zones and headway: all is received.
         timetable: Timetable of ``balance``.
         profiles: Its profiles of power.
-        zones_network_kwh: What a network takes with the timetable that is best for the zones, where the one
-            above was sought on the network.
+        network_kwh: What a network takes by driving and timetable, where one feeds the line, None where it
+            cannot carry the load: ``cruise_kwh``, ``driving_only_kwh``, ``timetable_only_kwh`` (with that
+            found for the zones), and where the timetable of optimal driving was sought on the network
+            ``zones_timetable_kwh`` with the one that is best for the zones.
     """
 
     operation: LineOperation
     all_received_floor_kwh: float
     timetable: Timetable
     profiles: Profiles
-    zones_network_kwh: float | None = None
+    network_kwh: Mapping[str, float | None] = field(default_factory=dict)
 
     def headways(self) -> tuple[BlockingTimes, BlockingTimes]:
         """Blocking times of ``timetable`` forward and backward."""
         return line_headways(self.operation, self.timetable, self.profiles)
-
-    def _zones_network(self) -> dict[str, float]:
-        found = self.zones_network_kwh
-        return {} if found is None else {"zones_timetable_kwh": found}
 
     def as_dict(self, network: FeedingEnergy | None = None) -> dict[str, Any]:
         """Values as JSON holds them.
@@ -75,7 +74,7 @@ class OperationEnergy(ComparedEnergy):
         Args:
             network: What a network makes of ``timetable``, if one feeds the line.
         """
-        fed = None if network is None else network.as_dict() | self._zones_network()
+        fed = None if network is None else network.as_dict() | dict(self.network_kwh)
         return self.describe(self.operation, fed) | {
             "headway_s": self.operation.options.headway_s,
             "all_received_floor_kwh": self.all_received_floor_kwh,
@@ -93,6 +92,7 @@ def operation_energy(
     floors: TripFloors | None = None,
     feeding: Feeding | None = None,
     sharp: bool = False,
+    scatter: ServiceScatter = AS_PLANNED,
 ) -> OperationEnergy:
     """Compute the energy of a line by driving and timetable, and its floor.
 
@@ -107,8 +107,9 @@ def operation_energy(
             on neither headway nor zones.
         floors: Least energies of the trips, as far as they are there; the same holds.
         feeding: Network for which the timetable of optimal driving is sought in the end, where dwells and
-            running times are searched.
+            running times are searched; the energies of a driver and of scattered departures are its own.
         sharp: Sharpen the floor too, where each section is a zone; see :func:`zone_floor_j`.
+        scatter: What does not go as planned, hour after hour, reported besides.
 
     Raises:
         InputError: Trains disturb one another at the headway; names the section or station.
@@ -126,9 +127,14 @@ def operation_energy(
         timetable = best_offset(operation, plans[driving][0])
         return timetable, choose_plans(operation, timetable, plans[driving])[0]
 
-    (timetable, profiles), for_zones_kwh = find("optimal"), None
+    (timetable, profiles), cruised = find("optimal"), find("cruise")
+    hours, network_kwh = ServiceHours(operation, feeding), dict[str, float | None]()
+    if feeding is not None:
+        plain = {"cruise_kwh": cruise, "driving_only_kwh": all_received}
+        network_kwh = {name: hours.plain_kwh(each) for name, each in plain.items()}
+        network_kwh["timetable_only_kwh"] = hours.periodic_kwh(*cruised)
     if searched and feeding is not None:
-        for_zones_kwh = feed_line(operation, timetable, profiles, feeding).energy_kwh
+        network_kwh["zones_timetable_kwh"] = hours.periodic_kwh(timetable, profiles)
         chosen = plans["optimal"]
         timetable, profiles = refine_timetable(operation, timetable, profiles, chosen, feeding, seed=seed)
     balance, floor_j = operation.energy(timetable, profiles), operation.floor_j(all_received)
@@ -142,13 +148,14 @@ def operation_energy(
         searched=searched,
         cruise_kwh=operation.mean_energy_j(cruise) / J_PER_KWH,
         driving_only_kwh=operation.mean_energy_j(all_received) / J_PER_KWH,
-        timetable_only_kwh=operation.energy(*find("cruise")).supplied_kwh,
+        timetable_only_kwh=operation.energy(*cruised).supplied_kwh,
         balance=balance,
         floor_kwh=max(floor_j, met_j) / J_PER_KWH,
         all_received_floor_kwh=floor_j / J_PER_KWH,
         timetable=timetable,
         profiles=profiles,
-        zones_network_kwh=for_zones_kwh,
+        network_kwh=network_kwh,
+        **hours.scatter(timetable, profiles, scatter),
     )
 
 
