@@ -18,7 +18,7 @@ ARGS ?=
 SECTION := yizhuang RJ WYJ --time 101
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-web wheel-check serve check lint types layers docs bench constraints api clean
+.PHONY: help setup demo test test-all test-web wheel-check serve check lint types layers docs bench constraints api clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -48,8 +48,13 @@ demo: $(STAMP)  ## drive a real section near the energy optimum and draw it
 	$(BIN)/metropilot compare $(SECTION) --drivers optimal,manual,flat_out --out demo/compare
 	@echo "The picture of the drive: demo/drive/profile.png; the comparison: demo/compare/"
 
-test: $(STAMP)  ## run the tests (ARGS="-k protection" is passed to pytest)
-	$(ONE_THREAD) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --ignore tests/browser $(ARGS)
+PYTEST := $(ONE_THREAD) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --ignore tests/browser
+
+test: $(STAMP)  ## run the tests but those of tests/slow.txt (ARGS="-k protection" is passed to pytest)
+	$(PYTEST) -m "not slow" $(ARGS)
+
+test-all: $(STAMP)  ## run all tests, for a release (half an hour on two cores)
+	$(PYTEST) $(ARGS)
 
 test-web: $(WEB_STAMP)  ## click through the console in headless Chromium (says so where there is none)
 	$(BIN)/python -m pytest tests/browser -n $(WEB_WORKERS) --dist worksteal $(ARGS)

@@ -55,6 +55,26 @@ settings.register_profile("ci", deadline=None, print_blob=True, derandomize=True
 settings.load_profile("ci" if os.environ.get("CI") else "dev")
 
 
+# Cases and files that `make test` leaves to `make test-all`, each by the beginning of its name; see the file.
+SLOW = tuple(
+    line
+    for line in (Path(__file__).parent / "slow.txt").read_text(encoding="utf-8").splitlines()
+    if line and not line.startswith("#")
+)
+ALL = 3000
+"""With more tests than these, all are collected."""
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m looks at the marks
+def pytest_collection_modifyitems(items):
+    names = [item.nodeid for item in items]
+    for item, name in zip(items, names, strict=True):
+        if name.startswith(SLOW):
+            item.add_marker(pytest.mark.slow)
+    if len(items) > ALL and (gone := [name for name in SLOW if not any(n.startswith(name) for n in names)]):
+        raise pytest.UsageError(f"tests/slow.txt names tests that are not there: {', '.join(gone)}")
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
     checking.begin_test()

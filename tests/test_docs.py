@@ -2,7 +2,7 @@
 
 One page is one test with one namespace and one empty working folder. HTML comments steer it:
 `<!-- test: skip -->` before a block leaves that block out, `<!-- test: exit 2 -->` says that its commands end
-with that code, and `<!-- test: slow -->` anywhere marks the whole page as slow.
+with that code.
 """
 
 import re
@@ -21,7 +21,6 @@ from metropilot.evaluate import Kpis
 from metropilot.sim import COLUMNS
 
 ROOT = Path(__file__).resolve().parent.parent
-SLOW = "<!-- test: slow -->"
 BLOCK = re.compile(
     r"(?:<!-- test: (?P<directive>skip|exit \d+) -->\n+)?"
     r"^```(?P<language>python|console|sh|bash)\n(?P<text>.*?)^```$",
@@ -56,13 +55,12 @@ def blocks_of(text: str) -> list[Block]:
 
 
 def pages() -> list:
-    """Return every page that has something to run, slow ones marked."""
+    """Return every page that has something to run."""
     rows = []
     for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
         text = path.read_text()
         if any(block.language == "python" or block.commands for block in blocks_of(text)):
-            marks = [pytest.mark.slow] if SLOW in text else []
-            rows.append(pytest.param(path, id=path.relative_to(ROOT).as_posix(), marks=marks))
+            rows.append(pytest.param(path, id=path.relative_to(ROOT).as_posix()))
     return rows
 
 

@@ -333,7 +333,6 @@ def descendants(pid):
     return found
 
 
-@pytest.mark.slow
 def test_a_ray_worker_killed_midway_changes_nothing(tmp_path):
     """Opt-in: needs the extra ``ray`` and Linux's /proc."""
     pytest.importorskip("ray", reason="the extra ray is not installed")

@@ -108,7 +108,6 @@ def stop_run(folder, command, how):
     return process.returncode, err
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_interrupted_twice_it_learns_the_same(run_folder, metropilot, program, tmp_path):
     code, err = stop_run(tmp_path, [*LEARN, "--out", "mine"], signal.SIGINT)

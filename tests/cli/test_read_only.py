@@ -42,7 +42,6 @@ LONG = {
 """Refused before they begin; what would be there is not made first."""
 READ = ["drive", "--from", "drive/run.toml"]
 # Commands run one after the other in two programs; some compile.
-pytestmark = pytest.mark.slow
 
 
 def tree(folder):

@@ -63,13 +63,7 @@ def run(follower="follow_gap", emergency_s=float("inf"), **changes):
     return drive_convoy(convoy(**changes), head, FOLLOWERS.make(follower))
 
 
-QUICK = ("follow_gap", "follow_plan", "sac_pid")
-"""A run costs some eight seconds with every type checked: the other followers' are left to the slow tests."""
-
-
-@pytest.mark.parametrize(
-    "follower", [pytest.param(key, marks=() if key in QUICK else pytest.mark.slow) for key in FOLLOWERS.ids()]
-)
+@pytest.mark.parametrize("follower", FOLLOWERS.ids())
 def test_every_follower_holds_the_gap(follower):
     drive = run(follower)
     kpis = convoy_kpis(drive, drive.time_s[-1])
@@ -128,20 +122,18 @@ def test_a_follower_above_its_jerk_limit_fails_the_convoy():
     assert kpis.trainsets[1].jerk_limit_mps3 == 1.0
 
 
-@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits():
     first, second = (run(link=Link(0.3, 0.1, 0.2)) for _ in range(2))
     assert np.array_equal(first.gap_m, second.gap_m)
 
 
-@pytest.mark.parametrize("emergency_s", [12.0, pytest.param(25.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("emergency_s", [12.0, 25.0])
 def test_nobody_touches_when_the_head_brakes_at_once_on_a_bad_link(emergency_s):
     drive = run("follow_pid", emergency_s, count=3, link=Link(0.3, 0.2, 0.3), disturbances=MASSES)
     assert drive.contacts == 0
     assert all(t.speed_mps[-1] == 0 for t in drive.trajectories)
 
 
-@pytest.mark.slow
 def test_a_silent_link_stops_the_followers_short_of_the_head():
     drive = run(link=Link(silent_from_s=15.0))
     assert drive.contacts == 0
@@ -195,7 +187,6 @@ def test_convoys_that_make_no_sense_are_refused(wrong):
         convoy(**wrong)
 
 
-@pytest.mark.slow
 def test_no_contact_whoever_follows_and_plenty_without_protection():
     guarded = attack(AttackCampaign(seed=5), 600, 600)
     assert guarded.contacts == 0
@@ -221,7 +212,7 @@ def test_every_disturbance_acts_on_every_trainset_and_protection_allows_for_it()
 
 @pytest.mark.parametrize(
     "name",
-    ["delay", "noise", *(pytest.param(each, marks=pytest.mark.slow) for each in ("headwind", "brake"))],
+    ["delay", "noise", "headwind", "brake"],
 )
 def test_a_disturbed_convoy_does_not_touch_when_the_head_brakes_at_once(name):
     drive = run("follow_pid", 12.0, disturbances=(DISTURBANCES[name],), link=Link(0.3, 0.2, 0.3))
@@ -256,7 +247,6 @@ def test_a_head_sends_the_speed_that_it_measures():
     assert convoy_members(drive.convoy)[1].bounds.speed_error_mps == pytest.approx(0.3)
 
 
-@pytest.mark.slow
 def test_no_contact_under_every_disturbance():
     found = attack(AttackCampaign(seed=5, disturbances=EVERY_DISTURBANCE), 400, 400)
     assert found.contacts == 0

@@ -90,8 +90,8 @@ def test_the_largest_command_passes_protection_and_is_exact_at_half_traction():
     ("count", "factors", "link"),
     [
         (2, (1.2, 0.8), Link(0.1)),
-        pytest.param(4, (0.9, 1.2, 0.8, 1.1), Link(0.1), marks=pytest.mark.slow),
-        pytest.param(2, (1.0, 1.2), Link(0.3, 0.0, 0.1), marks=pytest.mark.slow),
+        (4, (0.9, 1.2, 0.8, 1.1), Link(0.1)),
+        (2, (1.0, 1.2), Link(0.3, 0.0, 0.1)),
     ],
 )
 def test_every_trainset_meets_every_requirement(count, factors, link):
@@ -161,7 +161,6 @@ def test_an_emergency_brake_of_the_head_ends_the_plan():
     assert drive.trajectories[1].time_s[-1] < 80.0
 
 
-slow = pytest.mark.slow
 ON_PLAN = ("follow_plan", "follow_gap", "follow_mpc")
 
 
@@ -170,9 +169,9 @@ ON_PLAN = ("follow_plan", "follow_gap", "follow_mpc")
     [
         ("follow_gap", "dkz32", 2),
         ("follow_mpc", "cheng2023", 2),
-        pytest.param("follow_gap", "cheng2023", 2, marks=slow),
-        pytest.param("follow_mpc", "dkz32", 2, marks=slow),
-        *(pytest.param(f, name, 4, marks=slow) for f in ON_PLAN for name in ("dkz32", "cheng2023")),
+        ("follow_gap", "cheng2023", 2),
+        ("follow_mpc", "dkz32", 2),
+        *((f, name, 4) for f in ON_PLAN for name in ("dkz32", "cheng2023")),
     ],
 )
 def test_every_follower_on_a_plan_keeps_jerk_and_mark_without_intervention(follower, name, count):
@@ -192,7 +191,7 @@ def test_every_follower_on_a_plan_keeps_jerk_and_mark_without_intervention(follo
     [
         *((follower, "cheng2023", 0.2, (6.0,)) for follower in ON_PLAN),
         *(
-            pytest.param(follower, name, dt, (30.0, 6.0, 2.4), marks=slow)
+            (follower, name, dt, (30.0, 6.0, 2.4))
             for follower in ON_PLAN
             for name in ("dkz32", "cheng2023")
             for dt in (0.1, 0.2)
@@ -211,7 +210,7 @@ def test_no_departure_of_the_head_is_amplified(follower, name, dt, periods_s):
     assert gains.speed.min() > 0.1
 
 
-@pytest.mark.parametrize("delay_s", [0.1, pytest.param(0.3, marks=slow)])
+@pytest.mark.parametrize("delay_s", [0.1, 0.3])
 def test_protection_that_leaves_room_amplifies_nothing(delay_s):
     convoy = Convoy(YIZHUANG.section("YZQ", "WHY"), (load_trainset("cheng2023"),) * 3, link=Link(delay_s))
     gains = string_gains(convoy, FOLLOWERS.make("follow_plan"), (8.0,))

@@ -10,7 +10,6 @@ from functools import cache
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from metropilot.drivers import LearnedDriver
 from metropilot.env import DrivingConfig, DrivingTask, starts
@@ -27,7 +26,6 @@ CASES = [(section, trainset) for section in SECTIONS for trainset in TRAINSETS]
 TIMES = [1.1 * section.planned_time_s for section, _ in CASES]
 EVERY = len(SECTIONS)
 COLUMNS = ("time_s", "position_m", "speed_mps", "energy_wheel_j")
-pytestmark = pytest.mark.slow
 
 
 @cache

@@ -176,7 +176,6 @@ def few_worlds():
     return replace(config, **picked)
 
 
-@pytest.mark.slow
 def test_the_lean_loop_costs_what_the_real_task_costs(few_worlds):
     """The same simple policy through both: energy, arrival time."""
     task = DrivingTask(few_worlds)
@@ -258,7 +257,6 @@ class Enough(Exception):
     """Stops a course."""
 
 
-@pytest.mark.slow
 def test_a_course_that_was_stopped_ends_the_same(few_worlds, tmp_path, monkeypatch):
     from metropilot.learn.imitation import tuning
 

@@ -41,13 +41,11 @@ LEARNERS = {
 }
 
 
-# They share their loop with those that are not slow; their learning is tested by the probes.
-SLOW = {"ddpg", "naf", "ppo_choices", "sac"}
 # Their seeds under vmap are one more compilation of what sac and ppo have shown: that one is saved.
 SAME_LOOP = {"ddpg", "naf", "ppo_choices"}
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in LEARNERS])
+@pytest.mark.parametrize("name", LEARNERS)
 def test_same_key_same_bits_and_seeds_under_vmap(name):
     config, task = LEARNERS[name]
     keys = jax.random.split(jax.random.key(1), 2)
@@ -138,7 +136,7 @@ SOLVERS = {
 }
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in SOLVERS])
+@pytest.mark.parametrize("name", SOLVERS)
 def test_a_mass_is_brought_to_rest(name):
     config, share = SOLVERS[name]
     task = DoubleIntegrator(FIVE if name in {"dqn", "tabular"} else ActionSpace(size=1))

@@ -39,7 +39,7 @@ def equal(a, b):
     assert a.score == b.score
 
 
-@pytest.mark.parametrize("name", ["ppo", "dqn", pytest.param("sac", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["ppo", "dqn", "sac"])
 def test_a_run_stopped_twice_ends_like_one_that_was_not(name, tmp_path):
     config, task = CASES[name]
     whole = learn_in_chunks(config, task, 5)

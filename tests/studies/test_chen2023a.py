@@ -196,7 +196,6 @@ def test_a_full_command_arrives_in_time_by_the_assist():
     assert run["score"] == pytest.approx(100.0 - run["energy_kwh"] - 0.1 * jerk, abs=0.02)
 
 
-@pytest.mark.slow
 def test_a_learning_run_leaves_what_the_figures_need(tmp_path):
     config = PPOConfig(hidden=(8,), environments=8, rollout=64, minibatches=2, epochs=1, initial_bias=0.8)
     wanted = {"small": replace(config, steps=4096, evaluations=2)}

@@ -107,7 +107,6 @@ def test_every_study_loads_and_names_itself(study_id):
     assert studies.STUDIES.get(study_id).id == study_id
 
 
-@pytest.mark.slow
 def test_learning_runs_are_kept_and_not_done_twice(tmp_path: Path):
     jobs = [LearnJob("small", SMALL, partial(DoubleIntegrator), seed) for seed in (0, 1)]
     said: list[str] = []

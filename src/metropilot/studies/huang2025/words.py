@@ -208,15 +208,15 @@ def _missed_indices(rows: Sequence[ReportRow]) -> str:
         for r in rows
         if r.kpi == "interventions of protection" and r.high is not None and r.high > 0
     ]
-    words = (
-        "Is, It and Ip are met by every driver in every case"
-        if not missed
-        else "Missed: " + "; ".join(missed)
+    met = (
+        f"Is, It and Ip are met by every driver in every case with every seed but {'; '.join(missed)}"
+        if missed
+        else "Is, It and Ip are met by every driver in every case with every seed"
     )
     spells = f"an intervention in some drive of {'; '.join(overruled)}" if overruled else "no intervention"
     return (
-        f"{words} and every seed ({spells}), except with the restriction in 101 s, where the time is "
-        "impossible: even flat out it takes longer, see the earliest arrival there."
+        f"{met} ({spells}). Left out is the restriction in 101 s, where the time is impossible: even flat "
+        "out it takes longer, see the earliest arrival there."
     )
 
 
