@@ -91,6 +91,12 @@ def learn(page: Page) -> None:
     page.locator('[data-test="curves"] .scatterlayer .trace').first.wait_for()
 
 
+def edit(page: Page) -> None:
+    """A limit that no line has."""
+    page.get_by_label("speed_limits.values row 4 speed", exact=True).fill("800")
+    page.get_by_text("speed_limits.values[3].speed: ").first.wait_for()
+
+
 def lines(page: Page) -> None:
     """A file that cannot be used."""
     page.wait_for_timeout(2500)
@@ -108,6 +114,7 @@ PICTURES: dict[str, tuple[str, Callable[[Page], None]]] = {
     "line": ("/line", line),
     "convoy": ("/convoy", convoy),
     "learn": (f"/learn?job={os.environ.get('JOB', '')}", learn),
+    "edit": ("/edit?line=yizhuang", edit),
     "lines": ("/lines", lines),
     "phone": ("/", phone),
 }
@@ -126,7 +133,7 @@ def draw(browser: Browser, url: str, name: str) -> None:
     page.wait_for_timeout(1000)
     with tempfile.TemporaryDirectory() as folder:
         raw = Path(folder, "raw.png")
-        page.screenshot(path=raw, full_page=True)
+        page.screenshot(path=raw, full_page=name != "edit")
         with Image.open(raw) as picture:
             few = picture.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
             few.save(OUT / f"console-{name}.png", optimize=True)

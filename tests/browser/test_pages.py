@@ -11,7 +11,7 @@ from metropilot.policy import shipped_policy
 from metropilot.railway import load_line, write_line
 
 PATIENCE_MS = 90_000
-PAGES = ("/", "/compare", "/journey", "/line", "/convoy", "/learn", "/lines")
+PAGES = ("/", "/compare", "/journey", "/line", "/convoy", "/learn", "/lines", "/edit?line=yizhuang")
 
 
 def test_compare(visit):

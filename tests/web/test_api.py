@@ -1,5 +1,6 @@
 """The HTTP API of a running server: what it answers, and how it refuses."""
 
+import html
 import io
 import json
 import re
@@ -12,6 +13,8 @@ from tests.web.program import PROGRAM
 
 from metropilot.policy import shipped_policy
 from metropilot.railway import load_line, write_line
+from metropilot.web.api.docs import command
+from metropilot.web.schemas import requests
 
 SECTION = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ"}
 LIMIT = "restrictions[0].limit_mps"
@@ -344,6 +347,39 @@ def test_the_api_is_described_on_a_page_that_needs_nothing_else(server):
     for name in document["components"]["schemas"]:
         assert f'id="{name}"' in answer.text
     assert not re.search(r"<(script|img|link|iframe)|https?://|url\(", answer.text)
+
+
+def test_every_route_has_an_example_that_works(server):
+    document = server.get("/api/openapi.json")
+    schemas = document["components"]["schemas"]
+    shown = html.unescape(server.client.get("/api/docs").text)
+    known, tried = {"$UPLOAD": None, "$JOB": None, "$LIVE": None, "$RUN": None}, set()
+    for path, methods in document["paths"].items():
+        for method, operation in methods.items():
+            call = command(method, path, operation, schemas)
+            assert call in shown, (method, path)
+            target = re.search(r"\$URL(\S+)", call)[1]
+            body = re.search(r"--json '(.*)'", call)
+            if any(name in target for name in known) or re.search(
+                r"/jobs/(learn|study)$|/live$|/convoys$", target
+            ):
+                continue  # of a job or a run that is not there, or minutes long
+            if "-F" in call or "/studies/" in target:
+                continue
+            answer = server.client.request(method, target, json=json.loads(body[1]) if body else None)
+            assert answer.status_code < 300, (call, answer.text)
+            tried.add(target)
+    assert {"/api/plan", "/api/journey", "/api/jobs/line", "/api/lines/yizhuang/toml"} <= tried
+    for job in server.get("/api/jobs"):
+        server.post(f"/api/jobs/{job['id']}/stop")
+
+
+@pytest.mark.parametrize(
+    "name", ["ArrivalIn", "CompareIn", "ConvoyIn", "LearnIn", "Lever", "LiveIn", "NewLink", "Pace", "StudyIn"]
+)
+def test_an_example_is_a_body_that_is_allowed(name):
+    kind = getattr(requests, name)
+    kind.model_validate(kind.model_json_schema()["examples"][0])
 
 
 def test_no_other_file_is_readable(server):

@@ -113,16 +113,25 @@ def trainset_rows(service: Service) -> list[dict[str, Any]]:
     return _rows(service, "trainset", list_trainsets(), load_trainset, _trainset_out)
 
 
-def trainset_out(service: Service, key: str) -> dict[str, Any]:
+def trainset(service: Service, key: str) -> Trainset:
     """A trainset by id.
 
     Raises:
         Refused: No such trainset (404).
     """
-    path = service.paths().get(key)
+    path = service.paths("trainset").get(key)
     if path is None and key not in list_trainsets():
         raise Refused("no such trainset", 404, field="trainset", value=key)
-    return _trainset_out(load_trainset(path or key), key, uploaded=path is not None)
+    return load_trainset(path or key)
+
+
+def trainset_out(service: Service, key: str) -> dict[str, Any]:
+    """Values of a trainset by id.
+
+    Raises:
+        Refused: No such trainset (404).
+    """
+    return _trainset_out(trainset(service, key), key, uploaded=key not in list_trainsets())
 
 
 def _trainset_out(found: Trainset, key: str, *, uploaded: bool) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from html import escape
 from itertools import groupby
@@ -22,8 +23,21 @@ code { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: .9em
 table { border-collapse: collapse; width: 100%; font-size: .9em; display: block; overflow-x: auto; }
 th, td { text-align: left; vertical-align: top; padding: .25rem .6rem .25rem 0; }
 td { border-top: 1px solid var(--line); }
+pre { background: #8881; border-radius: 6px; padding: .5rem .7rem; white-space: pre-wrap; }
+pre { overflow-wrap: anywhere; }
 .m { font-weight: 700; display: inline-block; min-width: 4.2rem; } .s { color: var(--soft); }
 """
+PARTS = {
+    "line_id": "yizhuang",
+    "trainset_id": "dkz32",
+    "upload_id": "$UPLOAD",
+    "job_id": "$JOB",
+    "live_id": "$LIVE",
+    "run_id": "$RUN",
+    "study_id": "lu2023",
+    "name": "run.zip",
+}
+"""Parts of a path in the examples; those with $ were answered before."""
 BOUNDS = {
     "minimum": "≥ {}",
     "exclusiveMinimum": "> {}",
@@ -70,7 +84,7 @@ def page(document: Schema) -> str:
     ]
     for tag, rows in groupby(found, key=lambda row: row[0]):
         parts.append(f"<h2>{escape(tag)}</h2>")
-        parts += [_operation(method, path, operation) for _, method, path, operation in rows]
+        parts += [_operation(method, path, operation, schemas) for _, method, path, operation in rows]
     parts.append("<h2>what is sent and answered</h2>")
     parts += [_model(name, schema) for name, schema in sorted(schemas.items())]
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(title)}'
@@ -79,7 +93,29 @@ def page(document: Schema) -> str:
     return f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>'
 
 
-def _operation(method: str, path: str, operation: Schema) -> str:
+def command(method: str, path: str, operation: Schema, schemas: Schema) -> str:
+    """Example of a call with curl, the server at ``$URL``.
+
+    Args:
+        method: Of the operation.
+        path: Its path.
+        operation: Its description.
+        schemas: Bodies by name, with their examples.
+    """
+    words = ["curl -s"] + ([f"-X {method.upper()}"] if method not in {"get", "post"} else [])
+    words.append("$URL" + path.format(**PARTS))
+    for kind, content in operation.get("requestBody", {}).get("content", {}).items():
+        if kind != "application/json":
+            words.append("-F file=@line.toml")
+            continue
+        body = schemas[content["schema"]["$ref"].rpartition("/")[2]]["examples"][0]
+        words.append(f"--json '{json.dumps(body)}'")
+    if method == "post" and "requestBody" not in operation:
+        words.insert(1, "-X POST")
+    return " ".join(words)
+
+
+def _operation(method: str, path: str, operation: Schema, schemas: Schema) -> str:
     words = operation.get("description") or operation.get("summary", "")
     first, _, _ = words.partition("\n")
     rows = [
@@ -94,6 +130,7 @@ def _operation(method: str, path: str, operation: Schema) -> str:
     return (
         f'<details><summary><span class="m">{method.upper()}</span><code>{escape(path)}</code> '
         f'<span class="s">{escape(first)}</span></summary><p>{escape(words)}</p>'
+        f"<pre><code>{escape(command(method, path, operation, schemas))}</code></pre>"
         f"{_table(rows)}{body}<table>{answers}</table></details>"
     )
 

@@ -272,9 +272,17 @@ def install(service: Service) -> None:
     """Register the page."""
 
     @ui.page("/compare", title="Compare · metropilot")
-    async def compare(request: Request, job: str | None = None, driver: str | None = None) -> None:
+    async def compare(
+        request: Request,
+        job: str | None = None,
+        driver: str | None = None,
+        line: str | None = None,
+        trainset: str | None = None,
+    ) -> None:
         with frame(request, "/compare"):
             page = ComparePage(service, job, driver)
             page.build()
         await ui.context.client.connected()
-        await page.load()
+        with page.form.problem.show_errors():
+            page.form.choose(line, trainset)
+            await page.load()

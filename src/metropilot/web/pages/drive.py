@@ -412,7 +412,9 @@ def install(service: Service) -> None:
     """Register the page."""
 
     @ui.page("/", title="Drive · metropilot")
-    async def drive(request: Request, run: str | None = None) -> RedirectResponse | None:
+    async def drive(
+        request: Request, run: str | None = None, line: str | None = None, trainset: str | None = None
+    ) -> RedirectResponse | None:
         page = DrivePage(service, run)
         if page.row is not None and "follower" in page.row.request:
             return RedirectResponse(f"/convoy?run={page.row.id}")
@@ -420,5 +422,6 @@ def install(service: Service) -> None:
             page.build()
         await ui.context.client.connected()
         with page.departure.show_errors():
+            page.form.choose(line, trainset)
             await page.start()
         return None

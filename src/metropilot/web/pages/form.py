@@ -202,6 +202,27 @@ class SectionForm:
         self.kept_words.text = describe_hidden(self.kept, body.get("options", {}))
         self.linked = True
 
+    def choose(self, line: str | None, trainset: str | None) -> None:
+        """Fill in a line or trainset that a link names; the page loads afterwards.
+
+        Raises:
+            Refused: No such line or trainset (404).
+        """
+        self._filling = True
+        try:
+            if line is not None:
+                self.line = catalogue.line_out(self.service, line)
+                stops = names(self.line["stops"])
+                self.line_in.value, codes = line, list(stops)
+                self.origin_in.set_options(stops, value=codes[0])
+                self.destination_in.set_options(stops, value=codes[1])
+            if trainset is not None:
+                aboard = loads(self.service, trainset)
+                self.trainset_in.value = trainset
+                self.load_in.set_options(aboard, value=next(iter(aboard)))
+        finally:
+            self._filling = False
+
     async def load(self) -> None:
         """Request the section and bound the slider by its minimum running time."""
         self.problem.clear()

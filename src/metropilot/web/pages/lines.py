@@ -1,8 +1,10 @@
-"""Lines: drawings of the catalogue and of uploads, and errors of uploaded files."""
+"""Lines: drawings of lines and trainsets, of the catalogue and of uploads, and errors of uploaded files."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 from fastapi import Request
 from nicegui import events, ui
@@ -10,10 +12,11 @@ from nicegui import events, ui
 from metropilot.errors import MetropilotError
 from metropilot.web import catalogue
 from metropilot.web.errors import detail_of
-from metropilot.web.pages.frame import card, empty, frame, heading, number, table
-from metropilot.web.pages.plots import line_figure
+from metropilot.web.pages.frame import card, empty, frame, heading, links, number, table
+from metropilot.web.pages.plots import effort_figure, line_figure
 from metropilot.web.pages.strip import line_strip
 from metropilot.web.service import Service
+from metropilot.web.work.plans import effort_curves
 
 WHERE = ("file", "field", "value", "unit", "allowed")
 
@@ -29,6 +32,8 @@ class LinesPage:
         with ui.element("div").classes("mp-col"):
             with card("Lines"):
                 self.list = ui.element("div").classes("mp-stack")
+            with card("Trainsets"):
+                self.trainsets = ui.element("div").classes("mp-stack").props('data-test="trainsets"')
             most = f"{self.service.settings.upload_bytes / 1e6:g} MB"
             with card(
                 "Upload",
@@ -55,13 +60,22 @@ class LinesPage:
         self.list.clear()
         with self.list:
             for row in catalogue.line_rows(self.service):
-                with ui.element("div").classes("mp-row items-center no-wrap"):
-                    words = f"{row['name']} · {row['stations']} stations · {row['length_m'] / 1000:.1f} km"
-                    button = ui.button(words, on_click=partial(self.show, row["id"]))
-                    button.props("flat no-caps dense").classes("grow mp-item")
-                    if row["uploaded"]:
-                        forget = ui.button(icon="delete", on_click=partial(self.forget, row["id"]))
-                        forget.props(f'flat dense round aria-label="Remove {row["id"]}"')
+                words = f"{row['name']} · {row['stations']} stations · {row['length_m'] / 1000:.1f} km"
+                self.entry(row, words, self.show)
+        self.trainsets.clear()
+        with self.trainsets:
+            for row in catalogue.trainset_rows(self.service):
+                mass_kg = row["loads_kg"][row["load"]]
+                self.entry(row, f"{row['name']} · {mass_kg / 1000:.0f} t", self.show_trainset)
+
+    def entry(self, row: dict[str, Any], words: str, show: Callable[[str], None]) -> None:
+        """Place an entry of a list; an upload can be removed."""
+        with ui.element("div").classes("mp-row items-center no-wrap"):
+            button = ui.button(words, on_click=partial(show, row["id"]))
+            button.props("flat no-caps dense").classes("grow mp-item")
+            if row["uploaded"]:
+                forget = ui.button(icon="delete", on_click=partial(self.forget, row["id"]))
+                forget.props(f'flat dense round aria-label="Remove {row["id"]}"')
 
     def show(self, key: str) -> None:
         """Draw a line."""
@@ -77,6 +91,7 @@ class LinesPage:
             ):
                 ui.html(line_strip(found)).classes("mp-strip")
                 ui.plotly(line_figure(found)).classes("mp-plot")
+                self.edit_link("line", found)
             with card("Sections"):
                 rows = [
                     (
@@ -92,6 +107,31 @@ class LinesPage:
             self.notes("Notes", found["notes"])
             self.notes("Read but unused", found["unused"])
             self.notes("Sources", [f"{block}: {text}" for block, text in found["source"].items()])
+
+    @staticmethod
+    def edit_link(kind: str, found: dict[str, Any]) -> None:
+        """Place the links by which an entry is edited and driven."""
+        words = "Edit" if found["uploaded"] else "Edit a copy"
+        used = f"{kind}={found['id']}"
+        links(
+            [(words, f"/edit?{used}"), ("Drive", f"/?{used}"), ("TOML", f"/api/{kind}s/{found['id']}/toml")]
+        )
+
+    def show_trainset(self, key: str) -> None:
+        """Draw a trainset."""
+        self.shown.clear()
+        with self.shown:
+            try:
+                found = catalogue.trainset_out(self.service, key)
+                curves = effort_curves(catalogue.trainset(self.service, key))
+            except MetropilotError as error:
+                empty(str(error))
+                return
+            with card(found["name"], f"{found['length_m']:.0f} m · id {key}"):
+                ui.plotly(effort_figure(curves)).classes("mp-plot").props('data-test="effort"')
+                rows = [(name, number(kg / 1000, 1)) for name, kg in found["loads_kg"].items()]
+                table(("load", "mass (t)"), rows, right=(1,), name="Loads")
+                self.edit_link("trainset", found)
 
     @staticmethod
     def notes(title: str, texts: list[str]) -> None:
@@ -118,6 +158,8 @@ class LinesPage:
         self.fill()
         if row.kind == "line":
             self.show(row.id)
+        elif row.kind == "trainset":
+            self.show_trainset(row.id)
 
     def refuse(self, error: MetropilotError) -> None:
         """Show the error of a file: field, value, unit and allowed values."""

@@ -321,6 +321,40 @@ def line_figure(values: dict[str, Any]) -> Figure:
     )
 
 
+def effort_figure(curves: dict[str, Any]) -> Figure:
+    """Effort curves and resistance of a trainset over speed, and the acceleration that they give.
+
+    Args:
+        curves: Values of :func:`metropilot.web.work.plans.effort_curves`.
+    """
+    at = kmh(curves["speed_mps"])
+    forces = (
+        ("traction", "traction_n", BLUE, "solid"),
+        ("electric brake", "electric_brake_n", GREEN, "solid"),
+        ("all brakes", "brake_n", GREEN, "dash"),
+        ("resistance, level", "resistance_n", VERMILION, "solid"),
+    )
+    traces = [
+        line(label, at, [f / 1000 for f in curves[name]], colour, dash=dash)
+        for label, name, colour, dash in forces
+    ]
+    rates = (
+        ("acceleration", "acceleration_mps2", BLUE),
+        ("deceleration", "deceleration_mps2", GREEN),
+    )
+    traces += [
+        line(label, at, curves[name], colour, yaxis="y2", showlegend=False) for label, name, colour in rates
+    ]
+    return figure(
+        traces,
+        460,
+        xaxis=axis("speed (km/h)", anchor="y2"),
+        yaxis=axis("force (kN)", domain=[0.48, 1.0], rangemode="tozero"),
+        yaxis2=axis("rate, level (m/s²)", domain=[0.0, 0.38], rangemode="tozero"),
+        margin={"l": 58, "r": 14, "t": 50, "b": 44},
+    )
+
+
 def operation_figure(graph: dict[str, Any], *, day: bool) -> Figure:
     """Train graph of all trains of a line.
 

@@ -38,6 +38,11 @@ class RequestBody(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
+def example(**body: Any) -> ConfigDict:  # noqa: ANN401 (the fields of a body)
+    """Configuration of a body with an example, which the description of the API shows."""
+    return ConfigDict(json_schema_extra={"examples": [body]})
+
+
 @dataclass(frozen=True)
 class Checked:
     """Annotation that takes range, choices and description from a declared field.
@@ -111,9 +116,13 @@ SentAt = Annotated[float, Checked("at_s", UPDATE_FIELDS["at_s"])]
 class NewRestriction(create_model("RestrictionFields", __base__=RequestBody, **declared_fields(Restriction))):
     """A temporary speed restriction ahead, sent now."""
 
+    model_config = example(from_m=700, to_m=900, limit_mps=10)
+
 
 class RestrictionIn(NewRestriction):
     """A temporary speed restriction, sent ``at_s`` after departure, or known before it."""
+
+    model_config = example(from_m=700, to_m=900, limit_mps=10, at_s=20)
 
     at_s: SentAt | None = None
 
@@ -125,17 +134,23 @@ class RestrictionIn(NewRestriction):
 class NewArrival(RequestBody):
     """A new scheduled running time, sent now."""
 
+    model_config = example(scheduled_time_s=115)
+
     scheduled_time_s: Annotated[float, Checked("scheduled_time_s", UPDATE_FIELDS["scheduled_time_s"])]
 
 
 class ArrivalIn(NewArrival):
     """A new scheduled running time, sent ``at_s`` after departure."""
 
+    model_config = example(scheduled_time_s=115, at_s=20)
+
     at_s: SentAt
 
 
 class SectionIn(RequestBody):
     """A section, its trainset and its restrictions."""
+
+    model_config = example(line="yizhuang", origin="RJ", destination="WYJ", trainset="dkz32")
 
     line: Id = "yizhuang"
     origin: StationKey = "RJ"
@@ -148,12 +163,18 @@ class SectionIn(RequestBody):
 class PlanIn(SectionIn):
     """A plan: the scheduled running time and the energy objective."""
 
+    model_config = example(line="yizhuang", origin="RJ", destination="WYJ", time_s=101)
+
     time_s: Annotated[float, Checked("time_s", RUN_FIELDS["time_s"])] | None = None
     objective: Annotated[str, Checked("objective", RUN_FIELDS["objective"])] = "wheel"
 
 
 class DriveIn(PlanIn, DisturbanceIn):
     """A run: the plan's fields, the driver, the disturbance and timetable updates."""
+
+    model_config = example(
+        line="yizhuang", origin="RJ", destination="WYJ", time_s=101, driver="optimal", mass_factor=1.1
+    )
 
     driver: DriverName = "optimal"
     options: dict[Word, Option] = {}
@@ -165,6 +186,10 @@ class DriveIn(PlanIn, DisturbanceIn):
 class CompareIn(DriveIn):
     """Several drivers on one run."""
 
+    model_config = example(
+        line="yizhuang", origin="RJ", destination="WYJ", time_s=101, drivers=["optimal", "manual"]
+    )
+
     drivers: Annotated[list[DriverName], Field(min_length=1, max_length=12)] = [
         "optimal",
         "manual",
@@ -175,6 +200,8 @@ class CompareIn(DriveIn):
 
 class JourneyIn(RequestBody):
     """A journey that calls at every station; with ``total_s`` its reserve is spread optimally."""
+
+    model_config = example(line="yizhuang", total_s=1950)
 
     line: Id = "yizhuang"
     origin: StationKey | None = None
@@ -191,6 +218,8 @@ class OperationIn(create_model("OperationFields", __base__=RequestBody, **declar
     ``optimise`` searches dwells and running times too, not only the offset of the directions.
     """
 
+    model_config = example(line="yizhuang", headway_s=180, zones=4)
+
     line: Id = "yizhuang"
     trainset: Id = "dkz32"
     load: Annotated[str, Field(max_length=32)] | None = None
@@ -203,12 +232,16 @@ class OperationIn(create_model("OperationFields", __base__=RequestBody, **declar
 class VersionIn(RequestBody):
     """The next version of a line or trainset: its TOML document, and the version that was edited."""
 
+    model_config = example(toml='kind = "line" ...', version=1)
+
     toml: Annotated[str, Field(max_length=1_000_000)]
     version: Annotated[int, Field(ge=1, lt=2**31)]
 
 
 class LearnIn(RequestBody):
     """A learning run of a recipe; null stands for the recipe's own value."""
+
+    model_config = example(driver="ppo", budget="quick")
 
     driver: Id = "ppo"
     budget: Literal["quick", "paper"] = "quick"
@@ -221,12 +254,16 @@ class LearnIn(RequestBody):
 class StudyIn(RequestBody):
     """A study to reproduce; ``quick`` takes about two minutes, ``paper`` an hour."""
 
+    model_config = example(study="lu2023", budget="quick")
+
     study: Id
     budget: Literal["quick", "paper"] = "quick"
 
 
 class LiveIn(DriveIn):
     """A live run and its pace: 1 is real time, 0 pauses it."""
+
+    model_config = example(line="yizhuang", origin="RJ", destination="WYJ", time_s=101, pace=10)
 
     pace: Annotated[float, Field(ge=0, le=100)] = 1.0
 
@@ -248,6 +285,8 @@ class ConvoyIn(DriveIn, ConvoySettingsIn):
     followers, if not the head's; the last also stands for those after it.
     """
 
+    model_config = example(line="yizhuang", origin="RJ", destination="WYJ", time_s=110, trainsets=3)
+
     trainsets: Annotated[int, Checked("trainsets", TRAINSETS)] = 3
     follower: Id = "follow_plan"
     behind: Annotated[list[Id], Field(max_length=5)] = []
@@ -257,6 +296,8 @@ class ConvoyIn(DriveIn, ConvoySettingsIn):
 
 class NewLink(create_model("LinkIn", __base__=RequestBody, **declared_fields(Link, "silent_from_s"))):
     """New delay, jitter and loss of the link of a convoy."""
+
+    model_config = example(delay_s=0.3, silent=False)
 
     silent: bool = False
 
@@ -268,6 +309,8 @@ class Lever(RequestBody):
     is true.
     """
 
+    model_config = example(share=0.5, holder="me")
+
     share: Annotated[float, Field(ge=-1, le=1)] | None
     holder: Word = "api"
     take_over: bool = False
@@ -275,6 +318,8 @@ class Lever(RequestBody):
 
 class Pace(RequestBody):
     """Pace of a live run: 1 is real time, 0 pauses it."""
+
+    model_config = example(pace=5)
 
     pace: Annotated[float, Field(ge=0, le=100)]
 

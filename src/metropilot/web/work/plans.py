@@ -20,6 +20,13 @@ from metropilot._processes import ONE_THREAD
 from metropilot._typing import Float
 from metropilot.errors import Infeasible, InputError
 from metropilot.evaluate import POLICY, RunSpec
+from metropilot.physics import (
+    brake_available_n,
+    davis_n,
+    electric_available_n,
+    traction_available_n,
+    vehicle_arrays,
+)
 from metropilot.planning import (
     JourneyPlan,
     Plan,
@@ -91,6 +98,8 @@ def station(stop: Station, position_m: float | None = None) -> dict[str, Any]:
 BARELY = 1.0 + 1e-4
 """Shortest planned running time over the minimum one, at which the program has hardly any interior."""
 LONGEST_M = 200_000.0
+CURVE_POINTS = 81
+"""Speeds at which effort curves are drawn."""
 SUFFIX = ".safetensors"
 """Ending of the file name of a policy."""
 
@@ -212,6 +221,28 @@ def _journey_out(made: JourneyPlan) -> dict[str, Any]:
         "energy_j": plan.energy_j,
         "bound_j": plan.bound_j,
     }
+
+
+def effort_curves(trainset: Trainset) -> dict[str, list[Any]]:
+    """Forces and rates of a trainset on level track over speed, within its limits."""
+    vehicle = vehicle_arrays(trainset)
+    speed = np.linspace(0.0, trainset.max_speed_mps, CURVE_POINTS)
+    found = {
+        name: np.array([force(vehicle, v) for v in speed.tolist()])
+        for name, force in (
+            ("traction_n", traction_available_n),
+            ("electric_brake_n", electric_available_n),
+            ("brake_n", brake_available_n),
+            ("resistance_n", davis_n),
+        )
+    }
+    mass_kg = trainset.effective_mass_kg
+    faster = np.minimum(
+        (found["traction_n"] - found["resistance_n"]) / mass_kg, trainset.max_acceleration_mps2
+    )
+    slower = np.minimum((found["brake_n"] + found["resistance_n"]) / mass_kg, trainset.max_deceleration_mps2)
+    found |= {"speed_mps": speed, "acceleration_mps2": faster, "deceleration_mps2": slower}
+    return {name: numbers(values, 4) for name, values in found.items()}
 
 
 def read_upload(path: str, shown: str) -> dict[str, Any]:
