@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from metropilot.studies import Order, reproduce
+from metropilot.studies import STUDIES, Order, reproduce
 
 DOCS = Path(__file__).parents[2] / "docs" / "studies"
 WRITTEN = sorted(path.parent.name for path in DOCS.glob("*/rows.csv"))
@@ -30,10 +30,9 @@ def test_a_page_with_rows_is_there():
 
 @pytest.mark.parametrize("study", WRITTEN)
 def test_deterministic_rows_of_a_page_are_those_of_this_code(study, tmp_path):
-    written = read_rows(study)
-    found = {
-        (row.table, row.case, row.driver, row.kpi): row.ours for row in reproduce(study, Order(tmp_path)).rows
-    }
+    written, fixed_rows = read_rows(study), STUDIES.get(study).fixed_rows
+    rows = reproduce(study, Order(tmp_path)).rows if fixed_rows is None else fixed_rows()
+    found = {(row.table, row.case, row.driver, row.kpi): row.ours for row in rows}
     compared = [key for key in written if key in found]
     assert len(compared) > 30
     stale = {

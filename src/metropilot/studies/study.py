@@ -118,6 +118,8 @@ class Study:
         reproduce: From an order to a report; the rest of the report is set by :func:`reproduce`.
         options: Allowed values of each option (``--set``), the default first.
         as_printed: The paper's own settings; None: the study cannot run them.
+        fixed_rows: Those rows of the report that neither learning nor chance enters, computed alone; None: a
+            quick reproduction is short enough.
     """
 
     id: str
@@ -126,6 +128,7 @@ class Study:
     reproduce: Callable[[Order], StudyReport]
     options: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     as_printed: AsPrinted | None = None
+    fixed_rows: Callable[[], Sequence[ReportRow]] | None = None
 
     def check_as_printed(self) -> AsPrinted:
         """The paper's own settings.

@@ -76,6 +76,17 @@ def reproduce(order: Order) -> StudyReport:
     return StudyReport(len(seeds), rows, drawn, DEVIATIONS, said, CLAIMS)
 
 
+def fixed_rows() -> list[ReportRow]:
+    """Rows of the drivers that neither learn nor draw."""
+    rows: list[ReportRow] = []
+    for case in CASES:
+        for driver in case.drivers:
+            if driver not in (MANUAL, *LEARNED):
+                found = drive_case(case, driver, {}, range(1))
+                rows += [*rows_of(found, None), *news_rows(found)]
+    return rows
+
+
 def _policies(folder: Path, results: Sequence[SeedResult], *, paper: bool) -> Mapping[str, Sequence[Path]]:
     """Policy files by driver: the shipped ones, or one per seed of the learning runs."""
     from metropilot.studies.huang2025.learning import write_result
@@ -142,4 +153,5 @@ STUDY = Study(
     citation=CITATION,
     reproduce=reproduce,
     as_printed=AS_PRINTED,
+    fixed_rows=fixed_rows,
 )

@@ -40,7 +40,7 @@ class NotchFront:
     time_s: Float[ndarray, "3"]
     energy_j: Float[ndarray, "3"]
 
-    def at(self, time_s: float | ndarray) -> ndarray:
+    def at(self, time_s: float | ndarray) -> float | ndarray:
         """Interpolate with a parabola, extrapolate with its tangents, J."""
         bend = np.polynomial.Polynomial.fit(self.time_s, self.energy_j, 2)
         inside = np.clip(time_s, self.time_s[0], self.time_s[-1])
