@@ -9,6 +9,7 @@ import argparse
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,19 +17,15 @@ from numpy import ndarray
 
 from benchmarks.beside_optimum import table
 from benchmarks.report import circumstances, write_section
+from metropilot._io import load_or_compute
 from metropilot.errors import Infeasible
 from metropilot.operation import (
-    SEARCH_NEIGHBOURS,
-    SEARCH_ROUNDS,
     FeedingEnergy,
     LineOperation,
     OperationOptions,
     Timetable,
     TrainLoads,
     feed_line,
-    find_timetable,
-    plan_trips,
-    refine_timetable,
     solve_network,
     train_loads,
 )
@@ -40,7 +37,7 @@ HEADWAYS_S, SENSITIVE_S, OFFSET_S = (90, 120, 180, 300, 600), 180, 5
 OPTIONS = OperationOptions(efficiency_traction=0.9, efficiency_braking=0.76)
 DAY_H, PEAKS_H, PEAK_S, QUIET_S = 18, 4, 240, 496
 DAYS = (0.25, 1.0, 4.0)
-STORAGE_OFFSET_S, SEARCHED_S = 15, (120, 180, 300)
+STORAGE_OFFSET_S = 15
 
 
 class Fed:
@@ -268,32 +265,45 @@ def measure() -> str:
     )
 
 
-def measure_storage() -> str:
-    """Text of the part on storages."""
-    fed, feeding, rows, usual = (
-        Fed(SENSITIVE_S, planned_profiles(), STORAGE_OFFSET_S),
-        load_feeding(FEEDING),
-        [],
-        0.0,
-    )
-    for name, variant in stores(feeding):
-        kwh = fed.energies_kwh("optimal", variant)
-        best = fed.timetable(fed.offsets[int(np.argmin(kwh))])
-        flow = feed_line(fed.operation, best, fed.plans["optimal"], variant).flow
-        usual = usual or kwh.min()
-        into = np.concatenate([flow.storage_w.ravel(), flow.onboard_w])
-        moved = [float(part.sum()) / J_PER_KWH for part in (np.maximum(into, 0.0), np.maximum(-into, 0.0))]
-        told = FeedingEnergy(variant, flow).as_dict()
+def measure_stores(fed: Fed, variant: Feeding) -> dict[str, float]:
+    """Energies over the offsets, and what storages do at the best of them."""
+    kwh = fed.energies_kwh("optimal", variant)
+    best = fed.timetable(fed.offsets[int(np.argmin(kwh))])
+    flow = feed_line(fed.operation, best, fed.plans["optimal"], variant).flow
+    into = np.concatenate([flow.storage_w.ravel(), flow.onboard_w])
+    told = FeedingEnergy(variant, flow).as_dict()
+    return {
+        "mean_kwh": float(kwh.mean()),
+        "least_kwh": float(kwh.min()),
+        "taken_kwh": float(np.maximum(into, 0.0).sum()) / J_PER_KWH,
+        "given_kwh": float(np.maximum(-into, 0.0).sum()) / J_PER_KWH,
+        **{name: told[name] for name in ("squeezed_kwh", "lowest_v", "peak_w")},
+        "imbalance": abs(float(flow.imbalance)),
+    }
+
+
+def measure_storage(keep: Path | None) -> str:
+    """Text of the part on storages.
+
+    Args:
+        keep: Folder that keeps what is finished; None: everything is computed.
+    """
+    fed, rows, usual_kwh = Fed(SENSITIVE_S, planned_profiles(), STORAGE_OFFSET_S), [], 0.0
+    for k, (name, variant) in enumerate(stores(load_feeding(FEEDING))):
+        compute = partial(measure_stores, fed, variant)
+        identity = {"variant": repr(variant), "headway_s": SENSITIVE_S, "offset_s": STORAGE_OFFSET_S}
+        found = compute() if keep is None else load_or_compute(keep / f"storage-{k}.json", identity, compute)
+        usual_kwh = usual_kwh or found["least_kwh"]
         rows.append(
             [
                 name,
-                f"{kwh.mean():.1f}",
-                f"{kwh.min():.1f}",
-                f"{100.0 * (kwh.min() / usual - 1.0):+.1f}",
-                *(f"{each:.1f}" for each in (*moved, told["squeezed_kwh"])),
-                f"{told['lowest_v']:.0f}",
-                f"{told['peak_w'] / 1e6:.1f}",
-                f"{abs(flow.imbalance):.0e}",
+                f"{found['mean_kwh']:.1f}",
+                f"{found['least_kwh']:.1f}",
+                f"{100.0 * (found['least_kwh'] / usual_kwh - 1.0):+.1f}",
+                *(f"{found[each]:.1f}" for each in ("taken_kwh", "given_kwh", "squeezed_kwh")),
+                f"{found['lowest_v']:.0f}",
+                f"{found['peak_w'] / 1e6:.1f}",
+                f"{found['imbalance']:.0e}",
             ]
         )
     heads = (
@@ -314,50 +324,26 @@ def measure_storage() -> str:
     return "\n".join([text, "", table(heads, rows), "", written("storage")])
 
 
-def measure_search() -> str:
-    """Text of the part on timetables sought on the network."""
-    plans, rows = {}, []
-    for headway_s in SEARCHED_S:
-        options = replace(OPTIONS, headway_s=headway_s)
-        operation = LineOperation(load_line(LINE), load_trainset(TRAINSET, LOAD), options)
-        plans = plans or plan_trips(operation, windows=True)
-        feeding, chosen = load_feeding(FEEDING), plans["optimal"]
-        plain = feed_line(operation, operation.plain_timetable(), chosen[0], feeding).energy_kwh
-        timetable, profiles = find_timetable(operation, chosen)
-        zones = feed_line(operation, timetable, profiles, feeding).energy_kwh
-        begun = time.process_time()
-        timetable, profiles = refine_timetable(operation, timetable, profiles, chosen, feeding)
-        used = time.process_time() - begun
-        kwh = feed_line(operation, timetable, profiles, feeding).energy_kwh
-        saved = 100.0 * (1.0 - kwh / zones)
-        rows.append(
-            [f"{headway_s}", *(f"{each:.1f}" for each in (plain, zones, kwh)), f"{saved:.1f}", f"{used:.0f}"]
-        )
-    heads = ("headway s", "plain, offset 0 kWh", "best for 4 zones kWh", "sought on the network kWh")
-    text = (
-        f"Energy that `{FEEDING}` takes with optimal driving, running times and dwells within their windows; "
-        f"seed 0, {SEARCH_ROUNDS} rounds of {SEARCH_NEIGHBOURS} timetables."
-    )
-    return "\n".join([text, "", table((*heads, "saved %", "search s"), rows), "", written("search")])
-
-
 def written(part: str) -> str:
     """Name what wrote a part, where and when."""
     about = "; ".join(f"{k} {v}" for k, v in circumstances(("metropilot", "clarabel", "numpy")).items())
     return f"`python -m benchmarks.feeding --part {part} --write docs/line.md`; {about}."
 
 
-PARTS = {"feeding": measure, "storage": measure_storage, "search": measure_search}
+PARTS = "feeding", "storage"
 
 
 def main() -> None:
-    """Compute one part or all; print the parts of the page or write them."""
+    """Compute one part or both; print the parts of the page or write them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--write", type=Path, metavar="PAGE")
     parser.add_argument("--part", choices=PARTS, help="only this part")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep finished rows of storages there")
     given = parser.parse_args()
-    for part in (given.part,) if given.part else PARTS:
-        write_section(given.write, part if part == "feeding" else f"network-{part}", PARTS[part]())
+    if given.part in {None, "feeding"}:
+        write_section(given.write, "feeding", measure())
+    if given.part in {None, "storage"}:
+        write_section(given.write, "network-storage", measure_storage(given.keep))
 
 
 if __name__ == "__main__":

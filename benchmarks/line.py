@@ -1,6 +1,9 @@
-"""Energy of a line at several headways beside its floor: the table of the page on lines.
+"""Energy of a line beside its floor by headway and feeding zones.
 
-python -m benchmarks.line --write docs/line.md
+Reads a folder of the campaign `benchmarks/line.toml`, which can be stopped and goes on:
+
+metropilot campaign benchmarks/line.toml --out FOLDER
+python -m benchmarks.line --campaign FOLDER --write docs/line.md
 """
 
 from __future__ import annotations
@@ -8,28 +11,21 @@ from __future__ import annotations
 import argparse
 import inspect
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from itertools import product
 from pathlib import Path
+from typing import Any
 
 from benchmarks.beside_optimum import table
 from benchmarks.report import circumstances, write_section
+from metropilot.campaign import LineSweep, campaign_of_folder, summarise
+from metropilot.errors import InputError
 from metropilot.operation import (
     LineOperation,
     OperationOptions,
-    Profiles,
-    TripFloors,
     find_timetable,
-    operation_energy,
-    plan_trips,
 )
 from metropilot.railway import load_line, load_trainset
 from metropilot.units import J_PER_KWH
 
-LINE, TRAINSET, LOAD = "yizhuang", "dkz32", "AW2"
-HEADWAYS_S, ZONES = (90, 120, 180, 300, 600), (4, 13)
-OPTIONS = OperationOptions(efficiency_traction=0.9, efficiency_braking=0.76)
-SEED = 0
 SEARCH = inspect.signature(find_timetable).parameters
 COLUMNS = (
     "zones",
@@ -45,62 +41,81 @@ COLUMNS = (
     "by both %",
     "gap %",
 )
+Row = Mapping[str, Any]
 
 
-def measure() -> tuple[list[list[str]], float]:
-    """Rows of the table, and the floor with all received at planned running times, kWh."""
-    operation = LineOperation(load_line(LINE), load_trainset(TRAINSET, LOAD), OPTIONS)
-    plans, floors = plan_trips(operation, windows=True), TripFloors(operation)
-    rows = [measure_row(zones, headway_s, plans, floors) for zones, headway_s in product(ZONES, HEADWAYS_S)]
-    return rows, planned_floor_kwh(operation, plans)
+def read_rows(folder: Path) -> tuple[LineSweep, list[Row], float]:
+    """Campaign of a folder, its rows and its processor time.
+
+    Raises:
+        InputError: Not the folder of a finished campaign of lines.
+    """
+    sweep, summary = campaign_of_folder(folder), summarise(folder)
+    if not isinstance(sweep, LineSweep) or summary["done"] < summary["rows"]:
+        raise InputError("not a finished campaign of lines", file=folder, field="campaign")
+    return sweep, summary["lines"], summary["cost"]["processor_s"]
 
 
-def planned_floor_kwh(operation: LineOperation, plans: Mapping[str, Sequence[Profiles]]) -> float:
+def saved(row: Row, name: str, of: str = "") -> float:
+    """Share of cruise and brake saved, percent."""
+    return 100.0 * (1.0 - row[f"{of}{name}"] / row[f"{of}cruise_kwh"])
+
+
+def planned_floor_kwh(row: Row) -> float:
     """Floor with all received at planned running times."""
-    trips = zip(operation.trips, plans["optimal"][0], strict=True)
-    return operation.floor_j([{trip.planned_s: of[trip.planned_s]} for trip, of in trips]) / J_PER_KWH
+    names = ("efficiency_traction", "efficiency_braking", "transfer_loss")
+    options = OperationOptions(time_window_s=0, **{name: row[name] for name in names})
+    operation = LineOperation(load_line(row["line"]), load_trainset(row["trainset"], row["load"]), options)
+    return operation.floor_j(operation.profiles()) / J_PER_KWH
 
 
-def measure_row(
-    zones: int, headway_s: int, plans: Mapping[str, Sequence[Profiles]], floors: TripFloors
-) -> list[str]:
-    """Row of the table."""
-    options = replace(OPTIONS, zones=zones, headway_s=headway_s)
-    operation = LineOperation(load_line(LINE), load_trainset(TRAINSET, LOAD), options)
-    found = operation_energy(operation, searched=True, seed=SEED, plans=plans, floors=floors)
-    energies = found.driving_only_kwh, found.timetable_only_kwh, found.energy_kwh
-    saved = [f"{100.0 * (1.0 - each / found.cruise_kwh):.1f}" for each in energies]
-    columns = (found.cruise_kwh, *energies, found.all_received_floor_kwh, found.floor_kwh)
-    kwh = [f"{each:.1f}" for each in columns]
-    return [f"{zones}", f"{headway_s}", *kwh, *saved, f"{found.gap_percent:.2f}"]
-
-
-def describe(rows: list[list[str]], planned_kwh: float) -> str:
+def describe(rows: Sequence[Row], planned_kwh: float, written: str) -> str:
     """Part of the page."""
-    about = "; ".join(f"{k} {v}" for k, v in circumstances(("metropilot", "clarabel", "numpy")).items())
+    first = rows[0]
+    names = ("cruise_kwh", "driving_only_kwh", "timetable_only_kwh", "energy_kwh")
+    cells = [
+        [
+            f"{row['zones']}",
+            f"{row['headway_s']}",
+            *(f"{row[name]:.1f}" for name in (*names, "all_received_floor_kwh", "floor_kwh")),
+            *(f"{saved(row, name):.1f}" for name in names[1:]),
+            f"{row['gap_percent']:.2f}",
+        ]
+        for row in sorted(rows, key=lambda row: (row["zones"], row["headway_s"]))
+    ]
     return "\n".join(
         [
             "## Energy beside the floor",
             "",
-            f"`{LINE}`, `{TRAINSET}` {LOAD}, dwells of 30 s, efficiencies 0.9 and 0.76, transfer loss 10 %,",
-            f"auxiliaries 120 kW. Running times move by {OPTIONS.time_window_s} s and dwells by",
-            f"{OPTIONS.dwell_window_s} s either way, in whole seconds at the same sums in each direction;",
+            f"`{first['line']}`, `{first['trainset']}` {first['load']}, dwells of {first['dwell_s']} s,",
+            f"efficiencies {first['efficiency_traction']} and {first['efficiency_braking']}, transfer loss",
+            f"{100 * first['transfer_loss']:.0f} %,",
+            f"auxiliaries 120 kW. Running times move by {first['time_window_s']} s and dwells by",
+            f"{first['dwell_window_s']} s either way, in whole seconds at the same sums in each direction;",
             f"at planned times the floor with all received is {planned_kwh:.1f} kWh. Cruise and brake",
-            f"and driving only are means over 60 offsets between the directions. Searches: seed {SEED},",
-            f"{SEARCH['restarts'].default} starts of {SEARCH['moves'].default} moves.",
+            "and driving only are means over 60 offsets between the directions. Searches:",
+            f"seed {first['seed']}, {SEARCH['restarts'].default} starts of {SEARCH['moves'].default} moves.",
             "",
-            table(COLUMNS, rows),
+            table(COLUMNS, cells),
             "",
-            f"`python -m benchmarks.line --write docs/line.md`; {about}.",
+            written,
         ]
     )
 
 
 def main() -> None:
-    """Compute everything; print the part of the page or write it."""
+    """Print the part of the page or write it."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--campaign", type=Path, metavar="FOLDER", required=True)
     parser.add_argument("--write", type=Path, metavar="PAGE")
-    write_section(parser.parse_args().write, "line", describe(*measure()))
+    given = parser.parse_args()
+    _, rows, spent_s = read_rows(given.campaign)
+    about = "; ".join(f"{k} {v}" for k, v in circumstances(("metropilot", "clarabel", "numpy")).items())
+    written = (
+        f"`metropilot campaign benchmarks/line.toml --out FOLDER`, {spent_s:.0f} s of processor time, and "
+        f"`python -m benchmarks.line --campaign FOLDER --write docs/line.md`; {about}."
+    )
+    write_section(given.write, "line", describe(rows, planned_floor_kwh(rows[0]), written))
 
 
 if __name__ == "__main__":

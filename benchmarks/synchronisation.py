@@ -1,4 +1,4 @@
-"""Worth of synchronisation: driving alone, timetable alone, both; with a driver and departures that scatter.
+"""Worth of synchronisation: driving, timetable, both; a driver and departures that scatter; on a network too.
 
 Reads a folder of the shipped campaign, which can be stopped and goes on:
 
@@ -9,14 +9,28 @@ python -m benchmarks.synchronisation --campaign FOLDER --write docs/line.md
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.beside_optimum import table
+from benchmarks.line import Row, read_rows, saved
 from benchmarks.report import circumstances, write_section
-from metropilot.campaign import LineSweep, campaign_of_folder, saved_figure, summarise, table_of_lines
-from metropilot.errors import InputError
+from metropilot.campaign import LineSweep, saved_figure, table_of_lines
 from metropilot.evaluate import house_style
+from metropilot.operation import SEARCH_NEIGHBOURS, SEARCH_ROUNDS
 
+NETWORK_COLUMNS = (
+    "headway s",
+    "cruise and brake kWh",
+    "driving only kWh",
+    "timetable only kWh",
+    "both, best for 4 zones kWh",
+    "both, sought on the network kWh",
+    "saved by both %",
+    "of it by seeking on the network %",
+    "lowest V",
+    "peak MW",
+)
 ABOUT = """\
 `yizhuang`, `dkz32` AW2, planned running times, dwells of 30 s, efficiencies 0.9 and 0.76, transfer loss
 10 %; kWh a round trip. Plain: even dwells, mean over the offset between the directions. Found: dwells, offset
@@ -27,45 +41,58 @@ runs; it is a surrogate of a human driver, not a measured one. ± s: every depar
 seconds, evenly drawn, and dwells take it up: mean and standard deviation of 4 hours."""
 
 
-def describe(folder: Path, command: str) -> str:
-    """Part of the page.
-
-    Args:
-        folder: Folder of the campaign.
-        command: Command that writes it.
-
-    Raises:
-        InputError: Not the folder of a finished campaign of lines.
-    """
-    sweep, summary = campaign_of_folder(folder), summarise(folder)
-    if not isinstance(sweep, LineSweep) or summary["done"] < summary["rows"]:
-        raise InputError("not a finished campaign of lines", file=folder, field="campaign")
-    about = "; ".join(f"{k} {v}" for k, v in circumstances(("metropilot", "clarabel", "numpy")).items())
-    written = (
-        f"`metropilot campaign {sweep.name} --out FOLDER`, {summary['cost']['processor_s']:.0f} s of "
-        f"processor time, and `{command}`; {about}."
-    )
-    heads, cells = table_of_lines(sweep, summary["lines"])
+def describe(sweep: LineSweep, rows: Sequence[Row], written: str) -> str:
+    """Part of the page on driving and timetable."""
+    heads, cells = table_of_lines(sweep, rows)
     picture = "![Saved by driving, by the timetable and by both, by headway.](images/synchronisation.png)"
-    parts = [
-        ABOUT.format(driver=sweep.driver, runs=sweep.runs),
-        table(tuple(heads), cells),
-    ]
-    return "\n\n".join(["## Worth of synchronisation", *parts, picture, written])
+    about = ABOUT.format(driver=sweep.driver, runs=sweep.runs)
+    return "\n\n".join(["## Worth of synchronisation", about, table(tuple(heads), cells), picture, written])
+
+
+def describe_network(rows: Sequence[Row], written: str) -> str:
+    """Part of the page on timetables sought on the network."""
+    cells = []
+    for row in sorted(rows, key=lambda row: row["headway_s"]):
+        names = ("cruise_kwh", "driving_only_kwh", "timetable_only_kwh", "zones_timetable_kwh", "energy_kwh")
+        cruise, _, _, zones, best = energies = [row[f"network_{name}"] for name in names]
+        cells.append(
+            [
+                f"{row['headway_s']}",
+                *(f"{each:.1f}" for each in energies),
+                f"{saved(row, 'energy_kwh', 'network_'):.1f}",
+                f"{100.0 * (zones - best) / cruise:.1f}",
+                f"{row['network_lowest_v']:.0f}",
+                f"{row['network_peak_w'] / 1e6:.1f}",
+            ]
+        )
+    seed, network = rows[0]["seed"], rows[0]["network"]
+    text = (
+        f"Energy that `{network}` takes, planned running times, dwells that move by "
+        f"{rows[0]['dwell_window_s']} s. Cruise and brake and driving only are means over 4 offsets between "
+        "the directions; timetable only is the one found for 4 zones; sought on the network: "
+        f"seed {seed}, {SEARCH_ROUNDS} rounds of {SEARCH_NEIGHBOURS} timetables."
+    )
+    return "\n".join([text, "", table(NETWORK_COLUMNS, cells), "", written])
 
 
 def main() -> None:
-    """Print the part of the page or write it, with its picture."""
+    """Print both parts of the page or write them, with the picture."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--campaign", type=Path, metavar="FOLDER", required=True)
     parser.add_argument("--write", type=Path, metavar="PAGE")
     given = parser.parse_args()
-    command = "python -m benchmarks.synchronisation --campaign FOLDER --write docs/line.md"
-    write_section(given.write, "synchronisation", describe(given.campaign, command))
-    sweep = campaign_of_folder(given.campaign)
-    if given.write is not None and isinstance(sweep, LineSweep):
+    sweep, rows, spent_s = read_rows(given.campaign)
+    about = "; ".join(f"{k} {v}" for k, v in circumstances(("metropilot", "clarabel", "numpy")).items())
+    written = (
+        f"`metropilot campaign {sweep.name} --out FOLDER`, {spent_s:.0f} s of processor time, and `python -m "
+        f"benchmarks.synchronisation --campaign FOLDER --write docs/line.md`; {about}."
+    )
+    write_section(given.write, "synchronisation", describe(sweep, rows, written))
+    fed = [row for row in rows if row["network"] is not None]
+    write_section(given.write, "network-search", describe_network(fed, written))
+    if given.write is not None:
         with house_style():
-            figure = saved_figure(sweep, summarise(given.campaign)["lines"])
+            figure = saved_figure(sweep, rows)
             figure.savefig(given.write.parent / "images" / "synchronisation.png", dpi=110)
 
 

@@ -174,6 +174,8 @@ def test_the_command_reports_every_row(folder, capsys):
         ),
         ("time_window_s = 0", "headway_s = 0", "operation.headway_s: unknown key"),
         ("time_window_s = 0", "time_window_s = 0.5", "operation.time_window_s: wrong kind of value"),
+        ("[0.0, 0.2]", "[[0.1]]", "operation.transfer_loss: wrong kind of value"),
+        ("[0.0, 0.2]", "[]", "operation.transfer_loss: the list is empty"),
         ("[0.0, 0.2]", "[0.0, 2.0]", "operation.transfer_loss: out of range: 2.0"),
         ("time_window_s = 0", "dwell_s = 5", "operation.dwell_window_s: a dwell window"),
         ("seed = 3", "sharp = true", "a floor is sharpened where each section is a zone"),

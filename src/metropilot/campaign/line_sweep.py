@@ -420,11 +420,10 @@ def _options(path: Path, given: Mapping[str, Any]) -> tuple[dict[str, Number], .
         field = f"operation.{name}"
         try:
             check_name(name, OPTIONS, "key", field=field)
-            each = value if isinstance(value, list) else [value]
             kind, spec = field_type(OperationOptions, name), field_specs(OperationOptions)[name]
-            axes.append(
-                [(name, spec.check(name, convert(name, one, kind, spec.allowed))) for one in keep_once(each)]
-            )
+            given_values = value if isinstance(value, list) else [value]
+            checked = [spec.check(name, convert(name, one, kind, spec.allowed)) for one in given_values]
+            axes.append([(name, one) for one in keep_once(checked)])
         except InputError as error:
             raise add_place(path, field, error) from None
         if not axes[-1]:
