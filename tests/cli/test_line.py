@@ -91,6 +91,7 @@ def test_the_command_prints_and_writes(typed, tmp_path):
             "--timetable: a day and a timetable at once",
         ),
         (("yizhuang", "--timetable", "x.zip"), "x.zip: timetable: cannot be read"),
+        (("yizhuang", "--day", "yizhuang", "--headway", "90"), "--headway: a day has its own headways"),
         (("yizhuang", "--timetable", "x.zip", "--optimise"), "--optimise: a timetable that is given"),
         (("yizhuang", "--day", "yizhuang", "--driver", "nobody"), "--driver: unknown driver"),
         (("yizhuang", "--driver", "nobody"), "--driver: unknown driver"),

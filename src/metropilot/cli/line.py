@@ -47,6 +47,7 @@ def _operation_options() -> Iterator[Parameter]:
 
 @opt.with_run_options(only=("trainset", "load"), more=tuple(_operation_options()))
 def line_command(
+    context: typer.Context,
     line: opt.LineArgument,
     optimise: Annotated[
         bool,
@@ -132,6 +133,8 @@ def line_command(
     from metropilot.operation import LineOperation, feed_line, operation_energy, write_operation
     from metropilot.railway import load_feeding, load_line, load_trainset
 
+    source = context.get_parameter_source("headway_s")
+    headway_typed = source is not None and source.name == "COMMANDLINE"
     request = DayRequest(day, timetable, service, driver, runs, scatter, optimise, seed)
     check_day_options(request)
     typed = {"line": line, **given, **vars(request), "feeding": feeding}
@@ -145,6 +148,9 @@ def line_command(
     if day is not None or timetable is not None:
         if sharp:
             raise InputError("a day has no sharp floor", field="sharp", allowed="with a headway")
+        if headway_typed:
+            raise InputError("a day has its own headways", field="headway", allowed="without a day")
+        del typed["headway_s"]
         return _run_day(operation, request, network, typed, out, as_json=as_json)
     with show_activity(f"planning {len(operation.trips)} trips and their timetable"):
         found = operation_energy(

@@ -91,7 +91,7 @@ def with_run_options(
             for parameter in signature(command).parameters.values()
             if parameter.kind is not Parameter.VAR_KEYWORD
         ]
-        first = sum(parameter.name in POSITIONAL for parameter in own)
+        first = sum(each.name in POSITIONAL or each.default is Parameter.empty for each in own)
         run = [run_option(key, **defaults) for key in keys]
         parameters = [*own[:first], *more, *run, *own[first:]]
 
