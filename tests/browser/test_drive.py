@@ -108,6 +108,44 @@ def test_a_restriction_added_on_the_way(visit):
     expect(live).to_have_attribute("data-status", "done", timeout=PATIENCE_MS)
 
 
+def test_restrictions_and_an_objective_before_departure(visit, server):
+    page = visit("/", width=1440)
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    speeds = (
+        "document.querySelector('[data-test=live] .js-plotly-plot .ylines-above').getBoundingClientRect()"
+    )
+    assert page.evaluate(f"{speeds}.bottom") < 900  # the speed plot is in the first view
+    expect(page.locator('[data-test="driver-words"]')).to_contain_text("Own: Convex optimal plan")
+    choose(page, "Plans save", "Energy at the line")
+    page.get_by_text("Speed restrictions", exact=True).click()
+    page.get_by_role("button", name="Add a restriction").click()
+    rows = page.locator('[data-test="restrictions"]')
+    rows.get_by_label("Speed (km/h)").fill("30")
+    page.get_by_role("button", name="Add a restriction").click()
+    rows.get_by_label("Sent after").nth(1).fill("5")
+    expect(page.get_by_text("minimum 83.3 s")).to_be_hidden(timeout=PATIENCE_MS)
+    rows.get_by_label("To (m)").nth(0).fill("9000")
+    expect(page.locator('[data-test="problem"]').first).to_contain_text("restriction", timeout=PATIENCE_MS)
+    rows.get_by_label("To (m)").nth(0).fill("600")
+    expect(page.locator('[data-test="problem"]').first).to_have_text("", timeout=PATIENCE_MS)
+    choose(page, "Pace", "30 ×")
+    page.locator('[data-test="depart"]').click()
+    live = page.locator('[data-test="live"]')
+    expect(live).to_have_attribute("data-status", "done", timeout=PATIENCE_MS)
+    asked = server.get("/api/jobs?kind=live&limit=1")[0]["request"]
+    assert asked["objective"] == "line"
+    told = [
+        (r["from_m"], r["to_m"], round(3.6 * r["limit_mps"], 6), r["at_s"]) for r in asked["restrictions"]
+    ]
+    assert told == [(500, 600, 30, None), (700, 800, 40, 5)]
+    expect(page.locator('[data-mp="log"]')).to_contain_text(
+        "restriction announced: 40 km/h from 700 to 800 m"
+    )
+    page.goto(page.url)
+    expect(rows.get_by_label("From (m)")).to_have_count(2, timeout=PATIENCE_MS)
+    expect(rows.get_by_label("Speed (km/h)").first).to_have_value("30")
+
+
 def test_the_lever_by_hand_from_the_keyboard(visit):
     page = visit("/")
     live = depart(page, "real time")
@@ -169,7 +207,7 @@ def expect_restored(page):
     expect(page.get_by_label("Driver", exact=True)).to_have_value("manual")
     expect(page.get_by_label("True mass / nominal")).to_have_value("1.05")
     expect(page.get_by_label("Seed", exact=True)).to_have_value("7")
-    expect(page.locator('[data-test="kept"]')).to_have_text("Of the linked run: dt_s 0.1.")
+    expect(page.get_by_label("Control period (s)")).to_have_value("0.1")
     expect(page.locator(".mp-strip text[font-weight='700']").first).to_have_text(re.compile("TJN"))
 
 

@@ -59,7 +59,8 @@ def test_a_link_to_a_comparison_restores_all_of_it(visit, server):
             page.get_by_text(text, exact=True).or_(page.locator(f'[value="{text}"]')).first
         ).to_be_attached()
     expect(page.get_by_text("Running time 150 s")).to_be_visible()
-    expect(page.locator('[data-test="kept"]')).to_contain_text("54 km/h from 300 to 500 m")
+    for label, value in (("From (m)", "300"), ("To (m)", "500"), ("Speed (km/h)", "54")):
+        expect(page.get_by_label(label, exact=True)).to_have_value(value)
     expect(page.locator('[data-test="driven"]')).to_have_text("yizhuang XHM → JG, dkz32 AW2")
     least = "document.querySelector('[data-test=front]').layout.shapes[0].x0"
     body = {name: asked[name] for name in ("line", "origin", "destination", "load", "restrictions")}

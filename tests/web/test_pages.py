@@ -65,13 +65,12 @@ def test_a_form_shows_what_is_declared(monkeypatch, tmp_path):
     """Every field has the label, unit, step, range and default of the declaration that also checks it."""
     shown = {}
 
-    def record(label, **more):
-        made = number(label=label, **more)
-        assert shown.setdefault(label, made) is made
-        return made
+    class Recorded(ui.number):
+        def __init__(self, label, **more):
+            super().__init__(label=label, **more)
+            assert shown.setdefault(label, self) is self
 
-    number = ui.number
-    monkeypatch.setattr(ui, "number", record)
+    monkeypatch.setattr(ui, "number", Recorded)
 
     async def build():
         core.loop = asyncio.get_running_loop()

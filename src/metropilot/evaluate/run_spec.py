@@ -89,7 +89,8 @@ class RunSpec:
     )
     objective: Objective = declare("wheel", "Energy to minimise: wheel or line.", choices=OBJECTIVES)
     dt_s: float = field(
-        default=CONTROL_PERIOD_S, metadata={FieldSpec: replace(field_specs(Run)["dt"], option="dt")}
+        default=CONTROL_PERIOD_S,
+        metadata={FieldSpec: replace(field_specs(Run)["dt"], option="dt", label="Control period", step=0.05)},
     )
     seed: int = declare(0, "Seed of everything random.", low=0, high=2**63 - 1, label="Seed", step=1.0)
 

@@ -16,6 +16,7 @@ from metropilot.web.live.session import Session
 from metropilot.web.pages.form import (
     DisturbanceForm,
     SectionForm,
+    describe_driver,
     driver_choice,
     driver_names,
     number_field,
@@ -88,6 +89,9 @@ class DrivePage:
                     "outlined dense options-dense"
                 )
                 self.form.problem.beside("driver", self.driver)
+                self.driver.on_value_change(self.say_driver)
+                self.driver_words = ui.label("").classes("mp-soft").props('data-test="driver-words"')
+                self.say_driver()
                 self.disturbances.build(self.form.problem)
                 with ui.element("div").classes("mp-row"):
                     self.pace = ui.select(PACES, value=1, label="Pace", on_change=self.change_pace)
@@ -105,8 +109,6 @@ class DrivePage:
             self.build_news()
             RunList(self.service, self.run).build()
         with ui.element("div").classes("mp-col"):
-            with card():
-                self.map = ui.html("").classes("mp-strip")
             self.root = ui.element("section").classes("mp-card").props('data-test="live"')
             self.root.props(f"data-status={'none' if self.row is None else self.row.status}")
             with self.root, ui.element("div").classes("mp-stack"):
@@ -124,8 +126,14 @@ class DrivePage:
                 self.plot = ui.plotly(run_figure()).classes("mp-plot")
                 ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite aria-label="News"')
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
+            with card():
+                self.map = ui.html("").classes("mp-strip")
             self.root.on("mp-result", self.show_result, ["detail"])
             self.root.on("mp-end", self.show_end, ["detail"])
+
+    def say_driver(self) -> None:
+        """Show what the chosen driver is."""
+        self.driver_words.text = describe_driver(self.driver.value)
 
     def status_words(self) -> str:
         """Status of the linked run."""

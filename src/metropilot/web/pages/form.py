@@ -15,10 +15,11 @@ from metropilot.units import KMH_PER_MPS, Unit
 from metropilot.web import catalogue
 from metropilot.web.pages.frame import Problem, number
 from metropilot.web.pages.strip import names
-from metropilot.web.schemas.requests import DriveIn, PlanIn, spec_of
+from metropilot.web.schemas.requests import DriveIn, NewRestriction, PlanIn, RestrictionIn, spec_of
 from metropilot.web.service import Service
 
 SLOWEST = 1.6
+OBJECTIVES = {"wheel": "Energy at the wheel", "line": "Energy at the line"}
 COUNTLESS = 2.0**53
 """Upper bound from which on a range is shown without it (that of seeds)."""
 POLICIES_SHOWN = 20
@@ -97,6 +98,79 @@ def validate(kind: type[Body], values: dict[str, Any], **scales: float) -> Body:
         raise InputError(first["msg"], field=name, value=str(first["input"])) from None
 
 
+class RestrictionForm:
+    """Speed restrictions known before departure, or sent on the way; each a row of fields.
+
+    Args:
+        changed: Called when a restriction is added, changed or removed.
+    """
+
+    def __init__(self, changed: Callable[[], Any]) -> None:
+        self.changed = changed
+        self.rows: list[dict[str, ui.number]] = []
+
+    def build(self) -> None:
+        """Place the rows in a closed expansion."""
+        self.fold = ui.expansion("Speed restrictions").props("dense").classes("mp-soft")
+        with self.fold, ui.element("div").classes("mp-stack"):
+            self.place = ui.element("div").classes("mp-stack").props('data-test="restrictions"')
+            more = ui.button("Add a restriction", icon="add", on_click=self.add)
+            more.props("flat dense no-caps")
+
+    def add(self) -> Any:  # noqa: ANN401 (a page's answer)
+        """Add a restriction behind the last one."""
+        begin = max((row["to_m"].value or 0.0 for row in self.rows), default=400.0)
+        self.place_row({"from_m": begin + 100.0, "to_m": begin + 200.0, "limit_mps": 40 / KMH_PER_MPS})
+        return self.changed()
+
+    def place_row(self, body: dict[str, Any]) -> None:
+        """Place the fields of a restriction."""
+        row: dict[str, ui.number] = {}
+        with self.place, ui.element("div").classes("mp-row items-center") as shown:
+            for name in ("from_m", "to_m", "limit_mps"):
+                unit = spec_of(NewRestriction, name).shown_unit
+                value = body[name] if unit is None else unit.from_si(float(body[name]))
+                row[name] = number_field(NewRestriction, name, value=value, on_change=self.changed)
+            row["at_s"] = number_field(
+                RestrictionIn,
+                "at_s",
+                label="Sent after (s); empty: known before",
+                value=body.get("at_s"),
+                step=1,
+                on_change=self.changed,
+            )
+            remove = ui.button(icon="remove", on_click=lambda: self.remove(row, shown))
+            remove.props('flat dense round aria-label="Remove this restriction"')
+        self.rows.append(row)
+
+    def remove(self, row: dict[str, ui.number], shown: ui.element) -> Any:  # noqa: ANN401 (a page's answer)
+        """Remove a restriction."""
+        self.rows.remove(row)
+        shown.delete()
+        return self.changed()
+
+    def values(self) -> list[dict[str, float | None]]:
+        """Restrictions for a request, in SI."""
+        found = []
+        for row in self.rows:
+            given: dict[str, float | None] = {}
+            for name, field in row.items():
+                unit = spec_of(NewRestriction, name).shown_unit if name != "at_s" else None
+                value = field.value
+                given[name] = value if value is None or unit is None else unit.to_si(float(value))
+            found.append(given)
+        return found
+
+    def restore(self, restrictions: list[dict[str, Any]]) -> None:
+        """Fill in the restrictions of a request."""
+        self.rows.clear()
+        self.place.clear()
+        for each in restrictions:
+            self.place_row(each)
+        if restrictions:
+            self.fold.open()
+
+
 class SectionForm:
     """Fields of a section and its running time.
 
@@ -109,7 +183,7 @@ class SectionForm:
         problem: Place of its errors.
         section: The section of the latest answer.
         linked: True while the fields are those of the linked run.
-        kept: Values of that run without a field here: restrictions, objective, ...
+        kept: Values of that run without a field here: arrivals.
     """
 
     problem: Problem
@@ -133,6 +207,7 @@ class SectionForm:
         """Place the fields."""
         lines = {row["id"]: row["name"] for row in catalogue.line_rows(self.service)}
         trainsets = {row["id"]: row["name"] for row in catalogue.trainset_rows(self.service)}
+        self.restrictions = RestrictionForm(self._replan)
         self.line_in = ui.select(lines, value="yizhuang", label="Line", on_change=self._line_changed)
         stops = names(self.line["stops"])
         self.origin_in = ui.select(stops, value="RJ", label="From", on_change=self._refresh)
@@ -149,6 +224,9 @@ class SectionForm:
         self.time_words = ui.label("Running time").classes("mp-soft")
         self.slider = ui.slider(min=60, max=160, step=1, value=101, on_change=self._time_moved)
         self.slider.props('label aria-label="Scheduled running time in seconds" data-test="time"')
+        self.restrictions.build()
+        self.objective = ui.select(OBJECTIVES, value="wheel", label="Plans save", on_change=self._replan)
+        self.objective.props("outlined dense options-dense")
         self.kept_words = ui.label("").classes("mp-soft").props('data-test="kept"')
         self.problem = Problem()
         fields = (("line", self.line_in), ("station", self.origin_in), ("origin", self.origin_in))
@@ -157,8 +235,9 @@ class SectionForm:
 
     def values(self) -> dict[str, Any]:
         """Values of the fields for a request."""
-        restrictions = {name: self.kept[name] for name in ("restrictions",) if name in self.kept}
-        return restrictions | {
+        return {
+            "restrictions": self.restrictions.values(),
+            "objective": self.objective.value,
             "line": self.line_in.value,
             "origin": self.origin_in.value,
             "destination": self.destination_in.value,
@@ -173,8 +252,7 @@ class SectionForm:
         Raises:
             InputError: A field is not allowed.
         """
-        kept = {name: self.kept[name] for name in ("objective",) if name in self.kept}
-        return validate(PlanIn, {**self.values(), **kept, "time_s": time_s})
+        return validate(PlanIn, {**self.values(), "time_s": time_s})
 
     def restore(self, body: dict[str, Any]) -> None:
         """Fill the fields with the request of a run; the page loads afterwards.
@@ -196,9 +274,11 @@ class SectionForm:
         )
         self._filling = False
         self._restored_s = body["time_s"]
-        plain = {name: field.get_default() for name, field in DriveIn.model_fields.items()}
-        names_kept = ("restrictions", "arrivals", "objective", "dt_s")
-        self.kept = {name: body[name] for name in names_kept if body.get(name, plain[name]) != plain[name]}
+        self._filling = True
+        self.restrictions.restore(body.get("restrictions", []))
+        self.objective.value = body.get("objective", "wheel")
+        self._filling = False
+        self.kept = {"arrivals": body["arrivals"]} if body.get("arrivals") else {}
         self.kept_words.text = describe_hidden(self.kept, body.get("options", {}))
         self.linked = True
 
@@ -287,6 +367,14 @@ class SectionForm:
     def _refresh(self) -> Awaitable[None] | None:
         return self.load() if self._changed_by_hand() else None
 
+    async def _replan(self) -> None:
+        """Load the section anew with other restrictions, or another objective, at the same time."""
+        if not self._filling:
+            self._restored_s = self.time_s
+            await self.load()
+            if self.section is not None and self.time_s < self.section["minimum_running_time_s"]:
+                self.slider.value = math.ceil(self.section["minimum_running_time_s"])
+
     def _time_moved(self) -> Awaitable[None] | None:
         if self._filling:
             return None
@@ -303,15 +391,9 @@ def loads(service: Service, trainset: str) -> dict[str, str]:
 def describe_hidden(kept: dict[str, Any], options: dict[str, Any]) -> str:
     """Describe the values of a linked run without a field here, with the driver's options but its policy."""
     said = [
-        f"{KMH_PER_MPS * r['limit_mps']:.0f} km/h from {r['from_m']:g} to {r['to_m']:g} m"
-        + ("" if r["at_s"] is None else f", sent after {r['at_s']:g} s")
-        for r in kept.get("restrictions", ())
-    ]
-    said += [
         f"arrive after {a['scheduled_time_s']:g} s, sent after {a['at_s']:g} s"
         for a in kept.get("arrivals", ())
     ]
-    said += [f"{name} {kept[name]}" for name in ("objective", "dt_s") if name in kept]
     said += [f"{name} {value}" for name, value in other_options(options).items()]
     return f"Of the linked run: {'; '.join(said)}." if said else ""
 
@@ -383,13 +465,31 @@ class DisturbanceForm(FoldedNumbers):
         super().restore(body)
 
 
+def driver_kind(row: dict[str, Any]) -> str:
+    """Kind of a driver: learned, of a paper, or own."""
+    if POLICY in row["options"]:
+        return "Learned"
+    return "Own" if row["source"].startswith("own") else "Published"
+
+
+def describe_driver(name: str) -> str:
+    """One sentence about a driver: its kind, what it does, its source."""
+    driver, _ = parse_driver(name)
+    row = next((each for each in catalogue.driver_rows() if each["id"] == driver), None)
+    return "" if row is None else f"{driver_kind(row)}: {row['summary']} ({row['source']})"
+
+
+KINDS = ("Own", "Published", "Learned")
+
+
 def driver_names(service: Service | None = None) -> dict[str, str]:
-    """Options of a list of drivers, with learned and uploaded policies.
+    """Options of a list of drivers by kind, with learned and uploaded policies.
 
     Args:
         service: Service with the policies; None for none.
     """
-    found = {row["id"]: row["id"] for row in catalogue.driver_rows()}
+    rows = sorted(catalogue.driver_rows(), key=lambda row: KINDS.index(driver_kind(row)))
+    found = {row["id"]: row["id"] for row in rows}
     policies = [] if service is None else list(service.policies())[:POLICIES_SHOWN]
     if policies:
         found.pop("learned", None)
