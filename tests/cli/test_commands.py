@@ -9,7 +9,6 @@ import shlex
 import subprocess
 import sys
 from importlib import import_module
-from pathlib import Path
 
 import pytest
 
@@ -141,8 +140,7 @@ def test_a_campaigns_table_breaks_between_words_only(capsys, monkeypatch, tmp_pa
 
     monkeypatch.setenv("COLUMNS", str(width))
     rows = [summary_row("generalist"), summary_row("improved_dqn")]
-    done = {"driven": 0}
-    report({"drivers": rows, "campaign": "c", "done": 1, "rows": 1, "sitting": done}, Path("campaigns/c"))
+    report({"drivers": rows, "campaign": "c", "done": 1, "rows": 1, "sitting": {"driven": 0}})
     whole(capsys.readouterr().out, ("generalist", "improved_dqn", "median", "12.34", "1014"), width)
 
 
