@@ -43,7 +43,7 @@ def drive(page: Page) -> None:
     """A restriction and a later arrival on the way."""
     depart(page, "5 ×")
     until(page, LIVE, "data-position", 250)
-    for label, value in (("From (m)", "800"), ("To (m)", "950"), ("km/h", "40")):
+    for label, value in (("From (m)", "800"), ("To (m)", "950"), ("Speed (km/h)", "40")):
         page.get_by_label(label, exact=True).fill(value)
     page.locator('[data-test="restrict"]').click()
     page.get_by_label("Arrive after (s)").fill("112")

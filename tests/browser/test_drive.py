@@ -146,6 +146,31 @@ def test_restrictions_and_an_objective_before_departure(visit, server):
     expect(rows.get_by_label("Speed (km/h)").first).to_have_value("30")
 
 
+def test_the_options_of_a_driver_are_fields(visit, server):
+    page = visit("/", expected=("422",))
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    choose(page, "Driver", "pid")
+    expect(page.locator('[data-test="driver-words"]')).to_contain_text("Published: Incremental PID")
+    page.get_by_text("Driver options", exact=True).click()
+    options = page.locator('[data-test="driver-options"]')
+    expect(options.get_by_label("kp", exact=True)).to_have_value("3.4")
+    options.get_by_label("kp", exact=True).fill("-2")
+    page.locator('[data-test="depart"]').click()
+    expect(options.locator(".q-field--error")).to_contain_text("allowed", timeout=PATIENCE_MS)
+    options.get_by_label("kp", exact=True).fill("3")
+    options.get_by_text("station stop").click()
+    choose(page, "Pace", "30 ×")
+    page.locator('[data-test="depart"]').click()
+    live = page.locator('[data-test="live"]')
+    expect(live).to_have_attribute("data-status", re.compile("running|done"), timeout=PATIENCE_MS)
+    asked = server.get("/api/jobs?kind=live&limit=1")[0]
+    assert asked["request"]["options"] == {"kp": 3, "station_stop": False}
+    page.goto(f"{server.url}/?run={asked['id']}")
+    expect(options.get_by_label("kp", exact=True)).to_have_value("3", timeout=PATIENCE_MS)
+    choose(page, "Driver", "manual")
+    expect(page.get_by_text("Driver options", exact=True)).to_be_hidden()
+
+
 def test_the_lever_by_hand_from_the_keyboard(visit):
     page = visit("/")
     live = depart(page, "real time")

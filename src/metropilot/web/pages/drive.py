@@ -15,8 +15,10 @@ from metropilot.web.errors import Refused, error_of
 from metropilot.web.live.session import Session
 from metropilot.web.pages.form import (
     DisturbanceForm,
+    DriverOptions,
     SectionForm,
     describe_driver,
+    describe_hidden,
     driver_choice,
     driver_names,
     number_field,
@@ -72,7 +74,7 @@ class DrivePage:
         except MetropilotError as error:
             self.lost = error
         self.run = None if self.row is None else self.row.id
-        self.options: dict[str, Any] = {}
+        self.driver_options = DriverOptions()
         self.form = SectionForm(service, self.update_section, self.update_plan)
         self.disturbances = DisturbanceForm()
         self.wanted_s: float | None = None
@@ -91,6 +93,7 @@ class DrivePage:
                 self.form.problem.beside("driver", self.driver)
                 self.driver.on_value_change(self.say_driver)
                 self.driver_words = ui.label("").classes("mp-soft").props('data-test="driver-words"')
+                self.driver_options.build(self.form.problem)
                 self.say_driver()
                 self.disturbances.build(self.form.problem)
                 with ui.element("div").classes("mp-row"):
@@ -132,8 +135,9 @@ class DrivePage:
             self.root.on("mp-end", self.show_end, ["detail"])
 
     def say_driver(self) -> None:
-        """Show what the chosen driver is."""
+        """Show what the chosen driver is, and its options."""
         self.driver_words.text = describe_driver(self.driver.value)
+        self.driver_options.show(self.driver.value)
 
     def status_words(self) -> str:
         """Status of the linked run."""
@@ -210,7 +214,8 @@ class DrivePage:
         self.form.restore(body)
         self.disturbances.restore(body)
         self.driver.value = driver_choice(self.service, self.driver, body["driver"], body["options"])
-        self.options = {"driver": self.driver.value, "options": other_options(body["options"])}
+        self.driver_options.show(self.driver.value, other_options(body["options"]))
+        self.form.kept_words.text = describe_hidden(self.form.kept, {})
         session = self.session()
         pace = body["pace"] if session is None else session.known.pace
         self.pace.value = pace if pace in PACES else self.pace.value
@@ -265,8 +270,7 @@ class DrivePage:
                 raise Refused("choose a section first", 422, field="origin")
             values = {**self.form.kept, **self.form.values(), **self.disturbances.values()}
             values |= {"driver": self.driver.value, "pace": float(self.pace.value)}
-            if self.form.linked and self.options.get("driver") == self.driver.value:
-                values |= self.options
+            values |= {"options": self.driver_options.values()}
             body = validate(LiveIn, values)
             before = self.live()
             if before is not None and before.viewers <= 1:

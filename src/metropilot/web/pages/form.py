@@ -482,6 +482,60 @@ def describe_driver(name: str) -> str:
 KINDS = ("Own", "Published", "Learned")
 
 
+class DriverOptions:
+    """Fields of a driver's options in a closed expansion; those at their default are not sent."""
+
+    def build(self, problem: Problem) -> None:
+        """Place the expansion."""
+        self.problem = problem
+        self.fold = ui.expansion("Driver options").props("dense").classes("mp-soft")
+        with self.fold:
+            self.place = ui.element("div").classes("mp-stack").props('data-test="driver-options"')
+        self.problem.beside("set", self.fold)
+
+    def show(self, name: str, given: dict[str, Any] | None = None) -> None:
+        """Place the fields of a driver.
+
+        Args:
+            name: Driver, as a list of drivers has it.
+            given: Options that differ from their defaults.
+        """
+        driver, _ = parse_driver(name)
+        row = next((each for each in catalogue.driver_rows() if each["id"] == driver), {"options": {}})
+        self.plain = other_options(row["options"])
+        values = self.plain | {key: value for key, value in (given or {}).items() if key in self.plain}
+        self.inputs: dict[str, Any] = {}
+        self.place.clear()
+        self.fold.set_visibility(bool(self.plain))
+        with self.place:
+            for key, value in values.items():
+                self.inputs[key] = self.field(key, value)
+                self.problem.beside(f"set {key}", self.inputs[key], self.fold)
+        if given:
+            self.fold.open()
+
+    @staticmethod
+    def field(key: str, value: object) -> Any:  # noqa: ANN401 (any field of NiceGUI)
+        """Place a field for a value of this kind."""
+        label = key.replace("_", " ")
+        if isinstance(value, bool):
+            return ui.checkbox(label, value=value)
+        if isinstance(value, int | float):
+            return ui.number(label, value=value).props("outlined dense")
+        return ui.input(label, value=str(value or "")).props("outlined dense")
+
+    def values(self) -> dict[str, Any]:
+        """Options for a request."""
+        found = {}
+        for key, field in self.inputs.items():
+            value, plain = field.value, self.plain[key]
+            if type(plain) is int and isinstance(value, float) and value.is_integer():
+                value = int(value)
+            if value not in {plain, "", None}:
+                found[key] = value
+        return found
+
+
 def driver_names(service: Service | None = None) -> dict[str, str]:
     """Options of a list of drivers by kind, with learned and uploaded policies.
 
