@@ -363,8 +363,8 @@ class OperationPage:
         ]
         table(("driving", "timetable", unit, "saved %", "gap %"), rows, right=(2, 3, 4), name="Energies")
         words = (
-            f"{told['unreceived_kwh']:.1f} of {told['returned_kwh']:.1f} kWh that braking trains return, "
-            "nobody receives."
+            f"Of {told['returned_kwh']:.1f} kWh that braking trains return, "
+            f"{told['unreceived_kwh']:.1f} reach no other train."
         )
         if least is not None:
             words += (
