@@ -14,6 +14,8 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi
 WORKERS ?= 2
 WEB_WORKERS ?= 2
 ARGS ?=
+# Leaves out what tests/slow.txt names; `make test QUICK=` runs it.
+QUICK ?= -m "not slow"
 
 SECTION := yizhuang RJ WYJ --time 101
 
@@ -48,16 +50,14 @@ demo: $(STAMP)  ## drive a real section near the energy optimum and draw it
 	$(BIN)/metropilot compare $(SECTION) --drivers optimal,manual,flat_out --out demo/compare
 	@echo "The picture of the drive: demo/drive/profile.png; the comparison: demo/compare/"
 
-PYTEST := $(ONE_THREAD) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --ignore tests/browser
-
 test: $(STAMP)  ## run the tests but those of tests/slow.txt (ARGS="-k protection" is passed to pytest)
-	$(PYTEST) -m "not slow" $(ARGS)
-
-test-all: $(STAMP)  ## run all tests, for a release (half an hour on two cores)
-	$(PYTEST) $(ARGS)
+	$(ONE_THREAD) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --ignore tests/browser $(QUICK) $(ARGS)
 
 test-web: $(WEB_STAMP)  ## click through the console in headless Chromium (says so where there is none)
-	$(BIN)/python -m pytest tests/browser -n $(WEB_WORKERS) --dist worksteal $(ARGS)
+	$(BIN)/python -m pytest tests/browser -n $(WEB_WORKERS) --dist worksteal $(QUICK) $(ARGS)
+
+test-all:  ## run all tests of both, for a release (half an hour on two cores)
+	$(MAKE) test test-web QUICK=
 
 wheel-check: $(STAMP)  ## build the wheel, install it into an empty environment, drive with it from elsewhere
 	$(BIN)/python tools/wheel_check.py $(ARGS)

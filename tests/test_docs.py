@@ -147,3 +147,21 @@ def test_the_navigation_has_every_page_once():
     assert sorted(found) == sorted(pages)
     assert found[:2] == ["index.md", "tutorial.md"]
     assert site_nav.navigation(["index.md", "new.md"])[-1] == {"More": ["new.md"]}
+
+
+def test_a_page_names_commits_of_this_history():
+    """A table that was measured at a commit that was never landed cannot be measured again."""
+
+    def git(*words):
+        return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+
+    if git("rev-parse", "--is-shallow-repository").stdout.strip() != "false":
+        pytest.skip("no history here")
+    history = git("rev-list", "HEAD").stdout.split()
+    gone = [
+        f"{path.relative_to(ROOT)}: {commit}"
+        for path in sorted((ROOT / "docs").rglob("*.md"))
+        for commit in sorted(set(re.findall(r"\bcommit:? ([0-9a-f]{7,40})\b(?!-dirty|\+)", path.read_text())))
+        if not any(each.startswith(commit) for each in history)
+    ]
+    assert not gone

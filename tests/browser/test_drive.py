@@ -114,6 +114,9 @@ def test_restrictions_and_an_objective_before_departure(visit, server):
     speeds = (
         "document.querySelector('[data-test=live] .js-plotly-plot .ylines-above').getBoundingClientRect()"
     )
+    page.locator('[data-test="live"] .js-plotly-plot .ylines-above').first.wait_for(
+        state="attached", timeout=PATIENCE_MS
+    )
     assert page.evaluate(f"{speeds}.bottom") < 900  # the speed plot is in the first view
     expect(page.locator('[data-test="driver-words"]')).to_contain_text("Own: Convex optimal plan")
     choose(page, "Plans save", "Energy at the line")

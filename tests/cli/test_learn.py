@@ -42,7 +42,7 @@ def run_folder(tmp_path_factory):
     return folder / "mine", done.stdout
 
 
-def test_learning_says_how_it_goes(learned):
+def test_learning_says_how_it_goes(run_folder):
     folder, said = run_folder
     lines = said.splitlines()
     assert lines[0].startswith("ppo: ppo on drive_both, seed 3, in ")

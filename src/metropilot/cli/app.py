@@ -31,7 +31,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Compute the trainsets an hour of a line, alone and in convoys, and the least headway of each place.",
     ),
     "line": ("metropilot.cli.line", "Compute the energy of all trains of a line, beside its floor."),
-    "campaign": ("metropilot.cli.campaign", "Drive a declared matrix of runs, resumable, and report it."),
+    "campaign": (
+        "metropilot.cli.campaign",
+        "Compute a declared matrix of runs or lines, resumable, and report it.",
+    ),
     "plan": ("metropilot.cli.plan", "Compute the optimal plan, its certificate, the time-energy front."),
     "fit": ("metropilot.cli.fit", "Estimate a trainset's parameters from logs of runs."),
     "learn": ("metropilot.cli.learn", "Learn a driver, or resume a run."),

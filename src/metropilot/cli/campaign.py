@@ -53,7 +53,7 @@ def campaign_command(
     ] = None,
     as_json: opt.Json = False,
 ) -> int:
-    """Compute a declared matrix of runs or of lines in operation, resumable, and report it.
+    """Compute a declared matrix of runs or lines, resumable, and report it.
 
     After an interruption the same command resumes it. Exit code 0: every run was safe, and arrived on time
     where that was possible, or every line was computed; 1: not; 2: invalid input.

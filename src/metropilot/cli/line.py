@@ -47,7 +47,7 @@ def _operation_options() -> Iterator[Parameter]:
 
 @opt.with_run_options(only=("trainset", "load"), more=tuple(_operation_options()))
 def line_command(
-    context: typer.Context,
+    context: Any,  # noqa: ANN401 (typer.Context, as far as typer knows)
     line: opt.LineArgument,
     optimise: Annotated[
         bool,

@@ -86,8 +86,10 @@ def with_run_options(
 
         keys = [key for key in only or run_fields() if key not in (*POSITIONAL, *left_out)]
         hints = get_type_hints(command, include_extras=True)
+        # typer passes the context of the click that it brings along, which is no typer.Context
+        hints = {name: hint for name, hint in hints.items() if hint is not Any}
         own = [
-            parameter.replace(annotation=hints[parameter.name])
+            parameter.replace(annotation=hints.get(parameter.name, typer.Context))
             for parameter in signature(command).parameters.values()
             if parameter.kind is not Parameter.VAR_KEYWORD
         ]

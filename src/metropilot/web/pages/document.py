@@ -50,7 +50,7 @@ LONGEST_PASTE = 2000
 """Rows of a paste that are taken."""
 
 
-class Grid(NamedTuple):
+class FieldGrid(NamedTuple):
     """Rows of a table of a document.
 
     Attributes:
@@ -87,16 +87,16 @@ def shown(value: object) -> str:
     return f"{value:.15g}" if isinstance(value, float) else str(value)
 
 
-def grid_of(block: str, key: str, value: object, units: Mapping[str, Any]) -> Grid | None:
+def grid_of(block: str, key: str, value: object, units: Mapping[str, Any]) -> FieldGrid | None:
     """The table of a value of a document; None if it is none."""
     if key == "loads" and isinstance(value, Mapping):
-        return Grid(("load", "mass"), [list(item) for item in value.items()], _loads)
+        return FieldGrid(("load", "mass"), [list(item) for item in value.items()], _loads)
     if not isinstance(value, list) or not value:
         return None
     if key == "list" and all(isinstance(row, Mapping) for row in value):
-        return Grid(STATION, [[row.get(name) for name in STATION] for row in value], _stations)
+        return FieldGrid(STATION, [[row.get(name) for name in STATION] for row in value], _stations)
     if key == "pieces" and all(isinstance(row, Mapping) for row in value):
-        return Grid(PIECE, [_piece_row(row) for row in value], _pieces)
+        return FieldGrid(PIECE, [_piece_row(row) for row in value], _pieces)
     if not all(isinstance(row, list) for row in value):
         return None
     width = max(map(len, value))
@@ -107,7 +107,7 @@ def grid_of(block: str, key: str, value: object, units: Mapping[str, Any]) -> Gr
         names = (
             ("from", "start", "end")[:width] if block == "curves" else tuple(f"{k + 1}" for k in range(width))
         )
-    return Grid(names, [[*row, *[None] * (width - len(row))] for row in value], _rows)
+    return FieldGrid(names, [[*row, *[None] * (width - len(row))] for row in value], _rows)
 
 
 def _rows(rows: list[list[Any]]) -> list[list[Any]]:
@@ -157,7 +157,7 @@ class RowTable:
     """
 
     def __init__(
-        self, path: str, grid: Grid, labels: Sequence[str], edit: Callable[[Callable[[], object]], None]
+        self, path: str, grid: FieldGrid, labels: Sequence[str], edit: Callable[[Callable[[], object]], None]
     ) -> None:
         self.path, self.grid, self.labels, self.edit = path, grid, labels, edit
 
@@ -328,7 +328,7 @@ class DocumentForm:
         )
         self.problem.beside(path, field)
 
-    def table(self, block: dict[str, Any], key: str, path: str, grid: Grid) -> None:
+    def table(self, block: dict[str, Any], key: str, path: str, grid: FieldGrid) -> None:
         """Place a table of rows and, above it, its errors."""
 
         def edit(act: Callable[[], object]) -> None:
