@@ -56,9 +56,18 @@ def read_rows(folder: Path) -> tuple[LineSweep, list[Row], float]:
     return sweep, summary["lines"], summary["cost"]["processor_s"]
 
 
-def saved(row: Row, name: str, of: str = "") -> float:
+def compute_saving(row: Row, name: str, of: str = "") -> float:
     """Share of cruise and brake saved, percent."""
     return 100.0 * (1.0 - row[f"{of}{name}"] / row[f"{of}cruise_kwh"])
+
+
+def cite_commands(campaign: str, spent_s: float, module: str) -> str:
+    """Commands that make a part of the page from a campaign of lines, and where they ran."""
+    about = "; ".join(f"{k} {v}" for k, v in circumstances(("metropilot", "clarabel", "numpy")).items())
+    return (
+        f"`metropilot campaign {campaign} --out FOLDER`, {spent_s:.0f} s of processor time, and "
+        f"`python -m {module} --campaign FOLDER --write docs/line.md`; {about}."
+    )
 
 
 def planned_floor_kwh(row: Row) -> float:
@@ -78,7 +87,7 @@ def describe(rows: Sequence[Row], planned_kwh: float, written: str) -> str:
             f"{row['zones']}",
             f"{row['headway_s']}",
             *(f"{row[name]:.1f}" for name in (*names, "all_received_floor_kwh", "floor_kwh")),
-            *(f"{saved(row, name):.1f}" for name in names[1:]),
+            *(f"{compute_saving(row, name):.1f}" for name in names[1:]),
             f"{row['gap_percent']:.2f}",
         ]
         for row in sorted(rows, key=lambda row: (row["zones"], row["headway_s"]))
@@ -110,11 +119,7 @@ def main() -> None:
     parser.add_argument("--write", type=Path, metavar="PAGE")
     given = parser.parse_args()
     _, rows, spent_s = read_rows(given.campaign)
-    about = "; ".join(f"{k} {v}" for k, v in circumstances(("metropilot", "clarabel", "numpy")).items())
-    written = (
-        f"`metropilot campaign benchmarks/line.toml --out FOLDER`, {spent_s:.0f} s of processor time, and "
-        f"`python -m benchmarks.line --campaign FOLDER --write docs/line.md`; {about}."
-    )
+    written = cite_commands("benchmarks/line.toml", spent_s, "benchmarks.line")
     write_section(given.write, "line", describe(rows, planned_floor_kwh(rows[0]), written))
 
 

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.beside_optimum import table
-from benchmarks.line import Row, read_rows, saved
-from benchmarks.report import circumstances, write_section
+from benchmarks.line import Row, cite_commands, compute_saving, read_rows
+from benchmarks.report import write_section
 from metropilot.campaign import LineSweep, saved_figure, table_of_lines
 from metropilot.evaluate import house_style
 from metropilot.operation import SEARCH_NEIGHBOURS, SEARCH_ROUNDS
@@ -59,7 +59,7 @@ def describe_network(rows: Sequence[Row], written: str) -> str:
             [
                 f"{row['headway_s']}",
                 *(f"{each:.1f}" for each in energies),
-                f"{saved(row, 'energy_kwh', 'network_'):.1f}",
+                f"{compute_saving(row, 'energy_kwh', 'network_'):.1f}",
                 f"{100.0 * (zones - best) / cruise:.1f}",
                 f"{row['network_lowest_v']:.0f}",
                 f"{row['network_peak_w'] / 1e6:.1f}",
@@ -82,11 +82,7 @@ def main() -> None:
     parser.add_argument("--write", type=Path, metavar="PAGE")
     given = parser.parse_args()
     sweep, rows, spent_s = read_rows(given.campaign)
-    about = "; ".join(f"{k} {v}" for k, v in circumstances(("metropilot", "clarabel", "numpy")).items())
-    written = (
-        f"`metropilot campaign {sweep.name} --out FOLDER`, {spent_s:.0f} s of processor time, and `python -m "
-        f"benchmarks.synchronisation --campaign FOLDER --write docs/line.md`; {about}."
-    )
+    written = cite_commands(sweep.name, spent_s, "benchmarks.synchronisation")
     write_section(given.write, "synchronisation", describe(sweep, rows, written))
     fed = [row for row in rows if row["network"] is not None]
     write_section(given.write, "network-search", describe_network(fed, written))

@@ -21,7 +21,7 @@ def save(page, version):
     )
 
 
-def saved(server, page, kind):
+def read_saved(server, page, kind):
     """The saved document that a page shows, and its id."""
     page.wait_for_url(re.compile(rf"/edit\?{kind}=upload-"))
     key = page.url.partition("=")[2]
@@ -42,7 +42,7 @@ def test_a_line_is_copied_edited_saved_and_driven_on(visit, server, width):
     expect(wrong).to_be_hidden()
     page.wait_for_function(f"Math.round({DRAWN}[0].y[3]) === 60")
     save(page, 1)
-    document, key = saved(server, page, "line")
+    document, key = read_saved(server, page, "line")
     assert document["id"] == "yizhuang-copy"
     assert document["speed_limits"]["values"][3] == [1090, 60]
     assert document["stations"]["source"].startswith("12th Chinese")
@@ -51,7 +51,7 @@ def test_a_line_is_copied_edited_saved_and_driven_on(visit, server, width):
     cell(page, "speed_limits.values row 5 from").fill("2000")
     cell(page, "speed_limits.values row 5 speed").fill("70")
     save(page, 2)
-    assert saved(server, page, "line")[0]["speed_limits"]["values"][3:5] == [[1090, 60], [2000, 70]]
+    assert read_saved(server, page, "line")[0]["speed_limits"]["values"][3:5] == [[1090, 60], [2000, 70]]
     for _ in range(3):
         page.locator('[data-test="undo"]').click()
     expect(cell(page, "speed_limits.values row 5 from")).to_have_value("2511")
@@ -59,7 +59,7 @@ def test_a_line_is_copied_edited_saved_and_driven_on(visit, server, width):
     expect(cell(page, "speed_limits.values row 5 from")).to_have_value("1090")
     page.get_by_role("button", name="Open version 1").click()
     save(page, 3)
-    assert saved(server, page, "line")[0] == document
+    assert read_saved(server, page, "line")[0] == document
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     with page.expect_popup() as opened:
         page.get_by_role("link", name="Drive", exact=True).last.click()
@@ -93,7 +93,7 @@ def test_a_trainset_is_drawn_as_one_types_and_compared(visit, server):
     speed.fill("80")
     page.get_by_label("Adhesion").fill("0.15")
     save(page, 1)
-    document, key = saved(server, page, "trainset")
+    document, key = read_saved(server, page, "trainset")
     assert document["mass"]["loads"]["AW0"] == 250
     assert document["limits"]["adhesion"] == 0.15
     assert document["limits"]["units"]["adhesion"] == "1"
@@ -113,7 +113,7 @@ def test_two_hands_at_one_line(visit, server):
     before = cell(first, limit).input_value()
     cell(first, limit).fill("70")
     save(first, 1)
-    _, key = saved(server, first, "line")
+    _, key = read_saved(server, first, "line")
     second = visit(f"/edit?line={key}")
     expect(cell(second, limit)).to_have_value("70")
     cell(second, limit).fill("65")
@@ -153,7 +153,11 @@ def test_rows_are_pasted_from_a_spreadsheet(visit, server):
     )
     expect(cell(page, "speed_limits.values row 3 speed")).to_have_value("50")
     save(page, 1)
-    assert saved(server, page, "line")[0]["speed_limits"]["values"][:3] == [[0, 60], [300, 75.5], [900, 50]]
+    assert read_saved(server, page, "line")[0]["speed_limits"]["values"][:3] == [
+        [0, 60],
+        [300, 75.5],
+        [900, 50],
+    ]
 
 
 def test_what_is_not_there_is_told(visit):

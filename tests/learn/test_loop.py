@@ -78,14 +78,14 @@ def test_forbidden_choices_are_never_taken(name):
 def test_the_best_policy_is_kept_and_the_earlier_of_equals():
     """Scores 1, 3, 3, 2: the policy after the second chunk stays; ``last`` keeps the fourth."""
 
-    def scored(params, key):
+    def score_table(params, key):
         # The evaluation counts chunks by an entry of the table, which the test moves by one a chunk.
         scores = jnp.asarray([0.0, 1.0, 3.0, 3.0, 2.0])
         return {"score": scores[jnp.round(params["policy.table"][0, 0]).astype(jnp.int32)]}
 
     for keep, expected in (("best", 2.0), ("last", 4.0)):
         config = TabularConfig(**TINY | {"evaluations": 4}, learning_rate=0.0, keep=keep)
-        loop = make_loop(config, DoubleIntegrator(FIVE), scored)
+        loop = make_loop(config, DoubleIntegrator(FIVE), score_table)
         state = loop.init(jax.random.key(0))
         chunk = jax.jit(loop.chunk)
         for k in range(4):

@@ -43,7 +43,7 @@ def routes(service: Service) -> APIRouter:
     @router.get("/lines/{line_id}/toml", response_class=PlainTextResponse)
     def line_toml(line_id: Key, version: Version = None) -> PlainTextResponse:
         """A line as metropilot's TOML; of an upload the newest version, if none is named."""
-        return _attached(line_id, service.text("line", line_id, version))
+        return _attach(line_id, service.text("line", line_id, version))
 
     @router.get("/trainsets", response_model=list[TrainsetOut])
     def trainsets() -> list[dict[str, Any]]:
@@ -58,7 +58,7 @@ def routes(service: Service) -> APIRouter:
     @router.get("/trainsets/{trainset_id}/toml", response_class=PlainTextResponse)
     def trainset_toml(trainset_id: Key, version: Version = None) -> PlainTextResponse:
         """A trainset as metropilot's TOML; of an upload the newest version, if none is named."""
-        return _attached(trainset_id, service.text("trainset", trainset_id, version))
+        return _attach(trainset_id, service.text("trainset", trainset_id, version))
 
     @router.get("/drivers", response_model=list[DriverOut])
     def drivers() -> list[dict[str, Any]]:
@@ -105,6 +105,6 @@ def routes(service: Service) -> APIRouter:
     return router
 
 
-def _attached(key: str, text: str) -> PlainTextResponse:
+def _attach(key: str, text: str) -> PlainTextResponse:
     told = {"Content-Disposition": f'attachment; filename="{key}.toml"'}
     return PlainTextResponse(text, headers=told)

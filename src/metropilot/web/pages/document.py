@@ -78,12 +78,12 @@ def parse(text: str) -> Any:  # noqa: ANN401 (a value of TOML)
     return text
 
 
-def shown(value: object) -> str:
+def format_value(value: object) -> str:
     """Text of a value in a field."""
     if value is None:
         return ""
     if isinstance(value, list):
-        return ", ".join(map(shown, value))
+        return ", ".join(map(format_value, value))
     return f"{value:.15g}" if isinstance(value, float) else str(value)
 
 
@@ -115,14 +115,14 @@ def _rows(rows: list[list[Any]]) -> list[list[Any]]:
 
 
 def _loads(rows: list[list[Any]]) -> dict[str, Any]:
-    return {shown(name): mass for name, mass in rows if name is not None}
+    return {format_value(name): mass for name, mass in rows if name is not None}
 
 
 def _stations(rows: list[list[Any]]) -> list[dict[str, Any]]:
     texts = {name for name in STATION if name != "position"}
     return [
         {
-            name: shown(cell) if name in texts else cell
+            name: format_value(cell) if name in texts else cell
             for name, cell in zip(STATION, row, strict=True)
             if cell is not None
         }
@@ -186,7 +186,7 @@ class RowTable:
                 with ui.element("td"):
                     made = ui.element("input")
                     # "value" would be set anew whenever anything on the page changes, over what is typed
-                    made.props["defaultValue"] = shown(cell)
+                    made.props["defaultValue"] = format_value(cell)
                     made.props["aria-label"] = f"{self.path} row {k + 1} {self.grid.columns[j]}"
                     made.on("input", partial(self.type, k, j), js_handler=TYPED, throttle=0.15)
                     made.on("paste", partial(self.paste, k, j), js_handler=PASTED)
@@ -322,7 +322,9 @@ class DocumentForm:
             self.edit(act)
 
         # a field's own validation runs after the change and would remove the error that it finds
-        field = ui.input(label, value=shown(block.get(key)), on_change=change).without_auto_validation()
+        field = ui.input(
+            label, value=format_value(block.get(key)), on_change=change
+        ).without_auto_validation()
         field.props(
             f'outlined dense debounce=150 data-field="{path}"' + (" autogrow" if key == "source" else "")
         )
