@@ -4,6 +4,8 @@ from .comparison import Job as Job
 from .comparison import best as best
 from .comparison import compare as compare
 from .comparison import jobs as jobs
+from .difference import RunDifference as RunDifference
+from .difference import difference_of as difference_of
 from .driver_options import make_driver as make_driver
 from .driver_options import option_class as option_class
 from .driver_options import option_defaults as option_defaults

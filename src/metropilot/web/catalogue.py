@@ -13,7 +13,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
-from metropilot.evaluate import option_defaults
+from metropilot.evaluate import difference_of, option_defaults
 from metropilot.railway import (
     Line,
     Trainset,
@@ -26,8 +26,10 @@ from metropilot.railway import (
     load_line,
     load_trainset,
 )
+from metropilot.sim import Trajectory
 from metropilot.web.errors import Refused
 from metropilot.web.service import Service
+from metropilot.web.store import JobRow
 from metropilot.web.work.learning import PROGRESS
 from metropilot.web.work.plans import numbers, pieces, station
 
@@ -305,6 +307,112 @@ def _report(service: Service, key: str) -> dict[str, Any] | None:
         if job.status == "done" and job.request.get("study") == key:
             return service.store.result(job.id)
     return None
+
+
+KINDS = {
+    "drive": "Drive",
+    "live": "Live run",
+    "convoy": "Convoy",
+    "compare": "Comparison",
+    "journey": "Journey",
+    "line": "Line",
+    "learn": "Learning run",
+    "study": "Study",
+}
+"""Kinds of jobs in words; a live run with followers is a convoy."""
+
+
+def kind_of(row: JobRow) -> str:
+    """Kind of a job, one of ``KINDS``."""
+    return "convoy" if "follower" in row.request else row.kind
+
+
+def page_of(row: JobRow) -> str:
+    """Address of the page on which a job is opened."""
+    kind = kind_of(row)
+    pages = {
+        "compare": "/compare",
+        "journey": "/journey",
+        "line": "/line",
+        "learn": "/learn",
+        "study": "/learn",
+    }
+    if kind == "study":
+        return f"/learn?study={row.request['study']}"
+    if kind in pages:
+        return f"{pages[kind]}?job={row.id}"
+    return f"/convoy?run={row.id}" if kind == "convoy" else f"/?run={row.id}"
+
+
+def describe_job(row: JobRow) -> str:
+    """A job in words: where, what drives, in which time."""
+    body, kind = row.request, kind_of(row)
+    if kind == "learn":
+        return f"{body['driver']} · {body['budget']} · seed {body['seed']}"
+    if kind == "study":
+        return f"{body['study']} · {body['budget']}"
+    if kind == "line":
+        return f"{body['line']} · {body['day'] or 'every ' + str(body['headway_s']) + ' s'}"
+    ends = f"{body['origin']} – {body['destination']}" if body["origin"] else "every station"
+    what = {"compare": ", ".join(body.get("drivers", ())), "convoy": f"convoy of {body.get('trainsets')}"}
+    parts = [body["line"], ends, what.get(kind, body.get("driver", ""))]
+    time_s = body.get("time_s", body.get("total_s"))
+    return " · ".join([part for part in parts if part] + ([] if time_s is None else [f"{time_s:g} s"]))
+
+
+def result_of(service: Service, job: str, kinds: Sequence[str]) -> Any:  # noqa: ANN401 (of that kind of job)
+    """Result of a job of one of some kinds.
+
+    Raises:
+        Refused: No such job, it is of another kind, or it has no result (404).
+    """
+    row = service.store.job(job)
+    found = service.store.result(job) if row.kind in kinds else None
+    if found is None:
+        words = f"no result: the job is {row.status}" if row.kind in kinds else f"the job is a {row.kind}"
+        raise Refused(words, 404, field="id", value=job)
+    return found
+
+
+def difference(service: Service, first: str, second: str) -> dict[str, Any]:
+    """Two drives of one section against each other.
+
+    Raises:
+        Refused: One has no result or is no drive (404), or they are of different sections (422).
+    """
+    jobs, sections, told = (first, second), [], []
+    for job in jobs:
+        row = service.store.job(job)
+        if kind_of(row) == "convoy":
+            raise Refused("the job is a convoy", 404, field="id", value=job)
+        told.append(result_of(service, job, ("drive", "live")))
+        sections.append(_section_words(service, row.request))
+    if sections[0] != sections[1]:
+        words = "runs of different sections cannot be compared"
+        raise Refused(words, 422, field="other_id", value=sections[1], allowed=sections[0])
+    paths = [service.root / "jobs" / job / "trajectory.csv" for job in jobs]
+    found = difference_of(*(Trajectory.read(path) for path in paths))
+    names = [
+        name
+        for name, value in told[0]["kpis"].items()
+        if isinstance(value, int | float) and not isinstance(value, bool) and name in told[1]["kpis"]
+    ]
+    pairs = ("speed_mps", "time_s", "energy_wheel_j", "energy_line_j")
+    return {
+        "drivers": [each["driver"] for each in told],
+        "position_m": numbers(found.position_m, 3),
+        **{name: [numbers(row, 4) for row in getattr(found, name)] for name in pairs},
+        "kpis": [{"name": n, "first": told[0]["kpis"][n], "second": told[1]["kpis"][n]} for n in names],
+    }
+
+
+def _section_words(service: Service, body: dict[str, Any]) -> str:
+    """Line and station codes of a run."""
+    ends = [body["origin"], body["destination"]]
+    with suppress(InputError):
+        known = line(service, body["line"])
+        ends = [known.station(name).code for name in ends]
+    return f"{body['line']} {ends[0]} – {ends[1]}"
 
 
 def file_of(service: Service, job: str, name: str) -> Path:

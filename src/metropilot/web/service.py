@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+import shutil
 from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
@@ -22,6 +23,7 @@ from metropilot.web.schemas.requests import (
     CompareIn,
     ConvoyIn,
     DriveIn,
+    JourneyIn,
     LearnIn,
     LiveIn,
     OperationIn,
@@ -252,7 +254,49 @@ class Service:
         names = {name: self.path(name, body[name]) for name in ("line", "trainset")}
         return await self.pools.answer(plans.journey_of, {**body, **names})
 
+    async def keep_journey(self, body: JourneyIn) -> str:
+        """Plan a journey and keep it as a job; return its id.
+
+        Raises:
+            MetropilotError: It cannot be planned; nothing is kept.
+        """
+        found = await self.journey(body.model_dump())
+        job = self.store.new_job("journey", body.model_dump())
+        self.store.update(job, status="done", progress=1.0, result=found)
+        return job
+
     # ------------------------------------------------------------------------------------------ jobs
+    def name_job(self, job: str, name: str) -> JobRow:
+        """Name a job; return it.
+
+        Raises:
+            Refused: No such job (404).
+        """
+        self.store.job(job)
+        self.store.update(job, name=name.strip())
+        return self.store.job(job)
+
+    def forget_job(self, job: str) -> None:
+        """Remove a job with its files; of a learning run the policy, too.
+
+        Raises:
+            Refused: No such job (404), or it waits or runs (409).
+        """
+        row = self.store.job(job)
+        if row.status in {"queued", "running"}:
+            raise Refused(
+                f"a job that is {row.status} cannot be deleted; stop it first", 409, field="id", value=job
+            )
+        self.store.forget_job(job)
+        self.sessions.pop(job, None)
+        folders = [("jobs", job)] + ([("runs", row.run)] if row.run else [])
+        for kind, name in folders:
+            shutil.rmtree(self.root / kind / name, ignore_errors=True)
+        if row.run:
+            from metropilot.learn import RunStore
+
+            RunStore(self.root / "runs").rebuild()
+
     def submit(self, body: DriveIn | CompareIn | OperationIn | LearnIn | StudyIn) -> str:
         """Queue a job; return its id.
 
@@ -450,13 +494,13 @@ class Service:
         return await self.go_live(kind.model_validate(row.request), job)
 
     def live_run(self, job: str) -> JobRow:
-        """Stored row of a live run or convoy, also of an earlier server.
+        """Stored row of a live run or convoy, also of an earlier server, or of a drive.
 
         Raises:
             Refused: Unknown id (404).
         """
         row = self.store.job(job)
-        if row.kind != "live":
+        if row.kind not in {"live", "drive"}:
             raise Refused("no such live run", 404, field="id", value=job)
         return row
 

@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from metropilot._io import open_database
+from metropilot.units import J_PER_KWH
 from metropilot.web.errors import Refused
 
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS jobs (
     id TEXT PRIMARY KEY, kind TEXT NOT NULL, status TEXT NOT NULL, request TEXT NOT NULL,
     created TEXT NOT NULL, progress REAL NOT NULL DEFAULT 0, words TEXT NOT NULL DEFAULT '', run TEXT,
-    stop INTEGER NOT NULL DEFAULT 0, error TEXT, result TEXT
+    stop INTEGER NOT NULL DEFAULT 0, error TEXT, result TEXT, name TEXT NOT NULL DEFAULT '', summary TEXT
 );
 CREATE TABLE IF NOT EXISTS journal (
     job TEXT NOT NULL, number INTEGER NOT NULL, step INTEGER NOT NULL, event TEXT NOT NULL,
@@ -36,6 +37,9 @@ INSERT INTO versions SELECT id, 1, name, file, created FROM uploads
     WHERE id NOT IN (SELECT upload FROM versions);
 """
 OVER = ("done", "failed", "stopped")
+SORTS = {name: name for name in ("created", "name", "kind", "status")}
+SORTS |= {name: f"json_extract(summary, '$.{name}')" for name in ("time_s", "energy_kwh", "gap_percent")}
+"""SQL by which jobs are sorted."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,8 @@ class JobRow:
     words: str
     run: str | None
     error: dict[str, Any] | None
+    name: str
+    summary: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -88,6 +94,14 @@ class JobStore:
                 database.execute("ALTER TABLE jobs RENAME COLUMN asked TO request")
                 database.execute("""UPDATE jobs SET request = replace(request, '"told_s"', '"at_s"')""")
             database.executescript(SCHEMA)
+            if columns and "summary" not in columns:  # a folder of before jobs had names
+                database.execute("ALTER TABLE jobs ADD COLUMN name TEXT NOT NULL DEFAULT ''")
+                database.execute("ALTER TABLE jobs ADD COLUMN summary TEXT")
+                for job, result in database.execute(
+                    "SELECT id, result FROM jobs WHERE result > ''"
+                ).fetchall():
+                    values = (json.dumps(summarise(json.loads(result))), job)
+                    database.execute("UPDATE jobs SET summary = ? WHERE id = ?", values)
 
     @contextmanager
     def _open(self) -> Iterator[sqlite3.Connection]:
@@ -107,9 +121,12 @@ class JobStore:
         return job
 
     def update(self, job: str, **changes: object) -> None:
-        """Change columns of a job; ``error`` and ``result`` become JSON."""
+        """Change columns of a job; ``error`` and ``result`` become JSON, a result is summarised."""
+        if changes.get("result") is not None:
+            changes["summary"] = summarise(changes["result"])
         values = [
-            json.dumps(v) if k in {"error", "result"} and v is not None else v for k, v in changes.items()
+            json.dumps(v) if k in {"error", "result", "summary"} and v is not None else v
+            for k, v in changes.items()
         ]
         names = ", ".join(f"{name} = ?" for name in changes)
         with self._open() as database:
@@ -126,10 +143,40 @@ class JobStore:
             raise Refused("no such job", 404, field="id", value=job)
         return found[0]
 
-    def jobs(self, kind: str | None = None, limit: int = 100) -> list[JobRow]:
-        """Jobs, the newest first."""
-        where = "WHERE kind = ?" if kind else "WHERE ? = ''"
-        return self._jobs(f"{where} ORDER BY created DESC, id DESC LIMIT ?", (kind or "", limit))
+    def jobs(
+        self,
+        kind: str | None = None,
+        limit: int = 100,
+        *,
+        status: str | None = None,
+        text: str = "",
+        sort: str = "created",
+        ascending: bool = False,
+        offset: int = 0,
+    ) -> list[JobRow]:
+        """Jobs, the newest first.
+
+        Args:
+            kind: Kind of the jobs; None: every one.
+            limit: Number of jobs at most.
+            status: Status of the jobs; None: any.
+            text: Text that id, name or request holds, in capitals or not.
+            sort: One of ``SORTS``; jobs without such a value come last.
+            ascending: Smallest first.
+            offset: Jobs that are left out before the first.
+        """
+        by, way = SORTS[sort], "ASC" if ascending else "DESC"
+        like = "%" + text.replace("\\", "\\\\").replace("%", "\\%").replace("_", "\\_") + "%"
+        where = "(?1 IS NULL OR kind = ?1) AND (?2 IS NULL OR status = ?2)"
+        where += " AND (id || ' ' || name || ' ' || request) LIKE ?3 ESCAPE '\\'"
+        order = f"{by} IS NULL, {by} {way}, created DESC, id DESC LIMIT ?4 OFFSET ?5"
+        return self._jobs(f"WHERE {where} ORDER BY {order}", (kind, status, like, limit, offset))
+
+    def forget_job(self, job: str) -> None:
+        """Remove the rows of a job."""
+        with self._open() as database:
+            database.execute("DELETE FROM jobs WHERE id = ?", (job,))
+            database.execute("DELETE FROM journal WHERE job = ?", (job,))
 
     def list_unfinished(self) -> list[JobRow]:
         """Jobs with status ``queued`` or ``running``, the oldest first."""
@@ -224,7 +271,7 @@ class JobStore:
             database.execute("DELETE FROM versions WHERE upload = ?", (upload,))
 
     def _jobs(self, rest: str, values: tuple[Any, ...]) -> list[JobRow]:
-        columns = "id, kind, status, request, created, progress, words, run, error"
+        columns = "id, kind, status, request, created, progress, words, run, error, name, summary"
         with self._open() as database:
             rows = database.execute(f"SELECT {columns} FROM jobs {rest}", values).fetchall()
         return [_job(row) for row in rows]
@@ -235,6 +282,34 @@ def _now() -> str:
 
 
 def _job(row: tuple[Any, ...]) -> JobRow:
-    job, kind, status, request, created, progress, words, run, error = row
-    told = json.loads(error) if error else None
-    return JobRow(job, kind, status, json.loads(request), created, progress, words, run, told)
+    job, kind, status, request, created, progress, words, run, error, name, summary = row
+    told, short = (json.loads(text) if text else None for text in (error, summary))
+    return JobRow(
+        job, kind, status, json.loads(request), created, progress, words, run, told, name, short or {}
+    )
+
+
+def summarise(result: Any) -> dict[str, Any]:  # noqa: ANN401 (whatever the job's kind gives)
+    """Result in short: outcome with failed requirements, success, time, energy at the wheel, gap."""
+    if "kpis" in result:  # a drive, or a convoy, whose running time is that of its head
+        k = result["kpis"]
+        head = {**(k.get("trainsets") or [{}])[0], **k}
+        gap = k.get("optimality_gap_percent", k.get("joint_gap_percent"))
+        failed = ": " + ", ".join(k["failed"]) if k.get("failed") else ""
+        found = {
+            "outcome": k["outcome"] + failed,
+            "success": result["success"],
+            "time_s": head.get("running_time_s"),
+        }
+        return found | {"energy_kwh": k["energy_wheel_kwh"], "gap_percent": gap}
+    if "entries" in result:
+        met = sum(e["successes"] == e["seeds"] for e in result["entries"])
+        return {"outcome": f"{met} of {len(result['entries'])} drivers met every requirement"}
+    if "energies" in result:
+        told = result["energies"]
+        return {"outcome": "computed", "energy_kwh": told["energy_kwh"], "gap_percent": told["gap_percent"]}
+    if "calls" in result:
+        gap = 100.0 * (result["energy_j"] / result["bound_j"] - 1.0)
+        found = {"outcome": "planned", "time_s": result["running_time_s"], "gap_percent": gap}
+        return found | {"energy_kwh": result["energy_j"] / J_PER_KWH}
+    return {}

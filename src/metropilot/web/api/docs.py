@@ -32,6 +32,7 @@ PARTS = {
     "trainset_id": "dkz32",
     "upload_id": "$UPLOAD",
     "job_id": "$JOB",
+    "other_id": "$OTHER",
     "live_id": "$LIVE",
     "run_id": "$RUN",
     "study_id": "lu2023",

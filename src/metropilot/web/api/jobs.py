@@ -9,14 +9,25 @@ from fastapi.responses import FileResponse, Response
 
 from metropilot.web import catalogue
 from metropilot.web.api.catalogue import Key
-from metropilot.web.errors import Refused
-from metropilot.web.schemas.requests import CompareIn, DriveIn, LearnIn, OperationIn, StudyIn
+from metropilot.web.schemas.requests import (
+    CompareIn,
+    DriveIn,
+    JourneyIn,
+    LearnIn,
+    NameIn,
+    OperationIn,
+    StudyIn,
+)
 from metropilot.web.schemas.responses import (
     CompareOut,
+    DifferenceOut,
     DriveOut,
     HistoryOut,
     JobKind,
     JobOut,
+    JobSort,
+    JobStatus,
+    JourneyOut,
     OperationOut,
     RecipeOut,
     RunOut,
@@ -45,6 +56,11 @@ def routes(service: Service) -> APIRouter:
         """Drive the same run with several drivers and seeds."""
         return service.store.job(service.submit(body))
 
+    @router.post("/jobs/journey", response_model=JobOut, status_code=201)
+    async def journey(body: JourneyIn) -> JobRow:
+        """Plan a journey at once and keep it."""
+        return service.store.job(await service.keep_journey(body))
+
     @router.post("/jobs/line", response_model=JobOut, status_code=202)
     def line(body: OperationIn) -> JobRow:
         """Compute the energy of all trains of a line, beside its floor."""
@@ -61,29 +77,59 @@ def routes(service: Service) -> APIRouter:
         return service.store.job(service.submit(body))
 
     @router.get("/jobs", response_model=list[JobOut])
-    def jobs(kind: JobKind | None = None, limit: Annotated[int, Query(ge=1, le=1000)] = 100) -> list[JobRow]:
-        """Jobs, the newest first."""
-        return service.store.jobs(kind, limit)
+    def jobs(
+        kind: JobKind | None = None,
+        status: JobStatus | None = None,
+        text: Annotated[str, Query(max_length=100)] = "",
+        sort: JobSort = "created",
+        *,
+        ascending: bool = False,
+        limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+        offset: Annotated[int, Query(ge=0, lt=2**31)] = 0,
+    ) -> list[JobRow]:
+        """Jobs, the newest first; `text` is looked for in id, name and request."""
+        found = {"status": status, "text": text, "sort": sort, "ascending": ascending, "offset": offset}
+        return service.store.jobs(kind, limit, **found)
 
     @router.get("/jobs/{job_id}", response_model=JobOut)
     def job(job_id: Key) -> JobRow:
         """A job."""
         return service.store.job(job_id)
 
+    @router.patch("/jobs/{job_id}", response_model=JobOut)
+    def name_job(job_id: Key, body: NameIn) -> JobRow:
+        """Name a job."""
+        return service.name_job(job_id, body.name)
+
+    @router.delete("/jobs/{job_id}", status_code=204)
+    def forget(job_id: Key) -> None:
+        """Remove a job with its files; of a learning run the policy, too. One that runs is refused (409)."""
+        service.forget_job(job_id)
+
     @router.get("/jobs/{job_id}/drive", response_model=DriveOut)
     def drive_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
         """Result of a drive, or of a live run that has ended."""
-        return _result(service, job_id, ("drive", "live"))
+        return catalogue.result_of(service, job_id, ("drive", "live"))
 
     @router.get("/jobs/{job_id}/compare", response_model=CompareOut)
     def compare_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
         """Result of a comparison."""
-        return _result(service, job_id, ("compare",))
+        return catalogue.result_of(service, job_id, ("compare",))
+
+    @router.get("/jobs/{job_id}/difference/{other_id}", response_model=DifferenceOut)
+    def difference(job_id: Key, other_id: Key) -> dict[str, Any]:
+        """Two drives or live runs of one section against each other, over distance."""
+        return catalogue.difference(service, job_id, other_id)
+
+    @router.get("/jobs/{job_id}/journey", response_model=JourneyOut)
+    def journey_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
+        """Result of a journey."""
+        return catalogue.result_of(service, job_id, ("journey",))
 
     @router.get("/jobs/{job_id}/line", response_model=OperationOut)
     def line_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
         """Energies and train graph of a line; there as soon as the files are being written."""
-        return _result(service, job_id, ("line",))
+        return catalogue.result_of(service, job_id, ("line",))
 
     @router.get("/jobs/{job_id}/files/{name}", response_class=FileResponse)
     def file(job_id: Key, name: FileName) -> Response:
@@ -151,12 +197,3 @@ def _add_learning(router: APIRouter, service: Service) -> None:
     def study_table(study_id: Key) -> list[dict[str, Any]]:
         """The newest table of a study: published, reproduced and optimal values."""
         return catalogue.study_table(service, study_id)
-
-
-def _result(service: Service, job_id: str, kinds: tuple[str, ...]) -> object:
-    row = service.store.job(job_id)
-    found = service.store.result(job_id) if row.kind in kinds else None
-    if found is None:
-        words = f"no result: the job is {row.status}" if row.kind in kinds else f"the job is a {row.kind}"
-        raise Refused(words, 404, field="id", value=job_id)
-    return found

@@ -122,7 +122,7 @@ class DrivePage:
                     ui.label("").classes("mp-soft").props('data-mp="pace"')
                     self.resume_button = ui.button("Resume", icon="replay", on_click=self.resume)
                     self.resume_button.props('outline dense data-test="resume"')
-                    self.resume_button.set_visibility(self.row is not None and self.row.status in RESUMABLE)
+                    self.resume_button.set_visibility(self.resumable())
                 self.strip = ui.html("").classes("mp-strip")
                 reads(READS)
                 self.lever()
@@ -138,6 +138,10 @@ class DrivePage:
         """Show what the chosen driver is, and its options."""
         self.driver_words.text = describe_driver(self.driver.value)
         self.driver_options.show(self.driver.value)
+
+    def resumable(self) -> bool:
+        """Tell whether the linked run is a live one that can be resumed."""
+        return self.row is not None and self.row.kind == "live" and self.row.status in RESUMABLE
 
     def status_words(self) -> str:
         """Status of the linked run."""
@@ -217,7 +221,7 @@ class DrivePage:
         self.driver_options.show(self.driver.value, other_options(body["options"]))
         self.form.kept_words.text = describe_hidden(self.form.kept, {})
         session = self.session()
-        pace = body["pace"] if session is None else session.known.pace
+        pace = body.get("pace") if session is None else session.known.pace
         self.pace.value = pace if pace in PACES else self.pace.value
 
     async def update_section(self) -> None:

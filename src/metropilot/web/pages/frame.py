@@ -22,6 +22,7 @@ PAGES = (
     ("/convoy", "Convoy"),
     ("/learn", "Learn"),
     ("/lines", "Lines"),
+    ("/runs", "Runs"),
 )
 THEME = "metropilot_theme"
 THEMES = {"auto": None, "light": False, "dark": True}

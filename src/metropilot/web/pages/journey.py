@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any
 
@@ -23,10 +25,11 @@ WAYS = {"timetable": "Keep the timetable", "optimum": "Let the optimum spread th
 class JourneyPage:
     """State of the page for one browser."""
 
-    def __init__(self, service: Service) -> None:
+    def __init__(self, service: Service, job: str | None = None) -> None:
         self.service = service
+        self.job = job
         self.line = catalogue.line_out(service, "yizhuang")
-        self.timetable_s: float | None = None
+        self.filling = False
 
     def build(self) -> None:
         """Build the fields on the left and the results on the right."""
@@ -55,7 +58,7 @@ class JourneyPage:
             )
             self.problem.beside("total_s", self.total).props('data-test="total"')
             self.problem.beside("journey", self.total)
-            ui.button("Plan", on_click=self.plan).props('unelevated data-test="plan"')
+            ui.button("Plan", on_click=self.keep).props('unelevated data-test="plan"')
             self.status = ui.label("").classes("mp-soft").props("aria-live=polite")
         with ui.element("div").classes("mp-col"):
             with card():
@@ -70,6 +73,8 @@ class JourneyPage:
 
     async def update_stations(self) -> None:
         """Update the stations of the line."""
+        if self.filling:
+            return
         self.line = catalogue.line_out(self.service, self.fields["line"].value)
         stops = names(self.line["stops"])
         ends = list(stops)
@@ -80,26 +85,81 @@ class JourneyPage:
 
     def update_loads(self) -> None:
         """Update the loads of the trainset."""
+        if self.filling:
+            return
         found = loads(self.service, self.fields["trainset"].value)
         self.fields["load"].set_options(found, value=next(iter(found)))
 
     async def plan(self) -> None:
-        """Plan the journey; without a total time, that of the timetable."""
+        """Plan the journey of the fields, without keeping it."""
+        with self.problem.show_errors(), self.planning():
+            self.show(await self.service.journey((await self.request()).model_dump()))
+
+    async def keep(self) -> None:
+        """Plan the journey of the fields and keep it among the runs."""
+        with self.problem.show_errors(), self.planning():
+            self.job = await self.service.keep_journey(await self.request())
+            self.show(catalogue.result_of(self.service, self.job, ("journey",)))
+            ui.run_javascript(f"history.replaceState(null, '', '/journey?job={self.job}')")
+
+    @contextmanager
+    def planning(self) -> Iterator[None]:
+        """Say that a journey is being planned."""
+        self.status.text = "planning …"
+        try:
+            yield
+        finally:
+            self.status.text = ""
+
+    async def request(self) -> JourneyIn:
+        """Request of the fields; without a total time, that of the timetable.
+
+        Raises:
+            MetropilotError: A field is not allowed, or the timetable cannot be kept.
+        """
+        body = {name: element.value for name, element in self.fields.items()}
+        free = self.way.value == "optimum"
+        if free and self.total.value is None:
+            kept = await self.service.journey(validate(JourneyIn, body).model_dump())
+            self.total.value = round(kept["running_time_s"])
+        return validate(JourneyIn, {**body, "total_s": self.total.value if free else None})
+
+    async def start(self) -> None:
+        """Show the linked journey, or plan that of the fields; runs once the page is connected."""
+        if self.job is None:
+            await self.plan()
+            return
         with self.problem.show_errors():
-            self.status.text = "planning …"
-            body = {name: element.value for name, element in self.fields.items()}
-            free = self.way.value == "optimum"
-            try:
-                if free and self.total.value is None:
-                    kept = await self.service.journey(validate(JourneyIn, body).model_dump())
-                    self.total.value = round(kept["running_time_s"])
-                total = self.total.value if free else None
-                found = await self.service.journey(
-                    validate(JourneyIn, {**body, "total_s": total}).model_dump()
-                )
-            finally:
-                self.status.text = ""
+            found = catalogue.result_of(self.service, self.job, ("journey",))
+            self.restore(self.service.store.job(self.job).request)
             self.show(found)
+
+    def restore(self, body: dict[str, Any]) -> None:
+        """Fill the fields with the request of a journey.
+
+        Raises:
+            MetropilotError: Its line or trainset does not exist any more.
+        """
+        self.line = catalogue.line_out(self.service, body["line"])
+        aboard = loads(self.service, body["trainset"])
+        stops = names(self.line["stops"])
+        ends = list(stops)
+        with self.filled():
+            self.fields["line"].value, self.fields["trainset"].value = body["line"], body["trainset"]
+        self.fields["origin"].set_options(stops, value=body["origin"] or ends[0])
+        self.fields["destination"].set_options(stops, value=body["destination"] or ends[-1])
+        self.fields["load"].set_options(aboard, value=body["load"] or next(iter(aboard)))
+        self.way.value = "timetable" if body["total_s"] is None else "optimum"
+        self.total.value = body["total_s"]
+
+    @contextmanager
+    def filled(self) -> Iterator[None]:
+        """Change fields without the answers to a change by hand."""
+        self.filling = True
+        try:
+            yield
+        finally:
+            self.filling = False
 
     def show(self, found: dict[str, Any]) -> None:
         """Show numbers and pictures of the journey."""
@@ -142,9 +202,9 @@ def install(service: Service) -> None:
     """Register the page."""
 
     @ui.page("/journey", title="Journey · metropilot")
-    async def journey(request: Request) -> None:
+    async def journey(request: Request, job: str | None = None) -> None:
         with frame(request, "/journey"):
-            page = JourneyPage(service)
+            page = JourneyPage(service, job)
             page.build()
         await ui.context.client.connected()
-        await page.plan()
+        await page.start()

@@ -257,10 +257,12 @@ def install(service: Service) -> None:
     """Register the page."""
 
     @ui.page("/learn", title="Learn · metropilot")
-    async def learn(request: Request, job: str | None = None) -> None:
+    async def learn(request: Request, job: str | None = None, study: str | None = None) -> None:
         with frame(request, "/learn"):
             page = LearnPage(service, job)
             page.build()
+            if study is not None:
+                page.show_study(study)
         await ui.context.client.connected()
         page.look_once()
         page.watch()

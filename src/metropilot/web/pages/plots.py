@@ -180,6 +180,29 @@ def _fill(made: Figure, values: dict[int, tuple[Sequence[float], Sequence[float]
     return made
 
 
+def difference_figure(found: dict[str, Any]) -> Figure:
+    """Figure of two drives: speeds, and time and energy of the second less the first, over distance."""
+    at = found["position_m"]
+    first, second = (kmh(row) for row in found["speed_mps"])
+    late = [b - a for a, b in zip(*found["time_s"], strict=True)]
+    more = kwh([b - a for a, b in zip(*found["energy_wheel_j"], strict=True)])
+    names = [f"{key}: {name}" for key, name in zip("ab", found["drivers"], strict=True)]
+    traces = [
+        line(names[0], at, first, BLUE),
+        line(names[1], at, second, VERMILION, dash="dash"),
+        line("time of b − a", at, late, GREEN, yaxis="y2", showlegend=False, fill="tozeroy"),
+        line("energy of b − a", at, more, ORANGE, yaxis="y3", showlegend=False, fill="tozeroy"),
+    ]
+    return figure(
+        traces,
+        560,
+        xaxis=axis("distance (m)", anchor="y3"),
+        yaxis=axis("speed (km/h)", domain=[0.5, 1.0], rangemode="tozero"),
+        yaxis2=axis("b − a (s)", domain=[0.26, 0.44]),
+        yaxis3=axis("b − a (kWh)", domain=[0.0, 0.2]),
+    )
+
+
 def compare_figure(entries: Sequence[dict[str, Any]]) -> Figure:
     """Figure of speed and energy over distance of several drivers."""
     first = entries[0]["drive"]

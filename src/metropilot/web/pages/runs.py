@@ -1,4 +1,4 @@
-"""List of live runs, by which a run can be found again after its page was left."""
+"""Runs: every run, live and past, in one list; and the list of live runs of the page Drive."""
 
 from __future__ import annotations
 
@@ -6,13 +6,48 @@ from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import Any
 
-from nicegui import ui
+from fastapi import Request
+from nicegui import run, ui
 
-from metropilot.web.pages.frame import Problem, card, clock, empty
-from metropilot.web.service import ABANDONED_S, Service
+from metropilot.web import catalogue
+from metropilot.web.errors import Refused
+from metropilot.web.pages.form import validate
+from metropilot.web.pages.frame import Problem, card, clock, empty, frame, heading, number, table
+from metropilot.web.pages.plots import difference_figure
+from metropilot.web.pages.tables import Column, DataTable
+from metropilot.web.schemas.requests import NameIn
+from metropilot.web.service import ABANDONED_S, RESUMABLE, Service
 from metropilot.web.store import JobRow
 
 EVERY_S = 2.0
+LISTED = 500
+"""Newest jobs that the page lists."""
+GOING = ("queued", "running")
+COLUMNS = (
+    Column("words", "Run", kind="link"),
+    Column("kind", "Kind", filtered=True, wide=True),
+    Column("state", "Status", kind="styled"),
+    Column("status", "Stage", filtered=True, wide=True),
+    Column("time_s", "Time (s)", digits=1, wide=True),
+    Column("energy_kwh", "Energy (kWh)", digits=2),
+    Column("gap_percent", "Gap (%)", digits=2, wide=True),
+    Column("created", "Begun", wide=True),
+)
+PAIRED = {
+    "running_time_s": ("running time (s)", 1.0, 1),
+    "time_error_s": ("time error (s)", 1.0, 2),
+    "stopping_error_m": ("stopping error (cm)", 100.0, 1),
+    "energy_wheel_kwh": ("energy at the wheel (kWh)", 1.0, 2),
+    "energy_line_kwh": ("energy at the line (kWh)", 1.0, 2),
+    "optimality_gap_percent": ("above the optimum (%)", 1.0, 2),
+    "driver_gap_percent": ("lost by the driver (%)", 1.0, 2),
+    "max_speed_mps": ("highest speed (km/h)", 3.6, 1),
+    "max_jerk_mps3": ("largest jerk (m/s³)", 1.0, 2),
+    "coasting_distance_m": ("coasting (m)", 1.0, 0),
+    "regime_switches": ("changes of regime", 1.0, 0),
+    "interventions": ("interventions", 1.0, 0),
+}
+"""KPIs of two runs side by side: words, scale, digits."""
 
 
 class RunList:
@@ -62,12 +97,7 @@ class RunList:
 
     def row(self, row: JobRow) -> ui.label:
         """Place the row of a run; return the label of its state."""
-        convoy = "follower" in row.request
-        body, path = row.request, f"/convoy?run={row.id}" if convoy else f"/?run={row.id}"
-        what = f"convoy of {body['trainsets']}" if convoy else body["driver"]
-        name = f"{body['origin']} – {body['destination']} · {what}"
-        if body["time_s"] is not None:
-            name += f" · {body['time_s']:g} s"
+        name, path = row.name or catalogue.describe_job(row), catalogue.page_of(row)
         with ui.element("div").classes("mp-run").props(f'data-run="{row.id}" data-status="{row.status}"'):
             ui.label(name + (" (this one)" if row.id == self.run else ""))
             words = ui.label("").classes("mp-soft")
@@ -97,3 +127,200 @@ class RunList:
         with self.problem.show_errors():
             await self.service.resume_live(run)
             client.open(path)
+
+
+class RunsPage:
+    """State of the page for one browser.
+
+    Args:
+        service: Service of the server.
+        pair: Ids of the two runs that a link compares, or none.
+    """
+
+    def __init__(self, service: Service, pair: tuple[str, ...]) -> None:
+        self.service = service
+        self.pair = pair
+
+    def build(self) -> None:
+        """Place the list, and below it two runs against each other."""
+        with ui.element("div").classes("mp-col mp-wide"):
+            with card(
+                "Runs",
+                "Drives, comparisons, convoys, journeys, lines and learning runs of this server: a click on "
+                "a heading sorts, on a run opens it. Choose two drives of one section to compare them.",
+            ):
+                self.problem = Problem()
+                actions = {"Name": self.ask_name, "Stop": self.stop, "Resume": self.resume}
+                self.list = DataTable(
+                    "Runs", COLUMNS, sort="-created", actions=actions, selected=self.look_buttons
+                )
+                with ui.element("div").classes("mp-row items-center"):
+                    self.compare_button = ui.button("Compare two", on_click=self.compare)
+                    self.compare_button.props('outline data-test="compare-two"')
+                    self.delete_button = ui.button("Delete", on_click=self.ask_delete)
+                    self.delete_button.props('outline color=negative data-test="delete"')
+                    self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="chosen"')
+                self.list.build()
+            self.result = ui.element("div").classes("mp-col").props('data-test="difference"')
+        self.refresh()
+        self.look_buttons()
+        ui.timer(EVERY_S, self.refresh)
+
+    def refresh(self) -> None:
+        """Show the jobs as they stand."""
+        self.list.fill([self.row(row) for row in self.service.store.jobs(limit=LISTED)])
+
+    def row(self, row: JobRow) -> dict[str, Any]:
+        """A row of the list."""
+        short = row.summary
+        state = short.get("outcome") if row.status == "done" else row.status
+        if row.status == "running" and row.kind != "live":
+            state = f"{row.progress:.0%}"
+        elif row.status not in {"done", *GOING} and row.words:
+            state = f"{row.status}: {row.words}"
+        passed = ""
+        if short.get("success") is not None:
+            passed = "mp-pass" if short["success"] else "mp-fail"
+            state = ("✓ " if short["success"] else "✗ ") + str(state)
+        actions = ["Name"] + (["Stop"] if row.status in GOING else [])
+        if row.status in RESUMABLE or (row.status == "failed" and row.kind != "live"):
+            actions.append("Resume")
+        return {
+            "id": row.id,
+            "words": f"{row.name} · {catalogue.describe_job(row)}"
+            if row.name
+            else catalogue.describe_job(row),
+            "link": catalogue.page_of(row),
+            "kind": catalogue.KINDS[catalogue.kind_of(row)],
+            "state": state or "done",
+            "status": row.status,
+            "style": passed if row.status == "done" else "mp-fail" if row.status == "failed" else "",
+            "created": row.created[:16].replace("T", " "),
+            "actions": actions,
+            **{name: short.get(name) for name in ("time_s", "energy_kwh", "gap_percent")},
+        }
+
+    def look_buttons(self) -> None:
+        """Enable what the chosen rows allow."""
+        chosen = self.list.chosen
+        self.compare_button.set_enabled(len(chosen) == len(("first", "second")))
+        self.delete_button.set_enabled(bool(chosen))
+        self.status.text = f"{len(chosen)} chosen" if chosen else ""
+
+    async def ask_name(self, job: str) -> None:
+        """Ask for the name of a run and keep it."""
+        with self.problem.show_errors():
+            row = self.service.store.job(job)
+            with ui.dialog() as dialog, ui.card().classes("mp-card"):
+                heading(f"Name of {catalogue.describe_job(row)}")
+                problem = Problem()
+                field = ui.input("Name", value=row.name).props("outlined dense autofocus maxlength=80")
+                problem.beside("name", field.classes("w-full"))
+
+                def keep() -> None:
+                    with problem.show_errors():
+                        self.service.name_job(job, validate(NameIn, {"name": field.value or ""}).name)
+                        dialog.close()
+
+                field.on("keydown.enter", keep)
+                with ui.element("div").classes("mp-row"):
+                    ui.button("Keep", on_click=keep).props("unelevated")
+                    ui.button("Cancel", on_click=dialog.close).props("flat")
+            await dialog
+            dialog.delete()
+            self.refresh()
+
+    def stop(self, job: str) -> None:
+        """Stop a run."""
+        with self.problem.show_errors():
+            self.service.stop(job)
+            self.refresh()
+
+    async def resume(self, job: str) -> None:
+        """Resume a run; a live one is opened."""
+        client = ui.context.client
+        with self.problem.show_errors():
+            row = self.service.store.job(job)
+            if row.kind == "live":
+                await self.service.resume_live(job)
+                client.open(catalogue.page_of(row))
+            else:
+                self.service.resume(job)
+                self.refresh()
+
+    async def ask_delete(self) -> None:
+        """Ask, then delete the chosen runs."""
+        chosen = self.list.chosen
+        with ui.dialog() as dialog, ui.card().classes("mp-card"):
+            what = "1 run" if len(chosen) == 1 else f"{len(chosen)} runs"
+            heading(f"Delete {what}?")
+            ui.label("Files and results go with them; of a learning run its policy.").classes("mp-soft")
+            with ui.element("div").classes("mp-row"):
+                sure = ui.button(f"Delete {what}", on_click=lambda: dialog.submit(True))
+                sure.props('unelevated color=negative data-test="delete-sure"')
+                ui.button("Cancel", on_click=dialog.close).props("flat")
+        if await dialog:
+            with self.problem.show_errors():
+                for job in chosen:
+                    self.service.forget_job(job)
+        dialog.delete()
+        self.refresh()
+        self.look_buttons()
+
+    async def compare(self) -> None:
+        """Compare the two chosen runs."""
+        self.pair = tuple(self.list.chosen)
+        await self.show()
+
+    async def show(self) -> None:
+        """Show the two runs of the page against each other."""
+        if not self.pair:
+            return
+        self.result.clear()
+        with self.problem.show_errors():
+            if len(self.pair) != len(("first", "second")):
+                raise Refused("two runs are needed", 422, field="with", allowed="/runs?run=ID&with=ID")
+            found: Any = await run.io_bound(catalogue.difference, self.service, *self.pair)
+            rows = [self.service.store.job(job) for job in self.pair]
+            with self.result, card("Two runs"):
+                names = self.names(rows)
+                for key, row, name in zip("ab", rows, names, strict=True):
+                    ui.link(f"{key}: {name}", catalogue.page_of(row)).classes("mp-soft")
+                ui.plotly(difference_figure(found)).classes("mp-plot").props('data-test="difference-plot"')
+                pair_table(found["kpis"])
+            ui.run_javascript(
+                f"history.replaceState(null, '', '/runs?run={self.pair[0]}&with={self.pair[1]}');"
+                f"document.getElementById('c{self.result.id}').scrollIntoView()"
+            )
+
+    @staticmethod
+    def names(rows: list[JobRow]) -> list[str]:
+        """Names of runs, or what they are."""
+        return [row.name or catalogue.describe_job(row) for row in rows]
+
+
+def pair_table(kpis: list[dict[str, Any]]) -> None:
+    """Show the KPIs of two runs and their difference."""
+    found = {pair["name"]: pair for pair in kpis}
+    rows = []
+    for name, (words, scale, digits) in PAIRED.items():
+        pair = found.get(name)
+        if pair is None:
+            continue
+        first, second = (None if pair[key] is None else scale * pair[key] for key in ("first", "second"))
+        change = None if first is None or second is None else second - first
+        rows.append((words, *(number(value, digits) for value in (first, second, change))))
+    table(("KPI", "a", "b", "b − a"), rows, right=(1, 2, 3), name="KPIs of two runs")
+
+
+def install(service: Service) -> None:
+    """Register the page."""
+
+    @ui.page("/runs", title="Runs · metropilot")
+    async def runs(request: Request) -> None:
+        asked = request.query_params
+        with frame(request, "/runs"):
+            page = RunsPage(service, tuple(asked[name] for name in ("run", "with") if name in asked))
+            page.build()
+        await ui.context.client.connected()
+        await page.show()

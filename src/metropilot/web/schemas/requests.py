@@ -212,6 +212,14 @@ class JourneyIn(RequestBody):
     objective: Literal["wheel", "line"] = "wheel"
 
 
+class NameIn(RequestBody):
+    """A name of a job; empty removes it."""
+
+    model_config = example(name="With the new timetable")
+
+    name: Annotated[str, Field(max_length=80, pattern=r"^[^\x00-\x1f\x7f]*$")]
+
+
 class OperationIn(create_model("OperationFields", __base__=RequestBody, **declared_fields(OperationOptions))):
     """A line in operation at a headway, or through a working day.
 

@@ -6,8 +6,9 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
-JobKind = Literal["drive", "compare", "line", "learn", "study", "live"]
+JobKind = Literal["drive", "compare", "journey", "line", "learn", "study", "live"]
 JobStatus = Literal["queued", "running", "done", "failed", "stopped", "interrupted"]
+JobSort = Literal["created", "name", "kind", "status", "time_s", "energy_kwh", "gap_percent"]
 
 
 class Health(BaseModel):
@@ -169,8 +170,18 @@ class JourneyOut(BaseModel):
     planned_energy_j: float | None
 
 
+class JobSummary(BaseModel):
+    """A result in short; of a convoy the time of its head and the energy of all."""
+
+    outcome: str | None = None
+    success: bool | None = None
+    time_s: float | None = None
+    energy_kwh: float | None = None
+    gap_percent: float | None = None
+
+
 class JobOut(BaseModel):
-    """A job: request, progress, status, and its error if it failed."""
+    """A job: its name, request, progress, status, result in short, and its error if it failed."""
 
     id: str
     kind: JobKind
@@ -181,6 +192,8 @@ class JobOut(BaseModel):
     words: str
     run: str | None
     error: dict[str, Any] | None
+    name: str
+    summary: JobSummary
 
 
 class CheckOut(BaseModel):
@@ -201,6 +214,26 @@ class DriveOut(BaseModel):
     checks: list[CheckOut]
     columns: dict[str, list[Any]]
     plan: PlanOut | None
+
+
+class KpiPair(BaseModel):
+    """A number of two drives; null where one has none."""
+
+    name: str
+    first: float | None
+    second: float | None
+
+
+class DifferenceOut(BaseModel):
+    """Two drives of one section at the same positions; of each pair the first is that of the path."""
+
+    drivers: list[str]
+    position_m: list[float]
+    speed_mps: list[list[float]]
+    time_s: list[list[float]]
+    energy_wheel_j: list[list[float]]
+    energy_line_j: list[list[float]]
+    kpis: list[KpiPair]
 
 
 class IntervalOut(BaseModel):

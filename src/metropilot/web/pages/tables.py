@@ -1,0 +1,151 @@
+"""Tables that are sorted by their headings, searched and filtered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from nicegui import ui
+
+HEADING = """<q-th :props="props"><button v-if="props.col.sortable" type="button" class="mp-sort"
+    :aria-label="`Sort by ${props.col.label}`">{{ props.col.label }}</button>
+    <template v-else>{{ props.col.label }}</template></q-th>"""
+CHOICE = """<q-checkbox dense v-model="props.selected"
+    :aria-label="`Select ${props.row.words || props.row.id}`" />"""
+EVERY_CHOICE = """<q-checkbox dense v-model="props.selected" aria-label="Select all" />"""
+LINK = """<q-td :props="props"><a v-if="props.row.link" :href="props.row.link"
+    class="mp-cell-link">{{ props.value }}</a>
+    <template v-else>{{ props.value }}</template></q-td>"""
+STYLED = """<q-td :props="props"><span :class="props.row.style">{{ props.value }}</span></q-td>"""
+ACTION = """<q-btn v-if="props.row.actions.includes('%s')" flat dense no-caps size="sm" label="%s"
+    :aria-label="`%s ${props.row.words}`" @click="$parent.$emit('%s', props.row.id)" />"""
+FIXED = "value => value === null || value === undefined ? '–' : value.toFixed({}).replace('-', '−')"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        name: Key of its values in the rows.
+        label: Heading.
+        digits: Decimals of its numbers; None: text.
+        kind: ``link`` (to the row's ``link``), ``styled`` (with the class of the row's ``style``), or plain.
+        wide: Left out on a telephone.
+        filtered: A list above the table chooses one of its values.
+    """
+
+    name: str
+    label: str
+    digits: int | None = None
+    kind: str = ""
+    wide: bool = False
+    filtered: bool = False
+
+    def as_dict(self) -> dict[str, Any]:
+        """Column as Quasar has it."""
+        narrow = "gt-xs" if self.wide else ""
+        found = {
+            "name": self.name,
+            "label": self.label,
+            "field": self.name,
+            "sortable": True,
+            "align": "left" if self.digits is None else "right",
+            "classes": narrow,
+            "headerClasses": narrow,
+        }
+        return found if self.digits is None else found | {":format": FIXED.format(self.digits)}
+
+
+class DataTable:
+    """Table of many rows with a search field, and a list for each column that is filtered.
+
+    Args:
+        name: Name of the table for a screen reader.
+        columns: Its columns.
+        sort: Column by which it is sorted first; with a minus before it largest first.
+        actions: Buttons of a row by name, with what they call with the row's ``id``; a row names those that
+            it has in ``actions``.
+        selected: Called when rows are chosen; None: none can be.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        columns: Sequence[Column],
+        *,
+        sort: str = "",
+        actions: dict[str, Callable[[str], Any]] | None = None,
+        selected: Callable[[], Any] | None = None,
+    ) -> None:
+        self.name, self.columns, self.sort = name, tuple(columns), sort
+        self.actions, self.selected = actions or {}, selected
+        self.rows: list[dict[str, Any]] = []
+
+    def build(self) -> None:
+        """Place search field, filters and table."""
+        with ui.element("div").classes("mp-row items-center"):
+            self.search = ui.input("Find").props("outlined dense clearable debounce=150")
+            self.search.props(f'aria-label="Find in {self.name}"')
+            self.filters = {
+                column.name: ui.select({"": "all"}, value="", label=column.label, on_change=self.show)
+                for column in self.columns
+                if column.filtered
+            }
+            for each in self.filters.values():
+                each.props("outlined dense options-dense").classes("mp-filter")
+        columns = [column.as_dict() for column in self.columns]
+        if self.actions:
+            columns.append({"name": "actions", "label": "", "field": "actions", "align": "left"})
+        self.table = ui.table(
+            rows=[],
+            columns=columns,
+            row_key="id",
+            selection="multiple" if self.selected else None,
+            on_select=self.selected and (lambda _: self.selected and self.selected()),
+            pagination={
+                "rowsPerPage": 0,
+                "sortBy": self.sort.lstrip("-"),
+                "descending": self.sort[:1] == "-",
+            },
+        )
+        self.table.props(f'dense flat hide-pagination wrap-cells aria-label="{self.name}"')
+        self.table.classes("mp-data").bind_filter_from(self.search, "value", lambda text: text or "")
+        self.table.add_slot("header-cell", HEADING)
+        self.table.add_slot("body-selection", CHOICE)
+        self.table.add_slot("header-selection", EVERY_CHOICE)
+        for column in self.columns:
+            if column.kind:
+                self.table.add_slot(f"body-cell-{column.name}", LINK if column.kind == "link" else STYLED)
+        if self.actions:
+            buttons = "".join(ACTION % (name, name, name, name.lower()) for name in self.actions)
+            self.table.add_slot("body-cell-actions", f'<q-td :props="props" class="mp-do">{buttons}</q-td>')
+        for name, act in self.actions.items():
+            self.table.on(name.lower(), lambda event, act=act: act(event.args))
+
+    def fill(self, rows: list[dict[str, Any]]) -> None:
+        """Show rows; those chosen stay so while they are there."""
+        if rows == self.rows:
+            return
+        self.rows = rows
+        for name, field in self.filters.items():
+            values = sorted({str(row[name]) for row in rows if row[name] is not None})
+            field.set_options({"": "all", **{value: value for value in values}})
+            if field.value not in field.options:
+                field.value = ""
+        self.show()
+
+    def show(self) -> None:
+        """Show the rows that the filters let through."""
+        wanted = {name: field.value for name, field in self.filters.items() if field.value}
+        shown = [row for row in self.rows if all(str(row[name]) == value for name, value in wanted.items())]
+        kept = {row["id"] for row in self.table.selected}
+        self.table.rows = shown
+        self.table.selected = [row for row in shown if row["id"] in kept]
+        self.table.update()
+
+    @property
+    def chosen(self) -> list[str]:
+        """Ids of the rows that are chosen, in the order in which they were."""
+        return [row["id"] for row in self.table.selected]

@@ -1,0 +1,98 @@
+"""The page Runs: find, sort, name, open, stop, resume, compare two, delete."""
+
+import re
+
+import pytest
+from playwright.sync_api import expect
+
+PATIENCE_MS = 60_000
+
+
+@pytest.fixture(scope="module")
+def driven(server):
+    """Two drives of a section, and a live run that waits."""
+    section = {"line": "yizhuang", "origin": "XHM", "destination": "JG", "time_s": 150}
+    found = [
+        server.post("/api/jobs/drive", {**section, "driver": name}, code=202)["id"]
+        for name in ("manual", "flat_out")
+    ]
+    live = server.post("/api/live", {**section, "pace": 0}, code=201)["id"]
+    for job in found:
+        server.wait(job)
+    return [*found, live]
+
+
+@pytest.mark.parametrize("width", [1440, 390])
+def test_runs_are_found_named_compared_and_deleted(visit, server, driven, width):
+    body = {
+        "line": "yizhuang",
+        "origin": "XHM",
+        "destination": "JG",
+        "driver": "flat_out",
+        "time_s": 140 + width,
+    }
+    unwanted = server.post("/api/jobs/drive", body, code=202)["id"]
+    server.wait(unwanted)
+    page = visit("/runs", width=width, height=900)
+    rows = page.locator('[aria-label="Runs"] tbody tr').filter(has_text="XHM – JG")
+    page.get_by_label("Find in Runs").fill("XHM")
+    expect(rows).to_have_count(4)
+    sort = page.get_by_role("button", name="Sort by Energy (kWh)")
+    sort.press("Enter")
+    sort.press("Enter")
+    expect(rows.first).to_contain_text("flat_out")
+    manual = rows.filter(has_text="manual")
+    manual.get_by_role("button", name=re.compile("^Name ")).click()
+    page.get_by_label("Name", exact=True).fill(f"By hand {width}")
+    page.get_by_role("button", name="Keep").click()
+    expect(manual).to_contain_text(f"By hand {width}")
+    assert server.get(f"/api/jobs/{driven[0]}")["name"] == f"By hand {width}"
+    live = rows.filter(has_text="optimal")
+    live.get_by_role("button", name=re.compile("^Stop ")).click()
+    expect(live).to_contain_text("stopped", timeout=PATIENCE_MS)
+    compare = page.locator('[data-test="compare-two"]')
+    expect(compare).to_be_disabled()
+    manual.get_by_role("checkbox").click()
+    live.get_by_role("checkbox").click()
+    compare.click()
+    expect(page.locator('[data-test="problem"]')).to_contain_text("no result: the job is stopped")
+    live.get_by_role("checkbox").click()
+    rows.filter(has_text=" 150 s").filter(has_text="flat_out").get_by_role("checkbox").click()
+    compare.click()
+    kpis = page.get_by_role("table", name="KPIs of two runs").get_by_role("row")
+    expect(kpis.nth(1)).to_contain_text("running time (s)", timeout=PATIENCE_MS)
+    before, after, change = (
+        float(kpis.nth(1).get_by_role("cell").nth(k).inner_text().replace("−", "-")) for k in (1, 2, 3)
+    )
+    assert change == pytest.approx(after - before, abs=0.11)
+    assert change < -5
+    page.wait_for_url(re.compile(rf"/runs\?run={driven[0]}&with={driven[1]}"))
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    for row in (manual, rows.filter(has_text=" 150 s").filter(has_text="flat_out")):
+        row.get_by_role("checkbox").click()
+    rows.filter(has_text=f"{140 + width} s").get_by_role("checkbox").click()
+    page.locator('[data-test="delete"]').click()
+    page.locator('[data-test="delete-sure"]').click()
+    expect(rows).to_have_count(3)
+    server.get(f"/api/jobs/{unwanted}", code=404)
+    live.get_by_role("button", name=re.compile("^Resume ")).click()
+    expect(page.locator('[data-test="live"]')).to_have_attribute(
+        "data-status", "running", timeout=PATIENCE_MS
+    )
+    assert page.url.endswith(f"/?run={driven[2]}")
+
+
+def test_a_run_is_opened_again(visit, driven):
+    page = visit(f"/?run={driven[1]}")
+    kpis = page.get_by_role("table", name="KPIs")
+    expect(kpis).to_contain_text("scheduled 150 s", timeout=PATIENCE_MS)
+    expect(page.locator('[data-test="resume"]')).to_be_hidden()
+
+
+def test_a_journey_is_opened_again(visit, server):
+    asked = {"line": "yizhuang", "total_s": 1200, "destination": "RJ", "load": "AW2"}
+    job = server.post("/api/jobs/journey", asked, code=201)["id"]
+    page = visit(f"/journey?job={job}")
+    expect(page.locator('[data-test="sections"] tbody tr')).to_have_count(7, timeout=PATIENCE_MS)
+    expect(page.get_by_label("Whole journey")).to_have_value("1200")
+    expect(page.locator('[data-test="summary"]')).to_contain_text("20 min 00 s")
