@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from metropilot.convoy.attack import EVERY_DISTURBANCE, AttackCampaign, attack
+from metropilot.convoy.attack import EVERY_DISTURBANCE, AttackArena, AttackCampaign, attack
 from metropilot.convoy.drivers import FOLLOWERS
 from metropilot.convoy.kpis import convoy_kpis
 from metropilot.convoy.leaders import Restless, record_leader, restless_speeds
@@ -247,8 +247,13 @@ def test_a_head_sends_the_speed_that_it_measures():
     assert convoy_members(drive.convoy)[1].bounds.speed_error_mps == pytest.approx(0.3)
 
 
-def test_no_contact_under_every_disturbance():
-    found = attack(AttackCampaign(seed=5, disturbances=EVERY_DISTURBANCE), 400, 400)
+def test_no_contact_under_every_disturbance_in_a_mixed_convoy_with_a_dead_time():
+    late = load_trainset("dkz32")
+    late = replace(late, actuation=replace(late.actuation, delay_s=0.5))
+    campaign = AttackCampaign(seed=5, trainsets=("cheng2023", late), disturbances=EVERY_DISTURBANCE)
+    arena = AttackArena(campaign)
+    assert np.unique(arena.members.length_m).size == 2
+    found = arena.run(400, 400)
     assert found.contacts == 0
     assert found.gap_min_m.min() > 0.05
     assert found.emergencies.sum() > 30

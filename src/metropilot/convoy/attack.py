@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import cycle, islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,7 +33,7 @@ from metropilot.convoy.step import FollowerObservation, MemberState, Plans, ahea
 from metropilot.env import DisturbanceDistribution, draw_disturbance
 from metropilot.physics import to_jax
 from metropilot.protection import spare_gap
-from metropilot.railway import load_line, load_trainset
+from metropilot.railway import Trainset, load_line, load_trainset
 from metropilot.sim import NOISE_CUT, true_vehicle
 
 HARMFUL = ("full traction", "random", "bang-bang", "stuck", "late brake", "follow_plan")
@@ -64,7 +65,7 @@ class AttackCampaign:
         line: Line.
         origin: Station of departure.
         destination: Station of arrival.
-        trainset: Trainset, all alike but for their masses.
+        trainsets: Trainsets or their ids, from the head on; fewer than the convoy has repeat.
         count: Trainsets of a convoy.
         guard: Assumption of protection.
         disturbances: Distribution of the disturbance of every trainset.
@@ -80,7 +81,7 @@ class AttackCampaign:
     line: str = "yizhuang"
     origin: str = "YZQ"
     destination: str = "WHY"
-    trainset: str = "cheng2023"
+    trainsets: tuple[str | Trainset, ...] = ("cheng2023",)
     count: int = 2
     guard: ConvoyGuard = "coupled"
     disturbances: DisturbanceDistribution = MASS_AND_RESISTANCE
@@ -148,10 +149,10 @@ class AttackArena:
 
         self.campaign = campaign
         section = load_line(campaign.line).section(campaign.origin, campaign.destination)
-        trainset = load_trainset(campaign.trainset)
+        known = [each if isinstance(each, Trainset) else load_trainset(each) for each in campaign.trainsets]
         convoy = Convoy(
             section,
-            (trainset,) * campaign.count,
+            tuple(islice(cycle(known), campaign.count)),
             guard=campaign.guard,
             allowed=(campaign.disturbances.extreme(0), campaign.disturbances.extreme(1)),
             dt=campaign.dt,
@@ -159,17 +160,23 @@ class AttackArena:
         self.dt, self.rows = convoy.dt, round(ROWS_S / convoy.dt)
         self.steps = round(LONGEST_S / convoy.dt)
         rows = convoy_members(convoy, np.float32)
-        self.members: Member = to_jax(stack_rows(rows))
-        ahead = (None, *rows[:-1])
-        longest_s = campaign.disturbances.delay_s[1]
-        first = [at_departure(m, a, self.dt, delay_s=longest_s) for m, a in zip(rows, ahead, strict=True)]
+        members: Member = stack_rows(rows)
+        self.members: Member = to_jax(members)
+        # All of them remember as many commands as the one with the longest dead time.
+        alike = [_member(members, k) for k in range(campaign.count)]
+        longest_s = float(members.vehicle.delay_s.max()) + campaign.disturbances.delay_s[1]
+        first = [
+            at_departure(m, a, self.dt, delay_s=longest_s - float(m.vehicle.delay_s))
+            for m, a in zip(alike, (None, *alike[:-1]), strict=True)
+        ]
         self.first: MemberState = to_jax(stack_rows(first))
         heads = recordings(
             *replace(convoy, guard="coupled").leader(), self.dt, ATTACKED_HEADS, campaign.seed, self.rows
         )
         self.heads = to_jax(stack_rows(heads))
         self.follower = FOLLOWERS.make("follow_plan")
-        memory = [self.follower.init(m.believed, self.dt) for m in rows]
+        longest = members.believed.delay_s.max()
+        memory = [self.follower.init(m.believed._replace(delay_s=longest), self.dt) for m in rows]
         self.memory = to_jax(stack_rows(memory))
         self._run = jax.jit(jax.vmap(self._case))
 
@@ -395,6 +402,13 @@ class AttackArena:
         late = jnp.where(seen.gap_m < 3.0, -1.0, 1.0)
         ways = jnp.stack([full, noise, bang, case.share, late, good])
         return ways[case.manner, jnp.arange(full.shape[0])], memory
+
+
+def _member(members: Member, k: int) -> Member:
+    """One of the members stacked by :func:`stack_rows` (NumPy)."""
+    import jax
+
+    return jax.tree.map(lambda values: values[k], members)
 
 
 def attack(campaign: AttackCampaign, cases: int, batch: int = 2000) -> Tally:
