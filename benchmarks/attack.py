@@ -7,10 +7,13 @@ python -m benchmarks.attack --folder attack --write docs/convoy.md   the same, a
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from benchmarks.report import circumstances, write_section
 from metropilot._io import load_or_compute
@@ -81,8 +84,9 @@ def attack(kind: Kind, cases: int, folder: Path) -> list[Part]:
         return asdict(Part(SITTING, tally.contacts, float(tally.gap_min_m.min()), braked))
 
     campaign, found = kind.campaign, []
+    plain = json.dumps(asdict(campaign), default=np.ndarray.tolist)
     for k in range(-(-cases // SITTING)):
-        about = {"campaign": asdict(campaign), "sitting": k, "cases": SITTING, "batch": BATCH}
+        about = {"campaign": plain, "sitting": k, "cases": SITTING, "batch": BATCH}
         path = folder / f"{campaign.guard}-{campaign.seed}-{k}.json"
         found.append(Part(**load_or_compute(path, about, partial(sit, k))))
     return found
