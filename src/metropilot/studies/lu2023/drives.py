@@ -18,7 +18,7 @@ from metropilot.policy import load_driving_policy, shipped_policy
 from metropilot.railway import load_trainset
 from metropilot.sim import AbstractDriver, Drive, Run, drive
 from metropilot.studies.lu2023.drivers import PidLu2023, PidLu2023Options
-from metropilot.studies.lu2023.notches import NotchOptions, notch_plan
+from metropilot.studies.lu2023.notches import NotchOptions, notch_plan, notch_plans
 from metropilot.studies.lu2023.setting import NOTCHES, PID_130, TRAINSET, PlanCase, Published
 from metropilot.studies.report import ReportRow
 from metropilot.units import J_PER_KWH
@@ -51,10 +51,8 @@ class NotchFront:
 def notch_front(plan: PlanCase) -> NotchFront:
     """Compute the optimum over the twelve notches about a plan's time (takes a few seconds)."""
     trainset = load_trainset(TRAINSET)
-    found = [
-        notch_plan(plan.section, trainset, plan.scheduled_s + shift, trainset.notches[NOTCHES], MESH)
-        for shift in AROUND_S
-    ]
+    times_s = [plan.scheduled_s + shift for shift in AROUND_S]
+    found = notch_plans(plan.section, trainset, times_s, trainset.notches[NOTCHES], MESH)
     return NotchFront(
         np.array([p.running_time_s for p in found]), np.array([p.energy_wheel_j for p in found])
     )

@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
+from scipy.optimize import brentq
 
 from metropilot._typing import Float, Int
 from metropilot.errors import Infeasible, InputError
@@ -137,18 +138,30 @@ def notch_plan(
         InputError: The notches are not such a table.
         Infeasible: No drive by these notches is that fast; the message names the minimum.
     """
+    return notch_plans(section, trainset, [time_s], notches_n, options)[0]
+
+
+def notch_plans(
+    section: Section,
+    trainset: Trainset,
+    times_s: Sequence[float],
+    notches_n: Sequence[float],
+    options: NotchOptions | None = None,
+) -> list[NotchPlan]:
+    """:func:`notch_plan` for several running times: what does not depend on the time is computed once."""
     problem = _Problem(section, trainset, notches_n, options or NotchOptions())
     fastest = problem.forward(HIGHEST_PRICE_WPKG, problem.values(HIGHEST_PRICE_WPKG))
-    if not fastest.running_time_s <= time_s:
-        least = math.ceil(fastest.running_time_s * 10.0) / 10.0
-        raise Infeasible(
-            f"minimum running time by these notches is {least:.1f} s",
-            field="time",
-            value=round(time_s, 3),
-            unit="s",
-            allowed=f">= {least:.1f} s",
-        )
-    return _cheapest(problem, fastest, time_s)
+    for time_s in times_s:
+        if not fastest.running_time_s <= time_s:
+            least = math.ceil(fastest.running_time_s * 10.0) / 10.0
+            raise Infeasible(
+                f"minimum running time by these notches is {least:.1f} s",
+                field="time",
+                value=round(time_s, 3),
+                unit="s",
+                allowed=f">= {least:.1f} s",
+            )
+    return [_cheapest(problem, fastest, time_s) for time_s in times_s]
 
 
 def _cheapest(problem: _Problem, fastest: NotchPlan, time_s: float) -> NotchPlan:
@@ -235,15 +248,15 @@ class _Problem:
         resting = float(self.table.davis[0]) + self.stop_drag
         energy[-1] = min(energy[-1], (resting - float(strongest[0])) * self.stop_m)
         for k in range(self.last - 1, -1, -1):
-            # the energy from which the strongest notch just leads to the next cap
+
+            def excess(before: float, k: int = k) -> float:
+                rate, _force = _rates(self.table, mesh, k, np.array([before]), strongest)
+                return before + float(rate[0]) * mesh.length_m[k] - energy[k + 1]
+
+            # the energy from which the strongest notch just leads to the next cap; a fall may take all of it
             low, high = energy[k + 1], energy[k + 1] + 3.0 * mesh.length_m[k]
-            for _ in range(60):
-                middle = 0.5 * (low + high)
-                rate, _force = _rates(self.table, mesh, k, np.array([middle]), strongest)
-                if middle + rate[0] * mesh.length_m[k] <= energy[k + 1]:
-                    low = middle
-                else:
-                    high = middle
+            if excess(low) < 0.0:
+                low = brentq(excess, low, high, xtol=1e-11)
             energy[k] = min(energy[k], low)
         return energy
 
