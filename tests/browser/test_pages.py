@@ -11,7 +11,18 @@ from metropilot.policy import shipped_policy
 from metropilot.railway import load_line, write_line
 
 PATIENCE_MS = 90_000
-PAGES = ("/", "/compare", "/journey", "/line", "/convoy", "/learn", "/lines", "/edit?line=yizhuang", "/runs")
+PAGES = (
+    "/",
+    "/compare",
+    "/journey",
+    "/line",
+    "/convoy",
+    "/learn",
+    "/lines",
+    "/edit?line=yizhuang",
+    "/runs",
+    "/campaigns",
+)
 
 
 def test_compare(visit):
@@ -110,7 +121,7 @@ def test_what_was_learned_is_compared(visit, server):
 @pytest.mark.parametrize("width", [390, 360])
 def test_every_page_is_reached_on_a_telephone(visit, width):
     page = visit("/learn", width=width, height=844)
-    for name in ("Drive", "Compare", "Journey", "Line", "Convoy", "Learn", "Lines", "Runs"):
+    for name in ("Drive", "Compare", "Journey", "Line", "Convoy", "Learn", "Lines", "Runs", "Campaigns"):
         box = (
             page.get_by_role("navigation", name="Pages")
             .get_by_role("link", name=name, exact=True)

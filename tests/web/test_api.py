@@ -288,7 +288,7 @@ def test_a_bad_upload_names_the_field(server, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "path", ["/", "/compare", "/journey", "/line", "/convoy", "/learn", "/lines", "/runs"]
+    "path", ["/", "/compare", "/journey", "/line", "/convoy", "/learn", "/lines", "/runs", "/campaigns"]
 )
 def test_pages_are_there_and_load_nothing_from_elsewhere(server, path):
     answer = server.client.get(path)

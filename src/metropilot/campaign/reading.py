@@ -36,27 +36,33 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Spread = float | tuple[float, float]
 
 
-class _Restriction(StrictModel):
+class CampaignRestriction(StrictModel):
+    """A restriction: its ends as shares of the section, announced at a share of the scheduled time."""
+
     start: Annotated[float, Field(alias="from", ge=0, lt=1)]
     end: Annotated[float, Field(alias="to", gt=0, le=1)]
     kmh: Annotated[float, Field(ge=RESTRICTION_KMH[0], le=RESTRICTION_KMH[1])]
     announced: Share | None = None
 
 
-class _Arrival(StrictModel):
+class CampaignArrival(StrictModel):
+    """A new running time over the scheduled one, announced at a share of that."""
+
     factor: Annotated[float, Field(ge=0.5, le=3)]
     announced: Share
 
 
 _RANGES: dict[str, Any] = dict.fromkeys(DRAWN, (Spread | None, None))
-_Ranges = create_model("_Ranges", __base__=StrictModel, **_RANGES)
+CampaignRanges = create_model("CampaignRanges", __base__=StrictModel, **_RANGES)
 
 
-class _Disturbance(_Ranges):
+class CampaignDisturbance(CampaignRanges):
+    """A disturbance: numbers, or intervals to draw from, and what is announced."""
+
     name: Annotated[str, Field(min_length=1)]
     ideal: bool = False
-    restriction: _Restriction | None = None
-    arrival: _Arrival | None = None
+    restriction: CampaignRestriction | None = None
+    arrival: CampaignArrival | None = None
     actuation: tuple[Annotated[float, Field(ge=0, le=5)], Annotated[float, Field(ge=0, le=5)]] | None = None
 
 
@@ -64,7 +70,9 @@ Seconds = Annotated[float, Field(ge=0, le=5)]
 Late = tuple[Seconds, Seconds]
 
 
-class _Matrix(StrictModel):
+class CampaignMatrix(StrictModel):
+    """The axes of a campaign."""
+
     drivers: Annotated[list[str], Field(min_length=1)] | Literal["all"]
     sections: Annotated[list[str], Field(min_length=1)]
     trainsets: Annotated[list[str | DrawnTrainsets], Field(min_length=1)] | DrawnTrainsets = Field(["dkz32"])
@@ -79,13 +87,15 @@ class _Matrix(StrictModel):
     first_seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
 
 
-class _File(StrictModel):
+class CampaignFile(StrictModel):
+    """A campaign of drives as its TOML file has it."""
+
     name: Annotated[str, Field(min_length=1)]
     objective: Literal["wheel", "line"] = "wheel"
     dt_s: float = CONTROL_PERIOD_S
     engine: Literal["host", "compiled"] = "host"
-    matrix: _Matrix
-    disturbance: list[_Disturbance] = Field([_Disturbance(name="nominal")])
+    matrix: CampaignMatrix
+    disturbance: list[CampaignDisturbance] = Field([CampaignDisturbance(name="nominal")])
 
 
 def campaign_from_toml(path: Path) -> AbstractCampaign:
@@ -94,13 +104,26 @@ def campaign_from_toml(path: Path) -> AbstractCampaign:
     Raises:
         InputError: Not readable, or something in it cannot be used.
     """
-    values = read_values(path)
+    return campaign_from_values(path, read_values(path))
+
+
+def campaign_from_values(path: Path, values: dict[str, Any]) -> AbstractCampaign:
+    """Read the values of a campaign's file.
+
+    Args:
+        path: The file, for errors; names of files are relative to its folder.
+        values: Its values.
+
+    Raises:
+        InputError: Something in it cannot be used.
+    """
+    values = dict(values)
     kind = values.pop("kind", DRIVES)
     with rename_fields({"kind": "kind"}, path):
         KINDS.row(str(kind))
     if kind == LINE:
         return sweep_from_values(path, values)
-    found = validate(path, _File, values)
+    found = validate(path, CampaignFile, values)
     with rename_fields({"dt_s": "dt_s"}, path):
         run_fields()["dt_s"].check("dt_s", found.dt_s)
     periods = _periods(path, found)
@@ -130,7 +153,7 @@ def campaign_from_toml(path: Path) -> AbstractCampaign:
     return campaign
 
 
-def _periods(path: Path, found: _File) -> tuple[float, ...]:
+def _periods(path: Path, found: CampaignFile) -> tuple[float, ...]:
     """Control periods of the matrix, or the one of the campaign."""
     if found.matrix.periods is None:
         return (found.dt_s,)
@@ -184,7 +207,7 @@ def _words(path: Path, text: str) -> list[str]:
     return words
 
 
-def _disturbance(path: Path, item: _Disturbance) -> DisturbanceCase:
+def _disturbance(path: Path, item: CampaignDisturbance) -> DisturbanceCase:
     ranges, specs = {}, field_specs(Disturbance)
     for name in DRAWN:
         given = getattr(item, name)
@@ -222,6 +245,18 @@ FOLDER = Path(__file__).parent / "files"
 def shipped_campaigns() -> tuple[str, ...]:
     """Names of the campaigns that ship."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
+
+
+def shipped_campaign_text(name: str) -> str:
+    """File of a campaign that ships.
+
+    Raises:
+        InputError: No such campaign.
+    """
+    if name not in shipped_campaigns():
+        allowed = ", ".join(shipped_campaigns())
+        raise InputError("no such campaign", field="campaign", value=name, allowed=allowed)
+    return (FOLDER / f"{name}.toml").read_text(encoding="utf-8")
 
 
 def read_campaign(

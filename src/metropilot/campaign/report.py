@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from html import escape
 from pathlib import Path
@@ -125,9 +125,17 @@ COST = """
 """
 
 
-def query_rows(database: DuckDBPyConnection, query: str) -> list[dict[str, Any]]:
-    """The rows of a query, as dictionaries."""
-    answer = database.execute(query)
+def query_rows(
+    database: DuckDBPyConnection, query: str, values: Sequence[object] = ()
+) -> list[dict[str, Any]]:
+    """The rows of a query, as dictionaries.
+
+    Args:
+        database: The database.
+        query: The query.
+        values: Values of its question marks.
+    """
+    answer = database.execute(query, list(values))
     names = [column[0] for column in answer.description or ()]
     return [dict(zip(names, row, strict=True)) for row in answer.fetchall()]
 
@@ -181,14 +189,26 @@ def write_campaign_page(
     Raises:
         InputError: It cannot be written.
     """
-    campaign, made = campaign_of_folder(folder), provenance()
-    spent, today = summary["cost"].get("processor_s", 0.0), datetime.now(UTC).date().isoformat()
-    written = (
-        f"Written by `{command} --write-docs {page}`: {summary['done']} rows, {seconds:.0f} s in the last "
-        f"call, {spent:.0f} s of processor time; {os.cpu_count()} cores; date {today}; "
-        f"commit {made.get('commit', DASH)[:9]}; metropilot {made['metropilot']}, Python {made['python']}."
-    )
+    campaign = campaign_of_folder(folder)
+    written = written_words(f"{command} --write-docs {page}", summary, seconds)
     lines = [f"# {campaign.name[:1].upper()}{campaign.name[1:]}", ""]
     lines += campaign.page_parts(folder, summary, written)
     text = "\n".join(lines).rstrip() + "\n"
     atomic_write(page, lambda partial: partial.write_text(text, encoding="utf-8"))
+
+
+def written_words(command: str, summary: Mapping[str, Any], seconds: float) -> str:
+    """Command, cost, machine, date, commit and versions of what is written from a campaign, as a sentence.
+
+    Args:
+        command: Command line.
+        summary: From :func:`summarise`.
+        seconds: Duration of the command.
+    """
+    made = provenance()
+    spent, today = summary["cost"].get("processor_s", 0.0), datetime.now(UTC).date().isoformat()
+    return (
+        f"Written by `{command}`: {summary['done']} rows, {seconds:.0f} s in the last "
+        f"call, {spent:.0f} s of processor time; {os.cpu_count()} cores; date {today}; "
+        f"commit {made.get('commit', DASH)[:9]}; metropilot {made['metropilot']}, Python {made['python']}."
+    )

@@ -299,3 +299,22 @@ def scheduled_time(case: CampaignCase, section: Section) -> float:
     if section.planned_time_s is None:
         raise Infeasible(f"the line plans no running time for {section.name}", field="time", value=PLANNED)
     return float(section.planned_time_s)
+
+
+def request_of_row(campaign: Campaign, row: Mapping[str, Any]) -> RunSpec:
+    """The run of a row of the results.
+
+    Args:
+        campaign: The campaign.
+        row: Row of its results.
+
+    Raises:
+        InputError: It has no scheduled time.
+    """
+    case, scheduled_s = campaign.case(row["row"]), row["scheduled_time_s"]
+    if scheduled_s is None:
+        raise InputError("has no scheduled time: nothing was driven", field="row", value=row["row"])
+    if case.disturbance.arrival is not None:
+        scheduled_s /= case.disturbance.arrival[0]
+    length_m = section_of(case.line, case.origin, case.destination).length_m
+    return case_request(campaign, case, scheduled_s, length_m)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from metropilot._io import check_writable
-from metropilot.campaign.declared import Campaign, case_request
-from metropilot.campaign.rows import section_of
+from metropilot.campaign.declared import Campaign
+from metropilot.campaign.rows import request_of_row
 from metropilot.errors import MetropilotError
 from metropilot.evaluate import Optimum, kpis_of, optimum_of, write_run, write_run_toml
 from metropilot.sim import Drive, drive
@@ -50,15 +50,10 @@ def drive_worst(folder: Path, campaign: Campaign, worst: Sequence[Mapping[str, A
     """
     found = []
     for place, row in enumerate(worst, 1):
-        case = campaign.case(row["row"])
         if row["scheduled_time_s"] is None:
             found.append(Again("", ""))
             continue
-        length_m = section_of(case.line, case.origin, case.destination).length_m
-        scheduled = row["scheduled_time_s"]
-        if case.disturbance.arrival is not None:
-            scheduled /= case.disturbance.arrival[0]
-        request = case_request(campaign, case, scheduled, length_m)
+        request = request_of_row(campaign, row)
         target = folder / WORST / f"{place:02d}"
         check_writable(target)
         picture = ""

@@ -51,6 +51,10 @@ def campaign_command(
     write_docs: Annotated[
         Path | None, typer.Option(metavar="PAGE.md", help="Also write the page of the documentation.")
     ] = None,
+    write_rows: Annotated[
+        Path | None,
+        typer.Option(metavar="ROWS.parquet", help="Also write rows, campaign and provenance as one file."),
+    ] = None,
     as_json: opt.Json = False,
 ) -> int:
     """Compute a declared matrix of runs or lines, resumable, and report it.
@@ -61,11 +65,13 @@ def campaign_command(
     from metropilot.campaign import (
         LineSweep,
         collect_parts,
+        publish_rows,
         read_campaign,
         run_campaign,
         summarise,
         write_campaign_page,
         write_campaign_report,
+        written_words,
     )
 
     campaign = read_campaign(file, drivers, sample)
@@ -74,6 +80,9 @@ def campaign_command(
         raise InputError(
             "not a page", field="write-docs", value=str(write_docs), allowed="a path ending in .md"
         )
+    if write_rows is not None and write_rows.suffix != ".parquet":
+        allowed = "a path ending in .parquet"
+        raise InputError("not a file of rows", field="write-rows", value=str(write_rows), allowed=allowed)
     began = perf_counter()
     progress = run_campaign(campaign, folder, workers, cluster, _Saying())
     collect_parts(folder)
@@ -84,6 +93,9 @@ def campaign_command(
         write_campaign_page(
             write_docs, folder, summary, perf_counter() - began, campaign_line(file, drivers, sample)
         )
+    if write_rows is not None:
+        line = f"{campaign_line(file, drivers, sample)} --write-rows {write_rows}"
+        publish_rows(folder, write_rows, written_words(line, summary, perf_counter() - began))
     if as_json:
         print_json(summary)
     else:

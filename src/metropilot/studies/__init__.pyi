@@ -7,6 +7,9 @@ from .page import study_page as study_page
 from .page import verdict_numbers as verdict_numbers
 from .page import write_docs as write_docs
 from .page import write_report as write_report
+from .published import PublishedFigure as PublishedFigure
+from .published import PublishedStudy as PublishedStudy
+from .published import published_study as published_study
 from .report import Figure as Figure
 from .report import LiteralReport as LiteralReport
 from .report import LiteralRow as LiteralRow

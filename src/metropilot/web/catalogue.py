@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from zipfile import ZIP_DEFLATED, ZipFile
 
 from metropilot.drivers import DRIVERS
@@ -25,6 +25,7 @@ from metropilot.railway import (
     load_feeding,
     load_line,
     load_trainset,
+    parse_trainset,
 )
 from metropilot.sim import Trajectory
 from metropilot.web.errors import Refused
@@ -32,6 +33,9 @@ from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 from metropilot.web.work.learning import PROGRESS
 from metropilot.web.work.plans import numbers, pieces, station
+
+if TYPE_CHECKING:
+    from metropilot.studies import PublishedStudy
 
 
 def line_rows(service: Service) -> list[dict[str, Any]]:
@@ -116,15 +120,16 @@ def trainset_rows(service: Service) -> list[dict[str, Any]]:
 
 
 def trainset(service: Service, key: str) -> Trainset:
-    """A trainset by id.
+    """A trainset by id, or by ``ID@DELAY,LAG``; ``drawn-SEED-NUMBER`` is a random one.
 
     Raises:
         Refused: No such trainset (404).
     """
-    path = service.paths("trainset").get(key)
-    if path is None and key not in list_trainsets():
+    path = service.path("trainset", key)
+    named = parse_trainset(path)
+    if not (named.is_named or named.id in service.paths("trainset").values()):
         raise Refused("no such trainset", 404, field="trainset", value=key)
-    return load_trainset(path or key)
+    return load_trainset(path)
 
 
 def trainset_out(service: Service, key: str) -> dict[str, Any]:
@@ -301,6 +306,20 @@ def study_table(service: Service, key: str) -> list[dict[str, Any]]:
     return found["rows"]
 
 
+def study_page(key: str) -> PublishedStudy:
+    """The published page of a study.
+
+    Raises:
+        Refused: No such study, or its page is not there (404).
+    """
+    from metropilot.studies import published_study
+
+    try:
+        return published_study(key)
+    except InputError as error:
+        raise Refused(error.message, 404, field="study", value=key) from None
+
+
 def _report(service: Service, key: str) -> dict[str, Any] | None:
     """Newest report made by a job of this server."""
     for job in service.store.jobs("study", limit=1000):
@@ -316,6 +335,7 @@ KINDS = {
     "compare": "Comparison",
     "journey": "Journey",
     "line": "Line",
+    "campaign": "Campaign",
     "learn": "Learning run",
     "study": "Study",
 }
@@ -330,17 +350,12 @@ def kind_of(row: JobRow) -> str:
 def page_of(row: JobRow) -> str:
     """Address of the page on which a job is opened."""
     kind = kind_of(row)
-    pages = {
-        "compare": "/compare",
-        "journey": "/journey",
-        "line": "/line",
-        "learn": "/learn",
-        "study": "/learn",
-    }
+    if kind == "campaign":
+        return f"/campaigns?campaign={row.id}"
     if kind == "study":
         return f"/learn?study={row.request['study']}"
-    if kind in pages:
-        return f"{pages[kind]}?job={row.id}"
+    if kind in {"compare", "journey", "line", "learn"}:
+        return f"/{kind}?job={row.id}"
     return f"/convoy?run={row.id}" if kind == "convoy" else f"/?run={row.id}"
 
 
@@ -351,6 +366,8 @@ def describe_job(row: JobRow) -> str:
         return f"{body['driver']} · {body['budget']} · seed {body['seed']}"
     if kind == "study":
         return f"{body['study']} · {body['budget']}"
+    if kind == "campaign":
+        return body["name"]
     if kind == "line":
         return f"{body['line']} · {body['day'] or 'every ' + str(body['headway_s']) + ' s'}"
     ends = f"{body['origin']} – {body['destination']}" if body["origin"] else "every station"

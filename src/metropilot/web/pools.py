@@ -21,6 +21,8 @@ from metropilot.web.work.plans import begin
 
 BUSY = 16
 """Direct answers that may wait for the one worker; more are refused (429)."""
+LONG = ("learn", "study", "campaign")
+"""Kinds of jobs that take hours; they have a worker of their own, without a bound on its memory."""
 BEHIND = 4
 """Niceness of jobs, so that direct answers and live runs get the processor first."""
 
@@ -70,7 +72,7 @@ class Pools:
 
     def submit(self, kind: str, function: Callable[..., Any], *values: object) -> Future[Any]:
         """Queue a job; the future is cancelled to stop it."""
-        if kind in {"learn", "study"}:
+        if kind in LONG:
             return self.learning.schedule(function, args=list(values), timeout=self.settings.learn_s)
         return self.jobs.schedule(function, args=list(values), timeout=self.settings.job_s)
 

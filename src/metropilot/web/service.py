@@ -18,8 +18,9 @@ from metropilot.policy import POLICY_FILE
 from metropilot.railway import document_text, list_lines, list_trainsets
 from metropilot.web.errors import Refused, detail_of
 from metropilot.web.live.session import Session, Spare, start_spare
-from metropilot.web.pools import Pools, explain
+from metropilot.web.pools import LONG, Pools, explain
 from metropilot.web.schemas.requests import (
+    CampaignIn,
     CompareIn,
     ConvoyIn,
     DriveIn,
@@ -34,7 +35,7 @@ from metropilot.web.schemas.requests import (
 from metropilot.web.schemas.requests import request_of as resolve
 from metropilot.web.settings import Settings
 from metropilot.web.store import OVER, JobRow, JobStore, UploadRow
-from metropilot.web.work import drives, learning, operations, plans
+from metropilot.web.work import campaigns, drives, learning, operations, plans
 
 if TYPE_CHECKING:
     from metropilot.convoy import ConvoyRequest
@@ -110,7 +111,9 @@ class Service:
             InputError: No policy of that id.
         """
         if kind != POLICY:
-            return self.paths(kind).get(key, key)
+            # of a trainset ID@DELAY,LAG, which declares another dead time and lag
+            name, at, late = key.partition("@")
+            return self.paths(kind).get(name, name) + at + late
         found = self.policies().get(key)
         if found is None:
             allowed = "the id of a learning run that has a policy, or of an uploaded policy"
@@ -136,6 +139,18 @@ class Service:
         options = OperationOptions(**{name: values.pop(name) for name in field_specs(OperationOptions)})
         names = {kind: self.path(kind, values.pop(kind)) for kind in ("line", "trainset")}
         return operations.OperationRequest(**names, **values, options=options)
+
+    def campaign_values(self, body: CampaignIn) -> dict[str, Any]:
+        """Values of a campaign's file, ids of uploads and policies replaced by their files.
+
+        Raises:
+            InputError: A name is no id, or there is no such policy.
+        """
+        return campaigns.file_values(body.model_dump(by_alias=True, exclude_unset=True), self.path)
+
+    def ids(self) -> dict[str, str]:
+        """Ids of uploads and policies by their files."""
+        return {path: key for key, path in (self.policies() | self.paths()).items()}
 
     async def upload(self, name: str, content: bytes) -> tuple[UploadRow, dict[str, Any]]:
         """Take a line, trainset or policy file.
@@ -297,7 +312,7 @@ class Service:
 
             RunStore(self.root / "runs").rebuild()
 
-    def submit(self, body: DriveIn | CompareIn | OperationIn | LearnIn | StudyIn) -> str:
+    def submit(self, body: DriveIn | CompareIn | OperationIn | CampaignIn | LearnIn | StudyIn) -> str:
         """Queue a job; return its id.
 
         Raises:
@@ -314,6 +329,9 @@ class Service:
 
             STUDIES.get(body.study)
             kind = "study"
+        elif isinstance(body, CampaignIn):
+            campaigns.read_declared(self.campaign_values(body), self.settings.campaign_rows)
+            kind = "campaign"
         elif isinstance(body, OperationIn):
             self.operation_request(body).read()
             kind = "line"
@@ -325,8 +343,9 @@ class Service:
             else:
                 self._check_driver(request)
             kind = "compare" if isinstance(body, CompareIn) else "drive"
-        job = self.store.new_job(kind, body.model_dump())
-        self._schedule(job, kind, body.model_dump(), None)
+        values = body.model_dump(by_alias=True, exclude_unset=isinstance(body, CampaignIn))
+        job = self.store.new_job(kind, values)
+        self._schedule(job, kind, values, None)
         return job
 
     def stop(self, job: str) -> None:
@@ -340,7 +359,7 @@ class Service:
             return
         self.store.update(job, stop=1)
         future = self.futures.get(job)
-        if row.kind != "learn" or row.status == "queued":
+        if row.kind not in {"learn", "campaign"} or row.status == "queued":
             if future is not None:
                 future.cancel()
             self.store.update(job, status="stopped", words="stopped")
@@ -363,6 +382,9 @@ class Service:
             future = self.pools.submit(kind, learning.learn_job, root, job, body, run)
         elif kind == "study":
             future = self.pools.submit(kind, learning.study_job, root, job, body)
+        elif kind == "campaign":
+            values = self.campaign_values(CampaignIn.model_validate(body))
+            future = self.pools.submit(kind, campaigns.campaign_job, root, job, values)
         elif kind == "line":
             operation = self.operation_request(OperationIn.model_validate(body))
             future = self.pools.submit(kind, operations.line_job, root, job, operation)
@@ -386,12 +408,12 @@ class Service:
             return
         error = future.exception()
         if error is not None:
-            bound = self.settings.learn_s if kind in {"learn", "study"} else self.settings.job_s
+            bound = self.settings.learn_s if kind in LONG else self.settings.job_s
             told = detail_of(explain(error, bound))
             self.store.update(job, status="failed", words=told["message"], error=told)
             return
         result = future.result()
-        stopped = kind == "learn" and result["stopped"]
+        stopped = kind in {"learn", "campaign"} and result["stopped"]
         words = "stopped; it can be resumed" if stopped else ""
         done = {} if stopped else {"progress": 1.0}
         self.store.update(job, status="stopped" if stopped else "done", words=words, result=result, **done)

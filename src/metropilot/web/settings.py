@@ -35,7 +35,8 @@ class Settings:
         request_bytes: Largest body of any other request.
         answer_s: Longest computation of a direct answer (a plan, a front, an upload).
         job_s: Longest drive or comparison.
-        learn_s: Longest part of a learning job; it can be resumed.
+        learn_s: Longest part of a learning job or campaign; it can be resumed.
+        campaign_rows: Rows of a campaign at most.
         worker_bytes: Address space of a worker, except the learning one.
     """
 
@@ -51,6 +52,7 @@ class Settings:
     answer_s: float = 60.0
     job_s: float = 600.0
     learn_s: float = 12 * 3600.0
+    campaign_rows: int = 20_000
     worker_bytes: int = 6 * 2**30
 
     def __post_init__(self) -> None:

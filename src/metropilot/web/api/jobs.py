@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query
@@ -9,6 +10,7 @@ from fastapi.responses import FileResponse, Response
 
 from metropilot.web import catalogue
 from metropilot.web.api.catalogue import Key
+from metropilot.web.errors import Refused
 from metropilot.web.schemas.requests import (
     CompareIn,
     DriveIn,
@@ -32,6 +34,7 @@ from metropilot.web.schemas.responses import (
     RecipeOut,
     RunOut,
     StudyOut,
+    StudyPage,
     StudyRow,
     TaskOut,
 )
@@ -39,6 +42,7 @@ from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 
 ARCHIVE = "run.zip"
+FigureName = Annotated[str, Path(pattern=r"^[a-z0-9_]{1,40}\.png$")]
 FileName = Annotated[str, Path(pattern=r"^[a-z]{1,16}(-[0-9])?\.(csv|json|parquet|svg|png|toml|zip)$")]
 
 
@@ -197,3 +201,18 @@ def _add_learning(router: APIRouter, service: Service) -> None:
     def study_table(study_id: Key) -> list[dict[str, Any]]:
         """The newest table of a study: published, reproduced and optimal values."""
         return catalogue.study_table(service, study_id)
+
+    @router.get("/studies/{study_id}/page", response_model=StudyPage, tags=["learning"])
+    def study_page(study_id: Key) -> dict[str, Any]:
+        """The published page of a study: verdicts on the paper's claims, every row, figures."""
+        found = catalogue.study_page(study_id)
+        rows = [asdict(row) for row in found.rows]
+        return vars(found) | {"rows": rows, "figures": [each._asdict() for each in found.figures]}
+
+    @router.get("/studies/{study_id}/figures/{figure}", response_class=FileResponse, tags=["learning"])
+    def study_figure(study_id: Key, figure: FigureName) -> FileResponse:
+        """A figure of the published page of a study, as PNG."""
+        for each in catalogue.study_page(study_id).figures:
+            if each.name == figure:
+                return FileResponse(each.path)
+        raise Refused("no such figure", 404, field="figure", value=figure)

@@ -25,9 +25,20 @@ def install(app: FastAPI, service: Service) -> None:
     from nicegui import app as pages
     from nicegui import ui
 
-    from metropilot.web.pages import compare, convoy, drive, edit, journey, learn, lines, operation, runs
+    from metropilot.web.pages import (
+        campaigns,
+        compare,
+        convoy,
+        drive,
+        edit,
+        journey,
+        learn,
+        lines,
+        operation,
+        runs,
+    )
 
     pages.add_static_files("/static", Path(__file__).parent.parent / "static", max_cache_age=300)
-    for module in (drive, compare, journey, operation, convoy, learn, lines, edit, runs):
+    for module in (drive, compare, journey, operation, convoy, learn, lines, edit, runs, campaigns):
         module.install(service)
     ui.run_with(app, title="metropilot", favicon=FAVICON, reconnect_timeout=30.0, show_welcome_message=False)

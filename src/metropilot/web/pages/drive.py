@@ -10,7 +10,7 @@ from nicegui import events, ui
 
 from metropilot.errors import InputError, MetropilotError
 from metropilot.units import KMH_PER_MPS
-from metropilot.web import catalogue
+from metropilot.web import catalogue, evidence
 from metropilot.web.errors import Refused, error_of
 from metropilot.web.live.session import Session
 from metropilot.web.pages.form import (
@@ -56,14 +56,16 @@ class DrivePage:
     Args:
         service: Service of the server.
         run: Id of the live run that a link names.
+        of_campaign: Campaign and number of the row that a link names.
 
     Attributes:
         row: Stored row of that run, None without a link.
         lost: Error of a link that cannot be followed.
     """
 
-    def __init__(self, service: Service, run: str | None) -> None:
+    def __init__(self, service: Service, run: str | None, of_campaign: tuple[str, int] | None = None) -> None:
         self.service = service
+        self.of_campaign = of_campaign
         self.row: JobRow | None = None
         self.lost: MetropilotError | None = None
         try:
@@ -191,7 +193,9 @@ class DrivePage:
         """Load the form of the linked run, its section and its result; runs once the page is connected."""
         try:
             if self.row is not None:
-                self.restore(self.row)
+                self.restore(self.row.request)
+            elif self.of_campaign is not None:
+                self.restore(evidence.row_request(self.service, *self.of_campaign))
         except MetropilotError as error:
             self.lost = error
         await self.form.load()
@@ -208,13 +212,12 @@ class DrivePage:
         if self.lost is not None:
             self.departure.show(self.lost)
 
-    def restore(self, row: JobRow) -> None:
+    def restore(self, body: dict[str, Any]) -> None:
         """Fill the form with the request of a run.
 
         Raises:
             InputError: Its line, station or trainset does not exist any more.
         """
-        body = row.request
         self.form.restore(body)
         self.disturbances.restore(body)
         self.driver.value = driver_choice(self.service, self.driver, body["driver"], body["options"])
@@ -429,9 +432,14 @@ def install(service: Service) -> None:
 
     @ui.page("/", title="Drive · metropilot")
     async def drive(
-        request: Request, run: str | None = None, line: str | None = None, trainset: str | None = None
+        request: Request,
+        run: str | None = None,
+        line: str | None = None,
+        trainset: str | None = None,
+        campaign: str | None = None,
+        row: int = 0,
     ) -> RedirectResponse | None:
-        page = DrivePage(service, run)
+        page = DrivePage(service, run, None if campaign is None else (campaign, row))
         if page.row is not None and "follower" in page.row.request:
             return RedirectResponse(f"/convoy?run={page.row.id}")
         with frame(request, "/"):

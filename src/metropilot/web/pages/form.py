@@ -266,6 +266,9 @@ class SectionForm:
         self._filling = True
         self.line = catalogue.line_out(self.service, body["line"])
         stops = names(self.line["stops"])
+        if body["trainset"] not in self.trainset_in.options:  # one with another dead time, or a random one
+            named: Any = self.trainset_in.options
+            self.trainset_in.set_options({**named, body["trainset"]: body["trainset"]})
         self.line_in.value, self.trainset_in.value = body["line"], body["trainset"]
         self.origin_in.set_options(stops, value=ends[0])
         self.destination_in.set_options(stops, value=ends[1])
@@ -444,6 +447,7 @@ class DisturbanceForm(FoldedNumbers):
 
     def __init__(self) -> None:
         super().__init__(DriveIn, "Disturbances", self.FIELDS)
+        self.seed: int | None = None
 
     def build(self, problem: Problem, changed: Callable[[], Any] | None = None) -> None:
         """Place the fields, and that of an ideal trainset."""
@@ -457,12 +461,19 @@ class DisturbanceForm(FoldedNumbers):
 
     def values(self) -> dict[str, Any]:
         """Values of the fields for a request."""
-        return super().values() | {"ideal": self.ideal.value}
+        found = super().values() | {"ideal": self.ideal.value}
+        if self.seed is not None and self.inputs["seed"].value is None:
+            found["seed"] = self.seed
+        return found
 
     def restore(self, body: dict[str, Any]) -> None:
         """Fill the fields with the request of a run; open the expansion if there is a disturbance."""
         self.ideal.value = body.get("ideal", self.defaults()["ideal"])
-        super().restore(body)
+        # a browser has no such integers: the field stays empty, which stands for the seed of the linked run
+        self.seed = body["seed"] if body.get("seed", 0) >= COUNTLESS else None
+        if self.seed is not None:
+            self.inputs["seed"].props(f'hint="empty: {self.seed}, that of the linked run"')
+        super().restore(body if self.seed is None else body | {"seed": None})
 
 
 def driver_kind(row: dict[str, Any]) -> str:

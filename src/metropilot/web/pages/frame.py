@@ -23,6 +23,7 @@ PAGES = (
     ("/learn", "Learn"),
     ("/lines", "Lines"),
     ("/runs", "Runs"),
+    ("/campaigns", "Campaigns"),
 )
 THEME = "metropilot_theme"
 THEMES = {"auto": None, "light": False, "dark": True}

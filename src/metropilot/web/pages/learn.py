@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from functools import partial
 from typing import Any
 
@@ -9,11 +10,13 @@ from fastapi import Request
 from nicegui import run, ui
 
 from metropilot.errors import MetropilotError
+from metropilot.studies import PublishedStudy
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
 from metropilot.web.pages.form import number_field, validate
 from metropilot.web.pages.frame import Problem, card, empty, frame, number, refresh_while, table
 from metropilot.web.pages.plots import blank, history_figure
+from metropilot.web.pages.tables import DataColumn, DataTable
 from metropilot.web.schemas.requests import LearnIn, StudyIn
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
@@ -200,31 +203,58 @@ class LearnPage:
                 go.props(f'aria-label="Show {row["id"]}"')
 
     def show_study(self, key: str) -> None:
-        """Show the table of a study, or its status."""
+        """Show the published page of a study, and the table of the newest reproduction here."""
         self.tables.clear()
-        with self.tables, card(key):
-            try:
-                study_table(catalogue.study_table(self.service, key))
-            except Refused:
-                going = [
-                    j
-                    for j in self.service.store.jobs("study")
-                    if j.request["study"] == key and j.status in GOING
-                ]
-                words = (
-                    going[0].words or going[0].status
-                    if going
-                    else "Not reproduced here yet; quick takes about 2 min."
-                )
-                empty(words)
-            again = ui.button("Reproduce (quick)", on_click=lambda: self.reproduce(key))
-            again.props("outline no-caps")
+        with self.tables:
+            with card(key, "Reproduced here"):
+                try:
+                    study_table(catalogue.study_table(self.service, key))
+                except Refused:
+                    going = [
+                        job
+                        for job in self.service.store.jobs("study")
+                        if job.request["study"] == key and job.status in GOING
+                    ]
+                    words = "Not reproduced here yet; quick takes about 2 min."
+                    empty(going[0].words or going[0].status if going else words)
+                again = ui.button("Reproduce (quick)", on_click=lambda: self.reproduce(key))
+                again.props("outline no-caps")
+            with self.problem.show_errors():
+                published_page(catalogue.study_page(key))
+        ui.run_javascript(
+            f"history.replaceState(null, '', '/learn?study={key}');"
+            f"document.getElementById('c{self.tables.id}').scrollIntoView()"
+        )
 
     def reproduce(self, key: str) -> None:
         """Queue a study."""
         with self.problem.show_errors():
             self.service.submit(StudyIn(study=key))
             self.show_study(key)
+
+
+def published_page(found: PublishedStudy) -> None:
+    """Show the published page of a study: verdicts, rows, figures."""
+    with card(found.title, found.written):
+        if found.verdicts:
+            ui.label(found.summary).classes("mp-soft").props('data-test="verdict"')
+            rows = []
+            for row in found.verdicts:
+                style = VERDICTS.get(row["verdict"], "")
+                words = [row[name] for name in ("claim", "unit", "published", "ours", "interval", "rival")]
+                rows.append((*words, (row["verdict"], style), row["why"]))
+            columns = ("claim of the paper", "unit", "published", "ours", "interval", "simple rival")
+            table((*columns, "verdict", "why"), rows, right=(2, 3, 4), name="Verdicts")
+        listed = DataTable("Published rows", STUDY_ROWS)
+        listed.build()
+        listed.fill([{"id": k, **asdict(row)} for k, row in enumerate(found.rows)])
+    if found.figures:
+        with card("Figures"):
+            for figure in found.figures:
+                ui.label(figure.caption).classes("mp-soft")
+                picture = ui.element("img").classes("mp-picture")
+                picture.props["src"] = f"/api/studies/{found.id}/figures/{figure.name}"
+                picture.props["alt"] = figure.caption
 
 
 def study_table(rows: list[dict[str, Any]]) -> None:
@@ -251,6 +281,21 @@ def study_table(rows: list[dict[str, Any]]) -> None:
 def figures(value: float | None) -> str:
     """Format a number with four significant digits."""
     return number(None) if value is None else f"{value:.4g}".replace("-", "−")
+
+
+VERDICTS = {"beaten": "mp-pass", "matched": "mp-pass", "missed": "mp-fail"}
+STUDY_ROWS = (
+    DataColumn("table", "Table", filtered=True, wide=True),
+    DataColumn("case", "Case"),
+    DataColumn("driver", "Driver", filtered=True),
+    DataColumn("kpi", "KPI", filtered=True),
+    DataColumn("unit", "Unit", wide=True),
+    DataColumn("published", "Published", digits=3),
+    DataColumn("ours", "Ours", digits=3),
+    DataColumn("low", "Smallest", digits=3, wide=True),
+    DataColumn("high", "Largest", digits=3, wide=True),
+    DataColumn("optimum", "Optimum", digits=3, wide=True),
+)
 
 
 def install(service: Service) -> None:

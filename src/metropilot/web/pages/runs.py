@@ -14,7 +14,7 @@ from metropilot.web.errors import Refused
 from metropilot.web.pages.form import validate
 from metropilot.web.pages.frame import Problem, card, clock, empty, frame, heading, number, table
 from metropilot.web.pages.plots import difference_figure
-from metropilot.web.pages.tables import Column, DataTable
+from metropilot.web.pages.tables import DataColumn, DataTable
 from metropilot.web.schemas.requests import NameIn
 from metropilot.web.service import ABANDONED_S, RESUMABLE, Service
 from metropilot.web.store import JobRow
@@ -24,14 +24,14 @@ LISTED = 500
 """Newest jobs that the page lists."""
 GOING = ("queued", "running")
 COLUMNS = (
-    Column("words", "Run", kind="link"),
-    Column("kind", "Kind", filtered=True, wide=True),
-    Column("state", "Status", kind="styled"),
-    Column("status", "Stage", filtered=True, wide=True),
-    Column("time_s", "Time (s)", digits=1, wide=True),
-    Column("energy_kwh", "Energy (kWh)", digits=2),
-    Column("gap_percent", "Gap (%)", digits=2, wide=True),
-    Column("created", "Begun", wide=True),
+    DataColumn("words", "Run", kind="link"),
+    DataColumn("kind", "Kind", filtered=True, wide=True),
+    DataColumn("state", "Status", kind="styled"),
+    DataColumn("status", "Stage", filtered=True, wide=True),
+    DataColumn("time_s", "Time (s)", digits=1, wide=True),
+    DataColumn("energy_kwh", "Energy (kWh)", digits=2),
+    DataColumn("gap_percent", "Gap (%)", digits=2, wide=True),
+    DataColumn("created", "Begun", wide=True),
 )
 PAIRED = {
     "running_time_s": ("running time (s)", 1.0, 1),

@@ -24,7 +24,7 @@ FIXED = "value => value === null || value === undefined ? '–' : value.toFixed(
 
 
 @dataclass(frozen=True)
-class Column:
+class DataColumn:
     """A column of a table.
 
     Attributes:
@@ -44,7 +44,7 @@ class Column:
     filtered: bool = False
 
     def as_dict(self) -> dict[str, Any]:
-        """Column as Quasar has it."""
+        """DataColumn as Quasar has it."""
         narrow = "gt-xs" if self.wide else ""
         found = {
             "name": self.name,
@@ -64,24 +64,27 @@ class DataTable:
     Args:
         name: Name of the table for a screen reader.
         columns: Its columns.
-        sort: Column by which it is sorted first; with a minus before it largest first.
+        sort: DataColumn by which it is sorted first; with a minus before it largest first.
         actions: Buttons of a row by name, with what they call with the row's ``id``; a row names those that
             it has in ``actions``.
         selected: Called when rows are chosen; None: none can be.
+        changed: Called when another value is chosen in a list above the table.
     """
 
     def __init__(
         self,
         name: str,
-        columns: Sequence[Column],
+        columns: Sequence[DataColumn],
         *,
         sort: str = "",
         actions: dict[str, Callable[[str], Any]] | None = None,
         selected: Callable[[], Any] | None = None,
+        changed: Callable[[], Any] | None = None,
     ) -> None:
         self.name, self.columns, self.sort = name, tuple(columns), sort
-        self.actions, self.selected = actions or {}, selected
+        self.actions, self.selected, self.changed = actions or {}, selected, changed
         self.rows: list[dict[str, Any]] = []
+        self.filling = False
 
     def build(self) -> None:
         """Place search field, filters and table."""
@@ -89,7 +92,7 @@ class DataTable:
             self.search = ui.input("Find").props("outlined dense clearable debounce=150")
             self.search.props(f'aria-label="Find in {self.name}"')
             self.filters = {
-                column.name: ui.select({"": "all"}, value="", label=column.label, on_change=self.show)
+                column.name: ui.select({"": "all"}, value="", label=column.label, on_change=self.filter)
                 for column in self.columns
                 if column.filtered
             }
@@ -128,13 +131,21 @@ class DataTable:
         """Show rows; those chosen stay so while they are there."""
         if rows == self.rows:
             return
-        self.rows = rows
+        self.rows, self.filling = rows, True
         for name, field in self.filters.items():
             values = sorted({str(row[name]) for row in rows if row[name] is not None})
             field.set_options({"": "all", **{value: value for value in values}})
             if field.value not in field.options:
                 field.value = ""
+        self.filling = False
         self.show()
+
+    def filter(self) -> Any:  # noqa: ANN401 (a page's answer)
+        """Show the rows that the filters let through, and tell the page."""
+        if self.filling:
+            return None
+        self.show()
+        return None if self.changed is None else self.changed()
 
     def show(self) -> None:
         """Show the rows that the filters let through."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, create_model
 from pydantic_core import CoreSchema, core_schema
 
 from metropilot._schema import FieldSpec, Range, field_default, field_specs, field_type
+from metropilot.campaign import CampaignFile
 from metropilot.convoy import ConvoyRequest, Link
 from metropilot.evaluate import POLICY, RunSpec, parse_driver, run_fields
 from metropilot.operation import OperationOptions
@@ -26,6 +27,14 @@ DriverName = Annotated[
     ),
 ]
 """Id of a driver, with the learning run or upload that holds its policy."""
+TrainsetKey = Annotated[
+    str,
+    Field(
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}(@[0-9]{1,2}(\.[0-9]{1,6})?,[0-9]{1,2}(\.[0-9]{1,6})?)?$",
+        examples=["dkz32", "dkz32@0.6,0.4"],
+    ),
+]
+"""Id of a trainset, with the dead time and lag that it declares instead of its own, s."""
 StationKey = Annotated[str, Field(min_length=1, max_length=80, examples=["RJ"])]
 Seconds = Annotated[float, Field(gt=0, le=36_000, description="s")]
 Option = bool | int | float | Id
@@ -155,7 +164,7 @@ class SectionIn(RequestBody):
     line: Id = "yizhuang"
     origin: StationKey = "RJ"
     destination: StationKey = "WYJ"
-    trainset: Id = "dkz32"
+    trainset: TrainsetKey = "dkz32"
     load: Annotated[str, Field(max_length=32)] | None = None
     restrictions: Annotated[list[RestrictionIn], Field(max_length=20)] = []
 
@@ -180,7 +189,7 @@ class DriveIn(PlanIn, DisturbanceIn):
     options: dict[Word, Option] = {}
     arrivals: Annotated[list[ArrivalIn], Field(max_length=20)] = []
     dt_s: Annotated[float, Checked("dt_s", RUN_FIELDS["dt_s"])] = CONTROL_PERIOD_S
-    seed: Annotated[int, Field(lt=2**53), Checked("seed", RUN_FIELDS["seed"])] = 0
+    seed: Annotated[int, Field(lt=2**63), Checked("seed", RUN_FIELDS["seed"])] = 0
 
 
 class CompareIn(DriveIn):
@@ -244,6 +253,16 @@ class VersionIn(RequestBody):
 
     toml: Annotated[str, Field(max_length=1_000_000)]
     version: Annotated[int, Field(ge=1, lt=2**31)]
+
+
+class CampaignIn(CampaignFile):
+    """A campaign of drives: the values of its TOML file, lines, trainsets and policies by id."""
+
+    model_config = example(
+        name="mass and resistance",
+        matrix={"drivers": ["optimal", "manual"], "sections": ["yizhuang RJ WYJ"], "loads": ["AW2"]},
+        disturbance=[{"name": "heavy", "mass_factor": [1.0, 1.2]}],
+    )
 
 
 class LearnIn(RequestBody):
@@ -359,4 +378,21 @@ def request_of(body: DriveIn, path: Callable[[str, str], str]) -> RunSpec:
         spec,
         restrictions=tuple(r for r, at_s in restrictions if at_s is None),
         disturbance=replace(spec.disturbance, updates=tuple(updates)),
+    )
+
+
+def body_of(spec: RunSpec) -> DriveIn:
+    """Body of a run whose line and trainset are named by ids."""
+    disturbance = {name: getattr(spec.disturbance, name) for name in DisturbanceIn.model_fields}
+    known = [(restriction, None) for restriction in spec.restrictions]
+    updates = spec.disturbance.updates
+    known += [(each.restriction, each.at_s) for each in updates if each.restriction is not None]
+    arrivals = [each for each in updates if each.scheduled_time_s is not None]
+    values = {f.name: getattr(spec, f.name) for f in fields(RunSpec) if f.name in DriveIn.model_fields}
+    return DriveIn.model_validate(
+        values
+        | {name: None if value == float("inf") else value for name, value in disturbance.items()}
+        | {"driver": spec.driver, "options": dict(spec.options), "trainset": str(spec.trainset)}
+        | {"restrictions": [asdict(restriction) | {"at_s": at_s} for restriction, at_s in known]}
+        | {"arrivals": [{"at_s": a.at_s, "scheduled_time_s": a.scheduled_time_s} for a in arrivals]}
     )

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
-JobKind = Literal["drive", "compare", "journey", "line", "learn", "study", "live"]
+JobKind = Literal["drive", "compare", "journey", "line", "campaign", "learn", "study", "live"]
 JobStatus = Literal["queued", "running", "done", "failed", "stopped", "interrupted"]
 JobSort = Literal["created", "name", "kind", "status", "time_s", "energy_kwh", "gap_percent"]
 
@@ -312,6 +312,33 @@ class OperationOut(BaseModel):
     files: list[str]
 
 
+class CampaignRow(BaseModel):
+    """A campaign in a list: published with its page, or a job of this server."""
+
+    id: str
+    name: str
+    rows: int
+    done: int
+    status: JobStatus
+    words: str
+
+
+class CampaignOut(CampaignRow):
+    """A campaign: how it was computed, and statistics by driver, and by driver and disturbance."""
+
+    written: str
+    matrix: str
+    drivers: list[dict[str, Any]]
+    cells: list[dict[str, Any]]
+
+
+class CampaignRowsOut(BaseModel):
+    """Rows of a campaign: how many have the values that were asked for, and some of them."""
+
+    count: int
+    rows: list[dict[str, Any]]
+
+
 class LeverOut(BaseModel):
     """Holder of the lever, and the time since departure at which it was taken."""
 
@@ -390,6 +417,13 @@ class StudyOut(BaseModel):
     page: bool
 
 
+class StudyFigure(BaseModel):
+    """A figure of a study's page; the file is at `/api/studies/ID/figures/NAME`."""
+
+    name: str
+    caption: str
+
+
 class StudyRow(BaseModel):
     """A number of a study: published, reproduced with its range over seeds, optimal."""
 
@@ -403,3 +437,15 @@ class StudyRow(BaseModel):
     low: float | None
     high: float | None
     optimum: float | None
+
+
+class StudyPage(BaseModel):
+    """The published page of a study: verdicts on the paper's claims, every row, figures."""
+
+    id: str
+    title: str
+    written: str
+    summary: str
+    verdicts: list[dict[str, str]]
+    rows: list[StudyRow]
+    figures: list[StudyFigure]

@@ -43,6 +43,7 @@ FILES = {
         *(f"trajectory-{k + 1}.csv" for k in range(MOST)),
     ),
     "compare": ("comparison.json", "comparison.svg", "comparison.png", "run.toml"),
+    "campaign": ("results.parquet",),
     "line": (
         "line.json",
         "day.json",
