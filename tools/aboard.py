@@ -31,13 +31,12 @@ from metropilot.aboard import (
     CompiledDriver,
     compile_driver,
     drive_compiled,
-    in_precision,
     trace_driver,
     write_driver,
 )
 from metropilot.drivers import LearnedDriver
 from metropilot.physics import Command, double_precision, to_jax
-from metropilot.policy import LoadedPolicy, Policy, load_driving_policy, shipped_policy
+from metropilot.policy import LoadedPolicy, Policy, in_precision, load_driving_policy, shipped_policy
 from metropilot.protection import LEVELS, Memory, protect, supervise
 from metropilot.railway import Section, load_line, load_trainset
 from metropilot.sim import Rollout, Run
@@ -147,7 +146,7 @@ def export_driver(
     """A driver written and compiled; with ``many`` together with the loops of this file."""
     program = trace_driver(DRIVER, load_generalist(), sections, load_trainset(TRAINSET, load), number=number)
     folder = Path(mkdtemp(prefix="aboard-"))
-    write_driver(program, load_generalist(), folder)
+    write_driver(program, folder)
     if many:
         source = folder / f"{DRIVER}.c"
         source.write_text(
@@ -309,7 +308,7 @@ def measure_build(number: str, second: str) -> dict[str, Any]:
     pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (vectors, us)]
     driver.library.clocked(ctypes.c_int64(STEPS), ctypes.c_int64(len(vectors)), *pointers)
     print(number, statistics.median(us.tolist()), us.max(), flush=True)
-    write_driver(driver.program, load_generalist(), folder)
+    write_driver(driver.program, folder)
     (folder / "hostile.c").write_text(HOSTILE.replace("@NAME@", DRIVER))
     builds = {}
     for name, compiler in {"clang": second, "gcc": "cc -fstack-usage"}.items():

@@ -7,10 +7,10 @@ import subprocess
 import numpy as np
 import pytest
 
-from metropilot.aboard import compile_driver, drive_compiled, in_precision, trace_driver, write_driver
+from metropilot.aboard import compile_driver, drive_compiled, trace_driver, write_driver
 from metropilot.drivers import LearnedDriver
 from metropilot.physics import Command
-from metropilot.policy import Policy, load_driving_policy, shipped_policy
+from metropilot.policy import Policy, in_precision, load_driving_policy, shipped_policy
 from metropilot.protection import at_start, protect, supervise
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Rollout, Run
@@ -29,7 +29,7 @@ def sources(ppo, tmp_path_factory):
     line, folder = load_line("yizhuang"), tmp_path_factory.mktemp("aboard")
     sections = [line.section("RJ", "WYJ"), line.section("XC", "XHM")]
     program = trace_driver("ppo", ppo, sections, load_trainset("dkz32", "AW2"))
-    return program, folder, write_driver(program, ppo, folder)
+    return program, folder, write_driver(program, folder)
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +127,25 @@ def test_numbers_out_of_range_break_nothing(driver):
         answer = driver.step(*rng.choice(extreme, 5))
         assert -1.0 <= answer.share <= 1.0
         assert 0 <= answer.level <= 3
+
+
+@pytest.mark.parametrize("period_s", [0.4, 0.5, 0.6])
+def test_single_precision_decides_when_double_does(tmp_path, ppo, period_s):
+    """Times in single precision are rounded by some microseconds, before a decision is due or behind it."""
+    from dataclasses import replace
+
+    often = replace(ppo, interface=replace(ppo.interface, period_s=period_s))
+    line = load_line("yizhuang")
+    program = trace_driver("ppo", often, [line.section("RJ", "WYJ")], load_trainset("dkz32"), number="float")
+    write_driver(program, tmp_path)
+    single = compile_driver(program, tmp_path, options=("-O1",))
+    single.init(0)
+    decided, time_s = 0, 0.0
+    for k in range(1500):
+        single.step(time_s, 20.0, 5.0, 0.1, 400.0)
+        decided = int((k + 0.01) * 0.2 / period_s) + 1 if 0.2 * k > decided * period_s - 0.01 else decided
+        assert single.state.policy.decided == decided
+        time_s += 0.2
 
 
 def test_there_is_no_other_section(driver):

@@ -12,13 +12,14 @@ import pytest
 from metropilot.aboard import STRICT
 from metropilot.aboard.emit import Tables, emit_body
 from metropilot.aboard.graph import trace_graph
-from metropilot.aboard.preamble import EXP_ULP, TANH_ULP, preamble
+from metropilot.aboard.preamble import EXP_ULP, LOG_ULP, TANH_ULP, preamble
 from metropilot.errors import InputError
 from metropilot.physics import double_precision
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 X = np.array([0.3, -1.7, 2.5, 0.0, -0.25, 4.0, 1e-9, -3.2])
 TABLE = np.linspace(-1.0, 2.0, 40).reshape(2, 10, 2) ** 3
+THIRDS = np.float32([1 / 3, 1 / 7, 1 / 9, 1 / 11]).astype(np.float64)
 STEPS = np.repeat([1.5, -2.0, 0.25], 400)
 
 
@@ -46,8 +47,17 @@ FUNCTIONS = {
     "largest": lambda x, i: jnp.argmax(x) + i,
     "whole numbers": lambda x, i: (x * 7.0).astype(jnp.int32) * i - 3,
     "not a number": lambda x, i: jnp.where(jnp.isfinite(x / 0.0), 1.0, jnp.maximum(x / x, 0.5)),
+    "narrow table": lambda x, i: jnp.asarray(THIRDS)[i] * jnp.asarray(THIRDS)[i + 1] * x,
+    "logarithm": lambda x, i: jnp.log(jnp.abs(x) + 1e-3),
+    "rounds": lambda x, i: jnp.round(x * 4.0) + jnp.round(x * 2.0),
     "coded table": lambda x, i: jnp.asarray(STEPS)[100 * i + 1] * x,
 }
+
+
+def header(text, tables):
+    """Text that comes before functions."""
+    include = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n"
+    return "\n".join([include + preamble(text), *tables.lines, ""])
 
 
 def compile_c(folder, text):
@@ -74,10 +84,7 @@ def shared_library(tmp_path_factory):
             bodies.append("\n".join([head, *lines, "}"]))
             results[name] = graph.outputs[0]
     text = "\n".join(bodies)
-    include = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n"
-    library = compile_c(
-        tmp_path_factory.mktemp("emit"), include + preamble(text) + "\n" + "\n".join(tables.lines) + text
-    )
+    library = compile_c(tmp_path_factory.mktemp("emit"), header(text, tables) + text)
     return library, results, tables
 
 
@@ -106,19 +113,27 @@ def test_what_has_no_form_in_c_is_refused_by_name():
 
 
 @pytest.mark.parametrize(
-    ("name", "low", "high", "most"), [("exp", -700.0, 709.0, EXP_ULP), ("tanh", -25.0, 25.0, TANH_ULP)]
+    ("name", "low", "high", "most"),
+    [("exp", -700.0, 709.0, EXP_ULP), ("tanh", -25.0, 25.0, TANH_ULP), ("log", 1e-9, 1e3, LOG_ULP)],
 )
-def test_exp_and_tanh_are_as_exact_as_they_say(tmp_path, name, low, high, most):
+def test_functions_are_as_exact_as_they_say(tmp_path, name, low, high, most):
     wrapper = f"double call(double x);\ndouble call(double x) {{ return {name}_f64(x); }}\n"
-    text = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n"
-    library = compile_c(tmp_path, text + preamble(wrapper) + "\n" + wrapper)
+    library = compile_c(tmp_path, header(wrapper, Tables()) + wrapper)
     library.call.restype, library.call.argtypes = ctypes.c_double, [ctypes.c_double]
     rng = np.random.default_rng(3)
     x = np.concatenate([rng.uniform(low, high, 4000), rng.normal(0.0, 0.5, 4000), [0.0, 0.625, -0.625]])
+    if name == "log":
+        x = np.concatenate(
+            [np.abs(x[x != 0.0]), 10.0 ** rng.uniform(-320.0, 308.0, 4000), [2.0**0.5, 5e-324]]
+        )
     found = np.array([library.call(each) for each in x])
     exact = getattr(np, name)(x.astype(np.longdouble))
     ulp = np.abs(found - exact) / np.spacing(np.abs(exact.astype(np.float64)))
     assert ulp.max() <= most
-    assert library.call(np.inf) == (np.inf if name == "exp" else 1.0)
-    assert library.call(-np.inf) == (0.0 if name == "exp" else -1.0)
+    assert library.call(np.inf) == (1.0 if name == "tanh" else np.inf)
+    if name == "log":
+        assert library.call(0.0) == -np.inf
+        assert np.isnan(library.call(-np.inf))
+    else:
+        assert library.call(-np.inf) == (0.0 if name == "exp" else -1.0)
     assert np.isnan(library.call(np.nan))

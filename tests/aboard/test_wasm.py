@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metropilot.aboard import find_zig, in_precision, trace_driver, write_driver
+from metropilot.aboard import find_zig, trace_driver, write_driver
 from metropilot.drivers import LearnedDriver
 from metropilot.errors import InputError
-from metropilot.policy import Policy, load_driving_policy, shipped_policy
+from metropilot.policy import Policy, in_precision, load_driving_policy, shipped_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Rollout, Run
 
@@ -103,7 +103,7 @@ def test_webassembly_is_written_where_there_is_a_compiler(tmp_path):
     program = trace_driver(
         "ppo", loaded, [load_line("yizhuang").section("RJ", "WYJ")], load_trainset("dkz32", "AW2")
     )
-    report = write_driver(program, loaded, tmp_path, compiler=compiler)
+    report = write_driver(program, tmp_path, compiler=compiler)
     assert {"ppo.wasm", "ppo.mjs", "ppo.html", "ppo.c"} <= set(report.files)
     assert (tmp_path / "ppo.wasm").stat().st_size < 500_000
     if shutil.which("node"):

@@ -7,7 +7,7 @@ from .library import drive_compiled as drive_compiled
 from .program import NUMBERS as NUMBERS
 from .program import AboardProgram as AboardProgram
 from .program import check_exportable as check_exportable
-from .program import in_precision as in_precision
+from .program import exportable as exportable
 from .program import trace_driver as trace_driver
 from .source import AboardReport as AboardReport
 from .source import write_driver as write_driver

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+import re
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import prod
 from types import MappingProxyType
@@ -22,6 +23,8 @@ CODED_BYTES, CODED_SHARE = 4096, 0.65
 """Tables from this size on are stored as their distinct values and a number for each entry, where this takes
 at most such a share of it."""
 
+VARIABLE = re.compile(r"\bv\d+\b")
+DEFINITION = re.compile(r"^ *const \w+ (v\d+) = [^;]*;\n", re.MULTILINE)
 VIEWS = frozenset(
     {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "slice", "transpose", "rev", "dynamic_slice"}
 )
@@ -31,7 +34,7 @@ COMPARISONS = MappingProxyType({"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "e
 LOGIC = MappingProxyType({"and": "&&", "or": "||", "xor": "!="})
 CALLS = MappingProxyType(
     {
-        **{op: op for op in ("exp", "tanh", "floor", "sign", "max", "min")},
+        **{op: op for op in ("exp", "log", "tanh", "floor", "sign", "max", "min")},
         "is_finite": "finite",
     }
 )
@@ -71,11 +74,14 @@ class Tables:
         self.lines: list[str] = []
         self.bytes = 0
         self.known: dict[Any, tuple[str, str | None]] = {}
+        self.narrow: set[str] = set()
 
     def at(self, array: np.ndarray, flat: str) -> str:
         """Expression of one entry."""
         name, coded = self.name(array)
-        return f"{name}[{flat}]" if coded is None else f"{name}[{coded}[{flat}]]"
+        found = f"{name}[{flat}]" if coded is None else f"{name}[{coded}[{flat}]]"
+        # stored in single precision or not: what is computed with it, is computed in its own type
+        return f"(double){found}" if array.dtype == np.float64 and name in self.narrow else found
 
     def name(self, array: np.ndarray) -> tuple[str, str | None]:
         """Name of a table, and (coded tables) that of the numbers of its entries."""
@@ -102,6 +108,7 @@ class Tables:
         if kind == "double" and np.array_equal(values.astype(np.float32), values):
             # numbers that are in single precision, as those of a network, are stored so
             values, kind = values.astype(np.float32), "float"
+            self.narrow.add(name)
         self.bytes += values.nbytes
         texts = [literal(value, values.dtype) for value in values]
         self.lines.append(f"static const {kind} {name}[{values.size}] = {{")
@@ -185,7 +192,7 @@ class _Emitter:
             f"{indent}{TYPES[kind]} w_{SHORT[kind]}[{arena.size}];"
             for kind, arena in sorted(self.arenas.items())
         ]
-        return [*arenas, *self.lines, *copies]
+        return _drop_unread([*arenas, *self.lines, *copies])
 
     def copy(self, node: Operation, target: str, indent: str) -> list[str]:
         """Lines that write a result to where it belongs."""
@@ -366,7 +373,7 @@ class _Emitter:
         stacked = node.op == "stack"
         axis, begin = node.params["axis" if stacked else "dimension"], 0
         lines = []
-        for arg in node.args:
+        for arg in (each for each in node.args if each.size):
             index = [f"i{k}" for k in range(len(arg.shape))]
             if arg.size == 1:
                 index = ["0"] * len(arg.shape)
@@ -564,7 +571,8 @@ class _Emitter:
         if op == "convert_element_type":
             return _convert(values[0], given, dtype)
         if op == "round":
-            return f"round_{kind}({values[0]})"
+            even = int(params.get("rounding_method", 0)) == 1
+            return f"{'even' if even else 'round'}_{kind}({values[0]})"
         by = None if node is None or len(node.args) < 2 else node.args[1].params.get("value")
         if op == "rem" and by is not None and by.size == 1 and float(by) == 1.0:
             return f"fraction_{kind}({values[0]})"
@@ -584,6 +592,15 @@ def _convert(value: str, given: np.dtype, dtype: np.dtype) -> str:
     if given.kind == "f" and dtype.kind == "i":
         return f"({TYPES[dtype.name]})to_i32({value if given == np.float64 else f'(double){value}'})"
     return f"({TYPES[dtype.name]}){value}"
+
+
+def _drop_unread(lines: Sequence[str]) -> list[str]:
+    """Lines without the variables that nothing reads, as an index into a column of equal entries."""
+    text, before = "\n".join(lines), ""
+    while text != before:
+        before, read = text, Counter(VARIABLE.findall(text))
+        text = DEFINITION.sub(lambda match, read=read: match[0] if read[match[1]] > 1 else "", before)
+    return text.split("\n")
 
 
 def _flatten(nodes: Sequence[Operation]) -> list[Operation]:

@@ -75,16 +75,16 @@ def trace_graph(function: Callable[..., Any], *arguments: Any) -> Graph:  # noqa
     import jax
 
     closed = jax.make_jaxpr(function)(*arguments)
-    builder = _Builder()
+    builder = Builder()
     inputs = [
         Operation("input", (), tuple(v.aval.shape), np.dtype(v.aval.dtype), {"number": k})
         for k, v in enumerate(closed.jaxpr.invars)
     ]
     outputs = builder.inline(closed.jaxpr, closed.consts, inputs)
-    return Graph(inputs, outputs, _drop_unused(builder.scopes[0].nodes, outputs))
+    return Graph(inputs, outputs, drop_unused(builder.scopes[0].nodes, outputs))
 
 
-class _Scope:
+class Scope:
     """Operations of the function or of a branch, and which of them are known."""
 
     def __init__(self) -> None:
@@ -92,14 +92,15 @@ class _Scope:
         self.known: dict[Any, Operation] = {}
 
 
-class _Builder:
+class Builder:
     """Interpreter of a jaxpr that builds the graph."""
 
     def __init__(self) -> None:
-        self.scopes = [_Scope()]
+        self.scopes = [Scope()]
         self.constants: dict[Any, Operation] = {}
 
     def constant(self, value: Any) -> Operation:  # noqa: ANN401 (a number or an array)
+        """A constant, the known one where there is an equal one."""
         array = np.asarray(value)
         key = (array.dtype.str, array.shape, array.tobytes())
         if key not in self.constants:
@@ -186,10 +187,21 @@ class _Builder:
         index, rest = given[0], given[1:]
         sides = []
         for side in branches:
-            self.scopes.append(_Scope())
+            self.open_scope()
             results = self.inline(side.jaxpr, side.consts, rest)
-            nodes = _drop_unused(self.scopes.pop().nodes, results)
-            sides.append(Branch(nodes, results))
+            sides.append(Branch(drop_unused(self.close_scope().nodes, results), results))
+        return self.choice(index, sides)
+
+    def open_scope(self, scope: Scope | None = None) -> None:
+        """Begin the operations of a branch, or go on with them."""
+        self.scopes.append(scope or Scope())
+
+    def close_scope(self) -> Scope:
+        """End them; returns them."""
+        return self.scopes.pop()
+
+    def choice(self, index: Operation, sides: list[Branch]) -> list[Operation]:
+        """Results of the branch of a number."""
         if any(result.size != 1 for side in sides for result in side.results):
             raise InputError("the driver chooses between arrays, which has no form in C", field="to")
         made = Operation("cond", (index,), (), np.dtype(np.int32), {"sides": sides})
@@ -216,13 +228,13 @@ def operands(node: Operation) -> list[Operation]:
 
 def is_uniform(node: Operation) -> bool:
     """Tell if a node is a constant of which all entries have the same bits."""
-    if node.op != "const":
+    if node.op != "const" or node.size == 0:
         return False
     value = node.params["value"]
     return value.tobytes() == value.flat[0].tobytes() * value.size
 
 
-def _drop_unused(nodes: Sequence[Operation], results: Sequence[Operation]) -> list[Operation]:
+def drop_unused(nodes: Sequence[Operation], results: Sequence[Operation]) -> list[Operation]:
     """The nodes that the results need, in order."""
     wanted, kept = set(map(id, results)), []
     for node in reversed(nodes):

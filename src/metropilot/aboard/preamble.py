@@ -39,6 +39,14 @@ static TYPE round_SHORT(TYPE x)
     const TYPE t = whole_SHORT(x), rest = x - t;
     return rest >= (TYPE)0.5 ? t + 1 : rest <= (TYPE)-0.5 ? t - 1 : t;
 }
+
+/* the nearest whole number, halves to the even one */
+static TYPE even_SHORT(TYPE x)
+{
+    const TYPE t = floor_SHORT(x), rest = x - t, half = (TYPE)0.5 * t;
+    if (rest == (TYPE)0.5) return half == whole_SHORT(half) ? t : t + 1;
+    return rest > (TYPE)0.5 ? t + 1 : t;
+}
 """
 BASE = """
 /* an index, kept inside an array */
@@ -97,9 +105,41 @@ static double tanh_f64(double x)
 }
 
 static float tanh_f32(float x) { return (float)tanh_f64((double)x); }
+
+/* natural logarithm, within LOG_ULP units in the last place (fdlibm, Sun Microsystems 1993) */
+static double log_f64(double x)
+{
+    uint64_t bits;
+    double n = 0.0, f, s, z, w, r, half;
+    if (x != x || x == (double)INFINITY) return x;
+    if (x <= 0.0) return x < 0.0 ? (double)NAN : -(double)INFINITY;
+    if (x < 2.2250738585072014e-308) {
+        x *= 18014398509481984.0;
+        n = -54.0;
+    }
+    memcpy(&bits, &x, sizeof bits);
+    n += (double)((int64_t)(bits >> 52) - 1023);
+    bits = (bits & 0xfffffffffffffu) | 0x3ff0000000000000u;
+    memcpy(&x, &bits, sizeof x);
+    if (x > 1.41421356237309504880) {
+        x *= 0.5;
+        n += 1.0;
+    }
+    f = x - 1.0;
+    s = f / (2.0 + f);
+    z = s * s;
+    w = z * z;
+    r = w * (3.999999999940941908e-1 + w * (2.222219843214978396e-1 + w * 1.531383769920937332e-1))
+        + z * (6.666666666666735130e-1 + w * (2.857142874366239149e-1
+        + w * (1.818357216161805012e-1 + w * 1.479819860511658591e-1)));
+    half = 0.5 * f * f;
+    return n * 6.93147180369123816490e-1 - ((half - (s * (half + r) + n * 1.90821492927058770002e-10)) - f);
+}
+
+static float log_f32(float x) { return (float)log_f64((double)x); }
 """
-EXP_ULP, TANH_ULP = 2, 2
-"""Largest errors of ``exp`` and ``tanh``, units in the last place; a test measures them."""
+EXP_ULP, TANH_ULP, LOG_ULP = 2, 2, 1
+"""Largest errors of ``exp``, ``tanh`` and ``log``, units in the last place; a test measures them."""
 FUNCTION = re.compile(r"^static \w+ (\w+)\(", re.MULTILINE)
 
 
@@ -107,7 +147,11 @@ def _functions() -> dict[str, str]:
     """Text of every function by its name, in an order in which each comes after those that it calls."""
     doubles = SINGLE.replace("TYPE", "double").replace("SHORT", "f64")
     floats = SINGLE.replace("TYPE", "float").replace("SHORT", "f32")
-    base = BASE.replace("EXP_ULP", str(EXP_ULP)).replace("TANH_ULP", str(TANH_ULP))
+    base = (
+        BASE.replace("EXP_ULP", str(EXP_ULP))
+        .replace("TANH_ULP", str(TANH_ULP))
+        .replace("LOG_ULP", str(LOG_ULP))
+    )
     found = {}
     for part in (doubles + floats + base).strip().split("\n\n"):
         match = FUNCTION.search(part)

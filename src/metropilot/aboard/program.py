@@ -10,8 +10,9 @@ import numpy as np
 
 from metropilot._typing import Array
 from metropilot.aboard.graph import Graph, trace_graph
+from metropilot.aboard.host import trace_host
 from metropilot.campaign import DecisionMemory, Kind, Measurements, decide_by_policy, first_memory
-from metropilot.drivers import DRIVERS, AbstractPolicyDriver
+from metropilot.drivers import DRIVERS, AbstractPolicyDriver, LearnedDriver
 from metropilot.env import SectionRows, build_tables, near_track
 from metropilot.errors import InputError
 from metropilot.physics import (
@@ -25,7 +26,8 @@ from metropilot.physics import (
     track_arrays,
     vehicle_arrays,
 )
-from metropilot.policy import LoadedPolicy, Params
+from metropilot.planning import minimum_running_time
+from metropilot.policy import LoadedPolicy, Policy, in_precision
 from metropilot.protection import (
     Bounds,
     Memory,
@@ -37,11 +39,13 @@ from metropilot.protection import (
     supervise,
 )
 from metropilot.railway import Section, Trainset
-from metropilot.sim import CONTROL_PERIOD_S, Run, declared_bounds
+from metropilot.sim import CONTROL_PERIOD_S, AbstractDriver, Run, declared_bounds
 
 CURVES = ("emergency", "service", "pull_mps2", "usual_pull_mps2", "permitted_mps")
 AUTHORITY = "authority_m"
 NUMBERS = {"double": np.float64, "float": np.float32}
+FALLBACK_RATIO = 1.2
+"""Scheduled over minimum running time where the line has no timetable."""
 GUARD_SPACING_M = 1.0
 """Distance between the nodes of protection, as in the host loop."""
 
@@ -50,11 +54,11 @@ class AboardMemory(NamedTuple):
     """State of a supervised driver between two control periods.
 
     Attributes:
-        policy: Memory of the policy.
+        policy: Memory of the driver, of a policy :class:`metropilot.campaign.DecisionMemory`.
         supervision: Memory of protection.
     """
 
-    policy: DecisionMemory
+    policy: Any
     supervision: Memory
 
 
@@ -70,8 +74,10 @@ class AboardProgram:
         number: Number type, ``double`` or ``float``.
         memory: State at departure.
         plant: State of the example's plant at departure.
-        decide: From the number of the section, the measurements, the scheduled running time and the policy's
-            memory to a command and the next memory.
+        driver: The same driver in Python, without protection: what the C is compared with.
+        decide: From the number of the section, the measurements, the scheduled running time, the level of
+            protection's last intervention and the driver's memory to a command and the next memory. One graph
+            for all sections, or one for each.
         supervise: From the number of the section, position, speed, command, a request of the emergency brake
             and protection's memory to command, next memory and verdict.
         move: From the number of the section, the plant's state, and a command to the next state.
@@ -84,7 +90,8 @@ class AboardProgram:
     number: str
     memory: AboardMemory
     plant: State
-    decide: Graph
+    driver: AbstractDriver
+    decide: tuple[Graph, ...]
     supervise: Graph
     move: Graph
 
@@ -100,10 +107,11 @@ def check_exportable(name: str, trainset: Trainset, *, dt_s: float = CONTROL_PER
     Raises:
         InputError: It cannot.
     """
-    policies = [each for each in DRIVERS.ids() if issubclass(DRIVERS.get(each), AbstractPolicyDriver)]
-    if name in DRIVERS.ids() and name not in policies:
-        words = "only a learned policy has a form in C: this driver plans, searches or estimates as it drives"
-        raise InputError(words, field="export", value=name, allowed=", ".join(policies))
+    if name in DRIVERS.ids():
+        if name not in exportable():
+            raise _refusal(name)
+        if not issubclass(DRIVERS.get(name), AbstractPolicyDriver):
+            return
     actuation = trainset.actuation
     late = actuation.delay_s > 0.0 or actuation.lag_s > 0.0
     if late or guarantees_less(trainset, Bounds.of(trainset, dt_s)):
@@ -119,21 +127,36 @@ def check_exportable(name: str, trainset: Trainset, *, dt_s: float = CONTROL_PER
         )
 
 
+def exportable() -> list[str]:
+    """Drivers with a form aboard: learned policies, and those that say which (``AbstractDriver.aboard``)."""
+    kinds = {name: DRIVERS.get(name) for name in DRIVERS.ids()}
+    return [
+        name
+        for name, kind in kinds.items()
+        if issubclass(kind, AbstractPolicyDriver) or kind.aboard is not AbstractDriver.aboard
+    ]
+
+
+def _refusal(name: str) -> InputError:
+    words = "the driver plans or searches as it drives, which has no form in C"
+    return InputError(words, field="export", value=name, allowed=", ".join(exportable()))
+
+
 def trace_driver(
     name: str,
-    loaded: LoadedPolicy,
+    driver: AbstractDriver | LoadedPolicy,
     sections: Sequence[Section],
     trainset: Trainset,
     *,
     number: str = "double",
     dt_s: float = CONTROL_PERIOD_S,
 ) -> AboardProgram:
-    """Trace a policy with its assists, protection, and the plant.
+    """Trace a driver, protection, and the plant.
 
     Args:
         name: Name of the driver.
-        loaded: Its policy.
-        sections: Sections that it is to drive.
+        driver: The driver, or the policy of a learned one.
+        sections: Sections that it is to drive, each in its scheduled running time if it keeps to one.
         trainset: Nominal trainset with its load.
         number: ``double`` or ``float``.
         dt_s: Control period.
@@ -148,32 +171,48 @@ def trace_driver(
     guards = [
         protect(section, trainset, bounds, dtype=dtype, spacing_m=GUARD_SPACING_M) for section in sections
     ]
-    memory = AboardMemory(first_memory(loaded.policy.policy.spec), at_start(guards[0]))
+    supervision = at_start(guards[0])
     vehicle = vehicle_arrays(trainset)
     plant = at_rest(vehicle, delay_steps=delay_steps(float(vehicle.delay_s), dt_s))
     whole, zero, false = np.int32(0), dtype(0.0), np.bool_(False)
-    measured = Measurements(zero, zero, zero, zero)
     precision = double_precision() if number == "double" else jax.enable_x64(False)
     with precision, jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        policy = _policy(loaded, sections, trainset, bounds, dtype, dt_s)
-        decide = trace_graph(policy, whole, measured, zero, _numbers(memory.policy, dtype))
+        if isinstance(driver, LoadedPolicy):
+            memory = first_memory(driver.policy.policy.spec)
+            policy = _policy(driver, sections, trainset, bounds, dtype, dt_s)
+            measured = Measurements(zero, zero, zero, zero)
+            decide = (trace_graph(policy, whole, measured, zero, whole, _numbers(memory, dtype)),)
+            known = driver.policy.policy
+            form = LearnedDriver(Policy(known.spec, in_precision(known.params, dtype)), driver.interface)
+        else:
+            form = driver.aboard(dtype)
+            if form is None:
+                raise _refusal(name)
+            runs = [Run(each, trainset, scheduled_time_s(each, trainset), dt=dt_s) for each in sections]
+            decide, memory = trace_host(form, runs, dtype)
         guard = _supervisor(guards)
-        supervised = trace_graph(guard, whole, zero, zero, zero, false, _numbers(memory.supervision, dtype))
+        supervised = trace_graph(guard, whole, zero, zero, zero, false, _numbers(supervision, dtype))
         move = trace_graph(
             _plant(sections, trainset, dtype, dt_s), whole, _numbers(plant, dtype), zero, false
         )
     return AboardProgram(
-        name, tuple(sections), trainset, bounds, number, memory, plant, decide, supervised, move
+        name=name,
+        sections=tuple(sections),
+        trainset=trainset,
+        bounds=bounds,
+        number=number,
+        memory=AboardMemory(memory, supervision),
+        plant=plant,
+        driver=form,
+        decide=decide,
+        supervise=supervised,
+        move=move,
     )
 
 
-def in_precision(params: Params, dtype: type) -> Params:
-    """Parameters of a policy in a number type, in which the network then computes.
-
-    A sum of products in single precision depends on its order, which each library and compiler chooses; in
-    double precision that is lost in the rounding of the observation, and C gives what Python gives.
-    """
-    return {name: np.asarray(value, dtype) for name, value in params.items()}
+def scheduled_time_s(section: Section, trainset: Trainset) -> float:
+    """Scheduled running time; of a line without a timetable ``FALLBACK_RATIO`` of the minimum."""
+    return section.planned_time_s or FALLBACK_RATIO * minimum_running_time(section, trainset)
 
 
 def _numbers(tree: Any, dtype: type) -> Any:  # noqa: ANN401 (a tree of arrays)
@@ -203,8 +242,9 @@ def _policy(
     params = in_precision(policy.params, dtype)
 
     def decide(
-        case: Array, measured: Measurements, scheduled_s: Array, memory: DecisionMemory
+        case: Array, measured: Measurements, scheduled_s: Array, level: Array, memory: DecisionMemory
     ) -> tuple[Array, DecisionMemory]:
+        del level
         after, broken = decide_by_policy(kind, params, seen, case, measured, scheduled_s, memory)
         known = jnp.all(jnp.isfinite(jnp.stack([*measured, scheduled_s]))) & (broken ^ True)
         # with a measurement lost the policy waits as it is, and protection brakes

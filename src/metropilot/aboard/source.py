@@ -16,11 +16,9 @@ from metropilot._io import fill_folder
 from metropilot._provenance import provenance
 from metropilot.aboard.emit import TYPES, Tables, emit_body, literal
 from metropilot.aboard.preamble import preamble
-from metropilot.aboard.program import NUMBERS, AboardProgram, in_precision
+from metropilot.aboard.program import NUMBERS, AboardProgram, scheduled_time_s
 from metropilot.aboard.wasm import compile_wasm
-from metropilot.drivers import LearnedDriver
 from metropilot.physics import Forces, State
-from metropilot.policy import LoadedPolicy, Policy
 from metropilot.railway import Section
 from metropilot.sim import Rollout, Run
 
@@ -31,8 +29,6 @@ SPARED = {"double": "0.0", "float": "0.05"}
 DRIVER_FILES = ("driver.h", "driver.c")
 VECTOR_SECTIONS = 4
 """Sections in the test vectors."""
-FALLBACK_RATIO = 1.2
-"""Scheduled over minimum running time where the line has no timetable."""
 
 
 @dataclass(frozen=True)
@@ -57,13 +53,12 @@ class AboardReport:
 
 
 def write_driver(
-    program: AboardProgram, loaded: LoadedPolicy, folder: Path, *, compiler: Sequence[str] | None = None
+    program: AboardProgram, folder: Path, *, compiler: Sequence[str] | None = None
 ) -> AboardReport:
     """Write the folder.
 
     Args:
         program: The driver.
-        loaded: Its policy, which drives for the test vectors.
         folder: Folder; it is made, and files of the same names are replaced.
         compiler: Command of a compiler for WebAssembly (:func:`find_zig`), to write the module too.
 
@@ -71,7 +66,7 @@ def write_driver(
         InputError: It cannot be written, an operation has no form in C, or the compiler refuses the source.
     """
     texts, table_bytes = driver_texts(program, door=compiler is not None)
-    rows = vector_rows(program, loaded)
+    rows = vector_rows(program)
     head = "section,time_s,position_m,speed_mps,acceleration_mps2,scheduled_s,share,level"
     texts["vectors.csv"] = "\n".join([head, *rows]) + "\n"
 
@@ -224,13 +219,34 @@ def _members(place: str, names: Iterable[str]) -> list[str]:
 
 
 def _decide(program: AboardProgram, tables: Tables) -> str:
+    """The function that decides; of a driver with a graph for each section one that calls theirs."""
+    name = identifier(program.name)
     memory = _members("state->policy.", program.memory.policy._fields)
     measured = [
         f"input->{name}" for name in ("time_s", "position_m", "speed_mps", "acceleration_mps2", "scheduled_s")
     ]
-    return "\n".join(
-        emit_body(program.decide, ["state->section", *measured, *memory], ["share", *memory], tables)
-    )
+    given = [*measured, "state->protection.level", *memory]
+    several, parts = len(program.decide) > 1, []
+    for number, graph in enumerate(program.decide):
+        section = ["state->section"] if len(graph.inputs) > len(given) else []
+        body = emit_body(graph, [*section, *given], ["share", *memory], tables)
+        head = f"static {name}_real decide{f'_{number}' if several else ''}({name}_state *state, "
+        head += f"const {name}_input *input)\n{{\n    {name}_real share;"
+        parts.append("\n".join([head, *body, "    return share;\n}"]))
+    if several:
+        cases = [f"    case {k}: return decide_{k}(state, input);" for k in range(len(program.decide) - 1)]
+        parts.append(
+            "\n".join(
+                [
+                    f"static {name}_real decide({name}_state *state, const {name}_input *input)\n{{",
+                    "    switch (state->section) {",
+                    *cases,
+                    f"    default: return decide_{len(program.decide) - 1}(state, input);",
+                    "    }\n}",
+                ]
+            )
+        )
+    return "\n\n".join(parts)
 
 
 def _supervise(program: AboardProgram, tables: Tables) -> str:
@@ -257,16 +273,11 @@ def _move(program: AboardProgram, tables: Tables) -> str:
     )
 
 
-def vector_rows(program: AboardProgram, loaded: LoadedPolicy) -> list[str]:
-    """Drives in Python as rows of test vectors: the first sections, each in its scheduled running time.
-
-    Args:
-        program: The driver.
-        loaded: Its policy.
-    """
+def vector_rows(program: AboardProgram) -> list[str]:
+    """Drives in Python as rows of test vectors: the first sections, each in its scheduled running time."""
     rows = []
     for number, section in enumerate(program.sections[:VECTOR_SECTIONS]):
-        rows += [",".join(map(_number, row)) for row in drive_vectors(program, loaded, section, number)]
+        rows += [",".join(map(_number, row)) for row in drive_vectors(program, section, number)]
     return rows
 
 
@@ -274,17 +285,11 @@ def _number(value: float | int) -> str:
     return repr(float(value)) if isinstance(value, float) else str(int(value))
 
 
-def drive_vectors(
-    program: AboardProgram, loaded: LoadedPolicy, section: Section, number: int
-) -> Sequence[tuple[float | int, ...]]:
+def drive_vectors(program: AboardProgram, section: Section, number: int) -> Sequence[tuple[float | int, ...]]:
     """Measurements and supervised commands of one drive in Python, by period."""
-    from metropilot.planning import minimum_running_time
-
-    scheduled_s = section.planned_time_s or FALLBACK_RATIO * minimum_running_time(section, program.trainset)
-    policy = loaded.policy.policy
-    params = in_precision(policy.params, NUMBERS[program.number])
-    driver = LearnedDriver(Policy(policy.spec, params), loaded.interface)
-    rollout = Rollout(Run(section, program.trainset, scheduled_s, dt=program.bounds.dt_s), driver)
+    scheduled_s = scheduled_time_s(section, program.trainset)
+    run = Run(section, program.trainset, scheduled_s, dt=program.bounds.dt_s)
+    rollout = Rollout(run, program.driver)
     rows: list[tuple[float | int, ...]] = []
     while rollout.outcome is None:
         plant = rollout.state.plant

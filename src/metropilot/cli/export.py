@@ -32,9 +32,7 @@ EXAMPLES = {
 def export_command(
     what: Annotated[
         str,
-        typer.Argument(
-            metavar="DRIVER|RUN|FILE", help="Learned driver, learning run (folder or id) or policy file."
-        ),
+        typer.Argument(metavar="DRIVER|RUN|FILE", help="Driver, learning run (folder or id) or policy file."),
     ],
     to: Annotated[str, typer.Option(help="Format: onnx; c or wasm, with protection.")] = "onnx",
     out: Annotated[
@@ -71,14 +69,14 @@ def export_command(
     ] = None,
     as_json: opt.Json = False,
 ) -> int:
-    """Write a learned driver as ONNX or, with protection, as C.
+    """Write a learned driver as ONNX or, with protection, a driver as C.
 
     ONNX: its policy, a graph from an observation to an action; the file's metadata describes both as JSON.
     Prints the largest difference of its actions from the policy's (parity, at most 1e-5) and the time of a
     decision.
 
-    C: the whole driver with its features and assists, and protection around it, for the sections of a line
-    and a trainset; a folder with one header, one source file, test vectors and an example. WASM: the same
+    C: the whole driver (also pid, eitoe, eitop), and protection around it, for the sections of a line and a
+    trainset; a folder with one header, one source file, test vectors and an example. WASM: the same
     compiled, with a door for JavaScript and a page to drive in; needs the package ziglang.
     """
     if to not in FORMATS:
@@ -128,6 +126,7 @@ def write_c(
 ) -> int:
     """Write a driver with protection as C, or also as WebAssembly, and report it."""
     from metropilot.aboard import NUMBERS, check_exportable, find_zig, trace_driver, write_driver
+    from metropilot.drivers import DRIVERS, AbstractPolicyDriver
     from metropilot.policy import load_driving_policy
     from metropilot.railway import load_line, load_trainset
 
@@ -140,14 +139,18 @@ def write_c(
     compiler = find_zig() if to == "wasm" else None
     known = load_trainset(trainset or TRAINSET, load)
     check_exportable(what, known)
-    name, file = find_policy(what)
-    loaded = load_driving_policy(file.path)
+    if what in DRIVERS.ids() and not issubclass(DRIVERS.get(what), AbstractPolicyDriver):
+        name, driver, policy = what, DRIVERS.get(what)(), None
+    else:
+        name, file = find_policy(what)
+        driver, policy = load_driving_policy(file.path), str(file.path)
     chosen = choose_sections(load_line(str(line)), sections)
     with show_activity(f"writing {out}"):
-        program = trace_driver(name, loaded, chosen, known, number=number)
-        report = write_driver(program, loaded, Path(str(out)), compiler=compiler)
+        program = trace_driver(name, driver, chosen, known, number=number)
+        report = write_driver(program, Path(str(out)), compiler=compiler)
     if as_json:
-        print_json(asdict(report) | {"driver": name, "trainset": known.id, "policy": str(file.path)})
+        more = {"folder": str(report.folder), "driver": name, "trainset": known.id, "policy": policy}
+        print_json(asdict(report) | more)
         return 0
     rows = [
         ("sections", str(len(report.sections)), " ".join(report.sections[:6])),

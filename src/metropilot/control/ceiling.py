@@ -7,16 +7,17 @@ below it, so that protection does not intervene.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple, no_type_check
 
 import numpy as np
 from numpy import ndarray
 
-from metropilot._typing import Float, Scalar
+from metropilot._typing import Flag, Float, Scalar
 from metropilot.control.estimator import StateEstimate
 from metropilot.control.prediction import Model, PredictedState
 from metropilot.control.stopping import AT_ONCE_MPS3, StopCurve, required_with_build_up
-from metropilot.physics import Command, namespace, track_arrays, vehicle_arrays
+from metropilot.physics import Command, least_between, namespace, track_arrays, vehicle_arrays
 from metropilot.planning import limit_at
 from metropilot.protection import (
     Memory,
@@ -89,7 +90,7 @@ class Ceiling(NamedTuple):
         """Lowest ceiling from a position over a short distance, m/s."""
         first = min(max(int(position_m / SPACING_M), 0), self.position_m.size - 2)
         last = min(int((position_m + way_m) / SPACING_M) + 2, self.position_m.size)
-        return float(self.speed_mps[first:last].min())
+        return float(least_between(self.speed_mps, first, last))
 
     def acceleration_under(self, room_mps: float, steeper_mps2: float = 0.0) -> float:
         """Largest acceleration at a distance below the ceiling, m/s^2; negative above the ceiling.
@@ -195,27 +196,48 @@ def largest_admissible_command(
             (:func:`look_along`); None: commands act at once.
     """
 
-    def decide(command: float) -> tuple[Memory, bool]:
+    def decide(command: Scalar) -> tuple[Memory, Flag]:
         _, after, verdict = supervise(guard, supervision, position_m, speed_mps, Command(command, False))
         return after, int(verdict.level) == 0
 
+    def admits(after: Memory, path: Float[ndarray, "2 periods"] | None) -> Flag:
+        return path is None or admits_braking(guard, after, *path)
+
     after, passes = decide(share)
-    if passes and (path is None or admits_braking(guard, after, *path)):
+    if passes and admits(after, path):
         return share, after
     least, _ = decide(-1.0)
-    if path is not None and not admits_braking(guard, least, *path):
+    if path is not None and not admits(least, path):
         if passes:
             return share, after
         path = None
-    low, high = -1.0, share
+    return _largest_between(decide, lambda after: admits(after, path), share, least)
+
+
+def _largest_between(
+    decide: Callable[[Scalar], tuple[Memory, Flag]],
+    admits: Callable[[Memory], Flag],
+    share: Scalar,
+    least: Memory,
+) -> tuple[Scalar, Memory]:
+    """Largest command under ``share`` that passes, by halving from full braking, and what follows it."""
+    found = -1.0, share, least
     for _ in range(CLEARING_STEPS):
-        middle = 0.5 * (low + high)
-        after, passes = decide(middle)
-        if passes and (path is None or admits_braking(guard, after, *path)):
-            low, least = middle, after
-        else:
-            high = middle
-    return low, least
+        found = _halve(decide, admits, *found)
+    return found[0], found[2]
+
+
+def _halve(
+    decide: Callable[[Scalar], tuple[Memory, Flag]],
+    admits: Callable[[Memory], Flag],
+    low: Scalar,
+    high: Scalar,
+    least: Memory,
+) -> tuple[Scalar, Scalar, Memory]:
+    """One step of it: the largest that passed, the least that did not, and what follows the former."""
+    middle = 0.5 * (low + high)
+    after, passes = decide(middle)
+    return (middle, high, after) if passes and admits(after) else (low, middle, least)
 
 
 def ceiling_acceleration(

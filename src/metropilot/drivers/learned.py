@@ -36,7 +36,8 @@ PolicyFunction = Callable[..., Any]
 
 Where the action has a filter, the choices it allows, bool of shape (count,), come second.
 """
-DECISION_EARLY_S = 1e-6
+DECISION_EARLY_S = 1e-3
+"""Time by which a decision is due early: more than a time in single precision is rounded by."""
 
 
 class LearnedMemory(NamedTuple):

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from metropilot._schema import check_fields, declare
@@ -123,8 +124,7 @@ class AbstractPidOptions(AbstractTrackingOptions):
     kd: float = declare(CHENG2023_GAINS.derivative, low=0.0, high=100.0)
 
 
-@dataclass(frozen=True)
-class TrackingMemory:
+class TrackingMemory(NamedTuple):
     """The driver's memory.
 
     Attributes:
@@ -139,7 +139,8 @@ class TrackingMemory:
         clock_s: Start of the reference.
         controller: The controller's own memory.
         command: The controller's last command.
-        stop: Shape of the stop, once the stop's own law drives.
+        stop: Shape of the stop.
+        stopping: True once the stop's own law drives.
         overruled: True if protection would have overruled the last command.
     """
 
@@ -154,7 +155,8 @@ class TrackingMemory:
     clock_s: float
     controller: Any
     command: float
-    stop: StopCurve | None
+    stop: StopCurve
+    stopping: bool
     overruled: bool
 
 
@@ -167,6 +169,14 @@ class AbstractTracker(AbstractDriver):
 
     def __init__(self, options: AbstractTrackingOptions) -> None:
         self.options = options
+        self.keeps_reference = False
+
+    def aboard(self, number: type) -> AbstractTracker:
+        """The same driver, its reference laid once: on a controller there is nothing to lay another with."""
+        del number
+        found = copy(self)
+        found.keeps_reference = True
+        return found
 
     def fresh(self, run: Run) -> Any:  # noqa: ANN401 (each controller has its own)
         """The controller's memory at the start of a run: by default no errors yet."""
@@ -193,7 +203,8 @@ class AbstractTracker(AbstractDriver):
             clock_s=0.0,
             controller=self.fresh(run),
             command=0.0,
-            stop=None,
+            stop=self._curve(model),
+            stopping=False,
             overruled=False,
         )
 
@@ -207,7 +218,7 @@ class AbstractTracker(AbstractDriver):
             observation.acceleration_mps2,
             overruled=memory.overruled or observation.intervention > 0,
         )
-        memory = self._follow_updates(replace(memory, estimate=estimate), observation)
+        memory = self._follow_updates(memory._replace(estimate=estimate), observation)
         ahead = look_ahead(memory.model, estimate)
         place, speed, _ = memory.reference.at(observation.time_s - memory.clock_s + ahead.seconds)
         seen = TrackingView(
@@ -217,9 +228,9 @@ class AbstractTracker(AbstractDriver):
         if memory.ceiling.late_s > 0.0:
             # A late command is judged by what it would do until it can be taken back: ease off in time.
             command = min(command, ahead.share_for(memory.ceiling.approach(ahead), lead=0.0))
-        memory = replace(memory, controller=controller, command=command)
+        memory = memory._replace(controller=controller, command=command)
         memory = self._hand_over(memory, ahead)
-        share = ahead.lead(command) if memory.stop is None else self._stop(memory, memory.stop).share
+        share = self._share(memory, ahead)
         path = look_along(memory.model, estimate, share, memory.supervision)
         share, supervision = largest_admissible_command(
             memory.ceiling.guard,
@@ -229,12 +240,15 @@ class AbstractTracker(AbstractDriver):
             share,
             path,
         )
-        return share, replace(
-            memory,
+        return share, memory._replace(
             estimate=record_command(estimate, share),
             supervision=supervision,
             overruled=int(supervision.level) > 0,
         )
+
+    def _share(self, memory: TrackingMemory, ahead: PredictedState) -> float:
+        """Command of the stop's own law once it drives, before that the controller's, ahead of the lag."""
+        return self._stop(memory, memory.stop).share if memory.stopping else ahead.lead(memory.command)
 
     def _control(self, memory: TrackingMemory, seen: TrackingView) -> tuple[float, Any]:
         """The law's command, in a longer control period than its gains are for as in several of theirs."""
@@ -250,16 +264,22 @@ class AbstractTracker(AbstractDriver):
 
     def _hand_over(self, memory: TrackingMemory, ahead: PredictedState) -> TrackingMemory:
         """Give the last metres to the stop's own law, from the deceleration that is in force there."""
-        if memory.stop is not None or not self.options.station_stop:
+        if not self.options.station_stop or memory.stopping:
             return memory
-        vehicle, left = memory.model.vehicle, float(memory.model.track.length_m) - ahead.position_m
-        rate = min(self.options.deceleration_mps2, float(vehicle.max_deceleration_mps2))
-        curve = curve_for(vehicle, memory.model.dt, rate)
+        left = float(memory.model.track.length_m) - ahead.position_m
+        curve = self._curve(memory.model)
+        rate = float(curve.deceleration_mps2)
         stop = self._stop(memory, curve)
         required = stop.required_mps2
         if left > HANDOVER_M and required < ALARM * rate and stop.later_mps2 < self._most(memory, stop, rate):
             return memory
-        return replace(memory, stop=curve._replace(deceleration_mps2=min(max(required, 0.1), ALARM * rate)))
+        curve = curve._replace(deceleration_mps2=min(max(required, 0.1), ALARM * rate))
+        return memory._replace(stop=curve, stopping=True)
+
+    def _curve(self, model: Model) -> StopCurve:
+        """Shape of a stop as the reference has it."""
+        rate = min(self.options.deceleration_mps2, float(model.vehicle.max_deceleration_mps2))
+        return curve_for(model.vehicle, model.dt, rate)
 
     def _most(self, memory: TrackingMemory, stop: Stop, rate_mps2: float) -> float:
         """Deceleration that a stop may need after another period: what the brake surely gives."""
@@ -269,14 +289,15 @@ class AbstractTracker(AbstractDriver):
 
     def _follow_updates(self, memory: TrackingMemory, observation: Observation) -> TrackingMemory:
         """Lay the reference anew after news, or where the trainset is far from it."""
+        if self.keeps_reference:
+            return memory
         section, model, ceiling = memory.section, memory.model, memory.ceiling
         news = observation.scheduled_time_s != memory.scheduled_s or observation.section is not section
         clock = observation.time_s - memory.clock_s
-        place = memory.reference.at(clock)[0]
         slipped = (
             clock > PATIENCE_S
-            and memory.stop is None
-            and abs(place - memory.estimate.position_m) > self.options.slip_m
+            and not memory.stopping
+            and abs(memory.reference.at(clock)[0] - memory.estimate.position_m) > self.options.slip_m
         )
         if not (news or slipped):
             return memory
@@ -288,8 +309,7 @@ class AbstractTracker(AbstractDriver):
         reference = self._lay_reference(
             model, ceiling, left, memory.estimate.position_m, memory.estimate.speed_mps
         )
-        return replace(
-            memory,
+        return memory._replace(
             section=section,
             scheduled_s=observation.scheduled_time_s,
             model=model,

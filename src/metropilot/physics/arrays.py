@@ -53,6 +53,8 @@ class scalars:  # noqa: N801 -- stands where a module does: numpy, jax.numpy, sc
         return 0.0 * x
 
 
+NAMESPACES: dict[type, Any] = {}
+"""Namespaces of number types from elsewhere (:mod:`metropilot.aboard.branching` has one while it traces)."""
 _SINGLE = frozenset({float, int, bool, np.float64, np.float32, np.bool_, np.int64})
 
 
@@ -67,6 +69,8 @@ def namespace(*values: Any) -> Any:
         kind = type(value)
         if kind in _SINGLE:
             continue
+        if kind in NAMESPACES:
+            return NAMESPACES[kind]
         if kind.__module__.startswith("jax"):
             import jax.numpy as jnp
 
@@ -130,6 +134,29 @@ def locate(breaks: Float[Array, " breaks"], x: Scalar) -> Index:
         return np.maximum(np.searchsorted(breaks, x, side="right") - 1, 0)
     reached = breaks <= x if xp.ndim(x) == 0 else xp.expand_dims(breaks, 0) <= xp.expand_dims(x, 1)
     return xp.maximum(xp.sum(reached, axis=-1) - 1, 0)
+
+
+@no_type_check
+def slice_from(values: Float[Array, " all"], first: Index, size: int) -> Float[Array, "... size"]:
+    """``values[first:first + size]``, of which there are as many."""
+    if isinstance(first, int):
+        return values[first : first + size]
+    if isinstance(first, np.ndarray):
+        return values[first + np.arange(size)]
+    import jax
+
+    return jax.lax.dynamic_slice_in_dim(values, first, size)
+
+
+@no_type_check
+def least_between(values: Any, first: Index, last: Index) -> Scalar:
+    """Least of ``values[first:last]``, an array or a list."""
+    xp = namespace(first, last)
+    if xp is scalars:
+        part = values[first:last]
+        return part.min() if type(part) is np.ndarray else min(part)
+    places = xp.arange(len(values))
+    return xp.where((places >= first) & (places < last), values, float("inf")).min()
 
 
 def to_jax(tree: Any) -> Any:

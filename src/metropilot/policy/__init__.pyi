@@ -15,6 +15,7 @@ from .networks import act as act
 from .networks import choose_action as choose_action
 from .networks import dueling as dueling
 from .networks import forward as forward
+from .networks import in_precision as in_precision
 from .networks import network_output as network_output
 from .networks import normalise as normalise
 from .networks import only_policy as only_policy

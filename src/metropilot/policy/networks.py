@@ -227,6 +227,15 @@ class Policy:
         return act(self.spec, self.params, observation, mask, np)
 
 
+def in_precision(params: Params, number: type) -> Params:
+    """Parameters of a policy in a number type, in which the network then computes.
+
+    A sum of products in single precision depends on its order, which each library and compiler chooses; in
+    double precision that is lost in the rounding of the observation, and C gives what Python gives.
+    """
+    return {name: np.asarray(value, number) for name, value in params.items()}
+
+
 def only_policy(spec: PolicySpec, params: Params) -> Params:
     """The parameters that a policy consists of, without critics, targets and deviations."""
     return {name: params[name] for name in spec.shapes()}

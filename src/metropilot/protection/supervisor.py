@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from metropilot._typing import Array, Float, Index, Scalar
-from metropilot.physics import Command, namespace, push_command, scalars, unless
+from metropilot.physics import Command, namespace, push_command, scalars, slice_from, unless
 from metropilot.protection.predict import Forces, acceleration, fastest, stays_under
 from metropilot.protection.separation import TrainAhead, brake_motion, least_gap
 from metropilot.protection.types import Memory, Protection, Rates, Verdict
@@ -209,7 +209,7 @@ class CommandCheck:
 
     def _brake(self, rates: Rates, curve: Array, pulls: Array) -> Brake:
         pull = self.xp.maximum(pulls[self.node], pulls[self.node + 1])
-        ahead = _slice(curve, self.node, self.protection.ahead.shape[0])
+        ahead = slice_from(curve, self.node, self.protection.ahead.shape[0])
         return Brake(rates, ahead, pull, fastest(self.protection.vehicle, rates, self.speed_mps, pull))
 
     def _in_time(self, brake: Brake, share: Scalar, margin_mps: Scalar) -> Scalar:
@@ -309,16 +309,6 @@ def _interpolate(values: Array, node: Array, share: Array) -> Array:
 
 def _like(value: Scalar, whole: Scalar) -> Scalar:
     return whole if isinstance(whole, int) else whole.astype(value.dtype)
-
-
-def _slice(values: Array, first: Scalar, size: int) -> Array:
-    if isinstance(first, int):
-        return values[first : first + size]
-    if isinstance(first, np.ndarray):
-        return values[first + np.arange(size)]
-    import jax
-
-    return jax.lax.dynamic_slice_in_dim(values, first, size)
 
 
 def _as_count(value: Scalar) -> Scalar:

@@ -37,6 +37,15 @@ class AbstractDriver(ABC):
     def act(self, memory: Memory, observation: Observation) -> tuple[float, Memory]:
         """Command in [-1, 1] for the coming control period, and the memory for the next call."""
 
+    def aboard(self, number: type) -> AbstractDriver | None:
+        """The form that the driver has on a controller, for :mod:`metropilot.aboard`; None: it has none.
+
+        Args:
+            number: Number type of its arithmetic, float64 or float32.
+        """
+        del number
+        return None
+
     def read_policy(self) -> object:
         """Read the driver's policy from its file; None for a driver without a policy.
 

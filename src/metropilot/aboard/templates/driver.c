@@ -30,13 +30,8 @@ int @NAME@_init(@NAME@_state *state, int32_t section)
     return 0;
 }
 
-/* The command that the policy and its assists ask for. */
-static @NAME@_real decide(@NAME@_state *state, const @NAME@_input *input)
-{
-    @NAME@_real share;
+/* The command that the driver asks for. */
 @DECIDE@
-    return share;
-}
 
 void @NAME@_supervise(@NAME@_state *state, const @NAME@_input *input, @NAME@_real share, bool emergency,
     @NAME@_output *output)

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, NamedTuple, cast, final
+from typing import Any, ClassVar, NamedTuple, cast, final
 
 import numpy as np
 
 from metropilot._schema import check_fields, declare
+from metropilot._typing import Index, Scalar
 from metropilot.control import (
     Ceiling,
     CommandActuation,
@@ -30,10 +32,10 @@ from metropilot.control import (
     largest_admissible_command,
     model_of,
 )
-from metropilot.drivers import PolicyOptions
+from metropilot.drivers import DECISION_EARLY_S, PolicyOptions
 from metropilot.errors import InputError
 from metropilot.physics import scalars
-from metropilot.policy import LoadedPolicy, load_driving_policy, shipped_policy
+from metropilot.policy import LoadedPolicy, Policy, in_precision, load_driving_policy, shipped_policy
 from metropilot.protection import Memory, at_start
 from metropilot.railway import Section
 from metropilot.sim import AbstractDriver, Observation, Run
@@ -101,8 +103,8 @@ class RateInputs(NamedTuple):
     traction_mps2: float
 
 
-Change = Callable[[RateInputs], float]
-"""The wanted change of the rate in an interval, m/s^2."""
+Change = Callable[[RateInputs], tuple[Scalar, Any]]
+"""The wanted change of the rate in an interval, m/s^2, and what its chooser remembers of it."""
 
 
 class ExpertMemory(NamedTuple):
@@ -163,13 +165,22 @@ def prepare_expert(run: Run, section: Section, rules: ExpertRules, hoa: Hoa) -> 
     )
 
 
-def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tuple[float, ExpertMemory]:
+def decide(
+    memory: ExpertMemory,
+    observation: Observation,
+    change: Change,
+    known: Any,  # noqa: ANN401 (each chooser has its own)
+) -> tuple[float, ExpertMemory, Any]:
     """Decide on the command of one period.
 
     Args:
         memory: From :func:`prepare_expert`, or the decision before.
         observation: Measurements of this period.
         change: Chooses the change of the rate.
+        known: What it remembers where it is not asked.
+
+    Returns:
+        The command, the memory, and what the chooser remembers.
     """
     if observation.section is not memory.section:
         fresh = prepare_expert(memory.run, observation.section, memory.rules, memory.hoa)
@@ -178,10 +189,7 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
         )
     ground, actuation = memory.ground, memory.actuation
     state = (observation.position_m, observation.speed_mps, observation.acceleration_mps2)
-    hoa = memory.hoa
-    if observation.intervention == 0:
-        # The answer to an intervention says nothing about the brake that the driver commands.
-        hoa = update_gain(hoa, ground, actuation, state, memory.before_mps2)
+    hoa = _learn_brake(memory, observation, state)
     ahead = ground.ahead(actuation, state, hoa.gain)
     brake, downhill = ground.brake(ahead.speed_mps), ground.downhill(ahead.position_m)
     plan = hoa.plan_mps2(brake, downhill, ground.stop_mps2)
@@ -190,7 +198,8 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
     rate = 0.0
     if not braking:
         seen = _rate_inputs(memory, observation, ahead, curve)
-        rate = _rate(memory, seen, change(seen))
+        wanted, known = change(seen)
+        rate = _rate(memory, seen, wanted)
         effort = _keep_safe(memory, observation, ahead, rate)
         share = ahead.command_for(effort)
     supervision = memory.supervision
@@ -208,7 +217,14 @@ def decide(memory: ExpertMemory, observation: Observation, change: Change) -> tu
         rate_mps2=rate,
         before_mps2=observation.acceleration_mps2,
     )
-    return share, memory
+    return share, memory, known
+
+
+def _learn_brake(memory: ExpertMemory, observation: Observation, state: tuple[float, float, float]) -> Hoa:
+    """Knowledge of the brake after a period; the answer to an intervention says nothing about it."""
+    if observation.intervention > 0:
+        return memory.hoa
+    return update_gain(memory.hoa, memory.ground, memory.actuation, state, memory.before_mps2)
 
 
 def _rate_inputs(
@@ -241,13 +257,15 @@ def _for_lower_limits(memory: ExpertMemory, ahead: PredictedState, speed_mps: fl
     a, b, c = ground.davis
     davis, most = a + speed_mps * (b + speed_mps * c), ground.most_mps2
     for leg in memory.legs.legs[:-1]:
-        if leg.end_m <= x:
-            continue
         lost = ground.climb(leg.end_m) - ground.climb(x) + davis * (leg.end_m - x)
-        square = leg.end_mps * leg.end_mps + 2.0 * lost
-        if square > 0.0:
-            most = min(most, drag + HOLD_PER_S * (math.sqrt(square) - speed_mps))
+        most = min(most, drag + HOLD_PER_S * (_coasts_from(leg, x, lost) - speed_mps))
     return max(most, 0.0)
+
+
+def _coasts_from(leg: Leg, position_m: float, lost: float) -> float:
+    """Speed from which coasting loses so much, J/kg, on the way to a lower limit ahead; infinite: any."""
+    square = leg.end_mps * leg.end_mps + 2.0 * lost
+    return math.sqrt(square) if leg.end_m > position_m and square > 0.0 else math.inf
 
 
 def _release_s(leg: Leg, curve: StopCurve) -> float:
@@ -349,6 +367,11 @@ class Eitoe(AbstractDriver):
     def __init__(self, options: EitoeOptions | None = None) -> None:
         self.options = options or EitoeOptions()
 
+    def aboard(self, number: type) -> Eitoe:
+        """The same driver: it takes news of the timetable as it goes."""
+        del number
+        return self
+
     def init(self, run: Run) -> ExpertMemory:
         """Tables of the section, once."""
         rules = ExpertRules(start_mps2=self.options.start_mps2, intervals=self.options.intervals)
@@ -358,13 +381,11 @@ class Eitoe(AbstractDriver):
         """One decision by the rules; the change of the rate is the constant of eqs. 15 and 16."""
         rules = memory.rules
 
-        def change(seen: RateInputs) -> float:
-            return constant_rate_change(scalars, rules, seen.window, seen.rate_mps2)
+        def change(seen: RateInputs) -> tuple[Scalar, None]:
+            return constant_rate_change(scalars, rules, seen.window, seen.rate_mps2), None
 
-        return decide(memory, observation, change)
-
-
-EARLY_S = 1e-6
+        share, memory, _ = decide(memory, observation, change, None)
+        return share, memory
 
 
 class PolicyMemory(NamedTuple):
@@ -413,6 +434,17 @@ class AbstractExpertPolicyDriver(AbstractDriver):
         """Read the policy that changes the rate."""
         return self.loaded_policy
 
+    def aboard(self, number: type) -> AbstractExpertPolicyDriver:
+        """The same driver, its network in a number type."""
+        found, policy = copy(self), self.loaded_policy.policy.policy
+        found.network = Policy(policy.spec, in_precision(policy.params, number))
+        return found
+
+    @cached_property
+    def network(self) -> Callable[[np.ndarray], Any]:
+        """From an observation to an action."""
+        return self.loaded_policy.policy
+
     @cached_property
     def _action(self) -> ExpertAction | ExpertChoiceAction:
         return cast("ExpertAction | ExpertChoiceAction", self.loaded_policy.interface.action)
@@ -423,18 +455,17 @@ class AbstractExpertPolicyDriver(AbstractDriver):
 
     def act(self, memory: PolicyMemory, observation: Observation) -> tuple[float, PolicyMemory]:
         """One decision of the expert; the policy is asked once in its own period."""
-        period, chosen = self.loaded_policy.interface.period_s, memory.change
-        decided = memory.decided
+        period = self.loaded_policy.interface.period_s
 
-        def change(seen: RateInputs) -> float:
-            nonlocal chosen, decided
-            if observation.time_s >= decided * period - EARLY_S:
+        def change(seen: RateInputs) -> tuple[Scalar, tuple[Index, Scalar]]:
+            decided, chosen = memory.decided, memory.change
+            if observation.time_s >= decided * period - DECISION_EARLY_S:
                 chosen = self._evaluate(seen)
-                decided = int((observation.time_s + EARLY_S) / period) + 1
-            return chosen * self._action.change_mps2
+                decided = int((observation.time_s + DECISION_EARLY_S) / period) + 1
+            return chosen * self._action.change_mps2, (decided, chosen)
 
-        share, expert = decide(memory.expert, observation, change)
-        return share, PolicyMemory(expert, decided, chosen)
+        share, expert, known = decide(memory.expert, observation, change, (memory.decided, memory.change))
+        return share, PolicyMemory(expert, *known)
 
     def _evaluate(self, seen: RateInputs) -> float:
         """Evaluate the policy: a change of the rate, as a share of the largest."""
@@ -447,7 +478,7 @@ class AbstractExpertPolicyDriver(AbstractDriver):
             seen.rate_mps2,
             seen.traction_mps2,
         )
-        answer = self.loaded_policy.policy(np.asarray(observed, np.float32))
+        answer = self.network(np.stack(observed).astype(np.float32))
         return min(max(float(self._action.change(answer)), -1.0), 1.0)
 
 

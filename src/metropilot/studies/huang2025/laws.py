@@ -48,7 +48,7 @@ from metropilot.control import (
     stop_deceleration,
     way_in_period,
 )
-from metropilot.physics import effort_at, mean_slopes, scalars
+from metropilot.physics import effort_at, least_between, mean_slopes, scalars
 from metropilot.planning import (
     build_mesh,
     fastest_profile,
@@ -340,8 +340,11 @@ class ExpertTrack(NamedTuple):
 
     def lowest(self, position_m: float, way_m: float) -> float:
         """The lowest speed to stay under from a position over a little way, m/s."""
-        first = max(int(position_m / STEP_M), 0)
-        return min(self.safe_mps[first : int((position_m + way_m) / STEP_M) + 2] or self.safe_mps[-1:])
+        end = len(self.safe_mps)
+        first = min(max(int(position_m / STEP_M), 0), end - 1)
+        return least_between(
+            self.safe_mps, first, min(max(int((position_m + way_m) / STEP_M) + 2, first + 1), end)
+        )
 
     def traction(self, speed_mps: float) -> float:
         """Largest traction, m/s^2."""
@@ -683,7 +686,8 @@ def update_gain(
 def _at_balise(hoa: Hoa, ground: ExpertTrack, x: float, v: float, work: tuple[float, float]) -> Hoa:
     """Add up the period's work; at a balise, what came of it since the one before."""
     hoa = hoa._replace(effort_jpkg=hoa.effort_jpkg + work[0], drag_jpkg=hoa.drag_jpkg + work[1])
-    if hoa.passed >= len(BALISES_M) or ground.length_m - x > BALISES_M[hoa.passed]:
+    left_m = ground.length_m - x
+    if not any(hoa.passed == k and left_m <= at_m for k, at_m in enumerate(BALISES_M)):
         return hoa
     gain = hoa.gain
     if hoa.passed > 0 and hoa.effort_jpkg > LEAST_EFFORT_MPS2 and 0.5 * work[0] <= COARSE * v * v:

@@ -1,0 +1,628 @@
+"""Graph of a Python function with branches: it runs on symbols, and once for each way that it can take.
+
+:func:`metropilot.aboard.graph.trace_graph` lets JAX trace a function that is written over an array namespace.
+A driver on the host is plain Python: ``if``, ``min``, lists, NumPy. Here its numbers are :class:`Symbol`,
+which answer NumPy's protocols (NEP 13 and 18) and make operations of the same graph. Where one is asked for
+its truth value, the function that asks is run for both answers and their results are joined by a choice; so
+every call of a function is a place where ways come together again, and their number stays small.
+
+The functions themselves are those that Python runs. While they are traced their modules see other ``min``,
+``max``, ``int``, ``float`` and ``math``, which know symbols, and calls that join.
+"""
+
+from __future__ import annotations
+
+import builtins
+import inspect
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial, wraps
+from types import FunctionType, ModuleType
+from typing import Any, cast
+
+import numpy as np
+
+from metropilot.aboard.graph import Branch, Builder, Operation, drop_unused
+from metropilot.errors import InputError
+from metropilot.physics import NAMESPACES, scalars
+
+LAZY = frozenset({"largest_admissible_command"})
+"""Functions of which only the way taken is computed: seldom the long one."""
+MOST_QUESTIONS = 14
+"""Branches that one way through a function may have; its ways are up to two to this power."""
+UNTOUCHED = frozenset({"_replace", "_make", "_asdict"})
+
+
+class Undecided(Exception):
+    """A symbol was asked for its truth value."""
+
+    def __init__(self, node: Operation) -> None:
+        super().__init__("undecided")
+        self.node = node
+
+
+class Symbol:
+    """Number or array that is known only aboard.
+
+    Args:
+        tracer: What it belongs to.
+        node: Operation whose result it is.
+    """
+
+    __slots__ = ("node", "tracer")
+
+    def __init__(self, tracer: BranchTracer, node: Operation) -> None:
+        self.tracer, self.node = tracer, node
+
+    # ------------------------------------------------------------------------------------------ what it is
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape."""
+        return self.node.shape
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Number type."""
+        return self.node.dtype
+
+    @property
+    def ndim(self) -> int:
+        """Number of axes."""
+        return len(self.node.shape)
+
+    @property
+    def size(self) -> int:
+        """Number of entries."""
+        return self.node.size
+
+    def __len__(self) -> int:
+        return self.node.shape[0]
+
+    def __iter__(self) -> Iterator[Symbol]:
+        return (self[k] for k in range(len(self)))
+
+    __hash__ = object.__hash__
+
+    def __bool__(self) -> bool:
+        if self.node.op == "const":
+            return bool(self.node.params["value"])
+        return self.tracer.decide(self.node)
+
+    def tolist(self) -> Symbol:
+        """Itself, which answers where a list would."""
+        return self
+
+    def item(self) -> Symbol:
+        """Itself."""
+        return self
+
+    def copy(self) -> Symbol:
+        """Another symbol of the same operation, to be changed by itself."""
+        return Symbol(self.tracer, self.node)
+
+    def astype(self, dtype: Any, copy: bool = True) -> Symbol:  # noqa: ANN401, ARG002 (NumPy's)
+        """The same in another number type; of those of floats single precision, or the graph's."""
+        kind = np.dtype(dtype).kind
+        found = self.tracer.number if kind == "f" and np.dtype(dtype) != np.float32 else np.dtype(dtype)
+        return self.tracer.apply("astype", self, np.dtype(np.int32) if kind in "iu" else found)
+
+    def __getitem__(self, index: Any) -> Symbol:  # noqa: ANN401 (as NumPy's)
+        parts = index if isinstance(index, tuple) else (index,)
+        found: Symbol = self
+        if not any(isinstance(part, Symbol) for part in parts):
+            return self.tracer.call(("static", repr(index)), lambda x: x[index], self)
+        places = [part for part in parts if isinstance(part, Symbol)]
+        kept = tuple(None if isinstance(part, Symbol) else part for part in parts)
+
+        def look_up(x: Any, *given: Any) -> Any:  # noqa: ANN401 (arrays)
+            rest = iter(given)
+            where = tuple(next(rest) if part is None else part for part in kept)
+            return x.at[where].get(mode="clip", wrap_negative_indices=False)
+
+        return self.tracer.call(("dynamic", repr(kept)), look_up, found, *places)
+
+    def __setitem__(self, index: Any, value: Any) -> None:  # noqa: ANN401 (as NumPy's)
+        if not isinstance(index, int | slice):
+            raise InputError("the driver changes entries in a way that has no form in C", field="to")
+        rows = range(len(self))[index] if isinstance(index, slice) else [range(len(self))[index]]
+
+        def put(x: Any, y: Any) -> Any:  # noqa: ANN401 (arrays)
+            import jax.numpy as jnp
+
+            y = jnp.broadcast_to(y, (len(rows), *x.shape[1:])).astype(x.dtype)
+            return jnp.concatenate([x[: rows[0]], y, x[rows[-1] + 1 :]])
+
+        self.node = self.tracer.call(("put", repr(index)), put, self, value).node
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 (a method of arrays)
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return partial(self.tracer.apply, name, self)
+
+    # --------------------------------------------------------------------------------------- what it answers
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *given: Any, **options: Any) -> Any:  # noqa: ANN401
+        if method == "accumulate":
+            return self.tracer.accumulate(ufunc, given[0])
+        if method != "__call__" or options:
+            return NotImplemented
+        return self.tracer.apply(ufunc.__name__, *given)
+
+    def __array_function__(self, function: Any, types: Any, given: Any, options: Any) -> Any:  # noqa: ANN401
+        return self.tracer.apply(function.__name__, *given, **options)
+
+    def __round__(self, digits: int | None = None) -> Symbol:
+        return self.tracer.apply("round", self)
+
+    def __pow__(self, power: float) -> Symbol:
+        return self.tracer.apply("sqrt", self) if power == 0.5 else self.tracer.apply("power", self, power)
+
+
+def _operator(name: str, *, turned: bool = False) -> Callable[..., Any]:
+    def operate(self: Symbol, *other: Any) -> Any:  # noqa: ANN401 (a number)
+        return self.tracer.apply(name, *((*other, self) if turned else (self, *other)))
+
+    return operate
+
+
+BINARY = {
+    "add": "add",
+    "sub": "subtract",
+    "mul": "multiply",
+    "truediv": "divide",
+    "floordiv": "floor_divide",
+    "mod": "remainder",
+    "matmul": "matmul",
+    "and": "logical_and",
+    "or": "logical_or",
+    "xor": "logical_xor",
+}
+COMPARED = {
+    "lt": "less",
+    "le": "less_equal",
+    "gt": "greater",
+    "ge": "greater_equal",
+    "eq": "equal",
+    "ne": "not_equal",
+}
+UNARY = {"neg": "negative", "abs": "abs", "invert": "logical_not"}
+for _python, _numpy in {**BINARY, **COMPARED, **UNARY}.items():
+    setattr(Symbol, f"__{_python}__", _operator(_numpy))
+    if _python in BINARY:
+        setattr(Symbol, f"__r{_python}__", _operator(_numpy, turned=True))
+
+
+class _Namespace:
+    """Array namespace of symbols; what no symbol is in, is computed as on the host."""
+
+    ndarray = Symbol
+
+    def __init__(self, tracer: BranchTracer) -> None:
+        self.tracer = tracer
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        return partial(self.tracer.apply, name)
+
+
+class BranchTracer:
+    """Tracer of one function.
+
+    Args:
+        number: Number type of the graph, float64 or float32.
+    """
+
+    def __init__(self, number: Any) -> None:  # noqa: ANN401 (a dtype)
+        self.number = np.dtype(number)
+        self.builder = Builder()
+        self.programs: dict[Any, Any] = {}
+        self.known: list[dict[int, bool]] = [{}]
+        self.alive: list[Any] = []
+        """What is known by its ``id``, so that none is given anew."""
+        NAMESPACES[Symbol] = _Namespace(self)
+
+    @property
+    def nodes(self) -> list[Operation]:
+        """All operations."""
+        return self.builder.scopes[0].nodes
+
+    def input(self, shape: tuple[int, ...], dtype: np.dtype, number: int) -> Symbol:
+        """An argument of the traced function."""
+        kind = self.number if dtype.kind == "f" else np.dtype(np.int32) if dtype.kind in "iu" else dtype
+        return Symbol(self, Operation("input", (), shape, kind, {"number": number}))
+
+    def constant(self, value: Any) -> Symbol:  # noqa: ANN401 (an array or a number)
+        """A constant."""
+        array = np.asarray(value)
+        if array.dtype.kind == "f" and array.dtype != np.float32:
+            array = array.astype(self.number)
+        elif array.dtype.kind in "iu":
+            array = array.astype(np.int32)
+        return Symbol(self, self.builder.constant(array))
+
+    # ------------------------------------------------------------------------------------------- operations
+    def apply(self, name: str, *given: Any, **options: Any) -> Any:  # noqa: ANN401 (symbols and numbers)
+        """A function of NumPy by its name."""
+        if not any(isinstance(each, Symbol) for each in _leaves((given, tuple(options.values())))):
+            single = hasattr(scalars, name) and not any(map(np.ndim, given))
+            return getattr(scalars if single else np, name)(*given, **options)
+        if name in {"ndim", "size", "shape"}:
+            return getattr(given[0], name)
+        inputs: list[Any] = []
+
+        def take(each: Any) -> Any:  # noqa: ANN401 (an argument)
+            if isinstance(each, Symbol | np.ndarray):
+                inputs.append(each)
+                return _Hole(len(inputs) - 1)
+            if isinstance(each, np.generic):
+                return each.item()
+            if isinstance(each, list | tuple):
+                return type(each)(map(take, each))
+            return each
+
+        form = take(given)
+        shape = {key: take(value) for key, value in options.items()}
+
+        def computed(*arrays: Any) -> Any:  # noqa: ANN401 (arrays)
+            def fill(each: Any) -> Any:  # noqa: ANN401 (an argument)
+                if isinstance(each, _Hole):
+                    return arrays[each.number]
+                return type(each)(map(fill, each)) if isinstance(each, list | tuple) else each
+
+            return _function(name)(*fill(form), **{key: fill(value) for key, value in shape.items()})
+
+        return self.call((name, repr(form), repr(shape)), computed, *inputs)
+
+    def call(self, key: Any, function: Callable[..., Any], *given: Any) -> Symbol:  # noqa: ANN401 (a key)
+        """A function of JAX arrays, as the operations that it consists of."""
+        import jax
+
+        nodes = [(each if isinstance(each, Symbol) else self.constant(each)).node for each in given]
+        whole = key, tuple((node.shape, node.dtype.str) for node in nodes)
+        if whole not in self.programs:
+            forms = [jax.ShapeDtypeStruct(node.shape, node.dtype) for node in nodes]
+            with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+                self.programs[whole] = jax.make_jaxpr(function)(*forms)
+        closed = self.programs[whole]
+        (found,) = self.builder.inline(closed.jaxpr, closed.consts, nodes)
+        return Symbol(self, found)
+
+    def accumulate(self, ufunc: np.ufunc, values: Symbol) -> Symbol:
+        """Running result of a function of two numbers along an array."""
+        found = [values[0]]
+        for each in list(values)[1:]:
+            found.append(ufunc(found[-1], each))
+        return self.apply("stack", found)
+
+    # ----------------------------------------------------------------------------------------------- branches
+    def decide(self, node: Operation) -> bool:
+        """Truth of a condition on the way that is being run.
+
+        Raises:
+            Undecided: It is not known yet.
+        """
+        if id(node) in self.known[-1]:
+            return self.known[-1][id(node)]
+        self.alive.append(node)
+        raise Undecided(node)
+
+    def run(self, function: Callable[[], Any], name: str, *, lazy: bool = False) -> Any:  # noqa: ANN401 (a tree)
+        """Result of a function that asks for truth values, its ways joined."""
+
+        def way(known: dict[int, bool]) -> Any:  # noqa: ANN401 (a tree)
+            self.known.append(known)
+            try:
+                return function()
+            except Undecided as asked:
+                node = asked.node
+            finally:
+                self.known.pop()
+            if len(known) == MOST_QUESTIONS:
+                words = "a function of the driver has too many branches for a form in C"
+                raise InputError(words, field="export", value=name)
+            if not lazy:
+                yes, no = (way(known | {id(node): truth}) for truth in (True, False))
+                return self.join(yes, no, lambda a, b: self.select(node, a, b))
+            return self.choose(node, *(partial(way, known | {id(node): truth}) for truth in (True, False)))
+
+        return way({})
+
+    def remember(self, key: Any, make: Callable[[], Any]) -> Any:  # noqa: ANN401 (a key, a tree)
+        """Result made for the same symbols before: a way that is run again finds the same choices."""
+        for scope in self.builder.scopes:
+            if key in scope.known:
+                return scope.known[key]
+        self.builder.scopes[-1].known[key] = found = make()
+        return found
+
+    def select(self, node: Operation, yes: Any, no: Any) -> Symbol:  # noqa: ANN401 (numbers)
+        """One number or the other; both are computed."""
+        kind = self._kind(yes, no)
+        return self.apply("where", Symbol(self, node), self._turn(yes, kind), self._turn(no, kind))
+
+    def choose(self, node: Operation, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:  # noqa: ANN401 (a tree)
+        """Result of one function or the other; only that one is computed."""
+        scopes, results = [], []
+        for side in (yes, no):
+            self.builder.open_scope()
+            results.append(side())
+            scopes.append(self.builder.close_scope())
+        pairs: list[tuple[Any, Any]] = []
+
+        def mark(a: Any, b: Any) -> _Hole:  # noqa: ANN401 (numbers)
+            pairs.append((a, b))
+            return _Hole(len(pairs) - 1)
+
+        joined = self.join(results[0], results[1], mark)
+        kinds = [self._kind(*pair) for pair in pairs]
+        sides = []
+        for scope, ends in zip(scopes, zip(*pairs, strict=True), strict=True):
+            self.builder.open_scope(scope)
+            last = [self._turn(each, kind).node for each, kind in zip(ends, kinds, strict=True)]
+            sides.append(Branch(drop_unused(self.builder.close_scope().nodes, last), last))
+        found = self.builder.choice(node, sides[::-1])
+        return _map(
+            lambda each: Symbol(self, found[each.number]) if isinstance(each, _Hole) else each, joined
+        )
+
+    def _kind(self, a: Any, b: Any) -> np.dtype:  # noqa: ANN401 (numbers)
+        """Number type of a choice."""
+        first, second = ((each if isinstance(each, Symbol) else self.constant(each)).dtype for each in (a, b))
+        if first == second:
+            return first
+        return np.dtype(np.int32) if first.kind == second.kind == "i" else self.number
+
+    def _turn(self, value: Any, kind: np.dtype) -> Symbol:  # noqa: ANN401 (a number)
+        found = value if isinstance(value, Symbol) else self.constant(value)
+        return found if found.dtype == kind else self.apply("astype", found, kind)
+
+    def join(self, yes: Any, no: Any, choose: Callable[[Any, Any], Any]) -> Any:  # noqa: ANN401 (trees)
+        """Two results as one, a choice wherever they differ."""
+        if yes is no:
+            return yes
+        if isinstance(yes, Symbol) and isinstance(no, Symbol) and yes.node is no.node:
+            return yes
+        if isinstance(yes, tuple | list) and type(yes) is type(no) and len(yes) == len(no):
+            parts = [self.join(a, b, choose) for a, b in zip(yes, no, strict=True)]
+            return type(yes)(*parts) if hasattr(yes, "_fields") else type(yes)(parts)
+        if _is_number(yes) and _is_number(no):
+            simple = not isinstance(yes, Symbol) and not isinstance(no, Symbol)
+            alike = (
+                simple
+                and type(yes) is type(no)
+                and np.array_equal(cast("Any", yes), cast("Any", no), equal_nan=True)
+            )
+            return yes if alike else choose(yes, no)
+        raise InputError(
+            "the driver answers with one thing or another, which has no form in C",
+            field="to",
+            value=f"{type(yes).__name__} or {type(no).__name__}",
+        )
+
+    # ------------------------------------------------------------------------------------------------ modules
+    @contextmanager
+    def installed(self, modules: Sequence[ModuleType]) -> Iterator[None]:
+        """Let the functions of modules run on symbols."""
+        NAMESPACES[Symbol] = _Namespace(self)
+        missing, changed = object(), []
+        try:
+            for place, name, value in self._replacements(modules):
+                changed.append((place, name, vars(place).get(name, missing)))
+                setattr(place, name, value)
+            yield
+        finally:
+            for place, name, value in reversed(changed):
+                if value is missing:
+                    delattr(place, name)
+                else:
+                    setattr(place, name, value)
+
+    def _replacements(self, modules: Sequence[ModuleType]) -> list[tuple[Any, str, Any]]:
+        """Modules and classes, names in them, and what the names stand for while tracing."""
+        own, joined = {module.__name__ for module in modules}, {}
+        found: list[tuple[Any, str, Any]] = []
+        for module in modules:
+            for name, value in vars(module).items():
+                if inspect.isclass(value) and value.__module__ == module.__name__:
+                    found += [(value, *each) for each in self._methods(value)]
+                elif inspect.isfunction(value) and inspect.unwrap(value).__module__ in own:
+                    joined[value] = joined.get(value) or self._joining(value)
+                    found.append((module, name, joined[value]))
+            known = self._builtins()
+            if module.__name__.startswith("metropilot.studies"):
+                # where a study asks for single numbers by name
+                known["scalars"] = NAMESPACES[Symbol]
+            found += [
+                (module, name, value)
+                for name, value in known.items()
+                if (name in vars(module)) == (name in {"math", "scalars"})
+            ]
+        return found
+
+    def _methods(self, kind: type) -> Iterator[tuple[str, Any]]:
+        for name, value in list(vars(kind).items()):
+            if name.startswith("__") or name in UNTOUCHED:
+                continue
+            if isinstance(value, FunctionType):
+                yield name, self._joining(value)
+            elif isinstance(value, property) and value.fget is not None:
+                yield name, property(self._joining(cast("FunctionType", value.fget)))
+
+    def _joining(self, function: FunctionType) -> Callable[..., Any]:
+        """The function, unchecked, the ways of each call joined."""
+        plain = inspect.unwrap(function)
+        if plain.__name__ == "unless":
+
+            def unless(done: Any, value: int, rest: Callable[..., Any], *given: Any) -> Any:  # noqa: ANN401
+                if not isinstance(done, Symbol):
+                    return value if done else rest(*given)
+                key = "unless", rest.__qualname__, _key((done, value, given))
+                return self.remember(key, lambda: self.choose(done.node, lambda: value, lambda: rest(*given)))
+
+            return unless
+        if plain.__name__ == "slice_from":
+
+            def slice_from(values: Any, first: Any, size: int) -> Any:  # noqa: ANN401 (arrays)
+                if not isinstance(first, Symbol):
+                    return values[first : first + size]
+                return self.call(("slice", size), partial(plain, size=size), values, first)
+
+            return slice_from
+        lazy = plain.__name__ in LAZY
+
+        @wraps(plain)
+        def call(*given: Any, **options: Any) -> Any:  # noqa: ANN401 (anything)
+            def found() -> Any:  # noqa: ANN401 (anything)
+                return self.run(lambda: plain(*given, **options), plain.__qualname__, lazy=lazy)
+
+            key = plain.__qualname__, _key((given, tuple(sorted(options.items()))))
+            self.alive.append((given, options))
+            return self.remember(key, found)
+
+        return call
+
+    def _builtins(self) -> dict[str, Any]:
+        """Builtin functions that a symbol cannot answer, in a form that knows symbols."""
+
+        def least(*given: Any, largest: bool = False, **options: Any) -> Any:  # noqa: ANN401 (numbers)
+            values = list(given[0]) if len(given) == 1 else list(given)
+            if not any(isinstance(each, Symbol) for each in values):
+                return (builtins.max if largest else builtins.min)(values, **options)
+            if len(given) == 1 and isinstance(given[0], Symbol):
+                return given[0].max() if largest else given[0].min()
+            found = values[0]
+            for each in values[1:]:
+                # as Python does: the first of equal ones, and the first where one is not a number
+                better = each > found if largest else each < found
+                found = self.apply("where", better, each, found)
+            return found
+
+        class _Kind(type):
+            def __instancecheck__(cls, value: Any) -> bool:  # noqa: ANN401 (anything)
+                return isinstance(value, getattr(builtins, cls.__name__))
+
+        def kind(name: str, turn: Callable[[Symbol], Any]) -> Any:  # noqa: ANN401 (a type)
+            known = getattr(builtins, name)
+
+            def make(_: Any, *given: Any) -> Any:  # noqa: ANN401 (a type, anything)
+                return turn(given[0]) if given and isinstance(given[0], Symbol) else known(*given)
+
+            return _Kind(name, (), {"__new__": make})
+
+        whole = np.dtype(np.int32)
+        return {
+            "min": least,
+            "max": partial(least, largest=True),
+            "int": kind("int", lambda x: x.astype(whole)),
+            "float": kind("float", lambda x: x.astype(self.number)),
+            "math": _Mathematics(self),
+        }
+
+
+class _Mathematics:
+    """The module ``math`` for symbols too."""
+
+    def __init__(self, tracer: BranchTracer) -> None:
+        self.tracer = tracer
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 (a function or a number)
+        known = getattr(math, name)
+
+        def call(*given: Any) -> Any:  # noqa: ANN401 (numbers)
+            if not any(isinstance(each, Symbol) for each in given):
+                return known(*given)
+            found = self.tracer.apply(name, *given)
+            return found.astype(np.int32) if name in {"ceil", "floor"} else found
+
+        return call if callable(known) else known
+
+
+class _Hole:
+    """Place of an argument or of a result that is not known yet."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+    def __repr__(self) -> str:
+        return f"<{self.number}>"
+
+
+def _function(name: str) -> Callable[..., Any]:
+    """The function of JAX of a name, in operations that have a form in C."""
+    import jax.numpy as jnp
+
+    def take(values: Any, places: Any) -> Any:  # noqa: ANN401 (arrays)
+        return values.at[places].get(mode="clip", wrap_negative_indices=False)
+
+    def interp(x: Any, at: Any, values: Any) -> Any:  # noqa: ANN401 (arrays)
+        if jnp.ndim(x):
+            raise InputError("the driver interpolates many places, which has no form in C", field="to")
+        last = at.shape[0] - 1
+        k = jnp.clip(jnp.sum(at <= x) - 1, 0, last - 1).astype(jnp.int32)
+        low, high = take(at, k), take(at, k + 1)
+        found = take(values, k) + (take(values, k + 1) - take(values, k)) / (high - low) * (x - low)
+        return jnp.where(x <= at[0], values[0], jnp.where(x >= at[last], values[last], found))
+
+    def einsum(form: str, a: Any, b: Any) -> Any:  # noqa: ANN401 (arrays)
+        given, left = form.split("->")
+        first, second = given.split(",")
+        axes = "".join(sorted({*first, *second} - {*left})) + left
+        spread = []
+        for array, letters in ((a, first), (b, second)):
+            order = sorted(range(len(letters)), key=lambda k, letters=letters: axes.index(letters[k]))
+            shape = [array.shape[letters.index(each)] if each in letters else 1 for each in axes]
+            spread.append(jnp.transpose(array, order).reshape(shape))
+        return (spread[0] * spread[1]).sum(tuple(range(len(axes) - len(left))))
+
+    def concatenate(parts: Any) -> Any:  # noqa: ANN401 (arrays)
+        return jnp.concatenate([jnp.stack(each) if isinstance(each, list) else each for each in parts])
+
+    def cumsum(x: Any) -> Any:  # noqa: ANN401 (an array)
+        sums = [x[0]]
+        for k in range(1, x.shape[0]):
+            sums.append(sums[-1] + x[k])
+        return jnp.stack(sums)
+
+    own = {
+        "concatenate": concatenate,
+        "cumsum": cumsum,
+        "ceil": lambda x: -jnp.floor(-x),
+        "astype": lambda x, dtype: x.astype(dtype),
+        "take": take,
+        "interp": interp,
+        "einsum": einsum,
+        "argmin": lambda x: jnp.argmax(-x).astype(jnp.int32),
+        "argmax": lambda x: jnp.argmax(x).astype(jnp.int32),
+        "empty_like": jnp.zeros_like,
+        "diagonal": lambda x: jnp.stack([x[k, k] for k in range(x.shape[0])]),
+        "min": jnp.min,
+        "max": jnp.max,
+    }
+    return own.get(name) or getattr(jnp, name)
+
+
+def _leaves(tree: Any) -> Iterator[Any]:  # noqa: ANN401 (a tree)
+    if isinstance(tree, tuple | list):
+        for each in tree:
+            yield from _leaves(each)
+    else:
+        yield tree
+
+
+def _key(tree: Any) -> Any:  # noqa: ANN401 (a tree)
+    """Key that tells trees apart: operations, numbers, other things by their identity."""
+    if isinstance(tree, tuple | list):
+        return tuple(map(_key, tree))
+    if isinstance(tree, Symbol):
+        return "symbol", id(tree.node)
+    return (type(tree), tree) if isinstance(tree, str | float | int | np.generic) else id(tree)
+
+
+def _is_number(value: Any) -> bool:  # noqa: ANN401 (anything)
+    return isinstance(value, Symbol | float | int | np.generic | np.ndarray)
+
+
+def _map(function: Callable[[Any], Any], tree: Any) -> Any:  # noqa: ANN401 (a tree)
+    if isinstance(tree, tuple | list):
+        parts = [_map(function, each) for each in tree]
+        return type(tree)(*parts) if hasattr(tree, "_fields") else type(tree)(parts)
+    return function(tree)

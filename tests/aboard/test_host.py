@@ -1,0 +1,214 @@
+"""A driver that is plain Python drives in C as it does there, to the last bit."""
+
+import ctypes
+import json
+import shutil
+import types
+
+import numpy as np
+import pytest
+from tests.aboard.test_emit import compile_c, header
+from tests.commands import answer as run_command
+
+from metropilot.aboard import compile_driver, drive_compiled, exportable, trace_driver, write_driver
+from metropilot.aboard.branching import BranchTracer
+from metropilot.aboard.emit import Tables, emit_body
+from metropilot.aboard.graph import Graph, drop_unused
+from metropilot.drivers import DRIVERS
+from metropilot.errors import InputError
+from metropilot.physics import double_precision
+from metropilot.railway import load_line, load_trainset
+from metropilot.sim import Observation, Rollout, Run
+
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+NEAR_M = 1e-9
+
+
+@pytest.fixture(scope="module", params=["pid", "eitoe", "eitop"])
+def compiled(request, tmp_path_factory):
+    section = load_line("yizhuang").section("RJ", "WYJ")
+    driver = DRIVERS.get(request.param)()
+    program = trace_driver(request.param, driver, [section], load_trainset("dkz32", "AW2"))
+    folder = tmp_path_factory.mktemp(request.param)
+    write_driver(program, folder)
+    return compile_driver(program, folder, options=("-O0",))
+
+
+def test_a_drive_is_that_of_python(compiled):
+    program = compiled.program
+    (section,) = program.sections
+    run = drive_compiled(compiled, 0, section.planned_time_s)
+    rollout = Rollout(Run(section, program.trainset, section.planned_time_s), program.driver)
+    for state in run.states:
+        rollout.advance()
+        assert abs(state.plant.position_m - rollout.state.plant.position_m) < NEAR_M
+    assert rollout.outcome is not None
+    assert rollout.state.outcome == run.states[-1].outcome
+    assert not any(answer.level for answer in run.supervised)
+
+
+def test_news_of_the_timetable_are_followed_as_in_python(compiled):
+    """Half way the run gets longer; ``pid`` keeps to the reference that it was written with."""
+    program = compiled.program
+    (section,) = program.sections
+    compiled.init(0)
+    rollout = Rollout(Run(section, program.trainset, section.planned_time_s), program.driver)
+    kept = program.driver.init(Run(section, program.trainset, section.planned_time_s))
+    for _ in range(300):
+        plant = rollout.state.plant
+        later = section.planned_time_s + (15.0 if plant.time_s > 40.0 else 0.0)
+        values = plant.time_s, plant.position_m, rollout.state.measured_mps, plant.acceleration_mps2, later
+        measured = [float(each) for each in values]
+        share, kept = program.driver.act(kept, Observation(*measured, np.nan, section))
+        answer = compiled.step(*measured)
+        assert answer.level == 0
+        assert answer.share == pytest.approx(share, abs=1e-12)
+        rollout.advance()
+
+
+def test_a_lost_measurement_is_no_memory(compiled):
+    compiled.init(0)
+    for k in range(30):
+        compiled.step(0.2 * k, 0.02 * k * k, 0.2 * k, 1.0, 105.0)
+    memory = bytes(compiled.state.policy)
+    for lost in range(5):
+        values = [6.0, 18.0, 6.0, 1.0, 105.0]
+        values[lost] = np.nan
+        answer = compiled.step(*values)
+        assert bytes(compiled.state.policy) == memory
+        assert answer.emergency or answer.share == -1.0
+
+
+def test_numbers_out_of_range_break_nothing(compiled):
+    rng = np.random.default_rng(5)
+    extreme = [np.nan, np.inf, -np.inf, 1e300, -1e300, 1e12, -1e-300, 0.0, 50.0, 1e6]
+    compiled.init(0)
+    for _ in range(500):
+        answer = compiled.step(*rng.choice(extreme, 5))
+        assert -1.0 <= answer.share <= 1.0
+        assert 0 <= answer.level <= 3
+
+
+# ------------------------------------------------------------------------------------------------ branches
+SOURCE = """
+import math
+import numpy as np
+
+KNOTS = [0.0, 1.0, 4.0, 9.0, 16.0]
+
+
+def interpolate(values, x):
+    if x <= 0.0:
+        return values[0]
+    if x >= len(values) - 1:
+        return values[-1]
+    k = int(x)
+    return values[k] + (values[k + 1] - values[k]) * (x - k)
+
+
+def early(x, y):
+    for bound in (-1.0, 0.5, 2.0):
+        if x < bound and y > 0.0:
+            return bound
+    return x if y > x else -y
+
+
+def least(x, y):
+    return min(x, y, 0.25) + max(x, -y) + math.sqrt(abs(x)) + float(int(y)) + math.ceil(x)
+
+
+def arrays(x, y):
+    values = np.array([1.0, -2.0, 3.0]) * x
+    values[1] += y
+    values[2:] = 0.5
+    best = int(values.argmin())
+    worse = np.where(values > y, values, y)
+    return worse[best] + values.sum() + (1.0 if (values > 0.0).all() else 0.0)
+
+
+def chained(x, y):
+    both = 0.0 < x < 2.0 and not y < 0.0 or x == y
+    return round(x) + round(2.5 * y) if both else x // 1.0 + x % 1.0
+"""
+POINTS = [
+    (x, y) for x in (-1.5, -0.5, 0.0, 0.3, 0.5, 1.0, 1.7, 2.5, 7.0) for y in (-2.0, 0.0, 0.2, 0.6, 1.0, 3.4)
+]
+
+
+@pytest.fixture(scope="module")
+def branches():
+    module = types.ModuleType("branches_of_a_test")
+    exec(SOURCE, module.__dict__)
+    return module
+
+
+@pytest.mark.parametrize("name", ["interpolate", "early", "least", "arrays", "chained"])
+def test_every_way_through_a_function_is_in_the_graph(tmp_path, branches, name):
+    function = getattr(branches, name)
+
+    def call(x, y):
+        return function(branches.KNOTS, x) if name == "interpolate" else function(x, y)
+
+    with double_precision():
+        tracer = BranchTracer(np.float64)
+        x, y = (tracer.input((), np.dtype(np.float64), k) for k in range(2))
+        knots, branches.KNOTS = branches.KNOTS, tracer.constant(branches.KNOTS)
+        with tracer.installed([branches]):
+            found = tracer.run(lambda: call(x, y), name)
+        branches.KNOTS = knots
+        graph = Graph([x.node, y.node], [found.node], drop_unused(tracer.nodes, [found.node]))
+        tables = Tables()
+        body = "\n".join(emit_body(graph, ["x", "y"], ["out"], tables))
+    head = "double call(double x, double y)"
+    text = f"{head};\n{head}\n{{\n    double out; (void)x; (void)y;\n{body}\n    return out;\n}}\n"
+    library = compile_c(tmp_path, header(text, tables) + text)
+    compute = library.call
+    compute.restype, compute.argtypes = ctypes.c_double, [ctypes.c_double] * 2
+    for x_, y_ in POINTS:
+        assert compute(x_, y_) == float(call(x_, y_)), (x_, y_)
+    # and the module is as it was
+    assert "min" not in vars(branches)
+
+
+def test_what_cannot_be_joined_is_refused(branches):
+    with double_precision():
+        tracer = BranchTracer(np.float64)
+        x = tracer.input((), np.dtype(np.float64), 0)
+        with tracer.installed([branches]), pytest.raises(InputError, match="one thing or another"):
+            tracer.run(lambda: None if x > 0.0 else 1.0, "either")
+        with tracer.installed([branches]), pytest.raises(InputError, match="too many branches"):
+            tracer.run(lambda: sum(k if x > k else 0.0 for k in range(40)), "many")
+
+
+# -------------------------------------------------------------------------------------------------- command
+def test_the_command_writes_a_driver_of_the_host(tmp_path):
+    out = tmp_path / "eitoe"
+    arguments = (
+        "export",
+        "eitoe",
+        "--to",
+        "c",
+        "--line",
+        "yizhuang",
+        "--sections",
+        "RJ-WYJ",
+        "--out",
+        str(out),
+    )
+    code, said, error = run_command([*arguments, "--json"])
+    assert error == ""
+    assert code == 0
+    report = json.loads(said)
+    assert report["sections"] == ["RJ-WYJ"]
+    assert report["policy"] is None
+    assert (out / "eitoe.c").is_file()
+
+
+def test_a_driver_that_plans_on_the_way_is_refused(tmp_path):
+    arguments = ("export", "mpc", "--to", "c", "--line", "yizhuang", "--out", str(tmp_path / "x"))
+    code, _, said = run_command(list(arguments))
+    assert code == 2
+    assert "plans or searches as it drives" in said
+    assert "pid" in said
+    assert {"pid", "eitoe", "eitop", "generalist", "ppo"} <= set(exportable())
+    assert "mpc" not in exportable()
