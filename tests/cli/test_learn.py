@@ -207,8 +207,8 @@ BAD = [
     (("export", "ppo", *ABOARD, "--sections", "RJ-NOWHERE"), "NOWHERE"),
     (("export", "ppo", *ABOARD, "--trainset", "dkz32@0.4,0.2"), "allowed: ID@0,0"),
     *(
-        (("export", name, *ABOARD), "only a learned policy has a form in C")
-        for name in ("pid", "eitop", "mpc")
+        (("export", name, *ABOARD), "plans or searches as it drives, which has no form in C")
+        for name in ("optimal", "mpc")
     ),
 ]
 
