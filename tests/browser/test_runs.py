@@ -87,6 +87,16 @@ def test_a_run_is_opened_again(visit, driven):
     kpis = page.get_by_role("table", name="KPIs")
     expect(kpis).to_contain_text("scheduled 150 s", timeout=PATIENCE_MS)
     expect(page.locator('[data-test="resume"]')).to_be_hidden()
+    why = page.locator('[data-test="why"]')
+    expect(why).to_contain_text(
+        re.compile(r"Bound by .*effort \d+ %.*Above the optimum: .* % driver, most of it in")
+    )
+    expect(why).to_contain_text("Protection never stepped in")
+    expect(page.get_by_role("table", name="Regimes").get_by_role("row")).not_to_have_count(1)
+    drawn = page.evaluate("document.querySelector('[data-test=explanation]').data.map(t => t.name)")
+    assert {"driven", "lost by the trainset", "lost by the driver", "effort", "speed limit"} <= set(drawn)
+    bands = page.evaluate("document.querySelector('[data-test=explanation]').layout.shapes.length")
+    assert bands > 3
 
 
 def test_a_journey_is_opened_again(visit, server):

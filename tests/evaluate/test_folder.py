@@ -12,7 +12,7 @@ from metropilot.evaluate import RunSpec, kpis_of, optimum_of, run_from_toml, wri
 from metropilot.railway import load_line, write_line
 from metropilot.sim import drive
 
-FILES = ["kpis.json", "profile.png", "profile.svg", "run.toml", "trajectory.csv"]
+FILES = ["explanation.json", "kpis.json", "profile.png", "profile.svg", "run.toml", "trajectory.csv"]
 
 
 def write(folder, request):

@@ -12,6 +12,13 @@ from .driver_options import option_defaults as option_defaults
 from .driver_options import parse_driver as parse_driver
 from .driver_options import parse_option as parse_option
 from .driver_options import with_options as with_options
+from .explanation import BOUNDS as BOUNDS
+from .explanation import BoundSpan as BoundSpan
+from .explanation import Explanation as Explanation
+from .explanation import InterventionSpan as InterventionSpan
+from .explanation import RegimeSpan as RegimeSpan
+from .explanation import explain_drive as explain_drive
+from .explanation import traction_work_j as traction_work_j
 from .folder import comparison_json as comparison_json
 from .folder import copy_input as copy_input
 from .folder import copy_inputs as copy_inputs

@@ -11,6 +11,7 @@ from typing import Any
 from metropilot._io import fill_folder, write_json
 from metropilot._provenance import provenance
 from metropilot.evaluate.comparison import Entry
+from metropilot.evaluate.explanation import explain_drive
 from metropilot.evaluate.kpis import Kpis
 from metropilot.evaluate.optimum import Optimum
 from metropilot.evaluate.run_spec import FILES, POLICY, RunSpec, is_file
@@ -20,7 +21,7 @@ from metropilot.sim import Drive
 
 
 def write_run(folder: Path, request: RunSpec, drive: Drive, kpis: Kpis, optimum: Optimum | None) -> None:
-    """Write `trajectory.csv`, `kpis.json`, `profile.svg`, `profile.png` and `run.toml`.
+    """Write `trajectory.csv`, `kpis.json`, `explanation.json`, `profile.svg`, `profile.png` and `run.toml`.
 
     Args:
         folder: Folder; created if missing.
@@ -38,6 +39,7 @@ def write_run(folder: Path, request: RunSpec, drive: Drive, kpis: Kpis, optimum:
     with fill_folder(folder) as scratch:
         drive.trajectory.write(scratch / "trajectory.csv")
         write_json(scratch / "kpis.json", kpis.as_dict())
+        write_json(scratch / "explanation.json", explain_drive(drive, optimum).as_dict())
         save_figure(profile_figure(drive, kpis, optimum), scratch / "profile")
         write_run_toml(scratch, request)
 

@@ -37,6 +37,7 @@ from .step import measured_speed as measured_speed
 from .step import noise_stream as noise_stream
 from .step import overspeed_in_period as overspeed_in_period
 from .step import running_time as running_time
+from .trajectory import BRAKE as BRAKE
 from .trajectory import COASTING as COASTING
 from .trajectory import COLUMNS as COLUMNS
 from .trajectory import PHASES as PHASES

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import perf_counter_ns
 from typing import Any, NamedTuple, cast, final
 
 import numpy as np
 from numpy import ndarray
 
-from metropilot._typing import Bool, Float
+from metropilot._typing import Bool, Float, Int
 from metropilot.errors import InputError
 from metropilot.physics import Command, at_rest, delay_steps, track_arrays, vehicle_arrays
 from metropilot.protection import Protection, Verdict, at_start, permitted_speed, protect
@@ -44,6 +44,8 @@ class Drive:
         decision_us: Computing time of each decision, microseconds.
         overruled: True in each step in which protection overruled the driver, or the command was not a
             finite number.
+        levels: Level of the intervention in each step, an index into
+            :data:`metropilot.protection.LEVELS`; empty where it is not recorded (compiled batches).
     """
 
     run: Run
@@ -59,6 +61,7 @@ class Drive:
     recovered_j: float
     decision_us: Float[ndarray, " steps"]
     overruled: Bool[ndarray, " steps"]
+    levels: Int[ndarray, " steps"] = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 def drive(run: Run, driver: AbstractDriver) -> Drive:
@@ -154,6 +157,7 @@ class Rollout:
         self.recorder = Recorder(vehicle, run.dt, plant)
         self.decision_us: list[float] = []
         self.overruled: list[bool] = []
+        self.levels: list[int] = []
         self.memory = driver.init(run)
         self.by_hand: float | None = None
         self.permitted_mps = self.permitted()
@@ -198,6 +202,7 @@ class Rollout:
         self.recorder.add(params.track, self.state.plant, record, self.permitted_mps)
         self.wanted, self.command = record.wanted.share, float(record.command.share)
         self.level = int(cast("Verdict", record.verdict).level)
+        self.levels.append(self.level)
         if self.state.outcome != RUNNING:
             self.outcome = CODES[self.state.outcome]
         return self.moment()
@@ -256,6 +261,7 @@ class Rollout:
             recovered_j=float(plant.recovered_j),
             decision_us=np.array(self.decision_us),
             overruled=np.array(self.overruled),
+            levels=np.array(self.levels, np.int64),
         )
 
     def apply_updates(self) -> None:

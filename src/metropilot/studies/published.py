@@ -18,7 +18,7 @@ from metropilot.studies.study import STUDIES
 
 CELL = re.compile(r"(?<!\\)\|")
 FIGURE = re.compile(r"(?m)^!\[(?P<caption>.*)\]\([^/)]+/(?P<name>[a-z0-9_]+\.png)\)$")
-VERDICTS = ("claim", "unit", "published", "ours", "interval", "rival", "verdict", "why")
+VERDICTS: tuple[str, ...] = ("claim", "unit", "published", "ours", "interval", "rival", "verdict", "why")
 COLUMNS = ("case", "driver", "kpi", "unit", "published", "ours", "range", "optimum")
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from metropilot.errors import Infeasible, InputError, SolverError
-from metropilot.evaluate import RunSpec, kpis_of, optimum_of, write_run
+from metropilot.evaluate import RunSpec, kpis_of, optimum_of, traction_work_j, write_run
 from metropilot.physics import track_arrays
 from metropilot.planning import Plan, PlanOptions, minimum_running_time, optimal_plan
 from metropilot.protection import LEVELS, permitted_speed, protect
@@ -22,7 +22,7 @@ from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M, Moment, Rollout, Tim
 from metropilot.units import KMH_PER_MPS
 from metropilot.web.errors import Refused
 from metropilot.web.work.drives import drive_out
-from metropilot.web.work.plans import numbers, station, window, work_j
+from metropilot.web.work.plans import numbers, station, window
 
 HAND_S = 3.0
 """Manual driving ends unless the holder of the lever renews it within this time."""
@@ -254,7 +254,7 @@ class Engine:
             self.force, self.reference = force, self.plan
         elif force != self.force:
             self.force, self.reference = force, self._plan(0.0, 0.0, 0.0)
-        self.reference_used_j = None if self.reference is None else work_j(self.reference)
+        self.reference_used_j = None if self.reference is None else traction_work_j(self.reference)
 
     def _plan(self, start_m: float, start_mps: float, time_s: float) -> Plan | None:
         """Optimal plan from a state to the stop; late where the time cannot be met."""

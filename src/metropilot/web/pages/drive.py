@@ -9,7 +9,7 @@ from fastapi.responses import RedirectResponse
 from nicegui import events, ui
 
 from metropilot.errors import InputError, MetropilotError
-from metropilot.units import KMH_PER_MPS
+from metropilot.units import J_PER_KWH, KMH_PER_MPS
 from metropilot.web import catalogue, evidence
 from metropilot.web.errors import Refused, error_of
 from metropilot.web.live.session import Session
@@ -26,7 +26,13 @@ from metropilot.web.pages.form import (
     validate,
 )
 from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, table
-from metropilot.web.pages.plots import drive_figure, plan_figure, run_figure
+from metropilot.web.pages.plots import (
+    REGIME_COLOURS,
+    drive_figure,
+    explanation_figure,
+    plan_figure,
+    run_figure,
+)
 from metropilot.web.pages.runs import RunList
 from metropilot.web.pages.strip import line_strip, section_strip
 from metropilot.web.schemas.requests import LiveIn, NewArrival, NewRestriction
@@ -46,7 +52,7 @@ READS = (
     ("against the plan", "–", "against"),
     ("protection", "–", "level"),
 )
-TAKEN = ("trajectory.csv", "kpis.json", "profile.svg", "run.zip")
+TAKEN = ("trajectory.csv", "kpis.json", "explanation.json", "profile.svg", "run.zip")
 KEYS = (("M", "take"), ("↑ ↓", "10 % more, less"), ("0", "coast"), ("B", "full brake"), ("Esc", "give back"))
 
 
@@ -131,6 +137,7 @@ class DrivePage:
                 self.plot = ui.plotly(run_figure()).classes("mp-plot")
                 ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite aria-label="News"')
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
+            self.why = ui.element("div").classes("mp-col")
             with card():
                 self.map = ui.html("").classes("mp-strip")
             self.root.on("mp-result", self.show_result, ["detail"])
@@ -206,6 +213,7 @@ class DrivePage:
             found = self.service.store.result(self.row.id)
             if found is not None:
                 self.plot.update_figure(drive_figure(found))
+                self.show_why(found)
                 self.show_kpis(self.row.id, found)
             if self.row.error is not None:
                 self.departure.show(error_of(self.row.error))
@@ -295,6 +303,7 @@ class DrivePage:
     def attach(self, session: Session) -> None:
         """Connect the browser to the stream of a run."""
         self.result.clear()
+        self.why.clear()
         self.news.clear()
         self.resume_button.set_visibility(False)
         self.arrival.value = self.scheduled_s(session)
@@ -383,6 +392,83 @@ class DrivePage:
         self.resume_button.set_visibility(session.known.status in RESUMABLE)
         if session.known.status == "failed":
             self.departure.show(session.failure())
+        found = self.service.store.result(session.id)
+        if found is not None:
+            self.show_why(found)
+
+    def show_why(self, found: dict[str, Any]) -> None:
+        """Show the reasons of a finished run; one of an earlier version has none."""
+        self.why.clear()
+        if found.get("explanation") is not None:
+            with self.why:
+                explanation_card(found)
+
+
+def explanation_card(driven: dict[str, Any]) -> None:
+    """Show why a drive went as it did: regimes, what bound it, interventions, loss by regime."""
+    told, kpis = driven["explanation"], driven["kpis"]
+    with card("Why does it drive so?"):
+        ui.label(explain_words(told, kpis)).classes("mp-soft").props('data-test="why"')
+        with ui.element("div").classes("mp-links"):
+            for regime, colour in REGIME_COLOURS.items():
+                ui.label(regime).classes("mp-swatch").style(f"--mp-swatch: {colour}")
+        ui.plotly(explanation_figure(driven)).classes("mp-plot").props('data-test="explanation"')
+        rows = [
+            (
+                span["regime"],
+                f"{span['from_m']:.0f} – {span['to_m']:.0f}",
+                f"{span['from_s']:.1f} – {span['to_s']:.1f}",
+                span["bound"],
+                number(span["energy_wheel_j"] / J_PER_KWH, 2),
+                *(
+                    number(None if span[name] is None else span[name] / J_PER_KWH, 3)
+                    for name in ("trainset_loss_j", "driver_loss_j")
+                ),
+            )
+            for span in told["regimes"]
+        ]
+        columns = ("regime", "place (m)", "time (s)", "mostly bound by", "energy (kWh)", "trainset", "driver")
+        table(columns, rows, right=(4, 5, 6), name="Regimes")
+        hits = [
+            (
+                hit["guard"],
+                f"{hit['from_m']:.0f} – {hit['to_m']:.0f}",
+                f"{hit['from_s']:.1f} – {hit['to_s']:.1f}",
+                number(KMH_PER_MPS * hit["speed_mps"], 1),
+                number(KMH_PER_MPS * hit["permitted_mps"], 1),
+                number(hit["ahead_m"], 0),
+            )
+            for hit in told["interventions"]
+        ]
+        if hits:
+            columns = ("guard", "place (m)", "time (s)", "speed (km/h)", "permitted", "falls until (m)")
+            table(columns, hits, right=(3, 4, 5), name="Interventions")
+        ui.label(
+            "Trainset and driver: energy (kWh) lost in the regime against the optimal plan, to jerk limit, "
+            "dead time, lag and protection, and to the driver; kinetic energy that is left counts as kept."
+        ).classes("mp-soft")
+
+
+def explain_words(told: dict[str, Any], kpis: dict[str, Any]) -> str:
+    """Sum up what bound a drive, and where the driver lost most."""
+    whole = sum(span["to_s"] - span["from_s"] for span in told["bounds"])
+    times: dict[str, float] = {}
+    for span in told["bounds"]:
+        times[span["bound"]] = times.get(span["bound"], 0.0) + span["to_s"] - span["from_s"]
+    parts = [
+        f"{words} {100 * time_s / whole:.0f} %"
+        for words, time_s in sorted(times.items(), key=lambda item: -item[1])
+        if time_s >= 0.005 * whole > 0
+    ]
+    said = f"Bound by {', '.join(parts)} of the time."
+    lost = [span for span in told["regimes"] if span["driver_loss_j"] is not None]
+    if lost and kpis["optimal_energy_kwh"] is not None:
+        worst = max(lost, key=lambda span: span["driver_loss_j"])
+        gaps = kpis["trainset_gap_percent"], kpis["driver_gap_percent"]
+        said += f" Above the optimum: {gaps[0]:.1f} % trainset, {gaps[1]:.1f} % driver"
+        said += f", most of it in {worst['regime']} from {worst['from_m']:.0f} to {worst['to_m']:.0f} m."
+    count = len(told["interventions"])
+    return said + (f" Protection stepped in {count} times." if count else " Protection never stepped in.")
 
 
 def checks_table(checks: list[dict[str, Any]]) -> None:

@@ -180,6 +180,84 @@ def _fill(made: Figure, values: dict[int, tuple[Sequence[float], Sequence[float]
     return made
 
 
+REGIME_COLOURS = {"power": VERMILION, "cruise": GREY, "coast": GREEN, "brake": BLUE}
+BOUND_COLOURS = {
+    "protection": VERMILION,
+    "speed limit": BLACK,
+    "permitted speed": ORANGE,
+    "effort": BLUE,
+    "comfort": SKY,
+    "stop": GREY,
+    "time": GREEN,
+}
+
+
+def explanation_figure(driven: dict[str, Any]) -> Figure:
+    """Figure of the reasons of a drive: regimes behind the speed, what bound it, losses over distance.
+
+    Args:
+        driven: Values of :class:`metropilot.web.schemas.responses.DriveOut` with an explanation.
+    """
+    columns, told, plan = driven["columns"], driven["explanation"], driven["plan"]
+    at = columns["position_m"]
+    traces = [
+        line("speed limit", at, kmh(columns["limit_mps"]), BLACK, width=1.4, shape="hv"),
+        line("permitted speed", at, kmh(columns["permitted_mps"]), ORANGE, width=1.6, dash="dash"),
+        line("driven", at, kmh(columns["speed_mps"]), BLUE, width=2.2),
+    ]
+    if plan is not None:
+        optimal = line(
+            "optimal plan", plan["position_m"], kmh(plan["speed_mps"]), SKY, width=6.0, opacity=0.65
+        )
+        traces.insert(2, optimal)
+    hits = told["interventions"]
+    if hits:
+        marker = {"symbol": "triangle-down", "size": 10, "color": VERMILION}
+        shown = {"type": "scatter", "mode": "markers", "name": "protection", "marker": marker}
+        places = [hit["from_m"] for hit in hits]
+        speeds = kmh([hit["speed_mps"] for hit in hits])
+        traces.append({**shown, "x": places, "y": speeds, "text": [hit["guard"] for hit in hits]})
+    for bound, colour in BOUND_COLOURS.items():
+        spans = [span for span in told["bounds"] if span["bound"] == bound and span["to_m"] > span["from_m"]]
+        x = [value for span in spans for value in (span["from_m"], span["to_m"], None)]
+        y = [bound if value is not None else None for value in x]
+        if x:
+            more = {"hoverinfo": "x+name", "showlegend": False, "yaxis": "y2"}
+            traces.append(line(bound, x, y, colour, width=12.0, **more))
+    losses = {"trainset": ("trainset_loss_j", GREY, "solid"), "driver": ("driver_loss_j", VERMILION, "dash")}
+    for words, (name, colour, dash) in losses.items():
+        lost = kwh(told[name])
+        traces.append(line(f"lost by the {words}", told["position_m"], lost, colour, dash=dash, yaxis="y3"))
+    bands = [
+        {
+            "type": "rect",
+            "xref": "x",
+            "yref": "y domain",
+            "x0": span["from_m"],
+            "x1": span["to_m"],
+            "y0": 0,
+            "y1": 1,
+            "line": {"width": 0},
+            "fillcolor": REGIME_COLOURS[span["regime"]],
+            "opacity": 0.14,
+            "layer": "below",
+        }
+        for span in told["regimes"]
+        if span["regime"] in REGIME_COLOURS
+    ]
+    order = [bound for bound in reversed(BOUND_COLOURS) if any(s["bound"] == bound for s in told["bounds"])]
+    return figure(
+        traces,
+        640,
+        shapes=bands,
+        xaxis=axis("distance (m)", anchor="y3"),
+        yaxis=axis("speed (km/h)", domain=[0.52, 1.0], rangemode="tozero"),
+        yaxis2=axis("", domain=[0.26, 0.47], type="category", categoryorder="array", categoryarray=order),
+        yaxis3=axis("loss (kWh)", domain=[0.0, 0.2]),
+        hovermode="closest",
+    )
+
+
 def difference_figure(found: dict[str, Any]) -> Figure:
     """Figure of two drives: speeds, and time and energy of the second less the first, over distance."""
     at = found["position_m"]

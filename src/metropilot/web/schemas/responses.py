@@ -205,8 +205,56 @@ class CheckOut(BaseModel):
     passed: bool
 
 
+class RegimeOut(BaseModel):
+    """A part of a drive in one regime: what bound most of it, energy, loss to trainset and driver."""
+
+    regime: str
+    from_m: float
+    to_m: float
+    from_s: float
+    to_s: float
+    bound: str
+    energy_wheel_j: float
+    trainset_loss_j: float | None
+    driver_loss_j: float | None
+
+
+class BoundOut(BaseModel):
+    """A part of a drive that one thing bound."""
+
+    bound: str
+    from_m: float
+    to_m: float
+    from_s: float
+    to_s: float
+
+
+class InterventionOut(BaseModel):
+    """An intervention of protection, and the position up to which the permitted speed fell from there."""
+
+    guard: str
+    from_m: float
+    to_m: float
+    from_s: float
+    to_s: float
+    speed_mps: float
+    permitted_mps: float
+    ahead_m: float
+
+
+class ExplanationOut(BaseModel):
+    """Reasons of a drive, as in `explanation.json`; losses at the wheel, empty where they are unknown."""
+
+    regimes: list[RegimeOut]
+    bounds: list[BoundOut]
+    interventions: list[InterventionOut]
+    position_m: list[float]
+    trainset_loss_j: list[float]
+    driver_loss_j: list[float]
+
+
 class DriveOut(BaseModel):
-    """A drive: KPIs as in `kpis.json`, the requirements, and the columns of `trajectory.csv`."""
+    """A drive: KPIs as in `kpis.json`, requirements, columns of `trajectory.csv`, and its reasons."""
 
     driver: str
     success: bool
@@ -214,6 +262,7 @@ class DriveOut(BaseModel):
     checks: list[CheckOut]
     columns: dict[str, list[Any]]
     plan: PlanOut | None
+    explanation: ExplanationOut | None = None
 
 
 class KpiPair(BaseModel):

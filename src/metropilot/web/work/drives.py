@@ -15,6 +15,7 @@ from metropilot.evaluate import (
     checks,
     compare,
     comparison_json,
+    explain_drive,
     jobs,
     kpis_of,
     optimum_of,
@@ -29,10 +30,11 @@ from metropilot.web.work.plans import numbers, plan_out
 MOST = 6
 """Largest number of trainsets of a live convoy."""
 FILES = {
-    "drive": ("trajectory.csv", "kpis.json", "profile.svg", "profile.png", "run.toml"),
+    "drive": ("trajectory.csv", "kpis.json", "explanation.json", "profile.svg", "profile.png", "run.toml"),
     "live": (
         "trajectory.csv",
         "kpis.json",
+        "explanation.json",
         "profile.svg",
         "profile.png",
         "run.toml",
@@ -64,6 +66,7 @@ def drive_out(driven: Drive, kpis: Kpis, optimum: Optimum | None) -> dict[str, A
         "kpis": kpis.as_dict(),
         "checks": [check._asdict() for check in checks(kpis)],
         "columns": {name: numbers(getattr(driven.trajectory, name), 4) for name in COLUMNS},
+        "explanation": explain_drive(driven, optimum).as_dict(),
         "plan": None if optimum is None else plan_out(optimum.plan, optimum.minimum_time_s),
     }
 

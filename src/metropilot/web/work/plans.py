@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 
 from metropilot._processes import ONE_THREAD
-from metropilot._typing import Float
 from metropilot.errors import Infeasible, InputError
-from metropilot.evaluate import POLICY, RunSpec
+from metropilot.evaluate import POLICY, RunSpec, traction_work_j
 from metropilot.physics import (
     brake_available_n,
     davis_n,
@@ -131,18 +130,13 @@ def plan_of(request: RunSpec) -> dict[str, Any]:
     return plan_out(optimal_plan(section, trainset, max(time_s, fastest * BARELY), options), fastest)
 
 
-def work_j(plan: Plan) -> Float[np.ndarray, " positions"]:
-    """Traction energy at the wheel used so far, at each position of a plan."""
-    return np.concatenate([[0.0], np.cumsum(plan.traction_n * np.diff(plan.position_m))])
-
-
 def plan_out(plan: Plan, fastest_s: float) -> dict[str, Any]:
     """Convert a plan to plain values."""
     return {
         "position_m": numbers(plan.position_m, 3),
         "speed_mps": numbers(plan.speed_mps, 4),
         "time_s": numbers(plan.time_s, 3),
-        "energy_wheel_so_far_j": numbers(work_j(plan), 0),
+        "energy_wheel_so_far_j": numbers(traction_work_j(plan), 0),
         "running_time_s": plan.running_time_s,
         "minimum_running_time_s": fastest_s,
         "energy_j": plan.energy_j,
