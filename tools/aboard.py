@@ -1,7 +1,8 @@
 """Compare a driver in C with Python, and measure it: drives, hostile states, time, size, sanitizers.
 
-    python tools/aboard.py drives --load AW0 --keep DIR      # 13 drives; --way backward, --number float
-    python tools/aboard.py supervisor --keep DIR             # 10 million states
+    python tools/aboard.py drives --load AW0 --keep DIR      # 13 drives; --way, --number, --driver, --count
+    python tools/aboard.py folder --run FOLDER --keep DIR    # the rows of a run's folder driven again
+    python tools/aboard.py supervisor --keep DIR             # 10 million states; --seed, --states for batches
     python tools/aboard.py build --keep DIR                  # compilers, sanitizers, time; and float
     python tools/aboard.py page --keep DIR --write docs/howto/controller.md
 
@@ -34,19 +35,21 @@ from metropilot.aboard import (
     trace_driver,
     write_driver,
 )
-from metropilot.drivers import LearnedDriver
+from metropilot.drivers import DRIVERS, AbstractPolicyDriver
+from metropilot.evaluate import run_from_toml
 from metropilot.physics import Command, double_precision, to_jax
-from metropilot.policy import LoadedPolicy, Policy, in_precision, load_driving_policy, shipped_policy
+from metropilot.policy import LoadedPolicy, load_driving_policy, shipped_policy
 from metropilot.protection import LEVELS, Memory, protect, supervise
 from metropilot.railway import Section, load_line, load_trainset
-from metropilot.sim import Rollout, Run
+from metropilot.sim import AbstractDriver, Rollout, Run, Trajectory
 
 ROOT = Path(__file__).resolve().parent.parent
 LINE, TRAINSET, DRIVER = "yizhuang", "dkz32", "generalist"
 STATES, CHUNK = 10_000_000, 200_000
 MARGIN_MPS = 2e-3
 """Speed by which the verdicts of a supervisor in single precision may differ."""
-STEPS = 200_000
+STEPS = 1_000_000
+WITHOUT_NETWORK = ("eitoe", "pid")
 COMMANDS = (1.0, 0.5, 0.0, -0.3, -1.0, 3.0, -7.0, float("inf"), float("-inf"), float("nan"))
 ZIG = f"{sys.executable} -m ziglang cc"
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -135,22 +138,25 @@ int main(void)
 """
 
 
-def load_generalist() -> LoadedPolicy:
-    """The policy of the driver."""
-    return load_driving_policy(shipped_policy(DRIVER))
+def load_driver(name: str) -> AbstractDriver | LoadedPolicy:
+    """A driver as it is exported: a shipped policy, or the driver itself."""
+    kind = DRIVERS.get(name)
+    if issubclass(kind, AbstractPolicyDriver):
+        return load_driving_policy(shipped_policy(name))
+    return kind()
 
 
 def export_driver(
-    sections: Sequence[Section], load: str, number: str, *, many: bool = False
+    sections: Sequence[Section], load: str, number: str, *, many: bool = False, name: str = DRIVER
 ) -> tuple[Any, Path]:
     """A driver written and compiled; with ``many`` together with the loops of this file."""
-    program = trace_driver(DRIVER, load_generalist(), sections, load_trainset(TRAINSET, load), number=number)
+    program = trace_driver(name, load_driver(name), sections, load_trainset(TRAINSET, load), number=number)
     folder = Path(mkdtemp(prefix="aboard-"))
     write_driver(program, folder)
     if many:
-        source = folder / f"{DRIVER}.c"
+        source = folder / f"{name}.c"
         source.write_text(
-            "#define _POSIX_C_SOURCE 199309L\n" + source.read_text() + MANY.replace("@NAME@", DRIVER)
+            "#define _POSIX_C_SOURCE 199309L\n" + source.read_text() + MANY.replace("@NAME@", name)
         )
     return compile_driver(program, folder), folder
 
@@ -161,11 +167,8 @@ def sections_of(way: str) -> list[Section]:
 
 
 def drive_python(program: AboardProgram, section: Section, *, exact: bool) -> Rollout:
-    """The same drive in Python; ``exact``: its network in double precision."""
-    loaded = load_generalist()
-    policy = loaded.policy.policy
-    exactly = Policy(policy.spec, in_precision(policy.params, np.float64))
-    driver = LearnedDriver(exactly if exact else loaded.policy, loaded.interface)
+    """The same drive in Python; ``exact``: its network, if it has one, in double precision."""
+    driver = program.driver if exact else DRIVERS.get(program.name)()
     return Rollout(Run(section, program.trainset, float(section.planned_time_s or 0.0)), driver)
 
 
@@ -193,16 +196,51 @@ def compare_drive(driver: CompiledDriver, number: int, *, exact: bool) -> dict[s
     }
 
 
-def measure_drives(load: str, way: str, number: str) -> dict[str, Any]:
+def measure_drives(name: str, load: str, way: str, number: str, count: int | None) -> dict[str, Any]:
     """Sections one way with a load; in double against both networks of Python, in single and double."""
     found: dict[str, Any] = {}
-    driver, _ = export_driver(sections_of(way), load, number)
-    for name, exact in (("exact", True), ("shipped", False)):
+    driver, _ = export_driver(sections_of(way)[:count], load, number, name=name)
+    for kind, exact in (("exact", True), ("shipped", False)):
         if number == "double" or not exact:
             rows = [compare_drive(driver, k, exact=exact) for k in range(len(driver.program.sections))]
             worst = {key: max(row[key] for row in rows) for key in rows[0]}
-            found[f"{number}_{name}"] = worst | {"runs": len(rows)}
-            print(load, number, name, worst, flush=True)
+            found[f"{number}_{kind}"] = worst | {"runs": len(rows)}
+            print(name, load, way, number, kind, worst, flush=True)
+    return found
+
+
+def measure_folder(folder: Path) -> dict[str, Any]:
+    """The rows of a run's folder driven again: its measurements period by period, and its commands.
+
+    Args:
+        folder: What ``metropilot drive --out`` wrote; without noise, as that is not in it.
+    """
+    spec = run_from_toml(folder / "run.toml").resolve()
+    run, rows = spec.run(), Trajectory.read(folder / "trajectory.csv")
+    program = trace_driver(spec.driver, load_driver(spec.driver), [run.section], run.trainset, dt_s=run.dt)
+    scratch = Path(mkdtemp(prefix="aboard-"))
+    write_driver(program, scratch)
+    driver = compile_driver(program, scratch)
+    driver.init(0)
+    command, permitted, other = 0.0, 0.0, 0
+    # a row has the acceleration of the step that starts there, a driver measures that of the one before
+    before = np.concatenate([[0.0], rows.acceleration_mps2[:-1]])
+    columns = (rows.time_s, rows.position_m, rows.speed_mps, before)
+    last = len(rows.time_s) - 1
+    for k in range(last):
+        time_s, position_m, speed_mps, acceleration_mps2 = (float(column[k]) for column in columns)
+        answer = driver.step(time_s, position_m, speed_mps, acceleration_mps2, run.scheduled_time_s)
+        command = max(command, abs(answer.share - float(rows.command[k])))
+        permitted = max(permitted, abs(answer.permitted_mps - float(rows.permitted_mps[k])))
+        other += answer.level > 0
+    found = {
+        "driver": spec.driver,
+        "rows": last,
+        "command": command,
+        "permitted_mps": permitted,
+        "other": other,
+    }
+    print(found, flush=True)
     return found
 
 
@@ -236,7 +274,7 @@ def call_many(driver: CompiledDriver, states: dict[str, np.ndarray]) -> tuple[np
     return out
 
 
-def measure_supervisor(count: int) -> dict[str, Any]:
+def measure_supervisor(count: int, seed: int) -> dict[str, Any]:
     """Verdicts of Python and C; where the compiled Python differs, NumPy decides."""
     import jax
 
@@ -250,7 +288,7 @@ def measure_supervisor(count: int) -> dict[str, Any]:
         command, _, found = supervise(guard, memory, s["x"], s["v"], Command(s["share"], s["asked"]))
         return found.level, command.emergency, command.share
 
-    rng = np.random.default_rng(2026)
+    rng = np.random.default_rng(seed)
     different, less, beyond, levels = 0, 0, 0, np.zeros(len(LEVELS), int)
     with double_precision(), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         batch = jax.jit(jax.vmap(partial(verdict, to_jax(guard))))
@@ -334,8 +372,8 @@ def measure_build(number: str, second: str) -> dict[str, Any]:
     }
 
 
-def drive_rows(drives: Sequence[dict[str, Any]]) -> list[tuple[str, str, str]]:
-    """Rows of the drives."""
+def drive_rows(drives: Sequence[dict[str, Any]], name: str) -> list[tuple[str, str, str]]:
+    """Rows of the drives of one driver."""
 
     def most(kind: str, key: str) -> float:
         return max(each[kind][key] for each in drives if kind in each)
@@ -344,34 +382,48 @@ def drive_rows(drives: Sequence[dict[str, Any]]) -> list[tuple[str, str, str]]:
         return sum(each[kind]["runs"] for each in drives if kind in each)
 
     odd = sum(value["outcome"] + value["overruled"] for each in drives for value in each.values())
-    rows = [
-        (
-            f"{count('double_exact')} drives: position, network of Python in double precision",
-            f"{most('double_exact', 'position_m'):.0e} m",
-            "1e-9 m",
-        ),
-        (
-            "position, network of Python in single precision",
-            f"{most('double_shipped', 'position_m'):.0e} m",
-            "–",
-        ),
-        ("energy of traction, the same", f"{most('double_shipped', 'energy'):.0e}", "–"),
-    ]
+    said, rows = f"`{name}`, {{}} drives: position", []
+    if count("double_exact"):
+        first = said.format(count("double_exact"))
+        words = ", network of Python in double precision" if name not in WITHOUT_NETWORK else ""
+        rows.append((f"{first}{words}", f"{most('double_exact', 'position_m'):.0e} m", "1e-9 m"))
+        if name not in WITHOUT_NETWORK:
+            rows.append(
+                (
+                    "position; energy of traction; network of Python in single precision",
+                    f"{most('double_shipped', 'position_m'):.0e} m; {most('double_shipped', 'energy'):.0e}",
+                    "–",
+                )
+            )
     if count("float_shipped"):
         rows += [
             (
-                f"`float`, {count('float_shipped')} drives: position at the stop",
+                f"`{name}` in `float`, {count('float_shipped')} drives: position at the stop",
                 f"{1e3 * most('float_shipped', 'stop_m'):.1f} mm",
                 "5 mm",
             ),
             ("`float`: arrival", f"{most('float_shipped', 'time_s'):.3f} s", "0.05 s"),
             ("`float`: position on the way", f"{most('float_shipped', 'position_m'):.2f} m", "–"),
         ]
-    return [*rows, ("drives with another outcome, or overruled by protection", f"{odd:.0f}", "0")]
+    return [*rows, (f"`{name}`: drives with another outcome, or overruled by protection", f"{odd:.0f}", "0")]
 
 
-def state_rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Rows of the supervisor."""
+def folder_rows(found: Sequence[dict[str, Any]]) -> list[tuple[str, str, str]]:
+    """Rows of the folders of runs."""
+    return [
+        (
+            f"folder of a run of `{each['driver']}`, {each['rows']} periods: command; permitted speed",
+            f"{each['command']:.0e}; {each['permitted_mps']:.0e} m/s",
+            "–",
+        )
+        for each in found
+    ]
+
+
+def state_rows(found: Sequence[dict[str, Any]]) -> list[tuple[str, str, str]]:
+    """Rows of the supervisor, its batches together."""
+    keys = ("states", "different", "float_less", "float_beyond")
+    state = {key: sum(each[key] for each in found) for key in keys}
     return [
         (f"{state['states']:,} random and hostile states: other verdicts", f"{state['different']}", "0"),
         (
@@ -406,27 +458,34 @@ def page(kept: Path) -> str:
     from benchmarks.report import circumstances
 
     values = {path.stem: json.loads(path.read_text()) for path in sorted(kept.glob("*.json"))}
-    rows = drive_rows([value for name, value in values.items() if name.startswith("drives-")])
-    if "supervisor" in values:
-        rows += state_rows(values["supervisor"])
+    rows = []
+    for driver in sorted({name.split("-")[1] for name in values if name.startswith("drives-")}):
+        rows += drive_rows([v for name, v in values.items() if name.startswith(f"drives-{driver}-")], driver)
+    rows += folder_rows([value for name, value in values.items() if name.startswith("folder-")])
+    if states := [value for name, value in values.items() if name.startswith("supervisor")]:
+        rows += state_rows(states)
     for number in ("double", "float"):
         if f"build-{number}" in values:
             rows += build_rows(number, values[f"build-{number}"])
     lines = ["| what: largest difference or amount | measured | wanted |", "|---|---:|---:|"]
     lines += [f"| {' | '.join(row)} |" for row in rows]
     about = "; ".join(f"{k}: {v}" for k, v in circumstances(("jax", "numpy")).items())
-    said = f"`{DRIVER}` on {LINE} with {TRAINSET}; one section for states and builds; seed 2026."
+    said = f"{LINE} with {TRAINSET}; `{DRIVER}` and one section for states and builds."
     return "\n".join([*lines, "", f"{said} Measured on {about}."])
 
 
 def main() -> None:
     """Measure one part, or write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("part", choices=("drives", "supervisor", "build", "page"))
+    parser.add_argument("part", choices=("drives", "folder", "supervisor", "build", "page"))
     parser.add_argument("--load", default="AW2", help="load aboard, of drives")
     parser.add_argument("--way", default="forward", help="forward or backward, of drives")
     parser.add_argument("--number", default="double", help="number type, of drives and build")
     parser.add_argument("--states", type=int, default=STATES, help="states, of the supervisor")
+    parser.add_argument("--seed", type=int, default=2026, help="seed of the states")
+    parser.add_argument("--driver", default=DRIVER, help="driver, of drives")
+    parser.add_argument("--count", type=int, help="sections, of drives; all if not given")
+    parser.add_argument("--run", type=Path, metavar="FOLDER", help="folder of a run, of folder")
     parser.add_argument("--second", default=ZIG, metavar="CC", help="second compiler, of build")
     parser.add_argument("--keep", type=Path, required=True, metavar="DIR")
     parser.add_argument("--write", type=Path, metavar="PAGE")
@@ -438,11 +497,19 @@ def main() -> None:
         write_section(options.write, "aboard", page(options.keep))
         return
     measures = {
-        "drives": lambda: measure_drives(options.load, options.way, options.number),
-        "supervisor": lambda: measure_supervisor(options.states),
+        "drives": lambda: measure_drives(
+            options.driver, options.load, options.way, options.number, options.count
+        ),
+        "folder": lambda: measure_folder(options.run),
+        "supervisor": lambda: measure_supervisor(options.states, options.seed),
         "build": lambda: measure_build(options.number, options.second),
     }
-    more = {"drives": f"-{options.load}-{options.way}-{options.number}", "build": f"-{options.number}"}
+    more = {
+        "drives": f"-{options.driver}-{options.load}-{options.way}-{options.number}",
+        "folder": f"-{options.run.name}" if options.run else "",
+        "supervisor": f"-{options.seed}",
+        "build": f"-{options.number}",
+    }
     name = options.part + more.get(options.part, "")
     options.keep.mkdir(parents=True, exist_ok=True)
     (options.keep / f"{name}.json").write_text(json.dumps(measures[options.part]()))

@@ -211,4 +211,20 @@ def test_a_driver_that_plans_on_the_way_is_refused(tmp_path):
     assert "plans or searches as it drives" in said
     assert "pid" in said
     assert {"pid", "eitoe", "eitop", "generalist", "ppo"} <= set(exportable())
-    assert "mpc" not in exportable()
+    assert not {"mpc", "optimal", "itor", "ddpg_pid", "fuzzy_pid"} & set(exportable())
+
+
+def test_commands_on_their_way_are_reckoned_with_as_in_python(tmp_path):
+    """Dead time and lag: prediction, the command that protection admits, and its memory."""
+    trainset = load_trainset("dkz32@0.4,0.2", "AW2")
+    section = load_line("yizhuang").section("RJ", "WYJ")
+    program = trace_driver("eitoe", DRIVERS.get("eitoe")(), [section], trainset)
+    assert np.size(program.memory.supervision.recent) > 1
+    write_driver(program, tmp_path)
+    driver = compile_driver(program, tmp_path, options=("-O0",))
+    run = drive_compiled(driver, 0, section.planned_time_s)
+    rollout = Rollout(Run(section, trainset, section.planned_time_s), program.driver)
+    for state in run.states:
+        rollout.advance()
+        assert abs(state.plant.position_m - rollout.state.plant.position_m) < NEAR_M
+    assert rollout.state.outcome == run.states[-1].outcome

@@ -354,15 +354,22 @@ class BranchTracer:
 
         joined = self.join(results[0], results[1], mark)
         kinds = [self._kind(*pair) for pair in pairs]
-        sides = []
+        sides, lengths = [], []
         for scope, ends in zip(scopes, zip(*pairs, strict=True), strict=True):
             self.builder.open_scope(scope)
-            last = [self._turn(each, kind).node for each, kind in zip(ends, kinds, strict=True)]
+            turned = [self._turn(each, kind) for each, kind in zip(ends, kinds, strict=True)]
+            # a choice is between numbers, so the few entries of an array are chosen one by one
+            last = [entry.node for each in turned for entry in (each if each.ndim else [each])]
             sides.append(Branch(drop_unused(self.builder.close_scope().nodes, last), last))
-        found = self.builder.choice(node, sides[::-1])
-        return _map(
-            lambda each: Symbol(self, found[each.number]) if isinstance(each, _Hole) else each, joined
-        )
+            lengths = [len(each) if each.ndim else 0 for each in turned]
+        rest = iter(self.builder.choice(node, sides[::-1]))
+        found = [
+            self.apply("stack", [Symbol(self, next(rest)) for _ in range(n)])
+            if n
+            else Symbol(self, next(rest))
+            for n in lengths
+        ]
+        return _map(lambda each: found[each.number] if isinstance(each, _Hole) else each, joined)
 
     def _kind(self, a: Any, b: Any) -> np.dtype:  # noqa: ANN401 (numbers)
         """Number type of a choice."""
@@ -464,6 +471,8 @@ class BranchTracer:
             def slice_from(values: Any, first: Any, size: int) -> Any:  # noqa: ANN401 (arrays)
                 if not isinstance(first, Symbol):
                     return values[first : first + size]
+                if first.ndim:
+                    return values[self.apply("add", first, np.arange(size))]
                 return self.call(("slice", size), partial(plain, size=size), values, first)
 
             return slice_from
@@ -573,8 +582,8 @@ def _function(name: str) -> Callable[..., Any]:
             spread.append(jnp.transpose(array, order).reshape(shape))
         return (spread[0] * spread[1]).sum(tuple(range(len(axes) - len(left))))
 
-    def concatenate(parts: Any) -> Any:  # noqa: ANN401 (arrays)
-        return jnp.concatenate([jnp.stack(each) if isinstance(each, list) else each for each in parts])
+    def concatenate(parts: Any, axis: int = 0) -> Any:  # noqa: ANN401 (arrays)
+        return jnp.concatenate([jnp.stack(each) if isinstance(each, list) else each for each in parts], axis)
 
     def cumsum(x: Any) -> Any:  # noqa: ANN401 (an array)
         sums = [x[0]]

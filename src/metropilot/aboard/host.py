@@ -74,6 +74,7 @@ class _Trace:
     def __init__(self, driver: AbstractDriver, run: Run, dtype: type) -> None:
         self.driver, self.run = driver, run
         self.tracer = tracer = BranchTracer(dtype)
+        driver.read_policy()
         self.start = driver.init(run)
         self.lifted = _lift(tracer, self.start)
         self.measured = [tracer.input((), np.dtype(np.float64), k) for k in range(5)]

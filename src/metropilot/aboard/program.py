@@ -108,7 +108,7 @@ def check_exportable(name: str, trainset: Trainset, *, dt_s: float = CONTROL_PER
         InputError: It cannot.
     """
     if name in DRIVERS.ids():
-        if name not in exportable():
+        if not _has_form(name):
             raise _refusal(name)
         if not issubclass(DRIVERS.get(name), AbstractPolicyDriver):
             return
@@ -129,12 +129,12 @@ def check_exportable(name: str, trainset: Trainset, *, dt_s: float = CONTROL_PER
 
 def exportable() -> list[str]:
     """Drivers with a form aboard: learned policies, and those that say which (``AbstractDriver.aboard``)."""
-    kinds = {name: DRIVERS.get(name) for name in DRIVERS.ids()}
-    return [
-        name
-        for name, kind in kinds.items()
-        if issubclass(kind, AbstractPolicyDriver) or kind.aboard is not AbstractDriver.aboard
-    ]
+    return [name for name in DRIVERS.ids() if _has_form(name)]
+
+
+def _has_form(name: str) -> bool:
+    kind = DRIVERS.get(name)
+    return issubclass(kind, AbstractPolicyDriver) or kind().aboard(np.float64) is not None
 
 
 def _refusal(name: str) -> InputError:

@@ -13,7 +13,7 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 from numpy import ndarray
 
-from metropilot._typing import Flag, Float, Scalar
+from metropilot._typing import Array, Flag, Float, Scalar
 from metropilot.control.estimator import StateEstimate
 from metropilot.control.prediction import Model, PredictedState
 from metropilot.control.stopping import AT_ONCE_MPS3, StopCurve, required_with_build_up
@@ -200,7 +200,7 @@ def largest_admissible_command(
         _, after, verdict = supervise(guard, supervision, position_m, speed_mps, Command(command, False))
         return after, int(verdict.level) == 0
 
-    def admits(after: Memory, path: Float[ndarray, "2 periods"] | None) -> Flag:
+    def admits(after: Memory, path: Array | None) -> Flag:
         return path is None or admits_braking(guard, after, *path)
 
     after, passes = decide(share)

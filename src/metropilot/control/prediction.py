@@ -177,6 +177,8 @@ def acting_command(commands: Sequence[Scalar], age: Scalar) -> Scalar:
     xp = namespace(age)
     floor = int(age) if xp is scalars else xp.floor(age)
     whole, part = floor if xp is scalars else floor.astype(np.int32), age - floor
+    if xp is not scalars and isinstance(commands, list | tuple):
+        commands = xp.stack(commands)
     older = commands[xp.minimum(whole + 1, len(commands) - 1)]
     return commands[whole] * (1.0 - part) + older * part
 
@@ -204,7 +206,7 @@ def predict_motion(
         dt: Control period, s.
     """
     xp = namespace(motion.speed_mps, delay_steps, limits_mps2[0])
-    single = xp is scalars
+    single = namespace(delay_steps) is scalars
     # Where less than half of this period's command acts, which is not known yet, the newest goes on.
     first, before = commands[0], periods_before(delay_steps)
     given = [first, *commands] if single else xp.concatenate([xp.expand_dims(first, 0), commands])
@@ -245,7 +247,8 @@ def predict_path(
         acting = acting_command(commands, max(delay_steps - k, 0.0))
         motion = _move(motion, acting, keep, limits_mps2, jerk_mps3, dt)
         path.append((motion.position_m, motion.speed_mps))
-    return np.array(path).T
+    xp = namespace(motion.speed_mps)
+    return (np if xp is scalars else xp).array(path).transpose()
 
 
 @no_type_check

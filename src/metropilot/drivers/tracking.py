@@ -171,7 +171,7 @@ class AbstractTracker(AbstractDriver):
         self.options = options
         self.keeps_reference = False
 
-    def aboard(self, number: type) -> AbstractTracker:
+    def aboard(self, number: type) -> AbstractTracker | None:
         """The same driver, its reference laid once: on a controller there is nothing to lay another with."""
         del number
         found = copy(self)

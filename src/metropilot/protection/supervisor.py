@@ -124,13 +124,15 @@ def admits_braking(
         position_m: Position expected at the end of each period.
         speed_mps: Speed expected there.
     """
-    if _far_below(protection, memory, position_m, float(speed_mps.max())):
+    if isinstance(position_m, np.ndarray) and _far_below(
+        protection, memory, position_m, float(speed_mps.max())
+    ):
         return True
     older = np.maximum.accumulate(memory.recent)[-2::-1][: position_m.size]
     share, keep = [memory.share], protection.fading.share
     for each in older:
         share.append(each + max(share[-1] - each, 0.0) * keep)
-    bound, periods = np.array(share[1:]), np.arange(older.size)
+    bound, periods = np.stack(share[1:]), np.arange(older.size)
     fades = min(float(protection.fading.acceleration_mps2), AT_ONCE_MPS2) * periods
     before = memory._replace(
         recent=np.full(1, -1.0),

@@ -224,6 +224,10 @@ class FuzzyPid(AbstractTracker):
             options.error_mps, options.change_mps, options.kp_span, options.ki_span, options.kd_span
         )
 
+    def aboard(self, number: type) -> None:
+        """None: its table of rules is reshaped in a way that has no form in C."""
+        del number
+
     def control(self, memory: Errors, seen: TrackingView) -> tuple[float, Errors]:
         """One period: rules, then law."""
         return step_fuzzy_pid(seen.command, seen.error_mps, memory, self.universes, self.base)

@@ -434,7 +434,7 @@ class AbstractExpertPolicyDriver(AbstractDriver):
         """Read the policy that changes the rate."""
         return self.loaded_policy
 
-    def aboard(self, number: type) -> AbstractExpertPolicyDriver:
+    def aboard(self, number: type) -> AbstractExpertPolicyDriver | None:
         """The same driver, its network in a number type."""
         found, policy = copy(self), self.loaded_policy.policy.policy
         found.network = Policy(policy.spec, in_precision(policy.params, number))
@@ -494,6 +494,10 @@ class Itor(AbstractExpertPolicyDriver):
     """Expert rules with one of three changes of the rate, learned by Q-learning in a table."""
 
     id: ClassVar[str] = "itor"
+
+    def aboard(self, number: type) -> None:
+        """None: the table is looked up in NumPy alone."""
+        del number
 
 
 @final
