@@ -39,6 +39,8 @@ def test_runs_are_found_named_compared_and_deleted(visit, server, driven, width)
     expect(rows).to_have_count(4)
     sort = page.get_by_role("button", name="Sort by Energy (kWh)")
     sort.press("Enter")
+    expect(rows.last).to_contain_text("flat_out")
+    page.wait_for_timeout(300)
     sort.press("Enter")
     expect(rows.first).to_contain_text("flat_out")
     manual = rows.filter(has_text="manual")
@@ -66,7 +68,7 @@ def test_runs_are_found_named_compared_and_deleted(visit, server, driven, width)
     )
     assert change == pytest.approx(after - before, abs=0.11)
     assert change < -5
-    page.wait_for_url(re.compile(rf"/runs\?run={driven[0]}&with={driven[1]}"))
+    page.wait_for_url(re.compile(rf"run={driven[0]}&with={driven[1]}"))
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     for row in (manual, rows.filter(has_text=" 150 s").filter(has_text="flat_out")):
         row.get_by_role("checkbox").click()
@@ -106,3 +108,54 @@ def test_a_journey_is_opened_again(visit, server):
     expect(page.locator('[data-test="sections"] tbody tr')).to_have_count(7, timeout=PATIENCE_MS)
     expect(page.get_by_label("Whole journey")).to_have_value("1200")
     expect(page.locator('[data-test="summary"]')).to_contain_text("20 min 00 s")
+
+
+@pytest.mark.parametrize("width", [1440, 390])
+def test_a_project_is_filled_exported_and_imported(visit, server, tmp_path, width):
+    body = {
+        "line": "yizhuang",
+        "origin": "XC",
+        "destination": "XHM",
+        "driver": "flat_out",
+        "time_s": 100 + width,
+    }
+    job = server.post("/api/jobs/drive", body, code=202)["id"]
+    server.wait(job)
+    page = visit("/runs?find=XC+%E2%80%93+XHM", width=width, height=900)
+    rows = page.locator('[aria-label="Runs"] tbody tr').filter(has_text=f"{100 + width} s")
+    expect(page.get_by_label("Find in Runs")).to_have_value("XC – XHM", timeout=PATIENCE_MS)
+    page.locator('[data-test="new-project"]').click()
+    card = page.locator('[data-test="project"]')
+    page.get_by_label("Name of the project").fill(f"Tender {width}")
+    page.get_by_label("Notes").fill("Two lines\nof notes")
+    page.get_by_label("Notes").blur()
+    expect(rows).to_have_count(0)
+    page.get_by_role("combobox", name="Project", exact=True).click()
+    page.get_by_role("option", name="every run").click()
+    rows.get_by_role("checkbox").click()
+    page.locator('[data-test="move"]').click()
+    page.get_by_role("combobox", name="To project").click()
+    page.get_by_role("option", name=f"Tender {width}").click()
+    page.get_by_role("button", name="Move", exact=True).click()
+    page.get_by_role("combobox", name="Project", exact=True).click()
+    page.get_by_role("option", name=f"Tender {width}").click()
+    expect(rows).to_have_count(1)
+    page.wait_for_url(re.compile(r"project=project-[0-9a-f]{8}&find=XC"))
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.reload()
+    expect(page.get_by_label("Notes")).to_have_value("Two lines\nof notes", timeout=PATIENCE_MS)
+    expect(rows).to_have_count(1)
+    with page.expect_download() as saved:
+        card.get_by_role("link", name="Export").click(modifiers=["Alt"])
+    saved.value.save_as(tmp_path / "tender.zip")
+    page.locator('[data-test="import"]').click()
+    (tmp_path / "bad.zip").write_bytes(b"PK nothing")
+    page.locator('input[type="file"]').set_input_files(tmp_path / "bad.zip")
+    expect(page.get_by_text("not a readable ZIP archive")).to_be_visible(timeout=PATIENCE_MS)
+    page.locator('input[type="file"]').set_input_files(tmp_path / "tender.zip")
+    expect(page.get_by_text("Import a project")).to_be_hidden(timeout=PATIENCE_MS)
+    expect(rows).to_have_count(1)
+    imported = re.search(r"project=(project-[0-9a-f]{8})", page.url)[1]
+    found = server.get(f"/api/projects/{imported}")
+    assert (found["name"], len(found["jobs"])) == (f"Tender {width}", 1)
+    assert found["jobs"] != [job]

@@ -1,4 +1,4 @@
-"""Why a drive went as it did: spans that cover it, what bound it, which guard acted, losses that sum up."""
+"""Reasons of a drive: spans that cover it, what bound it, which guard acted, losses that sum up."""
 
 import json
 from itertools import pairwise

@@ -171,7 +171,7 @@ def explain_drive(drive: Drive, optimum: Optimum | None) -> Explanation:
 
 
 def binding(drive: Drive) -> Shaped[ndarray, " rows"]:
-    """What bound each row of a drive: one of ``BOUNDS``, the first that holds.
+    """Binding reason of each row of a drive: one of ``BOUNDS``, the first that holds.
 
     Args:
         drive: The drive.

@@ -84,7 +84,9 @@ class Guard:
         return None
 
     def _largest_body_bytes(self, scope: Scope) -> int:
-        uploads = scope["path"].startswith("/api/uploads") or scope["path"].startswith("/_nicegui/client/")
+        if scope["path"].startswith(("/api/projects/archive", "/_nicegui/client/")):
+            return self.settings.archive_bytes + OVERHEAD
+        uploads = scope["path"].startswith("/api/uploads")
         return self.settings.upload_bytes + OVERHEAD if uploads else self.settings.request_bytes
 
     def _presents(self, scope: Scope, headers: Headers) -> bool:

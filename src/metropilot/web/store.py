@@ -33,6 +33,9 @@ CREATE TABLE IF NOT EXISTS versions (
     upload TEXT NOT NULL, number INTEGER NOT NULL, name TEXT NOT NULL, file TEXT NOT NULL,
     created TEXT NOT NULL, PRIMARY KEY (upload, number)
 );
+CREATE TABLE IF NOT EXISTS projects (
+    id TEXT PRIMARY KEY, name TEXT NOT NULL, notes TEXT NOT NULL DEFAULT '', created TEXT NOT NULL
+);
 INSERT INTO versions SELECT id, 1, name, file, created FROM uploads
     WHERE id NOT IN (SELECT upload FROM versions);
 """
@@ -57,6 +60,7 @@ class JobRow:
     error: dict[str, Any] | None
     name: str
     summary: dict[str, Any]
+    project: str | None
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,17 @@ class UploadRow:
     kind: str
     name: str
     file: str
+    project: str | None = None
+
+
+@dataclass(frozen=True)
+class ProjectRow:
+    """A named folder of runs, lines and trainsets, with notes."""
+
+    id: str
+    name: str
+    notes: str
+    created: str
 
 
 @dataclass(frozen=True)
@@ -102,6 +117,9 @@ class JobStore:
                 ).fetchall():
                     values = (json.dumps(summarise(json.loads(result))), job)
                     database.execute("UPDATE jobs SET summary = ? WHERE id = ?", values)
+            for table in ("jobs", "uploads"):
+                if "project" not in {row[1] for row in database.execute(f"PRAGMA table_info({table})")}:
+                    database.execute(f"ALTER TABLE {table} ADD COLUMN project TEXT")
 
     @contextmanager
     def _open(self) -> Iterator[sqlite3.Connection]:
@@ -153,6 +171,7 @@ class JobStore:
         sort: str = "created",
         ascending: bool = False,
         offset: int = 0,
+        project: str | None = None,
     ) -> list[JobRow]:
         """Jobs, the newest first.
 
@@ -164,13 +183,15 @@ class JobStore:
             sort: One of ``SORTS``; jobs without such a value come last.
             ascending: Smallest first.
             offset: Jobs that are left out before the first.
+            project: Project of the jobs; None: any or none.
         """
         by, way = SORTS[sort], "ASC" if ascending else "DESC"
         like = "%" + text.replace("\\", "\\\\").replace("%", "\\%").replace("_", "\\_") + "%"
         where = "(?1 IS NULL OR kind = ?1) AND (?2 IS NULL OR status = ?2)"
+        where += " AND (?6 IS NULL OR project = ?6)"
         where += " AND (id || ' ' || name || ' ' || request) LIKE ?3 ESCAPE '\\'"
         order = f"{by} IS NULL, {by} {way}, created DESC, id DESC LIMIT ?4 OFFSET ?5"
-        return self._jobs(f"WHERE {where} ORDER BY {order}", (kind, status, like, limit, offset))
+        return self._jobs(f"WHERE {where} ORDER BY {order}", (kind, status, like, limit, offset, project))
 
     def forget_job(self, job: str) -> None:
         """Remove the rows of a job."""
@@ -220,9 +241,54 @@ class JobStore:
         """Add an upload under a new id, with its first version."""
         row, now = UploadRow(f"upload-{secrets.token_hex(4)}", kind, name, file), _now()
         with self._open() as database:
-            database.execute("INSERT INTO uploads VALUES (?, ?, ?, ?, ?)", (row.id, kind, name, file, now))
+            sql = "INSERT INTO uploads (id, kind, name, file, created) VALUES (?, ?, ?, ?, ?)"
+            database.execute(sql, (row.id, kind, name, file, now))
             database.execute("INSERT INTO versions VALUES (?, 1, ?, ?, ?)", (row.id, name, file, now))
         return row
+
+    def set_project(self, entry: str, project: str | None) -> None:
+        """File a job or an upload in a project, or in none."""
+        with self._open() as database:
+            for table in ("jobs", "uploads"):
+                database.execute(f"UPDATE {table} SET project = ? WHERE id = ?", (project, entry))
+
+    def projects(self) -> list[ProjectRow]:
+        """Projects by name."""
+        with self._open() as database:
+            sql = "SELECT id, name, notes, created FROM projects ORDER BY lower(name), created"
+            return [ProjectRow(*row) for row in database.execute(sql).fetchall()]
+
+    def project(self, project: str) -> ProjectRow:
+        """A project.
+
+        Raises:
+            Refused: No such project (404).
+        """
+        for row in self.projects():
+            if row.id == project:
+                return row
+        raise Refused("no such project", 404, field="project", value=project)
+
+    def new_project(self, name: str, notes: str = "") -> ProjectRow:
+        """Add a project."""
+        row = ProjectRow(f"project-{secrets.token_hex(4)}", name, notes, _now())
+        with self._open() as database:
+            values = (row.id, row.name, row.notes, row.created)
+            database.execute("INSERT INTO projects VALUES (?, ?, ?, ?)", values)
+        return row
+
+    def update_project(self, project: str, **changes: str) -> None:
+        """Change name or notes of a project."""
+        names = ", ".join(f"{name} = ?" for name in changes)
+        with self._open() as database:
+            database.execute(f"UPDATE projects SET {names} WHERE id = ?", (*changes.values(), project))
+
+    def forget_project(self, project: str) -> None:
+        """Remove a project; its jobs and uploads stay, in none."""
+        with self._open() as database:
+            database.execute("DELETE FROM projects WHERE id = ?", (project,))
+            for table in ("jobs", "uploads"):
+                database.execute(f"UPDATE {table} SET project = NULL WHERE project = ?", (project,))
 
     def add_version(self, upload: str, based_on: int, name: str, file: str) -> int:
         """Add a version of an upload and make it the one that its id stands for; return its number.
@@ -260,7 +326,7 @@ class JobStore:
         """Uploads, the newest first."""
         with self._open() as database:
             rows = database.execute(
-                "SELECT id, kind, name, file FROM uploads ORDER BY created DESC, rowid DESC"
+                "SELECT id, kind, name, file, project FROM uploads ORDER BY created DESC, rowid DESC"
             ).fetchall()
         return [row for row in (UploadRow(*r) for r in rows) if kind is None or row.kind == kind]
 
@@ -271,7 +337,7 @@ class JobStore:
             database.execute("DELETE FROM versions WHERE upload = ?", (upload,))
 
     def _jobs(self, rest: str, values: tuple[Any, ...]) -> list[JobRow]:
-        columns = "id, kind, status, request, created, progress, words, run, error, name, summary"
+        columns = "id, kind, status, request, created, progress, words, run, error, name, summary, project"
         with self._open() as database:
             rows = database.execute(f"SELECT {columns} FROM jobs {rest}", values).fetchall()
         return [_job(row) for row in rows]
@@ -282,11 +348,10 @@ def _now() -> str:
 
 
 def _job(row: tuple[Any, ...]) -> JobRow:
-    job, kind, status, request, created, progress, words, run, error, name, summary = row
+    job, kind, status, request, created, progress, words, run, error, name, summary, project = row
     told, short = (json.loads(text) if text else None for text in (error, summary))
-    return JobRow(
-        job, kind, status, json.loads(request), created, progress, words, run, told, name, short or {}
-    )
+    asked = json.loads(request)
+    return JobRow(job, kind, status, asked, created, progress, words, run, told, name, short or {}, project)
 
 
 def summarise(result: Any) -> dict[str, Any]:  # noqa: ANN401 (whatever the job's kind gives)

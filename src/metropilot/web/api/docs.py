@@ -36,6 +36,7 @@ PARTS = {
     "campaign_id": "leaderboard",
     "row": "12",
     "figure": "plans.png",
+    "project_id": "$PROJECT",
     "live_id": "$LIVE",
     "run_id": "$RUN",
     "study_id": "lu2023",
@@ -110,7 +111,7 @@ def command(method: str, path: str, operation: Schema, schemas: Schema) -> str:
     words.append("$URL" + path.format(**PARTS))
     for kind, content in operation.get("requestBody", {}).get("content", {}).items():
         if kind != "application/json":
-            words.append("-F file=@line.toml")
+            words.append(f"-F file=@{'project.zip' if 'archive' in path else 'line.toml'}")
             continue
         body = schemas[content["schema"]["$ref"].rpartition("/")[2]]["examples"][0]
         words.append(f"--json '{json.dumps(body)}'")

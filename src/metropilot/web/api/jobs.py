@@ -90,9 +90,17 @@ def routes(service: Service) -> APIRouter:
         ascending: bool = False,
         limit: Annotated[int, Query(ge=1, le=1000)] = 100,
         offset: Annotated[int, Query(ge=0, lt=2**31)] = 0,
+        project: Annotated[str | None, Query(max_length=64)] = None,
     ) -> list[JobRow]:
         """Jobs, the newest first; `text` is looked for in id, name and request."""
-        found = {"status": status, "text": text, "sort": sort, "ascending": ascending, "offset": offset}
+        found: dict[str, Any] = {
+            "project": project,
+            "status": status,
+            "text": text,
+            "sort": sort,
+            "ascending": ascending,
+            "offset": offset,
+        }
         return service.store.jobs(kind, limit, **found)
 
     @router.get("/jobs/{job_id}", response_model=JobOut)

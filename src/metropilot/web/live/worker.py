@@ -109,11 +109,11 @@ class Driving:
         journal = list(self.order["journal"])
         end = max([self.order["step"], *(step for step, _ in journal)])
         self._say_scene(engine)
-        rows = []
+        rows, told = [], False
         while not engine.over:
             while journal and journal[0][0] <= engine.steps:
                 event = journal.pop(0)[1]
-                self._tell(engine, event["kind"], engine.apply(event))
+                told = self._tell(engine, event["kind"], engine.apply(event)) or told
             if engine.steps >= end:
                 break
             rows.append(engine.advance())
@@ -121,6 +121,7 @@ class Driving:
         if rows:
             self._clock(engine)
             self._rows(engine, rows)
+        if rows or told:
             self._say_scene(engine)
         self._apply(engine, GIVE_BACK)
 

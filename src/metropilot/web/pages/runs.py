@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import Any
+from urllib.parse import urlencode
 
 from fastapi import Request
 from nicegui import run, ui
 
-from metropilot.web import catalogue
+from metropilot.web import catalogue, projects
 from metropilot.web.errors import Refused
 from metropilot.web.pages.form import validate
 from metropilot.web.pages.frame import Problem, card, clock, empty, frame, heading, number, table
 from metropilot.web.pages.plots import difference_figure
+from metropilot.web.pages.projects import ProjectCard
 from metropilot.web.pages.tables import DataColumn, DataTable
 from metropilot.web.schemas.requests import NameIn
 from metropilot.web.service import ABANDONED_S, RESUMABLE, Service
@@ -134,12 +137,15 @@ class RunsPage:
 
     Args:
         service: Service of the server.
-        pair: Ids of the two runs that a link compares, or none.
+        view: What a link shows: ``project``, ``find``, ``kind``, ``status``, and ``run`` and ``with`` for two
+            runs against each other.
     """
 
-    def __init__(self, service: Service, pair: tuple[str, ...]) -> None:
+    def __init__(self, service: Service, view: dict[str, str]) -> None:
         self.service = service
-        self.pair = pair
+        self.view = view
+        self.pair = tuple(view[name] for name in ("run", "with") if name in view)
+        self.project = ProjectCard(service, view.get("project"), self.change)
 
     def build(self) -> None:
         """Place the list, and below it two runs against each other."""
@@ -150,25 +156,52 @@ class RunsPage:
                 "a heading sorts, on a run opens it. Choose two drives of one section to compare them.",
             ):
                 self.problem = Problem()
+                self.project.build_choice(self.problem)
                 actions = {"Name": self.ask_name, "Stop": self.stop, "Resume": self.resume}
                 self.list = DataTable(
-                    "Runs", COLUMNS, sort="-created", actions=actions, selected=self.look_buttons
+                    "Runs",
+                    COLUMNS,
+                    sort="-created",
+                    actions=actions,
+                    selected=self.look_buttons,
+                    changed=self.keep_view,
                 )
                 with ui.element("div").classes("mp-row items-center"):
                     self.compare_button = ui.button("Compare two", on_click=self.compare)
                     self.compare_button.props('outline data-test="compare-two"')
                     self.delete_button = ui.button("Delete", on_click=self.ask_delete)
                     self.delete_button.props('outline color=negative data-test="delete"')
+                    self.move_button = ui.button("Move to project", on_click=self.ask_project)
+                    self.move_button.props('outline data-test="move"')
                     self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="chosen"')
                 self.list.build()
+            self.project.build()
             self.result = ui.element("div").classes("mp-col").props('data-test="difference"')
         self.refresh()
+        self.list.restore(self.view.get("find", ""), self.view)
+        self.list.search.on_value_change(self.keep_view)
         self.look_buttons()
         ui.timer(EVERY_S, self.refresh)
 
     def refresh(self) -> None:
         """Show the jobs as they stand."""
-        self.list.fill([self.row(row) for row in self.service.store.jobs(limit=LISTED)])
+        found = self.service.store.jobs(limit=LISTED, project=self.project.key)
+        self.list.fill([self.row(row) for row in found])
+
+    def change(self) -> None:
+        """Show the runs of another project."""
+        self.refresh()
+        self.keep_view()
+
+    def keep_view(self) -> None:
+        """Keep what the page shows in its address."""
+        filters = {name: str(field.value) for name, field in self.list.filters.items()}
+        view = {"project": self.project.key or "", "find": str(self.list.search.value or ""), **filters}
+        view |= dict(zip(("run", "with"), self.pair, strict=False))
+        text = urlencode({name: value for name, value in view.items() if value})
+        ui.run_javascript(
+            f"history.replaceState(null, '', {json.dumps('/runs' + (f'?{text}' if text else ''))})"
+        )
 
     def row(self, row: JobRow) -> dict[str, Any]:
         """A row of the list."""
@@ -204,7 +237,8 @@ class RunsPage:
         """Enable what the chosen rows allow."""
         chosen = self.list.chosen
         self.compare_button.set_enabled(len(chosen) == len(("first", "second")))
-        self.delete_button.set_enabled(bool(chosen))
+        for button in (self.delete_button, self.move_button):
+            button.set_enabled(bool(chosen))
         self.status.text = f"{len(chosen)} chosen" if chosen else ""
 
     async def ask_name(self, job: str) -> None:
@@ -267,6 +301,24 @@ class RunsPage:
         self.refresh()
         self.look_buttons()
 
+    async def ask_project(self) -> None:
+        """Ask for a project and move the chosen runs to it."""
+        chosen = self.list.chosen
+        with ui.dialog() as dialog, ui.card().classes("mp-card"):
+            heading("Move to project")
+            field = ui.select(self.project.names("none"), value=self.project.key or "", label="To project")
+            field.props("outlined dense options-dense").classes("w-full")
+            with ui.element("div").classes("mp-row"):
+                ui.button("Move", on_click=lambda: dialog.submit(field.value)).props("unelevated")
+                ui.button("Cancel", on_click=dialog.close).props("flat")
+        wanted = await dialog
+        dialog.delete()
+        if wanted is not None:
+            with self.problem.show_errors():
+                for job in chosen:
+                    projects.set_project(self.service, job, wanted or None)
+        self.refresh()
+
     async def compare(self) -> None:
         """Compare the two chosen runs."""
         self.pair = tuple(self.list.chosen)
@@ -288,10 +340,8 @@ class RunsPage:
                     ui.link(f"{key}: {name}", catalogue.page_of(row)).classes("mp-soft")
                 ui.plotly(difference_figure(found)).classes("mp-plot").props('data-test="difference-plot"')
                 pair_table(found["kpis"])
-            ui.run_javascript(
-                f"history.replaceState(null, '', '/runs?run={self.pair[0]}&with={self.pair[1]}');"
-                f"document.getElementById('c{self.result.id}').scrollIntoView()"
-            )
+            self.keep_view()
+            ui.run_javascript(f"document.getElementById('c{self.result.id}').scrollIntoView()")
 
     @staticmethod
     def names(rows: list[JobRow]) -> list[str]:
@@ -318,9 +368,8 @@ def install(service: Service) -> None:
 
     @ui.page("/runs", title="Runs · metropilot")
     async def runs(request: Request) -> None:
-        asked = request.query_params
         with frame(request, "/runs"):
-            page = RunsPage(service, tuple(asked[name] for name in ("run", "with") if name in asked))
+            page = RunsPage(service, dict(request.query_params))
             page.build()
         await ui.context.client.connected()
         await page.show()

@@ -140,6 +140,15 @@ class DataTable:
         self.filling = False
         self.show()
 
+    def restore(self, search: str, wanted: dict[str, str]) -> None:
+        """Fill in the search field, and the lists whose columns are named."""
+        self.search.value, self.filling = search, True
+        for name, field in self.filters.items():
+            if wanted.get(name) in field.options:
+                field.value = wanted[name]
+        self.filling = False
+        self.show()
+
     def filter(self) -> Any:  # noqa: ANN401 (a page's answer)
         """Show the rows that the filters let through, and tell the page."""
         if self.filling:

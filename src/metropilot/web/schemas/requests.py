@@ -221,12 +221,33 @@ class JourneyIn(RequestBody):
     objective: Literal["wheel", "line"] = "wheel"
 
 
+Name = Annotated[str, Field(max_length=80, pattern=r"^[^\x00-\x1f\x7f]*$")]
+Notes = Annotated[str, Field(max_length=20_000)]
+
+
 class NameIn(RequestBody):
     """A name of a job; empty removes it."""
 
     model_config = example(name="With the new timetable")
 
-    name: Annotated[str, Field(max_length=80, pattern=r"^[^\x00-\x1f\x7f]*$")]
+    name: Name
+
+
+class FiledIn(RequestBody):
+    """The project of a job or upload; null for none."""
+
+    model_config = example(project=None)
+
+    project: Id | None
+
+
+class ProjectIn(RequestBody):
+    """A project: its name and notes."""
+
+    model_config = example(name="New timetable 2027", notes="")
+
+    name: Annotated[Name, Field(min_length=1)]
+    notes: Notes = ""
 
 
 class OperationIn(create_model("OperationFields", __base__=RequestBody, **declared_fields(OperationOptions))):

@@ -100,6 +100,30 @@ class UploadOut(BaseModel):
     notes: list[str]
 
 
+class ProjectOut(BaseModel):
+    """A project: a named folder of jobs, lines, trainsets and policies, with notes."""
+
+    id: str
+    name: str
+    notes: str
+    created: str
+
+
+class ProjectUpload(BaseModel):
+    """A line, trainset or policy of a project."""
+
+    id: str
+    kind: Literal["line", "trainset", "policy"]
+    name: str
+
+
+class ProjectEntries(ProjectOut):
+    """A project with what it holds."""
+
+    jobs: list[str]
+    uploads: list[ProjectUpload]
+
+
 class VersionOut(BaseModel):
     """A version of an uploaded or edited file."""
 
@@ -194,6 +218,7 @@ class JobOut(BaseModel):
     error: dict[str, Any] | None
     name: str
     summary: JobSummary
+    project: str | None
 
 
 class CheckOut(BaseModel):

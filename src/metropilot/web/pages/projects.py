@@ -1,0 +1,152 @@
+"""Projects on the page Runs: choose, begin, describe, fill, export, import, remove."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from nicegui import events, ui
+
+from metropilot.web import projects
+from metropilot.web.pages.form import validate
+from metropilot.web.pages.frame import Problem, card, heading, links
+from metropilot.web.schemas.requests import ProjectIn
+from metropilot.web.service import Service
+
+EVERY = "every run"
+
+
+class ProjectCard:
+    """Choice of a project, and its notes, lines and trainsets.
+
+    Args:
+        service: Service of the server.
+        key: Project that is shown; None: every run.
+        changed: Called when another one is.
+    """
+
+    def __init__(self, service: Service, key: str | None, changed: Callable[[], None]) -> None:
+        self.service, self.changed = service, changed
+        self.key = key if key in {row.id for row in service.store.projects()} else None
+
+    def names(self, nothing: str) -> dict[str, str]:
+        """Options of a list of projects; the empty one stands for none."""
+        return {"": nothing, **{row.id: row.name for row in self.service.store.projects()}}
+
+    def build_choice(self, problem: Problem) -> None:
+        """Place the list of projects with its buttons; errors are shown where the page shows them."""
+        self.problem = problem
+        with ui.element("div").classes("mp-row items-center"):
+            self.choice = ui.select(self.names(EVERY), value=self.key or "", label="Project")
+            self.choice.props("outlined dense options-dense").classes("mp-filter")
+            self.choice.on_value_change(lambda event: self.choose(event.value))
+            ui.button("New project", on_click=self.begin).props('outline data-test="new-project"')
+            ui.button("Import", on_click=self.ask_archive).props('outline data-test="import"')
+
+    def build(self) -> None:
+        """Place the card of the chosen project."""
+        self.place = ui.element("div").classes("mp-col")
+        self.fill()
+
+    def choose(self, key: str) -> None:
+        """Show another project."""
+        if (key or None) != self.key:
+            self.key = key or None
+            self.fill()
+            self.changed()
+
+    def show(self, key: str) -> None:
+        """Show a project that is new in the list."""
+        self.key = None
+        self.choice.set_options(self.names(EVERY), value=key)
+        self.choose(key)
+
+    def fill(self) -> None:
+        """Show name, notes, lines and trainsets of the chosen project."""
+        self.place.clear()
+        if self.key is None:
+            return
+        found = projects.project_out(self.service, self.key)
+        with self.place, card(found["name"]) as made:
+            made.props('data-test="project"')
+            self.told = Problem()
+            self.name = ui.input("Name of the project", value=found["name"]).props(
+                "outlined dense maxlength=80"
+            )
+            self.notes = ui.textarea("Notes", value=found["notes"]).props("outlined dense autogrow")
+            self.notes.props("debounce=300")
+            for field in (self.name, self.notes):
+                field.classes("w-full").on("blur", self.keep)
+            self.told.beside("name", self.name)
+            self.told.beside("notes", self.notes)
+            for upload in found["uploads"]:
+                self.upload_row(upload)
+            inside = {upload["id"] for upload in found["uploads"]}
+            others = {
+                row.id: f"{row.kind} · {row.name}"
+                for row in self.service.store.uploads()
+                if row.id not in inside
+            }
+            if others:
+                add = ui.select(others, label="Add an own line, trainset or policy")
+                add.props("outlined dense options-dense").classes("w-full")
+                add.on_value_change(lambda event: self.put(event.value, self.key))
+            links([("Export", f"/api/projects/{self.key}/archive")])
+            forget = ui.button("Remove project", on_click=self.forget).props("flat dense no-caps")
+            forget.tooltip("Its runs, lines and trainsets stay.")
+
+    def upload_row(self, upload: dict[str, Any]) -> None:
+        """Place a line, trainset or policy of the project."""
+        kind, key = upload["kind"], upload["id"]
+        with ui.element("div").classes("mp-row items-center no-wrap"):
+            ui.label(f"{kind} · {upload['name']}").classes("grow")
+            if kind != "policy":
+                links([("Edit", f"/edit?{kind}={key}"), ("Drive", f"/?{kind}={key}")])
+            out = ui.button(icon="remove", on_click=partial(self.put, key, None)).props("flat dense round")
+            out.props(f'aria-label="Take {upload["name"]} out of the project"')
+
+    def put(self, upload: str, project: str | None) -> None:
+        """File a line, trainset or policy in the project, or take it out."""
+        with self.told.show_errors():
+            projects.set_project(self.service, upload, project)
+            self.fill()
+
+    def keep(self) -> None:
+        """Keep name and notes."""
+        with self.told.show_errors():
+            body = validate(ProjectIn, {"name": self.name.value or "", "notes": self.notes.value or ""})
+            self.service.store.update_project(self.key or "", name=body.name, notes=body.notes)
+            self.choice.set_options(self.names(EVERY), value=self.key)
+
+    def forget(self) -> None:
+        """Remove the project; what it holds stays."""
+        with self.problem.show_errors():
+            self.service.store.forget_project(self.key or "")
+            self.choice.set_options(self.names(EVERY), value="")
+
+    def begin(self) -> None:
+        """Begin a project and show it."""
+        with self.problem.show_errors():
+            self.show(self.service.store.new_project("New project").id)
+
+    async def ask_archive(self) -> None:
+        """Ask for an archive and show its project."""
+        most = self.service.settings.archive_bytes
+        with ui.dialog() as dialog, ui.card().classes("mp-card"):
+            heading("Import a project")
+            ui.label(f"An archive that Export made, up to {most / 1e6:g} MB.").classes("mp-soft")
+            problem = Problem()
+
+            async def take(event: events.UploadEventArguments) -> None:
+                with problem.show_errors():
+                    row = await projects.read_archive(self.service, await event.file.read())
+                    dialog.submit(row.id)
+
+            upload = ui.upload(on_upload=take, max_file_size=most, auto_upload=True, label="Choose or drop")
+            upload.props('accept=".zip" flat bordered').classes("w-full")
+            ui.button("Cancel", on_click=dialog.close).props("flat")
+        key = await dialog
+        dialog.delete()
+        if key is not None:
+            self.show(key)

@@ -1,0 +1,322 @@
+"""Projects as archives: written, and read back with nothing of an archive trusted."""
+
+from __future__ import annotations
+
+import json
+import re
+import stat
+from datetime import datetime
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+from zipfile import ZIP_DEFLATED, BadZipFile, LargeZipFile, ZipFile, ZipInfo
+
+from pydantic import BaseModel, ValidationError
+
+from metropilot.errors import InputError
+from metropilot.web.errors import Refused
+from metropilot.web.schemas.requests import CompareIn, ConvoyIn, DriveIn, JourneyIn, LiveIn, OperationIn
+from metropilot.web.schemas.responses import CompareOut, DriveOut, JourneyOut, OperationOut
+from metropilot.web.service import SUFFIXES, Service
+from metropilot.web.store import OVER, JobRow, ProjectRow
+from metropilot.web.work.drives import FILES
+
+FORMAT = 1
+INDEX = "project.json"
+RESULT = "result.json"
+ENTRY = re.compile(r"(jobs|uploads)/([A-Za-z0-9][A-Za-z0-9_-]{0,63})/([A-Za-z0-9][A-Za-z0-9_.-]{0,63})")
+UPLOAD = re.compile(r"upload-[0-9a-f]{8}")
+MOST_ENTRIES = 10_000
+"""Files of an archive at most."""
+BODIES: dict[str, tuple[type[BaseModel], type[BaseModel]]] = {
+    "drive": (DriveIn, DriveOut),
+    "compare": (CompareIn, CompareOut),
+    "journey": (JourneyIn, JourneyOut),
+    "line": (OperationIn, OperationOut),
+    "live": (LiveIn, DriveOut),
+}
+"""Request and result of the jobs that an archive holds; learning, studies and campaigns are left out."""
+RESTING = (*OVER, "interrupted")
+
+
+def project_out(service: Service, project: str) -> dict[str, Any]:
+    """A project with what it holds.
+
+    Raises:
+        Refused: No such project (404).
+    """
+    row = service.store.project(project)
+    uploads = [
+        {"id": each.id, "kind": each.kind, "name": each.name}
+        for each in service.store.uploads()
+        if each.project == project
+    ]
+    jobs = [each.id for each in service.store.jobs(limit=1000, project=project)]
+    return {**vars(row), "jobs": jobs, "uploads": uploads}
+
+
+def set_project(service: Service, entry: str, project: str | None) -> None:
+    """File a job or an upload in a project, or in none.
+
+    Raises:
+        Refused: No such job, upload or project (404).
+    """
+    if project is not None:
+        service.store.project(project)
+    if UPLOAD.fullmatch(entry):
+        service.upload_row(entry)
+    else:
+        service.store.job(entry)
+    service.store.set_project(entry, project)
+
+
+def write_archive(service: Service, project: str) -> bytes:
+    """Project as a ZIP archive: its index, results and files of its jobs, every version of its uploads.
+
+    Raises:
+        Refused: No such project (404), or it is too large (422).
+    """
+    row, made = service.store.project(project), BytesIO()
+    jobs = [each for each in service.store.jobs(limit=1000, project=project) if _is_kept(each)]
+    uploads = [each for each in service.store.uploads() if each.project == project]
+    index: dict[str, Any] = {
+        "format": FORMAT,
+        "name": row.name,
+        "notes": row.notes,
+        "jobs": [],
+        "uploads": [],
+    }
+    size = 0
+    with ZipFile(made, "w", ZIP_DEFLATED) as archive:
+
+        def put(name: str, content: bytes) -> None:
+            nonlocal size
+            size += len(content)
+            if size > service.settings.archive_bytes:
+                most = f"at most {service.settings.archive_bytes} bytes unpacked"
+                raise Refused("too large for an archive", 422, field="project", value=project, allowed=most)
+            archive.writestr(name, content)
+
+        for job in jobs:
+            told = {name: getattr(job, name) for name in ("id", "kind", "status", "request", "words", "name")}
+            told |= {"created": job.created, "progress": job.progress}
+            index["jobs"].append(told | {"journal": service.store.journal(job.id)})
+            put(f"jobs/{job.id}/{RESULT}", json.dumps(service.store.result(job.id)).encode())
+            for path in sorted((service.root / "jobs" / job.id).glob("[!.]*")):
+                if path.is_file() and _is_file_of(job.kind, path.name):
+                    put(f"jobs/{job.id}/{path.name}", path.read_bytes())
+        for upload in uploads:
+            versions = service.store.versions(upload.id)[::-1]
+            names = [f"{k}{Path(version.file).suffix}" for k, version in enumerate(versions, 1)]
+            index["uploads"].append({"id": upload.id, "versions": names})
+            for name, version in zip(names, versions, strict=True):
+                put(f"uploads/{upload.id}/{name}", (service.root / "uploads" / version.file).read_bytes())
+        put(INDEX, json.dumps(index, indent=1).encode())
+    return made.getvalue()
+
+
+def _is_file_of(kind: str, name: str) -> bool:
+    """Tell whether a file belongs to a job: one of its kind, or a copy of a file that its run.toml names."""
+    return name in FILES[kind] or name.endswith((".toml", ".safetensors"))
+
+
+def _is_kept(row: JobRow) -> bool:
+    return row.kind in BODIES and row.status in RESTING
+
+
+async def read_archive(service: Service, content: bytes) -> ProjectRow:
+    """Add the project of an archive with jobs and uploads under new ids; all of it or nothing.
+
+    Raises:
+        InputError: The archive, or something in it, cannot be used; one line names the entry.
+    """
+    files = _unpack(content, service.settings.archive_bytes)
+    try:
+        index = json.loads(files.pop(INDEX))
+        name, notes, jobs, uploads = (index[key] for key in ("name", "notes", "jobs", "uploads"))
+        if index["format"] != FORMAT or not isinstance(name, str) or not isinstance(notes, str):
+            raise ValueError("another format")
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        raise InputError("not a project", file=INDEX, value=str(error)[:80]) from None
+    ids: dict[str, str] = {}
+    try:
+        for each in _rows(uploads, "uploads"):
+            old, new = await _take_upload(service, each, files)
+            ids[old] = new
+        made = [_take_job(each, files, ids, f"jobs[{k}]") for k, each in enumerate(_rows(jobs, "jobs"))]
+    except BaseException:
+        for upload in ids.values():
+            service.forget(upload)
+        raise
+    row = service.store.new_project((name.strip() or "imported")[:80], notes[:20_000])
+    for upload in ids.values():
+        service.store.set_project(upload, row.id)
+    for job in made[::-1]:
+        job.keep(service, row.id)
+    return row
+
+
+def _rows(values: object, field: str) -> list[dict[str, Any]]:
+    if not isinstance(values, list) or not all(isinstance(each, dict) for each in values):
+        raise InputError("not a list of entries", file=INDEX, field=field)
+    return values
+
+
+def _unpack(content: bytes, most: int) -> dict[str, bytes]:
+    """Files of an archive in memory; nothing of it names a place on this machine.
+
+    Raises:
+        InputError: Not a ZIP archive, too large unpacked, or an entry is a link or names another folder.
+    """
+    found: dict[str, bytes] = {}
+    size = 0
+    try:
+        with ZipFile(BytesIO(content)) as archive:
+            entries = archive.infolist()
+            if len(entries) > MOST_ENTRIES:
+                told = {"value": len(entries), "allowed": f"at most {MOST_ENTRIES}"}
+                raise InputError("too many entries", file="archive", **told)
+            for entry in entries:
+                _check_entry(entry)
+                if entry.filename in found:
+                    raise InputError("entry is there twice", file="archive", value=entry.filename)
+                with archive.open(entry) as file:
+                    data = file.read(most - size + 1)
+                size += len(data)
+                if size > most:
+                    allowed = f"at most {most} bytes unpacked"
+                    raise InputError("too large", file="archive", value=entry.filename, allowed=allowed)
+                found[entry.filename] = data
+    except InputError:
+        raise
+    except (
+        BadZipFile,
+        LargeZipFile,
+        NotImplementedError,
+        RuntimeError,
+        EOFError,
+        OSError,
+        ValueError,
+    ) as error:
+        raise InputError("not a readable ZIP archive", file="archive", value=str(error)[:80]) from None
+    if INDEX not in found:
+        raise InputError("not a project", file="archive", field=INDEX, allowed="an archive of a project")
+    return found
+
+
+def _check_entry(entry: ZipInfo) -> None:
+    name, mode = entry.filename, entry.external_attr >> 16
+    allowed = f"{INDEX}, jobs/ID/FILE, uploads/ID/FILE"
+    if stat.S_IFMT(mode) not in {0, stat.S_IFREG}:
+        raise InputError("entry is no plain file", file="archive", value=name[:80], allowed=allowed)
+    if name != INDEX and (not ENTRY.fullmatch(name) or ".." in name):
+        raise InputError("entry has another name", file="archive", value=name[:80], allowed=allowed)
+
+
+async def _take_upload(service: Service, told: dict[str, Any], files: dict[str, bytes]) -> tuple[str, str]:
+    """Check and keep every version of an upload; return its old and its new id."""
+    old, versions = told.get("id"), told.get("versions")
+    if (
+        not isinstance(old, str)
+        or not UPLOAD.fullmatch(old)
+        or not isinstance(versions, list)
+        or not versions
+    ):
+        raise InputError("not an upload", file=INDEX, field="uploads", value=str(told)[:80])
+    new = ""
+    try:
+        for number, name in enumerate(versions):
+            content = files.get(f"uploads/{old}/{name}")
+            if content is None or not str(name).endswith(SUFFIXES):
+                raise InputError("missing in the archive", file=f"uploads/{old}/{str(name)[:40]}")
+            if number == 0:
+                new = (await service.upload(str(name), content))[0].id
+            else:
+                await service.save(new, content.decode("utf-8", "replace"), number)
+    except BaseException:
+        if new:
+            service.forget(new)
+        raise
+    return old, new
+
+
+class ArchivedJob(BaseModel):
+    """A job of an archive, checked."""
+
+    kind: str
+    status: str
+    request: dict[str, Any]
+    result: Any
+    words: str
+    name: str
+    created: str
+    progress: float
+    journal: list[tuple[int, dict[str, Any]]]
+    files: dict[str, bytes]
+
+    def keep(self, service: Service, project: str) -> None:
+        """Write the job under a new id."""
+        job, store = service.store.new_job(self.kind, self.request), service.store
+        folder = service.root / "jobs" / job
+        for name, content in self.files.items():
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(content)
+        for step, event in self.journal:
+            store.note(job, step, event)
+        changes = {"result": self.result} if self.result is not None else {}
+        told: dict[str, Any] = {
+            "status": self.status,
+            "words": self.words,
+            "name": self.name,
+            "progress": self.progress,
+        }
+        told["created"] = self.created
+        store.update(job, **told, **changes)
+        store.set_project(job, project)
+
+
+def _take_job(told: dict[str, Any], files: dict[str, bytes], ids: dict[str, str], field: str) -> ArchivedJob:
+    """Check a job with its request, result and files.
+
+    Raises:
+        InputError: Something in it cannot be used.
+    """
+    key, kind, status = (str(told.get(name)) for name in ("id", "kind", "status"))
+    if kind not in BODIES or status not in RESTING:
+        allowed = ", ".join((*BODIES, *RESTING))
+        raise InputError("not a job", file=INDEX, field=field, value=f"{kind} {status}"[:80], allowed=allowed)
+    body, result = BODIES[kind]
+    convoy = kind == "live" and isinstance(told.get("request"), dict) and "follower" in told["request"]
+    prefix = f"jobs/{key}/"
+    kept = {name.removeprefix(prefix): data for name, data in files.items() if name.startswith(prefix)}
+    try:
+        # ids of uploads are words of their own, so that they are replaced wherever a request has them
+        asked = json.loads(
+            UPLOAD.sub(lambda match: ids.get(match[0], match[0]), json.dumps(told.get("request")))
+        )
+        request = (ConvoyIn if convoy else body).model_validate(asked).model_dump()
+        found = json.loads(kept.pop(RESULT, b"null"))
+        if found is not None and not convoy:
+            result.model_validate(found)
+        if convoy and found is not None and not {"kpis", "success", "time_s", "speeds"} <= set(found):
+            raise ValueError("not the result of a convoy")
+        return ArchivedJob(
+            kind=kind,
+            status=status,
+            request=request,
+            result=found,
+            words=str(told.get("words", ""))[:200],
+            name=str(told.get("name", ""))[:80],
+            created=datetime.fromisoformat(str(told.get("created"))).isoformat(timespec="seconds"),
+            progress=told.get("progress", 0.0),
+            journal=told.get("journal", []),
+            files={name: data for name, data in kept.items() if _is_file_of(kind, name)},
+        )
+    except (ValidationError, ValueError, TypeError, RecursionError) as error:
+        words = str(error.errors()[0]["msg"]) if isinstance(error, ValidationError) else str(error)
+        raise InputError(f"not usable: {words[:120]}", file=INDEX, field=field, value=key[:80]) from None
+
+
+def file_name(row: ProjectRow) -> str:
+    """Name of the archive of a project."""
+    return (re.sub(r"[^A-Za-z0-9_-]+", "-", row.name).strip("-")[:40] or "project") + ".zip"
