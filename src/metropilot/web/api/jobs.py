@@ -42,6 +42,9 @@ from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 
 ARCHIVE = "run.zip"
+PNG: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}
+}
 FigureName = Annotated[str, Path(pattern=r"^[a-z0-9_]{1,40}\.png$")]
 FileName = Annotated[str, Path(pattern=r"^[a-z]{1,16}(-[0-9])?\.(csv|json|parquet|svg|png|toml|zip)$")]
 
@@ -217,7 +220,12 @@ def _add_learning(router: APIRouter, service: Service) -> None:
         rows = [asdict(row) for row in found.rows]
         return vars(found) | {"rows": rows, "figures": [each._asdict() for each in found.figures]}
 
-    @router.get("/studies/{study_id}/figures/{figure}", response_class=FileResponse, tags=["learning"])
+    @router.get(
+        "/studies/{study_id}/figures/{figure}",
+        response_class=FileResponse,
+        responses=PNG,
+        tags=["learning"],
+    )
     def study_figure(study_id: Key, figure: FigureName) -> FileResponse:
         """A figure of the published page of a study, as PNG."""
         for each in catalogue.study_page(study_id).figures:
