@@ -62,3 +62,13 @@ def test_a_study_shows_its_published_page(visit):
     page.get_by_label("Find in Published rows").fill("pid_lu2023")
     expect(page.locator('[aria-label="Published rows"] tbody tr').first).to_contain_text("pid_lu2023")
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+def test_a_learned_driver_is_exported_as_c(visit):
+    page = visit("/learn")
+    page.locator('[data-test="export"]').click(timeout=PATIENCE_MS)
+    status = page.locator('[data-test="export-status"]')
+    expect(status).to_have_text("done", timeout=2 * PATIENCE_MS)
+    with page.expect_download() as saved:
+        page.get_by_role("link", name="run.zip").click(modifiers=["Alt"])
+    assert saved.value.suggested_filename.startswith("export-")

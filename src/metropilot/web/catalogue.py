@@ -336,6 +336,7 @@ KINDS = {
     "journey": "Journey",
     "line": "Line",
     "campaign": "Campaign",
+    "export": "Export",
     "learn": "Learning run",
     "study": "Study",
 }
@@ -350,6 +351,8 @@ def kind_of(row: JobRow) -> str:
 def page_of(row: JobRow) -> str:
     """Address of the page on which a job is opened."""
     kind = kind_of(row)
+    if kind == "export":
+        return f"/learn?export={row.id}"
     if kind == "campaign":
         return f"/campaigns?campaign={row.id}"
     if kind == "study":
@@ -368,6 +371,8 @@ def describe_job(row: JobRow) -> str:
         return f"{body['study']} · {body['budget']}"
     if kind == "campaign":
         return body["name"]
+    if kind == "export":
+        return f"{body['driver']} · {body['line']} · {body['to']} · {body['number']}"
     if kind == "line":
         return f"{body['line']} · {body['day'] or 'every ' + str(body['headway_s']) + ' s'}"
     ends = f"{body['origin']} – {body['destination']}" if body["origin"] else "every station"

@@ -21,7 +21,7 @@ from metropilot.web.work.plans import begin
 
 BUSY = 16
 """Direct answers that may wait for the one worker; more are refused (429)."""
-LONG = ("learn", "study", "campaign")
+LONG = ("learn", "study", "campaign", "export")
 """Kinds of jobs that take hours; they have a worker of their own, without a bound on its memory."""
 BEHIND = 4
 """Niceness of jobs, so that direct answers and live runs get the processor first."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from metropilot._schema import field_specs
 from metropilot.errors import InputError
-from metropilot.evaluate import POLICY, RunSpec
+from metropilot.evaluate import POLICY, RunSpec, parse_driver
 from metropilot.operation import OperationOptions
 from metropilot.policy import POLICY_FILE
 from metropilot.railway import document_text, list_lines, list_trainsets
@@ -24,6 +24,7 @@ from metropilot.web.schemas.requests import (
     CompareIn,
     ConvoyIn,
     DriveIn,
+    ExportIn,
     JourneyIn,
     LearnIn,
     LiveIn,
@@ -35,7 +36,7 @@ from metropilot.web.schemas.requests import (
 from metropilot.web.schemas.requests import request_of as resolve
 from metropilot.web.settings import Settings
 from metropilot.web.store import OVER, JobRow, JobStore, UploadRow
-from metropilot.web.work import campaigns, drives, learning, operations, plans
+from metropilot.web.work import campaigns, drives, exports, learning, operations, plans
 
 if TYPE_CHECKING:
     from metropilot.convoy import ConvoyRequest
@@ -147,6 +148,26 @@ class Service:
             InputError: A name is no id, or there is no such policy.
         """
         return campaigns.file_values(body.model_dump(by_alias=True, exclude_unset=True), self.path)
+
+    def export_request(self, body: ExportIn) -> exports.ExportRequest:
+        """Resolve the request of an export.
+
+        Raises:
+            InputError: No such policy.
+        """
+        driver, options = parse_driver(body.driver)
+        policy = options.get(POLICY)
+        ends = (body.origin, body.destination) if body.origin and body.destination else None
+        return exports.ExportRequest(
+            driver=driver,
+            policy=None if policy is None else self.path(POLICY, str(policy)),
+            line=self.path("line", body.line),
+            ends=ends,
+            trainset=self.path("trainset", body.trainset),
+            load=body.load,
+            to=body.to,
+            number=body.number,
+        )
 
     def ids(self) -> dict[str, str]:
         """Ids of uploads and policies by their files."""
@@ -312,7 +333,9 @@ class Service:
 
             RunStore(self.root / "runs").rebuild()
 
-    def submit(self, body: DriveIn | CompareIn | OperationIn | CampaignIn | LearnIn | StudyIn) -> str:
+    def submit(
+        self, body: DriveIn | CompareIn | OperationIn | CampaignIn | ExportIn | LearnIn | StudyIn
+    ) -> str:
         """Queue a job; return its id.
 
         Raises:
@@ -332,6 +355,9 @@ class Service:
         elif isinstance(body, CampaignIn):
             campaigns.read_declared(self.campaign_values(body), self.settings.campaign_rows)
             kind = "campaign"
+        elif isinstance(body, ExportIn):
+            self.export_request(body).read()
+            kind = "export"
         elif isinstance(body, OperationIn):
             self.operation_request(body).read()
             kind = "line"
@@ -385,6 +411,9 @@ class Service:
         elif kind == "campaign":
             values = self.campaign_values(CampaignIn.model_validate(body))
             future = self.pools.submit(kind, campaigns.campaign_job, root, job, values)
+        elif kind == "export":
+            wanted = self.export_request(ExportIn.model_validate(body))
+            future = self.pools.submit(kind, exports.export_job, root, job, wanted)
         elif kind == "line":
             operation = self.operation_request(OperationIn.model_validate(body))
             future = self.pools.submit(kind, operations.line_job, root, job, operation)

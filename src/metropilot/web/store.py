@@ -373,8 +373,9 @@ def summarise(result: Any) -> dict[str, Any]:  # noqa: ANN401 (whatever the job'
     if "energies" in result:
         told = result["energies"]
         return {"outcome": "computed", "energy_kwh": told["energy_kwh"], "gap_percent": told["gap_percent"]}
-    if "campaign" in result:
-        return {"outcome": f"{result['done']} of {result['rows']} rows"}
+    if "campaign" in result or "vectors" in result:
+        files = len(result.get("files", ()))
+        return {"outcome": f"{files} files" if files else f"{result['done']} of {result['rows']} rows"}
     if "calls" in result:
         gap = 100.0 * (result["energy_j"] / result["bound_j"] - 1.0)
         found = {"outcome": "planned", "time_s": result["running_time_s"], "gap_percent": gap}

@@ -14,6 +14,7 @@ from metropilot.web.errors import Refused
 from metropilot.web.schemas.requests import (
     CompareIn,
     DriveIn,
+    ExportIn,
     JourneyIn,
     LearnIn,
     NameIn,
@@ -71,6 +72,11 @@ def routes(service: Service) -> APIRouter:
     @router.post("/jobs/line", response_model=JobOut, status_code=202)
     def line(body: OperationIn) -> JobRow:
         """Compute the energy of all trains of a line, beside its floor."""
+        return service.store.job(service.submit(body))
+
+    @router.post("/jobs/export", response_model=JobOut, status_code=202)
+    def export(body: ExportIn) -> JobRow:
+        """Write a learned driver under protection as C or WebAssembly; `/files/run.zip` holds it."""
         return service.store.job(service.submit(body))
 
     @router.post("/jobs/learn", response_model=JobOut, status_code=202)

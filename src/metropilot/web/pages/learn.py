@@ -12,12 +12,13 @@ from nicegui import run, ui
 from metropilot.errors import MetropilotError
 from metropilot.studies import PublishedStudy
 from metropilot.web import catalogue
-from metropilot.web.errors import Refused
-from metropilot.web.pages.form import number_field, validate
-from metropilot.web.pages.frame import Problem, card, empty, frame, number, refresh_while, table
+from metropilot.web.errors import Refused, error_of
+from metropilot.web.pages.form import describe_driver, driver_names, number_field, validate
+from metropilot.web.pages.frame import Problem, card, empty, frame, links, number, refresh_while, table
 from metropilot.web.pages.plots import blank, history_figure
+from metropilot.web.pages.strip import names
 from metropilot.web.pages.tables import DataColumn, DataTable
-from metropilot.web.schemas.requests import LearnIn, StudyIn
+from metropilot.web.schemas.requests import ExportIn, LearnIn, StudyIn
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 
@@ -59,6 +60,8 @@ class LearnPage:
                     self.problem.beside(name, element.props("outlined dense options-dense"))
                 self.steps.props('data-test="steps"')
                 ui.button("Learn", on_click=self.start).props('unelevated data-test="learn"')
+            self.aboard = ExportForm(self.service)
+            self.aboard.build()
             with card("Studies", "Papers reproduced: published, reproduced and optimal values."):
                 self.studies()
         with ui.element("div").classes("mp-col"):
@@ -233,6 +236,78 @@ class LearnPage:
             self.show_study(key)
 
 
+class ExportForm:
+    """Form of an export of a learned driver as C or WebAssembly, with its download.
+
+    Args:
+        service: Service of the server.
+    """
+
+    def __init__(self, service: Service) -> None:
+        self.service = service
+        self.job = ""
+
+    def build(self) -> None:
+        """Place fields, button and status."""
+        with card("On a controller", "A learned driver under protection as C, or in a page of its own."):
+            self.problem = Problem()
+            lines = {row["id"]: row["name"] for row in catalogue.line_rows(self.service)}
+            trainsets = {row["id"]: row["name"] for row in catalogue.trainset_rows(self.service)}
+            drivers = {
+                name: words
+                for name, words in driver_names(self.service).items()
+                if name.startswith("learned:") or describe_driver(name).startswith("Learned")
+            }
+            stops = names(catalogue.line_out(self.service, "yizhuang")["stops"])
+            self.fields: dict[str, Any] = {
+                "driver": ui.select(drivers, value="ppo", label="Driver to export"),
+                "line": ui.select(lines, value="yizhuang", label="Line", on_change=self.change_line),
+                "origin": ui.select(stops, value="RJ", label="From"),
+                "destination": ui.select(stops, value="WYJ", label="To"),
+                "trainset": ui.select(trainsets, value="dkz32", label="Trainset"),
+                "to": ui.select({"c": "C", "wasm": "WebAssembly and a page"}, value="c", label="As"),
+                "number": ui.select(["double", "float"], value="double", label="Numbers"),
+            }
+            for name, field in self.fields.items():
+                self.problem.beside(name, field.props("outlined dense options-dense").classes("w-full"))
+            ui.button("Export", on_click=self.start).props('unelevated data-test="export"')
+            self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="export-status"')
+            self.files = ui.element("div")
+
+    def change_line(self) -> None:
+        """Offer the stations of the line."""
+        stops = names(catalogue.line_out(self.service, self.fields["line"].value)["stops"])
+        ends = list(stops)
+        for name, end in (("origin", ends[0]), ("destination", ends[1])):
+            self.fields[name].set_options(stops, value=end)
+
+    def start(self) -> None:
+        """Queue the export."""
+        with self.problem.show_errors():
+            values = {name: field.value for name, field in self.fields.items()}
+            self.follow(self.service.submit(validate(ExportIn, values)))
+
+    def follow(self, job: str) -> None:
+        """Show the state of an export until it is over."""
+        self.job, self.going = job, True
+        self.files.clear()
+        refresh_while(lambda: self.going, POLL_S, self.look)
+
+    def look(self) -> None:
+        """Show the state, and the download once it is there."""
+        with self.problem.show_errors():
+            row = self.service.store.job(self.job)
+            self.status.text = f"{row.status}: {row.words}" if row.words else row.status
+            self.going = row.status in GOING
+            if row.status == "done":
+                with self.files:
+                    links([("run.zip", f"/api/jobs/{row.id}/files/run.zip")])
+            elif row.error is not None:
+                self.problem.show(error_of(row.error))
+            return
+        self.going = False
+
+
 def published_page(found: PublishedStudy) -> None:
     """Show the published page of a study: verdicts, rows, figures."""
     with card(found.title, found.written):
@@ -302,10 +377,14 @@ def install(service: Service) -> None:
     """Register the page."""
 
     @ui.page("/learn", title="Learn · metropilot")
-    async def learn(request: Request, job: str | None = None, study: str | None = None) -> None:
+    async def learn(
+        request: Request, job: str | None = None, study: str | None = None, export: str | None = None
+    ) -> None:
         with frame(request, "/learn"):
             page = LearnPage(service, job)
             page.build()
+            if export is not None:
+                page.aboard.follow(export)
             if study is not None:
                 page.show_study(study)
         await ui.context.client.connected()

@@ -286,6 +286,21 @@ class CampaignIn(CampaignFile):
     )
 
 
+class ExportIn(RequestBody):
+    """A learned driver under protection as C for a controller, or as WebAssembly for a page."""
+
+    model_config = example(driver="ppo", line="yizhuang", origin="RJ", destination="WYJ", to="c")
+
+    driver: DriverName = "ppo"
+    line: Id = "yizhuang"
+    origin: StationKey | None = None
+    destination: StationKey | None = None
+    trainset: TrainsetKey = "dkz32"
+    load: Annotated[str, Field(max_length=32)] | None = None
+    to: Literal["c", "wasm"] = "c"
+    number: Literal["double", "float"] = "double"
+
+
 class LearnIn(RequestBody):
     """A learning run of a recipe; null stands for the recipe's own value."""
 

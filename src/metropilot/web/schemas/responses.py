@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
-JobKind = Literal["drive", "compare", "journey", "line", "campaign", "learn", "study", "live"]
+JobKind = Literal["drive", "compare", "journey", "line", "campaign", "export", "learn", "study", "live"]
 JobStatus = Literal["queued", "running", "done", "failed", "stopped", "interrupted"]
 JobSort = Literal["created", "name", "kind", "status", "time_s", "energy_kwh", "gap_percent"]
 
