@@ -34,7 +34,7 @@ def test_deterministic_rows_of_a_page_are_those_of_this_code(study, tmp_path):
     rows = reproduce(study, Order(tmp_path)).rows if fixed_rows is None else fixed_rows()
     found = {(row.table, row.case, row.driver, row.kpi): row.ours for row in rows}
     compared = [key for key in written if key in found]
-    assert len(compared) > 30
+    assert len(compared) > (30 if fixed_rows is None else 5)
     stale = {
         key: (written[key], found[key])
         for key in compared

@@ -74,6 +74,11 @@ def reproduce(order: Order) -> StudyReport:
     return StudyReport(len(seeds), rows, drawn, DEVIATIONS, said, CLAIMS)
 
 
+def fixed_rows() -> list[ReportRow]:
+    """Rows of the plans and of the constant command, which neither learn nor draw."""
+    return [*_optimum()[1], *constant_rows()]
+
+
 def _courses(
     order: Order,
     configs: Mapping[str, AbstractConfig],
@@ -131,4 +136,5 @@ STUDY = Study(
     citation=CITATION,
     reproduce=reproduce,
     as_printed=AS_PRINTED,
+    fixed_rows=fixed_rows,
 )
