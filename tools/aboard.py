@@ -403,7 +403,7 @@ def drive_rows(drives: Sequence[dict[str, Any]], name: str) -> list[tuple[str, s
                 "5 mm",
             ),
             ("`float`: arrival", f"{most('float_shipped', 'time_s'):.3f} s", "0.05 s"),
-            ("`float`: position on the way", f"{most('float_shipped', 'position_m'):.2f} m", "–"),
+            ("`float`: position on the way", f"{1e3 * most('float_shipped', 'position_m'):.1f} mm", "–"),
         ]
     return [*rows, (f"`{name}`: drives with another outcome, or overruled by protection", f"{odd:.0f}", "0")]
 
