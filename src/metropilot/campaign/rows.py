@@ -18,7 +18,7 @@ from metropilot.campaign.declared import (
     case_request,
 )
 from metropilot.campaign.matrix import CellRow, capture_errors, peak_memory_mb
-from metropilot.errors import Infeasible
+from metropilot.errors import Infeasible, InputError
 from metropilot.evaluate import (
     OPTIMUM_SPACING_M,
     OPTIMUM_TOLERANCE,
