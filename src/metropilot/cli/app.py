@@ -39,7 +39,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "fit": ("metropilot.cli.fit", "Estimate a trainset's parameters from logs of runs."),
     "learn": ("metropilot.cli.learn", "Learn a driver, or resume a run."),
     "runs": ("metropilot.cli.runs", "List the learning runs, the newest first."),
-    "export": ("metropilot.cli.export", "Write a learned driver as ONNX or, with protection, as C."),
+    "export": ("metropilot.cli.export", "Write a learned driver as ONNX or, with protection, a driver as C."),
     "lines": ("metropilot.cli.catalogue", "List the lines of the catalogue."),
     "trainsets": ("metropilot.cli.catalogue", "List the trainsets of the catalogue."),
     "drivers": (
