@@ -7,6 +7,7 @@ import pytest
 
 from metropilot.campaign import PUBLISHED, publish_rows, published_rows, read_campaign, run_campaign
 from metropilot.campaign.leaderboard import _table
+from metropilot.campaign.rows import request_of_row
 from metropilot.cli import main
 from metropilot.errors import InputError
 from metropilot.sim import drive
@@ -39,6 +40,12 @@ def test_rows_are_found_and_sorted():
     for bad in ({"sort": "row; DROP TABLE runs"}, {"wanted": {'"': "x"}}):
         with pytest.raises(InputError, match=r"column: no such column"):
             found.find(**bad)
+
+
+def test_a_row_that_was_not_driven_is_refused():
+    campaign = published_rows("leaderboard").campaign
+    with pytest.raises(InputError, match="row: has no scheduled time"):
+        request_of_row(campaign, {"row": 0, "scheduled_time_s": None})
 
 
 @pytest.mark.parametrize(
