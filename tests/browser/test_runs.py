@@ -95,6 +95,7 @@ def test_a_run_is_opened_again(visit, driven):
     )
     expect(why).to_contain_text("Protection never stepped in")
     expect(page.get_by_role("table", name="Regimes").get_by_role("row")).not_to_have_count(1)
+    page.wait_for_function("document.querySelector('[data-test=explanation]')?.data", timeout=PATIENCE_MS)
     drawn = page.evaluate("document.querySelector('[data-test=explanation]').data.map(t => t.name)")
     assert {"driven", "lost by the trainset", "lost by the driver", "effort", "speed limit"} <= set(drawn)
     bands = page.evaluate("document.querySelector('[data-test=explanation]').layout.shapes.length")
