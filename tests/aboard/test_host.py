@@ -153,7 +153,7 @@ def test_every_way_through_a_function_is_in_the_graph(tmp_path, branches, name):
         tracer = BranchTracer(np.float64)
         x, y = (tracer.input((), np.dtype(np.float64), k) for k in range(2))
         knots, branches.KNOTS = branches.KNOTS, tracer.constant(branches.KNOTS)
-        with tracer.installed([branches]):
+        with tracer.apply_to([branches]):
             found = tracer.run(lambda: call(x, y), name)
         branches.KNOTS = knots
         graph = Graph([x.node, y.node], [found.node], drop_unused(tracer.nodes, [found.node]))
@@ -174,9 +174,9 @@ def test_what_cannot_be_joined_is_refused(branches):
     with double_precision():
         tracer = BranchTracer(np.float64)
         x = tracer.input((), np.dtype(np.float64), 0)
-        with tracer.installed([branches]), pytest.raises(InputError, match="one thing or another"):
+        with tracer.apply_to([branches]), pytest.raises(InputError, match="one thing or another"):
             tracer.run(lambda: None if x > 0.0 else 1.0, "either")
-        with tracer.installed([branches]), pytest.raises(InputError, match="too many branches"):
+        with tracer.apply_to([branches]), pytest.raises(InputError, match="too many branches"):
             tracer.run(lambda: sum(k if x > k else 0.0 for k in range(40)), "many")
 
 

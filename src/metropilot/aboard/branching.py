@@ -262,7 +262,7 @@ class BranchTracer:
         form = take(given)
         shape = {key: take(value) for key, value in options.items()}
 
-        def computed(*arrays: Any) -> Any:  # noqa: ANN401 (arrays)
+        def compute(*arrays: Any) -> Any:  # noqa: ANN401 (arrays)
             def fill(each: Any) -> Any:  # noqa: ANN401 (an argument)
                 if isinstance(each, _Hole):
                     return arrays[each.number]
@@ -270,7 +270,7 @@ class BranchTracer:
 
             return _function(name)(*fill(form), **{key: fill(value) for key, value in shape.items()})
 
-        return self.call((name, repr(form), repr(shape)), computed, *inputs)
+        return self.call((name, repr(form), repr(shape)), compute, *inputs)
 
     def call(self, key: Any, function: Callable[..., Any], *given: Any) -> Symbol:  # noqa: ANN401 (a key)
         """A function of JAX arrays, as the operations that it consists of."""
@@ -407,7 +407,7 @@ class BranchTracer:
 
     # ------------------------------------------------------------------------------------------------ modules
     @contextmanager
-    def installed(self, modules: Sequence[ModuleType]) -> Iterator[None]:
+    def apply_to(self, modules: Sequence[ModuleType]) -> Iterator[None]:
         """Let the functions of modules run on symbols."""
         NAMESPACES[Symbol] = _Namespace(self)
         missing, changed = object(), []

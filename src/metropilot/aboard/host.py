@@ -97,7 +97,7 @@ class _Trace:
             intervention=self.level,  # pyright: ignore[reportArgumentType]
         )
         wanted = set(entries)
-        with self.tracer.installed(_modules()):
+        with self.tracer.apply_to(_modules()):
             while self.share is None or wanted - set(self.changing):
                 for entry in sorted(wanted - set(self.changing)):
                     value = self.departure(entry)

@@ -235,16 +235,16 @@ def _losses(
     end_m = drive.section.length_m
     at_m = np.linspace(0.0, end_m, max(int(np.ceil(end_m / GRID_M)), 1) + 1)
 
-    def dissipated(
+    def find_loss(
         position_m: Float[ndarray, " n"], energy_j: Float[ndarray, " n"], speed_mps: Float[ndarray, " n"]
     ) -> Float[ndarray, " points"]:
         return np.interp(at_m, position_m, energy_j - 0.5 * mass_kg * speed_mps**2)
 
     ideal, attainable = (
-        dissipated(plan.position_m, traction_work_j(plan), plan.speed_mps)
+        find_loss(plan.position_m, traction_work_j(plan), plan.speed_mps)
         for plan in (optimum.plan, optimum.attainable.plan)
     )
-    driven = dissipated(t.position_m, t.energy_wheel_j, t.speed_mps)
+    driven = find_loss(t.position_m, t.energy_wheel_j, t.speed_mps)
     return at_m, attainable - ideal, driven - attainable
 
 

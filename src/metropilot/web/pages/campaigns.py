@@ -121,7 +121,7 @@ class CampaignsPage:
         await self.show()
         ui.timer(EVERY_S, self.refresh)
 
-    def own(self) -> bool:
+    def is_own(self) -> bool:
         """Tell whether the campaign is one of this server."""
         return self.campaign not in PUBLISHED
 
@@ -161,9 +161,9 @@ class CampaignsPage:
         row = next((each for each in found if each["id"] == self.campaign), None)
         status = "" if row is None else row["status"]
         self.title.text = self.campaign if row is None else row["name"]
-        self.state.text = "" if row is None or not self.own() else f"{status}: {row['words']}"
+        self.state.text = "" if row is None or not self.is_own() else f"{status}: {row['words']}"
         self.bar.value = row["done"] / row["rows"] if row and row["rows"] else 0
-        self.bar.set_visibility(self.own())
+        self.bar.set_visibility(self.is_own())
         self.stop_button.set_visibility(status in GOING)
         self.resume_button.set_visibility(status in {"stopped", "interrupted", "failed"})
         told: Any = {"cells": [], "matrix": "", "written": ""}
@@ -172,7 +172,7 @@ class CampaignsPage:
         self.matrix.text = " ".join(text for text in (f"{told['matrix']}.", told["written"]) if text != ".")
         self.cells.fill([self.cell(each) for each in told["cells"]])
         self.files.clear()
-        if self.own() and status == "done":
+        if self.is_own() and status == "done":
             with self.files:
                 links([("results.parquet", f"/api/jobs/{self.campaign}/files/results.parquet")])
         await self.show_rows()

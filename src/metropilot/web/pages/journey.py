@@ -144,7 +144,7 @@ class JourneyPage:
         aboard = loads(self.service, body["trainset"])
         stops = names(self.line["stops"])
         ends = list(stops)
-        with self.filled():
+        with self.set_quietly():
             self.fields["line"].value, self.fields["trainset"].value = body["line"], body["trainset"]
         self.fields["origin"].set_options(stops, value=body["origin"] or ends[0])
         self.fields["destination"].set_options(stops, value=body["destination"] or ends[-1])
@@ -153,7 +153,7 @@ class JourneyPage:
         self.total.value = body["total_s"]
 
     @contextmanager
-    def filled(self) -> Iterator[None]:
+    def set_quietly(self) -> Iterator[None]:
         """Change fields without the answers to a change by hand."""
         self.filling = True
         try:
