@@ -18,6 +18,7 @@ from .coasting import time_to_go as time_to_go
 from .estimator import Estimate as Estimate
 from .estimator import PlantEstimate as PlantEstimate
 from .estimator import StateEstimate as StateEstimate
+from .estimator import estimated_actuation as estimated_actuation
 from .estimator import initial_estimate as initial_estimate
 from .estimator import look_ahead as look_ahead
 from .estimator import look_along as look_along

@@ -26,6 +26,7 @@ from numpy import ndarray
 
 from metropilot._typing import Float
 from metropilot.control.prediction import (
+    CommandActuation,
     Model,
     Motion,
     PredictedState,
@@ -520,6 +521,17 @@ def look_along(
     acting = up * traction, down * brake, drag * resistance + gradient
     commands, jerk = [share, *estimate.commands.tolist()], float(model.vehicle.jerk_mps3)
     return predict_path(motion, commands, age, keep, acting, jerk, model.dt, periods)
+
+
+def estimated_actuation(estimate: StateEstimate, dt: float) -> CommandActuation:
+    """Commands in the pipeline of the dead time and the lag as estimated.
+
+    Args:
+        estimate: State and plant as estimated.
+        dt: Control period, s.
+    """
+    age, keep, motion = _motion(estimate)
+    return CommandActuation(estimate.commands.tolist(), motion.share, age, keep, _lag_of(keep, dt), dt)
 
 
 def _motion(estimate: StateEstimate) -> tuple[float, float, Motion]:

@@ -134,7 +134,7 @@ class CommandActuation(NamedTuple):
         dt: Control period, s.
     """
 
-    commands: tuple[float, ...]
+    commands: Sequence[float]
     share: float
     delay_steps: float
     keep: float

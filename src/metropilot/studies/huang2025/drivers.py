@@ -24,13 +24,18 @@ from metropilot.control import (
     CommandActuation,
     Model,
     PredictedState,
+    StateEstimate,
     StopCurve,
     StopOptions,
     actuation_of,
     ceiling_of,
     curve_for,
+    estimated_actuation,
+    initial_estimate,
     largest_admissible_command,
     model_of,
+    record_command,
+    update_estimate,
 )
 from metropilot.drivers import DECISION_EARLY_S, PolicyOptions
 from metropilot.errors import InputError
@@ -118,7 +123,8 @@ class ExpertMemory(NamedTuple):
         ceiling: Speeds protection permits.
         ground: Tables of both.
         legs: The speed-limit intervals.
-        actuation: Commands on their way.
+        actuation: Commands on their way, as declared.
+        estimate: Estimate of the plant: dead time and lag where the answers contradict what is declared.
         hoa: Knowledge of the brake.
         supervision: State of protection, kept alongside where commands act late.
         rate_mps2: The rate ``u``.
@@ -133,6 +139,7 @@ class ExpertMemory(NamedTuple):
     ground: ExpertTrack
     legs: Legs
     actuation: CommandActuation
+    estimate: StateEstimate
     hoa: Hoa
     supervision: Memory
     rate_mps2: float = 0.0
@@ -160,6 +167,7 @@ def prepare_expert(run: Run, section: Section, rules: ExpertRules, hoa: Hoa) -> 
         ground=ground,
         legs=legs_of(model, ground, rules),
         actuation=actuation_of(model),
+        estimate=initial_estimate(model),
         hoa=hoa,
         supervision=at_start(ceiling.guard),
     )
@@ -185,11 +193,19 @@ def decide(
     if observation.section is not memory.section:
         fresh = prepare_expert(memory.run, observation.section, memory.rules, memory.hoa)
         memory = fresh._replace(
-            actuation=memory.actuation, supervision=memory.supervision, rate_mps2=memory.rate_mps2
+            actuation=memory.actuation,
+            estimate=memory.estimate,
+            supervision=memory.supervision,
+            rate_mps2=memory.rate_mps2,
         )
-    ground, actuation = memory.ground, memory.actuation
     state = (observation.position_m, observation.speed_mps, observation.acceleration_mps2)
-    hoa = _learn_brake(memory, observation, state)
+    overruled = observation.intervention > 0
+    estimate = update_estimate(memory.model, memory.estimate, *state, overruled=overruled)
+    ground, actuation = memory.ground, memory.actuation
+    if estimate.best != 0:
+        # The answers contradict what is declared, which is the first hypothesis.
+        actuation = estimated_actuation(estimate, actuation.dt)
+    hoa = memory.hoa if overruled else update_gain(memory.hoa, ground, actuation, state, memory.before_mps2)
     ahead = ground.ahead(actuation, state, hoa.gain)
     brake, downhill = ground.brake(ahead.speed_mps), ground.downhill(ahead.position_m)
     plan = hoa.plan_mps2(brake, downhill, ground.stop_mps2)
@@ -212,19 +228,13 @@ def decide(
         )
     memory = memory._replace(
         supervision=supervision,
-        actuation=actuation.issue(share),
+        actuation=memory.actuation.issue(share),
+        estimate=record_command(estimate, share),
         hoa=hoa._replace(braking=braking),
         rate_mps2=rate,
         before_mps2=observation.acceleration_mps2,
     )
     return share, memory, known
-
-
-def _learn_brake(memory: ExpertMemory, observation: Observation, state: tuple[float, float, float]) -> Hoa:
-    """Knowledge of the brake after a period; the answer to an intervention says nothing about it."""
-    if observation.intervention > 0:
-        return memory.hoa
-    return update_gain(memory.hoa, memory.ground, memory.actuation, state, memory.before_mps2)
 
 
 def _rate_inputs(
