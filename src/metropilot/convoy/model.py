@@ -160,9 +160,9 @@ CONVOY_PERIOD_S = 0.1
 """Control period of a convoy. The gap error that a PID on the speed difference leaves grows with it."""
 GAP_M = 5.92
 """Chen23b table 1: initial gap."""
-HEAD_MPS2, TAIL_MPS2, STEP_MPS2 = 0.8, 1.15, 0.35
-"""Brake rates of a coupled convoy at head and tail, and largest step between trainsets. Each rate is above
-that of the trainset ahead, so that every trainset can brake harder than the one ahead. Our choice."""
+HEAD_MPS2, TAIL_MPS2, STEP_MPS2, LEAST_STEP_MPS2 = 0.8, 1.15, 0.35, 0.02
+"""Brake rates of a coupled convoy at head and tail, and largest and least step between trainsets. Each rate is
+above that of the trainset ahead, so that every trainset can brake harder than the one ahead. Our choice."""
 TRAINSETS = FieldSpec(
     "How many trainsets.", range=Range(2, 16), option="trainsets", label="Trainsets", step=1.0
 )
@@ -266,12 +266,24 @@ class Convoy(ConvoySettings):
 
     @property
     def rates_mps2(self) -> tuple[float, ...]:
-        """Rate to which the brakes of each trainset are controlled; infinite where they are not."""
+        """Rate to which the brakes of each trainset are controlled; infinite where they are not.
+
+        What the weakest emergency brake holds on the steepest fall is the most: behind a trainset that may
+        brake harder than the own brake surely does, the gap that protection needs grows with the speed squared.
+        """
         count = len(self.trainsets)
         if self.guard != "coupled":
             return (float("inf"),) * count
-        step = min(STEP_MPS2, (TAIL_MPS2 - HEAD_MPS2) / (count - 1))
-        return tuple(HEAD_MPS2 + step * k for k in range(count))
+        tail = min(TAIL_MPS2, *(self._held_mps2(k) for k in range(count)))
+        head = min(HEAD_MPS2, max(tail - LEAST_STEP_MPS2 * (count - 1), 0.5 * tail))
+        step = min(STEP_MPS2, (tail - head) / (count - 1))
+        return tuple(head + step * k for k in range(count))
+
+    def _held_mps2(self, k: int) -> float:
+        """Deceleration that the emergency brake of a trainset gives on the steepest fall of the section."""
+        trainset = self.disturbance(k).nominal(self.trainsets[k])
+        fall = max(-1e-3 * float(self.section.gradient_permil.value.min()), 0.0)
+        return trainset.safe_braking.emergency_deceleration_mps2 - fall * trainset.gravity_mps2
 
     @property
     def cleared_after_m(self) -> float:

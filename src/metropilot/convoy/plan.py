@@ -42,7 +42,8 @@ LACK_M = 0.2
 CLOSED_MPS = 3.0
 """Speed of the trainset ahead below which its stop is so near that the gap should be closed."""
 TRACKING_PER_S = 0.8
-END_M = 5.0
+SHIFT_FROM_M, SHIFT_TO_M = 60.0, 1.0
+"""Distances to the own mark between which a planned motion is shifted to end there."""
 LIMIT_S = 1.0
 """Time constant with which a planned motion approaches the permitted speed, without dead time and lag."""
 CLOSING_USE, LATEST_USE, LATEST_SLOPE_MPS = 0.3, 0.6, 1.0
@@ -191,9 +192,11 @@ def drivable(
         speeds.append(v)
     # The end is the own mark, whatever the corrections have left.
     moved = np.array(positions)
+    length_m, shift_m = SHIFT_FROM_M - SHIFT_TO_M, position_m[-1] - moved[-1]
+    done = np.clip((moved - moved[-1] + SHIFT_FROM_M) / length_m, 0.0, 1.0)
     return ahead._replace(
-        position_m=moved + (position_m[-1] - moved[-1]) * (moved > moved[-1] - END_M),
-        speed_mps=np.array(speeds),
+        position_m=moved + shift_m * done * done * (3.0 - 2.0 * done),
+        speed_mps=np.array(speeds) * (1.0 + shift_m * 6.0 * done * (1.0 - done) / length_m),
     )
 
 
