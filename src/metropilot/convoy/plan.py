@@ -42,6 +42,8 @@ LACK_M = 0.2
 CLOSED_MPS = 3.0
 """Speed of the trainset ahead below which its stop is so near that the gap should be closed."""
 TRACKING_PER_S = 0.8
+CLOSING_S, STANDING_MPS = 20.0, 1e-3
+"""Time for closing a gap after the trainset ahead stands; speed below which a planned motion stands."""
 SHIFT_FROM_M, SHIFT_TO_M = 60.0, 1.0
 """Distances to the own mark between which a planned motion is shifted to end there."""
 LIMIT_S = 1.0
@@ -107,7 +109,8 @@ def place_behind(
     """Planned motion of a follower behind that of the trainset ahead (NumPy).
 
     The gap is the desired one or, where that is larger, the one at which protection passes the planned
-    commands. Its changes are smooth, and begin before they are needed.
+    commands. Its changes are smooth, and begin before they are needed. What is left of it when the trainset
+    ahead stands is closed thereafter.
 
     Args:
         ahead: Planned motion of the trainset ahead.
@@ -116,6 +119,8 @@ def place_behind(
         now_s: Time from which the gap can be changed.
         planned_gap: Gap planned so far.
     """
+    rows = ahead.position_m.size
+    ahead = _stand_on(ahead, round(CLOSING_S / float(ahead.period_s)))
     times, dt = plan_times(ahead), float(ahead.period_s)
     rear = ahead.position_m - length_ahead_m
     first = max(round((now_s - times[0]) / dt), 0)
@@ -139,7 +144,16 @@ def place_behind(
             if not lacking[first:].any():
                 break
             needed = np.where(lacking, np.maximum(needed, behind + LACK_M), needed)
-    return own
+    moving = np.flatnonzero(own.speed_mps > STANDING_MPS)
+    rows = max(rows, moving[-1] + 2 if moving.size else 0)
+    return own._replace(position_m=own.position_m[:rows], speed_mps=own.speed_mps[:rows])
+
+
+def _stand_on(plan: MotionPlan, rows: int) -> MotionPlan:
+    """Planned motion that stands for so many rows more at its end (NumPy)."""
+    return plan._replace(
+        position_m=np.pad(plan.position_m, (0, rows), "edge"), speed_mps=np.pad(plan.speed_mps, (0, rows))
+    )
 
 
 def drivable(
