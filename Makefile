@@ -9,6 +9,9 @@ WEB_STAMP := $(VENV)/.web-stamp
 # Byte code is made of what is imported, when it is: of everything it would take half a minute.
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt
 
+# `make setup EXTRAS=dev,browser` installs for all targets at once.
+EXTRAS ?= dev
+
 # Two test processes, each single-threaded: small networks get slower on two threads.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false
 WORKERS ?= 2
@@ -34,8 +37,8 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -m venv $(VENV) >/dev/null 2>&1 || { \
 		echo "error: '$(PYTHON) -m venv' failed; on Debian and Ubuntu: apt-get install python3-venv" >&2; exit 1; }
 	@echo "setup: installing into $(VENV) (once; a minute or two)"
-	@$(PIP) --editable '.[dev]'
-	@touch $@
+	@$(PIP) --editable '.[$(EXTRAS)]'
+	@touch $@ $(if $(findstring browser,$(EXTRAS)),$(WEB_STAMP))
 
 $(BENCH_STAMP): $(STAMP)
 	@$(PIP) --editable '.[dev,nlp]'

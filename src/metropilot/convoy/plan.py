@@ -41,7 +41,9 @@ LACK_M = 0.2
 """Lack of gap behind what protection needs, margin included, for which a planned motion is planned again."""
 CLOSED_MPS = 3.0
 """Speed of the trainset ahead below which its stop is so near that the gap should be closed."""
-TRACKING_PER_S = 0.8
+TRACKING_PER_S, CATCH_UP_MPS2 = 0.8, 0.2
+"""Bandwidth with which a planned motion comes back to the wanted one, and the most that it accelerates for it:
+a large command takes a large gap."""
 CLOSING_S, STANDING_MPS = 20.0, 1e-3
 """Time for closing a gap after the trainset ahead stands; speed below which a planned motion stands."""
 SHIFT_FROM_M, SHIFT_TO_M = 60.0, 1.0
@@ -198,7 +200,8 @@ def drivable(
     for k in range(len(wanted_m) - 1):
         rise = (wanted_mps[k + 1] - wanted_mps[k]) / dt
         faster = min(max(0.5 * w * (wanted_m[k] - x), -SLOPE_MPS), SLOPE_MPS)
-        free = min(rise + 2.0 * w * (wanted_mps[k] + faster - v), (cap[k + 1] - v) / late_s)
+        catching_up = min(2.0 * w * (wanted_mps[k] + faster - v), CATCH_UP_MPS2)
+        free = min(rise + catching_up, (cap[k + 1] - v) / late_s)
         a = min(max(free, least[k], a - jerk), most[k], a + jerk)
         after = max(v + a * dt, 0.0)
         x, v = x + 0.5 * (v + after) * dt, after
