@@ -229,9 +229,10 @@ def plan_followers(members: Sequence[Member], head: MotionPlan, first_gap_m: flo
 def _gaps(
     members: Sequence[Member], plans: Sequence[MotionPlan]
 ) -> Iterator[tuple[MotionPlan, Float[ndarray, " rows"]]]:
-    """Planned motion of the trainset ahead, and planned gap behind it, of each follower."""
+    """Planned motion of the trainset ahead, and planned gap behind it till it stands, of each follower."""
     for before, (ahead, own) in zip(members, pairwise(plans), strict=False):
-        yield ahead, ahead.position_m - float(before.length_m) - own.position_m
+        rows = ahead.position_m.size
+        yield ahead, ahead.position_m - float(before.length_m) - own.position_m[:rows]
 
 
 def _least_gaps(

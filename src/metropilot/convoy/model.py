@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import reduce
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple, get_args, no_type_check
 
 import numpy as np
 
@@ -161,7 +161,7 @@ CONVOY_PERIOD_S = 0.1
 GAP_M = 5.92
 """Chen23b table 1: initial gap."""
 HEAD_MPS2, TAIL_MPS2, STEP_MPS2, LEAST_STEP_MPS2 = 0.8, 1.15, 0.35, 0.02
-"""Brake rates of a coupled convoy at head and tail, and largest and least step between trainsets. Each rate is
+"""Brake rates of a coupled convoy at head and tail, largest and least step between trainsets. Each rate is
 above that of the trainset ahead, so that every trainset can brake harder than the one ahead. Our choice."""
 TRAINSETS = FieldSpec(
     "How many trainsets.", range=Range(2, 16), option="trainsets", label="Trainsets", step=1.0
@@ -269,7 +269,7 @@ class Convoy(ConvoySettings):
         """Rate to which the brakes of each trainset are controlled; infinite where they are not.
 
         What the weakest emergency brake holds on the steepest fall is the most: behind a trainset that may
-        brake harder than the own brake surely does, the gap that protection needs grows with the speed squared.
+        brake harder than the own brake surely does, protection's gap grows with the speed squared.
         """
         count = len(self.trainsets)
         if self.guard != "coupled":
@@ -412,6 +412,26 @@ def convoy_member(convoy: Convoy, k: int, dtype: type = np.float64) -> Member:
         uncouple_at_m=dtype(convoy.uncouple_at_m - (k and convoy.trainsets[k - 1].length_m + convoy.gap_m)),
         is_head=np.bool_(k == 0),
     )
+
+
+@no_type_check
+def growing_m(member: Member, speed_mps: Array, acceleration_mps2: Array, closing_mps: Array) -> Array:
+    """Growth of the gap that protection needs, and loss of the own one, while commands are on their way.
+
+    They cannot be taken back: a speed that rises by ``a`` a second takes ``v a / b`` more gap a second, at a
+    brake rate ``b``.
+
+    Args:
+        member: The trainset.
+        speed_mps: Its speed.
+        acceleration_mps2: Its acceleration.
+        closing_mps: Its speed less that of the trainset ahead.
+    """
+    believed = member.believed
+    xp = namespace(speed_mps, closing_mps)
+    late_s = believed.delay_s + believed.lag_s
+    rate = speed_mps * xp.maximum(acceleration_mps2, 0.0) / member.bounds.held_mps2 + closing_mps
+    return late_s * xp.maximum(rate, 0.0)
 
 
 def _possible_disturbances(convoy: Convoy, k: int) -> tuple[Disturbance, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy import ndarray
 
 from metropilot._typing import Array, Float, Scalar
-from metropilot.convoy.model import FAR_M, Member
+from metropilot.convoy.model import FAR_M, Member, growing_m
 from metropilot.physics import effort_limits, namespace, scalars
 from metropilot.protection import TrainAhead, at_start, permitted_speed, spare_gap
 
@@ -41,9 +41,9 @@ LACK_M = 0.2
 """Lack of gap behind what protection needs, margin included, for which a planned motion is planned again."""
 CLOSED_MPS = 3.0
 """Speed of the trainset ahead below which its stop is so near that the gap should be closed."""
-TRACKING_PER_S, CATCH_UP_MPS2 = 0.8, 0.2
-"""Bandwidth with which a planned motion comes back to the wanted one, and the most that it accelerates for it:
-a large command takes a large gap."""
+TRACKING_PER_S, CATCH_UP_MPS2, CATCH_UP_PER_S2 = 0.8, 0.2, 0.012
+"""Bandwidth with which a planned motion comes back to the wanted one, the most that it accelerates for it,
+and for each metre that it is behind: a large command takes a large gap."""
 CLOSING_S, STANDING_MPS = 20.0, 1e-3
 """Time for closing a gap after the trainset ahead stands; speed below which a planned motion stands."""
 SHIFT_FROM_M, SHIFT_TO_M = 60.0, 1.0
@@ -147,12 +147,15 @@ def place_behind(
                 break
             needed = np.where(lacking, np.maximum(needed, behind + LACK_M), needed)
     moving = np.flatnonzero(own.speed_mps > STANDING_MPS)
+    # As long as that of the trainset ahead, or until it stands.
     rows = max(rows, moving[-1] + 2 if moving.size else 0)
     return own._replace(position_m=own.position_m[:rows], speed_mps=own.speed_mps[:rows])
 
 
 def _stand_on(plan: MotionPlan, rows: int) -> MotionPlan:
-    """Planned motion that stands for so many rows more at its end (NumPy)."""
+    """Planned motion that stands for so many rows more at its end, if it stands there (NumPy)."""
+    if plan.speed_mps[-1] > STANDING_MPS:
+        return plan
     return plan._replace(
         position_m=np.pad(plan.position_m, (0, rows), "edge"), speed_mps=np.pad(plan.speed_mps, (0, rows))
     )
@@ -200,7 +203,8 @@ def drivable(
     for k in range(len(wanted_m) - 1):
         rise = (wanted_mps[k + 1] - wanted_mps[k]) / dt
         faster = min(max(0.5 * w * (wanted_m[k] - x), -SLOPE_MPS), SLOPE_MPS)
-        catching_up = min(2.0 * w * (wanted_mps[k] + faster - v), CATCH_UP_MPS2)
+        most_up = CATCH_UP_MPS2 + CATCH_UP_PER_S2 * max(wanted_m[k] - x, 0.0)
+        catching_up = min(2.0 * w * (wanted_mps[k] + faster - v), most_up)
         free = min(rise + catching_up, (cap[k + 1] - v) / late_s)
         a = min(max(free, least[k], a - jerk), most[k], a + jerk)
         after = max(v + a * dt, 0.0)
@@ -337,8 +341,9 @@ def needed_along(
             member.bounds,
         )
         spare = spare_gap(member.protection, memory, x, v, share[k], message)
-        gap = plan_at(ahead, times[k]).position_m - length_ahead_m + FAR_M - x
-        found[i] = gap - spare + MARGIN_M
+        then = plan_at(ahead, times[k])
+        gap = then.position_m - length_ahead_m + FAR_M - x
+        found[i] = gap - spare + MARGIN_M + growing_m(member, v, rise[k], v - then.speed_mps)
     return np.interp(times, times[rows], found)
 
 

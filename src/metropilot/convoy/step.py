@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple, no_type_check
 
 from metropilot._typing import Array
-from metropilot.convoy.model import FAR_M, Channel, Member, Message, open_channel, transmit
+from metropilot.convoy.model import FAR_M, Channel, Member, Message, growing_m, open_channel, transmit
 from metropilot.convoy.plan import MotionPlan, plan_at
 from metropilot.physics import Command, State, at_rest, delay_steps, namespace
 from metropilot.protection import Memory as Watched
@@ -320,6 +320,8 @@ def observe_member(
     now = extrapolate(message, now_s)
     rear = now.rear_m
     apart = plant.position_m >= member.uncouple_at_m
+    v, a = state.measured_mps, plant.acceleration_mps2
+    growing = growing_m(member, v, a, v - now.speed_mps)
     zero = 0.0 * rear
     off = (zero, zero, zero)
     if plans is not None:
@@ -340,7 +342,7 @@ def observe_member(
         track=member.track,
         gap_m=rear - plant.position_m,
         wanted_gap_m=xp.maximum(xp.where(apart, member.apart_m, member.gap_m), state.needed_gap_m),
-        most_share=most_share(state, rear - plant.position_m),
+        most_share=most_share(state, rear - plant.position_m - growing),
         ahead_mps=now.speed_mps,
         ahead_mps2=now.acceleration_mps2,
         age_s=now_s - message.stamp_s,
