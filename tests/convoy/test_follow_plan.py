@@ -68,6 +68,43 @@ def test_a_follower_plans_the_gap_that_protection_needs_and_stops_at_its_mark(na
     assert abs(jerk).max() <= (1.0 if name == "dkz32" else 100.0)
 
 
+def test_a_gap_that_is_open_when_the_one_ahead_stands_is_closed_to_the_own_mark():
+    """A planned motion ended with that of the trainset ahead, and the follower stood short of its mark."""
+    trainset = load_trainset("dkz32")
+    convoy = Convoy(YIZHUANG.section("RJ", "WYJ"), (trainset,) * 2, dt=DT)
+    member, ahead = convoy_members(convoy)[1], ramp(0.8, 60.0, 12.0)
+    open_m = convoy.gap_m + 12.0
+    own = place_behind(ahead, member, trainset.length_m, 55.0, lambda times: np.full(times.size, open_m))
+    assert own.position_m.size > ahead.position_m.size
+    rear_m = ahead.position_m[-1] - trainset.length_m
+    assert rear_m - own.position_m[ahead.position_m.size - 1] > convoy.gap_m + 5.0
+    assert rear_m - own.position_m[-1] == pytest.approx(convoy.gap_m, abs=1e-2)
+    assert own.speed_mps[-1] < 1e-3
+
+
+@pytest.mark.parametrize("count", [2, 4, 8])
+@pytest.mark.parametrize("stops", [("XC", "XHM"), ("RJ", "WYJ")])
+def test_every_brake_holds_more_than_the_trainset_ahead_may_use(stops, count):
+    """On a fall the rates at the tail were above what its emergency brakes hold: gaps of 30 m behind."""
+    convoy = Convoy(YIZHUANG.section(*stops), (load_trainset("dkz32"),) * count, dt=DT)
+    members = convoy_members(convoy)
+    assert all(each.bounds.held_mps2 > each.bounds.leader_mps2 for each in members[1:])
+    assert members[0].most_mps2 <= 0.8
+
+
+def test_a_late_convoy_that_a_speed_limit_releases_is_driven_without_intervention():
+    """Its followers accelerated hard to come back to their places: protection had to step in."""
+    asked = request(stops=("XC", "XHM"), time_s=110.0, count=4, link=Link(0.1))
+    asked = replace(asked, disturbances=masses(0.9, 1.2, 0.8, 1.1))
+    late = load_trainset("dkz32")
+    late = replace(late, actuation=replace(late.actuation, delay_s=0.5))
+    convoy = replace(asked.convoy(), trainsets=(late,) * 4)
+    drive = drive_convoy(convoy, asked.driven_head(convoy), asked.make_follower())
+    kpis = convoy_kpis(drive, 110.0)
+    assert kpis.success, kpis.verdict
+    assert drive.interventions == (0,) * 4
+
+
 def test_the_largest_command_passes_protection_and_is_exact_at_half_traction():
     """The chord from 0 to 1 held a light trainset back by 1.5 m, at a gap that its commands did not need."""
     convoy = Convoy(YIZHUANG.section("RJ", "WYJ"), (load_trainset("dkz32"),) * 2, dt=DT)
