@@ -28,6 +28,8 @@ MOVES_MPS = 1.0
 """Least speed at which a planned gap must be closed: coupled on the move."""
 PLACE_M = 10.0
 """Distance beyond the place by which the speed difference of an open gap must have died out."""
+FAR_TIMES = 10.0
+"""Ways longer than so many times the room are not told in metres."""
 TRIALS = 6
 """Halvings that find the largest gap, or the first place, that there is room for."""
 
@@ -260,9 +262,10 @@ def _check_coupling(convoy: Convoy, members: Sequence[Member], head: MotionPlan)
     place_m = min(convoy.uncouple_at_m, convoy.section.length_m)
     before = "it uncouples" if place_m < convoy.section.length_m else "the stop"
     room_m = place_m * (convoy.first_gap_m - convoy.gap_m) / max(convoy.first_gap_m - least_m, 1.0)
+    # A gap that hardly closes here says nothing about the way it takes elsewhere.
+    takes = f"about {_round_up(room_m)} m of way" if room_m < FAR_TIMES * place_m else "much more way"
     raise Infeasible(
-        f"the gap cannot be closed before {before}: it takes about {_round_up(room_m)} m of way, "
-        f"there are {place_m:.0f} m",
+        f"the gap cannot be closed before {before}: it takes {takes}, there are {place_m:.0f} m",
         field="start_gap_m",
         value=convoy.first_gap_m,
         unit="m",
