@@ -89,13 +89,13 @@ def campaign_command(
     summary = summarise(folder)
     summary |= call_summary(progress, workers, cluster)
     write_campaign_report(folder, summary, circumstances(progress, workers, cluster))
+    line, seconds = campaign_line(file, drivers, sample), perf_counter() - began
     if write_docs is not None:
-        write_campaign_page(
-            write_docs, folder, summary, perf_counter() - began, campaign_line(file, drivers, sample)
-        )
+        write_campaign_page(write_docs, folder, summary, seconds, line)
     if write_rows is not None:
-        line = f"{campaign_line(file, drivers, sample)} --write-rows {write_rows}"
-        publish_rows(folder, write_rows, written_words(line, summary, perf_counter() - began))
+        # Rows behind a page say of themselves what it says.
+        told = f"--write-rows {write_rows}" if write_docs is None else f"--write-docs {write_docs}"
+        publish_rows(folder, write_rows, written_words(f"{line} {told}", summary, seconds))
     if as_json:
         print_json(summary)
     else:
