@@ -58,6 +58,18 @@ def test_the_permitted_speed_of_the_limits_is_the_one_of_the_run():
     assert np.max(np.abs(at - t.permitted_mps[before])) < 0.2
 
 
+def test_a_brake_that_protection_does_not_trust_is_the_trainsets_gap():
+    trainset = load_trainset("ch_stadler_flirt_tpf")
+    section = load_line("yizhuang-ttobench").section("JG", "YZQ")
+    driven = drive(Run(section, trainset, 122.0), DRIVERS.make("optimal"))
+    limits = driving_limits(driven.run, driven.section)
+    assert limits.deceleration_mps2 < 0.6 * trainset.max_deceleration_mps2
+    kpis = kpis_of(driven, optimum_of(driven))
+    assert kpis.trainset_gap_percent > 10.0
+    assert 0.0 <= kpis.driver_gap_percent < 2.0
+    assert kpis.bound_energy_kwh <= kpis.attainable_bound_kwh <= kpis.attainable_energy_kwh
+
+
 def test_what_did_not_arrive_has_no_attainable_optimum():
     driven = drive(run_on(ENDS[0]), DRIVERS.make("flat_out"))
     lost = replace(driven, outcome=Outcome.OUT_OF_TIME)

@@ -19,7 +19,7 @@ from metropilot.planning import (
     minimum_running_time,
     optimal_plan,
 )
-from metropilot.protection import permitted_speed, protect
+from metropilot.protection import permitted_speed, protect, usable_deceleration
 from metropilot.railway import Section, Trainset
 from metropilot.sim import Drive, Outcome, Run, declared_bounds
 
@@ -50,25 +50,29 @@ class DrivingLimits(NamedTuple):
         position_m: Positions. Shape (N,).
         permitted_mps: Permitted speed of protection there. Shape (N,).
         error_mps: Largest error of the measured speed.
+        deceleration_mps2: Largest deceleration that protection leaves before the stop.
         dt: Control period, s.
     """
 
     position_m: Float[ndarray, " grid"]
     permitted_mps: Float[ndarray, " grid"]
     error_mps: float
+    deceleration_mps2: float
     dt: float
 
 
 def driving_limits(run: Run, section: Section) -> DrivingLimits:
-    """Permitted speed of a run's protection and its control period.
+    """Permitted speed and deceleration under a run's protection, and its control period.
 
     Args:
         run: The run.
         section: The section with every restriction announced.
     """
-    guard = protect(section, run.disturbance.nominal(run.trainset), declared_bounds(run))
+    trainset, bounds = run.disturbance.nominal(run.trainset), declared_bounds(run)
+    guard = protect(section, trainset, bounds)
     at = np.arange(0.0, section.length_m + CAP_SPACING_M, CAP_SPACING_M)
-    return DrivingLimits(at, permitted_speed(guard, at), float(guard.rates.speed_error_mps), run.dt)
+    usable = usable_deceleration(section, trainset, bounds)
+    return DrivingLimits(at, permitted_speed(guard, at), float(guard.rates.speed_error_mps), usable, run.dt)
 
 
 def optimum_of(drive: Drive, objective: Objective = "wheel") -> Optimum | None:
@@ -134,4 +138,5 @@ def attainable_of(
         limits.dt,
         ideal,
         limits.error_mps,
+        limits.deceleration_mps2,
     )

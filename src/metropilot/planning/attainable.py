@@ -183,6 +183,7 @@ def attainable_plan(
     dt: float,
     ideal: Plan,
     error_mps: float = 0.0,
+    deceleration_mps2: float = np.inf,
 ) -> Attainable | None:
     """The plan of least energy that a trainset can drive under its actuation, and a lower bound beside it.
 
@@ -198,16 +199,24 @@ def attainable_plan(
         dt: Control period, s.
         ideal: The optimum of the same drive without the actuation.
         error_mps: Largest error of the measured speed, by which the cap of the bound is higher.
+        deceleration_mps2: Largest deceleration that protection leaves before the stop. The plan keeps it; the
+            bound does not, as a drive may brake a little harder at the last.
 
     Returns:
         None where the actuation does not allow the running time.
     """
+    if deceleration_mps2 < float(vehicle.max_deceleration_mps2):
+        braked = vehicle._replace(max_deceleration_mps2=np.float64(deceleration_mps2))
+        free = attainable_plan(vehicle, track, time_s, options, dt, ideal, error_mps)
+        found = attainable_plan(braked, track, time_s, options, dt, ideal, error_mps)
+        # a drive that braked harder may have been faster than any plan that does not
+        return free if found is None or free is None else found._replace(bound_j=free.bound_j)
     options = replace(options, late_w=LATE_W)
     leave = departure_ramp(vehicle, track, dt)
     halt, hardest = (stop_ramp(vehicle, track, dt, early_periods=k) for k in (1, 2))
     if is_immediate(vehicle):
         plan = _in_time(vehicle, track, time_s, options, ideal)
-        return None if plan is None else Attainable(plan, plan.bound_j, 0.0, 0.0)
+        return None if plan is None else Attainable(plan, max(plan.bound_j, ideal.bound_j), 0.0, 0.0)
     jerk = float(vehicle.jerk_mps3)
     options = replace(options, spacing_m=max(options.spacing_m, ATTAINABLE_SPACING_M))
     known_s = 0.0
