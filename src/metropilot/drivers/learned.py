@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from metropilot._typing import Scalar
 from metropilot.control import Adaptation, adapt_trainset, look_ahead
 from metropilot.drivers import mismatch
 from metropilot.drivers.mismatch import PlantMonitor
@@ -27,6 +28,7 @@ from metropilot.env import (
     ceiling_mps2,
     feature_context,
     observe,
+    stop_options,
 )
 from metropilot.railway import Section, Trainset
 from metropilot.sim import AbstractDriver, Observation, Run, declared_bounds
@@ -36,6 +38,8 @@ PolicyFunction = Callable[..., Any]
 
 Where the action has a filter, the choices it allows, bool of shape (count,), come second.
 """
+SLOWEST_MPS = 1.0
+"""Least speed from which the station stop is reckoned with."""
 DECISION_EARLY_S = 1e-3
 """Time by which a decision is due early: more than a time in single precision is rounded by."""
 
@@ -139,15 +143,21 @@ class LearnedDriver(AbstractDriver):
         assists, monitor, dt = self.interface.assists, memory.monitor, memory.run.dt
         if monitor is None or monitor.protection is None:
             return apply_assists(assists, context, command, memory.stopping, dt)
-        planned = assists.stop_mps2 * monitor.adaptation.brake or float(context.stop_mps2)
+        planned = self._planned_mps2(monitor, context.stop_mps2)
         stopping, share, ahead = mismatch.station_stop_braking(monitor, planned, bool(memory.stopping))
-        if stopping or context.left_s < context.to_go_s:
-            command = np.float64(share if stopping else 1.0)
+        if stopping:
+            command = np.float64(share)
+        elif 0.0 < context.coasting[0][0] - context.left_s < mismatch.LATE_S:
+            command = np.maximum(command, context.effort_limits.command_for(0.0))
         if assists.ceiling:
             near = replace(assists, margin_mps=mismatch.MARGIN_MPS)
             most = float(ceiling_mps2(near, context, dt))
             command = np.float64(mismatch.limit_to_ceiling(monitor, ahead, float(command), most))
         return command, np.bool_(stopping)
+
+    def _planned_mps2(self, monitor: PlantMonitor, surely_mps2: Scalar) -> float:
+        """Deceleration the policy's station-stop braking is planned with on the estimated plant, m/s^2."""
+        return self.interface.assists.stop_mps2 * monitor.adaptation.brake or float(surely_mps2)
 
     def _tables(self, run: Run, section: Section, trainset: Trainset) -> SectionTables:
         """One section and a trainset, in float64."""
@@ -186,18 +196,24 @@ class LearnedDriver(AbstractDriver):
 
     def _context(self, memory: LearnedMemory, observation: Observation) -> FeatureContext:
         """Features' context: the state as it is, or as it will be when its command begins to act."""
-        case, monitor = memory.case, memory.monitor
+        case, monitor, assists = memory.case, memory.monitor, self.interface.assists
         time, x, v, a = observation[:4]
         scheduled = observation.scheduled_time_s
-        if monitor is not None and monitor.protection is not None:
+        if monitor is None or monitor.protection is None:
+            stop_mps2 = assists.planned_mps2(memory.rows, 0, case.stop_mps2, float(x))
+        else:
             ahead = look_ahead(monitor.model, monitor.estimate)
             time, x, v, a = time + ahead.seconds, ahead.position_m, ahead.speed_mps, ahead.acceleration_mps2
-            scheduled -= mismatch.RESERVE_S
+            stop_mps2 = assists.planned_mps2(memory.rows, 0, case.stop_mps2, float(x))
+            planned, own = self._planned_mps2(monitor, stop_mps2), stop_options(assists.release)
+            left_m, left_s = float(case.length_m) - x, scheduled - time
+            pace = max(float(v), left_m / left_s if left_s > 0.0 else 0.0, SLOWEST_MPS)
+            scheduled -= mismatch.arrival_reserve(monitor, planned, own, pace)
         return feature_context(
             memory.rows,
             0,
             case,
-            stop_mps2=self.interface.assists.planned_mps2(memory.rows, 0, case.stop_mps2, float(x)),
+            stop_mps2=stop_mps2,
             time_s=float(time),
             position_m=float(x),
             speed_mps=float(v),

@@ -23,7 +23,11 @@ from metropilot.control import (
     Model,
     PredictedState,
     StateEstimate,
+    StopCurve,
     StopOptions,
+    braking_distance,
+    braking_time,
+    build_up,
     ceiling_of,
     curve_for,
     initial_estimate,
@@ -66,7 +70,9 @@ the jerk limit is there to correct the error."""
 NEAR_ENOUGH_M = 0.1
 """An error at the stop that is not worth the time a correction takes."""
 RESERVE_S = 0.5
-"""Time before the scheduled one at which the policy is asked to arrive; careful braking takes time."""
+"""Time before the scheduled one at which the policy is asked to arrive, besides the careful stop's."""
+LATE_S = 3.0
+"""A trainset that would arrive later by less than this if it coasted holds its speed."""
 MARGIN_MPS = 0.05
 """Distance of the ceiling below the permitted speed, besides the error of a measurement."""
 
@@ -183,6 +189,24 @@ def is_outdated(monitor: PlantMonitor, time_s: float) -> bool:
     return bool((off > (LEAST, LEAST, LEAST_RESISTANCE)).any())
 
 
+def arrival_reserve(monitor: PlantMonitor, planned_mps2: float, own: StopOptions, speed_mps: float) -> float:
+    """Time before the scheduled one at which the policy is asked to arrive, s.
+
+    The policy allows for the station stop it was trained with; the careful one takes longer.
+
+    Args:
+        monitor: Estimate of the plant.
+        planned_mps2: Deceleration the policy's station-stop braking is planned with.
+        own: Constants of that stop.
+        speed_mps: Speed from which it will brake.
+    """
+    model = monitor.model
+    careful = curve_for(model.vehicle, model.dt, CAREFUL_USE * planned_mps2, stop_options(monitor))
+    later_s = _stop_delay(careful, speed_mps)
+    later_s -= _stop_delay(curve_for(model.vehicle, model.dt, planned_mps2, own), speed_mps)
+    return RESERVE_S + max(later_s, 0.0)
+
+
 def limit_to_ceiling(monitor: PlantMonitor, ahead: PredictedState, share: float, most_mps2: float) -> float:
     """Limit a command to stay under the ceiling.
 
@@ -234,6 +258,13 @@ def limit_by_protection(
         protection.ceiling.guard, protection.supervision, *seen, share, path
     )
     return float(share), monitor._replace(protection=protection._replace(supervision=supervision))
+
+
+def _stop_delay(curve: StopCurve, speed_mps: float) -> float:
+    """Time that a stop takes longer than its distance at constant speed, s."""
+    quick, built_m, built_s = build_up(speed_mps, 0.0, curve.deceleration_mps2, curve.build_jerk_mps3)
+    distance = built_m + braking_distance(quick, curve)
+    return float(built_s + braking_time(quick, curve) - distance / speed_mps)
 
 
 def _copy_protection(estimate: StateEstimate, run: Run, section: Section) -> ProtectionCopy:
