@@ -41,6 +41,12 @@ LEAST_MPS2 = 0.05
 """Least deceleration that is solved for; a stop never begins with less."""
 WATCHED_SHARE = 0.5
 """Below this share of the planned deceleration the stop is not near enough to ask what the brake can give."""
+SOFT_SHARE = 0.8
+"""Deceleration with which a stop under a lag ends, over what the jerk limit lets drop in one period..."""
+SOFT_S = 1.5
+"""...from this time before the stand on..."""
+SOFT_M = 0.1
+"""...if the stop is missed by no more than this: a correction would act when the trainset stands."""
 NEAREST_M = 1e-3
 """Distance below which the target is reached."""
 
@@ -511,12 +517,13 @@ def stand(
         near_enough_m,
         creep_m,
         options,
+        SOFT_M if ahead.keep > 0.0 else 0.0,
     )
     return ahead.share_for(wanted) if settles else stop.share
 
 
 @no_type_check
-def settle(
+def settle(  # noqa: PLR0913, PLR0917 (the state of a stop and what is accepted of it)
     speed_mps: Scalar,
     acceleration_mps2: Scalar,
     distance_m: Scalar,
@@ -525,10 +532,12 @@ def settle(
     near_enough_m: float,
     creep_m: float,
     options: StopOptions = STOP_OPTIONS,
+    soft_m: float = 0.0,
 ) -> tuple[Flag, Scalar]:
     """Tell if the stop ends near enough without a correction, and the acceleration until then.
 
-    The deceleration in force is kept where it ends in this period; a trainset that creeps is stopped gently.
+    The deceleration in force is kept where it ends in this period; a trainset that creeps is stopped gently,
+    and so is one whose brake lags and that would stand near enough.
 
     Args:
         speed_mps: Speed when the command begins to act.
@@ -539,10 +548,16 @@ def settle(
         near_enough_m: Largest stop error that is accepted without a correction in the last period.
         creep_m: Distance to the target below which a creeping trainset is stopped.
         options: Constants of the stop.
+        soft_m: Error that is accepted for a gentle end of the stop; 0 where no lag keeps the brake on.
     """
     xp = namespace(speed_mps, acceleration_mps2, distance_m)
     rate, drop = -acceleration_mps2, jerk_mps3 * dt
     error = xp.abs(distance_m - speed_mps * speed_mps / (2 * xp.where(rate > 0.0, rate, 1.0)))
     ends = (speed_mps > 0.0) & (speed_mps <= rate * dt) & (rate <= drop) & (error <= near_enough_m)
     creeps = (speed_mps < options.creep_mps) & (xp.abs(distance_m) < creep_m) & (drop < float("inf"))
-    return ends | creeps, -xp.where(ends, rate, options.drop_share * xp.minimum(drop, AT_ONCE_MPS3))
+    largest = xp.minimum(drop, AT_ONCE_MPS3)
+    soft = SOFT_SHARE * largest
+    missed = xp.abs(distance_m - speed_mps * speed_mps / (2 * soft))
+    softly = (speed_mps > 0.0) & (speed_mps <= soft * SOFT_S) & (missed <= soft_m) & (drop < float("inf"))
+    gentle = xp.where(softly, soft, options.drop_share * largest)
+    return ends | creeps | softly, -xp.where(ends, rate, gentle)

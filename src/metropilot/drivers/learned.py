@@ -40,6 +40,8 @@ Where the action has a filter, the choices it allows, bool of shape (count,), co
 """
 SLOWEST_MPS = 1.0
 """Least speed from which the station stop is reckoned with."""
+SOON_S = 1.0
+"""Time left below which it is the speed of the trainset itself."""
 DECISION_EARLY_S = 1e-3
 """Time by which a decision is due early: more than a time in single precision is rounded by."""
 
@@ -207,7 +209,8 @@ class LearnedDriver(AbstractDriver):
             stop_mps2 = assists.planned_mps2(memory.rows, 0, case.stop_mps2, float(x))
             planned, own = self._planned_mps2(monitor, stop_mps2), stop_options(assists.release)
             left_m, left_s = float(case.length_m) - x, scheduled - time
-            pace = max(float(v), left_m / left_s if left_s > 0.0 else 0.0, SLOWEST_MPS)
+            pace = left_m / left_s if left_s > SOON_S else 0.0
+            pace = max(float(v), min(pace, float(monitor.model.vehicle.max_speed_mps)), SLOWEST_MPS)
             scheduled -= mismatch.arrival_reserve(monitor, planned, own, pace)
         return feature_context(
             memory.rows,

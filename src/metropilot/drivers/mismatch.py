@@ -64,12 +64,12 @@ LET_GO_M = 60.0
 """...if there is more than this left to the stop."""
 CAREFUL_STOP = StopOptions(release_share=0.95)
 """The station stop of a careful driver: a quick release, as its policy's own stop takes longer."""
-LATE_STOP = StopOptions(build_share=0.9, release_share=0.8, end_share=0.125)
+LATE_STOP = StopOptions(build_share=0.9, release_share=0.5, end_share=0.125)
 """The same where dead time or lag are in the bounds: what is on its way cannot be taken back, and the rest of
 the jerk limit is there to correct the error."""
 NEAR_ENOUGH_M = 0.1
 """An error at the stop that is not worth the time a correction takes."""
-RESERVE_S = 0.5
+RESERVE_S = 0.2
 """Time before the scheduled one at which the policy is asked to arrive, besides the careful stop's."""
 LATE_S = 3.0
 """A trainset that would arrive later by less than this if it coasted holds its speed."""
@@ -203,7 +203,8 @@ def arrival_reserve(monitor: PlantMonitor, planned_mps2: float, own: StopOptions
     model = monitor.model
     careful = curve_for(model.vehicle, model.dt, CAREFUL_USE * planned_mps2, stop_options(monitor))
     later_s = _stop_delay(careful, speed_mps)
-    later_s -= _stop_delay(curve_for(model.vehicle, model.dt, planned_mps2, own), speed_mps)
+    prompt = model.vehicle._replace(lag_s=np.float64(0.0))
+    later_s -= _stop_delay(curve_for(prompt, model.dt, planned_mps2, own), speed_mps)
     return RESERVE_S + max(later_s, 0.0)
 
 
