@@ -132,7 +132,8 @@ def test_an_interrupted_sweep_goes_on_and_takes_more_headways(folder):
     assert duckdb.sql(query).fetchall() == [(k, "200 s" if k < 2 else "150 s") for k in range(4)]
 
 
-def test_the_command_reports_every_row(folder, capsys):
+def test_the_command_reports_every_row(folder, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "240")  # narrower, the table breaks words
     few = FILE.replace("[0.0, 0.2]", "0.1").replace("150, 40", "150")
     read(folder, few)
     words = ("campaign", folder / "mine.toml", "--out", folder / "out", "--workers", 1)
