@@ -42,11 +42,9 @@ LEAST_MPS2 = 0.05
 WATCHED_SHARE = 0.5
 """Below this share of the planned deceleration the stop is not near enough to ask what the brake can give."""
 SOFT_SHARE = 0.8
-"""Deceleration with which a stop under a lag ends, over what the jerk limit lets drop in one period..."""
+"""Deceleration with which a gentle stop ends, over what the jerk limit lets drop in one period..."""
 SOFT_S = 1.5
-"""...from this time before the stand on..."""
-SOFT_M = 0.1
-"""...if the stop is missed by no more than this: a correction would act when the trainset stands."""
+"""...from this time before the stand on."""
 NEAREST_M = 1e-3
 """Distance below which the target is reached."""
 
@@ -71,6 +69,8 @@ class StopOptions:
         creep_mps: Speed below which the stop is no longer corrected within ``creep_m``, m/s.
         creep_m: Distance to the target below which a creeping trainset is stopped, m.
         past_m: Farther past the target than this it is better to stand with all the jerk limit allows, m.
+        soft_m: Error that is accepted for a gentle end of the stop, m: under a lag a correction acts when the
+            trainset stands, and jerks.
         draw_up_mps2: Acceleration toward the target from a standstill short of it, m/s^2.
         draw_up_share: Share of that acceleration; drawing up ends when a deceleration of this size would
             stop at the target.
@@ -92,6 +92,7 @@ class StopOptions:
     creep_mps: float = 0.06
     creep_m: float = 0.0
     past_m: float = 0.1
+    soft_m: float = 0.0
     draw_up_mps2: float = 0.3
     draw_up_share: float = 0.3
     lag_ramp: bool = True
@@ -517,13 +518,12 @@ def stand(
         near_enough_m,
         creep_m,
         options,
-        SOFT_M if ahead.keep > 0.0 else 0.0,
     )
     return ahead.share_for(wanted) if settles else stop.share
 
 
 @no_type_check
-def settle(  # noqa: PLR0913, PLR0917 (the state of a stop and what is accepted of it)
+def settle(
     speed_mps: Scalar,
     acceleration_mps2: Scalar,
     distance_m: Scalar,
@@ -532,12 +532,11 @@ def settle(  # noqa: PLR0913, PLR0917 (the state of a stop and what is accepted 
     near_enough_m: float,
     creep_m: float,
     options: StopOptions = STOP_OPTIONS,
-    soft_m: float = 0.0,
 ) -> tuple[Flag, Scalar]:
     """Tell if the stop ends near enough without a correction, and the acceleration until then.
 
     The deceleration in force is kept where it ends in this period; a trainset that creeps is stopped gently,
-    and so is one whose brake lags and that would stand near enough.
+    and so is one that would stand within ``options.soft_m`` anyway.
 
     Args:
         speed_mps: Speed when the command begins to act.
@@ -548,7 +547,6 @@ def settle(  # noqa: PLR0913, PLR0917 (the state of a stop and what is accepted 
         near_enough_m: Largest stop error that is accepted without a correction in the last period.
         creep_m: Distance to the target below which a creeping trainset is stopped.
         options: Constants of the stop.
-        soft_m: Error that is accepted for a gentle end of the stop; 0 where no lag keeps the brake on.
     """
     xp = namespace(speed_mps, acceleration_mps2, distance_m)
     rate, drop = -acceleration_mps2, jerk_mps3 * dt
@@ -558,6 +556,8 @@ def settle(  # noqa: PLR0913, PLR0917 (the state of a stop and what is accepted 
     largest = xp.minimum(drop, AT_ONCE_MPS3)
     soft = SOFT_SHARE * largest
     missed = xp.abs(distance_m - speed_mps * speed_mps / (2 * soft))
-    softly = (speed_mps > 0.0) & (speed_mps <= soft * SOFT_S) & (missed <= soft_m) & (drop < float("inf"))
+    softly = (
+        (speed_mps > 0.0) & (speed_mps <= soft * SOFT_S) & (missed <= options.soft_m) & (drop < float("inf"))
+    )
     gentle = xp.where(softly, soft, options.drop_share * largest)
     return ends | creeps | softly, -xp.where(ends, rate, gentle)

@@ -149,7 +149,11 @@ class LearnedDriver(AbstractDriver):
         stopping, share, ahead = mismatch.station_stop_braking(monitor, planned, bool(memory.stopping))
         if stopping:
             command = np.float64(share)
-        elif 0.0 < context.coasting[0][0] - context.left_s < mismatch.LATE_S:
+        elif (
+            context.left_s < mismatch.NEAR_STOP * context.to_go_s
+            and 0.0 < context.coasting[0][0] - context.left_s < mismatch.LATE_S
+        ):
+            # far from the stop coasting may arrive late and be right: a fall is still to come
             command = np.maximum(command, context.effort_limits.command_for(0.0))
         if assists.ceiling:
             near = replace(assists, margin_mps=mismatch.MARGIN_MPS)

@@ -13,6 +13,7 @@ of :mod:`metropilot.control.stopping`, and the ceiling is that of :mod:`metropil
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -67,12 +68,16 @@ CAREFUL_STOP = StopOptions(release_share=0.95)
 LATE_STOP = StopOptions(build_share=0.9, release_share=0.5, end_share=0.125)
 """The same where dead time or lag are in the bounds: what is on its way cannot be taken back, and the rest of
 the jerk limit is there to correct the error."""
+LAG_STOP = replace(LATE_STOP, soft_m=0.1)
+"""The same under a declared lag."""
 NEAR_ENOUGH_M = 0.1
 """An error at the stop that is not worth the time a correction takes."""
 RESERVE_S = 0.2
 """Time before the scheduled one at which the policy is asked to arrive, besides the careful stop's."""
 LATE_S = 3.0
-"""A trainset that would arrive later by less than this if it coasted holds its speed."""
+"""A trainset that would arrive later by less than this if it coasted holds its speed..."""
+NEAR_STOP = 1.25
+"""...where no more than this share of the time to go is left."""
 MARGIN_MPS = 0.05
 """Distance of the ceiling below the permitted speed, besides the error of a measurement."""
 
@@ -167,8 +172,9 @@ def answers_late(declared: Bounds) -> bool:
 
 def stop_options(monitor: PlantMonitor) -> StopOptions:
     """Constants of the station stop, soft where protection's bounds hold late commands."""
-    late = monitor.protection is not None and monitor.protection.ceiling.late_s > 0.0
-    return LATE_STOP if late else CAREFUL_STOP
+    if monitor.protection is None or monitor.protection.ceiling.late_s <= 0.0:
+        return CAREFUL_STOP
+    return LAG_STOP if float(monitor.model.vehicle.lag_s) > 0.0 else LATE_STOP
 
 
 def departs(estimate: StateEstimate) -> bool:
