@@ -55,6 +55,7 @@ from .stopping import comfortable_deceleration as comfortable_deceleration
 from .stopping import curve_for as curve_for
 from .stopping import deceleration_to as deceleration_to
 from .stopping import draws_up as draws_up
+from .stopping import mean_braking_efforts as mean_braking_efforts
 from .stopping import release as release
 from .stopping import required_deceleration as required_deceleration
 from .stopping import required_with_build_up as required_with_build_up

@@ -23,6 +23,7 @@ from metropilot.protection import (
     Memory,
     Protection,
     admits_braking,
+    asks_for_less,
     guarantees_less,
     on_grid,
     permitted_before_end,
@@ -138,8 +139,9 @@ def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ce
     """Ceiling of a section under the protection that supervises the run.
 
     Protection uses each measured speed without a filter, so the largest error of one measurement adds to the
-    margin. Where commands act late, the ceiling leaves time for the service brake, and where less than that
-    is guaranteed, for the guaranteed brake before the end of the movement authority too.
+    margin. Where commands act late, or protection's service brake is weaker than the trainset's, the ceiling
+    leaves time for that brake, and where less than that is guaranteed, for the guaranteed brake before the
+    end of the movement authority too.
 
     Args:
         run: The run.
@@ -152,7 +154,7 @@ def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ce
     rates, late = guard.rates, bounds.delay_s + bounds.lag_s
     at = np.arange(0.0, section.length_m + BEYOND_M, SPACING_M)
     cap = np.minimum(permitted_speed(guard, at), limit_at(model.track, at))
-    if late > 0.0 or weak:
+    if late > 0.0 or weak or asks_for_less(trainset):
         cap = np.minimum(cap, permitted_before_service(guard, model.track, at))
     below_mps = margin_mps + float(rates.speed_error_mps)
     line = speed = np.maximum(cap - below_mps, 0.5)

@@ -25,8 +25,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
+from numpy import ndarray
 
-from metropilot._typing import Flag, Scalar
+from metropilot._typing import Flag, Float, Scalar
 from metropilot.control.estimator import StateEstimate, look_ahead
 from metropilot.control.prediction import Model, PredictedState
 from metropilot.physics import Vehicle, effort_at, namespace, resistance_and_gradient, scalars
@@ -45,6 +46,8 @@ SOFT_SHARE = 0.8
 """Deceleration with which a gentle stop ends, over what the jerk limit lets drop in one period..."""
 SOFT_S = 1.5
 """...from this time before the stand on."""
+FADE_POINTS = 9
+"""Points at which a brake is looked at between the present speed and standstill."""
 NEAREST_M = 1e-3
 """Distance below which the target is reached."""
 
@@ -137,6 +140,27 @@ def weakest_gradient(model: Model, target_m: float, stretch_m: float = 400.0) ->
     return float(means[5:].min()) / float(model.vehicle.effective_mass_kg)
 
 
+def mean_braking_efforts(
+    vehicle: Vehicle, speed_mps: float, points: int = FADE_POINTS
+) -> Float[ndarray, " points"]:
+    """Constant efforts that stop from falling speeds over the same distance as full service braking does, N.
+
+    Many brakes give less at high speed; a stop with all they give begins much later than one with the least
+    of it. The distance is the integral of kinetic energy over effort, so the mean is a harmonic one.
+
+    Args:
+        vehicle: Nominal plant.
+        speed_mps: The highest of the speeds; the kinetic energies of the others fall evenly to zero.
+        points: Number of speeds.
+    """
+    speeds = speed_mps * np.sqrt(np.linspace(1.0, 0.0, points))
+    efforts = np.array([float(effort_at(vehicle, v).brake_n) for v in speeds])
+    least = efforts.min()
+    # over the least effort: where all are the same, so is their mean, to the last bit
+    ways = np.cumsum(least / efforts[::-1])
+    return least * (np.arange(1, points + 1) / ways)[::-1]
+
+
 def comfortable_deceleration(
     model: Model, estimate: StateEstimate, gradient_mps2: float, use: float = SERVICE_USE
 ) -> float:
@@ -150,10 +174,7 @@ def comfortable_deceleration(
         use: Share of the available deceleration to plan with.
     """
     vehicle = model.vehicle
-    speeds = (0.0, estimate.speed_mps)
-    effort = min(float(effort_at(vehicle, np.float64(v)).brake_n) for v in speeds) / float(
-        vehicle.effective_mass_kg
-    )
+    effort = float(mean_braking_efforts(vehicle, estimate.speed_mps)[0]) / float(vehicle.effective_mass_kg)
     sure = min(estimate.brake_gain - 1.5 * estimate.brake_gain_sigma, 1.0)
     return max(use * min(effort * sure + gradient_mps2, float(vehicle.max_deceleration_mps2)), 0.2)
 
@@ -471,10 +492,10 @@ def draws_up(speed_mps: Scalar, distance_m: Scalar, options: StopOptions = STOP_
 
 
 def deceleration_to(model: Model, estimate: StateEstimate, stop: Stop) -> float:
-    """Constant deceleration that full service braking can hold from a state to the stop, m/s^2.
+    """Constant deceleration that stops over the same distance as full service braking, m/s^2.
 
-    Braking is an exchange of energy, so it is the least mean deceleration over all remaining distances, with
-    the least braking effort between the speed and standstill.
+    Braking is an exchange of energy, so it is the least mean deceleration over all remaining distances. A
+    brake that fades at high speed gives less than it there, all of what it has, and more later on.
 
     Args:
         model: Nominal trainset and section.
@@ -482,14 +503,15 @@ def deceleration_to(model: Model, estimate: StateEstimate, stop: Stop) -> float:
         stop: The stop from :func:`stop_command`.
     """
     vehicle, ahead = model.vehicle, stop.ahead
-    done = np.linspace(0.0, 1.0, 9)
+    done = np.linspace(0.0, 1.0, FADE_POINTS)
     speeds = ahead.speed_mps * np.sqrt(1.0 - done)
     at = ahead.position_m + done * max(stop.left_m, 0.0)
     resistance, gradient = resistance_and_gradient(vehicle, model.track, at, speeds)
-    effort = min(float(effort_at(vehicle, v).brake_n) for v in speeds)
+    efforts = mean_braking_efforts(vehicle, ahead.speed_mps)
     held = min(estimate.resistance_factor, 1.0) * resistance + gradient
-    rests = np.cumsum(held[::-1]) / np.arange(1, held.size + 1)
-    return (min(estimate.brake_gain, 1.0) * effort + float(rests.min())) / float(vehicle.effective_mass_kg)
+    rests = (np.cumsum(held[::-1]) / np.arange(1, held.size + 1))[::-1]
+    forces = min(estimate.brake_gain, 1.0) * efforts + rests
+    return float(forces.min()) / float(vehicle.effective_mass_kg)
 
 
 def stand(

@@ -18,9 +18,11 @@ from .build import padded_size as padded_size
 from .build import restrictive_profile as restrictive_profile
 from .build import track_arrays as track_arrays
 from .build import vehicle_arrays as vehicle_arrays
+from .forces import BrakingBands as BrakingBands
 from .forces import Effort as Effort
 from .forces import EffortLimits as EffortLimits
 from .forces import brake_available_n as brake_available_n
+from .forces import braking_bands as braking_bands
 from .forces import command_for_effort as command_for_effort
 from .forces import command_for_force as command_for_force
 from .forces import command_force_n as command_force_n

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, no_type_check
 
+import numpy as np
+
 from metropilot._typing import Array, Float, Index, Scalar
 from metropilot.physics.arrays import locate, namespace, scalars
 from metropilot.physics.types import Forces, Track, Vehicle
@@ -76,6 +78,34 @@ def limit_effort(vehicle: Vehicle, traction_n: Scalar, electric_n: Scalar) -> Ef
     brake = xp.minimum(electric_n + vehicle.friction_n, vehicle.service_n)
     most = vehicle.adhesion_n
     return Effort(xp.minimum(traction_n, most), xp.minimum(electric_n, most), xp.minimum(brake, most))
+
+
+class BrakingBands(NamedTuple):
+    """Least deceleration of full service braking on level track, in equal bands of speed.
+
+    Attributes:
+        rates_mps2: From standstill to the top speed.
+        per_mps: Bands per m/s.
+    """
+
+    rates_mps2: list[float]
+    per_mps: float
+
+    def at(self, speed_mps: float) -> float:
+        """Rate in the band of a speed, m/s^2; beyond the top speed that of the last band."""
+        return self.rates_mps2[min(int(speed_mps * self.per_mps), len(self.rates_mps2) - 1)]
+
+
+def braking_bands(vehicle: Vehicle, count: int = 64) -> BrakingBands:
+    """Full service braking over speed, for curves that are laid backward: many brakes fade at high speed.
+
+    Args:
+        vehicle: Nominal plant (NumPy).
+        count: Number of bands.
+    """
+    speeds = np.linspace(0.0, float(vehicle.max_speed_mps), count + 1)
+    rates = effort_at(vehicle, speeds).brake_n / float(vehicle.effective_mass_kg)
+    return BrakingBands(np.minimum(rates[1:], rates[:-1]).tolist(), count / float(speeds[-1]))
 
 
 def traction_available_n(vehicle: Vehicle, speed_mps: Scalar) -> Scalar:

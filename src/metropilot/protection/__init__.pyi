@@ -1,4 +1,5 @@
 from .bounds import Bounds as Bounds
+from .braking import asks_for_less as asks_for_less
 from .braking import guarantees_less as guarantees_less
 from .braking import permitted_before_end as permitted_before_end
 from .braking import permitted_before_service as permitted_before_service

@@ -9,7 +9,15 @@ from numpy import ndarray
 from numpy.lib.stride_tricks import sliding_window_view
 
 from metropilot._typing import Float
-from metropilot.physics import Track, davis_n, effort_at, mean_slopes, track_arrays, vehicle_arrays
+from metropilot.physics import (
+    Track,
+    braking_bands,
+    davis_n,
+    effort_at,
+    mean_slopes,
+    track_arrays,
+    vehicle_arrays,
+)
 from metropilot.protection.bounds import Bounds
 from metropilot.protection.curves import protect
 from metropilot.protection.predict import highest_speed
@@ -97,6 +105,15 @@ def guarantees_less(trainset: Trainset, bounds: Bounds) -> bool:
     vehicle = vehicle_arrays(trainset)
     able_n = effort_at(vehicle, np.linspace(0.0, trainset.max_speed_mps, 64)).brake_n.max()
     return bounds.emergency_mps2 < float(able_n) / trainset.effective_mass_kg * (1.0 - 1e-6)
+
+
+def asks_for_less(trainset: Trainset) -> bool:
+    """Tell if protection's service brake is weaker, at some speed, than the strongest the trainset has."""
+    vehicle = vehicle_arrays(trainset)
+    rates = braking_bands(vehicle).rates_mps2
+    most = min(max(rates), float(vehicle.max_deceleration_mps2))
+    asked = min(*rates, trainset.safe_braking.service_deceleration_mps2)
+    return asked < most * (1.0 - 1e-6)
 
 
 def usable_deceleration(section: Section, trainset: Trainset, bounds: Bounds) -> float:

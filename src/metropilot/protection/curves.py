@@ -12,7 +12,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from metropilot._typing import Float
 from metropilot.errors import InputError
 from metropilot.physics import (
+    BrakingBands,
     Vehicle,
+    braking_bands,
     davis_n,
     delay_steps,
     effort_at,
@@ -93,7 +95,7 @@ def _protect(
 ) -> Protection:
     """:func:`protect`, computed."""
     vehicle = vehicle_arrays(trainset)
-    rates, usual = _rates(bounds), _service_rates(trainset, vehicle, bounds)
+    rates, usual = _rates(bounds), _service_rates(trainset, bounds)
     field = track_grid(section, trainset, stop_at_m, spacing_m, bounds.resistance[0], before_m)
     end = _authority_end(section, field, rates) if stop_at_m is None else AuthorityEnd(stop_at_m)
     if bounds.controlled:
@@ -111,7 +113,7 @@ def _protect(
 
     emergency = emergency_curve(field, bounds.emergency_mps2)
     permitted = _permitted_curve(field, vehicle, rates, bounds, emergency, pull, ahead)
-    service = _service_curve(field, vehicle, usual, permitted, _over(rates, bounds))
+    service = _service_curve(field, vehicle, _service_brake(trainset), permitted, _over(rates, bounds))
     # Permitted speed and service curve are those of the line: drivers brake to the stop by laws of their own,
     # with all that the service brake has. Only the emergency brake looks after the end behind the stop.
     most = np.where(field.node_m > end.position_m, end.release_mps, np.inf)
@@ -184,13 +186,11 @@ def _rates(bounds: Bounds) -> Rates:
     )
 
 
-def _service_rates(trainset: Trainset, vehicle: Vehicle, bounds: Bounds) -> Rates:
+def _service_rates(trainset: Trainset, bounds: Bounds) -> Rates:
     """The nominal service brake, late by the longest dead time and lag; the guarantee does not rest on it."""
-    speeds = np.linspace(0.0, trainset.max_speed_mps, 64)
-    available = float(np.min(effort_at(vehicle, speeds).brake_n)) / trainset.effective_mass_kg
     return Rates(
         reaction_s=bounds.dt_s + bounds.delay_s + bounds.lag_s,
-        brake_mps2=min(trainset.safe_braking.service_deceleration_mps2, available),
+        brake_mps2=min(_service_brake(trainset).rates_mps2),
         jerk_mps3=min(bounds.jerk_mps3, AT_ONCE_MPS3),
         mass_low=1.0,
         mass_high=1.0,
@@ -244,8 +244,18 @@ def _emergency_curve(field: TrackGrid, bounds: Bounds, rate_mps2: float, before:
     return curve
 
 
+def _service_brake(trainset: Trainset) -> BrakingBands:
+    """The nominal service brake over speed, at most what protection asks for."""
+    bands, most = braking_bands(vehicle_arrays(trainset)), trainset.safe_braking.service_deceleration_mps2
+    return bands._replace(rates_mps2=[min(rate, most) for rate in bands.rates_mps2])
+
+
 def _service_curve(
-    field: TrackGrid, vehicle: Vehicle, usual: Rates, permitted: ndarray, over_mps: float
+    field: TrackGrid,
+    vehicle: Vehicle,
+    brake: BrakingBands,
+    permitted: ndarray,
+    over_mps: float,
 ) -> ndarray:
     """Backward from a little over the permitted speed with the nominal service brake and resistance."""
     spacing = field.node_m[1] - field.node_m[0]
@@ -253,7 +263,7 @@ def _service_curve(
     a, b, c = (float(x) / float(vehicle.effective_mass_kg) for x in vehicle.davis_n)
     for i in range(curve.size - 2, -1, -1):
         v = (2.0 * curve[i + 1]) ** 0.5
-        rate = usual.brake_mps2 - field.usual_pull_mps2[i] + a + v * (b + v * c)
+        rate = brake.at(v) - field.usual_pull_mps2[i] + a + v * (b + v * c)
         curve[i] = max(min(curve[i], curve[i + 1] + spacing * rate), 0.0)
     return curve
 

@@ -207,7 +207,7 @@ def decide(
         actuation = estimated_actuation(estimate, actuation.dt)
     hoa = memory.hoa if overruled else update_gain(memory.hoa, ground, actuation, state, memory.before_mps2)
     ahead = ground.ahead(actuation, state, hoa.gain)
-    brake, downhill = ground.brake(ahead.speed_mps), ground.downhill(ahead.position_m)
+    brake, downhill = ground.mean_brake(ahead.speed_mps), ground.downhill(ahead.position_m)
     plan = hoa.plan_mps2(brake, downhill, ground.stop_mps2)
     curve = curve_for(memory.model.vehicle, actuation.dt, plan, HOA_STOP)
     share, braking = stop_share(hoa, ground, actuation, ahead, curve)

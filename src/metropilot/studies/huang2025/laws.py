@@ -309,6 +309,7 @@ class ExpertTrack(NamedTuple):
         safe_mps: Speed to stay under, by position.
         traction_mps2: Largest traction, by speed.
         brake_mps2: Braking that command -1 asks for, by speed.
+        mean_brake_mps2: The same as a mean over the way from a speed to standstill; a brake may fade.
         davis: Constant, linear and quadratic resistance.
         most_mps2: Largest acceleration in service.
         stop_mps2: Largest deceleration that station-stop braking is planned with.
@@ -321,6 +322,7 @@ class ExpertTrack(NamedTuple):
     safe_mps: list[float]
     traction_mps2: list[float]
     brake_mps2: list[float]
+    mean_brake_mps2: list[float]
     davis: tuple[float, float, float]
     most_mps2: float
     stop_mps2: float
@@ -353,6 +355,10 @@ class ExpertTrack(NamedTuple):
     def brake(self, speed_mps: float) -> float:
         """Full service brake, m/s^2."""
         return _interpolate(self.brake_mps2, speed_mps / EFFORT_STEP_MPS)
+
+    def mean_brake(self, speed_mps: float) -> float:
+        """Constant deceleration that takes as much way from a speed to standstill as full braking, m/s^2."""
+        return _interpolate(self.mean_brake_mps2, speed_mps / EFFORT_STEP_MPS)
 
     def drag(self, position_m: float, speed_mps: float) -> float:
         """Resistance and gradient, m/s^2."""
@@ -438,6 +444,7 @@ def expert_track(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTr
     climb = np.concatenate([[0.0], np.cumsum(0.5 * (pull[1:] + pull[:-1]) * STEP_M)])
     speeds = np.arange(0.0, float(vehicle.max_speed_mps) + 3.0, EFFORT_STEP_MPS)
     effort = [effort_at(vehicle, np.float64(v)) for v in speeds]
+    brake = np.array([max(float(e.brake_n), 1.0) / mass for e in effort])
     most = _service_limit(float(vehicle.max_acceleration_mps2))
     return ExpertTrack(
         length_m=float(track.length_m),
@@ -445,7 +452,8 @@ def expert_track(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTr
         downhill_mps2=_downhill(at, climb, float(track.length_m)).tolist(),
         safe_mps=_safe(model, ceiling, rules, at).tolist(),
         traction_mps2=[max(float(e.traction_n), 1.0) / mass for e in effort],
-        brake_mps2=[max(float(e.brake_n), 1.0) / mass for e in effort],
+        brake_mps2=brake.tolist(),
+        mean_brake_mps2=_mean_brakes(speeds, brake).tolist(),
         davis=tuple(float(d) / mass for d in vehicle.davis_n),  # pyright: ignore[reportArgumentType]
         most_mps2=most,
         stop_mps2=min(most, float(vehicle.max_deceleration_mps2)),
@@ -456,6 +464,14 @@ def expert_track(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTr
 def _service_limit(limit_mps2: float) -> float:
     """Limit of a trainset on its acceleration or deceleration, or the usual one where it declares none."""
     return limit_mps2 if math.isfinite(limit_mps2) else UNLIMITED_MPS2
+
+
+def _mean_brakes(speeds: np.ndarray, brake_mps2: np.ndarray) -> np.ndarray:
+    """Constant decelerations that take as much way to standstill as the brake, speed by speed."""
+    energy = np.diff(0.5 * speeds**2)
+    # over the brake at standstill: where it is the same at all speeds, so is its mean, to the last bit
+    ways = energy * (brake_mps2[0] / np.minimum(brake_mps2[1:], brake_mps2[:-1]))
+    return brake_mps2[0] * np.concatenate([[1.0], np.cumsum(energy) / np.cumsum(ways)])
 
 
 def _downhill(at: np.ndarray, climb: np.ndarray, length_m: float) -> np.ndarray:
