@@ -1,9 +1,15 @@
 """Drives of trainsets with dead time and lag that once failed; the campaign trainsets found them."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
+from metropilot.drivers import DRIVERS
 from metropilot.evaluate import RunSpec
-from metropilot.sim import Outcome, drive
+from metropilot.planning import minimum_running_time
+from metropilot.railway import Actuation, load_line, load_trainset
+from metropilot.sim import Outcome, Run, drive
 
 PLACES = {
     "falls": ("zurich-stadelhofen", "ZUE", "ZSTH", 151.018),
@@ -84,3 +90,24 @@ def test_a_learned_driver_allows_for_the_time_its_stop_takes(trainset, place, mo
     assert done.interventions == 0
     assert abs(done.running_time_s - request.time_s) <= 0.85
     assert done.trajectory.energy_wheel_j[-1] / done.run.trainset.mass_kg <= most_j_kg
+
+
+@pytest.mark.parametrize(
+    ("trainset", "actuation", "place", "ratio", "dt"),
+    [
+        ("cheng2023", Actuation(0.37, 0.51, 0.82), ("RC", "RJ"), 1.25, 0.1),
+        ("cheng2023", Actuation(0.25, 0.52, 0.7), ("TJN", "RC"), 1.25, 0.1),
+        ("cheng2023", Actuation(0.51, 0.22, 0.51), ("CQ", "CQN"), 1.1, 0.2),
+        ("dkz32", Actuation(0.26, 0.58, 1.02), ("TJN", "RC"), 1.1, 0.1),
+    ],
+)
+def test_traction_that_a_lag_keeps_up_is_foreseen(trainset, actuation, place, ratio, dt):
+    # each was overruled once to six times: the period after the commands in flight was not looked at
+    section = load_line("yizhuang").section(*place)
+    late = replace(load_trainset(trainset), actuation=actuation)
+    time_s = ratio * minimum_running_time(section, late)
+    done = drive(Run(section, late, time_s, dt=dt), DRIVERS.make("optimal"))
+    assert done.outcome is Outcome.ARRIVED
+    assert done.interventions == 0
+    assert abs(done.running_time_s - time_s) <= 1.0
+    assert np.abs(done.trajectory.jerk_mps3).max() <= 1.15 * actuation.jerk_limit_mps3

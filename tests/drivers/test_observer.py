@@ -134,7 +134,7 @@ def test_look_along_predicts_the_path_of_the_commands_on_their_way():
         estimate = record_command(estimate, command)
         state = step(model.vehicle, model.track, state, Command(np.float64(command), False), DT)
     assert path is not None
-    assert path.shape == (2, 3)
+    assert path.shape == (2, 4)
     for place, speed in path.T:
         assert place == pytest.approx(float(state.position_m), abs=0.02)
         assert speed == pytest.approx(float(state.speed_mps), abs=0.01)

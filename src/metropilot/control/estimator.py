@@ -511,8 +511,8 @@ def look_along(
     Returns:
         Positions, m, and speeds, m/s, at the end of each period; None: commands act at once.
     """
-    periods = supervision.recent.size - 1
-    if periods == 0:
+    periods = supervision.recent.size
+    if periods == 1:
         return None
     age, keep, motion = _motion(estimate)
     up, down, drag = estimate.bank.parameters[:3, estimate.best].tolist()

@@ -37,7 +37,7 @@ from metropilot.control import (
     weighs_load,
 )
 from metropilot.errors import SolverError
-from metropilot.physics import Track, Vehicle, vehicle_arrays
+from metropilot.physics import Track, Vehicle, effort_at, vehicle_arrays
 from metropilot.planning import (
     START_STRETCH_M,
     Coupled,
@@ -79,7 +79,6 @@ class OptimalOptions:
         last_plan_m: No new plan this close to the braking point.
         late_last_plan_m: The same where commands act late.
         release_share: Jerk of the last brake's release over the trainset's limit.
-        late_release_share: The same where commands act late: what the lag keeps of the brake comes on top.
         brake_use: Share of the braking force that plan and stop count on; the rest is for corrections.
         careful_brake_use: The same where commands act late, the brake has no force to spare, or the trainset
             departs from the nominal plant.
@@ -106,7 +105,6 @@ class OptimalOptions:
     last_plan_m: float = declare(30.0, unit="m", low=0.0, infinite=True)
     late_last_plan_m: float = declare(150.0, unit="m", low=0.0, infinite=True)
     release_share: float = declare(0.95, low=0.0, high=1.0, above=True)
-    late_release_share: float = declare(0.85, low=0.0, high=1.0, above=True)
     brake_use: float = declare(0.995, low=0.0, high=1.0, above=True)
     careful_brake_use: float = declare(0.97, low=0.0, high=1.0, above=True)
     handover_m: float = declare(60.0, unit="m", low=0.0, infinite=True)
@@ -169,6 +167,8 @@ LATE_W = 500.0
 LAST_METRES_M = 8.0
 CREEP_M = 0.05
 LAST_STRETCH_M = 30.0
+LAG_STOP = StopOptions(soft_m=0.1)
+"""The stop under a lag: within this distance of the mark a gentle end is worth more than the rest of it."""
 EARLY_S = 1e-6
 DUE_SHARE = 0.5
 """Share of what must have been learned for a plan that is due, where commands act late."""
@@ -204,7 +204,7 @@ class Optimal(AbstractDriver):
         clock_s = look_ahead(model, estimate).seconds
         left = max(run.scheduled_time_s - self.options.reserve_s - clock_s, 1.0)
         plan = _plan(careful, track, left, options)
-        curve = self._curve(model, plan, ceiling, coupled)
+        curve = self._curve(model, plan, coupled)
         return FollowingMemory(
             trainset=trainset,
             run=run,
@@ -285,7 +285,8 @@ class Optimal(AbstractDriver):
 
     def _brake(self, memory: FollowingMemory, stop: Stop) -> float:
         """The stop's command; in the last period the deceleration in force, where it ends near enough."""
-        return stand(memory.model, stop, self.options.near_enough_m, CREEP_M)
+        options = LAG_STOP if float(memory.model.vehicle.lag_s) > 0.0 else STOP_OPTIONS
+        return stand(memory.model, stop, self.options.near_enough_m, CREEP_M, options)
 
     def _follow(self, memory: FollowingMemory) -> float:
         """The command that keeps to the plan's speed at the state where it begins to act."""
@@ -385,7 +386,7 @@ class Optimal(AbstractDriver):
             plan = _plan(vehicle, model.track, left, options, memory.plan)
         except SolverError:
             return updated
-        return replace(updated, plan=plan, clock_s=clock_s, curve=self._curve(model, plan, ceiling, coupled))
+        return replace(updated, plan=plan, clock_s=clock_s, curve=self._curve(model, plan, coupled))
 
     def _adaptation(self, estimate: StateEstimate) -> Adaptation:
         """Plant to plan with: the estimated one, with a brake no stronger than nominal."""
@@ -404,19 +405,24 @@ class Optimal(AbstractDriver):
         sure = nominal and weighs_load(vehicle, spare=1.0)
         return self.options.brake_use if sure else self.options.careful_brake_use
 
-    def _release_share(self, ceiling: Ceiling, coupled: tuple[Coupled, ...]) -> float:
-        """Jerk of the last brake's release over the lowest jerk limit."""
-        late = acts_late(ceiling, coupled)
-        return self.options.late_release_share if late else self.options.release_share
+    def _release_share(self, vehicle: Vehicle, coupled: tuple[Coupled, ...]) -> float:
+        """Mean jerk of the last brake's release over the lowest jerk limit; a lag makes it take longer."""
+        share, jerk = self.options.release_share, lowest_jerk(vehicle, coupled)
+        if not np.isfinite(jerk):
+            return share
+        lag_s = max(float(each.lag_s) for each in (vehicle, *(each.vehicle for each in coupled)))
+        brake = float(effort_at(vehicle, np.float64(0.0)).brake_n) / float(vehicle.effective_mass_kg)
+        released = min(brake, float(vehicle.max_deceleration_mps2))
+        return share / (1.0 + share * jerk * lag_s / released)
 
-    def _curve(self, model: Model, plan: Plan, ceiling: Ceiling, coupled: tuple[Coupled, ...]) -> StopCurve:
+    def _curve(self, model: Model, plan: Plan, coupled: tuple[Coupled, ...]) -> StopCurve:
         """The stop the plan ends with: the deceleration it brakes at before it lets go."""
         vehicle = model.vehicle._replace(jerk_mps3=lowest_jerk(model.vehicle, coupled))
         braking = -np.diff(plan.speed_mps**2) / (2 * np.diff(plan.position_m))
         last = plan.position_m[1:] > float(plan.position_m[-1]) - LAST_STRETCH_M
         rate = float(braking[last].max())
         rate = min(max(rate, 0.3), float(vehicle.max_deceleration_mps2))
-        shape = StopOptions(release_share=self._release_share(ceiling, coupled))
+        shape = StopOptions(release_share=self._release_share(model.vehicle, coupled))
         return curve_for(vehicle, model.dt, rate, shape)
 
     def _plan_options(self, model: Model, ceiling: Ceiling, coupled: tuple[Coupled, ...]) -> PlanOptions:
@@ -431,7 +437,7 @@ class Optimal(AbstractDriver):
             spacing_m=self.options.spacing_m,
             late_w=LATE_W,
             jerk_mps3=jerk if limited else None,
-            release_mps3=self._release_share(ceiling, coupled) * jerk if limited else None,
+            release_mps3=self._release_share(model.vehicle, coupled) * jerk if limited else None,
             cap_m=ceiling.position_m,
             cap_mps=np.min(late, axis=0),
             coupled=coupled,

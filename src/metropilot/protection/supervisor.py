@@ -120,7 +120,7 @@ def admits_braking(
 
     Args:
         protection: Curves and bounds.
-        memory: After the last command; as many periods as it remembers commands, less one, can be told.
+        memory: After the last command; as many periods as it remembers commands can be told.
         position_m: Position expected at the end of each period.
         speed_mps: Speed expected there.
     """
@@ -128,20 +128,22 @@ def admits_braking(
         protection, memory, position_m, float(speed_mps.max())
     ):
         return True
-    older = np.maximum.accumulate(memory.recent)[-2::-1][: position_m.size]
+    # After the last of them full braking alone is on its way, and what is in effect falls.
+    older = np.append(np.maximum.accumulate(memory.recent)[-2::-1], -1.0)[: position_m.size]
     share, keep = [memory.share], protection.fading.share
     for each in older:
         share.append(each + max(share[-1] - each, 0.0) * keep)
-    bound, periods = np.stack(share[1:]), np.arange(older.size)
-    fades = min(float(protection.fading.acceleration_mps2), AT_ONCE_MPS2) * periods
-    before = memory._replace(
-        recent=np.full(1, -1.0),
-        share=bound[:, None],
-        acceleration_mps2=(memory.acceleration_mps2 - fades)[:, None],
-    )
+    bound = np.stack(share[1:])[:, None]
+    before = memory._replace(recent=np.full(1, -1.0), share=bound)
     check = CommandCheck(protection, before, position_m[:, None], speed_mps[:, None])
+    # An acceleration fades at the jerk limit, but not while the commands on their way still uphold it.
+    upheld, fades = acceleration(check.worst.forces, bound)[:, 0], protection.fading.acceleration_mps2
+    gained = [memory.acceleration_mps2]
+    for each in upheld[:-1]:
+        gained.append(np.maximum(each, gained[-1] - fades))
+    check.fading = np.stack(gained)[:, None] - fades
     margin = EXPECTED_MPS + protection.rates.speed_error_mps
-    return bool(check.passes(bound[:, None], margin).all())
+    return bool(check.passes(bound, margin).all())
 
 
 def _far_below(
