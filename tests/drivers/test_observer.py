@@ -126,21 +126,22 @@ def test_look_along_predicts_the_path_of_the_commands_on_their_way():
     model = Model(vehicle_arrays(late), track_arrays(section, late), DT)
     memory = at_start(protect(section, late, Bounds.of(late, DT)))
     state = at_rest(model.vehicle, delay_steps=delay_steps(0.6, DT))
-    estimate, path, commands = initial_estimate(model), None, [*COMMANDS[:40], 0.2, -0.4, 0.7]
+    estimate, look, commands = initial_estimate(model), None, [*COMMANDS[:40], 0.2, -0.4, 0.7]
     for command in commands:
         seen = float(state.position_m), float(state.speed_mps), float(state.acceleration_mps2)
         estimate = update_estimate(model, estimate, *seen)
-        path = look_along(model, estimate, command, memory)
+        look = look_along(model, estimate, memory)
         estimate = record_command(estimate, command)
         state = step(model.vehicle, model.track, state, Command(np.float64(command), False), DT)
-    assert path is not None
+    assert look is not None
+    path = look(commands[-1])
     assert path.shape == (2, 4)
     for place, speed in path.T:
         assert place == pytest.approx(float(state.position_m), abs=0.02)
         assert speed == pytest.approx(float(state.speed_mps), abs=0.01)
         state = step(model.vehicle, model.track, state, Command(np.float64(-1.0), False), DT)
     at_once = at_start(protect(section, load_trainset("dkz32"), Bounds.of(load_trainset("dkz32"), DT)))
-    assert look_along(model, estimate, 0.0, at_once) is None
+    assert look_along(model, estimate, at_once) is None
 
 
 def test_share_for_gives_the_acceleration_asked_for():

@@ -13,7 +13,7 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 from numpy import ndarray
 
-from metropilot._typing import Array, Flag, Float, Scalar
+from metropilot._typing import Flag, Float, Scalar
 from metropilot.control.estimator import StateEstimate
 from metropilot.control.prediction import Model, PredictedState
 from metropilot.control.stopping import AT_ONCE_MPS3, StopCurve, required_with_build_up
@@ -181,7 +181,7 @@ def largest_admissible_command(
     position_m: float,
     speed_mps: float,
     share: float,
-    path: Float[ndarray, "2 periods"] | None = None,
+    look: Callable[[Scalar], Float[ndarray, "2 periods"]] | None = None,
 ) -> tuple[float, Memory]:
     """Largest command up to ``share`` that protection admits, and the memory of protection after it.
 
@@ -194,7 +194,7 @@ def largest_admissible_command(
         position_m: Position.
         speed_mps: Measured speed.
         share: Wanted command in [-1, 1].
-        path: Position and speed at the end of each period in which it may still be on its way
+        look: Position and speed at the end of each period in which a command may still be on its way
             (:func:`look_along`); None: commands act at once.
     """
 
@@ -202,23 +202,23 @@ def largest_admissible_command(
         _, after, verdict = supervise(guard, supervision, position_m, speed_mps, Command(command, False))
         return after, int(verdict.level) == 0
 
-    def admits(after: Memory, path: Array | None) -> Flag:
-        return path is None or admits_braking(guard, after, *path)
+    def admits(command: Scalar, after: Memory) -> Flag:
+        return look is None or admits_braking(guard, after, *look(command))
 
     after, passes = decide(share)
-    if passes and admits(after, path):
+    if passes and admits(share, after):
         return share, after
     least, _ = decide(-1.0)
-    if path is not None and not admits(least, path):
+    if look is not None and not admits(-1.0, least):
         if passes:
             return share, after
-        path = None
-    return _largest_between(decide, lambda after: admits(after, path), share, least)
+        look = None
+    return _largest_between(decide, admits, share, least)
 
 
 def _largest_between(
     decide: Callable[[Scalar], tuple[Memory, Flag]],
-    admits: Callable[[Memory], Flag],
+    admits: Callable[[Scalar, Memory], Flag],
     share: Scalar,
     least: Memory,
 ) -> tuple[Scalar, Memory]:
@@ -231,7 +231,7 @@ def _largest_between(
 
 def _halve(
     decide: Callable[[Scalar], tuple[Memory, Flag]],
-    admits: Callable[[Memory], Flag],
+    admits: Callable[[Scalar, Memory], Flag],
     low: Scalar,
     high: Scalar,
     least: Memory,
@@ -239,7 +239,7 @@ def _halve(
     """One step of it: the largest that passed, the least that did not, and what follows the former."""
     middle = 0.5 * (low + high)
     after, passes = decide(middle)
-    return (middle, high, after) if passes and admits(after) else (low, middle, least)
+    return (middle, high, after) if passes and admits(middle, after) else (low, middle, least)
 
 
 def ceiling_acceleration(

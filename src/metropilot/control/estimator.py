@@ -19,12 +19,13 @@ command that was given.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
 
-from metropilot._typing import Float
+from metropilot._typing import Float, Scalar
 from metropilot.control.prediction import (
     CommandActuation,
     Model,
@@ -498,18 +499,18 @@ def look_ahead(model: Model, estimate: StateEstimate) -> PredictedState:
 
 
 def look_along(
-    model: Model, estimate: StateEstimate, share: float, supervision: Memory
-) -> Float[ndarray, "2 periods"] | None:
-    """Predict the path while a command given now may be on its way, as far as protection remembers it.
+    model: Model, estimate: StateEstimate, supervision: Memory
+) -> Callable[[Scalar], Float[ndarray, "2 periods"]] | None:
+    """Prepare to predict the path while a command given now may be on its way, as far as protection looks.
 
     Args:
         model: Nominal trainset and section.
         estimate: State and plant as estimated.
-        share: The command.
         supervision: Memory of protection.
 
     Returns:
-        Positions, m, and speeds, m/s, at the end of each period; None: commands act at once.
+        Positions, m, and speeds, m/s, at the end of each period, as a function of the command; None: commands
+        act at once.
     """
     periods = supervision.recent.size
     if periods == 1:
@@ -519,8 +520,12 @@ def look_along(
     limits = effort_limits(model.vehicle, model.track, motion.position_m, motion.speed_mps)
     resistance, gradient, _, traction, brake = map(float, limits)
     acting = up * traction, down * brake, drag * resistance + gradient
-    commands, jerk = [share, *estimate.commands.tolist()], float(model.vehicle.jerk_mps3)
-    return predict_path(motion, commands, age, keep, acting, jerk, model.dt, periods)
+    before, jerk = estimate.commands.tolist(), float(model.vehicle.jerk_mps3)
+
+    def look(share: Scalar) -> Float[ndarray, "2 periods"]:
+        return predict_path(motion, [share, *before], age, keep, acting, jerk, model.dt, periods)
+
+    return look
 
 
 def estimated_actuation(estimate: StateEstimate, dt: float) -> CommandActuation:

@@ -259,10 +259,10 @@ def limit_by_protection(
     if monitor.protection is None:
         return share, monitor
     protection = monitor.protection
-    path = look_along(monitor.model, monitor.estimate, share, protection.supervision)
+    look = look_along(monitor.model, monitor.estimate, protection.supervision)
     seen = observation.position_m, observation.speed_mps
     share, supervision = largest_admissible_command(
-        protection.ceiling.guard, protection.supervision, *seen, share, path
+        protection.ceiling.guard, protection.supervision, *seen, share, look
     )
     return float(share), monitor._replace(protection=protection._replace(supervision=supervision))
 

@@ -247,10 +247,10 @@ class Optimal(AbstractDriver):
             curve = memory.curve._replace(deceleration_mps2=available)
             stop = stop_command(memory.model, estimate, target, curve)
         share = self._brake(memory, stop) if braking else self._follow(memory)
-        path = look_along(memory.model, estimate, share, memory.supervision)
+        look = look_along(memory.model, estimate, memory.supervision)
         seen = observation.position_m, observation.speed_mps
         share, supervision = largest_admissible_command(
-            memory.ceiling.guard, memory.supervision, *seen, share, path
+            memory.ceiling.guard, memory.supervision, *seen, share, look
         )
         return share, replace(
             memory,

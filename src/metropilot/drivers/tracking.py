@@ -231,14 +231,14 @@ class AbstractTracker(AbstractDriver):
         memory = memory._replace(controller=controller, command=command)
         memory = self._hand_over(memory, ahead)
         share = self._share(memory, ahead)
-        path = look_along(memory.model, estimate, share, memory.supervision)
+        look = look_along(memory.model, estimate, memory.supervision)
         share, supervision = largest_admissible_command(
             memory.ceiling.guard,
             memory.supervision,
             observation.position_m,
             observation.speed_mps,
             share,
-            path,
+            look,
         )
         return share, memory._replace(
             estimate=record_command(estimate, share),

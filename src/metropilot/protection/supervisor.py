@@ -16,7 +16,6 @@ RELEASE_MPS = 0.1
 """After an intervention the driver's command must fit at this much more speed before it passes again."""
 EXPECTED_MPS = 0.02
 """Error of a speed expected some periods ahead."""
-AT_ONCE_MPS2 = 1e6
 STANDSTILL_MPS = 0.05
 """At or below this measured speed, plus its error, the emergency brake is released."""
 

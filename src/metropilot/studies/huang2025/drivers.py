@@ -221,10 +221,10 @@ def decide(
     supervision = memory.supervision
     if memory.ceiling.late_s > 0.0:
         # What is on its way cannot be taken back: protection is asked before it has to intervene.
-        periods = supervision.recent.size - 1
-        path = ground.along(actuation, state, hoa.gain, share, periods) if periods else None
+        periods = supervision.recent.size
+        look = ground.look_along(actuation, state, hoa.gain, periods) if periods > 1 else None
         share, supervision = largest_admissible_command(
-            memory.ceiling.guard, supervision, observation.position_m, observation.speed_mps, share, path
+            memory.ceiling.guard, supervision, observation.position_m, observation.speed_mps, share, look
         )
     memory = memory._replace(
         supervision=supervision,

@@ -25,14 +25,14 @@ from memory of the group's papers.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from metropilot._schema import check_fields, declare
-from metropilot._typing import Array, Float
+from metropilot._typing import Array, Float, Scalar
 from metropilot.control import (
     STOP_OPTIONS,
     Ceiling,
@@ -398,26 +398,29 @@ class ExpertTrack(NamedTuple):
         lagging = actuation.commands[0], actuation.part, actuation.keep
         return PredictedState(actuation.seconds, *motion, *lagging, drag, 0.0, traction, brake)
 
-    def along(
+    def look_along(
         self,
         actuation: CommandActuation,
         state: tuple[float, float, float],
         brake_gain: float,
-        share: float,
         periods: int,
-    ) -> Float[np.ndarray, "2 periods"]:
-        """Predict positions, m, and speeds, m/s, at the end of each coming period.
+    ) -> Callable[[Scalar], Float[np.ndarray, "2 periods"]]:
+        """Prepare to predict positions, m, and speeds, m/s, at the end of each coming period, by command.
 
         Args:
             actuation: Commands on their way.
             state: Position, speed and acceleration of the last period; m, m/s, m/s^2.
             brake_gain: Actual over believed braking force.
-            share: Command given now.
             periods: Periods to predict.
         """
         motion, limits = self._now(actuation, state, brake_gain)
-        commands, steps, keep = (share, *actuation.commands), actuation.delay_steps, actuation.keep
-        return predict_path(motion, commands, steps, keep, limits, self.jerk_mps3, actuation.dt, periods)
+        steps, keep, jerk = actuation.delay_steps, actuation.keep, self.jerk_mps3
+
+        def look(share: Scalar) -> Float[np.ndarray, "2 periods"]:
+            commands = (share, *actuation.commands)
+            return predict_path(motion, commands, steps, keep, limits, jerk, actuation.dt, periods)
+
+        return look
 
     def _now(
         self, actuation: CommandActuation, state: tuple[float, float, float], brake_gain: float
