@@ -8,6 +8,7 @@ import pytest
 from metropilot.drivers import LearnedDriver, PolicyOptions
 from metropilot.errors import InputError
 from metropilot.evaluate import indices_of, kpis_of, make_driver
+from metropilot.planning import minimum_running_time
 from metropilot.policy import shipped_policy
 from metropilot.railway import (
     Actuation,
@@ -19,7 +20,7 @@ from metropilot.railway import (
     load_line,
     load_trainset,
 )
-from metropilot.sim import Disturbance, Rollout, Run, TimetableUpdate, drive
+from metropilot.sim import Disturbance, Outcome, Rollout, Run, TimetableUpdate, drive
 from metropilot.studies.huang2025.drivers import Eitoe, EitoeOptions, Eitop, prepare_expert
 from metropilot.studies.huang2025.laws import ExpertRules, Hoa
 
@@ -167,3 +168,25 @@ def test_a_policy_from_elsewhere_is_refused():
     driver = Eitop(PolicyOptions(str(shipped_policy("improved_dqn"))))
     with pytest.raises(InputError, match="inside the expert"):
         driver.init(run_of())
+
+
+@pytest.mark.parametrize(
+    ("driver", "actuation", "dt"),
+    [
+        ("eitoe", Actuation(0.0, 0.0, 1.0), 0.5),
+        ("stod", Actuation(0.6, 0.4, 1.0), 0.5),
+        ("eitoe", Actuation(0.6, 0.6, 0.5), 0.5),
+    ],
+)
+def test_a_trainset_that_crawls_to_the_stop_stands_at_it(driver, actuation, dt):
+    # they coasted past the stop at half a metre a second, stood 2 m behind it and drove on
+    ends = Station("A", "A", 0.0), Station("B", "B", 20_000.0)
+    limits = Steps(np.zeros(1), np.array([80 / 3.6]))
+    slope = Steps(np.array([0.0, 5e3, 9e3, 14e3]), np.array([0.0, 8.0, -12.0, 3.0]))
+    section = Section("test", *ends, 20_000.0, limits, slope, ())
+    trainset = replace(PLAIN, actuation=actuation)
+    time_s = 1.3 * minimum_running_time(section, trainset)
+    found = drive(Run(section, trainset, time_s, dt=dt), make_driver(driver))
+    assert found.outcome is Outcome.ARRIVED
+    assert found.interventions == 0
+    assert abs(float(found.trajectory.position_m[-1]) - section.length_m) <= 0.1

@@ -63,5 +63,6 @@ from .stopping import settle as settle
 from .stopping import stand as stand
 from .stopping import stop_command as stop_command
 from .stopping import stop_deceleration as stop_deceleration
+from .stopping import strongest as strongest
 from .stopping import way_in_period as way_in_period
 from .stopping import weakest_gradient as weakest_gradient

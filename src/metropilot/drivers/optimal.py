@@ -175,6 +175,8 @@ DUE_SHARE = 0.5
 LATEST = 1.05
 """Braking begins where waiting a period would take more than this share of the largest deceleration."""
 POWERED_MPS2 = 1e-3
+SOON_S = 3.0
+"""Time before the plan brakes from which on it is not made again only because it is due."""
 SURPRISE = 0.05
 """A traction gain this far from 1 says that the mass is not nominal."""
 
@@ -333,7 +335,7 @@ class Optimal(AbstractDriver):
         if float(memory.model.track.length_m) - estimate.position_m < last_m + braking_room(memory):
             return False
         due = since_s >= options.period_s
-        if due and not acts:
+        if due and not acts and not brakes_soon(memory):
             return True
         # A plan begins with a correction, and a lag drags it on: late, a plan that holds is not made again,
         # unless it leaves time unused.
@@ -478,6 +480,15 @@ def powers_ahead(memory: FollowingMemory) -> bool:
     here = int(np.searchsorted(plan.position_m, memory.estimate.position_m, side="right")) - 1
     mass = float(memory.model.vehicle.effective_mass_kg)
     return bool((plan.traction_n[max(here, 0) :] / mass > POWERED_MPS2).any())
+
+
+def brakes_soon(memory: FollowingMemory) -> bool:
+    """Tell if the plan brakes here or in a moment: a plan made now would not allow for the build-up."""
+    plan, estimate = memory.plan, memory.estimate
+    at = estimate.position_m, estimate.position_m + SOON_S * estimate.speed_mps
+    first, last = np.searchsorted(plan.position_m, at, side="right")
+    mass = float(memory.model.vehicle.effective_mass_kg)
+    return bool((plan.brake_n[max(first - 1, 0) : last] / mass > POWERED_MPS2).any())
 
 
 def stands_short(memory: FollowingMemory) -> bool:

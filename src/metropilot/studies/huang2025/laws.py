@@ -46,6 +46,7 @@ from metropilot.control import (
     predict_path,
     required_with_build_up,
     stop_deceleration,
+    strongest,
     way_in_period,
 )
 from metropilot.physics import effort_at, least_between, mean_slopes, scalars
@@ -628,6 +629,8 @@ GAIN = (0.5, 1.6)
 CAUTION = 1.7
 USE = 0.97
 NEAR = 0.4
+CRAWL_SHARE = 0.5
+"""Share of what the jerk limit can release before standstill with which a crawling trainset begins to brake."""
 COARSE = 0.05
 """A period in which braking changes the speed by more than twice this share is no measure of distance."""
 DRAW_UP_M = 8.0
@@ -737,14 +740,17 @@ def stop_share(
             return 0.0, False
         wanted = STOP_OPTIONS.draw_up_mps2 + ahead.resistance_mps2
         return ahead.command_for(wanted), True
-    if not hoa.braking and v * v < 2.0 * NEAR * plan * max(distance - 2.0 * v, 0.5):
+    # far from braking; nearer than two seconds even a crawling trainset has to be looked at
+    if not hoa.braking and v * v < 2.0 * NEAR * plan * max(distance - 2.0 * v, 0.0):
         return 0.0, False
     dt, a = actuation.dt, ahead.acceleration_mps2
     if not hoa.braking:
         early_m = v * (0.5 * actuation.lag_s + 0.25 * dt)
         sooner, _ = required_with_build_up(v, a, distance - early_m, curve)
         later, _ = required_with_build_up(v, a, distance - way_in_period(v, -max(a, 0.0), dt), curve)
-        if sooner < plan and later <= plan / USE:
+        # a crawling trainset stands before the jerk limit lets it brake as planned
+        begins = min(plan, CRAWL_SHARE * strongest(v, curve, dt))
+        if sooner < begins and later <= begins / USE:
             return 0.0, False
     wanted = stop_deceleration(v, a, distance, curve, dt).wanted_mps2
     return ahead.command_for(ahead.resistance_mps2 - wanted), True
