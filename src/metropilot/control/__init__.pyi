@@ -43,7 +43,6 @@ from .stopping import AT_ONCE_MPS3 as AT_ONCE_MPS3
 from .stopping import SERVICE_USE as SERVICE_USE
 from .stopping import STOP_OPTIONS as STOP_OPTIONS
 from .stopping import STRONGEST_MPS2 as STRONGEST_MPS2
-from .stopping import WATCHED_SHARE as WATCHED_SHARE
 from .stopping import Stop as Stop
 from .stopping import StopCurve as StopCurve
 from .stopping import StopDemand as StopDemand
@@ -53,7 +52,6 @@ from .stopping import braking_time as braking_time
 from .stopping import build_up as build_up
 from .stopping import comfortable_deceleration as comfortable_deceleration
 from .stopping import curve_for as curve_for
-from .stopping import deceleration_to as deceleration_to
 from .stopping import draws_up as draws_up
 from .stopping import mean_braking_efforts as mean_braking_efforts
 from .stopping import release as release
@@ -63,6 +61,7 @@ from .stopping import settle as settle
 from .stopping import stand as stand
 from .stopping import stop_command as stop_command
 from .stopping import stop_deceleration as stop_deceleration
+from .stopping import stop_with_brake as stop_with_brake
 from .stopping import strongest as strongest
 from .stopping import way_in_period as way_in_period
 from .stopping import weakest_gradient as weakest_gradient

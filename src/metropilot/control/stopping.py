@@ -21,7 +21,8 @@ their :class:`StopOptions`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
@@ -46,7 +47,9 @@ SOFT_SHARE = 0.8
 """Deceleration with which a gentle stop ends, over what the jerk limit lets drop in one period..."""
 SOFT_S = 1.5
 """...from this time before the stand on."""
-FADE_POINTS = 9
+SCARCE_GAIN = 2.5
+"""Correction of a stop that needs more than the brake will give later, beyond what the stop needs."""
+FADE_POINTS = 25
 """Points at which a brake is looked at between the present speed and standstill."""
 NEAREST_M = 1e-3
 """Distance below which the target is reached."""
@@ -154,7 +157,7 @@ def mean_braking_efforts(
         points: Number of speeds.
     """
     speeds = speed_mps * np.sqrt(np.linspace(1.0, 0.0, points))
-    efforts = np.array([float(effort_at(vehicle, v).brake_n) for v in speeds])
+    efforts = effort_at(vehicle, speeds).brake_n + 0.0 * speeds
     least = efforts.min()
     # over the least effort: where all are the same, so is their mean, to the last bit
     ways = np.cumsum(least / efforts[::-1])
@@ -477,6 +480,41 @@ def stop_command(
         waits_m = way_in_period(v, min(-a, 0.0), model.dt)
         later = float(required_with_build_up(v, a, distance - waits_m, curve, 0.0, options)[0])
     return Stop(ahead.share_for(-demand.wanted_mps2), required, later, ahead, distance)
+
+
+def stop_with_brake(
+    model: Model,
+    estimate: StateEstimate,
+    target_m: float,
+    curve: StopCurve,
+    use: float,
+    options: StopOptions = STOP_OPTIONS,
+) -> tuple[Stop, float]:
+    """Compute the command of a stop with a brake that may have nothing to spare.
+
+    Where the rest of the way admits less than the deceleration planned, on a fall to come or at the end of a
+    climb, what will be missing is braked now.
+
+    Args:
+        model: Nominal trainset and section.
+        estimate: State and plant as estimated.
+        target_m: Position of the stop.
+        curve: Shape of the stop.
+        use: Share of the brake to count on.
+        options: Constants of the stop.
+
+    Returns:
+        The command, and the deceleration that the stop may count on, m/s^2; infinite while it is far off.
+    """
+    stop = stop_command(model, estimate, target_m, curve, options)
+    if stop.required_mps2 < WATCHED_SHARE * curve.deceleration_mps2:
+        return stop, math.inf
+    available = use * deceleration_to(model, estimate, stop)
+    if available < curve.deceleration_mps2:
+        scarce = replace(options, return_gain=SCARCE_GAIN, at_once_gain=SCARCE_GAIN)
+        curve = curve._replace(deceleration_mps2=available)
+        stop = stop_command(model, estimate, target_m, curve, scarce)
+    return stop, available
 
 
 def draws_up(speed_mps: Scalar, distance_m: Scalar, options: StopOptions = STOP_OPTIONS) -> Flag:

@@ -37,7 +37,7 @@ from metropilot.control import (
     model_of,
     record_command,
     stand,
-    stop_command,
+    stop_with_brake,
     update_estimate,
     weighs_load,
 )
@@ -243,11 +243,11 @@ def station_stop_braking(
     target = float(model.track.length_m)
     options = stop_options(monitor)
     curve = curve_for(model.vehicle, model.dt, rate, options)
-    stop = stop_command(model, monitor.estimate, target, curve, options)
+    stop, available = stop_with_brake(model, monitor.estimate, target, curve, CAREFUL_USE, options)
     left = stop.left_m
     early = stop.required_mps2 < LET_GO * rate and left > LET_GO_M
     short = stop.ahead.speed_mps <= 0 and left > LET_GO_M
-    begins = stop.required_mps2 >= BEGIN * rate or stop.later_mps2 >= LATEST * planned_mps2
+    begins = stop.required_mps2 >= BEGIN * rate or stop.later_mps2 >= min(LATEST * planned_mps2, available)
     share = stand(model, stop, NEAR_ENOUGH_M, NEAR_ENOUGH_M, options)
     return (begins or (stopping and not early)) and not short, share, stop.ahead
 

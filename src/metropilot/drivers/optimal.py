@@ -11,7 +11,6 @@ import numpy as np
 from metropilot._schema import check_fields, declare
 from metropilot.control import (
     STOP_OPTIONS,
-    WATCHED_SHARE,
     Adaptation,
     Ceiling,
     Model,
@@ -24,7 +23,6 @@ from metropilot.control import (
     adapt_vehicle,
     ceiling_of,
     curve_for,
-    deceleration_to,
     initial_estimate,
     largest_admissible_command,
     look_ahead,
@@ -32,7 +30,7 @@ from metropilot.control import (
     model_of,
     record_command,
     stand,
-    stop_command,
+    stop_with_brake,
     update_estimate,
     weighs_load,
 )
@@ -242,12 +240,9 @@ class Optimal(AbstractDriver):
         if self._departs(memory, observation):
             memory = self._replan(memory, observation)
         target = float(memory.model.track.length_m)
-        stop = stop_command(memory.model, estimate, target, memory.curve)
-        available = self._available(memory, stop)
+        use = self._brake_use(memory.model.vehicle, memory.adapted, memory.ceiling, memory.coupled)
+        stop, available = stop_with_brake(memory.model, estimate, target, memory.curve, use)
         braking = memory.braking or self._takes_over(memory, stop, available)
-        if braking and available < memory.curve.deceleration_mps2:
-            curve = memory.curve._replace(deceleration_mps2=available)
-            stop = stop_command(memory.model, estimate, target, curve)
         share = self._brake(memory, stop) if braking else self._follow(memory)
         look = look_along(memory.model, estimate, memory.supervision)
         seen = observation.position_m, observation.speed_mps
@@ -277,13 +272,6 @@ class Optimal(AbstractDriver):
             needed = rate if left <= self.options.handover_m else self.options.alarm * rate
         most = min(available_mps2, LATEST * float(memory.model.vehicle.max_deceleration_mps2))
         return bool(left <= LAST_METRES_M or stop.required_mps2 >= needed or stop.later_mps2 >= most)
-
-    def _available(self, memory: FollowingMemory, stop: Stop) -> float:
-        """The deceleration the stop may count on; infinite while it is far off."""
-        if stop.required_mps2 < WATCHED_SHARE * memory.curve.deceleration_mps2:
-            return math.inf
-        use = self._brake_use(memory.model.vehicle, memory.adapted, memory.ceiling, memory.coupled)
-        return use * deceleration_to(memory.model, memory.estimate, stop)
 
     def _brake(self, memory: FollowingMemory, stop: Stop) -> float:
         """The stop's command; in the last period the deceleration in force, where it ends near enough."""

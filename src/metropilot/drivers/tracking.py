@@ -19,7 +19,6 @@ from metropilot._typing import Array
 from metropilot.control import (
     CHENG2023_GAINS,
     SERVICE_USE,
-    WATCHED_SHARE,
     Ceiling,
     Errors,
     Model,
@@ -29,14 +28,13 @@ from metropilot.control import (
     StopCurve,
     ceiling_of,
     curve_for,
-    deceleration_to,
     initial_estimate,
     largest_admissible_command,
     look_ahead,
     look_along,
     model_of,
     record_command,
-    stop_command,
+    stop_with_brake,
     update_estimate,
 )
 from metropilot.planning import (
@@ -248,7 +246,7 @@ class AbstractTracker(AbstractDriver):
 
     def _share(self, memory: TrackingMemory, ahead: PredictedState) -> float:
         """Command of the stop's own law once it drives, before that the controller's, ahead of the lag."""
-        return self._stop(memory, memory.stop).share if memory.stopping else ahead.lead(memory.command)
+        return self._stop(memory, memory.stop)[0].share if memory.stopping else ahead.lead(memory.command)
 
     def _control(self, memory: TrackingMemory, seen: TrackingView) -> tuple[float, Any]:
         """The law's command, in a longer control period than its gains are for as in several of theirs."""
@@ -259,8 +257,10 @@ class AbstractTracker(AbstractDriver):
         # The law is incremental, and the plant answers for so much longer before it sees what came of it.
         return memory.command + (float(wanted) - memory.command) / periods, controller
 
-    def _stop(self, memory: TrackingMemory, curve: StopCurve) -> Stop:
-        return stop_command(memory.model, memory.estimate, float(memory.model.track.length_m), curve)
+    def _stop(self, memory: TrackingMemory, curve: StopCurve) -> tuple[Stop, float]:
+        """The stop, and the deceleration that it may count on: what the brake surely gives."""
+        target = float(memory.model.track.length_m)
+        return stop_with_brake(memory.model, memory.estimate, target, curve, SERVICE_USE)
 
     def _hand_over(self, memory: TrackingMemory, ahead: PredictedState) -> TrackingMemory:
         """Give the last metres to the stop's own law, from the deceleration that is in force there."""
@@ -269,9 +269,9 @@ class AbstractTracker(AbstractDriver):
         left = float(memory.model.track.length_m) - ahead.position_m
         curve = self._curve(memory.model)
         rate = float(curve.deceleration_mps2)
-        stop = self._stop(memory, curve)
-        required = stop.required_mps2
-        if left > HANDOVER_M and required < ALARM * rate and stop.later_mps2 < self._most(memory, stop, rate):
+        stop, available = self._stop(memory, curve)
+        required, most = stop.required_mps2, min(available, LATEST * rate)
+        if left > HANDOVER_M and required < ALARM * rate and stop.later_mps2 < most:
             return memory
         curve = curve._replace(deceleration_mps2=min(max(required, 0.1), ALARM * rate))
         return memory._replace(stop=curve, stopping=True)
@@ -280,12 +280,6 @@ class AbstractTracker(AbstractDriver):
         """Shape of a stop as the reference has it."""
         rate = min(self.options.deceleration_mps2, float(model.vehicle.max_deceleration_mps2))
         return curve_for(model.vehicle, model.dt, rate)
-
-    def _most(self, memory: TrackingMemory, stop: Stop, rate_mps2: float) -> float:
-        """Deceleration that a stop may need after another period: what the brake surely gives."""
-        if stop.required_mps2 < WATCHED_SHARE * rate_mps2:
-            return math.inf
-        return min(SERVICE_USE * deceleration_to(memory.model, memory.estimate, stop), LATEST * rate_mps2)
 
     def _follow_updates(self, memory: TrackingMemory, observation: Observation) -> TrackingMemory:
         """Lay the reference anew after news, or where the trainset is far from it."""

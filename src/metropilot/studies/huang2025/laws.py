@@ -630,9 +630,11 @@ CAUTION = 1.7
 USE = 0.97
 NEAR = 0.4
 CRAWL_SHARE = 0.5
-"""Share of what the jerk limit can release before standstill with which a crawling trainset begins to brake."""
+"""Share of what the jerk limit releases before the stand with which a crawling trainset begins to brake."""
 COARSE = 0.05
 """A period in which braking changes the speed by more than twice this share is no measure of distance."""
+CRAWL_M = 2.0
+"""A trainset that coasts to a crawl is drawn up to the stop from this distance on; it is in time."""
 DRAW_UP_M = 8.0
 """A trainset that stands no farther short of the stop than this is drawn up to it."""
 
@@ -734,8 +736,10 @@ def stop_share(
     v, distance, plan = ahead.speed_mps, ground.length_m - ahead.position_m, curve.deceleration_mps2
     if v <= 0.0 and distance < STOP_OPTIONS.inch_m:
         return ahead.command_for(-max(curve.end_mps2, STOP_OPTIONS.hold_mps2)), True
-    if hoa.braking and ahead.acceleration_mps2 >= 0.0 and draws_up(v, distance):
-        # After an intervention the trainset stands short of the stop: far from it the rules drive on.
+    slows = hoa.braking and ahead.acceleration_mps2 < 0.0
+    if (hoa.braking or distance <= CRAWL_M) and not slows and draws_up(v, distance):
+        # After an intervention the trainset stands short of the stop, or it has coasted to a crawl before it:
+        # far from it the rules drive on.
         if distance > DRAW_UP_M:
             return 0.0, False
         wanted = STOP_OPTIONS.draw_up_mps2 + ahead.resistance_mps2
