@@ -190,3 +190,24 @@ def test_a_trainset_that_crawls_to_the_stop_stands_at_it(driver, actuation, dt):
     assert found.outcome is Outcome.ARRIVED
     assert found.interventions == 0
     assert abs(float(found.trajectory.position_m[-1]) - section.length_m) <= 0.1
+
+
+@pytest.mark.parametrize(
+    ("driver", "trainset", "actuation", "place", "ratio", "dt"),
+    [
+        # 4.9 m past the mark: a brake that fades spends most of its way on the fall at high speed
+        ("eitoe", "cheng2023", (0.88, 0.17), ("zurich-stadelhofen", "ZHDB", "ZUE"), 1.17, 0.5),
+        # overruled 14 and 11 times: less emergency braking is guaranteed than the service brake gives
+        ("eitop", "ch_stadler_flirt_tpf", (0.0, 0.0), ("lu2023", "WHY", "WYJ"), 1.08, 0.2),
+        ("eitop", "ch_stadler_flirt_tpf", (0.0, 0.0), ("yizhuang", "JHL", "CQN"), 1.24, 1.0),
+    ],
+)
+def test_other_brakes_are_answered(driver, trainset, actuation, place, ratio, dt):
+    line, *where = place
+    section, trainset = load_line(line).section(*where), load_trainset(trainset)
+    trainset = replace(trainset, actuation=Actuation(*actuation, float("inf")))
+    time_s = ratio * minimum_running_time(section, trainset)
+    found = drive(Run(section, trainset, time_s, dt=dt), make_driver(driver))
+    assert found.outcome is Outcome.ARRIVED
+    assert found.interventions == 0
+    assert abs(float(found.trajectory.position_m[-1]) - section.length_m) <= 0.1

@@ -144,24 +144,33 @@ def weakest_gradient(model: Model, target_m: float, stretch_m: float = 400.0) ->
 
 
 def mean_braking_efforts(
-    vehicle: Vehicle, speed_mps: float, points: int = FADE_POINTS
+    vehicle: Vehicle,
+    speed_mps: float,
+    gain: float = 1.0,
+    rest_n: Float[ndarray, " points"] | float = 0.0,
+    points: int = FADE_POINTS,
 ) -> Float[ndarray, " points"]:
-    """Constant efforts that stop from falling speeds over the same distance as full service braking does, N.
+    """Constant forces that stop from falling speeds over the same distance as full service braking does, N.
 
     Many brakes give less at high speed; a stop with all they give begins much later than one with the least
-    of it. The distance is the integral of kinetic energy over effort, so the mean is a harmonic one.
+    of it. The distance is the integral of kinetic energy over force, so the mean is a harmonic one, of the
+    brake and the rest together: a fall takes the larger part of a brake that has faded.
 
     Args:
         vehicle: Nominal plant.
         speed_mps: The highest of the speeds; the kinetic energies of the others fall evenly to zero.
+        gain: Actual over nominal braking force.
+        rest_n: Other decelerating forces, constant from each speed on.
         points: Number of speeds.
     """
     speeds = speed_mps * np.sqrt(np.linspace(1.0, 0.0, points))
-    efforts = effort_at(vehicle, speeds).brake_n + 0.0 * speeds
-    least = efforts.min()
-    # over the least effort: where all are the same, so is their mean, to the last bit
-    ways = np.cumsum(least / efforts[::-1])
-    return least * (np.arange(1, points + 1) / ways)[::-1]
+    efforts = gain * effort_at(vehicle, speeds).brake_n
+    ahead = np.triu(np.ones((points, points))) > 0.0
+    forces = np.where(ahead, (rest_n + np.zeros(points))[:, None] + efforts, np.inf)
+    least = forces.min(axis=1)
+    # over the least force: where all are the same, so is their mean, to the last bit
+    ways = (least[:, None] / np.where(forces > 0.0, forces, np.inf)).sum(axis=1)
+    return np.where(least > 0.0, least * (np.arange(points, 0, -1) / np.maximum(ways, 1e-9)), least)
 
 
 def comfortable_deceleration(
@@ -177,9 +186,12 @@ def comfortable_deceleration(
         use: Share of the available deceleration to plan with.
     """
     vehicle = model.vehicle
-    effort = float(mean_braking_efforts(vehicle, estimate.speed_mps)[0]) / float(vehicle.effective_mass_kg)
-    sure = min(estimate.brake_gain - 1.5 * estimate.brake_gain_sigma, 1.0)
-    return max(use * min(effort * sure + gradient_mps2, float(vehicle.max_deceleration_mps2)), 0.2)
+    sure, mass = (
+        min(estimate.brake_gain - 1.5 * estimate.brake_gain_sigma, 1.0),
+        float(vehicle.effective_mass_kg),
+    )
+    effort = mean_braking_efforts(vehicle, estimate.speed_mps, sure, gradient_mps2 * mass)
+    return max(use * min(float(effort[0]) / mass, float(vehicle.max_deceleration_mps2)), 0.2)
 
 
 def curve_for(
@@ -545,10 +557,9 @@ def deceleration_to(model: Model, estimate: StateEstimate, stop: Stop) -> float:
     speeds = ahead.speed_mps * np.sqrt(1.0 - done)
     at = ahead.position_m + done * max(stop.left_m, 0.0)
     resistance, gradient = resistance_and_gradient(vehicle, model.track, at, speeds)
-    efforts = mean_braking_efforts(vehicle, ahead.speed_mps)
     held = min(estimate.resistance_factor, 1.0) * resistance + gradient
     rests = (np.cumsum(held[::-1]) / np.arange(1, held.size + 1))[::-1]
-    forces = min(estimate.brake_gain, 1.0) * efforts + rests
+    forces = mean_braking_efforts(vehicle, ahead.speed_mps, min(estimate.brake_gain, 1.0), rests)
     return float(forces.min()) / float(vehicle.effective_mass_kg)
 
 

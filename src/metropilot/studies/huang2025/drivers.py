@@ -207,8 +207,9 @@ def decide(
         actuation = estimated_actuation(estimate, actuation.dt)
     hoa = memory.hoa if overruled else update_gain(memory.hoa, ground, actuation, state, memory.before_mps2)
     ahead = ground.ahead(actuation, state, hoa.gain)
-    brake, downhill = ground.mean_brake(ahead.speed_mps), ground.downhill(ahead.position_m)
-    plan = hoa.plan_mps2(brake, downhill, ground.stop_mps2)
+    downhill = ground.downhill(ahead.position_m)
+    brake, net = ground.mean_brake(ahead.speed_mps, min(hoa.gain, 1.0), downhill)
+    plan = hoa.plan_mps2(brake, net, ground.stop_mps2)
     curve = curve_for(memory.model.vehicle, actuation.dt, plan, HOA_STOP)
     share, braking = stop_share(hoa, ground, actuation, ahead, curve)
     rate = 0.0
@@ -219,8 +220,9 @@ def decide(
         effort = _keep_safe(memory, observation, ahead, rate)
         share = ahead.command_for(effort)
     supervision = memory.supervision
-    if memory.ceiling.late_s > 0.0:
-        # What is on its way cannot be taken back: protection is asked before it has to intervene.
+    if memory.ceiling.late_s > 0.0 or memory.ceiling.weak:
+        # What is on its way cannot be taken back, and a weaker brake than the service brake comes in early:
+        # protection is asked before it has to intervene.
         periods = supervision.recent.size
         look = ground.look_along(actuation, state, hoa.gain, periods) if periods > 1 else None
         share, supervision = largest_admissible_command(

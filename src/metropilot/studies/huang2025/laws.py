@@ -292,6 +292,8 @@ STEP_M = 4.0
 UNLIMITED_MPS2 = 1.0
 """Acceleration and deceleration in service of a trainset that declares no limit, as of most metros."""
 EFFORT_STEP_MPS = 0.25
+FADE_POINTS = 8
+"""Parts of the kinetic energy in which a brake that fades is looked at."""
 BEYOND_M = 60.0
 FOR_LIMITS = 0.85
 """Share of the largest deceleration to brake for lower limits with: protection watches the brake build up."""
@@ -310,7 +312,6 @@ class ExpertTrack(NamedTuple):
         safe_mps: Speed to stay under, by position.
         traction_mps2: Largest traction, by speed.
         brake_mps2: Braking that command -1 asks for, by speed.
-        mean_brake_mps2: The same as a mean over the way from a speed to standstill; a brake may fade.
         davis: Constant, linear and quadratic resistance.
         most_mps2: Largest acceleration in service.
         stop_mps2: Largest deceleration that station-stop braking is planned with.
@@ -323,7 +324,6 @@ class ExpertTrack(NamedTuple):
     safe_mps: list[float]
     traction_mps2: list[float]
     brake_mps2: list[float]
-    mean_brake_mps2: list[float]
     davis: tuple[float, float, float]
     most_mps2: float
     stop_mps2: float
@@ -357,9 +357,21 @@ class ExpertTrack(NamedTuple):
         """Full service brake, m/s^2."""
         return _interpolate(self.brake_mps2, speed_mps / EFFORT_STEP_MPS)
 
-    def mean_brake(self, speed_mps: float) -> float:
-        """Constant deceleration that takes as much way from a speed to standstill as full braking, m/s^2."""
-        return _interpolate(self.mean_brake_mps2, speed_mps / EFFORT_STEP_MPS)
+    def mean_brake(self, speed_mps: float, gain: float, downhill_mps2: float) -> tuple[float, float]:
+        """Constant decelerations that take as much way to standstill as full braking, m/s^2.
+
+        Args:
+            speed_mps: Speed from which the trainset brakes.
+            gain: Actual over nominal braking force.
+            downhill_mps2: Least mean slope on the way, as an acceleration.
+
+        Returns:
+            On level track with the nominal brake, and on that slope with the actual one. A brake that fades
+            spends most of its way at high speed, and there a fall takes the larger part of it.
+        """
+        brakes = [self.brake(speed_mps * math.sqrt(k / FADE_POINTS)) for k in range(FADE_POINTS, -1, -1)]
+        nets = [max(gain * brake + downhill_mps2, LEAST_EFFORT_MPS2) for brake in brakes]
+        return _harmonic_mean(brakes), _harmonic_mean(nets)
 
     def drag(self, position_m: float, speed_mps: float) -> float:
         """Resistance and gradient, m/s^2."""
@@ -457,7 +469,6 @@ def expert_track(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTr
         safe_mps=_safe(model, ceiling, rules, at).tolist(),
         traction_mps2=[max(float(e.traction_n), 1.0) / mass for e in effort],
         brake_mps2=brake.tolist(),
-        mean_brake_mps2=_mean_brakes(speeds, brake).tolist(),
         davis=tuple(float(d) / mass for d in vehicle.davis_n),  # pyright: ignore[reportArgumentType]
         most_mps2=most,
         stop_mps2=min(most, float(vehicle.max_deceleration_mps2)),
@@ -470,12 +481,10 @@ def _service_limit(limit_mps2: float) -> float:
     return limit_mps2 if math.isfinite(limit_mps2) else UNLIMITED_MPS2
 
 
-def _mean_brakes(speeds: np.ndarray, brake_mps2: np.ndarray) -> np.ndarray:
-    """Constant decelerations that take as much way to standstill as the brake, speed by speed."""
-    energy = np.diff(0.5 * speeds**2)
-    # over the brake at standstill: where it is the same at all speeds, so is its mean, to the last bit
-    ways = energy * (brake_mps2[0] / np.minimum(brake_mps2[1:], brake_mps2[:-1]))
-    return brake_mps2[0] * np.concatenate([[1.0], np.cumsum(energy) / np.cumsum(ways)])
+def _harmonic_mean(values: Sequence[float]) -> float:
+    """Harmonic mean; where all are the same it is that value to the last bit."""
+    least = min(values)
+    return least * (len(values) / sum(least / value for value in values))
 
 
 def _downhill(at: np.ndarray, climb: np.ndarray, length_m: float) -> np.ndarray:
@@ -663,8 +672,7 @@ class Hoa(NamedTuple):
     def plan_mps2(self, brake_mps2: float, downhill_mps2: float, most_mps2: float) -> float:
         """Deceleration to plan the stop with: the less the gain is known the less, downhill what is left."""
         sure = min(self.gain * (1.0 - CAUTION * self.sigma), 1.0)
-        left = min(self.gain, 1.0) * brake_mps2 + downhill_mps2
-        return USE * min(brake_mps2 * sure, left, most_mps2)
+        return USE * min(brake_mps2 * sure, downhill_mps2, most_mps2)
 
     def next_stop(self) -> Hoa:
         """Knowledge carried to the next stop."""
