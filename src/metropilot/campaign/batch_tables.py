@@ -222,7 +222,6 @@ class EnergyCurve:
         return self.knots[k]
 
     def _solve(self, time_s: float) -> Optimum:
-        """The optimum for a running time, solved."""
         plan = optimal_plan(self.section, self.trainset, time_s, self.options)
         found = attainable_of(self.section, self.trainset, time_s, self.limits, plan, self.options.objective)
         return Optimum(plan, self.fastest_s, found)

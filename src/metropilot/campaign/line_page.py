@@ -54,7 +54,6 @@ def table_of_lines(sweep: LineSweep, rows: Sequence[Row]) -> tuple[list[str], li
 
 
 def _names(rows: Sequence[Row]) -> dict[str, Callable[[Row], str]]:
-    """Columns that name a row."""
     shown: dict[str, Callable[[Row], str]] = {"headway or day": lambda row: row["service"].rpartition("/")[2]}
     for name in ("line", "trainset", "load", *OPTIONS):
         if len({row[name] for row in rows}) > 1:
@@ -69,7 +68,6 @@ def _name(value: str | float | None) -> str:
 
 
 def _values(sweep: LineSweep, row: Row) -> list[str]:
-    """Energies of a row."""
     energies, own = read_energies(row), row["network"] is None
     cruise, *others = energies.values()
     floor, gap = (row[name] if own else None for name in ("floor_kwh", "gap_percent"))

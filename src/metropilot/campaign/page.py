@@ -218,7 +218,6 @@ def _table(rows: Iterable[Mapping[str, Any]], by: Sequence[str]) -> str:
 
 
 def _pareto(folder: Path, campaign: Campaign) -> str:
-    """Energy against time, as inline SVG."""
     energy = "energy_wheel_kwh" if campaign.objective == "wheel" else "energy_line_kwh"
     with open_database(folder) as database:
         medians = query_rows(database, PARETO.format(energy=energy))

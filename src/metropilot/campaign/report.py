@@ -78,7 +78,6 @@ def collect_parts(folder: Path) -> None:
 
 
 def _copy(query: str, partial: Path) -> None:
-    """Write a query's rows as Parquet."""
     import duckdb
 
     place = str(partial).replace("'", "''")

@@ -107,7 +107,6 @@ def study_page(study: Study, report: StudyReport) -> str:
 
 
 def _verdict_table(verdicts: Sequence[ClaimVerdict]) -> list[str]:
-    """Render the table of verdicts."""
     lines = ["| claim of the paper | unit | published | ours | interval | simple rival | verdict | why |"]
     lines += ["|---|---|---:|---:|---:|---|---|---|"]
     return [*lines, *(_cells((v.claim, v.unit, *verdict_numbers(v), v.verdict, v.why)) for v in verdicts)]
@@ -122,7 +121,6 @@ def verdict_numbers(verdict: ClaimVerdict) -> tuple[str, str, str, str]:
 
 
 def _literal_section(found: LiteralReport) -> list[str]:
-    """Render the printed settings and their results."""
     lines = ["| setting | printed | this study |", "|---|---|---|"]
     lines += [_cells((one.name, one.printed, one.ours)) for one in found.settings]
     lines += ["", "| case | driver | KPI | unit | published | ours | as printed | range |"]
@@ -168,7 +166,6 @@ def _settings_table(learning: Sequence[RunRecord]) -> list[str]:
 
 
 def _setting(value: object) -> str:
-    """Format one hyper-parameter."""
     if value is None:
         return NOTHING
     if isinstance(value, Mapping):
@@ -179,7 +176,6 @@ def _setting(value: object) -> str:
 
 
 def _cells(cells: Iterable[str]) -> str:
-    """Render one row of a table."""
     return "| " + " | ".join(re.sub(r"([|])", r"\\\1", cell) for cell in cells) + " |"
 
 

@@ -96,7 +96,6 @@ Draw = Callable[["Axes", Sequence[DriveCourse], np.ndarray], None]
 
 
 def _draw(courses: Mapping[str, Sequence[DriveCourse]], draw: Draw) -> Drawing:
-    """Draw three panels side by side."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as New
 
@@ -118,14 +117,11 @@ def _draw(courses: Mapping[str, Sequence[DriveCourse]], draw: Draw) -> Drawing:
 
 
 def _is_first(axes: Axes) -> bool:
-    """True for the leftmost panel."""
     place = axes.get_subplotspec()
     return place is not None and place.is_first_col()
 
 
 def _measure(panel: Panel) -> Draw:
-    """Return a function that draws one measure of one learner."""
-
     def draw(axes: Axes, mine: Sequence[DriveCourse], grid: np.ndarray) -> None:
         from metropilot.evaluate import BLUE, GREY, ORANGE
 
@@ -168,7 +164,6 @@ def _band(
     grid: np.ndarray,
     look: tuple[str, float, float],
 ) -> None:
-    """Draw median and range."""
     colour, width, alpha = look
     low, middle, high = band(mine, values, grid)
     axes.fill_between(grid, low, high, color=colour, alpha=alpha, linewidth=0)

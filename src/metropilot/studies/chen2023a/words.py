@@ -118,7 +118,6 @@ def remarks(learned: Courses, changed: Courses) -> list[str]:
 
 
 def _convergence_remark(name: str, mine: Sequence[DriveCourse]) -> str:
-    """Convergence of one learner beside the paper's claim."""
     at = [a for a in find_convergences(mine, "learning") if a is not None]
     said = f"around episode {CONVERGED_AT[name]:,.0f}" if name in CONVERGED_AT else f"not by {PPO_EPISODES:,}"
     when = f"; median {np.median(at):,.0f} episodes" if at else ""
@@ -160,7 +159,6 @@ def _lags(learned: Courses) -> str:
 
 
 def _order(learned: Courses) -> str:
-    """Order of the policies by energy."""
     energy = {n: float(np.median([final(o.driving["energy_kwh"]) for o in m])) for n, m in learned.items()}
     order = sorted(energy, key=lambda name: -energy[name])
     words = ", ".join(f"{NAMES[name]} {energy[name]:.1f} kWh" for name in order)
@@ -171,7 +169,6 @@ def _order(learned: Courses) -> str:
 
 
 def _ablation(changed: Courses) -> str:
-    """Effect of reward scaling in each ablation."""
     parts = []
     for name in changed:
         if name.endswith(", plain"):

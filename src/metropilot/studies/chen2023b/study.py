@@ -113,7 +113,6 @@ def _drivers(order: Order, runs: dict[str, list[SeedResult]]) -> dict[str, list[
 
 
 def _learning_rows(runs: dict[str, list[SeedResult]], budget: str) -> list[ReportRow]:
-    """Rows of learning: gap error, returns, learning time."""
     rows = []
     for algorithm, each in runs.items():
         name, table = NAMES[algorithm], "Figs. 3 to 6"

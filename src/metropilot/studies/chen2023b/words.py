@@ -105,7 +105,6 @@ def _text(gap: tuple[float, float]) -> str:
 
 
 def _ddpg(gap: Mapping[str, tuple[float, float]], value: Found) -> str:
-    """Finding on DDPG, which fails in the paper."""
     inside = "within" if _inside(gap["ddpg_pid_follow"]) else "outside"
     said = f"DDPG-PID's gap is {_text(gap['ddpg_pid_follow'])}, {inside} the band published for SAC-PID"
     first = value.get(("ddpg_pid_follow", FIRST_RETURN))
@@ -117,7 +116,6 @@ def _ddpg(gap: Mapping[str, tuple[float, float]], value: Found) -> str:
 
 
 def _campaign_remarks(rows: Sequence[ReportRow]) -> list[str]:
-    """Finding of the campaign with and without protection."""
     found = [row for row in rows if row.kpi == CONTACTS]
     guarded = [row for row in found if row.driver != "protection none"]
     cases = sum(_cases(row) for row in guarded)

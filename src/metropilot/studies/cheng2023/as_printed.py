@@ -91,7 +91,6 @@ def measure(order: Order) -> LiteralRun:
 
 
 def _finding(rows: Sequence[ReportRow]) -> str:
-    """Total speed errors, as a sentence."""
     told = "; ".join(f"{row.driver}: {row.ours:.2f} m/s" for row in rows if row.kpi == "total speed error")
     return f"Total speed error of policies learned with the printed rewards: {told}."
 

@@ -55,7 +55,6 @@ def reproduce(order: Order) -> StudyReport:
 
 
 def _load_or_learn(order: Order) -> tuple[dict[int, Callable[[Any], Any]], Mapping[str, Mapping[str, float]]]:
-    """Load or learn one policy per seed and the tuned parameters."""
     if order.budget == "quick":
         from metropilot.drivers import TUNED_PID
         from metropilot.policy import shipped_policy

@@ -60,7 +60,6 @@ RIVALS = ("pid tuned", POSITION_PID)
 
 
 def _claim(scenario: int, table: str, kpi: str, words: str, aim: Aim = "low") -> Claim:
-    """Claim on DDPG-PID in a scenario."""
     return Claim(words, "ddpg_pid", kpi, NAMES[scenario], aim, RIVALS, table)
 
 
@@ -153,7 +152,6 @@ def remarks(measured: Measured, kind: str, tuned: Mapping[str, Mapping[str, floa
 
 
 def _compare_with_tuned(measured: Measured, gains: Mapping[str, float]) -> str:
-    """Comparison of DDPG-PID with the tuned PID."""
     ours, other = measured["ddpg_pid", 1], measured["pid tuned", 1]
     speed, against = median(ours, "speed_total_mps"), median(other, "speed_total_mps")
     place, behind = median(ours, "position_total_m"), median(other, "position_total_m")
@@ -166,7 +164,6 @@ def _compare_with_tuned(measured: Measured, gains: Mapping[str, float]) -> str:
 
 
 def _compare_with_position(measured: Measured, gains: Mapping[str, float]) -> str:
-    """Comparison of DDPG-PID with constant gains on speed and position error."""
     fields = tuple((field, words, unit) for field, words, unit in KPIS if field != "energy_kwh")
     ours, other = measured["ddpg_pid", 1], measured[POSITION_PID, 1]
     better = [words for field, words, _ in fields if median(ours, field) < median(other, field)]
@@ -200,7 +197,6 @@ def _why(measured: Measured) -> str:
 
 
 def _jerk() -> str:
-    """Jerk of the reference itself."""
     change = np.abs(np.diff(course().speed_mps)).max() / DT_S
     return (
         f"The reference itself changes its acceleration by {change:.2f} m/s2 within 2 s, "

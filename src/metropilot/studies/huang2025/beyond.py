@@ -53,7 +53,6 @@ def beyond_rows(policies: Mapping[str, Sequence[Path]]) -> Iterator[ReportRow]:
 
 
 def _plants(run: Run) -> dict[str, Run]:
-    """Variants of a run with another plant or another control period."""
     known = run.trainset
     limited = replace(known, actuation=Actuation(DELAY_S, LAG_S, 1.0))
     return {

@@ -233,7 +233,6 @@ def _saving(rows: Sequence[ReportRow], driver: str) -> str:
 
 
 def _arrivals(rows: Sequence[ReportRow]) -> str:
-    """Running time of each late update."""
     parts = [
         f"{row.ours:.1f} s (`{row.driver}`, {row.case})"
         for row in rows

@@ -124,7 +124,6 @@ def measure(order: Order) -> LiteralRun:
 
 
 def _rows(driver: str, results: Sequence[SeedResult]) -> list[ReportRow]:
-    """Rows of the policies kept."""
     best = [int(np.nanargmax(result.history["evaluation.score"])) for result in results]
 
     def values_of(column: str) -> list[float]:

@@ -27,7 +27,6 @@ LIMIT_MPS2 = 0.8
 
 
 def _claim(plan: str, kpi: str, words: str) -> Claim:
-    """Claim on improved DQN in a plan."""
     return Claim(f"{words}, {plan}", "improved_dqn", kpi, plan, rivals=(PID, RULES), table=TABLE)
 
 
