@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from metropilot.learn import AbstractConfig, PolicyEvaluation
 
 COMMAND = "metropilot reproduce huang2025 --budget paper"
-TIMES_S = (95.0, 101.0, 115.0)
 WATCHED_S = 101.0
 EVALUATIONS = 16
 SIZES: dict[str, dict[str, int]] = {
