@@ -6,9 +6,10 @@ import pytest
 
 from metropilot._io import encode_parquet
 from metropilot.campaign import Campaign, DisturbanceCase, compute_shard
+from metropilot.campaign.batch_tables import EnergyCurve
 from metropilot.campaign.compiled import drive_batch
 from metropilot.campaign.declared import BATCH
-from metropilot.campaign.rows import RESULTS, EnergyCurve, drive_row
+from metropilot.campaign.rows import RESULTS, drive_row
 from metropilot.evaluate import attainable_of, driving_limits
 from metropilot.planning import optimal_plan
 from metropilot.railway import load_line, load_trainset, write_trainset

@@ -258,9 +258,9 @@ class Enough(Exception):
 
 
 def test_a_course_that_was_stopped_ends_the_same(few_worlds, tmp_path, monkeypatch):
-    from metropilot.learn.imitation import tuning
+    from metropilot.learn.imitation import closed_loop
 
-    monkeypatch.setattr(tuning, "DECISIONS", (600,))  # one length, compiled once
+    monkeypatch.setattr(closed_loop, "DECISIONS", (600,))  # one length, compiled once
     config, task = config_from_mapping("teacher", TINY), DrivingTask(few_worlds)
 
     def evaluate(params, key):

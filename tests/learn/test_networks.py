@@ -7,10 +7,7 @@ import pytest
 from tests.learn.problems import FIVE_CHOICES, DoubleIntegrator
 
 from metropilot.learn.config import DDPGConfig, DQNConfig, NAFConfig, PPOConfig, SACConfig, TabularConfig
-from metropilot.learn.loop import make_learner
-from metropilot.learn.networks import MLP
-from metropilot.learn.optimiser import adam_init, adam_step, global_norm, polyak
-from metropilot.learn.statistics import (
+from metropilot.learn.learner import (
     deviation,
     moments_init,
     moments_update,
@@ -18,6 +15,9 @@ from metropilot.learn.statistics import (
     return_scale_update,
     reward_divisor,
 )
+from metropilot.learn.loop import make_learner
+from metropilot.learn.networks import MLP
+from metropilot.learn.optimiser import adam_init, adam_step, global_norm, polyak
 from metropilot.policy import Policy, PolicySpec, act
 
 MEMORY = {"warmup": 8, "buffer_size": 64, "environments": 4}

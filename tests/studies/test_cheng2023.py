@@ -9,8 +9,8 @@ from metropilot.physics import davis_n, effort_at
 from metropilot.studies import STUDIES, Order, reproduce
 from metropilot.studies.cheng2023 import setting
 from metropilot.studies.cheng2023.drives import pid_control
+from metropilot.studies.cheng2023.study import command_variation
 from metropilot.studies.cheng2023.tracking import track_course, tracking_kpis
-from metropilot.studies.cheng2023.words import command_variation
 
 TOTAL, PLACE = "total speed error", "total position error"
 

@@ -25,7 +25,7 @@ from metropilot.studies.huang2025.setting import (
     run_of,
     trainset,
 )
-from metropilot.studies.huang2025.words import DEVIATIONS, remarks
+from metropilot.studies.huang2025.study import DEVIATIONS, remarks
 from metropilot.studies.report import ReportRow
 from metropilot.studies.study import STUDIES
 

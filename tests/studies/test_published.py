@@ -32,10 +32,10 @@ def test_rows_without_a_file_are_those_of_the_page(monkeypatch):
             raise InputError("not published")
         return real(name)
 
-    from metropilot.studies import published
+    from metropilot.studies import page
 
-    real = published.published_file
-    monkeypatch.setattr(published, "published_file", without)
+    real = page.published_file
+    monkeypatch.setattr(page, "published_file", without)
     rows = {(r.table, r.case, r.driver, r.kpi): r for r in published_study("lu2023").rows}
     compared = 0
     for row in whole.rows:

@@ -110,7 +110,7 @@ def test_the_page_begins_with_the_verdicts():
 def test_claims_name_rows_and_are_whole_sentences(study_id):
     import importlib
 
-    claims = importlib.import_module(f"metropilot.studies.{study_id}.words").CLAIMS
+    claims = importlib.import_module(f"metropilot.studies.{study_id}.study").CLAIMS
     assert len(claims) >= 3
     assert len({(c.driver, c.kpi, c.case, c.table) for c in claims}) == len(claims)
     assert judge_claims(claims, [])[0].verdict == "cannot be tested"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from time import perf_counter, process_time
 from typing import Any, NamedTuple
 
@@ -13,8 +14,11 @@ from numpy import ndarray
 from metropilot.campaign.batch_tables import (
     GUARD_NODES,
     SEEN_NODES,
+    EnergyCurve,
     Place,
-    map_tree,
+    RecentCache,
+    feature_tables,
+    guard_tables,
     most_slots,
     stack_tables,
     table_cache,
@@ -31,10 +35,10 @@ from metropilot.campaign.program import (
     first_memory,
     program,
 )
-from metropilot.campaign.rows import Curves, add_kpis, new_result, prepare_run
+from metropilot.campaign.rows import add_kpis, new_result, prepare_run
 from metropilot.drivers import AbstractPolicyDriver
 from metropilot.errors import Infeasible
-from metropilot.evaluate import Optimum, RunSpec
+from metropilot.evaluate import Optimum, RunSpec, driving_limits
 from metropilot.physics import (
     Forces,
     Track,
@@ -62,8 +66,8 @@ from metropilot.sim import (
     train_limits_at,
 )
 
-CURVES = Curves()
-"""Energy curves of this worker."""
+CURVES = RecentCache[EnergyCurve](256)
+"""Energy curves of this worker, by plant and the bounds declared of it."""
 GUARD_SPACING_M = 1.0
 """Distance between the nodes of the protection of the host loop."""
 
@@ -157,9 +161,12 @@ def drive_batch(
 def _optimum(campaign: Campaign, start: CompiledStart, drive: Drive) -> Optimum | None:
     """The optimum of a run, from the energy curve of its plant, which the seeds share."""
     place = start.setting.places[int(drive.section is start.setting.sections[1])]
-    plant = (place, campaign.objective)
+    section, objective = drive.section, campaign.objective
     try:
-        curve = CURVES.get(plant, drive.section, drive.trainset, campaign.objective, drive.run)
+        curve = CURVES.get(
+            (place, objective),
+            lambda: EnergyCurve(section, drive.trainset, objective, driving_limits(drive.run, section)),
+        )
         arrived = drive.outcome is Outcome.ARRIVED
         return curve.at(drive.running_time_s if arrived else drive.scheduled_time_s)
     except Infeasible:
@@ -254,7 +261,10 @@ def _episode_params(
     loaded: LoadedPolicy, starts: Sequence[CompiledStart], slots: int
 ) -> tuple[Any, EpisodeParams]:
     """Tables of protection and of the policy, and the runs' parameters; the first run pads the batch."""
-    kinds = table_cache(None), table_cache(loaded.interface)
+    kinds = (
+        (table_cache(None), guard_tables),
+        (table_cache(loaded.interface), partial(feature_tables, loaded.interface)),
+    )
     numbers: dict[Place, int] = {}
     found: tuple[list[Any], list[Any]] = ([], [])
     rows = []
@@ -262,8 +272,8 @@ def _episode_params(
         for place, section in zip(setting.places, setting.sections, strict=True):
             if place not in numbers:
                 numbers[place] = len(numbers)
-                for kind, tables in zip(kinds, found, strict=True):
-                    tables.append(kind.get(place, section, run))
+                for (cache, make), tables in zip(kinds, found, strict=True):
+                    tables.append(cache.get(place, partial(make, section, run)))
         rows.append([numbers[place] for place in setting.places])
     fill = [*range(len(starts)), *[0] * (BATCH - len(starts))]
     settings = [starts[k].setting for k in fill]
@@ -288,6 +298,8 @@ def _episode_params(
 
 def _at_departure(given: EpisodeParams, slots: int, spec: PolicySpec) -> EpisodeState:
     """States of the runs of a batch at departure (NumPy)."""
+    import jax
+
     zero, count = np.zeros(BATCH), np.zeros(BATCH, np.int32)
     state = at_rest(given.vehicle, delay_steps=slots - 1)
     plant = state._replace(
@@ -304,7 +316,7 @@ def _at_departure(given: EpisodeParams, slots: int, spec: PolicySpec) -> Episode
             stood_since_s=zero,
             outcome=np.full(BATCH, RUNNING, np.int32),
         ),
-        policy=map_tree(lambda value: np.stack([value] * BATCH), first_memory(spec)),
+        policy=jax.tree.map(lambda value: np.stack([value] * BATCH), first_memory(spec)),
     )
 
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
 from metropilot.campaign.line_sweep import COMPUTED, OPTIONS, LineSweep
+from metropilot.campaign.report import DASH, inline_svg, markdown_table, number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DASH = "–"
 Row = Mapping[str, Any]
 DRIVINGS = "cruise_kwh", "driving_only_kwh", "timetable_only_kwh", "energy_kwh"
 ABOUT = """\
@@ -55,7 +54,6 @@ def table_of_lines(sweep: LineSweep, rows: Sequence[Row]) -> tuple[list[str], li
 
 
 def _names(rows: Sequence[Row]) -> dict[str, Callable[[Row], str]]:
-    """Columns that name a row."""
     shown: dict[str, Callable[[Row], str]] = {"headway or day": lambda row: row["service"].rpartition("/")[2]}
     for name in ("line", "trainset", "load", *OPTIONS):
         if len({row[name] for row in rows}) > 1:
@@ -70,46 +68,34 @@ def _name(value: str | float | None) -> str:
 
 
 def _values(sweep: LineSweep, row: Row) -> list[str]:
-    """Energies of a row."""
     energies, own = read_energies(row), row["network"] is None
     cruise, *others = energies.values()
     floor, gap = (row[name] if own else None for name in ("floor_kwh", "gap_percent"))
-    values = [_number(each, 1) for each in (*energies.values(), floor)]
-    values += [*(_number(saved_percent(each, cruise), 1) for each in others), _number(gap, 2)]
+    values = [number(each, 1) for each in (*energies.values(), floor)]
+    values += [*(number(saved_percent(each, cruise), 1) for each in others), number(gap, 2)]
     if sweep.driver is not None:
         plain, found = row["driver_plain_kwh"], row["driver_energy_kwh"]
-        values += [_number(plain, 1), _number(found, 1), _number(saved_percent(found, plain), 1)]
+        values += [number(plain, 1), number(found, 1), number(saved_percent(found, plain), 1)]
     scattered = row["scattered"] or ()
     return [*values, *(f"{each['energy_kwh']:.1f} ± {each['deviation_kwh']:.1f}" for each in scattered)]
 
 
-def _number(value: float | None, digits: int) -> str:
-    return DASH if value is None else f"{value:.{digits}f}"
-
-
 def report_lines(sweep: LineSweep, rows: Sequence[Row]) -> list[str]:
     """Parts of the report: the table, and what driving and timetable save."""
-    from metropilot.evaluate import house_style
-
     heads, cells = table_of_lines(sweep, rows)
     head = "".join(f"<th class='text'>{escape(each)}</th>" for each in heads)
     lines = ["".join(f"<td>{escape(each)}</td>" for each in row) for row in cells]
     body = "".join(f"<tr>{line}</tr>" for line in lines)
     parts = [f"<p>{escape(ABOUT)}</p>", f"<div class='wide'><table><tr>{head}</tr>{body}</table></div>"]
-    if not any(row["outcome"] == COMPUTED for row in rows):
-        return parts
-    with house_style():
-        figure, text = saved_figure(sweep, rows), io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None})
-    return [*parts, "".join(text.getvalue().partition("<svg")[1:])]
+    computed = any(row["outcome"] == COMPUTED for row in rows)
+    return [*parts, inline_svg(lambda: saved_figure(sweep, rows))] if computed else parts
 
 
 def page_of_lines(sweep: LineSweep, rows: Sequence[Row], written: str) -> list[str]:
     """Lines of the page, after its title."""
     heads, cells = table_of_lines(sweep, rows)
-    lines = ["| " + " | ".join(each) + " |" for each in (heads, *cells)]
-    lines.insert(1, "|---" + "|---:" * (len(heads) - 1) + "|")
-    return [f"{sweep.matrix_words[:1].upper()}{sweep.matrix_words[1:]}.", "", written, "", ABOUT, "", *lines]
+    words = f"{sweep.matrix_words[:1].upper()}{sweep.matrix_words[1:]}."
+    return [words, "", written, "", ABOUT, "", *markdown_table(heads, cells)]
 
 
 def saved_figure(sweep: LineSweep, rows: Sequence[Row]) -> Figure:

@@ -7,19 +7,15 @@ zones, so a worker makes them once for all its rows.
 from __future__ import annotations
 
 import json
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from itertools import product
 from math import prod
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from pydantic import Field
-
-from metropilot._schema import check_name, convert, field_specs, field_type
+from metropilot._schema import field_specs, field_type
 from metropilot.campaign.matrix import (
     LINE,
     AbstractCampaign,
@@ -28,17 +24,6 @@ from metropilot.campaign.matrix import (
     count_axes,
     peak_memory_mb,
 )
-from metropilot.campaign.toml_file import (
-    DrawnTrainsets,
-    StrictModel,
-    add_place,
-    keep_once,
-    list_trainsets,
-    resolve_name,
-    validate,
-)
-from metropilot.errors import InputError
-from metropilot.evaluate import make_driver
 from metropilot.operation import (
     DayEnergy,
     LineOperation,
@@ -49,13 +34,12 @@ from metropilot.operation import (
     TripDrives,
     TripFloors,
     day_energy,
-    divide_zones,
     feed_day,
     feed_line,
     operation_energy,
     plan_trips,
 )
-from metropilot.railway import Line, load_day, load_feeding, load_line, load_trainset
+from metropilot.railway import load_day, load_feeding, load_line, load_trainset
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -349,131 +333,3 @@ def _compute(sweep: LineSweep, case: LineCase, options: OperationOptions) -> dic
         "scattered": told["scattered"],
         **{f"network_{name}": of_network.get(name) for name in NETWORK},
     }
-
-
-Whole = Annotated[int, Field(ge=0, lt=2**53)]
-
-
-class _SweepMatrix(StrictModel):
-    lines: Annotated[list[str], Field(min_length=1)]
-    headways: list[Annotated[int, Field(strict=True)]] = Field([])
-    days: list[str] = Field([])
-    trainsets: Annotated[list[str | DrawnTrainsets], Field(min_length=1)] | DrawnTrainsets = Field(["dkz32"])
-    loads: Annotated[list[str], Field(min_length=1)] | Annotated[str, Field(pattern="^all$")] = "all"
-    feedings: Annotated[list[Annotated[int, Field(strict=True)] | str], Field(min_length=1)] = Field([ZONES])
-
-
-class _SweepFile(StrictModel):
-    name: Annotated[str, Field(min_length=1)]
-    optimise: bool = False
-    sharp: bool = False
-    seed: Whole = 0
-    driver: str | None = None
-    runs: Annotated[int, Field(ge=1, le=100)] = 1
-    scatter: list[Annotated[float, Field(gt=0, le=300)]] = Field([])
-    matrix: _SweepMatrix
-    operation: dict[str, Any] = Field({})
-
-
-def sweep_from_values(path: Path, values: dict[str, Any]) -> LineSweep:
-    """Read a sweep from the values of its file.
-
-    Raises:
-        InputError: Something in it cannot be used.
-    """
-    found = validate(path, _SweepFile, values)
-    matrix = found.matrix
-    lines = keep_once([resolve_name(path, each) for each in matrix.lines])
-    options = _options(path, found.operation)
-    days = keep_once([resolve_name(path, each) for each in matrix.days])
-    sweep = LineSweep(
-        name=found.name,
-        services=(*keep_once(matrix.headways), *days),
-        lines=lines,
-        trainsets=list_trainsets(path, matrix.trainsets, matrix.loads),
-        feedings=keep_once([_feeding(path, each) for each in matrix.feedings]),
-        options=options,
-        optimise=found.optimise,
-        sharp=found.sharp,
-        seed=found.seed,
-        driver=found.driver,
-        runs=found.runs,
-        scatter_s=keep_once(found.scatter),
-    )
-    if not sweep.services:
-        raise InputError("neither a headway nor a day", file=path, field="matrix.headways")
-    if found.driver is not None:
-        try:
-            make_driver(found.driver)
-        except InputError as error:
-            raise add_place(path, "driver", error) from None
-    if found.sharp and days:
-        raise InputError("a day has no sharp floor", file=path, field="sharp", allowed="without matrix.days")
-    _check_lines(path, sweep)
-    return sweep
-
-
-def _options(path: Path, given: Mapping[str, Any]) -> tuple[dict[str, Number], ...]:
-    """All combinations of the fields of an operation, each a value or a list of them."""
-    axes: list[list[tuple[str, Number]]] = []
-    for name, value in given.items():
-        field = f"operation.{name}"
-        try:
-            check_name(name, OPTIONS, "key", field=field)
-            kind, spec = field_type(OperationOptions, name), field_specs(OperationOptions)[name]
-            given_values = value if isinstance(value, list) else [value]
-            checked = [spec.check(name, convert(name, one, kind, spec.allowed)) for one in given_values]
-            axes.append([(name, one) for one in keep_once(checked)])
-        except InputError as error:
-            raise add_place(path, field, error) from None
-        if not axes[-1]:
-            raise InputError("the list is empty", file=path, field=field)
-    combined = tuple(dict(each) for each in product(*axes))
-    for each in combined:
-        try:
-            OperationOptions(**each)  # pyright: ignore[reportArgumentType] (checked above)
-        except InputError as error:
-            raise add_place(path, f"operation.{error.field}", error) from None
-    return combined
-
-
-def _feeding(path: Path, given: int | str) -> FeedingCase:
-    """A number of zones, or ``NETWORK``, or ``NETWORK ZONES``."""
-    if isinstance(given, int):
-        return FeedingCase(given)
-    try:
-        network, *zones = shlex.split(given)
-        (number,) = [int(each) for each in zones] or [ZONES]
-    except ValueError:
-        allowed = "a number of zones, NETWORK, or NETWORK ZONES"
-        raise InputError(
-            "not a feeding", file=path, field="matrix.feedings", value=given, allowed=allowed
-        ) from None
-    return FeedingCase(number, resolve_name(path, network))
-
-
-def _check_lines(path: Path, sweep: LineSweep) -> None:
-    """Refuse feedings, days and headways that do not fit the lines."""
-    field = "matrix.lines"
-    try:
-        lines: list[Line] = [load_line(each) for each in sweep.lines]
-        field = "matrix.headways"
-        for service in sweep.services:
-            if isinstance(service, int):
-                OperationOptions(headway_s=service)
-        field = "matrix.feedings"
-        for line, feeding in product(lines, sweep.feedings):
-            divide_zones(line, feeding.zones)
-            if feeding.network is not None:
-                load_feeding(feeding.network).check_line(line)
-            if sweep.sharp and feeding.zones != len(line.stations) - 1:
-                allowed = f"{len(line.stations) - 1}, one for each section of {line.id}"
-                raise InputError(
-                    "a floor is sharpened where each section is a zone", value=feeding.zones, allowed=allowed
-                )
-        field = "matrix.days"
-        for line, service in product(lines, sweep.services):
-            if isinstance(service, str):
-                load_day(service).check_line(line)
-    except InputError as error:
-        raise add_place(path, field, error) from None

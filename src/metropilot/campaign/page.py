@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from metropilot._io import check_writable
 from metropilot.campaign.declared import Campaign
 from metropilot.campaign.matrix import FAILED, INFEASIBLE
-from metropilot.campaign.report import open_database, query_rows
-from metropilot.campaign.worst import drive_worst, worst_table
+from metropilot.campaign.report import DASH, inline_svg, number, open_database, query_rows
+from metropilot.campaign.rows import request_of_row
+from metropilot.errors import MetropilotError
+from metropilot.evaluate import Optimum, kpis_of, optimum_of, write_run, write_run_toml
+from metropilot.sim import Drive, drive
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -115,7 +119,6 @@ def median_ranks(count: int) -> tuple[float, float]:
 
 
 CLOUD = 3000
-DASH = "–"
 PARETO = """
     SELECT driver, time,
         median(running_time_s / minimum_running_time_s) AS at,
@@ -142,22 +145,20 @@ def report_drives(campaign: Campaign, folder: Path, summary: Mapping[str, Any]) 
         InputError: The folder cannot be written.
     """
     worst = drive_worst(folder, campaign, summary["worst"])
-    parts = ["<h2>Drivers</h2>", _legend(), _table(summary["drivers"], ("driver",))]
+    parts = ["<h2>Drivers</h2>", LEGEND, _table(summary["drivers"], ("driver",))]
     if len(campaign.disturbances) > 1:
         parts += ["<h2>By disturbance</h2>", _table(summary["cells"], ("disturbance", "driver"))]
     parts += ["<h2>Energy against time</h2>", _pareto(folder, campaign)]
     return [*parts, "<h2>The worst runs</h2>", worst_table(summary["worst"], worst)]
 
 
-def _legend() -> str:
-    return (
-        "<p>On time: arrived, safe and within 3 s, out of the runs whose time was possible, with the 95 % "
-        "interval. Gap: energy over the certified optimum for the time achieved, median with its "
-        "95 % interval, 95th percentile and worst; of it trainset: what jerk limit, dead time and lag cost "
-        "at best under the permitted speed, driver: energy over that attainable optimum. Time and stop: "
-        "error of the runs that arrived.</p>"
-    )
-
+LEGEND = (
+    "<p>On time: arrived, safe and within 3 s, out of the runs whose time was possible, with the 95 % "
+    "interval. Gap: energy over the certified optimum for the time achieved, median with its "
+    "95 % interval, 95th percentile and worst; of it trainset: what jerk limit, dead time and lag cost "
+    "at best under the permitted speed, driver: energy over that attainable optimum. Time and stop: "
+    "error of the runs that arrived.</p>"
+)
 
 COLUMNS = (
     ("runs", "runs", 0),
@@ -195,9 +196,7 @@ def _cell(row: Mapping[str, Any], name: str, digits: int) -> str:
     if name == "gap" and row["gap_median"] is not None:
         return f"{row['gap_median']:.2f}{_ends(row['gap_low'], row['gap_high'], 2)}"
     value = row.get(name)
-    if value is None:
-        return DASH
-    return f"{value / 1e3 if name == 'decision_us_worst' else value:.{digits}f}"
+    return number(value / 1e3 if value is not None and name == "decision_us_worst" else value, digits)
 
 
 def _ends(low: float, high: float, digits: int) -> str:
@@ -219,25 +218,18 @@ def _table(rows: Iterable[Mapping[str, Any]], by: Sequence[str]) -> str:
 
 
 def _pareto(folder: Path, campaign: Campaign) -> str:
-    """Energy against time, as inline SVG."""
-    from metropilot.evaluate import house_style
-
     energy = "energy_wheel_kwh" if campaign.objective == "wheel" else "energy_line_kwh"
     with open_database(folder) as database:
         medians = query_rows(database, PARETO.format(energy=energy))
         cloud = query_rows(database, POINTS.format(energy=energy, most=CLOUD))
     if not medians:
         return "<p>No run arrived.</p>"
-    with house_style():
-        figure = pareto_figure(medians, cloud)
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None})
     said = (
         "<p>Left: each run that arrived (a sample where there are many) and the median of each driver at "
         "each scheduled time, per tonne and kilometre. Right: the same medians over the optimum for the time "
         "achieved, with the quartiles.</p>"
     )
-    return said + "".join(text.getvalue().partition("<svg")[1:])
+    return said + inline_svg(partial(pareto_figure, medians, cloud))
 
 
 def pareto_figure(medians: Sequence[Mapping[str, Any]], cloud: Sequence[Mapping[str, Any]]) -> Figure:
@@ -276,3 +268,97 @@ def pareto_figure(medians: Sequence[Mapping[str, Any]], cloud: Sequence[Mapping[
     right.axhline(0.0, color=GREY, lw=0.9)
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=6)
     return figure
+
+
+WORST_FOLDER = "worst"
+WORST_WORDS = {"driver": "driver", "from": "origin", "to": "destination"}
+WORST_WORDS |= {name: name for name in ("trainset", "load", "actuation", "time", "disturbance", "outcome")}
+WORST_NUMBERS = {
+    "time error s": "time_error_s",
+    "stop m": "stopping_error_m",
+    "gap %": "optimality_gap_percent",
+}
+WIDTH_IN, HEIGHT_IN = 5.6, 2.5
+
+
+class Again(NamedTuple):
+    """One of the worst runs, driven again.
+
+    Attributes:
+        folder: Its folder, relative to that of the campaign; empty if the run has no scheduled time.
+        picture: Speed over distance as SVG; empty if the driver failed.
+    """
+
+    folder: str
+    picture: str
+
+
+def drive_worst(folder: Path, campaign: Campaign, worst: Sequence[Mapping[str, Any]]) -> list[Again]:
+    """Drive the worst runs again and write the folder of a run for each: trajectory, KPIs, picture, request.
+
+    Args:
+        folder: The campaign's folder.
+        campaign: The campaign.
+        worst: Their rows, the worst first.
+
+    Raises:
+        InputError: The folder cannot be written.
+    """
+    found = []
+    for place, row in enumerate(worst, 1):
+        if row["scheduled_time_s"] is None:
+            found.append(Again("", ""))
+            continue
+        request = request_of_row(campaign, row)
+        target = folder / WORST_FOLDER / f"{place:02d}"
+        check_writable(target)
+        picture = ""
+        try:
+            driven = drive(request.run(), request.make_driver())
+            optimum = optimum_of(driven, campaign.objective)
+            write_run(target, request, driven, kpis_of(driven, optimum, campaign.objective), optimum)
+            picture = inline_svg(partial(speed_figure, driven, optimum))
+        except (MetropilotError, ArithmeticError, ValueError, TypeError, LookupError):
+            write_run_toml(target, request)
+        found.append(Again(f"{WORST_FOLDER}/{place:02d}", picture))
+    return found
+
+
+def speed_figure(driven: Drive, optimum: Optimum | None) -> Figure:
+    """Speed over distance with limit, permitted speed, optimum and interventions of protection."""
+    from matplotlib.figure import Figure
+
+    from metropilot.evaluate import draw_speed, set_distance
+
+    figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
+    axes = figure.subplots()
+    draw_speed(axes, driven, optimum)
+    set_distance(axes, driven.section, float(driven.trajectory.position_m[-1]))
+    return figure
+
+
+def worst_table(worst: Sequence[Mapping[str, Any]], again: Sequence[Again]) -> str:
+    """HTML table of the worst runs, then a picture of each."""
+    if not worst:
+        return "<p>None.</p>"
+    names = ("", *WORST_WORDS, *WORST_NUMBERS, "drive it again")
+    heads = "".join(f"<th class='text'>{name}</th>" for name in names)
+    lines, pictures = [], []
+    for place, (row, found) in enumerate(zip(worst, again, strict=True), 1):
+        words = [str(place), *(str(row[key] or DASH) for key in WORST_WORDS.values())]
+        if row["error"]:
+            words[-1] = f"{words[-1]}: {row['error']}"
+        numbers = [row[name] for name in WORST_NUMBERS.values()]
+        cells = [escape(word) for word in words] + [number(value, 2, "+") for value in numbers]
+        link = f"{found.folder}/run.toml"
+        cells.append(
+            f"<code>metropilot drive --from <a href='{link}'>{link}</a></code>" if found.folder else DASH
+        )
+        lines.append("<tr>" + "".join(f"<td class='text'>{cell}</td>" for cell in cells) + "</tr>")
+        if found.picture:
+            said = f"{place}. {row['driver']}, {row['origin']}–{row['destination']}, {row['load']}, "
+            said += f"{row['disturbance']}: {row['outcome']}, {numbers[0]:+.2f} s, {numbers[1]:+.2f} m"
+            pictures.append(f"<figure>{found.picture}<figcaption>{escape(said)}</figcaption></figure>")
+    said = "<p>Failed, unsafe and late runs first, then by the gap.</p>"
+    table = f"<div class='wide'><table><tr>{heads}</tr>{''.join(lines)}</table></div>"
+    return f"{said}{table}<div class='runs'>{''.join(pictures)}</div>"

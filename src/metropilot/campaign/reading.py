@@ -3,37 +3,133 @@
 from __future__ import annotations
 
 import shlex
+import tomllib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Field, create_model
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
-from metropilot._schema import field_specs
+from metropilot._io import read_text
+from metropilot._schema import check_name, convert, field_specs, field_type
 from metropilot.campaign.declared import DRAWN, OWN, Campaign, DisturbanceCase
-from metropilot.campaign.line_sweep import sweep_from_values
+from metropilot.campaign.line_sweep import OPTIONS, ZONES, FeedingCase, LineSweep, Number
 from metropilot.campaign.matrix import DRIVES, KINDS, LINE, AbstractCampaign
-from metropilot.campaign.toml_file import (
-    DrawnTrainsets,
-    StrictModel,
-    add_place,
-    keep_once,
-    list_trainsets,
-    read_values,
-    resolve_name,
-    validate,
-)
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError, rename_fields
-from metropilot.evaluate import make_driver, run_fields
-from metropilot.railway import RESTRICTION_KMH, load_line
+from metropilot.evaluate import is_file, make_driver, run_fields
+from metropilot.operation import OperationOptions, divide_zones
+from metropilot.railway import RESTRICTION_KMH, load_day, load_feeding, load_line, load_trainset
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance
 
-ALL = "all"
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class StrictModel(BaseModel):
+    """Model without unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class DrawnTrainsets(StrictModel):
+    """Random trainsets: how many, and the seed."""
+
+    drawn: Annotated[int, Field(ge=1, le=10**6)]
+    seed: Annotated[int, Field(ge=0, lt=10**9)] = 0
+
+
+LEAST, MOST = "least", "most"
+"""The lightest and the heaviest load of any trainset."""
+
+
+def read_values(path: Path) -> dict[str, Any]:
+    """Values of a TOML file.
+
+    Raises:
+        InputError: Not readable, or not TOML.
+    """
+    try:
+        return tomllib.loads(read_text(path, "campaign"))
+    except InputError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not TOML ({error})", file=path, field="campaign") from None
+
+
+def validate(path: Path, model: type[Model], values: dict[str, Any]) -> Model:
+    """Values of a file as a model.
+
+    Raises:
+        InputError: A value cannot be used.
+    """
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise _input_error(path, error) from None
+
+
+def _input_error(path: Path, error: ValidationError) -> InputError:
+    """The first of the validation errors, at the deepest field it names."""
+    first = max(error.errors(), key=lambda item: (item["type"] == "extra_forbidden", len(item["loc"])))
+    words = [str(part) for part in first["loc"] if not str(part).startswith(("list[", "literal[", "tuple["))]
+    known = {"float", "constrained-float", "function-before"}
+    field = ".".join(word for word in words if word not in known)
+    message = "unknown key" if first["type"] == "extra_forbidden" else first["msg"]
+    value = None if first["type"] == "missing" else str(first["input"])
+    return InputError(message[:1].lower() + message[1:], file=path, field=field, value=value)
+
+
+@contextmanager
+def _of_field(path: Path, field: str) -> Iterator[None]:
+    """Let errors inside name the file and the field of the campaign."""
+    try:
+        yield
+    except InputError as error:
+        raise error.at(file=path, field=field) from None
+
+
+def keep_once(values: list[Any]) -> tuple[Any, ...]:
+    """The values without repetitions, in their order."""
+    return tuple(dict.fromkeys(values))
+
+
+def list_trainsets(
+    path: Path, wanted: list[str | DrawnTrainsets] | DrawnTrainsets, loads: list[str] | str
+) -> tuple[tuple[str, str], ...]:
+    """Trainset and load of each; ``least`` and ``most`` are the lightest and the heaviest of a trainset."""
+    names: list[str] = []
+    for item in wanted if isinstance(wanted, list) else [wanted]:
+        numbers = range(1, item.drawn + 1) if isinstance(item, DrawnTrainsets) else ()
+        names += [item] if isinstance(item, str) else [f"drawn-{item.seed}-{k}" for k in numbers]
+    found = []
+    for name in names:
+        place = resolve_name(path, name)
+        with _of_field(path, "matrix.trainsets"):
+            trainset = load_trainset(place)
+            masses = trainset.loads
+            ends = {LEAST: min(masses, key=masses.__getitem__), MOST: max(masses, key=masses.__getitem__)}
+            named = list(masses) if isinstance(loads, str) else loads
+            told = [load if load in masses else ends.get(load, load) for load in named]
+            found += [(place, trainset.with_load(load).load) for load in told]
+    return keep_once(found)
+
+
+def resolve_name(path: Path, name: str) -> str:
+    """A catalogue id unchanged; a file name relative to the folder of the campaign."""
+    return str((path.parent / name).resolve()) if is_file(name) else name
+
+
 UNSPECIFIC = ("learned",)
 """Drivers that need a policy file, and so are no part of ``all``."""
 Share = Annotated[float, Field(ge=0, le=1)]
 Spread = float | tuple[float, float]
+
+
+Seconds = Annotated[float, Field(ge=0, le=5)]
+Late = tuple[Seconds, Seconds]
 
 
 class CampaignRestriction(StrictModel):
@@ -63,11 +159,7 @@ class CampaignDisturbance(CampaignRanges):
     ideal: bool = False
     restriction: CampaignRestriction | None = None
     arrival: CampaignArrival | None = None
-    actuation: tuple[Annotated[float, Field(ge=0, le=5)], Annotated[float, Field(ge=0, le=5)]] | None = None
-
-
-Seconds = Annotated[float, Field(ge=0, le=5)]
-Late = tuple[Seconds, Seconds]
+    actuation: Late | None = None
 
 
 class CampaignMatrix(StrictModel):
@@ -168,11 +260,9 @@ def _periods(path: Path, found: CampaignFile) -> tuple[float, ...]:
 def _drivers(path: Path, wanted: list[str] | str) -> tuple[str, ...]:
     if isinstance(wanted, str):
         return tuple(name for name in DRIVERS.ids() if name not in UNSPECIFIC)
-    for name in wanted:
-        try:
+    with _of_field(path, "matrix.drivers"):
+        for name in wanted:
             make_driver(name)
-        except InputError as error:
-            raise add_place(path, "matrix.drivers", error) from None
     return keep_once(wanted)
 
 
@@ -180,31 +270,19 @@ def _sections(path: Path, wanted: list[str]) -> tuple[tuple[str, str, str], ...]
     """``LINE``: each of its sections both ways; ``LINE ORIGIN DESTINATION``: one."""
     found = []
     for text in wanted:
-        line_id, *stations = _words(path, text)
-        line_id = resolve_name(path, line_id)
         try:
-            line = load_line(line_id)
-            if not stations:
-                cuts = [*line.sections(), *line.sections(backward=True)]
-            elif len(stations) == 2:
-                cuts = [line.section(*stations)]
-            else:
+            words = shlex.split(text)
+        except ValueError:
+            words = []
+        with _of_field(path, "matrix.sections"):
+            line_id = resolve_name(path, words[0]) if words else ""
+            line = load_line(line_id) if words else None
+            if line is None or len(words) not in (1, 3):
                 raise InputError("not a section", value=text, allowed="LINE, or LINE ORIGIN DESTINATION")
-        except InputError as error:
-            raise add_place(path, "matrix.sections", error) from None
+            both = line.sections(), line.sections(backward=True)
+            cuts = [line.section(*words[1:])] if len(words) == 3 else [cut for each in both for cut in each]
         found += [(line_id, cut.origin.code, cut.destination.code) for cut in cuts]
     return keep_once(found)
-
-
-def _words(path: Path, text: str) -> list[str]:
-    try:
-        words = shlex.split(text)
-    except ValueError:
-        words = []
-    if not words:
-        allowed = "LINE, or LINE ORIGIN DESTINATION"
-        raise InputError("not a section", file=path, field="matrix.sections", value=text, allowed=allowed)
-    return words
 
 
 def _disturbance(path: Path, item: CampaignDisturbance) -> DisturbanceCase:
@@ -215,13 +293,11 @@ def _disturbance(path: Path, item: CampaignDisturbance) -> DisturbanceCase:
             continue
         low, high = given if isinstance(given, tuple) else (given, given)
         field = f"disturbance {item.name}.{name}"
-        try:
+        with _of_field(path, field):
             for value in (low, high):
                 specs[name].check(name, value)
-        except InputError as error:
-            raise add_place(path, field, error) from None
-        if low > high:
-            raise InputError("ends before it begins", file=path, field=field, value=f"{low:g} to {high:g}")
+            if low > high:
+                raise InputError("ends before it begins", value=f"{low:g} to {high:g}")
         ranges[name] = (float(low), float(high))
     if item.ideal and item.actuation is not None:
         field = f"disturbance {item.name}.actuation"
@@ -237,6 +313,126 @@ def _disturbance(path: Path, item: CampaignDisturbance) -> DisturbanceCase:
         arrival=None if arrival is None else (arrival.factor, arrival.announced),
         actuation=item.actuation,
     )
+
+
+Whole = Annotated[int, Field(ge=0, lt=2**53)]
+
+
+class _SweepMatrix(StrictModel):
+    lines: Annotated[list[str], Field(min_length=1)]
+    headways: list[Annotated[int, Field(strict=True)]] = Field([])
+    days: list[str] = Field([])
+    trainsets: Annotated[list[str | DrawnTrainsets], Field(min_length=1)] | DrawnTrainsets = Field(["dkz32"])
+    loads: Annotated[list[str], Field(min_length=1)] | Annotated[str, Field(pattern="^all$")] = "all"
+    feedings: Annotated[list[Annotated[int, Field(strict=True)] | str], Field(min_length=1)] = Field([ZONES])
+
+
+class _SweepFile(StrictModel):
+    name: Annotated[str, Field(min_length=1)]
+    optimise: bool = False
+    sharp: bool = False
+    seed: Whole = 0
+    driver: str | None = None
+    runs: Annotated[int, Field(ge=1, le=100)] = 1
+    scatter: list[Annotated[float, Field(gt=0, le=300)]] = Field([])
+    matrix: _SweepMatrix
+    operation: dict[str, Any] = Field({})
+
+
+def sweep_from_values(path: Path, values: dict[str, Any]) -> LineSweep:
+    """Read a sweep from the values of its file.
+
+    Raises:
+        InputError: Something in it cannot be used.
+    """
+    found = validate(path, _SweepFile, values)
+    matrix = found.matrix
+    lines = keep_once([resolve_name(path, each) for each in matrix.lines])
+    options = _options(path, found.operation)
+    days = keep_once([resolve_name(path, each) for each in matrix.days])
+    sweep = LineSweep(
+        name=found.name,
+        services=(*keep_once(matrix.headways), *days),
+        lines=lines,
+        trainsets=list_trainsets(path, matrix.trainsets, matrix.loads),
+        feedings=keep_once([_feeding(path, each) for each in matrix.feedings]),
+        options=options,
+        optimise=found.optimise,
+        sharp=found.sharp,
+        seed=found.seed,
+        driver=found.driver,
+        runs=found.runs,
+        scatter_s=keep_once(found.scatter),
+    )
+    if not sweep.services:
+        raise InputError("neither a headway nor a day", file=path, field="matrix.headways")
+    if found.driver is not None:
+        with _of_field(path, "driver"):
+            make_driver(found.driver)
+    if found.sharp and days:
+        raise InputError("a day has no sharp floor", file=path, field="sharp", allowed="without matrix.days")
+    _check_lines(path, sweep)
+    return sweep
+
+
+def _options(path: Path, given: Mapping[str, Any]) -> tuple[dict[str, Number], ...]:
+    """All combinations of the fields of an operation, each a value or a list of them."""
+    axes: list[list[tuple[str, Number]]] = []
+    for name, value in given.items():
+        field = f"operation.{name}"
+        with _of_field(path, field):
+            check_name(name, OPTIONS, "key", field=field)
+            kind, spec = field_type(OperationOptions, name), field_specs(OperationOptions)[name]
+            given_values = value if isinstance(value, list) else [value]
+            checked = [spec.check(name, convert(name, one, kind, spec.allowed)) for one in given_values]
+            axes.append([(name, one) for one in keep_once(checked)])
+            if not axes[-1]:
+                raise InputError("the list is empty")
+    combined = tuple(dict(each) for each in product(*axes))
+    for each in combined:
+        try:
+            OperationOptions(**each)  # pyright: ignore[reportArgumentType] (checked above)
+        except InputError as error:
+            raise error.at(file=path, field=f"operation.{error.field}") from None
+    return combined
+
+
+def _feeding(path: Path, given: int | str) -> FeedingCase:
+    """A number of zones, or ``NETWORK``, or ``NETWORK ZONES``."""
+    if isinstance(given, int):
+        return FeedingCase(given)
+    try:
+        network, *zones = shlex.split(given)
+        (number,) = [int(each) for each in zones] or [ZONES]
+    except ValueError:
+        allowed = "a number of zones, NETWORK, or NETWORK ZONES"
+        raise InputError(
+            "not a feeding", file=path, field="matrix.feedings", value=given, allowed=allowed
+        ) from None
+    return FeedingCase(number, resolve_name(path, network))
+
+
+def _check_lines(path: Path, sweep: LineSweep) -> None:
+    """Refuse feedings, days and headways that do not fit the lines."""
+    with _of_field(path, "matrix.lines"):
+        lines = [load_line(each) for each in sweep.lines]
+    with _of_field(path, "matrix.headways"):
+        for service in sweep.services:
+            if isinstance(service, int):
+                OperationOptions(headway_s=service)
+    with _of_field(path, "matrix.feedings"):
+        for line, feeding in product(lines, sweep.feedings):
+            divide_zones(line, feeding.zones)
+            if feeding.network is not None:
+                load_feeding(feeding.network).check_line(line)
+            if sweep.sharp and feeding.zones != len(line.stations) - 1:
+                allowed = f"{len(line.stations) - 1}, one for each section of {line.id}"
+                words = "a floor is sharpened where each section is a zone"
+                raise InputError(words, value=feeding.zones, allowed=allowed)
+    with _of_field(path, "matrix.days"):
+        for line, service in product(lines, sweep.services):
+            if isinstance(service, str):
+                load_day(service).check_line(line)
 
 
 FOLDER = Path(__file__).parent / "files"
@@ -272,9 +468,6 @@ def read_campaign(
     Raises:
         InputError: No such campaign, or something in it cannot be used.
     """
-    from metropilot.campaign.reading import campaign_from_toml
-    from metropilot.evaluate import make_driver
-
     path = FOLDER / f"{name_or_path}.toml" if name_or_path in shipped_campaigns() else Path(name_or_path)
     if not path.exists():
         allowed = f"a TOML file, or one of {', '.join(shipped_campaigns())}"

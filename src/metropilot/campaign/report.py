@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from html import escape
 from pathlib import Path
@@ -17,6 +18,7 @@ from metropilot.errors import InputError
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
+    from matplotlib.figure import Figure
 
 RESULTS_FILE, TIMINGS_FILE = "results.parquet", "timings.parquet"
 DASH = "–"
@@ -76,7 +78,6 @@ def collect_parts(folder: Path) -> None:
 
 
 def _copy(query: str, partial: Path) -> None:
-    """Write a query's rows as Parquet."""
     import duckdb
 
     place = str(partial).replace("'", "''")
@@ -138,6 +139,27 @@ def query_rows(
     answer = database.execute(query, list(values))
     names = [column[0] for column in answer.description or ()]
     return [dict(zip(names, row, strict=True)) for row in answer.fetchall()]
+
+
+def number(value: int | float | None, digits: int, sign: str = "") -> str:
+    """A number with some digits; a dash for None."""
+    return DASH if value is None else f"{value:{sign}.{digits}f}"
+
+
+def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Lines of a table, its first column flush left and the others right."""
+    lines = ["| " + " | ".join(each) + " |" for each in (heads, *rows)]
+    return [lines[0], "|---" + "|---:" * (len(heads) - 1) + "|", *lines[1:]]
+
+
+def inline_svg(draw: Callable[[], Figure]) -> str:
+    """A figure, drawn in the house style, as SVG for a page."""
+    from metropilot.evaluate import house_style
+
+    text = io.StringIO()
+    with house_style():
+        draw().savefig(text, format="svg", metadata={"Date": None})
+    return "".join(text.getvalue().partition("<svg")[1:])
 
 
 def write_campaign_report(folder: Path, summary: Mapping[str, Any], about: Mapping[str, str]) -> Path:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import lru_cache
 from time import perf_counter, process_time
 from typing import Any
@@ -19,139 +17,10 @@ from metropilot.campaign.declared import (
 )
 from metropilot.campaign.matrix import CellRow, capture_errors, peak_memory_mb
 from metropilot.errors import Infeasible, InputError
-from metropilot.evaluate import (
-    OPTIMUM_SPACING_M,
-    OPTIMUM_TOLERANCE,
-    DrivingLimits,
-    Kpis,
-    Optimum,
-    RunSpec,
-    attainable_of,
-    driving_limits,
-    kpis_of,
-    optimum_of,
-)
-from metropilot.planning import Objective, Plan, PlanOptions, minimum_running_time, optimal_plan
-from metropilot.railway import Section, Trainset, load_line, load_trainset, parse_trainset
+from metropilot.evaluate import Kpis, Optimum, RunSpec, kpis_of, optimum_of
+from metropilot.planning import minimum_running_time
+from metropilot.railway import Section, load_line, load_trainset, parse_trainset
 from metropilot.sim import Drive, Run, drive
-
-STEP = 0.02
-"""Distance between two knots, as a share of the minimum running time."""
-KEPT = 256
-"""Largest number of curves in the cache of a worker."""
-
-
-class EnergyCurve:
-    """Least energy of one trainset on one section, over running time, ideal and attainable.
-
-    Args:
-        section: The section with every restriction of the run.
-        trainset: True plant.
-        objective: Energy minimised.
-        limits: Permitted speed and control period.
-
-    Raises:
-        Infeasible: The trainset cannot cover the section.
-    """
-
-    def __init__(
-        self, section: Section, trainset: Trainset, objective: Objective, limits: DrivingLimits
-    ) -> None:
-        self.section, self.trainset, self.limits = section, trainset, limits
-        self.options = PlanOptions(objective=objective, spacing_m=OPTIMUM_SPACING_M)
-        self.fastest_s = minimum_running_time(section, trainset)
-        self.knots: dict[int, Optimum] = {}
-
-    def at(self, time_s: float) -> Optimum:
-        """The optimum for a running time; within one step of the minimum it is solved directly.
-
-        Raises:
-            Infeasible: There is no plan.
-        """
-        time_s = max(time_s, self.fastest_s * (1.0 + OPTIMUM_TOLERANCE))
-        share = (time_s / self.fastest_s - 1.0) / STEP
-        k = math.floor(share)
-        if k < 1:
-            return self._solve(time_s)
-        low, high = self._knot(k), self._knot(k + 1)
-        if low.attainable is None or high.attainable is None:
-            return self._solve(time_s)
-        step_s = self.fastest_s * STEP
-        attainable = _between(share - k, step_s, low.attainable.plan, high.attainable.plan)
-        bound = attainable.energy_j * min(
-            each.bound_j / each.energy_j for each in (low.attainable, high.attainable)
-        )
-        return Optimum(
-            plan=replace(_between(share - k, step_s, low.plan, high.plan), running_time_s=time_s),
-            minimum_time_s=self.fastest_s,
-            attainable=low.attainable._replace(plan=attainable, bound_j=bound),
-        )
-
-    def _knot(self, k: int) -> Optimum:
-        if k not in self.knots:
-            self.knots[k] = self._solve(self.fastest_s * (1.0 + STEP * k))
-        return self.knots[k]
-
-    def _solve(self, time_s: float) -> Optimum:
-        """The optimum for a running time, solved."""
-        plan = optimal_plan(self.section, self.trainset, time_s, self.options)
-        found = attainable_of(self.section, self.trainset, time_s, self.limits, plan, self.options.objective)
-        return Optimum(plan, self.fastest_s, found)
-
-
-def _between(share: float, step_s: float, low: Plan, high: Plan) -> Plan:
-    """The lower of two plans with energy and bound of the running time between them.
-
-    Cubic Hermite interpolation of their energies and marginal energies.
-
-    Args:
-        share: Share of the way to the other plan.
-        step_s: Running time between the two.
-        low: Plan with the shorter running time.
-        high: Plan with the longer one.
-    """
-    a, b = low.energy_j, high.energy_j
-    da, db = -low.second_w * step_s, -high.second_w * step_s
-    t = share
-    ends = a * (1.0 + 2.0 * t) * (1.0 - t) ** 2 + b * t * t * (3.0 - 2.0 * t)
-    energy = ends + da * t * (1.0 - t) ** 2 - db * t * t * (1.0 - t)
-    bound = energy * min(low.bound_j / low.energy_j, high.bound_j / high.energy_j)
-    return replace(low, energy_j=energy, bound_j=bound)
-
-
-class Curves:
-    """Energy curves of a worker; the oldest are dropped beyond ``KEPT``."""
-
-    def __init__(self) -> None:
-        self.known: dict[Any, EnergyCurve] = {}
-
-    def get(
-        self,
-        plant: Any,  # noqa: ANN401
-        section: Section,
-        trainset: Trainset,
-        objective: Objective,
-        run: Run,
-    ) -> EnergyCurve:
-        """The curve of a plant.
-
-        Args:
-            plant: Key of the plant and of the bounds declared of it, hashable.
-            section: Its section.
-            trainset: Its trainset.
-            objective: Energy minimised.
-            run: A run with it.
-
-        Raises:
-            Infeasible: The trainset cannot cover the section.
-        """
-        if plant not in self.known:
-            while len(self.known) >= KEPT:
-                del self.known[next(iter(self.known))]
-            limits = driving_limits(run, section)
-            self.known[plant] = EnergyCurve(section, trainset, objective, limits)
-        return self.known[plant]
-
 
 WORDS = ("driver", "line", "origin", "destination", "trainset", "load", "time", "disturbance")
 PLANT = ("period_s", "trainset_delay_s", "trainset_lag_s")

@@ -33,7 +33,7 @@ def write_run(folder: Path, request: RunSpec, drive: Drive, kpis: Kpis, optimum:
     Raises:
         InputError: The folder cannot be made or written.
     """
-    from metropilot.evaluate.picture import profile_figure
+    from metropilot.evaluate.figures import profile_figure
     from metropilot.evaluate.style import save_figure
 
     with fill_folder(folder) as scratch:
@@ -55,7 +55,7 @@ def write_comparison(folder: Path, request: RunSpec, entries: Sequence[Entry]) -
     Raises:
         InputError: The folder cannot be made or written.
     """
-    from metropilot.evaluate.gallery import comparison_figure
+    from metropilot.evaluate.figures import comparison_figure
     from metropilot.evaluate.style import save_figure
 
     with fill_folder(folder) as scratch:

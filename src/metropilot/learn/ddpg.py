@@ -6,7 +6,7 @@ white by default; an optional price keeps the actor from the flat ends of tanh.
 
 from __future__ import annotations
 
-from typing import Any, final
+from typing import final
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,6 @@ from metropilot.env import AbstractTask
 from metropilot.learn.config import DDPGConfig
 from metropilot.learn.learner import needs_continuous
 from metropilot.learn.losses import ddpg as losses
-from metropilot.learn.networks import MLP
 from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
 from metropilot.learn.schedules import value_at
@@ -42,12 +41,10 @@ class DDPG(AbstractReplayLearner[DDPGConfig]):
 
     def __init__(self, config: DDPGConfig, task: AbstractTask) -> None:
         super().__init__(config, task, needs_continuous(task, config.algorithm), prioritised=False)
-        inputs = task.observation_size
+        inputs, bias = task.observation_size, config.initial_bias
         self.spec = self._policy_spec("tanh", self.actions)
-        kind: Any = {"activation": config.activation, "initialiser": config.initialiser}
-        bias = config.initial_bias
-        self.actor = MLP((inputs, *config.hidden, self.actions), output_scale=0.1, output_bias=bias, **kind)
-        self.critic = MLP((inputs + self.actions, *config.hidden, 1), **kind)
+        self.actor = self._network(inputs, self.actions, output_scale=0.1, output_bias=bias)
+        self.critic = self._network(inputs + self.actions, 1)
 
     def fresh(self, key: Array) -> Networks:
         """Actor and critic, and their copies as targets."""

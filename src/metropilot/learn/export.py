@@ -102,7 +102,6 @@ def export_onnx(
 
 
 def _libraries() -> tuple[Any, Any]:
-    """Onnx and onnxruntime."""
     try:
         import onnx
         import onnx.helper
@@ -164,14 +163,12 @@ def _layers(graph: _Graph, spec: PolicySpec, x: str, prefix: str, params: dict[s
 
 
 def _activate(graph: _Graph, spec: PolicySpec, x: str) -> str:
-    """One of the three nonlinearities."""
     if spec.activation == "silu":
         return graph.add("Mul", x, graph.add("Sigmoid", x))
     return graph.add({"tanh": "Tanh", "relu": "Relu"}[spec.activation], x)
 
 
 def _clip(graph: _Graph, x: str, bound: float, **attributes: Any) -> str:
-    """Values kept within plus and minus a bound."""
     low = graph.constant(f"minus_{bound:g}", np.float32(-bound))
     return graph.add("Clip", x, low, graph.constant(f"plus_{bound:g}", np.float32(bound)), **attributes)
 

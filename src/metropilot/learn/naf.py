@@ -5,7 +5,7 @@ Deviation: value, best action and matrix come from three networks of their own i
 
 from __future__ import annotations
 
-from typing import Any, final
+from typing import final
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from metropilot.env import AbstractTask
 from metropilot.learn.config import NAFConfig
 from metropilot.learn.learner import needs_continuous
 from metropilot.learn.losses import naf as losses
-from metropilot.learn.networks import MLP, lower_triangle
+from metropilot.learn.networks import lower_triangle
 from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
 from metropilot.learn.schedules import value_at
@@ -37,12 +37,10 @@ class NAF(AbstractReplayLearner[NAFConfig]):
     def __init__(self, config: NAFConfig, task: AbstractTask) -> None:
         super().__init__(config, task, needs_continuous(task, config.algorithm), prioritised=False)
         inputs, count = task.observation_size, self.actions
-        self.spec = self._policy_spec("tanh", self.actions)
-        kind: Any = {"activation": config.activation, "initialiser": config.initialiser}
-        sizes = (inputs, *config.hidden)
-        self.actor = MLP((*sizes, count), output_scale=0.1, output_bias=config.initial_bias, **kind)
-        self.value = MLP((*sizes, 1), **kind)
-        self.lower = MLP((*sizes, count * (count + 1) // 2), output_scale=0.1, **kind)
+        self.spec = self._policy_spec("tanh", count)
+        self.actor = self._network(inputs, count, output_scale=0.1, output_bias=config.initial_bias)
+        self.value = self._network(inputs, 1)
+        self.lower = self._network(inputs, count * (count + 1) // 2, output_scale=0.1)
 
     def fresh(self, key: Array) -> Networks:
         """Three networks; the value's copy as target."""

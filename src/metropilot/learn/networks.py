@@ -120,9 +120,6 @@ class MLP:
 
     def init(self, prefix: str, key: Array) -> Params:
         """Fresh parameters ``prefix.k.weight`` and ``prefix.k.bias``."""
-        import jax
-        import jax.numpy as jnp
-
         params = {}
         for k, (inputs, outputs) in enumerate(zip(self.sizes[:-1], self.sizes[1:], strict=True)):
             last = k == self.layers - 1
@@ -135,16 +132,11 @@ class MLP:
 
     def apply(self, params: Params, prefix: str, x: Array) -> Array:
         """The output for one input vector, in JAX. Shape (outputs,)."""
-        import jax.numpy as jnp
-
         return forward(params, prefix, x, self.activation, jnp)
 
 
 def _initial(net: MLP, last: bool, key: Array, shape: tuple[int, int]) -> Array:
     """One weight matrix (Saxe et al. 2014; He et al. 2015; Lillicrap et al. 2016, section 7)."""
-    import jax
-    import jax.numpy as jnp
-
     if net.initialiser == "orthogonal":
         gain = net.output_scale if last else 2.0**0.5
         return jax.nn.initializers.orthogonal(gain)(key, shape, jnp.float32)
@@ -163,8 +155,6 @@ def lower_triangle(entries: Array, size: int) -> Array:
     Returns:
         Shape (size, size).
     """
-    import jax.numpy as jnp
-
     rows, columns = np.tril_indices(size)
     entries = jnp.where(rows == columns, jnp.exp(jnp.clip(entries, -5.0, 5.0)), entries)
     return jnp.zeros((size, size), entries.dtype).at[rows, columns].set(entries)

@@ -19,9 +19,9 @@ from metropilot.env import AbstractTask
 from metropilot.learn import environments as env
 from metropilot.learn import replay
 from metropilot.learn.config import AbstractReplayConfig
-from metropilot.learn.learner import AbstractLearner, LearnerReport, observation_entries
-from metropilot.learn.schedules import value_at
-from metropilot.learn.statistics import (
+from metropilot.learn.learner import (
+    AbstractLearner,
+    LearnerReport,
     Moments,
     ReturnScale,
     moments_init,
@@ -30,6 +30,8 @@ from metropilot.learn.statistics import (
     return_scale_update,
     reward_divisor,
 )
+from metropilot.learn.networks import MLP
+from metropilot.learn.schedules import value_at
 from metropilot.policy import Params, PolicySpec, normalise, only_policy
 
 
@@ -148,6 +150,17 @@ class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]
             normalised=self.config.normalise_observations,
         )
 
+    def _network(self, inputs: int, outputs: int, **last: float) -> MLP:
+        """A network with the hidden layers of the configuration.
+
+        Args:
+            inputs: Length of its input.
+            outputs: Length of its output.
+            last: ``output_scale`` and ``output_bias`` of its last layer.
+        """
+        config = self.config
+        return MLP((inputs, *config.hidden, outputs), config.activation, config.initialiser, **last)
+
     @abstractmethod
     def fresh(self, key: Array) -> Networks:
         """Parameters, targets and optimiser at the beginning."""
@@ -228,13 +241,8 @@ class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]
         """Policy network and statistics of observations."""
         return only_policy(self.spec, state.networks.params | self._statistics(state.observed))
 
-    def _statistics(self, observed: Moments) -> Params:
-        return observation_entries(observed) if self.config.normalise_observations else {}
-
     def _normalise(self, statistics: Params, observation: Array) -> Array:
-        """Normalised observations. Shape (B, O)."""
-        if not self.config.normalise_observations:
-            return observation
+        """Normalised observations, where there are statistics. Shape (B, O)."""
         return jax.vmap(lambda x: normalise(statistics, x, jnp))(observation)
 
     def _step(self, state: ReplayState, act: Explore, key: Array) -> tuple[ReplayState, env.Finished]:

@@ -8,6 +8,7 @@ one per cent for every second off time.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -16,7 +17,7 @@ import numpy as np
 
 from metropilot._typing import Array
 from metropilot.env import DrivingTask, episode_of, starts
-from metropilot.planning import Optima, cached_optima
+from metropilot.planning import cached_optima
 from metropilot.policy import Params, PolicySpec, act
 from metropilot.sim import CODES, PUNCTUALITY_S, Episode, Outcome
 from metropilot.units import J_PER_KWH
@@ -86,7 +87,9 @@ class DrivingEvaluation:
         self.row = np.searchsorted(cases, self.grid.case)
         reach = np.max(task.times_s[1, cases] / task.minimum_s[cases])
         optima = cached_optima([task.config.cases[k] for k in cases], float(reach))
-        self.curves = _curves(optima)
+        # optimal energy over running time at many points, to be read by straight lines; each (C, POINTS)
+        times = np.linspace(optima.time_s[:, 0], optima.time_s[:, -1], POINTS, axis=1)
+        self.curves = times, np.stack([optima.at(np.full(POINTS, k), row) for k, row in enumerate(times)])
 
     def __call__(self, params: Params, key: Array) -> dict[str, Array]:
         """The KPIs of a policy's drives; see :func:`score_drives`."""
@@ -98,16 +101,14 @@ class DrivingEvaluation:
         state, seen = jax.vmap(task.begin)(self._starts(key))
         alive = jnp.ones(grid.case.shape, bool)
 
-        def keep_going(carry: Any) -> Array:
-            return jnp.any(carry[2])
-
         def one(carry: Any) -> Any:
             state, seen, alive, k = carry
             mask = jax.vmap(task.action_mask)(state)
             action = jax.vmap(lambda x, m: act(self.spec, params, x, m))(seen, mask)
             keys = jax.random.split(jax.random.fold_in(key, k), alive.size)
             after, found = jax.vmap(task.step)(keys, state, action)
-            state = jax.tree.map(lambda new, old: jnp.where(_along(alive, new), new, old), after, state)
+            hold = jax.vmap(lambda on, new, old: jax.tree.map(partial(jnp.where, on), new, old))
+            state = hold(alive, after, state)
             return (
                 state,
                 found.observation.astype(jnp.float32),
@@ -116,7 +117,7 @@ class DrivingEvaluation:
             )
 
         first = (state, seen.astype(jnp.float32), alive, jnp.zeros((), jnp.uint32))
-        state = jax.lax.while_loop(keep_going, one, first)[0]
+        state = jax.lax.while_loop(lambda carry: jnp.any(carry[2]), one, first)[0]
         episode = jax.vmap(lambda one: episode_of(task, one))(state)
         late = episode.running_time_s - episode.scheduled_s
         time_s, energy_j = (jnp.asarray(curve, jnp.float32)[self.row] for curve in self.curves)
@@ -160,17 +161,6 @@ def score_drives(drives: EvaluationRuns) -> dict[str, Array]:
         "running_time_s": _mean(episode.running_time_s, arrived),
         "interventions": jnp.sum(episode.interventions).astype(jnp.float32),
     }
-
-
-def _curves(optima: Optima) -> tuple[np.ndarray, np.ndarray]:
-    """Optimal energy over running time at many points, to be read by straight lines. Each (C, POINTS)."""
-    times = np.linspace(optima.time_s[:, 0], optima.time_s[:, -1], POINTS, axis=1)
-    rows = np.arange(times.shape[0])
-    return times, np.stack([optima.at(np.full(POINTS, k), times[k]) for k in rows])
-
-
-def _along(done: Array, value: Array) -> Array:
-    return jnp.reshape(done, done.shape + (1,) * (value.ndim - 1))
 
 
 def _mean(values: Array, where: Array) -> Array:

@@ -17,7 +17,17 @@ from metropilot._typing import Array
 from metropilot.env import AbstractTask
 from metropilot.learn import environments as env
 from metropilot.learn.config import PPOConfig
-from metropilot.learn.learner import AbstractLearner, LearnerReport, observation_entries
+from metropilot.learn.learner import (
+    AbstractLearner,
+    LearnerReport,
+    Moments,
+    ReturnScale,
+    moments_init,
+    moments_update,
+    return_scale_init,
+    return_scale_update,
+    reward_divisor,
+)
 from metropilot.learn.losses import ppo as losses
 from metropilot.learn.networks import (
     MLP,
@@ -31,15 +41,6 @@ from metropilot.learn.networks import (
 from metropilot.learn.optimiser import AdamState, adam_init, adam_step
 from metropilot.learn.replay import RowLayout
 from metropilot.learn.schedules import value_at
-from metropilot.learn.statistics import (
-    Moments,
-    ReturnScale,
-    moments_init,
-    moments_update,
-    return_scale_init,
-    return_scale_update,
-    reward_divisor,
-)
 from metropilot.policy import Params, PolicySpec, network_output, normalise, only_policy
 
 ADAM_EPSILON = 1e-5
@@ -153,9 +154,6 @@ class PPO(AbstractLearner[PPOConfig]):
     def policy(self, state: PPOState) -> Params:
         """Policy network and statistics of observations."""
         return only_policy(self.spec, state.params | self._statistics(state.observed))
-
-    def _statistics(self, observed: Moments) -> Params:
-        return observation_entries(observed) if self.config.normalise_observations else {}
 
     def _roll(
         self, params: Params, environments: env.Environments, key: Array, floor: Array | float

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -41,16 +41,21 @@ class Recipe:
     Attributes:
         task: Name of a registered task.
         paper: The learner's configuration that the shipped policy was learned with.
-        quick: The same under the budget ``quick`` (about two minutes on two cores).
+        shorter: Fields that the budget ``quick`` (about two minutes on two cores) sets otherwise.
         changes: Change of the task's configuration; None: none.
         evaluation: Evaluates a policy while it is learned; None: drives of the task from standstill.
     """
 
     task: str
     paper: AbstractConfig
-    quick: AbstractConfig
+    shorter: Mapping[str, Any]
     changes: Callable[[DrivingConfig], DrivingConfig] | None = None
     evaluation: Callable[[AbstractConfig, DrivingTask], PolicyEvaluation] | None = None
+
+    @property
+    def quick(self) -> AbstractConfig:
+        """The learner's configuration under the budget ``quick``."""
+        return replace(self.paper, **self.shorter)
 
     @property
     def algorithm(self) -> str:
@@ -241,41 +246,29 @@ TABLE_BASE = TabularConfig(
     evaluations=16,
 )
 
-PPO_RECIPE = Recipe("drive_both", PPO_BASE, replace(PPO_BASE, **PPO_QUICK))
-PPO_SCALED_RECIPE = Recipe(
-    "drive_both",
-    replace(PPO_BASE, reward_scaling=True),
-    replace(PPO_BASE, reward_scaling=True, **PPO_QUICK),
-)
-DDPG_RECIPE = Recipe("drive", DDPGConfig(**REPLAY_BASE), DDPGConfig(**{**REPLAY_BASE, **REPLAY_QUICK}))
-SAC_RECIPE = Recipe("drive", SACConfig(**REPLAY_BASE), SACConfig(**{**REPLAY_BASE, **REPLAY_QUICK}))
-NAF_RECIPE = Recipe("drive", NAFConfig(**REPLAY_BASE), NAFConfig(**{**REPLAY_BASE, **REPLAY_QUICK}))
-TABULAR_RECIPE = Recipe(
-    "drive_notches", TABLE_BASE, replace(TABLE_BASE, steps=4_000_000, evaluations=8), changes=_coarse
-)
-GENERALIST_RECIPE = Recipe(
-    "worlds",
-    TeacherConfig(),
-    TeacherConfig(
-        worlds=200,
-        plans=4,
-        states=100,
-        batches=4_000,
-        hidden=(64, 64),
-        decisions=9_600,
-        steps=480_000,
-        evaluations=1,
-    ),
-)
+GENERALIST_QUICK = {
+    "worlds": 200,
+    "plans": 4,
+    "states": 100,
+    "batches": 4_000,
+    "hidden": (64, 64),
+    "decisions": 9_600,
+    "steps": 480_000,
+    "evaluations": 1,
+}
 
 RECIPES: Registry[Recipe] = Registry(
     "recipe",
     {
-        "ppo": RegistryRow(PPO_RECIPE, "PPO", "own, after Chen23a"),
-        "ppo_scaled": RegistryRow(PPO_SCALED_RECIPE, "PPO with reward scaling", "own, after Chen23a"),
-        "ddpg": RegistryRow(DDPG_RECIPE, "DDPG", "Lillicrap16"),
-        "sac": RegistryRow(SAC_RECIPE, "SAC", "Haarnoja18"),
-        "naf": RegistryRow(NAF_RECIPE, "NAF", "Gu16"),
+        "ppo": RegistryRow(Recipe("drive_both", PPO_BASE, PPO_QUICK), "PPO", "own, after Chen23a"),
+        "ppo_scaled": RegistryRow(
+            Recipe("drive_both", replace(PPO_BASE, reward_scaling=True), PPO_QUICK),
+            "PPO with reward scaling",
+            "own, after Chen23a",
+        ),
+        "ddpg": RegistryRow(Recipe("drive", DDPGConfig(**REPLAY_BASE), REPLAY_QUICK), "DDPG", "Lillicrap16"),
+        "sac": RegistryRow(Recipe("drive", SACConfig(**REPLAY_BASE), REPLAY_QUICK), "SAC", "Haarnoja18"),
+        "naf": RegistryRow(Recipe("drive", NAFConfig(**REPLAY_BASE), REPLAY_QUICK), "NAF", "Gu16"),
         "eitop": RegistryRow(
             "metropilot.studies.huang2025.learning:EITOP_RECIPE", "PPO inside the expert", "Huang25"
         ),
@@ -293,7 +286,9 @@ RECIPES: Registry[Recipe] = Registry(
             "Zhou et al. 2020, compared in Huang25",
         ),
         "generalist": RegistryRow(
-            GENERALIST_RECIPE, "imitation of the optimal plan, then closed-loop driving", "own"
+            Recipe("worlds", TeacherConfig(), GENERALIST_QUICK),
+            "imitation of the optimal plan, then closed-loop driving",
+            "own",
         ),
         "dqn": RegistryRow("metropilot.studies.lu2023.learning:DQN_RECIPE", "DQN", "Lu23"),
         "improved_dqn": RegistryRow(
@@ -302,7 +297,9 @@ RECIPES: Registry[Recipe] = Registry(
             "Lu23",
         ),
         "tabular": RegistryRow(
-            TABULAR_RECIPE, "Q-learning in a table, for one load and time", "own, after Huang25's ITOR"
+            Recipe("drive_notches", TABLE_BASE, {"steps": 4_000_000, "evaluations": 8}, changes=_coarse),
+            "Q-learning in a table, for one load and time",
+            "own, after Huang25's ITOR",
         ),
     },
     field="driver",

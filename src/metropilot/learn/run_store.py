@@ -15,7 +15,7 @@ import sqlite3
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -40,26 +40,6 @@ CREATE TABLE IF NOT EXISTS runs (
 )
 """
 SCHEMA_VERSION = 3
-COLUMNS = (
-    "id",
-    "algorithm",
-    "task",
-    "seed",
-    "status",
-    "created",
-    "seconds",
-    "steps",
-    "score",
-    "commit_id",
-    "config",
-    "about",
-    "versions",
-    "driver",
-    "command",
-    "machine",
-    "kpis",
-    "compile_seconds",
-)
 LARGEST = 2**63
 """Above what SQLite holds."""
 PLAIN = {"config", "about", "versions", "kpis"}
@@ -112,6 +92,9 @@ class RunRecord:
     def configuration(self) -> AbstractConfig:
         """The configuration as learners take it."""
         return config_from_mapping(self.algorithm, self.config, file=f"run {self.id}")
+
+
+COLUMNS = tuple(field.name for field in fields(RunRecord))
 
 
 class RunStore:
@@ -263,7 +246,8 @@ class RunStore:
             return []
         with self._index() as database:
             rows = database.execute(f"SELECT {', '.join(COLUMNS)} FROM runs {rest}", values).fetchall()
-        return [_record(row) for row in rows]
+        named = (dict(zip(COLUMNS, row, strict=True)) for row in rows)
+        return [RunRecord(**{**row, **{name: json.loads(row[name]) for name in PLAIN}}) for row in named]
 
     @contextmanager
     def _index(self) -> Iterator[sqlite3.Connection]:
@@ -348,12 +332,6 @@ def _insert(database: sqlite3.Connection, record: RunRecord) -> None:
     row = [json.dumps(value) if name in PLAIN else value for name, value in asdict(record).items()]
     marks = ", ".join("?" * len(COLUMNS))
     database.execute(f"INSERT OR REPLACE INTO runs ({', '.join(COLUMNS)}) VALUES ({marks})", row)
-
-
-def _record(row: tuple[Any, ...]) -> RunRecord:
-    """A record from its row."""
-    named: dict[str, Any] = dict(zip(COLUMNS, row, strict=True))
-    return RunRecord(**{name: json.loads(value) if name in PLAIN else value for name, value in named.items()})
 
 
 def write_history(path: Path, history: Mapping[str, np.ndarray]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, final
+from typing import final
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ from metropilot.learn.config import SACConfig
 from metropilot.learn.ddpg import subset
 from metropilot.learn.learner import needs_continuous
 from metropilot.learn.losses import sac as losses
-from metropilot.learn.networks import MLP, squashed_sample
+from metropilot.learn.networks import squashed_sample
 from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
 from metropilot.learn.schedules import value_at
@@ -38,9 +38,8 @@ class SAC(AbstractReplayLearner[SACConfig]):
         super().__init__(config, task, needs_continuous(task, config.algorithm), prioritised=False)
         inputs = task.observation_size
         self.spec = self._policy_spec("tanh", 2 * self.actions)
-        kind: Any = {"activation": config.activation, "initialiser": config.initialiser}
-        self.actor = MLP((inputs, *config.hidden, 2 * self.actions), output_scale=0.1, **kind)
-        self.critic = MLP((inputs + self.actions, *config.hidden, 1), **kind)
+        self.actor = self._network(inputs, 2 * self.actions, output_scale=0.1)
+        self.critic = self._network(inputs + self.actions, 1)
 
     def fresh(self, key: Array) -> Networks:
         """Actor, two critics and the temperature; the critics' copies as targets."""

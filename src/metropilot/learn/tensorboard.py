@@ -39,7 +39,6 @@ def masked_crc(data: bytes) -> int:
 
 
 def _varint(number: int) -> bytes:
-    """A protobuf varint."""
     out = bytearray()
     while number > 0x7F:
         out.append(number & 0x7F | 0x80)
@@ -48,12 +47,10 @@ def _varint(number: int) -> bytes:
 
 
 def _chunk(field: int, data: bytes) -> bytes:
-    """A protobuf field that carries bytes."""
     return _varint(field << 3 | 2) + _varint(len(data)) + data
 
 
 def _event(wall_time: float, rest: bytes) -> bytes:
-    """One record."""
     event = b"\x09" + struct.pack("<d", wall_time) + rest
     length = struct.pack("<Q", len(event))
     return length + struct.pack("<I", masked_crc(length)) + event + struct.pack("<I", masked_crc(event))

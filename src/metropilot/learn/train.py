@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -292,7 +293,6 @@ def begin_run(store: RunStore, request: RunRequest, run_id: str | None = None) -
 
 
 def _about(request: RunRequest) -> dict[str, Any]:
-    """Identification of the task."""
     return dict(request.about or {}) | {"name": request.name}
 
 
@@ -301,7 +301,6 @@ def _learn(
 ) -> tuple[RunRecord, TrainingResult]:
     """The learning itself, with the folder's lock held."""
     folder, about = store.folder(record.id), _about(request)
-    events = EventWriter(folder) if request.tensorboard else None
     before, record = record, store.update(record, status="running")
     reached: dict[str, Any] = {}
 
@@ -315,13 +314,12 @@ def _learn(
 
     checkpoint = folder / CHECKPOINT_FILE
     whole = replace(given, on_progress=progress, checkpoint=checkpoint, resume=resume, about=about)
+    learner: Callable[..., TrainingResult] = learn_in_chunks
+    if isinstance(request.config, TeacherConfig) and isinstance(request.task, DrivingTask):
+        from metropilot.learn.imitation.training import train_in_parts as learner
     try:
-        if isinstance(request.config, TeacherConfig) and isinstance(request.task, DrivingTask):
-            from metropilot.learn.imitation.training import train_in_parts
-
-            learned = train_in_parts(request.config, request.task, request.seed, whole)
-        else:
-            learned = learn_in_chunks(request.config, request.task, request.seed, whole)
+        with EventWriter(folder) if request.tensorboard else nullcontext() as events:
+            learned = learner(request.config, request.task, request.seed, whole)
     except InputError:
         store.save(before)
         raise
@@ -329,9 +327,6 @@ def _learn(
         status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
         store.update(record, status=status, **reached)
         raise
-    finally:
-        if events:
-            events.close()
     write_history(folder / HISTORY_FILE, learned.history)
     finite = learned.score if math.isfinite(learned.score) else None
     steps = int(learned.history["steps"][-1])

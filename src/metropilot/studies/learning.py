@@ -152,7 +152,6 @@ def _learn(job: LearnJob, folder: Path) -> str:
 
 
 def _read(job: LearnJob, folder: Path) -> SeedResult:
-    """Read a finished run from its folder."""
     from metropilot.learn import HISTORY_FILE, read_history, record_of
     from metropilot.policy import load_policy
 

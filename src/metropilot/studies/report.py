@@ -66,6 +66,24 @@ class ReportRow:
         return replace(self, ours=middle, low=low, high=high, values=each)
 
 
+def make_row(
+    table: str,
+    case: str,
+    driver: str,
+    kpi: str,
+    unit: str,
+    values: Iterable[float],
+    published: float | None = None,
+    optimum: float | None = None,
+) -> ReportRow:
+    """A row with the median and range of one value per seed; see :class:`ReportRow`.
+
+    Raises:
+        InputError: No value, or one that is not finite.
+    """
+    return ReportRow(table, case, driver, kpi, unit, published, optimum=optimum).with_values(values)
+
+
 def paragraphs(text: str) -> tuple[str, ...]:
     """Paragraphs of a text, each on one line."""
     return tuple(" ".join(part.split()) for part in text.strip().split("\n\n"))

@@ -30,7 +30,7 @@ from metropilot.env import (
 from metropilot.errors import InputError
 from metropilot.learn.compile_cache import keep_compiled
 from metropilot.learn.config import TeacherConfig
-from metropilot.learn.imitation.closed_loop import ClosedLoop
+from metropilot.learn.imitation.closed_loop import ClosedLoop, Tuning, drives_of
 from metropilot.learn.imitation.demonstrations import (
     SPACING_M,
     Demonstrations,
@@ -47,7 +47,6 @@ from metropilot.learn.imitation.train_state import (
     new_train_state,
     reset_optimiser,
 )
-from metropilot.learn.imitation.tuning import Tuning, drives_of
 from metropilot.learn.schedules import value_at
 from metropilot.learn.train import (
     TrainingLog,
@@ -193,7 +192,6 @@ class _Training:
         return IMITATIONS + self.config.evaluations
 
     def _parts(self, demonstrations: Demonstrations, numbers: np.ndarray) -> Part:
-        """Build the functions of each part."""
         config, spec = self.config, imitation_spec(self.config, demonstrations.observations.shape[1])
         action = self.task.config.action
         assert isinstance(action, RegimeAction)
@@ -227,7 +225,6 @@ class _Training:
         seen: np.ndarray,
         wanted: np.ndarray,
     ) -> tuple[TrainState, dict[str, float]]:
-        """One part of the imitation."""
         config, spec = self.config, imitation_spec(self.config, seen.shape[1])
         rounds = max(config.batches // IMITATIONS // AT_A_TIME, 1)
 
@@ -258,7 +255,6 @@ class _Training:
     def _drive(
         self, number: int, train_state: TrainState, random: np.random.Generator, tuning: Tuning
     ) -> tuple[TrainState, dict[str, float]]:
-        """One part of the closed loop."""
         config, costs = self.config, []
         rounds = self._rounds
         for k in range(rounds):

@@ -24,7 +24,7 @@ from metropilot.studies.chen2023a.setting import (
     task_config,
 )
 from metropilot.studies.learning import LearnJob
-from metropilot.studies.report import PrintedSetting, ReportRow
+from metropilot.studies.report import PrintedSetting, ReportRow, make_row
 from metropilot.studies.study import AsPrinted, LiteralRun, Order
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def measure(order: Order) -> LiteralRun:
             (drives.STOP, SPEED, "m/s", "end_mps"),
         ):
             values = [drives.final(result.history[f"evaluation.{column}"]) for result in mine]
-            rows.append(ReportRow(table, drives.DRIVING, name, kpi, unit).with_values(values))
+            rows.append(make_row(table, drives.DRIVING, name, kpi, unit, values))
     cut = f"{len(seeds)} seed of {CUT[order.budget]:,} episodes each; the paper has {EPISODES:,}."
     return LiteralRun(rows, [cut, _finding(rows)])
 

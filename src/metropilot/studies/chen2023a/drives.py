@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +25,7 @@ from metropilot.studies.chen2023a.setting import (
     make_assisted,
 )
 from metropilot.studies.learning import SeedResult, drive_to_end
-from metropilot.studies.report import ReportRow
+from metropilot.studies.report import ReportRow, make_row
 from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:
@@ -130,6 +131,7 @@ Courses = Mapping[str, Sequence[DriveCourse]]
 Bound = Callable[[float], "float | None"]
 AFTER = 4000.0
 """The paper judges the running time from this episode on."""
+SHARE, EPISODES_KPI = "share of seeds converged", "episodes to converge (of those that did)"
 MOST_ENERGY, HIGHEST_IMPACT = "place in energy, 1 is most", "place in impact rate, 1 is highest"
 LEARNING, DRIVING = "episodes with exploration", "the policy itself"
 KINDS = ((LEARNING, "learning"), (DRIVING, "driving"))
@@ -157,14 +159,8 @@ def paper_rows(courses: Courses, least: Bound) -> list[ReportRow]:
         courses: One course per seed, by learner.
         least: Certified least energy at a running time.
     """
-    rows = [*reward_rows(courses), *loss_rows(courses), *time_rows(courses)]
-    return [
-        *rows,
-        *energy_rows(courses, least),
-        *impact_rows(courses),
-        *order_rows(courses),
-        *stop_rows(courses),
-    ]
+    rows = [*reward_rows(courses), *loss_rows(courses), *time_rows(courses), *energy_rows(courses, least)]
+    return [*rows, *impact_rows(courses), *order_rows(courses), *stop_rows(courses)]
 
 
 def reward_rows(courses: Courses) -> Iterator[ReportRow]:
@@ -172,21 +168,14 @@ def reward_rows(courses: Courses) -> Iterator[ReportRow]:
     for case, kind in KINDS:
         for name, mine in courses.items():
             at = find_convergences(mine, kind)
-            said = case == LEARNING
-            share = ReportRow(
-                REWARD,
-                case,
-                name,
-                "share of seeds converged",
-                "",
-                CONVERGED[name] if said else None,
-            )
-            yield share.with_values([float(np.mean([a is not None for a in at]))])
-            when = CONVERGED_AT.get(name) if said else None
-            row = ReportRow(REWARD, case, name, "episodes to converge (of those that did)", "episodes", when)
+            said = CONVERGED[name] if case == LEARNING else None
+            share = float(np.mean([a is not None for a in at]))
+            yield make_row(REWARD, case, name, SHARE, "", [share], said)
+            when = CONVERGED_AT.get(name) if case == LEARNING else None
+            row = ReportRow(REWARD, case, name, EPISODES_KPI, "episodes", when)
             yield row.with_values(there) if (there := [a for a in at if a is not None]) else row
             returns = [final(getattr(one, kind)["return"]) for one in mine]
-            yield ReportRow(REWARD, case, name, "final return", "").with_values(returns)
+            yield make_row(REWARD, case, name, "final return", "", returns)
 
 
 def constant_rows() -> Iterator[ReportRow]:
@@ -219,16 +208,12 @@ def find_convergences(mine: Sequence[DriveCourse], kind: str) -> list[float | No
 def loss_rows(courses: Courses) -> Iterator[ReportRow]:
     """Size of the loss at the beginning and at the end of learning."""
     for name, mine in courses.items():
-        row = ReportRow(LOSS, "first tenth of the learning", name, "median size of the loss", "")
-        yield row.with_values([_loss(one, 0) for one in mine])
-        row = ReportRow(LOSS, "last tenth of the learning", name, "median size of the loss", "")
-        yield row.with_values([_loss(one, 1) for one in mine])
-
-
-def _loss(one: DriveCourse, end: int) -> float:
-    """Median size over the first (0) or last (1) tenth of the chunks."""
-    count = max(1, one.loss.size // 10)
-    return float(np.nanmedian(np.abs(one.loss[-count:] if end else one.loss[:count])))
+        tenths = [max(1, one.loss.size // 10) for one in mine]
+        first = [one.loss[:count] for one, count in zip(mine, tenths, strict=True)]
+        last = [one.loss[-count:] for one, count in zip(mine, tenths, strict=True)]
+        for case, losses in (("first", first), ("last", last)):
+            sizes = [float(np.nanmedian(np.abs(loss))) for loss in losses]
+            yield make_row(LOSS, f"{case} tenth of the learning", name, "median size of the loss", "", sizes)
 
 
 def time_rows(courses: Courses) -> Iterator[ReportRow]:
@@ -236,17 +221,12 @@ def time_rows(courses: Courses) -> Iterator[ReportRow]:
     for case, kind in KINDS:
         for name, mine in courses.items():
             times = [final(getattr(one, kind)["running_time_s"]) for one in mine]
-            yield ReportRow(TIME, case, name, "final running time", "s").with_values(times)
-            said = "share of chunks after 4000 episodes within 88 s"
-            yield ReportRow(TIME, case, name, said, "").with_values(
-                [_share_in_time(one, kind) for one in mine]
-            )
-
-
-def _share_in_time(one: DriveCourse, kind: str) -> float:
-    """Share of the chunks after 4000 episodes (or half of a shorter run) within the threshold."""
-    late = one.episodes > min(AFTER, 0.5 * float(one.episodes[-1]))
-    return float(np.mean(getattr(one, kind)["running_time_s"][late] <= THRESHOLD_S))
+            yield make_row(TIME, case, name, "final running time", "s", times)
+            # of a shorter run its second half
+            late = [one.episodes > min(AFTER, 0.5 * float(one.episodes[-1])) for one in mine]
+            later = [getattr(one, kind)["running_time_s"][k] for one, k in zip(mine, late, strict=True)]
+            shares = [float(np.mean(times <= THRESHOLD_S)) for times in later]
+            yield make_row(TIME, case, name, "share of chunks after 4000 episodes within 88 s", "", shares)
 
 
 def energy_rows(courses: Courses, least: Bound) -> Iterator[ReportRow]:
@@ -262,8 +242,8 @@ def energy_rows(courses: Courses, least: Bound) -> Iterator[ReportRow]:
         row = ReportRow(ENERGY, DRIVING, name, "above the optimum in the same running time", "%")
         yield row.with_values([100.0 * (e / b - 1.0) for e, b in known]) if known else row
     for name, mine in courses.items():
-        row = ReportRow(ENERGY, LEARNING, name, "final energy", "kWh")
-        yield row.with_values([final(one.learning["energy_kwh"]) for one in mine])
+        used = [final(one.learning["energy_kwh"]) for one in mine]
+        yield make_row(ENERGY, LEARNING, name, "final energy", "kWh", used)
 
 
 def impact_rows(courses: Courses) -> Iterator[ReportRow]:
@@ -271,7 +251,7 @@ def impact_rows(courses: Courses) -> Iterator[ReportRow]:
     for case, kind in KINDS:
         for name, mine in courses.items():
             values = [final(getattr(one, kind)["impact_mps3"]) for one in mine]
-            yield ReportRow(IMPACT, case, name, "final mean impact rate", "m/s³").with_values(values)
+            yield make_row(IMPACT, case, name, "final mean impact rate", "m/s³", values)
 
 
 def order_rows(courses: Courses) -> Iterator[ReportRow]:
@@ -286,14 +266,14 @@ def order_rows(courses: Courses) -> Iterator[ReportRow]:
             words = MOST_ENERGY if kpi == "energy_kwh" else HIGHEST_IMPACT
             for name in courses:
                 said = order.index(name) + 1.0 if case == LEARNING and name in order else None
-                yield ReportRow(ORDER, case, name, words, "", said).with_values([ours.index(name) + 1.0])
+                yield make_row(ORDER, case, name, words, "", [ours.index(name) + 1.0], said)
 
 
 def stop_rows(courses: Courses) -> Iterator[ReportRow]:
     """Final stopping error."""
     for name, mine in courses.items():
         errors = [final(one.driving["stopping_error_m"]) for one in mine]
-        yield ReportRow(STOP, DRIVING, name, "final stopping error", "m").with_values(errors)
+        yield make_row(STOP, DRIVING, name, "final stopping error", "m", errors)
 
 
 def outcome_rows(table: str, courses: Courses) -> Iterator[ReportRow]:
@@ -301,13 +281,9 @@ def outcome_rows(table: str, courses: Courses) -> Iterator[ReportRow]:
     for case, mine in courses.items():
         driver = "ddpg" if "ddpg" in case else "ppo_scaled" if "scaled" in case else "ppo"
         at = find_convergences(mine, "learning")
-        share = ReportRow(table, case, driver, "share of seeds converged", "")
-        yield share.with_values([float(np.mean([a is not None for a in at]))])
+        row = partial(make_row, table, case, driver)
+        yield row(SHARE, "", [float(np.mean([a is not None for a in at]))])
         if there := [a for a in at if a is not None]:
-            yield ReportRow(
-                table, case, driver, "episodes to converge (of those that did)", "episodes"
-            ).with_values(there)
-        returns = [final(one.driving["return"]) for one in mine]
-        yield ReportRow(table, case, driver, "final return of the policy itself", "").with_values(returns)
-        times = [final(one.driving["running_time_s"]) for one in mine]
-        yield ReportRow(table, case, driver, "final running time", "s").with_values(times)
+            yield row(EPISODES_KPI, "episodes", there)
+        yield row("final return of the policy itself", "", [final(one.driving["return"]) for one in mine])
+        yield row("final running time", "s", [final(one.driving["running_time_s"]) for one in mine])

@@ -53,6 +53,8 @@ def figures(courses: Mapping[str, Sequence[DriveCourse]], optimum_kwh: float) ->
         "Blue: the policy's own run from standstill; orange: episodes with exploration. "
         "Lines: median over the seeds; areas: their range"
     )
+    parts = [part for mine in courses.values() for one in mine for part in (one.learning, one.driving)]
+    impacts = [part["impact_mps3"] for part in parts]
     panels = (
         Panel(
             "return", "return", f"Return over episodes (its figs. 5 to 7). {band_text}.", span=(-260.0, 110.0)
@@ -75,7 +77,8 @@ def figures(courses: Mapping[str, Sequence[DriveCourse]], optimum_kwh: float) ->
             "impact_mps3",
             "mean impact rate in m/s³",
             f"Mean impact rate over episodes (its figs. 17 to 19). {band_text}.",
-            span=(0.0, _top(courses, "impact_mps3")),
+            # a little above nearly all values
+            span=(0.0, 1.1 * float(np.nanquantile(np.concatenate(impacts), 0.995))),
         ),
     )
     loss = "Loss over episodes (its figs. 8 to 10), each learner's own: compare the course, not the size."
@@ -86,17 +89,10 @@ def figures(courses: Mapping[str, Sequence[DriveCourse]], optimum_kwh: float) ->
     return [made[0], Figure("loss", loss, partial(_draw, courses, _loss)), *made[1:]]
 
 
-def _top(courses: Mapping[str, Sequence[DriveCourse]], name: str) -> float:
-    """Upper axis limit, slightly above nearly all values of a measure."""
-    every = [part[name] for mine in courses.values() for one in mine for part in (one.learning, one.driving)]
-    return 1.1 * float(np.nanquantile(np.concatenate(every), 0.995))
-
-
 Draw = Callable[["Axes", Sequence[DriveCourse], np.ndarray], None]
 
 
 def _draw(courses: Mapping[str, Sequence[DriveCourse]], draw: Draw) -> Drawing:
-    """Draw three panels side by side."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as New
 
@@ -118,14 +114,11 @@ def _draw(courses: Mapping[str, Sequence[DriveCourse]], draw: Draw) -> Drawing:
 
 
 def _is_first(axes: Axes) -> bool:
-    """True for the leftmost panel."""
     place = axes.get_subplotspec()
     return place is not None and place.is_first_col()
 
 
 def _measure(panel: Panel) -> Draw:
-    """Return a function that draws one measure of one learner."""
-
     def draw(axes: Axes, mine: Sequence[DriveCourse], grid: np.ndarray) -> None:
         from metropilot.evaluate import BLUE, GREY, ORANGE
 
@@ -168,7 +161,6 @@ def _band(
     grid: np.ndarray,
     look: tuple[str, float, float],
 ) -> None:
-    """Draw median and range."""
     colour, width, alpha = look
     low, middle, high = band(mine, values, grid)
     axes.fill_between(grid, low, high, color=colour, alpha=alpha, linewidth=0)

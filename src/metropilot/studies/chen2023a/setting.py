@@ -50,8 +50,6 @@ CONVERGED_AT: Mapping[str, float] = MappingProxyType({"ppo_scaled": 3000.0, "ddp
 """Episodes after which the reward is called stable (figs. 5 and 7); plain PPO never (fig. 6)."""
 CONVERGED: Mapping[str, float] = MappingProxyType({"ppo": 0.0, "ppo_scaled": 1.0, "ddpg": 1.0})
 """Share of the runs whose reward converged: one run each."""
-LOSS_CONVERGED: Mapping[str, float] = MappingProxyType({"ppo": 0.0, "ppo_scaled": 1.0, "ddpg": 0.0})
-"""Share of the runs whose loss converged (figs. 8 to 10)."""
 ENERGY_ORDER = ("ddpg", "ppo_scaled", "ppo")
 """Most energy first (figs. 14 to 16): DDPG "much higher", plain PPO lowest because it is late."""
 IMPACT_ORDER = ("ddpg", "ppo_scaled", "ppo")

@@ -11,11 +11,10 @@ import numpy as np
 
 from metropilot.convoy import FOLLOWERS, GAP_M, ConvoyTask, ConvoyTaskConfig
 from metropilot.studies.chen2023b.drivers import FollowPolicyOptions
-from metropilot.studies.chen2023b.drives import FIGURES, drive_pair, drive_rows
 from metropilot.studies.chen2023b.learning import ETAS, NAMES, STEPS, config, make_evaluation
-from metropilot.studies.chen2023b.words import HEAD_CASE
+from metropilot.studies.chen2023b.setting import FIGURES, HEAD_CASE, drive_pair, drive_rows
 from metropilot.studies.learning import LearnJob
-from metropilot.studies.report import PrintedSetting, ReportRow
+from metropilot.studies.report import PrintedSetting, ReportRow, make_row
 from metropilot.studies.study import AsPrinted, LiteralRun, Order
 
 if TYPE_CHECKING:
@@ -71,8 +70,8 @@ def measure(order: Order) -> LiteralRun:
         followers = [FOLLOWERS.make(name, options=FollowPolicyOptions(path)) for path in paths]
         drives = [drive_pair(follower, guard="none") for follower in followers]
         rows += drive_rows(name, drives)
-        contacts = ReportRow(FIGURES, HEAD_CASE, name, "drives with a contact", "%")
-        rows.append(contacts.with_values(100.0 * bool(np.any(one.gap_m < 0.0)) for one in drives))
+        contacts = [100.0 * bool(np.any(one.gap_m < 0.0)) for one in drives]
+        rows.append(make_row(FIGURES, HEAD_CASE, name, "drives with a contact", "%", contacts))
     length = f"{len(seeds)} seed of about {CUT[order.budget]:,} episodes each; the paper has {EPISODES:,}."
     inert = (
         f"Eq. 18 with the gap itself gives at most {1.0 / (1.0 + 1000.0 * GAP_M):.4f} of 1 for a gap of "

@@ -21,7 +21,7 @@ from metropilot.convoy import (
 )
 from metropilot.studies.chen2023b.drivers import AbstractGainFollower
 from metropilot.studies.chen2023b.setting import head_run, pair
-from metropilot.studies.report import ReportRow
+from metropilot.studies.report import ReportRow, make_row
 from metropilot.units import KMH_PER_MPS
 
 TABLE = "Beyond the paper: "
@@ -62,10 +62,8 @@ def rough_rows(
             values = load_or_compute(path, about, partial(_drive_disturbed, follower, count))
             case = f"{count} trainsets, masses ±20 %, delay 0.3 s, loss 10 %"
             kpis = ("contacts", ""), ("smallest gap", "m"), ("largest gap", "m"), ("interventions", "")
-            rows += [
-                ReportRow(TABLE + "the same policy, disturbed", case, name, *kpi).with_values([value])
-                for kpi, value in zip(kpis, values, strict=True)
-            ]
+            row = partial(make_row, TABLE + "the same policy, disturbed", case, name)
+            rows += [row(*kpi, [value]) for kpi, value in zip(kpis, values, strict=True)]
     return rows
 
 
@@ -98,16 +96,12 @@ def _gains(follower: AbstractFollower, count: int, periods: Sequence[float]) -> 
 
 def stability_rows(gains: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> list[ReportRow]:
     """Rows of the largest gain between neighbours over all periods."""
-    return [
-        ReportRow(
-            TABLE + "string stability",
-            f"{values.shape[1]} trainsets, no protection, swings of {times[0]:g} to {times[-1]:g} s",
-            name,
-            "largest gain of speed from one trainset to the next",
-            "",
-        ).with_values([float((values[:, 1:] / values[:, :-1]).max())])
-        for name, (times, values) in gains.items()
-    ]
+    rows, kpi = [], "largest gain of speed from one trainset to the next"
+    for name, (times, values) in gains.items():
+        case = f"{values.shape[1]} trainsets, no protection, swings of {times[0]:g} to {times[-1]:g} s"
+        gain = float((values[:, 1:] / values[:, :-1]).max())
+        rows.append(make_row(TABLE + "string stability", case, name, kpi, "", [gain]))
+    return rows
 
 
 def campaign_rows(budget: str, folder: Path) -> list[ReportRow]:
@@ -116,11 +110,9 @@ def campaign_rows(budget: str, folder: Path) -> list[ReportRow]:
     for count, guard, cases in CAMPAIGNS[budget]:
         found = _attack(AttackCampaign(count=count, guard=guard), cases, folder)
         case = f"{count} trainsets, {cases:,} emergency brakes of the head"
-        table, who = TABLE + "trying to make them collide", f"protection {guard}"
-        rows += [
-            ReportRow(table, case, who, CONTACTS, "").with_values([float(sum(each[0] for each in found))]),
-            ReportRow(table, case, who, "smallest gap", "m").with_values([min(each[1] for each in found)]),
-        ]
+        row = partial(make_row, TABLE + "trying to make them collide", case, f"protection {guard}")
+        rows.append(row(CONTACTS, "", [float(sum(each[0] for each in found))]))
+        rows.append(row("smallest gap", "m", [min(each[1] for each in found)]))
     return rows
 
 
@@ -150,5 +142,5 @@ def needed_gap_rows() -> list[ReportRow]:
     for guard in ("moving_block", "independent", "coupled"):
         gap = needed_gap_m(single, guard, SPEED_MPS)
         case, who = "steady 60 km/h, level link", f"protection {guard}"
-        rows.append(ReportRow(TABLE + "gap that protection needs", case, who, "gap", "m").with_values([gap]))
+        rows.append(make_row(TABLE + "gap that protection needs", case, who, "gap", "m", [gap]))
     return rows

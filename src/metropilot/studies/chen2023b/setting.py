@@ -1,13 +1,27 @@
-"""Published results, and the setting: the pair of trainsets, the head's run, the compared followers."""
+"""The convoy of the paper, its published numbers, its head, and drives with the rows of figures 7 to 9."""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Sequence
+from functools import lru_cache, partial
 
-from metropilot.convoy import Convoy, ConvoyGuard, HeadRun, Link, record_leader, reference_speeds
+import numpy as np
+
+from metropilot.convoy import (
+    AbstractFollower,
+    Convoy,
+    ConvoyDrive,
+    ConvoyGuard,
+    HeadRun,
+    Link,
+    drive_convoy,
+    record_leader,
+    reference_speeds,
+)
 from metropilot.planning import ReferenceShape, reference_for_time
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, Outcome
+from metropilot.studies.report import ReportRow, make_row
 
 CITATION = (
     "Chen, B.; Zhang, L.; Cheng, G.; Liu, Y.; Chen, J. *A Novel Approach for Train Tracking in Virtual "
@@ -17,6 +31,7 @@ PUBLISHED = {"gap_min_m": 5.88, "gap_max_m": 5.98, "speed_difference_max_mps": 0
 """Chen23b section 4: figs. 8 and 9."""
 
 
+HEAD_CASE = "2 trainsets, YZQ–WHY"
 LINE, ORIGIN, DESTINATION, TRAINSET, TIME_S = "yizhuang", "YZQ", "WHY", "cheng2023", 100.0
 SHAPE = ReferenceShape(0.65, 0.65, 0.5)
 """Head's S-curve: acceleration, deceleration, jerk. The paper's profile is not printed."""
@@ -43,3 +58,25 @@ def head_run(count: int = 2, emergency_s: float = float("inf")) -> HeadRun:
     reference = reference_for_time(section.length_m, time_s, SHAPE, fastest)
     commands = record_leader(section, trainset, reference_speeds(reference, convoy.dt), convoy.dt).command
     return HeadRun("S-curve", commands, Outcome.ARRIVED, emergency_s)
+
+
+FIGURES = "Figs. 7 to 9"
+
+
+def drive_pair(follower: AbstractFollower, guard: ConvoyGuard = "coupled") -> ConvoyDrive:
+    """Drive the paper's convoy behind its head."""
+    return drive_convoy(pair(guard=guard), head_run(), follower)
+
+
+def drive_rows(name: str, drives: Sequence[ConvoyDrive]) -> list[ReportRow]:
+    """Rows of figures 8 and 9."""
+    row = partial(make_row, FIGURES, HEAD_CASE, name)
+    said = PUBLISHED if name == "sac_pid" else {}
+    apart = [np.abs(drive.speed_difference_mps).max() for drive in drives]
+    overruled = [float(sum(drive.interventions)) for drive in drives]
+    return [
+        row("smallest gap", "m", [drive.gap_m.min() for drive in drives], said.get("gap_min_m")),
+        row("largest gap", "m", [drive.gap_m.max() for drive in drives], said.get("gap_max_m")),
+        row("largest speed difference", "m/s", apart, said.get("speed_difference_max_mps")),
+        row("interventions of protection", "", overruled),
+    ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ from metropilot.studies.cheng2023.learning import REWARDS, config
 from metropilot.studies.cheng2023.setting import NAMES, course
 from metropilot.studies.cheng2023.tracking import SCALE, ObservationScale, track_course, tracking_kpis
 from metropilot.studies.learning import LearnJob
-from metropilot.studies.report import PrintedSetting, ReportRow
+from metropilot.studies.report import PrintedSetting, ReportRow, make_row
 from metropilot.studies.study import AsPrinted, LiteralRun, Order
 from metropilot.units import J_PER_KWH
 
@@ -83,17 +83,13 @@ def measure(order: Order) -> LiteralRun:
         tracks = [track_course(what, *policy_control(policy, STATE)) for policy in policies]
         kpis = [tracking_kpis(what, track) for track in tracks]
         rows += table_1({(driver, 1): kpis}, {driver: "ddpg_pid"})
-        left = ReportRow("Table 1", NAMES[1], driver, "speed left 3 s after the planned end", "m/s")
-        rows.append(left.with_values(values(kpis, "end_mps")))
+        kpi, left = "speed left 3 s after the planned end", values(kpis, "end_mps")
+        rows.append(make_row("Table 1", NAMES[1], driver, kpi, "m/s", left))
     episodes = STEPS[order.budget] // PERIODS
     length = f"{len(seeds)} seeds of about {episodes} episodes each; the paper does not print its number."
-    return LiteralRun(rows, [length, _finding(rows)])
-
-
-def _finding(rows: Sequence[ReportRow]) -> str:
-    """Total speed errors, as a sentence."""
     told = "; ".join(f"{row.driver}: {row.ours:.2f} m/s" for row in rows if row.kpi == "total speed error")
-    return f"Total speed error of policies learned with the printed rewards: {told}."
+    finding = f"Total speed error of policies learned with the printed rewards: {told}."
+    return LiteralRun(rows, [length, finding])
 
 
 SETTINGS = (

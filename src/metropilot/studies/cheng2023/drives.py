@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -18,9 +19,9 @@ from metropilot.studies.cheng2023.neural_pid import (
     fresh_network,
     step_neural_pid,
 )
-from metropilot.studies.cheng2023.setting import KPIS, NAMES, TABLE_1, TABLE_3, TABLE_4, optimal_kwh
+from metropilot.studies.cheng2023.setting import KPIS, NAMES, TABLE_1, optimal_kwh
 from metropilot.studies.cheng2023.tracking import SCALE, ObservationScale, TrackingController, TrackingKpis
-from metropilot.studies.report import ReportRow
+from metropilot.studies.report import ReportRow, make_row
 
 Start = tuple[TrackingController, Any]
 """A controller and its memory at the start."""
@@ -112,20 +113,15 @@ def controllers_to_compare(
     placed = tuned[POSITION_PID]
     universes = Universes(f["error_mps"], f["change_mps"], f["kp_span"], f["ki_span"], f["kd_span"])
     rates = LearningRates(n["learning_rate"], n["momentum"], n["error_mps"])
+    of_position = position_pid_control(_gains(placed), placed["position_per_s"])
     return (
-        ComparedController("pid", "pid", lambda seed: pid_control(by_hand)),  # noqa: ARG005 (nothing random)
-        ComparedController("pid tuned", "", lambda seed: pid_control(_gains(p))),  # noqa: ARG005 (nothing random)
-        ComparedController(
-            POSITION_PID,
-            "",
-            lambda seed: position_pid_control(_gains(placed), placed["position_per_s"]),  # noqa: ARG005
-        ),
-        ComparedController("fuzzy_pid", "fuzzy_pid", lambda seed: fuzzy_control(by_hand, ASSUMED_UNIVERSES)),  # noqa: ARG005
-        ComparedController("fuzzy_pid tuned", "", lambda seed: fuzzy_control(_gains(f), universes)),  # noqa: ARG005
-        ComparedController(
-            "neural_pid", "neural_pid", lambda seed: neural_control(by_hand, TEXTBOOK_RATES, seed)
-        ),
-        ComparedController("neural_pid tuned", "", lambda seed: neural_control(_gains(n), rates, seed)),
+        ComparedController("pid", "pid", lambda _: pid_control(by_hand)),
+        ComparedController("pid tuned", "", lambda _: pid_control(_gains(p))),
+        ComparedController(POSITION_PID, "", lambda _: of_position),
+        ComparedController("fuzzy_pid", "fuzzy_pid", lambda _: fuzzy_control(by_hand, ASSUMED_UNIVERSES)),
+        ComparedController("fuzzy_pid tuned", "", lambda _: fuzzy_control(_gains(f), universes)),
+        ComparedController("neural_pid", "neural_pid", partial(neural_control, by_hand, TEXTBOOK_RATES)),
+        ComparedController("neural_pid tuned", "", partial(neural_control, _gains(n), rates)),
         ComparedController("ddpg_pid", "ddpg_pid", lambda seed: policy_control(policies[seed])),
     )
 
@@ -136,7 +132,6 @@ def _gains(values: Mapping[str, float]) -> Gains:
 
 Measured = Mapping[tuple[str, int], Sequence[TrackingKpis]]
 """KPIs of each driver in each scenario, one entry per seed."""
-MARGINS = (("pid", 24.29), ("fuzzy_pid", 6.95), ("neural_pid", 6.32))
 
 
 def values(found: Iterable[TrackingKpis], field: str) -> list[float]:
@@ -160,40 +155,34 @@ def table_1(measured: Measured, published: Mapping[str, str]) -> list[ReportRow]
     for driver, whose in published.items():
         numbers = TABLE_1.get(whose, (None,) * len(KPIS))
         for (field, words, unit), number in zip(KPIS, numbers, strict=True):
-            row = ReportRow("Table 1", NAMES[1], driver, words, unit, number, optimum=optimum(field, 1))
-            rows.append(row.with_values(values(measured[driver, 1], field)))
+            place, each = ("Table 1", NAMES[1], driver), values(measured[driver, 1], field)
+            rows.append(make_row(*place, words, unit, each, number, optimum(field, 1)))
     return rows
 
 
-def table_3(measured: Measured) -> list[ReportRow]:
-    """Rows of table 3: DDPG-PID and the tuned PID under other resistances, without new learning."""
-    rows = []
-    for scenario, numbers in TABLE_3.items():
-        for driver in ("ddpg_pid", "pid tuned", POSITION_PID):
-            for (field, words, unit), number in zip(KPIS, numbers, strict=True):
-                given = number if driver == "ddpg_pid" else None
-                row = ReportRow("Table 3", NAMES[scenario], driver, words, unit, given)
-                row = replace(row, optimum=optimum(field, scenario))
-                rows.append(row.with_values(values(measured[driver, scenario], field)))
-    return rows
+def other_scenarios(
+    table: str, published: Mapping[int, Sequence[float]], measured: Measured, *, average: bool = False
+) -> list[ReportRow]:
+    """Rows of tables 3 and 4: DDPG-PID and the tuned PIDs in other scenarios, without new learning.
 
-
-def table_4(measured: Measured) -> list[ReportRow]:
-    """Rows of table 4: DDPG-PID on other references without new learning; averages instead of totals."""
+    Args:
+        table: Name of the table.
+        published: Numbers of DDPG-PID by scenario.
+        measured: KPIs.
+        average: Averages over the run instead of totals, as in table 4.
+    """
     rows = []
-    for scenario, numbers in TABLE_4.items():
+    for scenario, numbers in published.items():
         for driver in ("ddpg_pid", "pid tuned", POSITION_PID):
             found = measured[driver, scenario]
             for (field, words, unit), number in zip(KPIS, numbers, strict=True):
-                given = number if driver == "ddpg_pid" else None
-                row = ReportRow(
-                    "Table 4", NAMES[scenario], driver, words.replace("total", "average"), unit, given
-                )
-                row = replace(row, optimum=optimum(field, scenario))
                 each = values(found, field)
-                if field.endswith(("total_mps", "total_m")):
-                    each = [v / float(k.periods) for v, k in zip(each, found, strict=True)]
-                rows.append(row.with_values(each))
+                if average:
+                    words = words.replace("total", "average")  # noqa: PLW2901
+                    if field.endswith(("total_mps", "total_m")):
+                        each = [v / float(k.periods) for v, k in zip(each, found, strict=True)]
+                said, best = number if driver == "ddpg_pid" else None, optimum(field, scenario)
+                rows.append(make_row(table, NAMES[scenario], driver, words, unit, each, said, best))
     return rows
 
 
@@ -216,13 +205,7 @@ def margins(measured: Measured) -> list[ReportRow]:
     ):
         for other in others:
             against = median(measured[other, 1], field)
-            row = ReportRow(
-                "Margins of ddpg_pid",
-                NAMES[1],
-                other,
-                f"less {words} than this driver",
-                "%",
-                published.get((field, other)),
-            )
-            rows.append(row.with_values(100.0 * (1.0 - value / against) for value in values(ours, field)))
+            less = [100.0 * (1.0 - value / against) for value in values(ours, field)]
+            place, said = ("Margins of ddpg_pid", NAMES[1], other), published.get((field, other))
+            rows.append(make_row(*place, f"less {words} than this driver", "%", less, said))
     return rows

@@ -19,7 +19,7 @@ from metropilot.studies.cheng2023.tracking import (
     TrackState,
     advance_tracking,
     compile_course,
-    start_tracking,
+    start_compiled,
     tracking_observation,
     tracking_view,
 )
@@ -162,15 +162,10 @@ class TrackingTask(AbstractTask):
 
     def begin(self, index: Index) -> tuple[TrackingState, Float[Array, "4"]]:
         """Begin an episode on a course from standstill."""
-        import jax
         import jax.numpy as jnp
 
-        course = self.course(index)
-        rest = start_tracking()
-        loop: TrackState = jax.tree.map(
-            lambda x: jnp.asarray(x, jnp.int32 if np.asarray(x).dtype.kind == "i" else jnp.float32), rest
-        )
-        return TrackingState(loop, jnp.asarray(index, jnp.int32)), self._observe(course, loop)
+        loop = start_compiled()
+        return TrackingState(loop, jnp.asarray(index, jnp.int32)), self._observe(self.course(index), loop)
 
     def _observe(self, course: ReferenceCourse, loop: TrackState) -> Float[Array, "4"]:
         return tracking_observation(tracking_view(course, loop), self.config.scale)

@@ -19,7 +19,7 @@ from metropilot._schema import declare
 from metropilot._typing import Array
 from metropilot.control import CHENG2023_GAINS, CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers import AbstractTracker, AbstractTrackingOptions, TrackingView
-from metropilot.physics import namespace
+from metropilot.studies.cheng2023.tracking import array_namespace
 
 NB, NM, NS, ZO, PS, PM, PB = range(7)
 PROPORTIONAL = (
@@ -99,7 +99,7 @@ def memberships(x: Array) -> Array:
     Returns:
         Shape (7,), or (N, 7) for x of shape (N, 1).
     """
-    xp = _xp(x)
+    xp = array_namespace(x)
     x = xp.clip(x, -3.0, 3.0)
     centre, left, right = _TRIANGLES
     triangle = xp.minimum((x - left) / (centre - left), (right - x) / (right - centre))
@@ -119,12 +119,6 @@ def _smooth(x: Array, xp: Any) -> Array:  # noqa: ANN401 (a module)
     return xp.where(share < 0.5, 2.0 * share**2, 1.0 - 2.0 * (1.0 - share) ** 2)
 
 
-def _xp(x: Array) -> Any:  # noqa: ANN401 (a module)
-    """NumPy or JAX's: single numbers count as NumPy's here."""
-    found = namespace(x)
-    return np if found.__name__ == "scalars" else found
-
-
 SHAPES = memberships(GRID[:, None]).T
 """Membership of every point of the output grid in every set. Shape (7, 61)."""
 _RULES = np.array([[[row == k for k in range(7)] for row in np.ravel(table)] for table in TABLES])
@@ -140,7 +134,7 @@ def infer(error: Array, change: Array) -> Array:
     Returns:
         Shape (3,).
     """
-    xp = _xp(error)
+    xp = array_namespace(error)
     firing = xp.minimum(memberships(error)[:, None], memberships(change)[None, :]).reshape(49)
     strength = xp.max(xp.where(_RULES, firing[None, :, None], 0.0), axis=1)
     shape = xp.max(xp.minimum(strength[:, :, None], SHAPES[None]), axis=1)
@@ -164,7 +158,7 @@ def fuzzy_gains(
         upper: Upper limits of the gains; the lower are 0.
     """
     moved = infer(3.0 * error_mps / universes.error_mps, 3.0 * change_mps / universes.change_mps)
-    xp = _xp(moved)
+    xp = array_namespace(moved)
     spans = universes[2:]
     return Gains(*(xp.clip(base[k] + moved[k] / 3.0 * spans[k], 0.0, upper[k]) for k in range(3)))
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, final
+from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 
@@ -19,8 +19,8 @@ from metropilot._schema import declare
 from metropilot._typing import Array
 from metropilot.control import CHENG2023_GAINS, CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers import AbstractTracker, AbstractTrackingOptions, TrackingView
-from metropilot.physics import namespace
 from metropilot.sim import Run
+from metropilot.studies.cheng2023.tracking import array_namespace
 
 HIDDEN = 5
 SPEED_SCALE_MPS = 20.0
@@ -86,7 +86,7 @@ def fresh_network(seed: int, base: Gains = CHENG2023_GAINS, upper: Gains = CHENG
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
     inner = random.uniform(-0.5, 0.5, (HIDDEN, 4))
     small = random.uniform(-0.1, 0.1, (3, HIDDEN))
-    xp = _xp(base[0])
+    xp = array_namespace(base[0])
     share = xp.clip(xp.stack([xp.asarray(base[k] / upper[k]) for k in range(3)]), 1e-3, 1.0 - 1e-3)
     outer = xp.concatenate([small, xp.log(share / (1.0 - share))[:, None]], axis=1)
     nothing = np.zeros(3), np.zeros(HIDDEN + 1), np.zeros(4)
@@ -113,7 +113,7 @@ def step_neural_pid(
     Returns:
         The command in [-1, 1] and the next memory.
     """
-    xp = _xp(seen.error_mps, network.inner)
+    xp = array_namespace(seen.error_mps, network.inner)
     error, errors = seen.error_mps, network.errors
     owed, hidden, inputs = network.answer
     step = rates.learning * error / rates.error_scale_mps
@@ -138,12 +138,6 @@ def step_neural_pid(
     acts = xp.stack([error - errors.last, error, error - 2.0 * errors.last + errors.before])
     owed = acts / rates.error_scale_mps * limits * share * (1.0 - share)
     return command, Network(inner, outer, inner_change, outer_change, (owed, hidden, inputs), after)
-
-
-def _xp(*values: Array) -> Any:  # noqa: ANN401 (a module)
-    """NumPy or JAX's: single numbers count as NumPy's here."""
-    found = namespace(*values)
-    return np if found.__name__ == "scalars" else found
 
 
 @final

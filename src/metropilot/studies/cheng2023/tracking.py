@@ -119,22 +119,22 @@ def compile_course(course: ReferenceCourse) -> ReferenceCourse:
 def start_tracking() -> TrackState:
     """At rest at the origin (NumPy)."""
     zero = np.float64(0.0)
-    forces = Forces(zero, zero, zero, zero, zero)
-    plant = State(
-        time_s=zero,
-        position_m=zero,
-        speed_mps=zero,
-        acceleration_mps2=zero,
-        share=zero,
-        pipeline=np.zeros(1),
-        emergency_s=zero,
-        forces=forces,
-        traction_j=zero,
-        electric_brake_j=zero,
-        line_j=zero,
-        recovered_j=zero,
+    parts: dict[str, Any] = dict.fromkeys(State._fields, zero) | {
+        "pipeline": np.zeros(1),
+        "forces": Forces(*[zero] * 5),
+    }
+    return TrackState(State(**parts), zero, Errors(zero, zero), np.int64(0))
+
+
+def start_compiled() -> TrackState:
+    """The same in JAX, single precision."""
+    import jax
+    import jax.numpy as jnp
+
+    return jax.tree.map(
+        lambda x: jnp.asarray(x, jnp.int32 if np.asarray(x).dtype.kind == "i" else jnp.float32),
+        start_tracking(),
     )
-    return TrackState(plant, zero, Errors(zero, zero), np.int64(0))
 
 
 def tracking_view(course: ReferenceCourse, state: TrackState) -> TrackingView:
@@ -192,10 +192,15 @@ class ObservationScale(NamedTuple):
 SCALE = ObservationScale(20.0, 0.05, 0.15, 5.0)
 
 
+def array_namespace(*values: Array) -> Any:  # noqa: ANN401 (a module)
+    """NumPy or JAX's: single numbers count as NumPy's here."""
+    found = namespace(*values)
+    return np if found.__name__ == "scalars" else found
+
+
 def tracking_observation(given: TrackingView, scale: ObservationScale = SCALE) -> Float[Array, "4"]:
     """Observation of DDPG-PID, scaled: speed, command, speed and position error. Cheng23 eq. 7."""
-    xp = namespace(given.error_mps)
-    xp = np if xp.__name__ == "scalars" else xp
+    xp = array_namespace(given.error_mps)
     parts = (
         given.speed_mps / scale.speed_mps,
         given.command,
@@ -284,18 +289,12 @@ def track_course(course: ReferenceCourse, control: TrackingController, memory: M
 def track_compiled(course: ReferenceCourse, control: TrackingController, memory: Memory) -> TrackRecord:
     """The same as one compiled scan; the course is of :func:`compile_course`."""
     import jax
-    import jax.numpy as jnp
-
-    start: TrackState = jax.tree.map(
-        lambda x: jnp.asarray(x, jnp.int32 if np.asarray(x).dtype.kind == "i" else jnp.float32),
-        start_tracking(),
-    )
 
     def one(carry: tuple[TrackState, Any], _: None) -> tuple[tuple[TrackState, Any], TrackRecord]:
         state, held, row = _period(course, control, *carry)
         return (state, held), row
 
-    return jax.lax.scan(one, (start, memory), None, length=course.periods)[1]
+    return jax.lax.scan(one, (start_compiled(), memory), None, length=course.periods)[1]
 
 
 def _period(

@@ -34,7 +34,7 @@ from metropilot.studies.huang2025.setting import (
     task_config,
 )
 from metropilot.studies.learning import LearnJob
-from metropilot.studies.report import PrintedSetting, ReportRow
+from metropilot.studies.report import PrintedSetting, ReportRow, make_row
 from metropilot.studies.study import AsPrinted, LiteralRun, Order
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def _rows(one: EvaluatedRun) -> list[ReportRow]:
 
     def row(kpi: str, unit: str, values: Iterable[float]) -> ReportRow:
         published = one.case.published_value(said, kpi)
-        return ReportRow(one.case.table, one.case.name, one.driver, kpi, unit, published).with_values(values)
+        return make_row(one.case.table, one.case.name, one.driver, kpi, unit, values, published)
 
     indices, kpis = one.indices, one.kpis
     found = [

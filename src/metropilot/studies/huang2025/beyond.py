@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ from metropilot.sim import Disturbance, Drive, Rollout, Run, drive
 from metropilot.studies.huang2025.drivers import Eitoe, EitoeOptions
 from metropilot.studies.huang2025.drives import ABOVE, LeastIndex, make_drivers
 from metropilot.studies.huang2025.setting import BEYOND, BY_ID, DELAY_S, EXPERTS, LAG_S, run_of
-from metropilot.studies.report import ReportRow
+from metropilot.studies.report import ReportRow, make_row
 
 SEEDS = 3
 SCENARIOS: Mapping[str, Disturbance] = {
@@ -53,7 +54,6 @@ def beyond_rows(policies: Mapping[str, Sequence[Path]]) -> Iterator[ReportRow]:
 
 
 def _plants(run: Run) -> dict[str, Run]:
-    """Variants of a run with another plant or another control period."""
     known = run.trainset
     limited = replace(known, actuation=Actuation(DELAY_S, LAG_S, 1.0))
     return {
@@ -72,22 +72,14 @@ def _drives(run: Run, driver: str, policies: Mapping[str, Sequence[Path]]) -> li
 def _rows(
     table: str, case: str, driver: str, drives: Sequence[Drive], *, gap: bool = False
 ) -> Iterator[ReportRow]:
-    place = (table, case, driver)
-    yield ReportRow(*place, "Is, It and Ip met", "").with_values(
-        [float(indices_of(one).met) for one in drives]
-    )
-    yield ReportRow(*place, "time error", "s").with_values(
-        [one.running_time_s - one.scheduled_time_s for one in drives]
-    )
-    yield ReportRow(*place, "stopping error", "m").with_values(
-        [abs(kpis_of(one, None).stopping_error_m) for one in drives]
-    )
+    row = partial(make_row, table, case, driver)
+    yield row("Is, It and Ip met", "", [float(indices_of(one).met) for one in drives])
+    yield row("time error", "s", [one.running_time_s - one.scheduled_time_s for one in drives])
+    yield row("stopping error", "m", [abs(kpis_of(one, None).stopping_error_m) for one in drives])
     if gap:
         least = LeastIndex(drives, driver)
-        yield ReportRow(*place, ABOVE, "%").with_values([least.above_percent(one) for one in drives])
-    yield ReportRow(*place, "interventions of protection", "").with_values(
-        [float(one.interventions) for one in drives]
-    )
+        yield row(ABOVE, "%", [least.above_percent(one) for one in drives])
+    yield row("interventions of protection", "", [float(one.interventions) for one in drives])
 
 
 GAINS = (0.7, 1.0, 1.3)
@@ -143,20 +135,16 @@ def repeat_stops(gain: float, noise_mps: float = NOISE_MPS, stops: int = STOPS) 
 def stop_rows(found: list[Stops]) -> Iterator[ReportRow]:
     """Rows of the first stop with an unknown brake, and of the last."""
     for one in found:
-        case = (
-            f"brake {100 * (one.gain - 1):+.0f} %, 101 s" if one.gain != 1.0 else "brake as believed, 101 s"
+        brake = "as believed" if one.gain == 1.0 else f"{100 * (one.gain - 1):+.0f} %"
+        row = partial(
+            make_row, f"{BEYOND}: station stops that learn the brake", f"brake {brake}, 101 s", "eitoe"
         )
-        place = (f"{BEYOND}: station stops that learn the brake", case, "eitoe")
-        yield ReportRow(*place, "first stop: stopping error", "m").with_values([abs(one.error_m[0])])
-        yield ReportRow(*place, f"stop {len(one.error_m)}: stopping error", "m").with_values(
-            [abs(one.error_m[-1])]
-        )
-        yield ReportRow(*place, "all stops: stopping error", "m").with_values(np.abs(one.error_m))
-        yield ReportRow(*place, "gain learned at the first stop", "", optimum=one.gain).with_values(
-            one.learned[:1]
-        )
-        yield ReportRow(*place, "running time", "s").with_values(one.time_s)
-        yield ReportRow(*place, "interventions of protection", "").with_values([float(one.interventions)])
+        yield row("first stop: stopping error", "m", [abs(one.error_m[0])])
+        yield row(f"stop {len(one.error_m)}: stopping error", "m", [abs(one.error_m[-1])])
+        yield row("all stops: stopping error", "m", np.abs(one.error_m))
+        yield row("gain learned at the first stop", "", one.learned[:1], optimum=one.gain)
+        yield row("running time", "s", one.time_s)
+        yield row("interventions of protection", "", [float(one.interventions)])
 
 
 class VehicleDeviation(NamedTuple):
@@ -192,8 +180,8 @@ def measure_deviation(found: Drive) -> VehicleDeviation:
 
 def vehicle_rows(found: Drive, case: str) -> Iterator[ReportRow]:
     """Rows of the vehicle deviations."""
-    one = measure_deviation(found)
-    place = (f"{BEYOND}: the same efforts on six vehicles with couplers (eq. 3)", case, found.driver)
-    yield ReportRow(*place, "largest difference of speed", "m/s").with_values([one.speed_mps])
-    yield ReportRow(*place, "difference of the place at the stop", "m").with_values([abs(one.place_m)])
-    yield ReportRow(*place, "largest coupler force", "kN").with_values([one.coupler_n / 1e3])
+    one, table = measure_deviation(found), f"{BEYOND}: the same efforts on six vehicles with couplers (eq. 3)"
+    row = partial(make_row, table, case, found.driver)
+    yield row("largest difference of speed", "m/s", [one.speed_mps])
+    yield row("difference of the place at the stop", "m", [abs(one.place_m)])
+    yield row("largest coupler force", "kN", [one.coupler_n / 1e3])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,7 @@ from metropilot.studies.huang2025.setting import (
     run_of,
     trainset,
 )
-from metropilot.studies.report import ReportRow
+from metropilot.studies.report import ReportRow, make_row
 from metropilot.units import J_PER_KWH
 
 SPACING_M = 5.0
@@ -145,13 +146,11 @@ class LeastIndex:
 def rows_of(found: EvaluatedRun, manual: EvaluatedRun | None) -> Iterator[ReportRow]:
     """Rows of a case and driver."""
     case, driver = found.case, found.driver
-    place = (case.table, case.name, driver)
     indices, kpis = found.indices, found.kpis
 
     def row(kpi: str, unit: str, values: Sequence[float], optimum: float | None = None) -> ReportRow:
-        return ReportRow(
-            *place, kpi, unit, published=case.published_value(driver, kpi), optimum=optimum
-        ).with_values(values)
+        said = case.published_value(driver, kpi)
+        return make_row(case.table, case.name, driver, kpi, unit, values, said, optimum)
 
     yield row("Is, safe", "", [float(i.safe) for i in indices])
     yield row("It, on time", "", [float(i.on_time) for i in indices])
@@ -178,11 +177,9 @@ def decision_row(table: str, driver: str, found: Sequence[EvaluatedRun]) -> Repo
     """Row of the median decision time over all drives, expert system included."""
     times = np.concatenate([one.decision_us for many in found for one in many.drives])
     said = DECISION_US if driver == "eitop" else None
-    place = ReportRow(
-        table, "all cases", driver, "time of a decision (range: median and 95 % point)", "µs", said
-    )
     middle, high = float(np.median(times)), float(np.percentile(times, 95))
-    return ReportRow(**{**place.__dict__, "ours": middle, "low": middle, "high": high})
+    kpi = "time of a decision (range: median and 95 % point)"
+    return ReportRow(table, "all cases", driver, kpi, "µs", said, middle, middle, high)
 
 
 HURRY_W = 1e5
@@ -224,10 +221,8 @@ def news_rows(found: EvaluatedRun) -> Iterator[ReportRow]:
     case, driver, told = found.case, found.driver, found.case.told_s
     if told is None:
         return
-    place = (case.table, case.name, driver)
-    yield ReportRow(*place, EARLIEST, "s").with_values(
-        [earliest_s(one, driver, told) for one in found.drives]
-    )
+    row = partial(make_row, case.table, case.name, driver)
+    yield row(EARLIEST, "s", [earliest_s(one, driver, told) for one in found.drives])
     above = [above_left_percent(one, driver, told) for one in found.drives]
     if np.isfinite(above).all():
-        yield ReportRow(*place, LEFT, "%").with_values(above)
+        yield row(LEFT, "%", above)

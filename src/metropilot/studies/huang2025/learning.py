@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from metropilot.learn import AbstractConfig, PolicyEvaluation
 
 COMMAND = "metropilot reproduce huang2025 --budget paper"
-TIMES_S = (95.0, 101.0, 115.0)
 WATCHED_S = 101.0
 EVALUATIONS = 16
 SIZES: dict[str, dict[str, int]] = {
@@ -46,7 +45,7 @@ EITOP_BASE = replace(
     normalise_observations=False,
     evaluations=12,
 )
-EITOP_RECIPE = Recipe("huang2025", EITOP_BASE, replace(EITOP_BASE, steps=1_000_000, evaluations=6))
+EITOP_RECIPE = Recipe("huang2025", EITOP_BASE, {"steps": 1_000_000, "evaluations": 6})
 ITOR_BASE = replace(
     TABLE_BASE,
     steps=8_000_000,
@@ -56,7 +55,7 @@ ITOR_BASE = replace(
     high=(2.0, 1.2, 2.0, 0.6, 1.2, 3.0, 1.0),
 )
 """Of the expert policies' features the table uses distance, speed, rate and the lateness under coasting."""
-ITOR_RECIPE = Recipe("huang2025_choices", ITOR_BASE, replace(ITOR_BASE, steps=2_000_000, evaluations=8))
+ITOR_RECIPE = Recipe("huang2025_choices", ITOR_BASE, {"steps": 2_000_000, "evaluations": 8})
 STO: dict[str, Any] = {
     **REPLAY_BASE,
     "steps": 160_000,
@@ -68,8 +67,8 @@ STO: dict[str, Any] = {
     "noise": Schedule(0.6, 0.1),
 }
 """Hyperparameters of STOD and STON."""
-STOD_RECIPE = Recipe("huang2025", DDPGConfig(**STO), DDPGConfig(**{**STO, **REPLAY_QUICK}), changes=gentle)
-STON_RECIPE = Recipe("huang2025", NAFConfig(**STO), NAFConfig(**{**STO, **REPLAY_QUICK}), changes=gentle)
+STOD_RECIPE = Recipe("huang2025", DDPGConfig(**STO), REPLAY_QUICK, changes=gentle)
+STON_RECIPE = Recipe("huang2025", NAFConfig(**STO), REPLAY_QUICK, changes=gentle)
 
 
 def make_task(driver: str) -> DrivingTask:

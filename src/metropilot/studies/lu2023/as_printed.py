@@ -28,7 +28,7 @@ from metropilot.studies.lu2023.setting import (
     plan_case,
     task_config,
 )
-from metropilot.studies.report import PrintedSetting, ReportRow
+from metropilot.studies.report import PrintedSetting, ReportRow, make_row
 from metropilot.studies.study import AsPrinted, LiteralRun, Order
 
 if TYPE_CHECKING:
@@ -124,16 +124,13 @@ def measure(order: Order) -> LiteralRun:
 
 
 def _rows(driver: str, results: Sequence[SeedResult]) -> list[ReportRow]:
-    """Rows of the policies kept."""
     best = [int(np.nanargmax(result.history["evaluation.score"])) for result in results]
 
     def values_of(column: str) -> list[float]:
         values = [result.history[f"evaluation.{PLAN}.{column}"] for result in results]
         return [float(each[k]) for each, k in zip(values, best, strict=True)]
 
-    def row(kpi: str, unit: str, values: Iterable[float]) -> ReportRow:
-        return ReportRow(TABLE, plan_case(PLAN).name, driver, kpi, unit).with_values(values)
-
+    row = partial(make_row, TABLE, plan_case(PLAN).name, driver)
     return [
         row("drives that stand within 0.3 m of the stop", "%", [100.0 * one for one in values_of("arrived")]),
         row("stopping error", "m", [abs(one) for one in values_of("stop_m")]),

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +20,11 @@ from metropilot.sim import AbstractDriver, Drive, Run, drive
 from metropilot.studies.lu2023.drivers import PidLu2023, PidLu2023Options
 from metropilot.studies.lu2023.notches import NotchOptions, notch_plan, notch_plans
 from metropilot.studies.lu2023.setting import NOTCHES, PID_130, TRAINSET, PlanCase, Published
-from metropilot.studies.report import ReportRow
+from metropilot.studies.report import ReportRow, make_row
 from metropilot.units import J_PER_KWH
 
 AROUND_S = (-4.0, 0.0, 4.0)
 MESH = NotchOptions(spacing_m=5.0, speeds=400)
-FINE = NotchOptions(spacing_m=2.0, speeds=1000)
 
 
 @dataclass(frozen=True)
@@ -158,11 +157,7 @@ def arrival_rows(table: str, seeds: Sequence[NotchRun], *, published: bool = Tru
     notch = [float(notch_front(plan).at(k.running_time_s)) / J_PER_KWH for k in kpis]
     convex = [convex_j(plan, k.running_time_s) / J_PER_KWH for k in kpis]
 
-    def row(
-        kpi: str, unit: str, values: Iterable[float], said: float | None = None, best: float | None = None
-    ) -> ReportRow:
-        place = ReportRow(table, plan.name, driver, kpi, unit, published=said, optimum=best)
-        return place.with_values(values)
+    row = partial(make_row, table, plan.name, driver)
 
     def above(optima: Sequence[float]) -> list[float]:
         return [100.0 * (k.energy_wheel_kwh / best - 1.0) for k, best in zip(kpis, optima, strict=True)]

@@ -106,20 +106,9 @@ def evaluate_plans(config: AbstractConfig, task: Any) -> Callable[..., Any]:  # 
 ALL_STEPS = 160_000
 """Steps of the network for all plans, and of that for the plan with the restriction."""
 QUICK = {"steps": 40_000, "evaluations": 10}
-DQN_RECIPE = Recipe(
-    "lu2023",
-    paper=replace(LEARNING, steps=ALL_STEPS),
-    quick=replace(LEARNING, **QUICK),
-    changes=without_filter,
-    evaluation=evaluate_plans,
-)
+DQN_RECIPE = Recipe("lu2023", replace(LEARNING, steps=ALL_STEPS), QUICK, without_filter, evaluate_plans)
 """Plain DQN, without the filter."""
-IMPROVED_DQN_RECIPE = Recipe(
-    "lu2023",
-    paper=replace(LEARNING, steps=ALL_STEPS, **IMPROVED),
-    quick=replace(LEARNING, **QUICK, **IMPROVED),
-    evaluation=evaluate_plans,
-)
+IMPROVED_DQN_RECIPE = replace(DQN_RECIPE, paper=replace(DQN_RECIPE.paper, **IMPROVED), changes=None)
 
 
 def plan_job(name: str, plan: PlanCase, seed: int, off: str = "", steps: int = LEARNING.steps) -> LearnJob:

@@ -88,7 +88,6 @@ PID_130 = Published(0.21, 4.1, 15.12)
 EPISODES = {("120", "improved_dqn"): 800.0, ("120", "dqn"): 1100.0, ("130", "improved_dqn"): 2100.0}
 """Episodes to convergence as the paper states them; plain DQN at 130 s does not converge."""
 FASTER_PERCENT = 37.0
-PID_SWITCHES_IN_500_M = 13.0
 
 
 def plan_case(plan_id: str) -> PlanCase:
