@@ -100,7 +100,7 @@ class DataTable:
                 each.props("outlined dense options-dense").classes("mp-filter")
         columns = [column.as_dict() for column in self.columns]
         if self.actions:
-            columns.append({"name": "actions", "label": "", "field": "actions", "align": "left"})
+            columns.append({"name": "actions", "label": "Actions", "field": "actions", "align": "left"})
         self.table = ui.table(
             rows=[],
             columns=columns,
