@@ -1,4 +1,4 @@
-"""The console for everyone: axe-core finds nothing, all is reached by keyboard, a section is driven by it alone."""
+"""The console for everyone: axe-core finds nothing, all is reached by keyboard, a section is driven by it."""
 
 import os
 import re
@@ -113,7 +113,7 @@ def test_axe_finds_nothing(axe, visit, made, name):
 
 FOCUS = """() => { const at = document.activeElement, style = getComputedStyle(at);
     const field = at.closest('.q-field'), thumb = at.closest('.q-slider');
-    return { name: at.getAttribute('aria-label') || at.labels?.[0]?.innerText || at.innerText || '',
+    return { end: at === document.body, name: at.getAttribute('aria-label') || at.labels?.[0]?.innerText || (at === document.body ? '' : at.innerText) || '',
         seen: parseFloat(style.outlineWidth) > 1 && style.outlineStyle !== 'none' || thumb !== null
             || field !== null && field.classList.contains('q-field--focused') }; }"""
 
@@ -124,9 +124,9 @@ def walk_to(page, name, *, most=80):
     for _ in range(most):
         page.keyboard.press("Tab")
         at = page.evaluate(FOCUS)
-        assert at["seen"], at
+        assert at["seen"] or at["end"], at
         passed.append(at["name"])
-        if re.match(name, at["name"].strip()):
+        if re.search(name, at["name"].strip()):
             return
     raise AssertionError(f"{name} is not reached: {passed}")
 
@@ -144,6 +144,8 @@ def test_a_section_is_driven_by_keyboard_alone(visit):
     expect(page.get_by_role("combobox", name="Load")).to_have_value(re.compile("^AW2"))
     walk_to(page, "Scheduled running time")
     page.keyboard.press("ArrowRight")
+    assert page.evaluate("document.activeElement.getAttribute('role')") == "slider"
+    page.wait_for_function("document.activeElement.getAttribute('aria-valuenow') === '102'")
     expect(page.get_by_text("Running time 102 s")).to_be_visible(timeout=PATIENCE_MS)
     walk_to(page, "Pace")
     page.keyboard.press("Enter")
@@ -178,7 +180,7 @@ def test_runs_are_sorted_chosen_and_kept_by_keyboard(visit, made):
     dialog = page.get_by_role("dialog", name="Delete 2 runs?")
     expect(dialog).to_be_visible()
     expect(dialog.get_by_role("button", name="Cancel")).to_be_visible()
-    assert page.evaluate("document.activeElement.closest('[role=dialog]') !== null")
+    page.wait_for_function("document.activeElement.closest('[role=dialog]') !== null")
     page.keyboard.press("Escape")
     expect(dialog).not_to_be_visible()
     expect(page.locator('[data-test="delete"]')).to_be_focused()
