@@ -14,7 +14,12 @@ from fastapi.responses import HTMLResponse
 from metropilot.web.errors import plain
 
 STYLE = """
-:root { color-scheme: light dark; --line: #8885; --soft: #888; }
+:root { color-scheme: light dark; --line: #8885; --soft: #5a6673; --link: #005f99; }
+:root { background: #fff; color: #1c2530; }
+@media (prefers-color-scheme: dark) {
+  :root { --soft: #a3afbc; --link: #6cc1f2; background: #12171d; color: #e7ecf1; }
+}
+a { color: var(--link); }
 body { font: 15px/1.5 system-ui, "DejaVu Sans", sans-serif; max-width: 60rem; margin: 0 auto; padding: 1rem; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2rem; text-transform: capitalize; }
 details { border: 1px solid var(--line); border-radius: 6px; padding: .5rem .8rem; margin: .4rem 0; }
@@ -95,7 +100,7 @@ def page(document: Schema) -> str:
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(title)}'
     head += f"</title><style>{STYLE}</style>"
     body = "".join(parts)
-    return f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>'
+    return f'<!doctype html><html lang="en"><head>{head}</head><body><main>{body}</main></body></html>'
 
 
 def command(method: str, path: str, operation: Schema, schemas: Schema) -> str:
@@ -136,7 +141,7 @@ def _operation(method: str, path: str, operation: Schema, schemas: Schema) -> st
         f'<details><summary><span class="m">{method.upper()}</span><code>{escape(path)}</code> '
         f'<span class="s">{escape(first)}</span></summary><p>{escape(words)}</p>'
         f"<pre><code>{escape(command(method, path, operation, schemas))}</code></pre>"
-        f"{_table(rows)}{body}<table>{answers}</table></details>"
+        f"{_table(rows)}{body}<table tabindex=0>{answers}</table></details>"
     )
 
 
@@ -164,7 +169,7 @@ def _table(rows: list[tuple[str, Schema, str, bool]]) -> str:
         f"<td>{'needed' if needed else _default(schema)}</td></tr>"
         for name, schema, where, needed in rows
     ]
-    return f"<table>{''.join(cells)}</table>" if cells else ""
+    return f"<table tabindex=0>{''.join(cells)}</table>" if cells else ""
 
 
 def _default(schema: Schema) -> str:

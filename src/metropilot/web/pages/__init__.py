@@ -41,4 +41,13 @@ def install(app: FastAPI, service: Service) -> None:
     pages.add_static_files("/static", Path(__file__).parent.parent / "static", max_cache_age=300)
     for module in (drive, compare, journey, operation, convoy, learn, lines, edit, runs, campaigns):
         module.install(service)
-    ui.run_with(app, title="metropilot", favicon=FAVICON, reconnect_timeout=30.0, show_welcome_message=False)
+    # A bar of Quasar's over every request of a page is no news to a reader of the screen.
+    pages.config.quasar_config["loadingBar"] = {"skipHijack": True}
+    ui.run_with(
+        app,
+        title="metropilot",
+        favicon=FAVICON,
+        language="en-US",
+        reconnect_timeout=30.0,
+        show_welcome_message=False,
+    )

@@ -21,7 +21,7 @@ from metropilot.web.pages.form import (
     number_field,
     validate,
 )
-from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, table
+from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, strip, table
 from metropilot.web.pages.plots import convoy_figure, finished_convoy_figure
 from metropilot.web.pages.strip import section_strip
 from metropilot.web.schemas.requests import ConvoyIn, NewLink
@@ -93,7 +93,7 @@ class ConvoyPage:
                     ui.label("Live convoy").classes("mp-h").props("role=heading aria-level=2")
                     self.status = ui.label("not departed").classes("mp-soft")
                     self.status.props('data-mp="status" aria-live=polite')
-                self.strip = ui.html("").classes("mp-strip")
+                self.strip = strip("Section")
                 reads(READS)
                 self.plot = ui.plotly(convoy_figure()).classes("mp-plot")
                 ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite aria-label="Events"')

@@ -174,7 +174,7 @@ class RowTable:
                 for label in self.labels:
                     with ui.element("th"):
                         ui.label(label)
-                ui.element("th")
+                ui.element("td")
             with ui.element("tbody"):
                 for k, row in enumerate(self.grid.rows):
                     self.row(k, row)

@@ -25,7 +25,7 @@ from metropilot.web.pages.form import (
     other_options,
     validate,
 )
-from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, table
+from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, strip, table
 from metropilot.web.pages.plots import (
     REGIME_COLOURS,
     drive_figure,
@@ -131,7 +131,7 @@ class DrivePage:
                     self.resume_button = ui.button("Resume", icon="replay", on_click=self.resume)
                     self.resume_button.props('outline dense data-test="resume"')
                     self.resume_button.set_visibility(self.resumable())
-                self.strip = ui.html("").classes("mp-strip")
+                self.strip = strip("Section")
                 reads(READS)
                 self.lever()
                 self.plot = ui.plotly(run_figure()).classes("mp-plot")
@@ -139,7 +139,7 @@ class DrivePage:
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
             self.why = ui.element("div").classes("mp-col")
             with card():
-                self.map = ui.html("").classes("mp-strip")
+                self.map = strip("Whole line")
             self.root.on("mp-result", self.show_result, ["detail"])
             self.root.on("mp-end", self.show_end, ["detail"])
 

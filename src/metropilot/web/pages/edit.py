@@ -16,7 +16,7 @@ from metropilot.railway import Line, Trainset, parse_document, toml_text
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
 from metropilot.web.pages.document import DocumentForm, describe
-from metropilot.web.pages.frame import Problem, card, empty, frame, heading, links, number, reads
+from metropilot.web.pages.frame import Problem, card, empty, frame, heading, links, number, reads, strip
 from metropilot.web.pages.plots import blank, effort_figure, line_figure
 from metropilot.web.pages.strip import line_strip
 from metropilot.web.service import Service
@@ -94,7 +94,7 @@ class EditPage:
                 self.uses = ui.element("div")
             with card():
                 self.numbers = ui.element("div").classes("w-full")
-                self.map = ui.html("").classes("mp-strip")
+                self.map = strip("Line as drawn")
                 self.plot = ui.plotly(blank(380)).classes("mp-plot").props('data-test="drawing"')
             with card("Versions"):
                 self.versions = ui.element("div").classes("mp-stack").props('data-test="versions"')

@@ -29,8 +29,13 @@ THEME = "metropilot_theme"
 THEMES = {"auto": None, "light": False, "dark": True}
 HEAD = (
     '<link rel="stylesheet" href="/static/console.css">'
-    '<script src="/static/live.js" defer></script><script src="/static/convoy.js" defer></script>'
+    '<script src="/static/access.js" defer></script><script src="/static/live.js" defer></script>'
+    '<script src="/static/convoy.js" defer></script>'
 )
+UPLOAD_HEADER = """<div class="row items-center no-wrap q-pa-sm q-gutter-sm">
+    <q-btn outline no-caps icon="upload_file" label="%s" @click="props.pickFiles" />
+    <span class="mp-soft">or drop it here</span>
+    <div style="display: none"><q-uploader-add-trigger /></div></div>"""
 NEXT_THEME = {"auto": "light", "light": "dark", "dark": "auto"}
 
 
@@ -43,7 +48,9 @@ def frame(request: Request, active: str) -> Iterator[None]:
     ui.dark_mode(THEMES[theme])
     ui.colors(primary="#0072b2", positive="#00785a", negative="#b84300", warning="#b84300")
     ui.add_head_html(HEAD)
-    with ui.element("header").classes("mp-header q-header flex no-wrap items-center").props("role=banner"):
+    # NiceGUI puts what is placed here inside its <main>: the header is to be a landmark beside it.
+    with ui.context.client.layout, ui.element("header") as header:
+        header.classes("mp-header q-header flex no-wrap items-center").move(target_index=0)
         ui.link("Skip to content", "#main").classes("mp-skip")
         ui.link("metropilot", "/").classes("mp-brand")
         with ui.element("nav").classes("mp-nav").props('aria-label="Pages"'):
@@ -53,6 +60,8 @@ def frame(request: Request, active: str) -> Iterator[None]:
                     link.props("aria-current=page")
         _theme_button(theme)
     with ui.element("div").classes("mp-main").props("id=main tabindex=-1"):
+        name = ui.context.client.page.resolve_title().partition(" · ")[0]
+        ui.label(name).classes("mp-unseen").props("role=heading aria-level=1")
         yield
 
 
@@ -92,9 +101,43 @@ def card(title: str = "", note: str = "", *, late: bool = False) -> Iterator[ui.
         yield made
 
 
+@contextmanager
+def question(title: str) -> Iterator[ui.dialog]:
+    """Place a dialog with a heading, which is its name, too; Escape closes it."""
+    with ui.dialog() as made, ui.card().classes("mp-card"):
+        made.props(f'aria-label="{_attribute(title)}"')
+        heading(title)
+        yield made
+
+
 def heading(text: str) -> ui.label:
     """Place the heading of a card."""
     return ui.label(text).classes("mp-h").props("role=heading aria-level=2")
+
+
+def strip(name: str, content: str = "") -> ui.html:
+    """Place a drawing of the track, which is scrolled by keyboard, too, where it is wider than its card."""
+    made = ui.html(content).classes("mp-strip")
+    return made.props(f'tabindex=0 role=group aria-label="{_attribute(name)}"')
+
+
+def upload_field(
+    words: str, kinds: Sequence[str], most_bytes: int, take: Callable[..., Any], refuse: Callable[[], Any]
+) -> ui.upload:
+    """Place a field that takes a file by a button or a drop.
+
+    Args:
+        words: What the button says.
+        kinds: Endings of the files that it takes.
+        most_bytes: Largest file.
+        take: Called with the event of a file.
+        refuse: Called where the file is too large or of another kind.
+    """
+    made = ui.upload(on_upload=take, on_rejected=refuse, max_file_size=most_bytes, auto_upload=True)
+    made.props(f'accept="{",".join(kinds)}" flat bordered').classes("w-full")
+    # Quasar's own header has an input without a name inside a button without one.
+    made.add_slot("header", UPLOAD_HEADER % words)
+    return made
 
 
 def reads(items: Sequence[tuple[str, str, str]]) -> None:
@@ -116,12 +159,14 @@ def table(
     columns: Sequence[str], rows: Sequence[Sequence[Any]], *, right: Sequence[int] = (), name: str = ""
 ) -> None:
     """Place a table of texts; a cell may be (text, class)."""
-    with ui.element("div").classes("mp-scroll"), ui.element("table").classes("mp-table") as made:
+    with ui.element("div").classes("mp-scroll") as scrolled, ui.element("table").classes("mp-table") as made:
         if name:
+            scrolled.props(f'tabindex=0 role=group aria-label="{name}, scrolled"')
             made.props(f'aria-label="{name}"')
         with ui.element("thead"), ui.element("tr"):
             for k, column in enumerate(columns):
-                with ui.element("th").classes("n" if k in right else ""):
+                # a cell without words is no heading
+                with ui.element("th" if column else "td").classes("n" if k in right else ""):
                     ui.label(column)
         with ui.element("tbody"):
             for row in rows:

@@ -13,7 +13,7 @@ from nicegui import ui
 from metropilot.units import J_PER_KWH
 from metropilot.web import catalogue
 from metropilot.web.pages.form import loads, number_field, validate
-from metropilot.web.pages.frame import Problem, card, clock, frame, number, reads, table
+from metropilot.web.pages.frame import Problem, card, clock, frame, number, reads, strip, table
 from metropilot.web.pages.plots import blank, journey_figure, sections_figure
 from metropilot.web.pages.strip import line_strip, names
 from metropilot.web.schemas.requests import JourneyIn
@@ -62,7 +62,7 @@ class JourneyPage:
             self.status = ui.label("").classes("mp-soft").props("aria-live=polite")
         with ui.element("div").classes("mp-col"):
             with card():
-                self.map = ui.html("").classes("mp-strip")
+                self.map = strip("Whole line")
                 self.summary = ui.element("div").props('data-test="summary"')
             with card("Train graph"):
                 self.graph = ui.plotly(blank(460)).classes("mp-plot")

@@ -12,10 +12,10 @@ from nicegui import events, ui
 from metropilot.errors import MetropilotError
 from metropilot.web import catalogue
 from metropilot.web.errors import detail_of
-from metropilot.web.pages.frame import card, empty, frame, heading, links, number, table
+from metropilot.web.pages.frame import card, empty, frame, heading, links, number, strip, table, upload_field
 from metropilot.web.pages.plots import effort_figure, line_figure
 from metropilot.web.pages.strip import line_strip
-from metropilot.web.service import Service
+from metropilot.web.service import SUFFIXES, Service
 from metropilot.web.work.plans import effort_curves
 
 WHERE = ("file", "field", "value", "unit", "allowed")
@@ -40,15 +40,9 @@ class LinesPage:
                 "A line or a trainset (metropilot's TOML, TTOBench's JSON), "
                 f"or a learned policy (safetensors), up to {most}.",
             ):
-                upload = ui.upload(
-                    on_upload=self.upload,
-                    on_rejected=lambda: self.refuse_large(most),
-                    max_file_size=self.service.settings.upload_bytes,
-                    auto_upload=True,
-                    label="Choose or drop a file",
-                )
-                self.upload_in = upload.props('accept=".toml,.json,.safetensors" flat bordered').classes(
-                    "w-full"
+                largest = self.service.settings.upload_bytes
+                self.upload_in = upload_field(
+                    "Choose a file", SUFFIXES, largest, self.upload, lambda: self.refuse_large(most)
                 )
                 self.said = ui.element("div").classes("mp-stack").props('role=status data-test="upload-said"')
         with ui.element("div").classes("mp-col"):
@@ -89,7 +83,7 @@ class LinesPage:
             with card(
                 found["name"], f"{found['stations']} stations, {found['length_m'] / 1000:.3f} km · id {key}"
             ):
-                ui.html(line_strip(found)).classes("mp-strip")
+                strip("Whole line", line_strip(found))
                 ui.plotly(line_figure(found)).classes("mp-plot")
                 self.edit_link("line", found)
             with card("Sections"):

@@ -10,7 +10,7 @@ from nicegui import events, ui
 
 from metropilot.web import projects
 from metropilot.web.pages.form import validate
-from metropilot.web.pages.frame import Problem, card, heading, links
+from metropilot.web.pages.frame import Problem, card, links, question, upload_field
 from metropilot.web.schemas.requests import ProjectIn
 from metropilot.web.service import Service
 
@@ -133,8 +133,7 @@ class ProjectCard:
     async def ask_archive(self) -> None:
         """Ask for an archive and show its project."""
         most = self.service.settings.archive_bytes
-        with ui.dialog() as dialog, ui.card().classes("mp-card"):
-            heading("Import a project")
+        with question("Import a project") as dialog:
             ui.label(f"An archive that Export made, up to {most / 1e6:g} MB.").classes("mp-soft")
             problem = Problem()
 
@@ -143,8 +142,10 @@ class ProjectCard:
                     row = await projects.read_archive(self.service, await event.file.read())
                     dialog.submit(row.id)
 
-            upload = ui.upload(on_upload=take, max_file_size=most, auto_upload=True, label="Choose or drop")
-            upload.props('accept=".zip" flat bordered').classes("w-full")
+            def refuse() -> None:
+                problem.label.text = f"not taken: a .zip file of at most {most / 1e6:g} MB"
+
+            upload_field("Choose an archive", (".zip",), most, take, refuse)
             ui.button("Cancel", on_click=dialog.close).props("flat")
         key = await dialog
         dialog.delete()

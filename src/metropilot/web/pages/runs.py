@@ -14,7 +14,7 @@ from nicegui import run, ui
 from metropilot.web import catalogue, projects
 from metropilot.web.errors import Refused
 from metropilot.web.pages.form import validate
-from metropilot.web.pages.frame import Problem, card, clock, empty, frame, heading, number, table
+from metropilot.web.pages.frame import Problem, card, clock, empty, frame, number, question, table
 from metropilot.web.pages.plots import difference_figure
 from metropilot.web.pages.projects import ProjectCard
 from metropilot.web.pages.tables import DataColumn, DataTable
@@ -245,8 +245,7 @@ class RunsPage:
         """Ask for the name of a run and keep it."""
         with self.problem.show_errors():
             row = self.service.store.job(job)
-            with ui.dialog() as dialog, ui.card().classes("mp-card"):
-                heading(f"Name of {catalogue.describe_job(row)}")
+            with question(f"Name of {catalogue.describe_job(row)}") as dialog:
                 problem = Problem()
                 field = ui.input("Name", value=row.name).props("outlined dense autofocus maxlength=80")
                 problem.beside("name", field.classes("w-full"))
@@ -285,9 +284,8 @@ class RunsPage:
     async def ask_delete(self) -> None:
         """Ask, then delete the chosen runs."""
         chosen = self.list.chosen
-        with ui.dialog() as dialog, ui.card().classes("mp-card"):
-            what = "1 run" if len(chosen) == 1 else f"{len(chosen)} runs"
-            heading(f"Delete {what}?")
+        what = "1 run" if len(chosen) == 1 else f"{len(chosen)} runs"
+        with question(f"Delete {what}?") as dialog:
             ui.label("Files and results go with them; of a learning run its policy.").classes("mp-soft")
             with ui.element("div").classes("mp-row"):
                 sure = ui.button(f"Delete {what}", on_click=lambda: dialog.submit(True))
@@ -304,8 +302,7 @@ class RunsPage:
     async def ask_project(self) -> None:
         """Ask for a project and move the chosen runs to it."""
         chosen = self.list.chosen
-        with ui.dialog() as dialog, ui.card().classes("mp-card"):
-            heading("Move to project")
+        with question("Move to project") as dialog:
             field = ui.select(self.project.names("none"), value=self.project.key or "", label="To project")
             field.props("outlined dense options-dense").classes("w-full")
             with ui.element("div").classes("mp-row"):

@@ -8,7 +8,8 @@ from typing import Any
 
 from nicegui import ui
 
-HEADING = """<q-th :props="props"><button v-if="props.col.sortable" type="button" class="mp-sort"
+HEADING = """<q-th :props="props" :aria-sort="!props.col.__thClass.includes(' sorted') ? null
+    : props.col.__thClass.includes('sort-desc') ? 'descending' : 'ascending'"><button v-if="props.col.sortable" type="button" class="mp-sort"
     :aria-label="`Sort by ${props.col.label}`">{{ props.col.label }}</button>
     <template v-else>{{ props.col.label }}</template></q-th>"""
 CHOICE = """<q-checkbox dense v-model="props.selected"
@@ -100,7 +101,7 @@ class DataTable:
                 each.props("outlined dense options-dense").classes("mp-filter")
         columns = [column.as_dict() for column in self.columns]
         if self.actions:
-            columns.append({"name": "actions", "label": "", "field": "actions", "align": "left"})
+            columns.append({"name": "actions", "label": "Actions", "field": "actions", "align": "left"})
         self.table = ui.table(
             rows=[],
             columns=columns,
