@@ -288,7 +288,8 @@ def test_a_bad_upload_names_the_field(server, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "path", ["/", "/compare", "/journey", "/line", "/convoy", "/learn", "/lines", "/runs", "/campaigns"]
+    "path",
+    ["/", "/compare", "/journey", "/line", "/convoy", "/learn", "/lines", "/fit", "/runs", "/campaigns"],
 )
 def test_pages_are_there_and_load_nothing_from_elsewhere(server, path):
     answer = server.client.get(path)
@@ -363,7 +364,7 @@ def test_every_route_has_an_example_that_works(server):
             target = re.search(r"\$URL(\S+)", call)[1]
             body = re.search(r"--json '(.*)'", call)
             if any(name in target for name in known) or re.search(
-                r"/jobs/(learn|study)$|/live$|/convoys$", target
+                r"/jobs/(fit|learn|study)$|/live$|/convoys$", target
             ):
                 continue  # of a job or a run that is not there, or minutes long
             if "-F" in call or "/studies/" in target:
@@ -377,7 +378,19 @@ def test_every_route_has_an_example_that_works(server):
 
 
 @pytest.mark.parametrize(
-    "name", ["ArrivalIn", "CompareIn", "ConvoyIn", "LearnIn", "Lever", "LiveIn", "NewLink", "Pace", "StudyIn"]
+    "name",
+    [
+        "ArrivalIn",
+        "CompareIn",
+        "ConvoyIn",
+        "FitIn",
+        "LearnIn",
+        "Lever",
+        "LiveIn",
+        "NewLink",
+        "Pace",
+        "StudyIn",
+    ],
 )
 def test_an_example_is_a_body_that_is_allowed(name):
     kind = getattr(requests, name)

@@ -31,6 +31,7 @@ def install(app: FastAPI, service: Service) -> None:
         convoy,
         drive,
         edit,
+        fit,
         journey,
         learn,
         lines,
@@ -39,6 +40,6 @@ def install(app: FastAPI, service: Service) -> None:
     )
 
     pages.add_static_files("/static", Path(__file__).parent.parent / "static", max_cache_age=300)
-    for module in (drive, compare, journey, operation, convoy, learn, lines, edit, runs, campaigns):
+    for module in (drive, compare, journey, operation, convoy, learn, lines, edit, fit, runs, campaigns):
         module.install(service)
     ui.run_with(app, title="metropilot", favicon=FAVICON, reconnect_timeout=30.0, show_welcome_message=False)

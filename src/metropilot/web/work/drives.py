@@ -46,6 +46,7 @@ FILES = {
     ),
     "compare": ("comparison.json", "comparison.svg", "comparison.png", "run.toml"),
     "campaign": ("results.parquet",),
+    "fit": ("trainset.toml", "fit.json", "residuals.svg", "residuals.png"),
     "line": (
         "line.json",
         "day.json",
