@@ -229,6 +229,15 @@ def explanation_figure(driven: dict[str, Any]) -> Figure:
     for words, (name, colour, dash) in losses.items():
         lost = kwh(told[name])
         traces.append(line(f"lost by the {words}", told["position_m"], lost, colour, dash=dash, yaxis="y3"))
+    prices = told.get("prices", [])
+    worth = {
+        "a second more saves": ("later_j", GREEN, "solid"),
+        "a second less costs": ("sooner_j", BLUE, "dash"),
+    }
+    for words, (name, colour, dash) in worth.items():
+        kwhs = [None if price[name] is None else price[name] / J_PER_KWH for price in prices]
+        places = [price["position_m"] for price in prices]
+        traces.append(line(words, places, kwhs, colour, dash=dash, yaxis="y4", mode="lines+markers"))
     bands = [
         {
             "type": "rect",
@@ -249,12 +258,13 @@ def explanation_figure(driven: dict[str, Any]) -> Figure:
     order = [bound for bound in reversed(BOUND_COLOURS) if any(s["bound"] == bound for s in told["bounds"])]
     return figure(
         traces,
-        640,
+        760,
         shapes=bands,
-        xaxis=axis("distance (m)", anchor="y3"),
-        yaxis=axis("speed (km/h)", domain=[0.52, 1.0], rangemode="tozero"),
-        yaxis2=axis("", domain=[0.26, 0.47], type="category", categoryorder="array", categoryarray=order),
-        yaxis3=axis("loss (kWh)", domain=[0.0, 0.2]),
+        xaxis=axis("distance (m)", anchor="y4"),
+        yaxis=axis("speed (km/h)", domain=[0.6, 1.0], rangemode="tozero"),
+        yaxis2=axis("", domain=[0.39, 0.56], type="category", categoryorder="array", categoryarray=order),
+        yaxis3=axis("loss (kWh)", domain=[0.2, 0.35]),
+        yaxis4=axis("a second (kWh)", domain=[0.0, 0.16], rangemode="tozero"),
         hovermode="closest",
     )
 

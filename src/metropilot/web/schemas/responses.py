@@ -276,6 +276,38 @@ class InterventionOut(BaseModel):
     ahead_m: float
 
 
+class TimePriceOut(BaseModel):
+    """Worth of a second at a moment: marginal price, energy that one more saves and one less costs."""
+
+    time_s: float
+    position_m: float
+    second_w: float
+    later_j: float
+    sooner_j: float | None
+
+
+class FeatureShareOut(BaseModel):
+    """Share of a feature in a learned driver's decision."""
+
+    feature: str
+    words: str
+    share: float
+
+
+class DecisionOut(BaseModel):
+    """Decision of a learned driver; its shares sum up to the output less that of the mean observation.
+
+    ``meaning``: what a positive share speaks for.
+    """
+
+    time_s: float
+    position_m: float
+    output: float
+    usual: float
+    meaning: str
+    shares: list[FeatureShareOut]
+
+
 class ExplanationOut(BaseModel):
     """Reasons of a drive, as in `explanation.json`; losses at the wheel, empty where they are unknown."""
 
@@ -285,6 +317,8 @@ class ExplanationOut(BaseModel):
     position_m: list[float]
     trainset_loss_j: list[float]
     driver_loss_j: list[float]
+    prices: list[TimePriceOut] = []
+    decisions: list[DecisionOut] = []
 
 
 class DriveOut(BaseModel):
