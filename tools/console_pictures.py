@@ -1,7 +1,8 @@
 """Draw the console's pictures anew: ``python tools/console_pictures.py URL [drive compare ...]``.
 
 URL is that of a running `metropilot serve`; needs the extra ``browser`` and Chromium. Without names it draws
-all of them into docs/images. A picture of Learn shows the job that is named in the variable JOB.
+all of them into docs/images. A picture of Learn shows the job that is named in the variable JOB, one of Fit
+that of the variable FIT.
 """
 
 import argparse
@@ -97,6 +98,11 @@ def edit(page: Page) -> None:
     page.get_by_text("speed_limits.values[3].speed: ").first.wait_for()
 
 
+def fit(page: Page) -> None:
+    """The residuals of a job."""
+    page.locator('[data-test="residuals"] .scatterlayer .trace').first.wait_for()
+
+
 def lines(page: Page) -> None:
     """A file that cannot be used."""
     page.wait_for_timeout(2500)
@@ -116,6 +122,7 @@ PICTURES: dict[str, tuple[str, Callable[[Page], None]]] = {
     "learn": (f"/learn?job={os.environ.get('JOB', '')}", learn),
     "edit": ("/edit?line=yizhuang", edit),
     "lines": ("/lines", lines),
+    "fit": (f"/fit?job={os.environ.get('FIT', '')}", fit),
     "phone": ("/", phone),
 }
 
@@ -145,9 +152,8 @@ def main() -> None:
     """Draw what is named."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("url")
-    parser.add_argument(
-        "names", nargs="*", default=[n for n in PICTURES if n != "learn" or "JOB" in os.environ]
-    )
+    missing = {name for name, job in (("learn", "JOB"), ("fit", "FIT")) if job not in os.environ}
+    parser.add_argument("names", nargs="*", default=[n for n in PICTURES if n not in missing])
     given = parser.parse_args()
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     with sync_playwright() as driver:

@@ -110,6 +110,28 @@ def test_a_run_is_opened_again(visit, driven):
     assert bands > 3
 
 
+@pytest.mark.parametrize("width", [1440, 390])
+def test_the_worth_of_a_second_and_a_learned_drivers_features_are_shown(visit, server, width):
+    body = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ", "driver": "ppo", "time_s": 105}
+    job = server.post("/api/jobs/drive", body, code=202)["id"]
+    server.wait(job)
+    page = visit(f"/?run={job}", width=width, height=900)
+    worth = page.get_by_role("table", name="Worth of a second")
+    expect(worth).to_be_visible(timeout=PATIENCE_MS)
+    rows = [row.get_by_role("cell").all_inner_texts() for row in worth.get_by_role("row").all()[1:]]
+    powered, coasting = rows[2], rows[10]
+    assert 0.15 < float(powered[3]) <= float(powered[2]) <= float(powered[4]) < 0.3
+    assert float(coasting[3]) == 0.0 < float(coasting[4])
+    features = page.get_by_role("table", name="Strongest features")
+    first = features.get_by_role("row").nth(1)
+    expect(first).to_contain_text(re.compile(r"speed \+0\.\d\d; "))
+    expect(page.get_by_text("how far each speaks for more power")).to_be_visible()
+    page.wait_for_function("document.querySelector('[data-test=explanation]')?.data", timeout=PATIENCE_MS)
+    drawn = page.evaluate("document.querySelector('[data-test=explanation]').data.map(t => t.name)")
+    assert {"a second more saves", "a second less costs"} <= set(drawn)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
 def test_a_journey_is_opened_again(visit, server):
     asked = {"line": "yizhuang", "total_s": 1200, "destination": "RJ", "load": "AW2"}
     job = server.post("/api/jobs/journey", asked, code=201)["id"]

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from metropilot.evaluate import BOUNDS, RunSpec, explain_drive, kpis_of, optimum_of
+from metropilot.evaluate import BOUNDS, RunSpec, explain_drive, kpis_of, optimum_of, time_prices
 from metropilot.railway import Restriction
 from metropilot.sim import Rollout, drive
 from metropilot.units import J_PER_KWH
@@ -85,3 +85,41 @@ def test_a_lever_at_full_power_meets_the_guards_ahead_of_a_restriction():
     for span in found.interventions:
         row = int(np.searchsorted(driven.trajectory.time_s, span.from_s))
         assert driven.trajectory.speed_mps[row] == span.speed_mps
+
+
+def test_a_second_is_worth_least_more_and_most_less(explained):
+    driven, _, found = explained
+    assert len(found.prices) > 15
+    for price in found.prices:
+        slack = 2e-3 * price.second_w + 5e3
+        assert price.later_j <= price.second_w + slack
+        assert price.sooner_j is None or price.second_w <= price.sooner_j + slack
+    # the dual at departure is the slope of the optimal plans' energies
+    first = found.prices[0]
+    slope = (first.later_j + first.sooner_j) / 2.0
+    assert first.second_w == pytest.approx(slope, rel=0.05)
+    assert first.second_w == pytest.approx(optimum_of(driven).plan.second_w, rel=0.01)
+
+
+def test_on_an_optimal_plan_the_price_stays_until_it_coasts():
+    spec = RunSpec(**SECTION, time_s=101.0, driver="optimal")
+    driven = drive(spec.run(), spec.make_driver())
+    prices = time_prices(driven, np.arange(0.0, 100.0, 10.0))
+    powered = [price.second_w for price in prices if price.position_m < 250.0]
+    coasting = [price for price in prices if 450.0 < price.position_m < 1000.0]
+    assert len(powered) >= 3
+    assert max(powered) < 1.05 * min(powered)
+    for price in coasting:
+        assert price.later_j < 1e3
+        assert price.sooner_j > 1e5
+
+
+def test_what_cannot_arrive_any_more_has_no_price():
+    spec = RunSpec(**SECTION, time_s=110.0, driver="pid")
+    rollout = Rollout(spec.run(), spec.make_driver())
+    rollout.take(0.0)
+    while rollout.outcome is None:
+        rollout.advance()
+    driven = rollout.drive()
+    prices = explain_drive(driven, optimum_of(driven)).prices
+    assert prices == () or max(price.time_s for price in prices) < 110.0 - 80.0

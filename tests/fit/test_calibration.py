@@ -8,7 +8,15 @@ from benchmarks import fit as accuracy
 from tests.fit.conftest import TRUTH
 
 from metropilot.errors import InputError
-from metropilot.fit import Log, PlantParameters, cut_runs, fit_trainset, read_log, simulate_speeds
+from metropilot.fit import (
+    Log,
+    PlantParameters,
+    ambiguities,
+    cut_runs,
+    fit_trainset,
+    read_log,
+    simulate_speeds,
+)
 from metropilot.physics import track_arrays, vehicle_arrays
 
 
@@ -54,6 +62,22 @@ def test_a_log_without_noise_gives_the_truth(exact):
     assert exact["lag_s"].value == pytest.approx(0.3, abs=2e-3)
     for row in exact.resistance:
         assert row.value == pytest.approx(1.2 * row.nominal, rel=5e-3)
+
+
+def test_what_a_log_tells_well_is_not_remarked_on(exact):
+    (only,) = ambiguities(exact)
+    assert only.startswith("The mass is that with the trainset's traction curve; a traction of 0.909")
+
+
+def test_what_noise_leaves_open_is_remarked_on(log, nominal, section):
+    noise = np.random.default_rng(1).normal(0.0, 0.05, log.speed_mps.size)
+    noisy = replace(log, speed_mps=np.maximum(log.speed_mps + noise, 0.0))
+    found = fit_trainset([noisy], nominal, sections=[section])
+    remarks = ambiguities(found)[1:]
+    half = found["lag_s"].high - found["lag_s"].value
+    assert half > 0.05
+    assert any(f"The lag is known to ±{half:.2g} s only: the logs hardly tell it from" in r for r in remarks)
+    assert not any("brake" in remark for remark in remarks)
 
 
 def test_the_trainset_holds_the_estimates(exact, nominal):

@@ -77,6 +77,25 @@ def test_a_drive_with_its_files(server):
     csv = server.client.get(f"/api/jobs/{job}/files/trajectory.csv").text
     assert csv.startswith("time_s,position_m")
     server.get(f"/api/jobs/{job}/compare", code=404)
+    told = driven["explanation"]
+    assert told["decisions"] == []
+    assert told == server.get(f"/api/jobs/{job}/files/explanation.json")
+    powered, coasting = told["prices"][2], told["prices"][10]
+    assert powered["later_j"] < powered["second_w"] < powered["sooner_j"] < 1.1 * powered["later_j"]
+    assert coasting["later_j"] < 1e3 < coasting["sooner_j"]
+
+
+def test_a_learned_drive_says_what_its_decisions_rest_on(server):
+    body = {**SECTION, "time_s": 105, "driver": "ppo"}
+    job = server.post("/api/jobs/drive", body, code=202)["id"]
+    server.wait(job)
+    decisions = server.get(f"/api/jobs/{job}/drive")["explanation"]["decisions"]
+    assert len(decisions) == 20
+    for decision in decisions:
+        whole = sum(share["share"] for share in decision["shares"])
+        assert whole == pytest.approx(decision["output"] - decision["usual"], abs=0.05)
+        assert decision["meaning"] == "more power"
+    assert {"speed", "running-time reserve"} <= {share["words"] for share in decisions[0]["shares"]}
 
 
 def test_a_comparison(server):
@@ -288,7 +307,8 @@ def test_a_bad_upload_names_the_field(server, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "path", ["/", "/compare", "/journey", "/line", "/convoy", "/learn", "/lines", "/runs", "/campaigns"]
+    "path",
+    ["/", "/compare", "/journey", "/line", "/convoy", "/learn", "/lines", "/fit", "/runs", "/campaigns"],
 )
 def test_pages_are_there_and_load_nothing_from_elsewhere(server, path):
     answer = server.client.get(path)
@@ -363,7 +383,7 @@ def test_every_route_has_an_example_that_works(server):
             target = re.search(r"\$URL(\S+)", call)[1]
             body = re.search(r"--json '(.*)'", call)
             if any(name in target for name in known) or re.search(
-                r"/jobs/(learn|study)$|/live$|/convoys$", target
+                r"/jobs/(fit|learn|study)$|/live$|/convoys$", target
             ):
                 continue  # of a job or a run that is not there, or minutes long
             if "-F" in call or "/studies/" in target:
@@ -377,7 +397,19 @@ def test_every_route_has_an_example_that_works(server):
 
 
 @pytest.mark.parametrize(
-    "name", ["ArrivalIn", "CompareIn", "ConvoyIn", "LearnIn", "Lever", "LiveIn", "NewLink", "Pace", "StudyIn"]
+    "name",
+    [
+        "ArrivalIn",
+        "CompareIn",
+        "ConvoyIn",
+        "FitIn",
+        "LearnIn",
+        "Lever",
+        "LiveIn",
+        "NewLink",
+        "Pace",
+        "StudyIn",
+    ],
 )
 def test_an_example_is_a_body_that_is_allowed(name):
     kind = getattr(requests, name)

@@ -123,7 +123,7 @@ def fit_command(
 
 def _print(found: Calibration) -> None:
     """Print the fit as tables."""
-    from metropilot.fit import count_words
+    from metropilot.fit import ambiguities, count_words
 
     screen = console()
     head = ("parameter", "trainset", "estimate", "95 % interval", "")
@@ -135,12 +135,8 @@ def _print(found: Calibration) -> None:
     screen.print(table("", head, [_row(p) for p in found.parameters], right=(1, 2)))
     if any(p.estimated for p in found.resistance):
         screen.print(table("", head, [_row(p) for p in found.resistance], right=(1, 2)))
-    mass = found["mass_factor"]
-    if mass.estimated and found.source == "command":
-        screen.print(
-            f"The mass is that with the trainset's traction curve; a traction of {1 / mass.value:.3f} of the "
-            "curve at the nominal mass accelerates alike, and commands cannot tell them apart."
-        )
+    for remark in ambiguities(found):
+        screen.print(remark)
     heading(screen, "notes", found.notes)
 
 

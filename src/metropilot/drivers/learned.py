@@ -19,6 +19,7 @@ from metropilot.control import Adaptation, adapt_trainset, look_ahead
 from metropilot.drivers import mismatch
 from metropilot.drivers.mismatch import PlantMonitor
 from metropilot.env import (
+    FEATURES,
     FeatureContext,
     PolicyInterface,
     SectionRows,
@@ -139,6 +140,12 @@ class LearnedDriver(AbstractDriver):
             command=command, action=action, wanted=wanted, decided=decided, stopping=stopping
         )
         return float(command), memory
+
+    def feature_sizes(self, run: Run) -> dict[str, int]:
+        """Number of numbers that each feature has in the observation, in its order."""
+        standing = Observation(0.0, 0.0, 0.0, 0.0, run.scheduled_time_s, 0.0, run.section)
+        context = self._context(self.init(run), standing)
+        return {name: len(FEATURES.get(name)(context)) for name in self.interface.features}
 
     def _apply_assists(self, memory: LearnedMemory, context: FeatureContext, command: Any) -> tuple[Any, Any]:  # noqa: ANN401
         """Apply the assists as learned, or the careful ones under plant mismatch."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import ClassVar, final
 
 from metropilot._schema import declare
-from metropilot.drivers.learned import LearnedDriver, LearnedMemory
+from metropilot.drivers.learned import LearnedDriver, LearnedMemory, PolicyFunction
 from metropilot.errors import InputError
 from metropilot.policy import LoadedPolicy, load_driving_policy, shipped_policy
 from metropilot.sim import AbstractDriver, Observation, Run
@@ -65,9 +65,17 @@ class AbstractPolicyDriver(AbstractDriver):
         """Read the policy."""
         return self.loaded_policy
 
+    def with_policy(self, policy: PolicyFunction) -> LearnedDriver:
+        """The same driver with another function in the place of its policy."""
+        return LearnedDriver(policy, self.loaded_policy.interface)
+
+    def feature_sizes(self, run: Run) -> dict[str, int]:
+        """Number of numbers that each feature has in the observation, in its order."""
+        return self._driver.feature_sizes(run)
+
     @cached_property
     def _driver(self) -> LearnedDriver:
-        return LearnedDriver(self.loaded_policy.policy, self.loaded_policy.interface)
+        return self.with_policy(self.loaded_policy.policy)
 
     def init(self, run: Run) -> LearnedMemory:
         """Read the policy, and build the tables it sees."""

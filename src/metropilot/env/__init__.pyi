@@ -17,6 +17,7 @@ from .driving import DriveState as DriveState
 from .driving import DrivingTask as DrivingTask
 from .driving import episode_of as episode_of
 from .driving import starts as starts
+from .features import FEATURE_WORDS as FEATURE_WORDS
 from .features import FEATURES as FEATURES
 from .features import OBSERVERS as OBSERVERS
 from .features import FeatureContext as FeatureContext

@@ -446,6 +446,38 @@ FEATURES: Registry[Feature] = Registry(
 )
 """Every feature; that of a paper is in its study."""
 
+FEATURE_WORDS: Mapping[str, str] = MappingProxyType(
+    {
+        "position": "position on the section",
+        "position_m": "position",
+        "speed": "speed",
+        "acceleration": "acceleration",
+        "command": "last command",
+        "distance_left": "distance to the stop",
+        "time_left": "time left",
+        "elapsed": "time since departure",
+        "reserve": "running-time reserve",
+        "mean_speed": "mean speed that the timetable needs",
+        "braking": "braking rate that the stop needs",
+        "permitted": "margin to the permitted speed",
+        "permitted_ahead": "permitted speed up to 1 km ahead",
+        "permitted_far": "permitted speed further ahead",
+        "climb_ahead": "gradients up to 1 km ahead",
+        "climb_far": "gradients further ahead",
+        "efforts": "tractive effort, braking effort, resistance",
+        "efforts_ahead": "tractive effort and resistance at higher speeds",
+        "coasting": "time to spare when coasting from here",
+        "coasting_faster": "time to spare when coasting later",
+        "steady": "time to spare at constant speed",
+        "pace": "speed to hold for the timetable",
+        "load": "load",
+        "delay": "dead time and lag",
+        "build_up": "jerk limit",
+        "expert": "state of the expert system",
+    }
+)
+"""Every feature in the field's words."""
+
 SECTION = (
     "position",
     "speed",

@@ -1,3 +1,6 @@
+from .attribution import FeatureMoment as FeatureMoment
+from .attribution import FeatureShare as FeatureShare
+from .attribution import attribute_decisions as attribute_decisions
 from .comparison import Entry as Entry
 from .comparison import Interval as Interval
 from .comparison import Job as Job
@@ -76,3 +79,5 @@ from .style import house_style as house_style
 from .style import label_panel as label_panel
 from .style import new_panels as new_panels
 from .style import save_figure as save_figure
+from .time_prices import TimePrice as TimePrice
+from .time_prices import time_prices as time_prices

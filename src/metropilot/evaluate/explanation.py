@@ -11,11 +11,13 @@ import numpy as np
 from numpy import ndarray
 
 from metropilot._typing import Bool, Float, Shaped
+from metropilot.evaluate.attribution import FeatureMoment, attribute_decisions
 from metropilot.evaluate.optimum import Optimum
+from metropilot.evaluate.time_prices import TimePrice, time_prices
 from metropilot.physics import electric_available_n, traction_available_n, vehicle_arrays
-from metropilot.planning import Plan
+from metropilot.planning import Objective, Plan
 from metropilot.protection import LEVELS
-from metropilot.sim import BRAKE, STANDSTILL, Drive, Outcome, Trajectory
+from metropilot.sim import BRAKE, STANDSTILL, AbstractDriver, Drive, Outcome, Trajectory
 
 NEAR_MPS = 0.5
 """Distance from the permitted speed within which it counts as binding: drivers keep some 0.2 m/s below it."""
@@ -25,6 +27,8 @@ FLAT_MPS = 0.05
 """Change of the permitted speed that counts as none."""
 GRID_M = 5.0
 """Distance between the positions of the loss."""
+MOMENTS = 20
+"""Moments of a drive that have a price of time and a learned driver's features."""
 PROTECTION, LIMIT, PERMITTED = "protection", "speed limit", "permitted speed"
 EFFORT, COMFORT, STOP, TIME = "effort", "comfort", "stop", "time"
 BOUNDS = (PROTECTION, LIMIT, PERMITTED, EFFORT, COMFORT, STOP, TIME)
@@ -117,6 +121,8 @@ class Explanation:
         position_m: Positions of the losses; empty where the drive did not arrive or has no attainable plan.
         trainset_loss_j: Loss so far to jerk limit, dead time, lag and protection.
         driver_loss_j: Loss so far to the driver.
+        prices: Worth of a second at moments of the drive.
+        decisions: Decisions of a learned driver at these moments, by the features that they rest on.
     """
 
     regimes: tuple[RegimeSpan, ...]
@@ -125,23 +131,37 @@ class Explanation:
     position_m: Float[ndarray, " points"]
     trainset_loss_j: Float[ndarray, " points"]
     driver_loss_j: Float[ndarray, " points"]
+    prices: tuple[TimePrice, ...] = ()
+    decisions: tuple[FeatureMoment, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, words and None, ready for JSON."""
         found = asdict(self)
-        for name in ("regimes", "bounds", "interventions"):
+        for name in ("regimes", "bounds", "interventions", "prices", "decisions"):
             found[name] = [span._asdict() for span in getattr(self, name)]
+        for each in found["decisions"]:
+            each["shares"] = [share._asdict() for share in each["shares"]]
         for name in ("position_m", "trainset_loss_j", "driver_loss_j"):
             found[name] = getattr(self, name).round(3).tolist()
         return found
 
 
-def explain_drive(drive: Drive, optimum: Optimum | None) -> Explanation:
+def explain_drive(
+    drive: Drive,
+    optimum: Optimum | None,
+    *,
+    driver: AbstractDriver | None = None,
+    objective: Objective = "wheel",
+    moments: int = MOMENTS,
+) -> Explanation:
     """Explain a drive.
 
     Args:
         drive: The drive.
-        optimum: Result of :func:`metropilot.evaluate.optimum_of`; None: no loss is given.
+        optimum: Result of :func:`metropilot.evaluate.optimum_of`; None: no loss and no price is given.
+        driver: The driver that drove, made anew; a learned one's decisions are attributed to its features.
+        objective: Energy that the price of a second is in.
+        moments: Number of moments with a price, evenly spaced in time; 0: none.
     """
     t, bound = drive.trajectory, binding(drive)
     at_m, trainset_j, driver_j = _losses(drive, optimum)
@@ -167,7 +187,17 @@ def explain_drive(drive: Drive, optimum: Optimum | None) -> Explanation:
             )
         )
     bounds = tuple(BoundSpan(str(bound[first]), *_place(t, first, last)) for first, last in _spans(bound))
-    return Explanation(tuple(regimes), bounds, tuple(_interventions(drive)), at_m, trainset_j, driver_j)
+    times_s = np.linspace(0.0, float(t.time_s[-1]), moments, endpoint=False)
+    return Explanation(
+        tuple(regimes),
+        bounds,
+        tuple(_interventions(drive)),
+        at_m,
+        trainset_j,
+        driver_j,
+        () if optimum is None else time_prices(drive, times_s, objective),
+        () if driver is None else attribute_decisions(drive, driver, times_s),
+    )
 
 
 def binding(drive: Drive) -> Shaped[ndarray, " rows"]:

@@ -11,7 +11,7 @@ from typing import Any
 from metropilot._io import fill_folder, write_json
 from metropilot._provenance import provenance
 from metropilot.evaluate.comparison import Entry
-from metropilot.evaluate.explanation import explain_drive
+from metropilot.evaluate.explanation import Explanation, explain_drive
 from metropilot.evaluate.kpis import Kpis
 from metropilot.evaluate.optimum import Optimum
 from metropilot.evaluate.run_spec import FILES, POLICY, RunSpec, is_file
@@ -20,7 +20,14 @@ from metropilot.railway import parse_trainset
 from metropilot.sim import Drive
 
 
-def write_run(folder: Path, request: RunSpec, drive: Drive, kpis: Kpis, optimum: Optimum | None) -> None:
+def write_run(
+    folder: Path,
+    request: RunSpec,
+    drive: Drive,
+    kpis: Kpis,
+    optimum: Optimum | None,
+    explanation: Explanation | None = None,
+) -> None:
     """Write `trajectory.csv`, `kpis.json`, `explanation.json`, `profile.svg`, `profile.png` and `run.toml`.
 
     Args:
@@ -29,6 +36,7 @@ def write_run(folder: Path, request: RunSpec, drive: Drive, kpis: Kpis, optimum:
         drive: The run.
         kpis: Its KPIs.
         optimum: The plan it is compared with.
+        explanation: Its reasons; None: computed here.
 
     Raises:
         InputError: The folder cannot be made or written.
@@ -36,10 +44,13 @@ def write_run(folder: Path, request: RunSpec, drive: Drive, kpis: Kpis, optimum:
     from metropilot.evaluate.figures import profile_figure
     from metropilot.evaluate.style import save_figure
 
+    if explanation is None:
+        told = {"driver": request.make_driver(), "objective": request.objective}
+        explanation = explain_drive(drive, optimum, **told)
     with fill_folder(folder) as scratch:
         drive.trajectory.write(scratch / "trajectory.csv")
         write_json(scratch / "kpis.json", kpis.as_dict())
-        write_json(scratch / "explanation.json", explain_drive(drive, optimum).as_dict())
+        write_json(scratch / "explanation.json", explanation.as_dict())
         save_figure(profile_figure(drive, kpis, optimum), scratch / "profile")
         write_run_toml(scratch, request)
 

@@ -27,9 +27,10 @@ from metropilot.units import KMH_PER_MPS
 
 Source = Literal["command", "effort"]
 Resistance = Literal["auto", "factor", "coefficients"]
+Group = Literal["mass", "brake", "resistance", "delay", "lag"]
 SOURCES: tuple[Source, ...] = ("command", "effort")
 RESISTANCES: tuple[Resistance, ...] = ("auto", "factor", "coefficients")
-GROUPS = ("mass", "brake", "resistance", "delay", "lag")
+GROUPS: tuple[Group, ...] = ("mass", "brake", "resistance", "delay", "lag")
 """Parameters that can be kept at the trainset's values."""
 OF_EFFORT = ("mass", "resistance")
 """Those that logs of the wheel force can tell."""

@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from metropilot._io import read_text
 from metropilot.errors import InputError
-from metropilot.units import KINDS, Unit, si_unit, unit
+from metropilot.units import KINDS, KMH_PER_MPS, Unit, si_unit, unit
 
 LEAST_ROWS = 20
 """Fewest rows of a log from which anything can be estimated."""
@@ -114,6 +114,18 @@ def read_log(path: str | Path) -> Log:
         effort,
         values.get("position"),
         values.get("gradient"),
+    )
+
+
+def describe_log(log: Log) -> str:
+    """Size, speeds and inputs of a log, in words."""
+    inputs = {"command": log.command, "effort": log.effort_n, "position": log.position_m}
+    inputs |= {"gradient": log.gradient_permil}
+    named = [name for name, column in inputs.items() if column is not None]
+    minutes = (log.time_s[-1] - log.time_s[0]) / 60.0
+    return (
+        f"{log.time_s.size} samples, {minutes:.1f} min, up to {KMH_PER_MPS * log.speed_mps.max():.1f} km/h; "
+        + (", ".join(named) or "neither command nor effort")
     )
 
 

@@ -30,6 +30,16 @@ from metropilot.units import KMH_PER_MPS
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+ALIKE = 0.9
+"""Correlation of two estimates from which logs count as hardly telling them apart."""
+WANTED: Mapping[str, float] = {
+    "mass_factor": 0.02,
+    "brake_factor": 0.02,
+    "resistance_factor": 0.03,
+    "delay_s": 0.05,
+    "lag_s": 0.05,
+}
+"""Half width of an interval beyond which a remark is made, as documented in the benchmark of fits."""
 MOST_NAMED = 6
 """Most logs that a source names."""
 MOST_LAG_S = 10.0
@@ -55,6 +65,29 @@ def count_words(found: Calibration) -> str:
     """Number of logs, runs and samples, in words."""
     counts = ((len(found.logs), "log"), (found.run_count, "run"), (found.samples, "sample"))
     return ", ".join(f"{count} {word}{'s' * (count != 1)}" for count, word in counts)
+
+
+def ambiguities(found: Calibration) -> list[str]:
+    """Remarks on estimates that the logs tell apart poorly or not at all, one a line."""
+    mass, remarks = found["mass_factor"], []
+    if mass.estimated and found.source == "command":
+        remarks.append(
+            f"The mass is that with the trainset's traction curve; a traction of {1 / mass.value:.3f} of the "
+            "curve at the nominal mass accelerates alike, and commands cannot tell them apart."
+        )
+    known = {p.id: p for p in found.parameters if p.estimated and p.id in WANTED}
+    order = list(found.estimated)
+    for name, parameter in known.items():
+        half = max(parameter.high - parameter.value, parameter.value - parameter.low)
+        if half <= WANTED[name]:
+            continue
+        row = found.correlation[order.index(name)]
+        alike = [each for each in known if each != name and abs(row[order.index(each)]) >= ALIKE]
+        others = " and ".join(known[each].label.partition(" /")[0] for each in alike)
+        scale, unit = (1.0, f" {parameter.unit}") if parameter.unit else (100.0, " %")
+        words = f"The {parameter.label.partition(' /')[0]} is known to ±{scale * half:.2g}{unit} only"
+        remarks.append(words + (f": the logs hardly tell it from {others}." if others else "."))
+    return remarks
 
 
 def fitted_trainset(found: Calibration, name: str) -> Trainset:
@@ -122,6 +155,7 @@ def fit_json(found: Calibration) -> dict[str, Any]:
         "resistance": [row(p) for p in found.resistance],
         "correlation": {"order": list(found.estimated), "rows": found.correlation.tolist()},
         "notes": list(found.notes),
+        "ambiguities": ambiguities(found),
         "provenance": provenance(),
     }
 

@@ -19,4 +19,5 @@ from .networks import in_precision as in_precision
 from .networks import network_output as network_output
 from .networks import normalise as normalise
 from .networks import only_policy as only_policy
+from .networks import output_gradient as output_gradient
 from .networks import table_cell as table_cell

@@ -132,8 +132,8 @@ def _layer(name: str, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
 
 
 def normalise(
-    params: Params, observation: Float[Array, " features"], xp: ModuleType
-) -> Float[Array, " features"]:
+    params: Params, observation: Float[Array, "*batch features"], xp: ModuleType
+) -> Float[Array, "*batch features"]:
     """Subtract the mean, divide by the deviation, keep in range; without statistics, nothing."""
     if "observation.mean" not in params:
         return observation
@@ -161,6 +161,50 @@ def network_output(
     features = activate(spec.activation, features, xp)
     value = forward(params, "policy.value", features, spec.activation, xp)
     return dueling(value, forward(params, "policy.advantage", features, spec.activation, xp))
+
+
+def output_gradient(
+    policy: Policy, observations: Float[np.ndarray, "batch features"], weights: Float[np.ndarray, " width"]
+) -> Float[np.ndarray, "batch features"]:
+    """Gradient of a weighted sum of a network's outputs by the observation, in NumPy.
+
+    Args:
+        policy: The policy; not a table, which has none.
+        observations: Observations, one a row.
+        weights: Weights of the outputs, those of :func:`network_output`.
+    """
+    spec, params = policy.spec, policy.params
+    x = normalise(params, observations, np)
+    inputs, k = [], 0
+    while f"policy.{k}.weight" in params:
+        x = activate(spec.activation, x, np) if k else x
+        x = x @ params[f"policy.{k}.weight"] + params[f"policy.{k}.bias"]
+        inputs.append(x)
+        k += 1
+    if spec.output == "dueling":
+        value, advantage = (params[f"policy.{part}.0.weight"] for part in ("value", "advantage"))
+        back = weights.sum() * value[:, 0] + advantage @ (weights - weights.mean())
+        back = back * _activation_slope(spec.activation, inputs[-1])
+    else:
+        back = np.broadcast_to(weights, inputs[-1].shape)
+    for layer in reversed(range(k)):
+        back = back @ params[f"policy.{layer}.weight"].T
+        if layer:
+            back = back * _activation_slope(spec.activation, inputs[layer - 1])
+    if "observation.mean" not in params:
+        return back
+    centred = (observations - params["observation.mean"]) * params["observation.scale"]
+    return np.where(np.abs(centred) < NORMALISED_RANGE, back * params["observation.scale"], 0.0)
+
+
+def _activation_slope(name: str, x: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """Slope of one of the nonlinearities."""
+    if name == "tanh":
+        return 1.0 - np.tanh(x) ** 2
+    if name == "relu":
+        return (x > 0.0).astype(x.dtype)
+    share = 1.0 / (1.0 + np.exp(-x))
+    return share * (1.0 + x * (1.0 - share))
 
 
 def table_cell(

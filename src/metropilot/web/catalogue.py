@@ -71,7 +71,7 @@ def line(service: Service, key: str) -> Line:
     Raises:
         Refused: No such line (404).
     """
-    path = service.paths().get(key)
+    path = service.paths("line").get(key)
     if path is None and key not in list_lines():
         raise Refused("no such line", 404, field="line", value=key)
     return load_line(path or key)
@@ -337,6 +337,7 @@ KINDS = {
     "line": "Line",
     "campaign": "Campaign",
     "export": "Export",
+    "fit": "Fit",
     "learn": "Learning run",
     "study": "Study",
 }
@@ -357,7 +358,7 @@ def page_of(row: JobRow) -> str:
         return f"/campaigns?campaign={row.id}"
     if kind == "study":
         return f"/learn?study={row.request['study']}"
-    if kind in {"compare", "journey", "line", "learn"}:
+    if kind in {"compare", "journey", "line", "learn", "fit"}:
         return f"/{kind}?job={row.id}"
     return f"/convoy?run={row.id}" if kind == "convoy" else f"/?run={row.id}"
 
@@ -369,8 +370,8 @@ def describe_job(row: JobRow) -> str:
         return f"{body['driver']} · {body['budget']} · seed {body['seed']}"
     if kind == "study":
         return f"{body['study']} · {body['budget']}"
-    if kind == "campaign":
-        return body["name"]
+    if kind in {"campaign", "fit"}:
+        return body["name"] if kind == "campaign" else f"{body['trainset']} · logs: {len(body['logs'])}"
     if kind == "export":
         return f"{body['driver']} · {body['line']} · {body['to']} · {body['number']}"
     if kind == "line":

@@ -15,8 +15,16 @@ from pydantic import BaseModel, ValidationError
 
 from metropilot.errors import InputError
 from metropilot.web.errors import Refused
-from metropilot.web.schemas.requests import CompareIn, ConvoyIn, DriveIn, JourneyIn, LiveIn, OperationIn
-from metropilot.web.schemas.responses import CompareOut, DriveOut, JourneyOut, OperationOut
+from metropilot.web.schemas.requests import (
+    CompareIn,
+    ConvoyIn,
+    DriveIn,
+    FitIn,
+    JourneyIn,
+    LiveIn,
+    OperationIn,
+)
+from metropilot.web.schemas.responses import CompareOut, DriveOut, FitOut, JourneyOut, OperationOut
 from metropilot.web.service import SUFFIXES, Service
 from metropilot.web.store import OVER, JobRow, ProjectRow
 from metropilot.web.work.drives import FILES
@@ -33,6 +41,7 @@ BODIES: dict[str, tuple[type[BaseModel], type[BaseModel]]] = {
     "compare": (CompareIn, CompareOut),
     "journey": (JourneyIn, JourneyOut),
     "line": (OperationIn, OperationOut),
+    "fit": (FitIn, FitOut),
     "live": (LiveIn, DriveOut),
 }
 """Request and result of the jobs that an archive holds; learning, studies and campaigns are left out."""
@@ -108,7 +117,7 @@ def write_archive(service: Service, project: str) -> bytes:
         for upload in uploads:
             versions = service.store.versions(upload.id)[::-1]
             names = [f"{k}{Path(version.file).suffix}" for k, version in enumerate(versions, 1)]
-            index["uploads"].append({"id": upload.id, "versions": names})
+            index["uploads"].append({"id": upload.id, "name": upload.name, "versions": names})
             for name, version in zip(names, versions, strict=True):
                 put(f"uploads/{upload.id}/{name}", (service.root / "uploads" / version.file).read_bytes())
         put(INDEX, json.dumps(index, indent=1).encode())
@@ -230,7 +239,10 @@ async def _take_upload(service: Service, told: dict[str, Any], files: dict[str, 
             if content is None or not str(name).endswith(SUFFIXES):
                 raise InputError("missing in the archive", file=f"uploads/{old}/{str(name)[:40]}")
             if number == 0:
-                new = (await service.upload(str(name), content))[0].id
+                # a log or policy is known by the name of its file
+                sent = str(told.get("name", ""))
+                shown = sent if Path(sent).suffix == Path(name).suffix else str(name)
+                new = (await service.upload(shown, content))[0].id
             else:
                 await service.save(new, content.decode("utf-8", "replace"), number)
     except BaseException:

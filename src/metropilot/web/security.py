@@ -86,8 +86,9 @@ class Guard:
     def _largest_body_bytes(self, scope: Scope) -> int:
         if scope["path"].startswith(("/api/projects/archive", "/_nicegui/client/")):
             return self.settings.archive_bytes + OVERHEAD
-        uploads = scope["path"].startswith("/api/uploads")
-        return self.settings.upload_bytes + OVERHEAD if uploads else self.settings.request_bytes
+        if scope["path"].startswith("/api/uploads"):
+            return max(self.settings.upload_bytes, self.settings.log_bytes) + OVERHEAD
+        return self.settings.request_bytes
 
     def _presents(self, scope: Scope, headers: Headers) -> bool:
         bearer = headers.get("authorization", "")

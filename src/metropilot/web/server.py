@@ -13,7 +13,7 @@ from starlette.types import ASGIApp
 
 import metropilot
 from metropilot.web import errors
-from metropilot.web.api import campaigns, catalogue, docs, jobs, live, planning, projects
+from metropilot.web.api import campaigns, catalogue, docs, fits, jobs, live, planning, projects
 from metropilot.web.errors import Refused
 from metropilot.web.schemas.responses import Health
 from metropilot.web.security import Guard
@@ -65,7 +65,7 @@ def make_api(service: Service) -> FastAPI:
             "live_runs": lives,
         }
 
-    for module in (catalogue, planning, jobs, campaigns, projects, live):
+    for module in (catalogue, planning, jobs, fits, campaigns, projects, live):
         app.include_router(module.routes(service), prefix="/api")
 
     app.include_router(docs.routes(app), prefix="/api")

@@ -25,6 +25,7 @@ from metropilot.web.schemas.requests import (
     ConvoyIn,
     DriveIn,
     ExportIn,
+    FitIn,
     JourneyIn,
     LearnIn,
     LiveIn,
@@ -35,13 +36,14 @@ from metropilot.web.schemas.requests import (
 )
 from metropilot.web.schemas.requests import request_of as resolve
 from metropilot.web.settings import Settings
-from metropilot.web.store import OVER, JobRow, JobStore, UploadRow
-from metropilot.web.work import campaigns, drives, exports, learning, operations, plans
+from metropilot.web.store import OVER, JobRow, JobStore, UploadRow, VersionRow
+from metropilot.web.work import campaigns, drives, exports, fits, learning, operations, plans
+from metropilot.web.work.plans import LOG, LOG_SUFFIX
 
 if TYPE_CHECKING:
     from metropilot.convoy import ConvoyRequest
 
-SUFFIXES = (".toml", ".json", ".safetensors")
+SUFFIXES = (".toml", ".json", ".safetensors", LOG_SUFFIX)
 SAVE_STEPS = 25
 """Control periods between two writes of a live run's progress; at most these are lost with the server."""
 ABANDONED_S = 120.0
@@ -169,12 +171,37 @@ class Service:
             number=body.number,
         )
 
+    def fit_request(self, body: FitIn) -> fits.FitRequest:
+        """Resolve the request of a fit.
+
+        Raises:
+            InputError: No such log.
+        """
+        known = {row.id: row for row in self.store.uploads(LOG)}
+        for k, key in enumerate(body.logs):
+            if key not in known:
+                allowed = "the id of an uploaded log"
+                raise InputError("no such log", field=f"logs[{k}]", value=key, allowed=allowed)
+        rows = [known[key] for key in body.logs]
+        ends = (body.origin, body.destination) if body.origin and body.destination else None
+        if body.line and ends is None:
+            raise InputError("a section needs both stations", field="origin", value=body.origin)
+        return fits.FitRequest(
+            logs=tuple((str(self.root / "uploads" / row.file), row.name) for row in rows),
+            trainset=self.path("trainset", body.trainset),
+            load=body.load,
+            section=(self.path("line", body.line), *ends) if body.line and ends else None,
+            source=body.input,
+            keep=tuple(body.keep),
+            resistance=body.resistance,
+        )
+
     def ids(self) -> dict[str, str]:
         """Ids of uploads and policies by their files."""
         return {path: key for key, path in (self.policies() | self.paths()).items()}
 
     async def upload(self, name: str, content: bytes) -> tuple[UploadRow, dict[str, Any]]:
-        """Take a line, trainset or policy file.
+        """Take a line, trainset, policy or log file.
 
         Raises:
             InputError: It is too large, of no known kind, or malformed: the message names the field.
@@ -195,8 +222,8 @@ class Service:
             Refused: No such upload (404), or somebody saved another version meanwhile (409).
         """
         kind = self.upload_row(upload).kind
-        if kind == POLICY:
-            raise Refused("a policy has no versions", 409, field="id", value=upload)
+        if kind in {POLICY, LOG}:
+            raise Refused(f"a {kind} has no versions", 409, field="id", value=upload)
         file, found = await self._take("document.toml", text.encode())
         path = self.root / "uploads" / file
         try:
@@ -215,8 +242,9 @@ class Service:
             raise InputError(
                 "unknown kind of file", file=shown, allowed=f"a file ending in {', '.join(SUFFIXES)}"
             )
-        if len(content) > self.settings.upload_bytes:
-            limit = f"at most {self.settings.upload_bytes:,} bytes".replace(",", " ")
+        most = self.settings.log_bytes if suffix == LOG_SUFFIX else self.settings.upload_bytes
+        if len(content) > most:
+            limit = f"at most {most:,} bytes".replace(",", " ")
             raise InputError("too large", file=shown, value=len(content), unit="bytes", allowed=limit)
         folder = self.root / "uploads"
         folder.mkdir(exist_ok=True)
@@ -227,6 +255,29 @@ class Service:
         except BaseException:
             path.unlink(missing_ok=True)
             raise
+
+    async def save_fit(self, job: str, upload: str | None) -> tuple[str, VersionRow]:
+        """Save the trainset of a fit as a new entry, or as the next version of an own trainset.
+
+        Returns:
+            Id of the upload and its newest version.
+
+        Raises:
+            Refused: No such job or upload, the job is no fit or has no result (404).
+            InputError: The upload is no trainset.
+        """
+        row = self.store.job(job)
+        path = self.root / "jobs" / row.id / fits.TRAINSET
+        if row.kind != "fit" or row.status != "done" or not path.is_file():
+            words = f"the job is {row.status}" if row.kind == "fit" else f"the job is a {row.kind}"
+            raise Refused(words, 404, field="id", value=job)
+        text = path.read_text(encoding="utf-8")
+        if upload is None:
+            key = (await self.upload(fits.TRAINSET, text.encode()))[0].id
+        else:
+            key = self.upload_row(upload).id
+            await self.save(key, text, self.store.versions(key)[0].number)
+        return key, self.store.versions(key)[0]
 
     def upload_row(self, upload: str) -> UploadRow:
         """An upload.
@@ -334,7 +385,7 @@ class Service:
             RunStore(self.root / "runs").rebuild()
 
     def submit(
-        self, body: DriveIn | CompareIn | OperationIn | CampaignIn | ExportIn | LearnIn | StudyIn
+        self, body: DriveIn | CompareIn | OperationIn | CampaignIn | ExportIn | FitIn | LearnIn | StudyIn
     ) -> str:
         """Queue a job; return its id.
 
@@ -358,6 +409,9 @@ class Service:
         elif isinstance(body, ExportIn):
             self.export_request(body).read()
             kind = "export"
+        elif isinstance(body, FitIn):
+            self.fit_request(body).read()
+            kind = "fit"
         elif isinstance(body, OperationIn):
             self.operation_request(body).read()
             kind = "line"
@@ -414,6 +468,9 @@ class Service:
         elif kind == "export":
             wanted = self.export_request(ExportIn.model_validate(body))
             future = self.pools.submit(kind, exports.export_job, root, job, wanted)
+        elif kind == "fit":
+            fitted = self.fit_request(FitIn.model_validate(body))
+            future = self.pools.submit(kind, fits.fit_job, root, job, fitted)
         elif kind == "line":
             operation = self.operation_request(OperationIn.model_validate(body))
             future = self.pools.submit(kind, operations.line_job, root, job, operation)

@@ -32,6 +32,7 @@ class Settings:
         queued_jobs: Jobs that may wait.
         live_runs: Live runs at once.
         upload_bytes: Largest upload.
+        log_bytes: Largest upload of a log.
         archive_bytes: Largest archive of a project, packed or unpacked.
         request_bytes: Largest body of any other request.
         answer_s: Longest computation of a direct answer (a plan, a front, an upload).
@@ -49,6 +50,7 @@ class Settings:
     queued_jobs: int = 32
     live_runs: int = 4
     upload_bytes: int = 1_000_000
+    log_bytes: int = 8_000_000
     archive_bytes: int = 64_000_000
     request_bytes: int = 100_000
     answer_s: float = 60.0

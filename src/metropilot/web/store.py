@@ -380,4 +380,4 @@ def summarise(result: Any) -> dict[str, Any]:  # noqa: ANN401 (whatever the job'
         gap = 100.0 * (result["energy_j"] / result["bound_j"] - 1.0)
         found = {"outcome": "planned", "time_s": result["running_time_s"], "gap_percent": gap}
         return found | {"energy_kwh": result["energy_j"] / J_PER_KWH}
-    return {}
+    return {"outcome": f"residuals {result['residual_mps']:.3f} m/s"} if "parameters" in result else {}

@@ -77,11 +77,13 @@ def routes(service: Service) -> APIRouter:
 
     @router.post("/uploads", response_model=UploadOut, status_code=201)
     async def upload(file: UploadFile) -> dict[str, Any]:
-        """Upload a line or trainset (metropilot's TOML, TTOBench's JSON) or a policy (safetensors).
+        """Upload a line or trainset (metropilot's TOML, TTOBench's JSON), a policy, or a log of runs (CSV).
 
-        Use the id like one of the catalogue; the id of a policy is given as the option `policy` of a driver.
+        Policies are safetensors. Use the id like one of the catalogue; the id of a policy is given as the
+        option `policy` of a driver, those of logs to `POST /api/jobs/fit`.
         """
-        content = await file.read(service.settings.upload_bytes + 1)
+        most = max(service.settings.upload_bytes, service.settings.log_bytes)
+        content = await file.read(most + 1)
         row, found = await service.upload(file.filename or "file", content)
         return {"kind": row.kind, "id": row.id, "name": row.name, "notes": found["notes"]}
 

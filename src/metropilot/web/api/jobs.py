@@ -159,7 +159,8 @@ def routes(service: Service) -> APIRouter:
         `run.zip` holds all of them and the files that `run.toml` names (an uploaded line, trainset or
         policy), so that `metropilot drive --from run.toml` drives it again anywhere. Of a convoy there are
         `trajectory-1.csv` and so on, and all of these in `trajectories.zip`; of a line in operation
-        `line.json` or `day.json`, `timetable.csv` and, of a day, `gtfs.zip`.
+        `line.json` or `day.json`, `timetable.csv` and, of a day, `gtfs.zip`; of a fit `trainset.toml`,
+        `fit.json`, `residuals.svg`, `residuals.png`.
         """
         if name == ARCHIVE:
             told = {"Content-Disposition": f'attachment; filename="{job_id}.zip"'}

@@ -21,7 +21,7 @@ from metropilot.railway import Restriction
 from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M, Moment, Rollout, TimetableUpdate, declared_bounds
 from metropilot.units import KMH_PER_MPS
 from metropilot.web.errors import Refused
-from metropilot.web.work.drives import drive_out
+from metropilot.web.work.drives import drive_out, explain
 from metropilot.web.work.plans import numbers, station, window
 
 HAND_S = 3.0
@@ -335,8 +335,10 @@ class Engine:
         driven = self.rollout.drive()
         optimum = optimum_of(driven, self.request.objective)
         kpis = kpis_of(driven, optimum, self.request.objective)
-        full = drive_out(driven, kpis, optimum)
-        write_run(folder, self.request_with_updates(), driven, kpis, optimum)
+        request = self.request_with_updates()
+        explanation = explain(request, driven, optimum)
+        full = drive_out(driven, kpis, optimum, explanation)
+        write_run(folder, request, driven, kpis, optimum, explanation)
         return {name: full[name] for name in SHORT}, full, kpis.outcome
 
     def request_with_updates(self) -> RunSpec:

@@ -31,6 +31,7 @@ def install(app: FastAPI, service: Service) -> None:
         convoy,
         drive,
         edit,
+        fit,
         journey,
         learn,
         lines,
@@ -39,7 +40,7 @@ def install(app: FastAPI, service: Service) -> None:
     )
 
     pages.add_static_files("/static", Path(__file__).parent.parent / "static", max_cache_age=300)
-    for module in (drive, compare, journey, operation, convoy, learn, lines, edit, runs, campaigns):
+    for module in (drive, compare, journey, operation, convoy, learn, lines, edit, fit, runs, campaigns):
         module.install(service)
     # A bar of Quasar's over every request of a page is no news to a reader of the screen.
     pages.config.quasar_config["loadingBar"] = {"skipHijack": True}

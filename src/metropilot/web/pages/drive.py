@@ -52,6 +52,8 @@ READS = (
     ("against the plan", "–", "against"),
     ("protection", "–", "level"),
 )
+STRONGEST = 3
+"""Features of a decision that are shown."""
 TAKEN = ("trajectory.csv", "kpis.json", "explanation.json", "profile.svg", "run.zip")
 KEYS = (("M", "take"), ("↑ ↓", "10 % more, less"), ("0", "coast"), ("B", "full brake"), ("Esc", "give back"))
 
@@ -443,10 +445,61 @@ def explanation_card(driven: dict[str, Any]) -> None:
         if hits:
             columns = ("guard", "place (m)", "time (s)", "speed (km/h)", "permitted", "falls until (m)")
             table(columns, hits, right=(3, 4, 5), name="Interventions")
+        show_prices(told.get("prices", []))
+        show_decisions(told.get("decisions", []))
         ui.label(
             "Trainset and driver: energy (kWh) lost in the regime against the optimal plan, to jerk limit, "
             "dead time, lag and protection, and to the driver; kinetic energy that is left counts as kept."
         ).classes("mp-soft")
+
+
+def show_prices(prices: list[dict[str, Any]]) -> None:
+    """Show what a second more or less was worth at moments of a drive."""
+    if not prices:
+        return
+    rows = [
+        (
+            number(price["position_m"], 0),
+            number(price["time_s"], 1),
+            number(price["second_w"] / J_PER_KWH, 3),
+            number(price["later_j"] / J_PER_KWH, 3),
+            "not possible" if price["sooner_j"] is None else number(price["sooner_j"] / J_PER_KWH, 3),
+        )
+        for price in prices
+    ]
+    columns = ("place (m)", "time (s)", "price (kWh/s)", "+1 s saves (kWh)", "−1 s costs (kWh)")
+    with ui.element("div").classes("mp-gridbox w-full").props("tabindex=0"):
+        table(columns, rows, right=range(5), name="Worth of a second")
+    ui.label(
+        "Worth of a second: energy of the optimal plan from that position and speed to the stop, if it "
+        "arrives a second later or sooner than the drive. While it can only coast and brake, a second "
+        "more saves nothing."
+    ).classes("mp-soft")
+
+
+def show_decisions(decisions: list[dict[str, Any]]) -> None:
+    """Show the strongest features of a learned driver at moments of a drive."""
+    if not decisions:
+        return
+    rows = [
+        (
+            number(decision["position_m"], 0),
+            number(decision["time_s"], 1),
+            number(decision["output"] - decision["usual"], 2),
+            "; ".join(
+                f"{share['words']} {'+' if share['share'] >= 0 else ''}{number(share['share'])}"
+                for share in decision["shares"][:STRONGEST]
+            ),
+        )
+        for decision in decisions
+    ]
+    columns = ("place (m)", "time (s)", "in all", "strongest features")
+    with ui.element("div").classes("mp-gridbox w-full").props("tabindex=0"):
+        table(columns, rows, right=(0, 1, 2), name="Strongest features")
+    ui.label(
+        f"Strongest features of the learned driver: how far each speaks for {decisions[0]['meaning']} "
+        "(negative: against it), compared with what the driver saw on the average of this drive."
+    ).classes("mp-soft")
 
 
 def explain_words(told: dict[str, Any], kpis: dict[str, Any]) -> str:

@@ -34,6 +34,7 @@ class LinesPage:
                 self.list = ui.element("div").classes("mp-stack")
             with card("Trainsets"):
                 self.trainsets = ui.element("div").classes("mp-stack").props('data-test="trainsets"')
+                ui.link("Fit a trainset to logs", "/fit").classes("mp-soft").props('data-test="to-fit"')
             most = f"{self.service.settings.upload_bytes / 1e6:g} MB"
             with card(
                 "Upload",
@@ -107,9 +108,9 @@ class LinesPage:
         """Place the links by which an entry is edited and driven."""
         words = "Edit" if found["uploaded"] else "Edit a copy"
         used = f"{kind}={found['id']}"
-        links(
-            [(words, f"/edit?{used}"), ("Drive", f"/?{used}"), ("TOML", f"/api/{kind}s/{found['id']}/toml")]
-        )
+        shown = [(words, f"/edit?{used}"), ("Drive", f"/?{used}")]
+        shown += [("Fit to logs", f"/fit?{used}")] if kind == "trainset" else []
+        links([*shown, ("TOML", f"/api/{kind}s/{found['id']}/toml")])
 
     def show_trainset(self, key: str) -> None:
         """Draw a trainset."""

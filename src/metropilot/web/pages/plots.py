@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 from metropilot.evaluate import BLACK, BLUE, GREEN, GREY, ORANGE, SERIES_STYLES, SKY, VERMILION, driver_styles
+from metropilot.fit import NORMAL_95
 from metropilot.units import J_PER_KWH, KMH_PER_MPS
 
 DASHES = dict(
@@ -228,6 +229,15 @@ def explanation_figure(driven: dict[str, Any]) -> Figure:
     for words, (name, colour, dash) in losses.items():
         lost = kwh(told[name])
         traces.append(line(f"lost by the {words}", told["position_m"], lost, colour, dash=dash, yaxis="y3"))
+    prices = told.get("prices", [])
+    worth = {
+        "a second more saves": ("later_j", GREEN, "solid"),
+        "a second less costs": ("sooner_j", BLUE, "dash"),
+    }
+    for words, (name, colour, dash) in worth.items():
+        kwhs = [None if price[name] is None else price[name] / J_PER_KWH for price in prices]
+        places = [price["position_m"] for price in prices]
+        traces.append(line(words, places, kwhs, colour, dash=dash, yaxis="y4", mode="lines+markers"))
     bands = [
         {
             "type": "rect",
@@ -248,12 +258,13 @@ def explanation_figure(driven: dict[str, Any]) -> Figure:
     order = [bound for bound in reversed(BOUND_COLOURS) if any(s["bound"] == bound for s in told["bounds"])]
     return figure(
         traces,
-        640,
+        760,
         shapes=bands,
-        xaxis=axis("distance (m)", anchor="y3"),
-        yaxis=axis("speed (km/h)", domain=[0.52, 1.0], rangemode="tozero"),
-        yaxis2=axis("", domain=[0.26, 0.47], type="category", categoryorder="array", categoryarray=order),
-        yaxis3=axis("loss (kWh)", domain=[0.0, 0.2]),
+        xaxis=axis("distance (m)", anchor="y4"),
+        yaxis=axis("speed (km/h)", domain=[0.6, 1.0], rangemode="tozero"),
+        yaxis2=axis("", domain=[0.39, 0.56], type="category", categoryorder="array", categoryarray=order),
+        yaxis3=axis("loss (kWh)", domain=[0.2, 0.35]),
+        yaxis4=axis("a second (kWh)", domain=[0.0, 0.16], rangemode="tozero"),
         hovermode="closest",
     )
 
@@ -453,6 +464,61 @@ def effort_figure(curves: dict[str, Any]) -> Figure:
         yaxis=axis("force (kN)", domain=[0.48, 1.0], rangemode="tozero"),
         yaxis2=axis("rate, level (m/s²)", domain=[0.0, 0.38], rangemode="tozero"),
         margin={"l": 58, "r": 14, "t": 50, "b": 44},
+    )
+
+
+def residual_figure(residuals: dict[str, Any], noise_mps: float) -> Figure:
+    """Measured and simulated speed of a fit, the residuals over time, and their correlation.
+
+    Args:
+        residuals: Values of :class:`metropilot.web.schemas.responses.ResidualsOut`.
+        noise_mps: Standard deviation of the residuals.
+    """
+    at = residuals["time_s"]
+    measured, simulated = (
+        [None if v is None else round(v * KMH_PER_MPS, 3) for v in residuals[name]]
+        for name in ("measured_mps", "simulated_mps")
+    )
+    dots = {"mode": "markers", "marker": {"size": 3, "color": GREY}}
+    far = {"mode": "markers", "marker": {"size": 3, "color": BLUE}, "yaxis": "y2", "showlegend": False}
+    traces = [
+        line("measured", at, measured, GREY, **dots),
+        line("simulated", at, simulated, BLUE, width=1.4),
+        line("measured − simulated", at, residuals["residual_mps"], BLUE, **far),
+        {
+            "type": "bar",
+            "name": "correlation",
+            "x": residuals["lag_s"],
+            "y": residuals["correlation"],
+            "marker": {"color": BLUE},
+            "xaxis": "x2",
+            "yaxis": "y3",
+            "showlegend": False,
+        },
+    ]
+    ends = [
+        {
+            "type": "line",
+            "xref": "x domain",
+            "x0": 0,
+            "x1": 1,
+            "yref": "y2",
+            "y0": side * NORMAL_95 * noise_mps,
+            "y1": side * NORMAL_95 * noise_mps,
+            "line": {"color": VERMILION, "width": 1, "dash": "dash"},
+        }
+        for side in (-1, 1)
+    ]
+    return figure(
+        traces,
+        640,
+        shapes=ends,
+        xaxis=axis("time since the start of each run (s)", anchor="y2"),
+        xaxis2=axis("seconds between two residuals", anchor="y3"),
+        yaxis=axis("speed (km/h)", domain=[0.66, 1.0], rangemode="tozero"),
+        yaxis2=axis("residual (m/s)", domain=[0.36, 0.61], range=[-5 * noise_mps, 5 * noise_mps]),
+        yaxis3=axis("correlation", domain=[0.0, 0.2], range=[-0.5, 1.0]),
+        hovermode="closest",
     )
 
 

@@ -89,7 +89,7 @@ class ProjectCard:
                 if row.id not in inside
             }
             if others:
-                add = ui.select(others, label="Add an own line, trainset or policy")
+                add = ui.select(others, label="Add an own line, trainset, policy or log")
                 add.props("outlined dense options-dense").classes("w-full")
                 add.on_value_change(lambda event: self.put(event.value, self.key))
             links([("Export", f"/api/projects/{self.key}/archive")])
@@ -97,17 +97,17 @@ class ProjectCard:
             forget.tooltip("Its runs, lines and trainsets stay.")
 
     def upload_row(self, upload: dict[str, Any]) -> None:
-        """Place a line, trainset or policy of the project."""
+        """Place a line, trainset, policy or log of the project."""
         kind, key = upload["kind"], upload["id"]
         with ui.element("div").classes("mp-row items-center no-wrap"):
             ui.label(f"{kind} · {upload['name']}").classes("grow")
-            if kind != "policy":
+            if kind in {"line", "trainset"}:
                 links([("Edit", f"/edit?{kind}={key}"), ("Drive", f"/?{kind}={key}")])
             out = ui.button(icon="remove", on_click=partial(self.put, key, None)).props("flat dense round")
             out.props(f'aria-label="Take {upload["name"]} out of the project"')
 
     def put(self, upload: str, project: str | None) -> None:
-        """File a line, trainset or policy in the project, or take it out."""
+        """File a line, trainset, policy or log in the project, or take it out."""
         with self.told.show_errors():
             projects.set_project(self.service, upload, project)
             self.fill()

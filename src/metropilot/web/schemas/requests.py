@@ -13,6 +13,7 @@ from metropilot._schema import FieldSpec, Range, field_default, field_specs, fie
 from metropilot.campaign import CampaignFile
 from metropilot.convoy import ConvoyRequest, Link
 from metropilot.evaluate import POLICY, RunSpec, parse_driver, run_fields
+from metropilot.fit import Group, Resistance, Source
 from metropilot.operation import OperationOptions
 from metropilot.railway import Restriction
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance, TimetableUpdate
@@ -299,6 +300,36 @@ class ExportIn(RequestBody):
     load: Annotated[str, Field(max_length=32)] | None = None
     to: Literal["c", "wasm"] = "c"
     number: Literal["double", "float"] = "double"
+
+
+class FitIn(RequestBody):
+    """A fit of a trainset to uploaded logs, as `metropilot fit`.
+
+    The section is that of every log, for its gradients; without one a gradient column is read. ``input``: of
+    the model; null: the command where every log has one. ``keep``: parameters that are not estimated.
+    """
+
+    model_config = example(
+        logs=["upload-1a2b3c4d"], trainset="dkz32", line="yizhuang", origin="RJ", destination="WYJ"
+    )
+
+    logs: Annotated[list[Id], Field(min_length=1, max_length=50)]
+    trainset: TrainsetKey = "dkz32"
+    load: Annotated[str, Field(max_length=32)] | None = None
+    line: Id | None = None
+    origin: StationKey | None = None
+    destination: StationKey | None = None
+    input: Source | None = None
+    keep: Annotated[list[Group], Field(max_length=5)] = []
+    resistance: Resistance = "auto"
+
+
+class FitSaveIn(RequestBody):
+    """Where a fitted trainset is saved: as the next version of an own trainset, or (null) as a new entry."""
+
+    model_config = example(upload=None)
+
+    upload: Id | None = None
 
 
 class LearnIn(RequestBody):

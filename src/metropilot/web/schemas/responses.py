@@ -6,7 +6,10 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
-JobKind = Literal["drive", "compare", "journey", "line", "campaign", "export", "learn", "study", "live"]
+JobKind = Literal[
+    "drive", "compare", "journey", "line", "campaign", "export", "fit", "learn", "study", "live"
+]
+UploadKind = Literal["line", "trainset", "policy", "log"]
 JobStatus = Literal["queued", "running", "done", "failed", "stopped", "interrupted"]
 JobSort = Literal["created", "name", "kind", "status", "time_s", "energy_kwh", "gap_percent"]
 
@@ -94,14 +97,14 @@ class DriverOut(BaseModel):
 class UploadOut(BaseModel):
     """Kind and name of an uploaded file."""
 
-    kind: Literal["line", "trainset", "policy"]
+    kind: UploadKind
     id: str
     name: str
     notes: list[str]
 
 
 class ProjectOut(BaseModel):
-    """A project: a named folder of jobs, lines, trainsets and policies, with notes."""
+    """A project: a named folder of jobs, lines, trainsets, policies and logs, with notes."""
 
     id: str
     name: str
@@ -110,10 +113,10 @@ class ProjectOut(BaseModel):
 
 
 class ProjectUpload(BaseModel):
-    """A line, trainset or policy of a project."""
+    """A line, trainset, policy or log of a project."""
 
     id: str
-    kind: Literal["line", "trainset", "policy"]
+    kind: UploadKind
     name: str
 
 
@@ -130,6 +133,12 @@ class VersionOut(BaseModel):
     number: int
     name: str
     created: str
+
+
+class SavedOut(VersionOut):
+    """A version with the id of its upload."""
+
+    id: str
 
 
 class SectionOut(BaseModel):
@@ -267,6 +276,38 @@ class InterventionOut(BaseModel):
     ahead_m: float
 
 
+class TimePriceOut(BaseModel):
+    """Worth of a second at a moment: marginal price, energy that one more saves and one less costs."""
+
+    time_s: float
+    position_m: float
+    second_w: float
+    later_j: float
+    sooner_j: float | None
+
+
+class FeatureShareOut(BaseModel):
+    """Share of a feature in a learned driver's decision."""
+
+    feature: str
+    words: str
+    share: float
+
+
+class DecisionOut(BaseModel):
+    """Decision of a learned driver; its shares sum up to the output less that of the mean observation.
+
+    ``meaning``: what a positive share speaks for.
+    """
+
+    time_s: float
+    position_m: float
+    output: float
+    usual: float
+    meaning: str
+    shares: list[FeatureShareOut]
+
+
 class ExplanationOut(BaseModel):
     """Reasons of a drive, as in `explanation.json`; losses at the wheel, empty where they are unknown."""
 
@@ -276,6 +317,8 @@ class ExplanationOut(BaseModel):
     position_m: list[float]
     trainset_loss_j: list[float]
     driver_loss_j: list[float]
+    prices: list[TimePriceOut] = []
+    decisions: list[DecisionOut] = []
 
 
 class DriveOut(BaseModel):
@@ -384,6 +427,48 @@ class OperationOut(BaseModel):
     bottleneck: BottleneckOut | None
     graph: TrainGraphOut
     files: list[str]
+
+
+class FittedOut(BaseModel):
+    """A parameter with its 95 % interval; kept at the trainset's value where it is not estimated."""
+
+    id: str
+    label: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    nominal: float
+    estimated: bool
+
+
+class ResidualsOut(BaseModel):
+    """Measured and simulated speed over the time of each run, null between two; correlation of residuals."""
+
+    time_s: list[float | None]
+    measured_mps: list[float | None]
+    simulated_mps: list[float | None]
+    residual_mps: list[float | None]
+    lag_s: list[float]
+    correlation: list[float]
+
+
+class FitOut(BaseModel):
+    """A fit: `fit.json` without its correlations, and the curves of `residuals.svg`."""
+
+    trainset: str
+    load: str
+    input: Literal["command", "effort"]
+    logs: list[str]
+    runs: int
+    samples: int
+    residual_mps: float
+    mass_kg: float
+    parameters: list[FittedOut]
+    resistance: list[FittedOut]
+    notes: list[str]
+    ambiguities: list[str]
+    residuals: ResidualsOut
 
 
 class CampaignRow(BaseModel):

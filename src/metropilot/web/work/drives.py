@@ -9,6 +9,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 
 from metropilot._io import atomic_write
 from metropilot.evaluate import (
+    Explanation,
     Kpis,
     Optimum,
     RunSpec,
@@ -46,6 +47,7 @@ FILES = {
     ),
     "compare": ("comparison.json", "comparison.svg", "comparison.png", "run.toml"),
     "campaign": ("results.parquet",),
+    "fit": ("trainset.toml", "fit.json", "residuals.svg", "residuals.png"),
     "line": (
         "line.json",
         "day.json",
@@ -58,7 +60,7 @@ FILES = {
 }
 
 
-def drive_out(driven: Drive, kpis: Kpis, optimum: Optimum | None) -> dict[str, Any]:
+def drive_out(driven: Drive, kpis: Kpis, optimum: Optimum | None, explanation: Explanation) -> dict[str, Any]:
     """Convert a drive to plain values."""
     return {
         "driver": driven.driver,
@@ -66,7 +68,7 @@ def drive_out(driven: Drive, kpis: Kpis, optimum: Optimum | None) -> dict[str, A
         "kpis": kpis.as_dict(),
         "checks": [check._asdict() for check in checks(kpis)],
         "columns": {name: numbers(getattr(driven.trajectory, name), 4) for name in COLUMNS},
-        "explanation": explain_drive(driven, optimum).as_dict(),
+        "explanation": explanation.as_dict(),
         "plan": None if optimum is None else plan_out(optimum.plan, optimum.minimum_time_s),
     }
 
@@ -79,9 +81,23 @@ def drive_job(root: str, job: str, request: RunSpec) -> dict[str, Any]:
     store.update(job, progress=0.6, words="comparing with the optimum")
     optimum = optimum_of(driven, request.objective)
     kpis = kpis_of(driven, optimum, request.objective)
+    store.update(job, progress=0.7, words="explaining")
+    explanation = explain(request, driven, optimum)
     store.update(job, progress=0.8, words="drawing")
-    write_run(folder_of(root, job), request, driven, kpis, optimum)
-    return drive_out(driven, kpis, optimum)
+    write_run(folder_of(root, job), request, driven, kpis, optimum, explanation)
+    return drive_out(driven, kpis, optimum, explanation)
+
+
+def explain(request: RunSpec, driven: Drive, optimum: Optimum | None) -> Explanation:
+    """Explain a drive with the prices of time and the features of a learned driver.
+
+    Args:
+        request: Its request, with the updates that were sent during the run.
+        driven: The drive.
+        optimum: The plan it is compared with.
+    """
+    again = replace(driven, run=request.run())
+    return explain_drive(again, optimum, driver=request.make_driver(), objective=request.objective)
 
 
 def compare_job(root: str, job: str, request: RunSpec, drivers: dict[str, str], seeds: int) -> dict[str, Any]:
@@ -118,7 +134,9 @@ def compare_job(root: str, job: str, request: RunSpec, drivers: dict[str, str], 
             "outcomes": [k.outcome for k in e.kpis],
             "ended": [outcome_words(k) for k in e.kpis],
             "kpis": spread[e.driver],
-            "drive": drive_out(e.drives[0], e.kpis[0], e.optimum),
+            "drive": drive_out(
+                e.drives[0], e.kpis[0], e.optimum, explain_drive(e.drives[0], e.optimum, moments=0)
+            ),
         }
         for e in entries
     ]

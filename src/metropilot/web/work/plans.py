@@ -101,6 +101,8 @@ CURVE_POINTS = 81
 """Speeds at which effort curves are drawn."""
 SUFFIX = ".safetensors"
 """Ending of the file name of a policy."""
+LOG, LOG_SUFFIX = "log", ".csv"
+"""Kind of an uploaded log of runs, and the ending of its file name."""
 
 
 def section_of(request: RunSpec) -> dict[str, Any]:
@@ -240,7 +242,7 @@ def effort_curves(trainset: Trainset) -> dict[str, list[Any]]:
 
 
 def read_upload(path: str, shown: str) -> dict[str, Any]:
-    """Read an uploaded file; return its kind (line, trainset, policy), name and notes.
+    """Read an uploaded file; return its kind (line, trainset, policy, log), name and notes.
 
     Raises:
         InputError: The file is none of these; the message has the sender's file name and the field.
@@ -253,6 +255,10 @@ def read_upload(path: str, shown: str) -> dict[str, Any]:
                 "name": shown,
                 "notes": [f"task {about['task']}"] if "task" in about else [],
             }
+        if Path(path).suffix == LOG_SUFFIX:
+            from metropilot.fit import describe_log, read_log
+
+            return {"kind": LOG, "name": shown, "notes": [describe_log(read_log(path))]}
         found = import_file(Path(path))
     except InputError as error:
         shape = {name: getattr(error, name) for name in ("field", "value", "unit", "allowed")}

@@ -1,0 +1,338 @@
+"""Fit: a trainset from dropped logs, with intervals, residuals and what the logs cannot tell."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from fastapi import Request
+from nicegui import events, ui
+
+from metropilot.errors import MetropilotError
+from metropilot.fit import GROUPS
+from metropilot.web import catalogue
+from metropilot.web.errors import Refused, error_of
+from metropilot.web.pages.form import loads, validate
+from metropilot.web.pages.frame import (
+    Problem,
+    card,
+    empty,
+    frame,
+    heading,
+    links,
+    number,
+    reads,
+    refresh_while,
+    table,
+)
+from metropilot.web.pages.plots import residual_figure
+from metropilot.web.pages.strip import names
+from metropilot.web.schemas.requests import FitIn
+from metropilot.web.service import Service
+from metropilot.web.store import OVER, JobRow
+from metropilot.web.work.drives import FILES
+from metropilot.web.work.plans import LOG
+
+POLL_S = 0.5
+LARGE = 1000.0
+INPUTS = {"": "Command where logged", "command": "Command", "effort": "Effort at the wheel"}
+FORMS = {
+    "auto": "Three coefficients where the logs tell them",
+    "factor": "One factor",
+    "coefficients": "Three coefficients",
+}
+WRAPPED = "white-space: normal; overflow-wrap: anywhere"
+NEW = ""
+"""Choice of a new entry to save in."""
+
+
+class FitPage:
+    """State of the page for one browser.
+
+    Attributes:
+        job: Job that is shown or followed.
+        chosen: Ids of the logs that are ticked.
+        going: True while the job is followed.
+    """
+
+    def __init__(self, service: Service, job: str | None, trainset: str | None) -> None:
+        self.service = service
+        self.job = job or ""
+        self.trainset = trainset
+        self.chosen: set[str] = set()
+        self.going = False
+
+    def build(self) -> None:
+        """Build logs and fields on the left, the result on the right."""
+        with ui.element("div").classes("mp-col"):
+            most = f"{self.service.settings.log_bytes / 1e6:g} MB"
+            with card("Logs", f"CSV with time, speed and command or effort, units in the header; {most}."):
+                upload = ui.upload(
+                    on_upload=self.upload,
+                    on_rejected=lambda: self.say(f"not taken: a .csv file of at most {most}", "mp-error"),
+                    max_file_size=self.service.settings.log_bytes,
+                    multiple=True,
+                    auto_upload=True,
+                    label="Choose or drop logs",
+                )
+                self.upload_in = upload.props('accept=".csv" flat bordered').classes("w-full")
+                self.said = ui.element("div").classes("mp-stack").props('role=status data-test="log-said"')
+                self.logs = ui.element("div").classes("mp-stack mp-gridbox").props('data-test="logs"')
+            self.build_fields()
+        with ui.element("div").classes("mp-col"):
+            self.result = ui.element("div").classes("mp-col").props('data-test="result"')
+            with self.result, card():
+                empty("Drop logs and fit: the parameters appear here with their intervals.")
+        self.fill_logs()
+
+    def build_fields(self) -> None:
+        """Place the fields of the fit."""
+        trainsets = {row["id"]: row["name"] for row in catalogue.trainset_rows(self.service)}
+        lines = {"": "Level, or a gradient column"}
+        lines |= {row["id"]: row["name"] for row in catalogue.line_rows(self.service)}
+        first = next(iter(trainsets)) if self.trainset not in trainsets else str(self.trainset)
+        with card("Fit a trainset", "Mass, service brake, resistance, dead time and lag from its logs."):
+            self.problem = Problem()
+            self.fields: dict[str, Any] = {
+                "trainset": ui.select(
+                    trainsets, value=first, label="Begin from", on_change=self.change_trainset
+                ),
+                "load": ui.select(loads(self.service, first), label="Load aboard in the logs"),
+                "line": ui.select(lines, value="", label="Line of the logs", on_change=self.change_line),
+                "origin": ui.select({}, label="From"),
+                "destination": ui.select({}, label="To"),
+            }
+            self.fields["load"].value = next(iter(self.fields["load"].options))
+            with ui.expansion("Input, resistance, kept parameters").props("dense").classes("mp-soft") as fold:
+                self.fields["input"] = ui.select(INPUTS, value="", label="Input of the model")
+                self.fields["resistance"] = ui.select(FORMS, value="auto", label="Resistance")
+                self.keep = ui.select(list(GROUPS), value=[], multiple=True, label="Not estimated").props(
+                    "outlined dense options-dense use-chips"
+                )
+            for name, field in self.fields.items():
+                field.props("outlined dense options-dense").classes("w-full")
+                self.problem.beside(name, field, fold if name in {"input", "resistance"} else None)
+            self.problem.beside("keep", self.keep.classes("w-full"), fold)
+            for name in ("origin", "destination"):
+                self.fields[name].bind_visibility_from(self.fields["line"], "value", bool)
+            with ui.element("div").classes("mp-row"):
+                self.go = ui.button("Fit", on_click=self.start).props('unelevated data-test="fit"')
+                self.stop_button = ui.button("Stop", on_click=self.stop).props('outline data-test="stop"')
+            self.stop_button.set_visibility(False)
+            self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="status"')
+
+    # ------------------------------------------------------------------------------------------ logs
+    async def upload(self, event: events.UploadEventArguments) -> None:
+        """Take a log and tick it, or show in one line why it cannot be used."""
+        self.upload_in.reset()
+        content = await event.file.read()
+        try:
+            row, found = await self.service.upload(event.file.name, content)
+        except MetropilotError as error:
+            self.say(f"✗ {error}", "mp-error")
+            return
+        self.chosen.add(row.id)
+        self.say(f"✓ {row.name}: {'; '.join(found['notes'])}", "mp-pass")
+        self.fill_logs()
+
+    def say(self, words: str, style: str) -> None:
+        """Add a line about an upload."""
+        with self.said:
+            ui.label(words).classes(style).style(WRAPPED)
+
+    def fill_logs(self) -> None:
+        """List the logs, the newest first."""
+        self.logs.clear()
+        rows = self.service.store.uploads(LOG)
+        with self.logs:
+            if not rows:
+                empty("No log yet. The trajectory.csv of a run is one.")
+            for row in rows:
+                with ui.element("div").classes("mp-row items-center no-wrap"):
+                    tick = ui.checkbox(row.name, value=row.id in self.chosen).classes("grow")
+                    tick.on_value_change(partial(self.tick, row.id))
+                    forget = ui.button(icon="delete", on_click=partial(self.forget, row.id))
+                    forget.props(f'flat dense round aria-label="Remove {row.name}"')
+
+    def tick(self, key: str, event: events.ValueChangeEventArguments) -> None:
+        """Choose a log, or leave it out."""
+        (self.chosen.add if event.value else self.chosen.discard)(key)
+
+    def forget(self, key: str) -> None:
+        """Remove a log."""
+        self.chosen.discard(key)
+        with self.problem.show_errors():
+            self.service.forget(key)
+        self.fill_logs()
+
+    # ------------------------------------------------------------------------------------------ fields
+    def change_trainset(self) -> None:
+        """Offer the loads of the trainset."""
+        aboard = loads(self.service, self.fields["trainset"].value)
+        self.fields["load"].set_options(aboard, value=next(iter(aboard)))
+
+    def change_line(self) -> None:
+        """Offer the stations of the line."""
+        line = self.fields["line"].value
+        stops = names(catalogue.line_out(self.service, line)["stops"]) if line else {}
+        ends = list(stops)[:2] if stops else [None, None]
+        for name, end in zip(("origin", "destination"), ends, strict=True):
+            self.fields[name].set_options(stops, value=end)
+
+    def values(self) -> dict[str, Any]:
+        """Request as the form has it."""
+        told = {name: field.value or None for name, field in self.fields.items()}
+        order = [row.id for row in self.service.store.uploads(LOG) if row.id in self.chosen]
+        return told | {"logs": order[::-1], "keep": self.keep.value or []}
+
+    # ------------------------------------------------------------------------------------------ job
+    def start(self) -> None:
+        """Queue the fit."""
+        with self.problem.show_errors():
+            if not self.chosen:
+                raise Refused("no log is ticked", 422, field="logs", allowed="one or more")
+            self.job = self.service.submit(validate(FitIn, self.values()))
+            ui.run_javascript(f"history.replaceState(null, '', '/fit?job={self.job}')")
+            self.follow()
+
+    def stop(self) -> None:
+        """Stop the fit."""
+        with self.problem.show_errors():
+            self.service.stop(self.job)
+
+    def follow(self) -> None:
+        """Show the job until it is over."""
+        if not self.going:
+            self.going = True
+            refresh_while(lambda: self.going, POLL_S, self.look)
+        self.look()
+
+    def look(self) -> None:
+        """Show the state of the job, and its result once it is there."""
+        with self.problem.show_errors():
+            row = self.service.store.job(self.job)
+            self.going = row.status not in OVER
+            self.status.text = f"{row.words} …" if row.status == "running" else row.status
+            self.stop_button.set_visibility(self.going)
+            self.go.set_enabled(not self.going)
+            if row.status == "done":
+                self.show(row, self.service.store.result(row.id))
+            elif row.error is not None:
+                self.show_refusal(error_of(row.error))
+            return
+        self.going = False
+
+    def show_refusal(self, error: MetropilotError) -> None:
+        """Show in one line what the logs do not determine."""
+        self.result.clear()
+        with self.result, card("Not fitted"):
+            ui.label(str(error)).classes("mp-error").props('role=alert data-test="refusal"')
+
+    def show(self, row: JobRow, found: dict[str, Any]) -> None:
+        """Show parameters, remarks, residuals, files and where to save."""
+        self.result.clear()
+        with self.result:
+            with card():
+                heading(f"{found['trainset']}, load {found['load']}, fitted to {', '.join(found['logs'])}")
+                reads(
+                    [
+                        ("mass", number(found["mass_kg"] / 1000, 1, "t"), ""),
+                        ("residuals", number(found["residual_mps"], 3, "m/s"), ""),
+                        ("samples", str(found["samples"]), ""),
+                        ("runs", str(found["runs"]), ""),
+                    ]
+                )
+                head = ("parameter", "trainset", "estimate", "95 % interval", "unit")
+                for name, title in (("parameters", "Parameters"), ("resistance", "Resistance")):
+                    rows = [_cells(each) for each in found[name]]
+                    table(head, rows, right=(1, 2), name=title)
+                self.show_remarks(found)
+                files = [(name, f"/api/jobs/{row.id}/files/{name}") for name in FILES["fit"]]
+                links([*files, ("run.zip", f"/api/jobs/{row.id}/files/run.zip")])
+            self.build_save(row)
+            with card("Residuals", "Measured and simulated speed; what remains; how long it stays alike."):
+                drawn = residual_figure(found["residuals"], found["residual_mps"])
+                ui.plotly(drawn).classes("mp-plot").props('data-test="residuals"')
+
+    @staticmethod
+    def show_remarks(found: dict[str, Any]) -> None:
+        """Show what the logs do not tell."""
+        with ui.element("div").classes("mp-stack").props('data-test="remarks"'):
+            for words in found["ambiguities"]:
+                ui.label(words).classes("mp-soft mp-notice")
+            for words in found["notes"]:
+                ui.label(words).classes("mp-soft")
+
+    def build_save(self, row: JobRow) -> None:
+        """Place the fields by which the fitted trainset is saved."""
+        own = {each.id: each.name for each in self.service.store.uploads("trainset")}
+        choices = {NEW: "A new trainset"}
+        choices |= {key: f"Next version of {name}" for key, name in own.items()}
+        began = row.request["trainset"]
+        with card("Save the trainset"):
+            with ui.element("div").classes("mp-row items-center"):
+                self.target = ui.select(choices, value=began if began in own else NEW, label="Save as")
+                self.target.props("outlined dense options-dense").classes("grow")
+                ui.button("Save", on_click=self.save).props('unelevated data-test="save"')
+            self.save_problem = Problem()
+            self.saved = ui.element("div").classes("mp-stack").props('role=status data-test="saved"')
+
+    async def save(self) -> None:
+        """Save the trainset; show where it can be used."""
+        with self.save_problem.show_errors():
+            key, version = await self.service.save_fit(self.job, self.target.value or None)
+            self.saved.clear()
+            with self.saved:
+                words = f"✓ {version.name}, version {version.number}"
+                ui.label(words).classes("mp-pass").style(WRAPPED)
+                used = f"trainset={key}"
+                targets = [("Edit", "/edit"), ("Drive", "/"), ("Compare", "/compare")]
+                shown = [(words, f"{path}?{used}") for words, path in targets]
+                links([*shown, ("TOML", f"/api/trainsets/{key}/toml?version={version.number}")])
+
+    def load(self) -> None:
+        """Fill the form with the linked job and follow it."""
+        if not self.job:
+            return
+        with self.problem.show_errors():
+            row = self.service.store.job(self.job)
+            if row.kind != "fit":
+                raise Refused(f"the job is a {row.kind}, no fit", 404, field="id", value=row.id)
+            self.restore(row.request)
+            self.follow()
+
+    def restore(self, body: dict[str, Any]) -> None:
+        """Fill the form with a request; a log or trainset that was removed since is left out."""
+        self.chosen = set(body["logs"])
+        self.fill_logs()
+        for name in ("trainset", "line"):
+            if (body[name] or "") in self.fields[name].options:
+                self.fields[name].value = body[name] or ""
+        for name in ("load", "origin", "destination"):
+            if body[name] in self.fields[name].options:
+                self.fields[name].value = body[name]
+        self.fields["input"].value = body["input"] or ""
+        self.fields["resistance"].value, self.keep.value = body["resistance"], body["keep"]
+
+
+def _cells(p: dict[str, Any]) -> tuple[str, ...]:
+    """Row of a parameter."""
+    nominal, value, low, high = (_digits(p[name]) for name in ("nominal", "value", "low", "high"))
+    return p["label"], nominal, value, f"{low} to {high}" if p["estimated"] else "kept", p["unit"]
+
+
+def _digits(value: float) -> str:
+    """Format a number with four significant digits, without an exponent."""
+    return f"{value:.0f}" if abs(value) >= LARGE else f"{value:.4g}"
+
+
+def install(service: Service) -> None:
+    """Register the page."""
+
+    @ui.page("/fit", title="Fit · metropilot")
+    async def fit(request: Request, job: str | None = None, trainset: str | None = None) -> None:
+        with frame(request, "/lines"):
+            page = FitPage(service, job, trainset)
+            page.build()
+        await ui.context.client.connected()
+        page.load()
