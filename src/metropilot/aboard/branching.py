@@ -17,7 +17,7 @@ import inspect
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial, wraps
+from functools import cached_property, partial, wraps
 from types import FunctionType, ModuleType
 from typing import Any, cast
 
@@ -453,6 +453,9 @@ class BranchTracer:
                 yield name, self._joining(value)
             elif isinstance(value, property) and value.fget is not None:
                 yield name, property(self._joining(cast("FunctionType", value.fget)))
+            elif isinstance(value, cached_property):
+                # what an instance kept would be that of one way
+                yield name, property(self._joining(cast("FunctionType", value.func)))
 
     def _joining(self, function: FunctionType) -> Callable[..., Any]:
         """The function, unchecked, the ways of each call joined."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import prod
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,12 @@ from metropilot.errors import InputError
 CALLS = {"jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "custom_vmap_call"}
 """Primitives that only call another traced function; which one, is in a parameter of one of these names."""
 CALLED = ("jaxpr", "call_jaxpr", "call")
+UNCHANGED: Mapping[str, tuple[float | bool, bool | None]] = MappingProxyType(
+    {"and": (True, False), "or": (False, True), "mul": (1.0, None), "div": (1.0, None)}
+)
+"""Operand that leaves the other as it is, and one that decides alone. (A sum with 0 turns -0 into 0.)"""
+ONE_SIDED = {"div"}
+"""Operations of which only the second operand may be the one that leaves the other."""
 SAME = {"copy", "copy_p", "stop_gradient", "optimization_barrier"}
 
 
@@ -171,8 +178,8 @@ class Builder:
         """A node, the known one where there is an equal one."""
         if op == "convert_element_type" and args[0].dtype == dtype:
             return args[0]
-        if op == "select_n" and args[0].op == "const" and args[0].size == 1:
-            return args[1 + int(args[0].params["value"].reshape(()))]
+        if (same := _same(op, args)) is not None and same.shape == shape:
+            return same
         key = (op, tuple(map(id, args)), shape, dtype.str, repr(sorted(params.items())))
         for scope in self.scopes:
             if key in scope.known:
@@ -232,6 +239,24 @@ def is_uniform(node: Operation) -> bool:
         return False
     value = node.params["value"]
     return value.tobytes() == value.flat[0].tobytes() * value.size
+
+
+def _same(op: str, args: tuple[Operation, ...]) -> Operation | None:
+    """The operand that an operation gives back whatever the others are, to the last bit; None: none."""
+    if op == "select_n" and is_uniform(args[0]):
+        return args[1 + int(args[0].params["value"].flat[0])]
+    if op not in UNCHANGED:
+        return None
+    neutral, final = UNCHANGED[op]
+    for each, other in (args, args[::-1]):
+        if is_uniform(each) and (each is args[1] or op not in ONE_SIDED):
+            value = each.params["value"].flat[0]
+            if value.dtype.kind in ("f" if final is None else "b"):
+                if value == neutral:
+                    return other
+                if final is not None and value == final:
+                    return each
+    return None
 
 
 def drop_unused(nodes: Sequence[Operation], results: Sequence[Operation]) -> list[Operation]:
