@@ -254,6 +254,8 @@ class _Emitter:
         for node in nodes:
             if node.op == "cond":
                 self.branches(node, indent)
+            elif node.op == "loop":
+                self.rounds(node, indent)
             elif node.op == "dynamic_slice":
                 self.start(node, indent)
             elif id(node) in self.own and node.op != "result":
@@ -327,6 +329,28 @@ class _Emitter:
                 value = self.at(result, ["0"] * len(result.shape))
                 self.lines.append(f"{indent}    {name} = {value};")
         self.lines.append(f"{indent}}}")
+
+    def rounds(self, node: Operation, indent: str) -> None:
+        """Write a ``loop``: variables that a round reads and, at its end, writes anew."""
+        (side,), carried = node.params["sides"], node.params["carried"]
+        names = [self.variable() for _ in carried]
+        for name, each, first in zip(names, carried, node.args, strict=True):
+            self.lines.append(f"{indent}{TYPES[each.dtype.name]} {name} = {self.at(first, [])};")
+            self.names[id(each)] = name
+        self.names[id(node)] = "\n".join(names)
+        count = self.variable()
+        self.lines.append(
+            f"{indent}for (int32_t {count} = 0; {count} < {node.params['count']}; {count}++) {{"
+        )
+        deeper = indent + "    "
+        self.block(side.nodes, deeper)
+        ends = []
+        for name, each in zip(names, side.results, strict=True):
+            # first all are read, as one may be the other of the round before
+            end = self.variable()
+            self.lines.append(f"{deeper}const {TYPES[each.dtype.name]} {end} = {self.at(each, [])};")
+            ends.append(f"{deeper}{name} = {end};")
+        self.lines += [*ends, f"{indent}}}"]
 
     def start(self, node: Operation, indent: str) -> None:
         """Write the first index of a slice, kept inside the array."""
@@ -604,10 +628,10 @@ def _drop_unread(lines: Sequence[str]) -> list[str]:
 
 
 def _flatten(nodes: Sequence[Operation]) -> list[Operation]:
-    """All nodes in the order of their statements; a ``cond`` follows its branches."""
+    """All nodes in the order of their statements; a ``cond`` or ``loop`` follows its sides."""
     order: list[Operation] = []
     for node in nodes:
-        for side in node.params.get("sides", ()) if node.op == "cond" else ():
+        for side in node.params.get("sides", ()):
             order += _flatten(side.nodes)
         order.append(node)
     return order

@@ -29,11 +29,12 @@ class Operation:
     """One operation and its result.
 
     Attributes:
-        op: Name of the JAX primitive, or ``input``, ``const``, ``cond``, ``result``.
+        op: Name of the JAX primitive, or ``input``, ``const``, ``cond``, ``loop``, ``result``.
         args: Operands.
         shape: Shape of the result.
         dtype: Number type of the result.
-        params: Parameters of the primitive; of ``const`` the value, of ``cond`` the branches.
+        params: Parameters of the primitive; of ``const`` the value, of ``cond`` the branches, of ``loop`` the
+            number of rounds, the inputs of one, and what it computes.
     """
 
     op: str
@@ -49,7 +50,7 @@ class Operation:
 
 
 class Branch(NamedTuple):
-    """One side of a ``cond``: the operations that only it needs, and its results."""
+    """One side of a ``cond`` or a round of a ``loop``: the operations that only it needs, and its results."""
 
     nodes: list[Operation]
     results: list[Operation]
@@ -211,23 +212,38 @@ class Builder:
         """Results of the branch of a number."""
         if any(result.size != 1 for side in sides for result in side.results):
             raise InputError("the driver chooses between arrays, which has no form in C", field="to")
-        made = Operation("cond", (index,), (), np.dtype(np.int32), {"sides": sides})
+        return self.results(Operation("cond", (index,), (), np.dtype(np.int32), {"sides": sides}))
+
+    def loop(
+        self, count: int, first: Sequence[Operation], carried: list[Operation], body: Branch
+    ) -> list[Operation]:
+        """Results of some rounds.
+
+        Args:
+            count: Number of rounds.
+            first: Numbers at the beginning.
+            carried: Inputs that stand for them in a round.
+            body: The round; its results are the inputs of the next.
+        """
+        params = {"count": count, "carried": carried, "sides": [body]}
+        return self.results(Operation("loop", tuple(first), (), np.dtype(np.int32), params))
+
+    def results(self, made: Operation) -> list[Operation]:
+        """Add an operation with sides; returns its results."""
         self.scopes[-1].nodes.append(made)
         picked = [
             Operation("result", (made,), result.shape, result.dtype, {"number": k})
-            for k, result in enumerate(sides[0].results)
+            for k, result in enumerate(made.params["sides"][0].results)
         ]
         self.scopes[-1].nodes += picked
         return picked
 
 
 def operands(node: Operation) -> list[Operation]:
-    """Operands of a node; those of a ``cond`` include what its branches take from outside."""
-    if node.op != "cond":
-        return list(node.args)
+    """Operands of a node; those of a ``cond`` or ``loop`` include what its sides take from outside."""
     outside = list(node.args)
-    for side in node.params["sides"]:
-        inside = set(map(id, side.nodes))
+    for side in node.params.get("sides", ()):
+        inside = {*map(id, side.nodes), *map(id, node.params.get("carried", ()))}
         used = [*side.results, *(each for inner in side.nodes for each in operands(inner))]
         outside += [each for each in used if id(each) not in inside]
     return outside

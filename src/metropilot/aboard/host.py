@@ -155,7 +155,9 @@ def _lift(tracer: BranchTracer, tree: Any) -> Any:  # noqa: ANN401 (a memory)
         return tracer.constant(tree)
     if isinstance(tree, SectionRows):
         found = copy(tree)
-        vars(found).update((name, _lift(tracer, value)) for name, value in vars(tree).items() if name != "tables")
+        vars(found).update(
+            (name, _lift(tracer, value)) for name, value in vars(tree).items() if name != "tables"
+        )
         return found
     if is_dataclass(tree) and not isinstance(tree, type | KEPT):
         found = copy(tree)
