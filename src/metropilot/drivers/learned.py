@@ -99,7 +99,7 @@ class LearnedDriver(AbstractDriver):
         self.keeps_tables = False
 
     def aboard(self, number: type) -> LearnedDriver:
-        """The same driver with the tables of departure: on a controller there is nothing to build others with."""
+        """The same driver, its tables built once: on a controller there is nothing to build others with."""
         del number
         found = copy(self)
         found.keeps_tables = True
@@ -140,14 +140,8 @@ class LearnedDriver(AbstractDriver):
             if outdated and not memory.stopping:
                 memory = self._adapt_tables(memory, monitor, observation.time_s)
         context = self._context(memory, observation)
+        action, wanted, decided = self._decide(memory, context, observation.time_s)
         interface = self.interface
-        action, wanted, decided = memory.action, memory.wanted, memory.decided
-        if observation.time_s >= decided * interface.period_s - DECISION_EARLY_S:
-            seen = observe(interface.features, context)
-            mask = interface.action.action_mask(context, interface.period_s)
-            action = self.policy(seen) if mask is None else self.policy(seen, mask)
-            wanted = as_double(interface.action.command(context, action, interface.period_s))
-            decided = int((observation.time_s + DECISION_EARLY_S) / interface.period_s) + 1
         command = interface.action.hold(context, action, wanted)
         command, stopping = self._apply_assists(memory, context, command)
         command = interface.action.round(context, command)
@@ -159,6 +153,19 @@ class LearnedDriver(AbstractDriver):
             command=command, action=action, wanted=wanted, decided=decided, stopping=stopping
         )
         return float(command), memory
+
+    def _decide(
+        self, memory: LearnedMemory, context: FeatureContext, time_s: float
+    ) -> tuple[Any, np.float64, int]:
+        """Action, command and number of decisions: those of a new decision where one is due."""
+        interface = self.interface
+        if time_s < memory.decided * interface.period_s - DECISION_EARLY_S:
+            return memory.action, memory.wanted, memory.decided
+        seen = observe(interface.features, context)
+        mask = interface.action.action_mask(context, interface.period_s)
+        action = self.policy(seen) if mask is None else self.policy(seen, mask)
+        wanted = as_double(interface.action.command(context, action, interface.period_s))
+        return action, wanted, int((time_s + DECISION_EARLY_S) / interface.period_s) + 1
 
     def _apply_assists(self, memory: LearnedMemory, context: FeatureContext, command: Any) -> tuple[Any, Any]:  # noqa: ANN401
         """Apply the assists as learned, or the careful ones under plant mismatch."""
