@@ -491,33 +491,17 @@ class BranchTracer:
             elif isinstance(value, property) and value.fget is not None:
                 yield name, property(self._joining(cast("FunctionType", value.fget)))
             elif isinstance(value, cached_property):
-                # what an instance kept would be that of one way
-                yield name, property(self._joining(cast("FunctionType", value.func)))
+                yield (
+                    name,
+                    property(partial(_known_or, name, self._joining(cast("FunctionType", value.func)))),
+                )
 
     def _joining(self, function: FunctionType) -> Callable[..., Any]:
         """The function, unchecked, the ways of each call joined."""
         plain = inspect.unwrap(function)
-        if plain.__name__ == "unless":
-
-            def unless(done: Any, value: int, rest: Callable[..., Any], *given: Any) -> Any:  # noqa: ANN401
-                if not isinstance(done, Symbol):
-                    return value if done else rest(*given)
-                key = "unless", rest.__qualname__, _key((done, value, given))
-                return self.remember(key, lambda: self.choose(done.node, lambda: value, lambda: rest(*given)))
-
-            return unless
-        if plain.__name__ == "repeat":
-            return lambda count, step, *state: self.repeat(count, step, state)
-        if plain.__name__ == "slice_from":
-
-            def slice_from(values: Any, first: Any, size: int) -> Any:  # noqa: ANN401 (arrays)
-                if not isinstance(first, Symbol):
-                    return values[first : first + size]
-                if first.ndim:
-                    return values[self.apply("add", first, np.arange(size))]
-                return self.call(("slice", size), partial(plain, size=size), values, first)
-
-            return slice_from
+        own = {"unless": self._unless, "repeat": self._repeat, "slice_from": self._slice_from}
+        if plain.__name__ in own:
+            return partial(own[plain.__name__], plain)
         lazy = plain.__name__ in LAZY
 
         @wraps(plain)
@@ -530,6 +514,23 @@ class BranchTracer:
             return self.remember(key, found)
 
         return call
+
+    def _unless(self, plain: Any, done: Any, value: int, rest: Callable[..., Any], *given: Any) -> Any:  # noqa: ANN401
+        if not isinstance(done, Symbol):
+            return plain(done, value, rest, *given)
+        key = "unless", rest.__qualname__, _key((done, value, given))
+        return self.remember(key, lambda: self.choose(done.node, lambda: value, lambda: rest(*given)))
+
+    def _repeat(self, plain: Any, count: int, step: Callable[..., Any], *state: Any) -> Any:  # noqa: ANN401 (trees)
+        del plain
+        return self.repeat(count, step, state)
+
+    def _slice_from(self, plain: Any, values: Any, first: Any, size: int) -> Any:  # noqa: ANN401 (arrays)
+        if not isinstance(first, Symbol):
+            return plain(values, first, size)
+        if first.ndim:
+            return values[self.apply("add", first, np.arange(size))]
+        return self.call(("slice", size), partial(plain, size=size), values, first)
 
     def _builtins(self) -> dict[str, Any]:
         """Builtin functions that a symbol cannot answer, in a form that knows symbols."""
@@ -666,6 +667,11 @@ def _key(tree: Any) -> Any:  # noqa: ANN401 (a tree)
     if isinstance(tree, Symbol):
         return "symbol", id(tree.node)
     return (type(tree), tree) if isinstance(tree, str | float | int | np.generic) else id(tree)
+
+
+def _known_or(name: str, compute: Callable[[Any], Any], instance: Any) -> Any:  # noqa: ANN401 (anything)
+    """A cached property: known before, or computed and not kept, as that would be the value of one way."""
+    return vars(instance)[name] if name in vars(instance) else compute(instance)
 
 
 def _entries(value: Symbol) -> list[Symbol]:
