@@ -17,13 +17,14 @@ import inspect
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial, wraps
+from functools import cached_property, partial, wraps
+from math import prod
 from types import FunctionType, ModuleType
 from typing import Any, cast
 
 import numpy as np
 
-from metropilot.aboard.graph import Branch, Builder, Operation, drop_unused
+from metropilot.aboard.graph import Branch, Builder, Operation, Scope, drop_unused
 from metropilot.errors import InputError
 from metropilot.physics import NAMESPACES, scalars
 
@@ -359,7 +360,7 @@ class BranchTracer:
             self.builder.open_scope(scope)
             turned = [self._turn(each, kind) for each, kind in zip(ends, kinds, strict=True)]
             # a choice is between numbers, so the few entries of an array are chosen one by one
-            last = [entry.node for each in turned for entry in (each if each.ndim else [each])]
+            last = [entry.node for each in turned for entry in _entries(each)]
             sides.append(Branch(drop_unused(self.builder.close_scope().nodes, last), last))
             lengths = [len(each) if each.ndim else 0 for each in turned]
         rest = iter(self.builder.choice(node, sides[::-1]))
@@ -370,6 +371,48 @@ class BranchTracer:
             for n in lengths
         ]
         return _map(lambda each: found[each.number] if isinstance(each, _Hole) else each, joined)
+
+    def repeat(self, count: int, step: Callable[..., Any], state: tuple[Any, ...]) -> Any:  # noqa: ANN401 (a tree)
+        """State after some equal steps, as a loop; what changes in it is found by running a step."""
+        first = list(_leaves(state))
+        kinds: dict[int, np.dtype] = {}
+        while True:
+            scope, carried = Scope(), []
+            self.builder.open_scope(scope)
+            try:
+                given = list(first)
+                for k, kind in kinds.items():
+                    size = np.shape(first[k])
+                    entries = [Symbol(self, Operation("input", (), (), kind)) for _ in range(prod(size))]
+                    carried += entries
+                    given[k] = self.apply("stack", entries) if size else entries[0]
+                rest = iter(given)
+                before = _map(lambda _, rest=rest: next(rest), state)
+                after = list(_leaves(self.run(lambda before=before: step(*before), "repeat")))
+                found = {
+                    k: self._kind(each, first[k])
+                    for k, each in enumerate(after)
+                    if each is not given[k] and not _same(each, given[k])
+                }
+                if set(found) <= set(kinds):
+                    last = [
+                        entry.node
+                        for k, kind in kinds.items()
+                        for entry in _entries(self._turn(after[k], kind))
+                    ]
+                    break
+            finally:
+                self.builder.close_scope()
+            kinds |= found
+        begin = [entry.node for k, kind in kinds.items() for entry in _entries(self._turn(first[k], kind))]
+        side = Branch(drop_unused(scope.nodes, last), last)
+        results = iter(self.builder.loop(count, begin, [each.node for each in carried], side))
+        for k in kinds:
+            size = np.shape(first[k])
+            entries = [Symbol(self, next(results)) for _ in range(prod(size))]
+            first[k] = self.apply("stack", entries) if size else entries[0]
+        rest = iter(first)
+        return _map(lambda _: next(rest), state)
 
     def _kind(self, a: Any, b: Any) -> np.dtype:  # noqa: ANN401 (numbers)
         """Number type of a choice."""
@@ -392,13 +435,7 @@ class BranchTracer:
             parts = [self.join(a, b, choose) for a, b in zip(yes, no, strict=True)]
             return type(yes)(*parts) if hasattr(yes, "_fields") else type(yes)(parts)
         if _is_number(yes) and _is_number(no):
-            simple = not isinstance(yes, Symbol) and not isinstance(no, Symbol)
-            alike = (
-                simple
-                and type(yes) is type(no)
-                and np.array_equal(cast("Any", yes), cast("Any", no), equal_nan=True)
-            )
-            return yes if alike else choose(yes, no)
+            return yes if _same(yes, no) else choose(yes, no)
         raise InputError(
             "the driver answers with one thing or another, which has no form in C",
             field="to",
@@ -453,29 +490,18 @@ class BranchTracer:
                 yield name, self._joining(value)
             elif isinstance(value, property) and value.fget is not None:
                 yield name, property(self._joining(cast("FunctionType", value.fget)))
+            elif isinstance(value, cached_property):
+                yield (
+                    name,
+                    property(partial(_known_or, name, self._joining(cast("FunctionType", value.func)))),
+                )
 
     def _joining(self, function: FunctionType) -> Callable[..., Any]:
         """The function, unchecked, the ways of each call joined."""
         plain = inspect.unwrap(function)
-        if plain.__name__ == "unless":
-
-            def unless(done: Any, value: int, rest: Callable[..., Any], *given: Any) -> Any:  # noqa: ANN401
-                if not isinstance(done, Symbol):
-                    return value if done else rest(*given)
-                key = "unless", rest.__qualname__, _key((done, value, given))
-                return self.remember(key, lambda: self.choose(done.node, lambda: value, lambda: rest(*given)))
-
-            return unless
-        if plain.__name__ == "slice_from":
-
-            def slice_from(values: Any, first: Any, size: int) -> Any:  # noqa: ANN401 (arrays)
-                if not isinstance(first, Symbol):
-                    return values[first : first + size]
-                if first.ndim:
-                    return values[self.apply("add", first, np.arange(size))]
-                return self.call(("slice", size), partial(plain, size=size), values, first)
-
-            return slice_from
+        own = {"unless": self._unless, "repeat": self._repeat, "slice_from": self._slice_from}
+        if plain.__name__ in own:
+            return partial(own[plain.__name__], plain)
         lazy = plain.__name__ in LAZY
 
         @wraps(plain)
@@ -488,6 +514,23 @@ class BranchTracer:
             return self.remember(key, found)
 
         return call
+
+    def _unless(self, plain: Any, done: Any, value: int, rest: Callable[..., Any], *given: Any) -> Any:  # noqa: ANN401
+        if not isinstance(done, Symbol):
+            return plain(done, value, rest, *given)
+        key = "unless", rest.__qualname__, _key((done, value, given))
+        return self.remember(key, lambda: self.choose(done.node, lambda: value, lambda: rest(*given)))
+
+    def _repeat(self, plain: Any, count: int, step: Callable[..., Any], *state: Any) -> Any:  # noqa: ANN401 (trees)
+        del plain
+        return self.repeat(count, step, state)
+
+    def _slice_from(self, plain: Any, values: Any, first: Any, size: int) -> Any:  # noqa: ANN401 (arrays)
+        if not isinstance(first, Symbol):
+            return plain(values, first, size)
+        if first.ndim:
+            return values[self.apply("add", first, np.arange(size))]
+        return self.call(("slice", size), partial(plain, size=size), values, first)
 
     def _builtins(self) -> dict[str, Any]:
         """Builtin functions that a symbol cannot answer, in a form that knows symbols."""
@@ -624,6 +667,23 @@ def _key(tree: Any) -> Any:  # noqa: ANN401 (a tree)
     if isinstance(tree, Symbol):
         return "symbol", id(tree.node)
     return (type(tree), tree) if isinstance(tree, str | float | int | np.generic) else id(tree)
+
+
+def _known_or(name: str, compute: Callable[[Any], Any], instance: Any) -> Any:  # noqa: ANN401 (anything)
+    """A cached property: known before, or computed and not kept, as that would be the value of one way."""
+    return vars(instance)[name] if name in vars(instance) else compute(instance)
+
+
+def _entries(value: Symbol) -> list[Symbol]:
+    """Entries of a row, or the number itself."""
+    return list(value) if value.ndim else [value]
+
+
+def _same(a: Any, b: Any) -> bool:  # noqa: ANN401 (numbers)
+    """Tell if two numbers are the same operation, or equal constants."""
+    if isinstance(a, Symbol) or isinstance(b, Symbol):
+        return isinstance(a, Symbol) and isinstance(b, Symbol) and a.node is b.node
+    return type(a) is type(b) and np.array_equal(a, b, equal_nan=True)
 
 
 def _is_number(value: Any) -> bool:  # noqa: ANN401 (anything)

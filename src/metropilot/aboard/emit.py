@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import prod
 from types import MappingProxyType
 from typing import Any
@@ -12,17 +12,10 @@ from typing import Any
 import numpy as np
 
 from metropilot.aboard.graph import Graph, Operation, is_uniform, operands
+from metropilot.aboard.tables import TYPES, WIDTH, Tables, fill, literal
 from metropilot.errors import InputError
 
-TYPES: Mapping[str, str] = MappingProxyType(
-    {"float64": "double", "float32": "float", "int32": "int32_t", "int64": "int64_t", "bool": "bool"}
-)
 SHORT = MappingProxyType({"float64": "f64", "float32": "f32", "int32": "i32", "int64": "i64", "bool": "bool"})
-WIDTH = 110
-CODED_BYTES, CODED_SHARE = 4096, 0.65
-"""Tables from this size on are stored as their distinct values and a number for each entry, where this takes
-at most such a share of it."""
-
 VARIABLE = re.compile(r"\bv\d+\b")
 DEFINITION = re.compile(r"^ *const \w+ (v\d+) = [^;]*;\n", re.MULTILINE)
 VIEWS = frozenset(
@@ -45,86 +38,6 @@ ELEMENTWISE = frozenset(
 )
 REDUCTIONS = MappingProxyType({"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min"})
 LOGICAL_REDUCTIONS = MappingProxyType({"reduce_and": "and", "reduce_or": "or"})
-
-
-def literal(value: Any, dtype: np.dtype) -> str:  # noqa: ANN401 (a number)
-    """A number of a type as C writes it; reads back as the same number."""
-    if dtype.kind == "b":
-        return "true" if value else "false"
-    if dtype.kind in "iu":
-        return str(int(value)) if int(value) >= 0 else f"({int(value)})"
-    kind = TYPES[dtype.name]
-    if np.isnan(value):
-        return f"({kind})NAN"
-    if np.isinf(value):
-        return f"({'-' if value < 0 else ''}({kind})INFINITY)"
-    text = repr(float(value)) if dtype == np.float64 else f"{np.format_float_scientific(value, unique=True)}f"
-    return f"({text})" if text.startswith("-") else text
-
-
-class Tables:
-    """Constant tables of a source file, each stored once.
-
-    Attributes:
-        lines: Their definitions.
-        bytes: Their size in the object file.
-    """
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-        self.bytes = 0
-        self.known: dict[Any, tuple[str, str | None]] = {}
-        self.narrow: set[str] = set()
-
-    def at(self, array: np.ndarray, flat: str) -> str:
-        """Expression of one entry."""
-        name, coded = self.name(array)
-        found = f"{name}[{flat}]" if coded is None else f"{name}[{coded}[{flat}]]"
-        # stored in single precision or not: what is computed with it, is computed in its own type
-        return f"(double){found}" if array.dtype == np.float64 and name in self.narrow else found
-
-    def name(self, array: np.ndarray) -> tuple[str, str | None]:
-        """Name of a table, and (coded tables) that of the numbers of its entries."""
-        key = (array.dtype.str, array.tobytes())
-        if key not in self.known:
-            name = f"t{len(self.known)}"
-            self.known[key] = self._define(name, array.reshape(-1))
-        return self.known[key]
-
-    def _define(self, name: str, flat: np.ndarray) -> tuple[str, str | None]:
-        # By their bits: of the two zeros, and of the bits of NaN, none may stand for the other.
-        bits = flat.view(f"u{flat.dtype.itemsize}") if flat.dtype.kind == "f" else flat
-        values, numbers = np.unique(bits, return_inverse=True)
-        index = np.uint8 if values.size <= 1 << 8 else np.uint16
-        coded = values.nbytes + numbers.size * np.dtype(index).itemsize
-        if flat.nbytes < CODED_BYTES or values.size > 1 << 16 or coded > CODED_SHARE * flat.nbytes:
-            self._write(name, flat, TYPES[flat.dtype.name])
-            return name, None
-        self._write(name, values.view(flat.dtype), TYPES[flat.dtype.name])
-        self._write(f"{name}_of", numbers.astype(index), f"{np.dtype(index).name}_t")
-        return name, f"{name}_of"
-
-    def _write(self, name: str, values: np.ndarray, kind: str) -> None:
-        if kind == "double" and np.array_equal(values.astype(np.float32), values):
-            # numbers that are in single precision, as those of a network, are stored so
-            values, kind = values.astype(np.float32), "float"
-            self.narrow.add(name)
-        self.bytes += values.nbytes
-        texts = [literal(value, values.dtype) for value in values]
-        self.lines.append(f"static const {kind} {name}[{values.size}] = {{")
-        self.lines += fill(f"{text}," for text in texts)
-        self.lines.append("};")
-
-
-def fill(words: Iterable[str], indent: str = "    ") -> list[str]:
-    """Lines of words, none longer than ``WIDTH``."""
-    lines, line = [], indent.rstrip(" ") + indent[:-1]
-    for word in words:
-        if len(line) + len(word) + 1 > WIDTH:
-            lines.append(line)
-            line = indent[:-1]
-        line += " " + word
-    return [*lines, line]
 
 
 def emit_body(
@@ -179,6 +92,7 @@ class _Emitter:
         self.places: dict[int, tuple[str, int, int]] = {}
         self.starts: dict[int, int] = {}
         self.offsets: dict[int, list[str]] = {}
+        self.rows: dict[int, str] = {}
         self.lines: list[str] = []
         self.count = 0
 
@@ -254,6 +168,8 @@ class _Emitter:
         for node in nodes:
             if node.op == "cond":
                 self.branches(node, indent)
+            elif node.op == "loop":
+                self.rounds(node, indent)
             elif node.op == "dynamic_slice":
                 self.start(node, indent)
             elif id(node) in self.own and node.op != "result":
@@ -328,6 +244,28 @@ class _Emitter:
                 self.lines.append(f"{indent}    {name} = {value};")
         self.lines.append(f"{indent}}}")
 
+    def rounds(self, node: Operation, indent: str) -> None:
+        """Write a ``loop``: variables that a round reads and, at its end, writes anew."""
+        (side,), carried = node.params["sides"], node.params["carried"]
+        names = [self.variable() for _ in carried]
+        for name, each, first in zip(names, carried, node.args, strict=True):
+            self.lines.append(f"{indent}{TYPES[each.dtype.name]} {name} = {self.at(first, [])};")
+            self.names[id(each)] = name
+        self.names[id(node)] = "\n".join(names)
+        count = self.variable()
+        self.lines.append(
+            f"{indent}for (int32_t {count} = 0; {count} < {node.params['count']}; {count}++) {{"
+        )
+        deeper = indent + "    "
+        self.block(side.nodes, deeper)
+        ends = []
+        for name, each in zip(names, side.results, strict=True):
+            # first all are read, as one may be the other of the round before
+            end = self.variable()
+            self.lines.append(f"{deeper}const {TYPES[each.dtype.name]} {end} = {self.at(each, [])};")
+            ends.append(f"{deeper}{name} = {end};")
+        self.lines += [*ends, f"{indent}}}"]
+
     def start(self, node: Operation, indent: str) -> None:
         """Write the first index of a slice, kept inside the array."""
         starts = []
@@ -343,6 +281,21 @@ class _Emitter:
                 )
                 starts.append(name)
         self.offsets[id(node)] = starts
+        if node.args[0].op == "const" and prod(node.shape[:-1]) == 1 and starts[-1] == "0":
+            lines, entry = self.whole_row(node.args[0], _flat(starts[:-1], node.args[0].shape[:-1]))
+            self.lines += [f"{indent}{line}" for line in lines]
+            if entry is not None:
+                self.rows[id(node)] = entry
+
+    def whole_row(self, array: Operation, row: str) -> tuple[list[str], str | None]:
+        """Lines that read a row of a table, and an entry ``@`` of it; of most tables entries are read."""
+        found = self.tables.row(array.params["value"]) if array.size and not is_uniform(array) else None
+        if found is None:
+            return [], None
+        (name, table), values = found, self.variable()
+        unit, kind = literal(array.dtype.type(table.unit), array.dtype), TYPES[array.dtype.name]
+        lines = [f"int64_t {values}[{table.columns}];", f"step_row(&{name}, {row}, {values});"]
+        return lines, f"(({kind}){values}[@] * {unit})"
 
     def reduction(
         self, node: Operation, target: str, index: list[str], shape: tuple[int, ...], indent: str
@@ -426,6 +379,17 @@ class _Emitter:
                 first = self.first_index(places, batch, dims.start_index_map.index(axis), whole - sizes[axis])
                 place = first if place == "0" else f"{first} + {place}"
             read.append(place)
+        row, *rest = [axis for axis, whole in enumerate(array.shape) if whole > 1] or [0]
+        if (
+            not batch
+            and array.op == "const"
+            and node.shape == array.shape[-1:]
+            and rest == [len(array.shape) - 1]
+        ):
+            lines, entry = self.whole_row(array, read[row])
+            if entry is not None:
+                inner = _loops(shape, [f"{target} = {entry.replace('@', read[-1])};"], "    ")
+                return [f"{indent}{line}" for line in ("{", *(f"    {line}" for line in lines), *inner, "}")]
         return _loops(shape, [f"{target} = {self.at(array, read)};"], indent)
 
     def first_index(self, places: Operation, batch: list[str], number: int, last: int) -> str:
@@ -452,7 +416,7 @@ class _Emitter:
         return f"v{self.count}"
 
     # ------------------------------------------------------------------------------------------- expressions
-    def at(self, node: Operation, index: list[str]) -> str:  # noqa: PLR0911 (one per kind of node)
+    def at(self, node: Operation, index: list[str]) -> str:  # noqa: C901, PLR0911 (one per kind of node)
         """Expression of one entry of a node."""
         if node.op == "const":
             value = node.params["value"]
@@ -474,6 +438,8 @@ class _Emitter:
             if node.size == 1:
                 return name
             return f"{name}[{_plus(self.starts[id(node)], _flat(index, node.shape))}]"
+        if id(node) in self.rows:
+            return self.rows[id(node)].replace("@", index[-1])
         if node.op in VIEWS:
             return self.at(node.args[0], self.through(node, index))
         return self.value(node, index)
@@ -604,10 +570,10 @@ def _drop_unread(lines: Sequence[str]) -> list[str]:
 
 
 def _flatten(nodes: Sequence[Operation]) -> list[Operation]:
-    """All nodes in the order of their statements; a ``cond`` follows its branches."""
+    """All nodes in the order of their statements; a ``cond`` or ``loop`` follows its sides."""
     order: list[Operation] = []
     for node in nodes:
-        for side in node.params.get("sides", ()) if node.op == "cond" else ():
+        for side in node.params.get("sides", ()):
             order += _flatten(side.nodes)
         order.append(node)
     return order

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import prod
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,12 @@ from metropilot.errors import InputError
 CALLS = {"jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "custom_vmap_call"}
 """Primitives that only call another traced function; which one, is in a parameter of one of these names."""
 CALLED = ("jaxpr", "call_jaxpr", "call")
+UNCHANGED: Mapping[str, tuple[float | bool, bool | None]] = MappingProxyType(
+    {"and": (True, False), "or": (False, True), "mul": (1.0, None), "div": (1.0, None)}
+)
+"""Operand that leaves the other as it is, and one that decides alone. (A sum with 0 turns -0 into 0.)"""
+ONE_SIDED = {"div"}
+"""Operations of which only the second operand may be the one that leaves the other."""
 SAME = {"copy", "copy_p", "stop_gradient", "optimization_barrier"}
 
 
@@ -22,11 +29,12 @@ class Operation:
     """One operation and its result.
 
     Attributes:
-        op: Name of the JAX primitive, or ``input``, ``const``, ``cond``, ``result``.
+        op: Name of the JAX primitive, or ``input``, ``const``, ``cond``, ``loop``, ``result``.
         args: Operands.
         shape: Shape of the result.
         dtype: Number type of the result.
-        params: Parameters of the primitive; of ``const`` the value, of ``cond`` the branches.
+        params: Parameters of the primitive; of ``const`` the value, of ``cond`` the branches, of ``loop`` the
+            number of rounds, the inputs of one, and what it computes.
     """
 
     op: str
@@ -42,7 +50,7 @@ class Operation:
 
 
 class Branch(NamedTuple):
-    """One side of a ``cond``: the operations that only it needs, and its results."""
+    """One side of a ``cond`` or a round of a ``loop``: the operations that only it needs, and its results."""
 
     nodes: list[Operation]
     results: list[Operation]
@@ -171,8 +179,8 @@ class Builder:
         """A node, the known one where there is an equal one."""
         if op == "convert_element_type" and args[0].dtype == dtype:
             return args[0]
-        if op == "select_n" and args[0].op == "const" and args[0].size == 1:
-            return args[1 + int(args[0].params["value"].reshape(()))]
+        if (same := _same(op, args)) is not None and same.shape == shape:
+            return same
         key = (op, tuple(map(id, args)), shape, dtype.str, repr(sorted(params.items())))
         for scope in self.scopes:
             if key in scope.known:
@@ -204,23 +212,38 @@ class Builder:
         """Results of the branch of a number."""
         if any(result.size != 1 for side in sides for result in side.results):
             raise InputError("the driver chooses between arrays, which has no form in C", field="to")
-        made = Operation("cond", (index,), (), np.dtype(np.int32), {"sides": sides})
+        return self.results(Operation("cond", (index,), (), np.dtype(np.int32), {"sides": sides}))
+
+    def loop(
+        self, count: int, first: Sequence[Operation], carried: list[Operation], body: Branch
+    ) -> list[Operation]:
+        """Results of some rounds.
+
+        Args:
+            count: Number of rounds.
+            first: Numbers at the beginning.
+            carried: Inputs that stand for them in a round.
+            body: The round; its results are the inputs of the next.
+        """
+        params = {"count": count, "carried": carried, "sides": [body]}
+        return self.results(Operation("loop", tuple(first), (), np.dtype(np.int32), params))
+
+    def results(self, made: Operation) -> list[Operation]:
+        """Add an operation with sides; returns its results."""
         self.scopes[-1].nodes.append(made)
         picked = [
             Operation("result", (made,), result.shape, result.dtype, {"number": k})
-            for k, result in enumerate(sides[0].results)
+            for k, result in enumerate(made.params["sides"][0].results)
         ]
         self.scopes[-1].nodes += picked
         return picked
 
 
 def operands(node: Operation) -> list[Operation]:
-    """Operands of a node; those of a ``cond`` include what its branches take from outside."""
-    if node.op != "cond":
-        return list(node.args)
+    """Operands of a node; those of a ``cond`` or ``loop`` include what its sides take from outside."""
     outside = list(node.args)
-    for side in node.params["sides"]:
-        inside = set(map(id, side.nodes))
+    for side in node.params.get("sides", ()):
+        inside = {*map(id, side.nodes), *map(id, node.params.get("carried", ()))}
         used = [*side.results, *(each for inner in side.nodes for each in operands(inner))]
         outside += [each for each in used if id(each) not in inside]
     return outside
@@ -232,6 +255,24 @@ def is_uniform(node: Operation) -> bool:
         return False
     value = node.params["value"]
     return value.tobytes() == value.flat[0].tobytes() * value.size
+
+
+def _same(op: str, args: tuple[Operation, ...]) -> Operation | None:
+    """The operand that an operation gives back whatever the others are, to the last bit; None: none."""
+    if op == "select_n" and is_uniform(args[0]):
+        return args[1 + int(args[0].params["value"].flat[0])]
+    if op not in UNCHANGED:
+        return None
+    neutral, final = UNCHANGED[op]
+    for each, other in (args, args[::-1]):
+        if is_uniform(each) and (each is args[1] or op not in ONE_SIDED):
+            value = each.params["value"].flat[0]
+            if value.dtype.kind in ("f" if final is None else "b"):
+                if value == neutral:
+                    return other
+                if final is not None and value == final:
+                    return each
+    return None
 
 
 def drop_unused(nodes: Sequence[Operation], results: Sequence[Operation]) -> list[Operation]:

@@ -18,11 +18,12 @@ import numpy as np
 
 from metropilot.aboard.branching import BranchTracer, Symbol
 from metropilot.aboard.graph import Graph, drop_unused
+from metropilot.env import SectionRows
 from metropilot.errors import InputError
 from metropilot.railway import Section, Trainset
 from metropilot.sim import AbstractDriver, Observation, Run
 
-PACKAGES = ("physics", "protection", "planning", "control", "policy", "drivers", "studies")
+PACKAGES = ("physics", "protection", "planning", "control", "env", "policy", "drivers", "studies")
 """Packages whose functions a driver runs in a period."""
 KEPT = Run | Section | Trainset
 """What is in a memory for reference only."""
@@ -152,6 +153,12 @@ def _lift(tracer: BranchTracer, tree: Any) -> Any:  # noqa: ANN401 (a memory)
         return type(tree)(*parts) if hasattr(tree, "_fields") else tuple(parts)
     if isinstance(tree, np.ndarray | list) and np.ndim(tree) and np.asarray(tree).dtype.kind in "fiub":
         return tracer.constant(tree)
+    if isinstance(tree, SectionRows):
+        found = copy(tree)
+        vars(found).update(
+            (name, _lift(tracer, value)) for name, value in vars(tree).items() if name != "tables"
+        )
+        return found
     if is_dataclass(tree) and not isinstance(tree, type | KEPT):
         found = copy(tree)
         for each in fields(tree):

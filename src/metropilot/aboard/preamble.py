@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from types import MappingProxyType
 
+from metropilot.aboard.tables import MOST_COLUMNS
+
 SINGLE = """
 /* the larger number; NaN wins, as in NumPy */
 static TYPE max_SHORT(TYPE a, TYPE b) { return (a >= b || a != a) ? a : b; }
@@ -51,6 +53,54 @@ static TYPE even_SHORT(TYPE x)
 BASE = """
 /* an index, kept inside an array */
 static int32_t within(int64_t i, int32_t last) { return i < 0 ? 0 : i > last ? last : (int32_t)i; }
+
+/* which run an entry of a table is in: begins has a bit for each entry, runs the runs before each word */
+static int32_t run_of(const uint32_t *begins, const int16_t *runs, int32_t i)
+{
+    uint32_t x = begins[i / 32] & (0xffffffffu >> (31 - i % 32));
+    x -= (x >> 1) & 0x55555555u;
+    x = (x & 0x33333333u) + ((x >> 2) & 0x33333333u);
+    x = (((x + (x >> 4)) & 0x0f0f0f0fu) * 0x01010101u) >> 24;
+    return runs[i / 32] + (int32_t)x;
+}
+
+/* a table in fixed point: in blocks of rows, each entry by the change of its step from the row before */
+typedef struct {
+    int32_t columns, rows;
+    const int64_t *base, *step;
+    const uint16_t *first;
+    const int64_t *literal;
+    const uint8_t *codes;
+    const int8_t *beside, *change;
+} step_table;
+static void step_row(const step_table *t, int32_t row, int64_t *value)
+{
+    int64_t step[MOST_COLUMNS];
+    const int32_t columns = t->columns, block = row / t->rows;
+    int32_t code = (block * t->rows + 1) * columns, next = t->first[block];
+    for (int32_t c = 0; c < columns; c++) {
+        value[c] = t->base[block * columns + c];
+        step[c] = t->step[block * columns + c];
+    }
+    for (int32_t k = block * t->rows; k < row; k++) {
+        int64_t beside = 0;
+        for (int32_t c = 0; c < columns; c++) {
+            const int32_t pair = t->codes[code / 2], symbol = code % 2 ? pair / 16 : pair % 16;
+            if (symbol == 15) step[c] = t->literal[next++];
+            else step[c] = (t->beside[symbol] ? beside : step[c]) + t->change[symbol];
+            beside = step[c];
+            value[c] += step[c];
+            code++;
+        }
+    }
+}
+
+static int64_t step_entry(const step_table *t, int32_t i)
+{
+    int64_t value[MOST_COLUMNS];
+    step_row(t, i / t->columns, value);
+    return value[i % t->columns];
+}
 
 /* a whole number; one out of range becomes the nearest, NaN becomes 0 */
 static int32_t to_i32(double x)
@@ -151,6 +201,7 @@ def _functions() -> dict[str, str]:
         BASE.replace("EXP_ULP", str(EXP_ULP))
         .replace("TANH_ULP", str(TANH_ULP))
         .replace("LOG_ULP", str(LOG_ULP))
+        .replace("MOST_COLUMNS", str(MOST_COLUMNS))
     )
     found = {}
     for part in (doubles + floats + base).strip().split("\n\n"):

@@ -34,7 +34,6 @@ from metropilot.protection import (
     Protection,
     Verdict,
     at_start,
-    guarantees_less,
     protect,
     supervise,
 )
@@ -96,35 +95,17 @@ class AboardProgram:
     move: Graph
 
 
-def check_exportable(name: str, trainset: Trainset, *, dt_s: float = CONTROL_PERIOD_S) -> None:
-    """Raise an error that says why a driver cannot be written in C for a trainset, and what can.
+def check_exportable(name: str) -> None:
+    """Raise an error that says why a driver cannot be written in C, and what can.
 
     Args:
         name: Id of a driver; what is no driver is a policy of its own.
-        trainset: Nominal trainset.
-        dt_s: Control period.
 
     Raises:
         InputError: It cannot.
     """
-    if name in DRIVERS.ids():
-        if not _has_form(name):
-            raise _refusal(name)
-        if not issubclass(DRIVERS.get(name), AbstractPolicyDriver):
-            return
-    actuation = trainset.actuation
-    late = actuation.delay_s > 0.0 or actuation.lag_s > 0.0
-    if late or guarantees_less(trainset, Bounds.of(trainset, dt_s)):
-        what = (
-            "with dead time or lag" if late else "guaranteed a weaker emergency brake than its service brake"
-        )
-        words = f"aboard a trainset {what} the driver estimates the plant, which has no form in C"
-        raise InputError(
-            words,
-            field="trainset",
-            value=trainset.id,
-            allowed="ID@0,0 declares none" if late else "another",
-        )
+    if name in DRIVERS.ids() and not _has_form(name):
+        raise _refusal(name)
 
 
 def exportable() -> list[str]:
@@ -167,7 +148,8 @@ def trace_driver(
     import jax
 
     dtype = NUMBERS[number]
-    bounds = declared_bounds(Run(sections[0], trainset, 1.0, dt=dt_s))
+    first = Run(sections[0], trainset, 1.0, dt=dt_s)
+    bounds = declared_bounds(first)
     guards = [
         protect(section, trainset, bounds, dtype=dtype, spacing_m=GUARD_SPACING_M) for section in sections
     ]
@@ -176,18 +158,16 @@ def trace_driver(
     plant = at_rest(vehicle, delay_steps=delay_steps(float(vehicle.delay_s), dt_s))
     whole, zero, false = np.int32(0), dtype(0.0), np.bool_(False)
     precision = double_precision() if number == "double" else jax.enable_x64(False)
+    form = _form(driver, dtype)
+    if form is None:
+        raise _refusal(name)
     with precision, jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        if isinstance(driver, LoadedPolicy):
+        if isinstance(driver, LoadedPolicy) and not form.estimates_plant(first):
             memory = first_memory(driver.policy.policy.spec)
             policy = _policy(driver, sections, trainset, bounds, dtype, dt_s)
             measured = Measurements(zero, zero, zero, zero)
             decide = (trace_graph(policy, whole, measured, zero, whole, _numbers(memory, dtype)),)
-            known = driver.policy.policy
-            form = LearnedDriver(Policy(known.spec, in_precision(known.params, dtype)), driver.interface)
         else:
-            form = driver.aboard(dtype)
-            if form is None:
-                raise _refusal(name)
             runs = [Run(each, trainset, scheduled_time_s(each, trainset), dt=dt_s) for each in sections]
             decide, memory = trace_host(form, runs, dtype)
         guard = _supervisor(guards)
@@ -208,6 +188,14 @@ def trace_driver(
         supervise=supervised,
         move=move,
     )
+
+
+def _form(driver: AbstractDriver | LoadedPolicy, number: type) -> AbstractDriver | None:
+    """The driver as it is aboard; a network computes in the number type of the rest."""
+    if isinstance(driver, LoadedPolicy):
+        known = driver.policy.policy
+        driver = LearnedDriver(Policy(known.spec, in_precision(known.params, number)), driver.interface)
+    return driver.aboard(number)
 
 
 def scheduled_time_s(section: Section, trainset: Trainset) -> float:

@@ -14,9 +14,10 @@ import numpy as np
 
 from metropilot._io import fill_folder
 from metropilot._provenance import provenance
-from metropilot.aboard.emit import TYPES, Tables, emit_body, literal
+from metropilot.aboard.emit import emit_body
 from metropilot.aboard.preamble import preamble
 from metropilot.aboard.program import NUMBERS, AboardProgram, scheduled_time_s
+from metropilot.aboard.tables import TYPES, Tables, literal
 from metropilot.aboard.wasm import compile_wasm
 from metropilot.physics import Forces, State
 from metropilot.railway import Section

@@ -138,7 +138,7 @@ def write_c(
         raise InputError("unknown number type", field="number", value=number, allowed=", ".join(NUMBERS))
     compiler = find_zig() if to == "wasm" else None
     known = load_trainset(trainset or TRAINSET, load)
-    check_exportable(what, known)
+    check_exportable(what)
     if what in DRIVERS.ids() and not issubclass(DRIVERS.get(what), AbstractPolicyDriver):
         name, driver, policy = what, DRIVERS.get(what)(), None
     else:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple, no_type_check
 
 import numpy as np
@@ -17,7 +18,7 @@ from metropilot._typing import Flag, Float, Scalar
 from metropilot.control.estimator import StateEstimate
 from metropilot.control.prediction import Model, PredictedState
 from metropilot.control.stopping import AT_ONCE_MPS3, StopCurve, required_with_build_up
-from metropilot.physics import Command, least_between, namespace, track_arrays, vehicle_arrays
+from metropilot.physics import Command, least_between, namespace, repeat, track_arrays, vehicle_arrays
 from metropilot.planning import limit_at
 from metropilot.protection import (
     Memory,
@@ -223,10 +224,8 @@ def _largest_between(
     least: Memory,
 ) -> tuple[Scalar, Memory]:
     """Largest command under ``share`` that passes, by halving from full braking, and what follows it."""
-    found = -1.0, share, least
-    for _ in range(CLEARING_STEPS):
-        found = _halve(decide, admits, *found)
-    return found[0], found[2]
+    found, _, after = repeat(CLEARING_STEPS, partial(_halve, decide, admits), -1.0, share, least)
+    return found, after
 
 
 def _halve(

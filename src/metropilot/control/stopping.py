@@ -31,7 +31,7 @@ from numpy import ndarray
 from metropilot._typing import Flag, Float, Scalar
 from metropilot.control.estimator import StateEstimate, look_ahead
 from metropilot.control.prediction import Model, PredictedState
-from metropilot.physics import Vehicle, effort_at, namespace, resistance_and_gradient, scalars
+from metropilot.physics import Vehicle, effort_at, namespace, repeat, resistance_and_gradient, scalars
 
 SERVICE_USE = 0.95
 """Share of the available deceleration with which a comfortable stop is planned."""
@@ -278,13 +278,16 @@ def required_deceleration(
     square = (v * v - f * f) / (2.0 * s)
     top = xp.sqrt(e * e + 2.0 * jerk * (v - f))
     b = xp.minimum(xp.maximum(square, LEAST_MPS2), xp.minimum(top, STRONGEST_MPS2) + LEAST_MPS2)
-    for _ in range(newton_steps):
+
+    def improve(b: Scalar) -> tuple[Scalar]:
         t, released = (b - e) / jerk, f + (b * b - e * e) / (2.0 * jerk)
         slope = (released * released - v * v) / (2.0 * b * b) - released / jerk
         slope = slope + (2.0 * t / jerk) * (b / 6.0 + e / 3.0) + t * t / 6.0 + f / jerk
         # Distance falls with deceleration; a slope bounded away from zero bounds the step.
         change = (_distance(xp, v, b, e, jerk, f) - s) / xp.minimum(slope, -1e-2)
-        b = xp.minimum(xp.maximum(b - change, LEAST_MPS2), STRONGEST_MPS2)
+        return (xp.minimum(xp.maximum(b - change, LEAST_MPS2), STRONGEST_MPS2),)
+
+    (b,) = repeat(newton_steps, improve, b)
     now, left_s = release(v, s, e, f)
     falling = xp.maximum(now - e, 0.0) / left_s
     limited = curve.release_jerk_mps3 < AT_ONCE_MPS3
@@ -346,10 +349,13 @@ def required_with_build_up(
     required, falling = required_deceleration(speed_mps, distance_m, curve, final_mps, steps)
     if xp is scalars and (falling > 0 or required >= STRONGEST_MPS2):
         return required, falling
-    for _ in range(options.passes):
+
+    def allow_for_build_up(required: Scalar) -> tuple[Scalar]:
         speed, gone, _ = build_up(speed_mps, acceleration_mps2, required, curve.build_jerk_mps3)
         again, _ = required_deceleration(speed, distance_m - gone, curve, final_mps, steps)
-        required = xp.where(falling > 0, required, xp.minimum(again, STRONGEST_MPS2))
+        return (xp.where(falling > 0, required, xp.minimum(again, STRONGEST_MPS2)),)
+
+    (required,) = repeat(options.passes, allow_for_build_up, required)
     return required, falling
 
 

@@ -9,6 +9,7 @@ Under plant mismatch :mod:`metropilot.drivers.mismatch` takes over part of the w
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from typing import Any, NamedTuple, final
 
@@ -45,6 +46,11 @@ SOON_S = 1.0
 """Time left below which it is the speed of the trainset itself."""
 DECISION_EARLY_S = 1e-3
 """Time by which a decision is due early: more than a time in single precision is rounded by."""
+
+
+def as_double(value: Scalar) -> Scalar:
+    """A number as one of NumPy's in double precision: a plain one would take the precision of an action."""
+    return value.astype(np.float64) if hasattr(value, "astype") else np.float64(value)
 
 
 class LearnedMemory(NamedTuple):
@@ -91,11 +97,20 @@ class LearnedDriver(AbstractDriver):
     def __init__(self, policy: PolicyFunction, interface: PolicyInterface) -> None:
         self.policy = policy
         self.interface = interface
+        self.keeps_tables = False
+
+    def aboard(self, number: type) -> LearnedDriver:
+        """The same driver, its tables built once: on a controller there is nothing to build others with."""
+        del number
+        found = copy(self)
+        found.keeps_tables = True
+        return found
 
     def init(self, run: Run) -> LearnedMemory:
         """Build the tables the policy sees."""
         nominal = self._tables(run, run.section, run.disturbance.nominal(run.trainset))
         rows, zero = SectionRows(nominal, jax=False), np.float64(0.0)
+        space = self.interface.action.space
         monitor = mismatch.start_monitor(run) if self.interface.assists.stop else None
         return LearnedMemory(
             run=run,
@@ -104,38 +119,37 @@ class LearnedDriver(AbstractDriver):
             rows=rows,
             case=rows.case(0),
             command=zero,
-            action=None,
+            action=np.int32(0) if space.discrete else np.zeros(space.size),
             wanted=zero,
             decided=0,
             stopping=np.bool_(False),
             monitor=monitor,
         )
 
+    def estimates_plant(self, run: Run) -> bool:
+        """Tell if the driver acts on its estimate of the plant from the departure on."""
+        return self.interface.assists.stop and mismatch.declares_departure(run)
+
     def act(self, memory: LearnedMemory, observation: Observation) -> tuple[float, LearnedMemory]:
         """Decide if it is time to, then apply the assists."""
-        if observation.section is not memory.section:
+        if observation.section is not memory.section and not self.keeps_tables:
             memory = self._set_section(memory, observation.section)
         if memory.monitor is not None:
             monitor = mismatch.update_monitor(memory.monitor, memory.run, observation)
             memory = memory._replace(monitor=monitor)
-            if mismatch.is_outdated(monitor, observation.time_s) and not memory.stopping:
+            outdated = not self.keeps_tables and mismatch.is_outdated(monitor, observation.time_s)
+            if outdated and not memory.stopping:
                 memory = self._adapt_tables(memory, monitor, observation.time_s)
         context = self._context(memory, observation)
+        action, wanted, decided = self._decide(memory, context, observation.time_s)
         interface = self.interface
-        action, wanted, decided = memory.action, memory.wanted, memory.decided
-        if observation.time_s >= decided * interface.period_s - DECISION_EARLY_S:
-            seen = observe(interface.features, context)
-            mask = interface.action.action_mask(context, interface.period_s)
-            action = self.policy(seen) if mask is None else self.policy(seen, mask)
-            wanted = np.float64(interface.action.command(context, action, interface.period_s))
-            decided = int((observation.time_s + DECISION_EARLY_S) / interface.period_s) + 1
         command = interface.action.hold(context, action, wanted)
         command, stopping = self._apply_assists(memory, context, command)
         command = interface.action.round(context, command)
         if memory.monitor is not None:
             share, monitor = mismatch.limit_by_protection(memory.monitor, observation, float(command))
             memory = memory._replace(monitor=mismatch.record_decision(monitor, share))
-            command = command if monitor.protection is None else np.float64(share)
+            command = command if monitor.protection is None else as_double(share)
         memory = memory._replace(
             command=command, action=action, wanted=wanted, decided=decided, stopping=stopping
         )
@@ -147,6 +161,19 @@ class LearnedDriver(AbstractDriver):
         context = self._context(self.init(run), standing)
         return {name: len(FEATURES.get(name)(context)) for name in self.interface.features}
 
+    def _decide(
+        self, memory: LearnedMemory, context: FeatureContext, time_s: float
+    ) -> tuple[Any, np.float64, int]:
+        """Action, command and number of decisions: those of a new decision where one is due."""
+        interface = self.interface
+        if time_s < memory.decided * interface.period_s - DECISION_EARLY_S:
+            return memory.action, memory.wanted, memory.decided
+        seen = observe(interface.features, context)
+        mask = interface.action.action_mask(context, interface.period_s)
+        action = self.policy(seen) if mask is None else self.policy(seen, mask)
+        wanted = as_double(interface.action.command(context, action, interface.period_s))
+        return action, wanted, int((time_s + DECISION_EARLY_S) / interface.period_s) + 1
+
     def _apply_assists(self, memory: LearnedMemory, context: FeatureContext, command: Any) -> tuple[Any, Any]:  # noqa: ANN401
         """Apply the assists as learned, or the careful ones under plant mismatch."""
         assists, monitor, dt = self.interface.assists, memory.monitor, memory.run.dt
@@ -155,7 +182,7 @@ class LearnedDriver(AbstractDriver):
         planned = self._planned_mps2(monitor, context.stop_mps2)
         stopping, share, ahead = mismatch.station_stop_braking(monitor, planned, bool(memory.stopping))
         if stopping:
-            command = np.float64(share)
+            command = as_double(share)
         elif (
             context.left_s < mismatch.NEAR_STOP * context.to_go_s
             and 0.0 < context.coasting[0][0] - context.left_s < mismatch.LATE_S
@@ -165,7 +192,7 @@ class LearnedDriver(AbstractDriver):
         if assists.ceiling:
             near = replace(assists, margin_mps=mismatch.MARGIN_MPS)
             most = float(ceiling_mps2(near, context, dt))
-            command = np.float64(mismatch.limit_to_ceiling(monitor, ahead, float(command), most))
+            command = as_double(mismatch.limit_to_ceiling(monitor, ahead, float(command), most))
         return command, np.bool_(stopping)
 
     def _planned_mps2(self, monitor: PlantMonitor, surely_mps2: Scalar) -> float:

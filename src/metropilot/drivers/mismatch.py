@@ -123,9 +123,7 @@ def start_monitor(run: Run) -> PlantMonitor:
     """Estimate before departure."""
     model = model_of(run, run.section)
     estimate = initial_estimate(model, weighed_brakes=weighs_load(model.vehicle))
-    declared = declared_bounds(run)
-    careful = answers_late(declared) or guarantees_less(run.disturbance.nominal(run.trainset), declared)
-    protection = _copy_protection(estimate, run, run.section) if careful else None
+    protection = _copy_protection(estimate, run, run.section) if declares_departure(run) else None
     return PlantMonitor(model, estimate, protection, Adaptation(), -np.inf)
 
 
@@ -163,6 +161,12 @@ def set_section(monitor: PlantMonitor, run: Run, section: Section) -> PlantMonit
 def record_decision(monitor: PlantMonitor, share: float) -> PlantMonitor:
     """Add a command that has been given to the estimate."""
     return monitor._replace(estimate=record_command(monitor.estimate, share))
+
+
+def declares_departure(run: Run) -> bool:
+    """Tell if protection's bounds say before departure that a policy must not drive as it learned to."""
+    declared = declared_bounds(run)
+    return answers_late(declared) or guarantees_less(run.disturbance.nominal(run.trainset), declared)
 
 
 def answers_late(declared: Bounds) -> bool:

@@ -331,7 +331,7 @@ class SectionRows:
 
     def curve_at(self, column: int, case: Index, position_m: Scalar) -> Scalar:
         """Value of a column of ``node_curves`` at one or many positions, interpolated."""
-        if self.xp is np and np.ndim(position_m) and np.ndim(case) == 0:
+        if self.xp is np and namespace(position_m) is np and np.ndim(case) == 0:
             curve = self._columns[case, column, : self.node_curves.shape[1] - self.ahead.size]
             return np.interp(position_m, self._nodes_m[case, : curve.size], curve)
         node, way = self.node(case, position_m)

@@ -2,6 +2,7 @@ from .arrays import NAMESPACES as NAMESPACES
 from .arrays import least_between as least_between
 from .arrays import locate as locate
 from .arrays import namespace as namespace
+from .arrays import repeat as repeat
 from .arrays import scalars as scalars
 from .arrays import slice_from as slice_from
 from .arrays import to_jax as to_jax

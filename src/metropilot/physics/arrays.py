@@ -116,6 +116,19 @@ def unless(done: Any, value: int, rest: Callable[..., Scalar], *given: Any) -> I
     return seldom(done, given)
 
 
+def repeat(count: int, step: Callable[..., Any], *state: Any) -> Any:
+    """State after a number of equal steps; what runs aboard has a loop here, not the step so often.
+
+    Args:
+        count: Number of steps.
+        step: From the state's parts to the same parts after it, a tuple.
+        state: Parts at the beginning: numbers, arrays, and tuples of them.
+    """
+    for _ in range(count):
+        state = step(*state)
+    return state
+
+
 @no_type_check
 def locate(breaks: Float[Array, " breaks"], x: Scalar) -> Index:
     """Index of the piece that holds at ``x``: the last break not beyond it, at least 0.

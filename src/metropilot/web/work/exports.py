@@ -49,7 +49,7 @@ class ExportRequest:
         if self.policy is None and not shipped_policy(self.driver).is_file():
             allowed = "a driver with a policy that ships, or learned:policy=ID"
             raise Refused("the driver has no policy", 422, field="driver", value=self.driver, allowed=allowed)
-        check_exportable(self.driver, trainset)
+        check_exportable(self.driver)
         if self.to == "wasm":
             find_zig()
         if self.ends is None:
