@@ -79,8 +79,8 @@ PAGES = {
     "convoy": ("/convoy", '[data-test="depart"]', None),
     "learn": ("/learn?study=lu2023", '[data-test="learn"]', None),
     "lines": ("/lines", '[data-test="line"] svg', None),
-    "edit a line": ("/edit?line=yizhuang", ".mp-grid", None),
-    "edit a trainset": ("/edit?trainset=dkz32", ".mp-grid", None),
+    "edit-line": ("/edit?line=yizhuang", ".mp-grid", None),
+    "edit-trainset": ("/edit?trainset=dkz32", ".mp-grid", None),
     "runs": ("/runs?run={manual}&with={flat_out}", '[data-test="difference"] table', None),
     "delete": ("/runs", ".mp-data tbody tr", open_dialog),
     "import": ("/runs", ".mp-data tbody tr", open_import),
@@ -113,7 +113,8 @@ def test_axe_finds_nothing(axe, visit, made, name):
 
 FOCUS = """() => { const at = document.activeElement, style = getComputedStyle(at);
     const field = at.closest('.q-field'), thumb = at.closest('.q-slider');
-    return { end: at === document.body, name: at.getAttribute('aria-label') || at.labels?.[0]?.innerText || (at === document.body ? '' : at.innerText) || '',
+    const end = at === document.body, said = at.labels?.[0]?.innerText || (end ? '' : at.innerText);
+    return { end, name: at.getAttribute('aria-label') || said || '',
         seen: parseFloat(style.outlineWidth) > 1 && style.outlineStyle !== 'none' || thumb !== null
             || field !== null && field.classList.contains('q-field--focused') }; }"""
 

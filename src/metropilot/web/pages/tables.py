@@ -9,7 +9,8 @@ from typing import Any
 from nicegui import ui
 
 HEADING = """<q-th :props="props" :aria-sort="!props.col.__thClass.includes(' sorted') ? null
-    : props.col.__thClass.includes('sort-desc') ? 'descending' : 'ascending'"><button v-if="props.col.sortable" type="button" class="mp-sort"
+    : props.col.__thClass.includes('sort-desc') ? 'descending' : 'ascending'">
+    <button v-if="props.col.sortable" type="button" class="mp-sort"
     :aria-label="`Sort by ${props.col.label}`">{{ props.col.label }}</button>
     <template v-else>{{ props.col.label }}</template></q-th>"""
 CHOICE = """<q-checkbox dense v-model="props.selected"
