@@ -548,9 +548,7 @@ class FitOut(TypedDict):
 
 
 class FitSaveIn(TypedDict):
-    """Where a fitted trainset is saved: as the next version of an own trainset, or (null) as a new
-    entry.
-    """
+    """Place of a fitted trainset: the next version of an own trainset, or (null) a new entry."""
 
     upload: NotRequired[str | None]
 
