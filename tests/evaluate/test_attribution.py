@@ -1,4 +1,4 @@
-"""What a learned driver's decisions rest on: shares that sum up, gradients that are JAX's."""
+"""Features behind a learned driver's decisions: shares that sum up, gradients that are JAX's."""
 
 import jax
 import jax.numpy as jnp

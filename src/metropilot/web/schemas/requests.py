@@ -325,7 +325,7 @@ class FitIn(RequestBody):
 
 
 class FitSaveIn(RequestBody):
-    """Where a fitted trainset is saved: as the next version of an own trainset, or (null) as a new entry."""
+    """Place of a fitted trainset: the next version of an own trainset, or (null) a new entry."""
 
     model_config = example(upload=None)
 
