@@ -65,7 +65,14 @@ FUNCTIONS = {
 }
 
 
-EXACT = ("coded table", "table of runs", "table on a line", "table of steps", "row of steps", "entries of rows")
+EXACT = (
+    "coded table",
+    "table of runs",
+    "table on a line",
+    "table of steps",
+    "row of steps",
+    "entries of rows",
+)
 
 
 def header(text, tables):

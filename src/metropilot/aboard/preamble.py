@@ -64,7 +64,8 @@ static int32_t run_of(const uint32_t *begins, const int16_t *runs, int32_t i)
     return runs[i / 32] + (int32_t)x;
 }
 
-/* a table in fixed point: in blocks of 2^bits rows, each entry by the change of its step from the row before */
+/* a table in fixed point: in blocks of 2^bits rows, each entry by the change of its step from the row before;
+ * columns of one table are read by rows, of a single column by entries */
 typedef struct {
     uint32_t columns, bits;
     const int64_t *base, *step;
@@ -76,7 +77,8 @@ typedef struct {
 static void step_row(const step_table *t, int32_t row, int64_t *value)
 {
     int64_t step[MOST_COLUMNS] = {0};
-    const uint32_t columns = t->columns, last = (uint32_t)row, block = last >> t->bits, begin = block << t->bits;
+    const uint32_t columns = t->columns, last = (uint32_t)row, block = last >> t->bits;
+    const uint32_t begin = block << t->bits;
     const int64_t *literal = t->literal + t->first[block];
     uint32_t code = (begin + 1) * columns;
     for (uint32_t c = 0; c < columns; c++) {

@@ -28,7 +28,7 @@ LEAST_BYTES, LEAST_SHARE = 512, 0.85
 WORD = 32
 """Entries to a word of bits."""
 BLOCK_BITS = MappingProxyType({False: 4, True: 6})
-"""Rows to a block of steps, as a power of two: of a column, whose entries are read one by one, and of several."""
+"""Rows to a block of steps, as a power of two: of one column, read entry by entry, and of several."""
 MOST_COLUMNS = 16
 LARGEST = 2.0**60
 SYMBOLS = 16
