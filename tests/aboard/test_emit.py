@@ -60,7 +60,7 @@ FUNCTIONS = {
     "table of runs": lambda x, i: jnp.asarray(RUNS)[jnp.arange(1200) + 0 * i],
     "table on a line": lambda x, i: jnp.asarray(LINE)[jnp.arange(1000) + 0 * i],
     "table of steps": lambda x, i: jnp.asarray(SUM)[jnp.arange(900) + 0 * i],
-    "row of steps": lambda x, i: jax.lax.dynamic_slice(jnp.asarray(SUMS), (300 * i + 17, 0), (1, 3))[0],
+    "row of steps": lambda x, i: jax.lax.dynamic_slice_in_dim(jnp.asarray(SUMS), 300 * i + 17, 1)[0],
     "entries of rows": lambda x, i: jnp.asarray(SUMS)[jnp.arange(700) + 0 * i, jnp.arange(700) % 3],
 }
 
