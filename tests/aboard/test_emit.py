@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from metropilot.aboard import STRICT
-from metropilot.aboard.emit import Tables, emit_body
+from metropilot.aboard.emit import emit_body
 from metropilot.aboard.graph import trace_graph
 from metropilot.aboard.preamble import EXP_ULP, LOG_ULP, TANH_ULP, preamble
+from metropilot.aboard.tables import Tables
 from metropilot.errors import InputError
 from metropilot.physics import double_precision
 
@@ -20,7 +21,12 @@ pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C co
 X = np.array([0.3, -1.7, 2.5, 0.0, -0.25, 4.0, 1e-9, -3.2])
 TABLE = np.linspace(-1.0, 2.0, 40).reshape(2, 10, 2) ** 3
 THIRDS = np.float32([1 / 3, 1 / 7, 1 / 9, 1 / 11]).astype(np.float64)
-STEPS = np.repeat([1.5, -2.0, 0.25], 400)
+CODED = np.tile([1.5, -2.0, 0.3], 400)
+RUNS = np.repeat(np.array([0.1, -2.0, 0.3, np.inf, -0.0, 0.0]), 200)
+LINE = -3.0 + 0.5 * np.arange(1000)
+SUM = 128.0 - np.cumsum(np.where(np.arange(900) < 500, 0.1, 1 / 7))
+PACES = np.minimum(np.array([3.0, 5.0, 9.0]), 1.0 + 0.02 * np.arange(700)[:, None])
+SUMS = 1000.0 - np.cumsum(2.0 / PACES, axis=0)
 
 
 def look_up(x, i):
@@ -50,8 +56,23 @@ FUNCTIONS = {
     "narrow table": lambda x, i: jnp.asarray(THIRDS)[i] * jnp.asarray(THIRDS)[i + 1] * x,
     "logarithm": lambda x, i: jnp.log(jnp.abs(x) + 1e-3),
     "rounds": lambda x, i: jnp.round(x * 4.0) + jnp.round(x * 2.0),
-    "coded table": lambda x, i: jnp.asarray(STEPS)[100 * i + 1] * x,
+    "coded table": lambda x, i: jnp.asarray(CODED)[100 * i + 1] * x,
+    "table of runs": lambda x, i: jnp.asarray(RUNS)[jnp.arange(1200) + 0 * i],
+    "table on a line": lambda x, i: jnp.asarray(LINE)[jnp.arange(1000) + 0 * i],
+    "table of steps": lambda x, i: jnp.asarray(SUM)[jnp.arange(900) + 0 * i],
+    "row of steps": lambda x, i: jax.lax.dynamic_slice_in_dim(jnp.asarray(SUMS), 300 * i + 17, 1)[0],
+    "entries of rows": lambda x, i: jnp.asarray(SUMS)[jnp.arange(700) + 0 * i, jnp.arange(700) % 3],
 }
+
+
+EXACT = (
+    "coded table",
+    "table of runs",
+    "table on a line",
+    "table of steps",
+    "row of steps",
+    "entries of rows",
+)
 
 
 def header(text, tables):
@@ -98,12 +119,35 @@ def test_c_computes_what_jax_computes(shared_library, name, i):
     with double_precision(), jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
         expected = np.asarray(FUNCTIONS[name](jnp.asarray(X), jnp.int32(i)))
     np.testing.assert_allclose(out, expected, rtol=1e-14, atol=1e-15)
+    if name in EXACT:
+        assert out.tobytes() == expected.tobytes()
 
 
-def test_a_table_of_few_values_is_stored_by_their_numbers(shared_library):
-    _, _, tables = shared_library
-    assert any("_of[1200]" in line for line in tables.lines)
-    assert tables.bytes < 1200 * 8
+@pytest.mark.parametrize(
+    ("values", "begin", "share"),
+    [
+        (CODED, "static const uint8_t t0_of[1200]", 0.2),
+        (RUNS, "static const uint32_t t0_begins[38]", 0.05),
+        (LINE, None, 0.0),
+        (SUM, "static const step_table t0 ", 0.3),
+        (SUMS, "static const step_table t0 ", 0.5),
+        (np.random.default_rng(1).random(300), "static const double t0[300]", 1.0),
+    ],
+)
+def test_a_table_has_the_shortest_form(values, begin, share):
+    tables = Tables()
+    tables.at(values, "i")
+    assert tables.bytes <= share * values.nbytes
+    assert (not tables.lines) if begin is None else any(line.startswith(begin) for line in tables.lines)
+
+
+def test_equal_arrays_of_two_tables_are_stored_once():
+    tables = Tables()
+    tables.at(RUNS, "i")
+    before = tables.bytes
+    longer = np.append(RUNS, np.full(300, RUNS[-1]))
+    assert tables.at(longer, "i").startswith("t0[run_of(t1_begins, ")
+    assert tables.bytes - before < 300
 
 
 def test_what_has_no_form_in_c_is_refused_by_name():

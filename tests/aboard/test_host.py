@@ -3,7 +3,9 @@
 import ctypes
 import json
 import shutil
+import sys
 import types
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,11 +14,13 @@ from tests.commands import answer as run_command
 
 from metropilot.aboard import compile_driver, drive_compiled, exportable, trace_driver, write_driver
 from metropilot.aboard.branching import BranchTracer
-from metropilot.aboard.emit import Tables, emit_body
+from metropilot.aboard.emit import emit_body
 from metropilot.aboard.graph import Graph, drop_unused
-from metropilot.drivers import DRIVERS
+from metropilot.aboard.tables import Tables
+from metropilot.drivers import DRIVERS, LearnedDriver
 from metropilot.errors import InputError
-from metropilot.physics import double_precision
+from metropilot.physics import double_precision, repeat
+from metropilot.policy import load_driving_policy, shipped_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Observation, Rollout, Run
 
@@ -93,6 +97,7 @@ def test_numbers_out_of_range_break_nothing(compiled):
 SOURCE = """
 import math
 import numpy as np
+from metropilot.physics import repeat
 
 KNOTS = [0.0, 1.0, 4.0, 9.0, 16.0]
 
@@ -126,6 +131,18 @@ def arrays(x, y):
     return worse[best] + values.sum() + (1.0 if (values > 0.0).all() else 0.0)
 
 
+def halved(x, y):
+    low, high, kept = repeat(6, halve, x, y, (x, np.ones(2) * y))
+    return low + kept[1][0] if high > low else kept[0]
+
+
+def halve(low, high, kept):
+    middle = 0.5 * (low + high)
+    if middle * middle < 2.0:
+        return middle, high, (kept[0], 0.5 * kept[1] + middle)
+    return low, middle, kept
+
+
 def chained(x, y):
     both = 0.0 < x < 2.0 and not y < 0.0 or x == y
     return round(x) + round(2.5 * y) if both else x // 1.0 + x % 1.0
@@ -142,7 +159,7 @@ def branches():
     return module
 
 
-@pytest.mark.parametrize("name", ["interpolate", "early", "least", "arrays", "chained"])
+@pytest.mark.parametrize("name", ["interpolate", "early", "least", "arrays", "halved", "chained"])
 def test_every_way_through_a_function_is_in_the_graph(tmp_path, branches, name):
     function = getattr(branches, name)
 
@@ -153,7 +170,7 @@ def test_every_way_through_a_function_is_in_the_graph(tmp_path, branches, name):
         tracer = BranchTracer(np.float64)
         x, y = (tracer.input((), np.dtype(np.float64), k) for k in range(2))
         knots, branches.KNOTS = branches.KNOTS, tracer.constant(branches.KNOTS)
-        with tracer.apply_to([branches]):
+        with tracer.apply_to([branches, sys.modules[repeat.__module__]]):
             found = tracer.run(lambda: call(x, y), name)
         branches.KNOTS = knots
         graph = Graph([x.node, y.node], [found.node], drop_unused(tracer.nodes, [found.node]))
@@ -212,6 +229,51 @@ def test_a_driver_that_plans_on_the_way_is_refused(tmp_path):
     assert "pid" in said
     assert {"pid", "eitoe", "eitop", "generalist", "ppo"} <= set(exportable())
     assert not {"mpc", "optimal", "itor", "ddpg_pid", "fuzzy_pid"} & set(exportable())
+
+
+LATE = "dkz32@0.5,0.35"
+
+
+def late_run():
+    """A run with a dead time of two and a half periods, and a lag."""
+    section = load_line("yizhuang").section("RJ", "WYJ")
+    return Run(section, load_trainset(LATE, "AW2"), section.planned_time_s)
+
+
+def test_a_learned_driver_keeps_its_tables_aboard_a_late_trainset():
+    """On the nominal plant it needs no others: the commands are those of the driver that may build them."""
+    loaded, run = load_driving_policy(shipped_policy("ppo")), late_run()
+    driver = LearnedDriver(loaded.policy.policy, loaded.interface)
+    aboard = driver.aboard(np.float64)
+    assert driver.estimates_plant(run)
+    assert not driver.estimates_plant(replace(run, trainset=load_trainset("dkz32")))
+    rollout, kept = Rollout(run, driver), aboard.init(run)
+    for _ in range(120):
+        plant = rollout.state.plant
+        measured = plant.time_s, plant.position_m, rollout.state.measured_mps, plant.acceleration_mps2
+        given = Observation(*map(float, measured), run.scheduled_time_s, np.nan, run.section)
+        share, kept = aboard.act(kept, given)
+        assert share == rollout.advance().command
+    # the host builds others where the plant is another one, and a controller cannot
+    other = kept.monitor.estimate.bank._replace(parameters=0.8 * kept.monitor.estimate.bank.parameters)
+    monitor = kept.monitor._replace(estimate=kept.monitor.estimate._replace(bank=other))
+    assert aboard.act(kept._replace(monitor=monitor), given)[1].rows is kept.rows
+
+
+def test_a_learned_driver_aboard_a_late_trainset_drives_as_in_python(tmp_path):
+    """Its estimate, the prediction, the careful stop and the command that protection admits."""
+    run = late_run()
+    loaded = load_driving_policy(shipped_policy("ppo"))
+    program = trace_driver("ppo", loaded, [run.section], run.trainset)
+    write_driver(program, tmp_path)
+    driver = compile_driver(program, tmp_path, options=("-O0",))
+    driven = drive_compiled(driver, 0, run.scheduled_time_s)
+    rollout = Rollout(run, program.driver)
+    for state in driven.states:
+        rollout.advance()
+        assert abs(state.plant.position_m - rollout.state.plant.position_m) < NEAR_M
+    assert rollout.state.outcome == driven.states[-1].outcome
+    assert not any(answer.level for answer in driven.supervised)
 
 
 def test_commands_on_their_way_are_reckoned_with_as_in_python(tmp_path):

@@ -64,9 +64,10 @@ static int32_t run_of(const uint32_t *begins, const int16_t *runs, int32_t i)
     return runs[i / 32] + (int32_t)x;
 }
 
-/* a table in fixed point: in blocks of rows, each entry by the change of its step from the row before */
+/* a table in fixed point: in blocks of 2^bits rows, each entry by the change of its step from the row before;
+ * columns of one table are read by rows, of a single column by entries */
 typedef struct {
-    int32_t columns, rows;
+    uint32_t columns, bits;
     const int64_t *base, *step;
     const uint16_t *first;
     const int64_t *literal;
@@ -75,31 +76,43 @@ typedef struct {
 } step_table;
 static void step_row(const step_table *t, int32_t row, int64_t *value)
 {
-    int64_t step[MOST_COLUMNS];
-    const int32_t columns = t->columns, block = row / t->rows;
-    int32_t code = (block * t->rows + 1) * columns, next = t->first[block];
-    for (int32_t c = 0; c < columns; c++) {
+    int64_t step[MOST_COLUMNS] = {0};
+    const uint32_t columns = t->columns, last = (uint32_t)row, block = last >> t->bits;
+    const uint32_t begin = block << t->bits;
+    const int64_t *literal = t->literal + t->first[block];
+    uint32_t code = (begin + 1) * columns;
+    for (uint32_t c = 0; c < columns; c++) {
         value[c] = t->base[block * columns + c];
         step[c] = t->step[block * columns + c];
     }
-    for (int32_t k = block * t->rows; k < row; k++) {
+    for (uint32_t k = begin; k < last; k++) {
         int64_t beside = 0;
-        for (int32_t c = 0; c < columns; c++) {
-            const int32_t pair = t->codes[code / 2], symbol = code % 2 ? pair / 16 : pair % 16;
-            if (symbol == 15) step[c] = t->literal[next++];
-            else step[c] = (t->beside[symbol] ? beside : step[c]) + t->change[symbol];
-            beside = step[c];
-            value[c] += step[c];
-            code++;
+        for (uint32_t c = 0; c < columns; c++, code++) {
+            const uint32_t symbol = ((uint32_t)t->codes[code / 2] >> (code % 2 * 4)) & 15u;
+            if (symbol == 15) beside = *literal++;
+            else beside = (t->beside[symbol] ? beside : step[c]) + t->change[symbol];
+            step[c] = beside;
+            value[c] += beside;
         }
     }
 }
 
 static int64_t step_entry(const step_table *t, int32_t i)
 {
-    int64_t value[MOST_COLUMNS];
-    step_row(t, i / t->columns, value);
-    return value[i % t->columns];
+    int64_t values[MOST_COLUMNS] = {0};
+    const uint32_t last = (uint32_t)i, block = last >> t->bits;
+    if (t->columns == 1) {
+        int64_t value = t->base[block], step = t->step[block];
+        const int64_t *literal = t->literal + t->first[block];
+        for (uint32_t k = (block << t->bits) + 1; k <= last; k++) {
+            const uint32_t symbol = ((uint32_t)t->codes[k / 2] >> (k % 2 * 4)) & 15u;
+            step = symbol == 15 ? *literal++ : step + t->change[symbol];
+            value += step;
+        }
+        return value;
+    }
+    step_row(t, (int32_t)(last / t->columns), values);
+    return values[last % t->columns];
 }
 
 /* a whole number; one out of range becomes the nearest, NaN becomes 0 */

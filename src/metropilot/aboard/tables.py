@@ -27,8 +27,8 @@ LEAST_BYTES, LEAST_SHARE = 512, 0.85
 """A table from this size on is stored in another form where that takes at most such a share of it."""
 WORD = 32
 """Entries to a word of bits."""
-BLOCK_ROWS = MappingProxyType({False: 16, True: 64})
-"""Rows to a block of steps: of a single column, whose entries are read one by one, and of several."""
+BLOCK_BITS = MappingProxyType({False: 4, True: 6})
+"""Rows to a block of steps, as a power of two: of one column, read entry by entry, and of several."""
 MOST_COLUMNS = 16
 LARGEST = 2.0**60
 SYMBOLS = 16
@@ -46,7 +46,7 @@ class StepTable(NamedTuple):
     Attributes:
         unit: What the whole numbers are multiples of, a power of two.
         columns: Columns.
-        rows: Rows to a block.
+        bits: Rows to a block, as a power of two.
         base: First rows of the blocks. Shape (blocks * columns,), int64.
         step: Steps to them. The same shape.
         first: Number of steps written out before each block. Shape (blocks,), uint16.
@@ -58,7 +58,7 @@ class StepTable(NamedTuple):
 
     unit: float
     columns: int
-    rows: int
+    bits: int
     base: np.ndarray
     step: np.ndarray
     first: np.ndarray
@@ -84,7 +84,8 @@ def encode_steps(values: np.ndarray, columns: int) -> StepTable | None:
     if unit is None or columns > MOST_COLUMNS:
         return None
     whole = (values.astype(np.float64) / unit).astype(np.int64).reshape(-1, columns)
-    rows = BLOCK_ROWS[columns > 1]
+    bits = BLOCK_BITS[columns > 1]
+    rows = 1 << bits
     steps = np.diff(whole, axis=0, prepend=whole[:1])
     changes = np.stack(
         [np.diff(steps, axis=0, prepend=steps[:1]), np.diff(steps, axis=1, prepend=steps[:, :1])]
@@ -115,7 +116,7 @@ def encode_steps(values: np.ndarray, columns: int) -> StepTable | None:
     return StepTable(
         unit=unit,
         columns=columns,
-        rows=rows,
+        bits=bits,
         base=whole[::rows].ravel(),
         step=steps[::rows].ravel(),
         first=before[::rows].astype(np.uint16),
@@ -281,7 +282,7 @@ def _steps(flat: np.ndarray, columns: int) -> Form | None:
         return None
     arrays = {f"_{name}": value for name, value in table.arrays.items()}
     members = ", ".join(f"#{name}" for name in arrays)
-    head = f"static const step_table # = {{{table.columns}, {table.rows}, {members}}};"
+    head = f"static const step_table # = {{{table.columns}, {table.bits}, {members}}};"
     kind = TYPES[flat.dtype.name]
     entry = f"(({kind})step_entry(&#, @) * {literal(flat.dtype.type(table.unit), flat.dtype)})"
     size = sum(each.nbytes for each in arrays.values()) + 8 * len(arrays) + 8
