@@ -162,7 +162,11 @@ def trace_driver(
     if form is None:
         raise _refusal(name)
     with precision, jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        if isinstance(driver, LoadedPolicy) and not form.estimates_plant(first):
+        if (
+            isinstance(driver, LoadedPolicy)
+            and isinstance(form, LearnedDriver)
+            and not form.estimates_plant(first)
+        ):
             memory = first_memory(driver.policy.policy.spec)
             policy = _policy(driver, sections, trainset, bounds, dtype, dt_s)
             measured = Measurements(zero, zero, zero, zero)
