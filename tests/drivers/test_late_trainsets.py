@@ -9,7 +9,7 @@ from metropilot.drivers import DRIVERS
 from metropilot.evaluate import RunSpec
 from metropilot.planning import minimum_running_time
 from metropilot.railway import Actuation, load_line, load_trainset
-from metropilot.sim import Outcome, Run, drive
+from metropilot.sim import Disturbance, Outcome, Run, drive
 
 PLACES = {
     "falls": ("zurich-stadelhofen", "ZUE", "ZSTH", 151.018),
@@ -111,3 +111,13 @@ def test_traction_that_a_lag_keeps_up_is_foreseen(trainset, actuation, place, ra
     assert done.interventions == 0
     assert abs(done.running_time_s - time_s) <= 1.0
     assert np.abs(done.trajectory.jerk_mps3).max() <= 1.15 * actuation.jerk_limit_mps3
+
+
+def test_a_lag_that_is_not_declared_is_allowed_for_in_the_last_brake():
+    # protection's bounds hold it; the jerk was 1.6 times its limit
+    section, trainset = load_line("yizhuang").section("CQ", "CQN"), load_trainset("dkz32")
+    world = Disturbance(ideal=False, mass_factor=1.2, resistance_factor=1.5, delay_s=0.6, lag_s=0.4)
+    run = Run(section, trainset, 1.2 * minimum_running_time(section, trainset), world)
+    done = drive(run, DRIVERS.make("optimal"))
+    assert done.interventions == 0
+    assert np.abs(done.trajectory.jerk_mps3).max() <= 1.05 * trainset.actuation.jerk_limit_mps3

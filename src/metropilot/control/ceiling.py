@@ -67,6 +67,7 @@ class Ceiling(NamedTuple):
         reaction_s: Time for which protection assumes that an acceleration continues, s.
         quadratic: Coefficient of the further gain of speed while it decays, s^3/m.
         late_s: Largest dead time and lag of a service command, s.
+        lag_s: The lag alone, s.
         period_s: Control period, s.
         weak: True if a weaker brake than the service brake is guaranteed; it builds up slowly.
     """
@@ -78,6 +79,7 @@ class Ceiling(NamedTuple):
     reaction_s: float
     quadratic: float
     late_s: float
+    lag_s: float
     period_s: float
     weak: bool
 
@@ -171,6 +173,7 @@ def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ce
         reaction_s=ratio * (float(rates.reaction_s) + late),
         quadratic=0.5 * ratio**2 / float(rates.jerk_mps3) + 0.5 / jerk,
         late_s=late,
+        lag_s=bounds.lag_s,
         period_s=run.dt,
         weak=weak,
     )

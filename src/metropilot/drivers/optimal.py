@@ -204,7 +204,7 @@ class Optimal(AbstractDriver):
         clock_s = look_ahead(model, estimate).seconds
         left = max(run.scheduled_time_s - self.options.reserve_s - clock_s, 1.0)
         plan = _plan(careful, track, left, options)
-        curve = self._curve(model, plan, coupled)
+        curve = self._curve(model, plan, ceiling, coupled)
         return FollowingMemory(
             trainset=trainset,
             run=run,
@@ -275,7 +275,7 @@ class Optimal(AbstractDriver):
 
     def _brake(self, memory: FollowingMemory, stop: Stop) -> float:
         """The stop's command; in the last period the deceleration in force, where it ends near enough."""
-        options = LAG_STOP if float(memory.model.vehicle.lag_s) > 0.0 else STOP_OPTIONS
+        options = LAG_STOP if memory.ceiling.lag_s > 0.0 else STOP_OPTIONS
         return stand(memory.model, stop, self.options.near_enough_m, CREEP_M, options)
 
     def _follow(self, memory: FollowingMemory) -> float:
@@ -376,7 +376,7 @@ class Optimal(AbstractDriver):
             plan = _plan(vehicle, model.track, left, options, memory.plan)
         except SolverError:
             return updated
-        return replace(updated, plan=plan, clock_s=clock_s, curve=self._curve(model, plan, coupled))
+        return replace(updated, plan=plan, clock_s=clock_s, curve=self._curve(model, plan, ceiling, coupled))
 
     def _adaptation(self, estimate: StateEstimate) -> Adaptation:
         """Plant to plan with: the estimated one, with a brake no stronger than nominal."""
@@ -395,24 +395,24 @@ class Optimal(AbstractDriver):
         sure = nominal and weighs_load(vehicle, spare=1.0)
         return self.options.brake_use if sure else self.options.careful_brake_use
 
-    def _release_share(self, vehicle: Vehicle, coupled: tuple[Coupled, ...]) -> float:
+    def _release_share(self, vehicle: Vehicle, ceiling: Ceiling, coupled: tuple[Coupled, ...]) -> float:
         """Mean jerk of the last brake's release over the lowest jerk limit; a lag makes it take longer."""
         share, jerk = self.options.release_share, lowest_jerk(vehicle, coupled)
         if not np.isfinite(jerk):
             return share
-        lag_s = max(float(each.lag_s) for each in (vehicle, *(each.vehicle for each in coupled)))
+        lag_s = max(ceiling.lag_s, *(float(each.vehicle.lag_s) for each in coupled), 0.0)
         brake = float(effort_at(vehicle, np.float64(0.0)).brake_n) / float(vehicle.effective_mass_kg)
         released = min(brake, float(vehicle.max_deceleration_mps2))
         return share / (1.0 + share * jerk * lag_s / released)
 
-    def _curve(self, model: Model, plan: Plan, coupled: tuple[Coupled, ...]) -> StopCurve:
+    def _curve(self, model: Model, plan: Plan, ceiling: Ceiling, coupled: tuple[Coupled, ...]) -> StopCurve:
         """The stop the plan ends with: the deceleration it brakes at before it lets go."""
         vehicle = model.vehicle._replace(jerk_mps3=lowest_jerk(model.vehicle, coupled))
         braking = -np.diff(plan.speed_mps**2) / (2 * np.diff(plan.position_m))
         last = plan.position_m[1:] > float(plan.position_m[-1]) - LAST_STRETCH_M
         rate = float(braking[last].max())
         rate = min(max(rate, 0.3), float(vehicle.max_deceleration_mps2))
-        shape = StopOptions(release_share=self._release_share(model.vehicle, coupled))
+        shape = StopOptions(release_share=self._release_share(model.vehicle, ceiling, coupled))
         return curve_for(vehicle, model.dt, rate, shape)
 
     def _plan_options(self, model: Model, ceiling: Ceiling, coupled: tuple[Coupled, ...]) -> PlanOptions:
@@ -427,7 +427,7 @@ class Optimal(AbstractDriver):
             spacing_m=self.options.spacing_m,
             late_w=LATE_W,
             jerk_mps3=jerk if limited else None,
-            release_mps3=self._release_share(model.vehicle, coupled) * jerk if limited else None,
+            release_mps3=self._release_share(model.vehicle, ceiling, coupled) * jerk if limited else None,
             cap_m=ceiling.position_m,
             cap_mps=np.min(late, axis=0),
             coupled=coupled,
