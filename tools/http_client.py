@@ -18,9 +18,7 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from metropilot.web import Settings
-from metropilot.web.server import make_api
-from metropilot.web.service import Service
+from metropilot.web import Service, Settings, make_api
 
 ROOT = Path(__file__).resolve().parent.parent
 CLIENT = ROOT / "examples" / "client" / "metropilot_client.py"

@@ -205,7 +205,6 @@ BAD = [
     (("export", "ppo", *ABOARD, "--number", "half"), "allowed: double, float"),
     (("export", "ppo", *ABOARD, "--sections", "RJ"), "allowed: ORIGIN-DESTINATION"),
     (("export", "ppo", *ABOARD, "--sections", "RJ-NOWHERE"), "NOWHERE"),
-    (("export", "ppo", *ABOARD, "--trainset", "dkz32@0.4,0.2"), "allowed: ID@0,0"),
     *(
         (("export", name, *ABOARD), "plans or searches as it drives, which has no form in C")
         for name in ("optimal", "mpc")

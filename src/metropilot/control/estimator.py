@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, no_type_check
 
 import numpy as np
 from numpy import ndarray
@@ -522,6 +522,7 @@ def look_along(
     acting = up * traction, down * brake, drag * resistance + gradient
     before, jerk = estimate.commands.tolist(), float(model.vehicle.jerk_mps3)
 
+    @no_type_check
     def look(share: Scalar) -> Float[ndarray, "2 periods"]:
         return predict_path(motion, [share, *before], age, keep, acting, jerk, model.dt, periods)
 

@@ -19,6 +19,7 @@ from metropilot.control import (
     Stop,
     StopCurve,
     StopOptions,
+    actuation_of,
     adapt_trainset,
     adapt_vehicle,
     ceiling_of,
@@ -165,6 +166,8 @@ LATE_W = 500.0
 LAST_METRES_M = 8.0
 CREEP_M = 0.05
 LAST_STRETCH_M = 30.0
+SPLIT_SHARE = 0.75
+"""Part of the release's jerk where the dead time is no whole number of periods."""
 LAG_STOP = StopOptions(soft_m=0.1)
 """The stop under a lag: within this distance of the mark a gentle end is worth more than the rest of it."""
 EARLY_S = 1e-6
@@ -395,9 +398,12 @@ class Optimal(AbstractDriver):
         sure = nominal and weighs_load(vehicle, spare=1.0)
         return self.options.brake_use if sure else self.options.careful_brake_use
 
-    def _release_share(self, vehicle: Vehicle, ceiling: Ceiling, coupled: tuple[Coupled, ...]) -> float:
+    def _release_share(self, model: Model, ceiling: Ceiling, coupled: tuple[Coupled, ...]) -> float:
         """Mean jerk of the last brake's release over the lowest jerk limit; a lag makes it take longer."""
-        share, jerk = self.options.release_share, lowest_jerk(vehicle, coupled)
+        vehicle, share = model.vehicle, self.options.release_share
+        jerk = lowest_jerk(vehicle, coupled)
+        # of a command that is split between two periods the second part comes too late to correct the end
+        share *= SPLIT_SHARE if actuation_of(model).part > 0.0 else 1.0
         if not np.isfinite(jerk):
             return share
         lag_s = max(ceiling.lag_s, *(float(each.vehicle.lag_s) for each in coupled), 0.0)
@@ -412,7 +418,7 @@ class Optimal(AbstractDriver):
         last = plan.position_m[1:] > float(plan.position_m[-1]) - LAST_STRETCH_M
         rate = float(braking[last].max())
         rate = min(max(rate, 0.3), float(vehicle.max_deceleration_mps2))
-        shape = StopOptions(release_share=self._release_share(model.vehicle, ceiling, coupled))
+        shape = StopOptions(release_share=self._release_share(model, ceiling, coupled))
         return curve_for(vehicle, model.dt, rate, shape)
 
     def _plan_options(self, model: Model, ceiling: Ceiling, coupled: tuple[Coupled, ...]) -> PlanOptions:
@@ -427,7 +433,7 @@ class Optimal(AbstractDriver):
             spacing_m=self.options.spacing_m,
             late_w=LATE_W,
             jerk_mps3=jerk if limited else None,
-            release_mps3=self._release_share(model.vehicle, ceiling, coupled) * jerk if limited else None,
+            release_mps3=self._release_share(model, ceiling, coupled) * jerk if limited else None,
             cap_m=ceiling.position_m,
             cap_mps=np.min(late, axis=0),
             coupled=coupled,

@@ -27,7 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 
@@ -429,6 +429,7 @@ class ExpertTrack(NamedTuple):
         motion, limits = self._now(actuation, state, brake_gain)
         steps, keep, jerk = actuation.delay_steps, actuation.keep, self.jerk_mps3
 
+        @no_type_check
         def look(share: Scalar) -> Float[np.ndarray, "2 periods"]:
             commands = (share, *actuation.commands)
             return predict_path(motion, commands, steps, keep, limits, jerk, actuation.dt, periods)

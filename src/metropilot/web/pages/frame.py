@@ -60,7 +60,7 @@ def frame(request: Request, active: str) -> Iterator[None]:
                     link.props("aria-current=page")
         _theme_button(theme)
     with ui.element("div").classes("mp-main").props("id=main tabindex=-1"):
-        name = ui.context.client.page.resolve_title().partition(" · ")[0]
+        name = (ui.context.client.page.title or "metropilot").partition(" · ")[0]
         ui.label(name).classes("mp-unseen").props("role=heading aria-level=1")
         yield
 
