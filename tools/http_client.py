@@ -296,7 +296,7 @@ def client_text(document: Schema) -> str:
             f"\n\nclass {tag.capitalize()}:\n{head}        self.connection = connection\n" + "".join(methods)
         )
     made = "\n".join(f"        self.{tag} = {tag.capitalize()}(connection)" for tag in groups)
-    return formatted("".join([*parts, TAIL.format(groups=made)]))
+    return format_source("".join([*parts, TAIL.format(groups=made)]))
 
 
 def alias(name: str, schema: Schema) -> str:
@@ -304,8 +304,8 @@ def alias(name: str, schema: Schema) -> str:
     return f"\n\n{name} = {type_of(schema)}\n{docstring(schema.get('description', name), '')}"
 
 
-def formatted(text: str) -> str:
-    """Text as ruff formats it."""
+def format_source(text: str) -> str:
+    """Format Python source as ruff does."""
     command = [Path(sys.executable).with_name("ruff"), "format", "--stdin-filename", CLIENT, "-"]
     done = subprocess.run(command, input=text, capture_output=True, text=True, check=True, cwd=ROOT)
     return done.stdout

@@ -29,7 +29,7 @@ NEAR_M = 1e-9
 
 
 @pytest.fixture(scope="module", params=["pid", "eitoe", "eitop"])
-def compiled(request, tmp_path_factory):
+def executable(request, tmp_path_factory):
     section = load_line("yizhuang").section("RJ", "WYJ")
     driver = DRIVERS.get(request.param)()
     program = trace_driver(request.param, driver, [section], load_trainset("dkz32", "AW2"))
@@ -38,10 +38,10 @@ def compiled(request, tmp_path_factory):
     return compile_driver(program, folder, options=("-O0",))
 
 
-def test_a_drive_is_that_of_python(compiled):
-    program = compiled.program
+def test_a_drive_is_that_of_python(executable):
+    program = executable.program
     (section,) = program.sections
-    run = drive_compiled(compiled, 0, section.planned_time_s)
+    run = drive_compiled(executable, 0, section.planned_time_s)
     rollout = Rollout(Run(section, program.trainset, section.planned_time_s), program.driver)
     for state in run.states:
         rollout.advance()
@@ -51,11 +51,11 @@ def test_a_drive_is_that_of_python(compiled):
     assert not any(answer.level for answer in run.supervised)
 
 
-def test_news_of_the_timetable_are_followed_as_in_python(compiled):
+def test_news_of_the_timetable_are_followed_as_in_python(executable):
     """Half way the run gets longer; ``pid`` keeps to the reference that it was written with."""
-    program = compiled.program
+    program = executable.program
     (section,) = program.sections
-    compiled.init(0)
+    executable.init(0)
     rollout = Rollout(Run(section, program.trainset, section.planned_time_s), program.driver)
     kept = program.driver.init(Run(section, program.trainset, section.planned_time_s))
     for _ in range(300):
@@ -64,31 +64,31 @@ def test_news_of_the_timetable_are_followed_as_in_python(compiled):
         values = plant.time_s, plant.position_m, rollout.state.measured_mps, plant.acceleration_mps2, later
         measured = [float(each) for each in values]
         share, kept = program.driver.act(kept, Observation(*measured, np.nan, section))
-        answer = compiled.step(*measured)
+        answer = executable.step(*measured)
         assert answer.level == 0
         assert answer.share == pytest.approx(share, abs=1e-12)
         rollout.advance()
 
 
-def test_a_lost_measurement_is_no_memory(compiled):
-    compiled.init(0)
+def test_a_lost_measurement_is_no_memory(executable):
+    executable.init(0)
     for k in range(30):
-        compiled.step(0.2 * k, 0.02 * k * k, 0.2 * k, 1.0, 105.0)
-    memory = bytes(compiled.state.policy)
+        executable.step(0.2 * k, 0.02 * k * k, 0.2 * k, 1.0, 105.0)
+    memory = bytes(executable.state.policy)
     for lost in range(5):
         values = [6.0, 18.0, 6.0, 1.0, 105.0]
         values[lost] = np.nan
-        answer = compiled.step(*values)
-        assert bytes(compiled.state.policy) == memory
+        answer = executable.step(*values)
+        assert bytes(executable.state.policy) == memory
         assert answer.emergency or answer.share == -1.0
 
 
-def test_numbers_out_of_range_break_nothing(compiled):
+def test_numbers_out_of_range_break_nothing(executable):
     rng = np.random.default_rng(5)
     extreme = [np.nan, np.inf, -np.inf, 1e300, -1e300, 1e12, -1e-300, 0.0, 50.0, 1e6]
-    compiled.init(0)
+    executable.init(0)
     for _ in range(500):
-        answer = compiled.step(*rng.choice(extreme, 5))
+        answer = executable.step(*rng.choice(extreme, 5))
         assert -1.0 <= answer.share <= 1.0
         assert 0 <= answer.level <= 3
 

@@ -1,10 +1,7 @@
 """The console for everyone: axe-core finds nothing, all is reached by keyboard, a section is driven by it."""
 
-import os
 import re
-import shutil
-import subprocess
-from pathlib import Path
+from importlib.resources import files
 
 import pytest
 from playwright.sync_api import expect
@@ -20,14 +17,8 @@ RUN_AXE = "axe.run(document, {resultTypes: ['violations']}).then(found => found.
 
 @pytest.fixture(scope="session")
 def axe():
-    """Source of axe-core: the file that METROPILOT_AXE names, or that of `npm install --global axe-core`."""
-    named = os.environ.get("METROPILOT_AXE")
-    if named is None and (npm := shutil.which("npm")):
-        root = subprocess.run([npm, "root", "--global"], capture_output=True, text=True, check=False)
-        named = f"{root.stdout.strip()}/axe-core/axe.min.js"
-    if named is None or not Path(named).is_file():
-        pytest.skip("no axe-core: npm install --global axe-core, or METROPILOT_AXE=.../axe-core/axe.min.js")
-    return Path(named).read_text(encoding="utf-8")
+    """Source of axe-core, from the extra `browser`."""
+    return (files("axe_playwright_python") / "axe.min.js").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,7 @@ SECTION = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ"}
 
 
 @pytest.fixture(scope="module")
-def explained():
+def example():
     """A flat-out drive: its KPIs and its explanation."""
     spec = RunSpec(**SECTION, time_s=95.0, driver="flat_out", load="AW2")
     driven = drive(spec.run(), spec.make_driver())
@@ -23,8 +23,8 @@ def explained():
     return driven, kpis_of(driven, optimum), explain_drive(driven, optimum)
 
 
-def test_the_losses_at_the_stop_are_those_of_the_kpis(explained):
-    _, kpis, found = explained
+def test_the_losses_at_the_stop_are_those_of_the_kpis(example):
+    _, kpis, found = example
     trainset, driver = found.trainset_loss_j[-1] / J_PER_KWH, found.driver_loss_j[-1] / J_PER_KWH
     assert trainset == pytest.approx(kpis.attainable_energy_kwh - kpis.optimal_energy_kwh, abs=1e-6)
     assert driver == pytest.approx(kpis.energy_wheel_kwh - kpis.attainable_energy_kwh, abs=1e-4)
@@ -32,8 +32,8 @@ def test_the_losses_at_the_stop_are_those_of_the_kpis(explained):
     assert found.driver_loss_j[0] == 0.0
 
 
-def test_spans_cover_the_drive_in_its_order(explained):
-    driven, kpis, found = explained
+def test_spans_cover_the_drive_in_its_order(example):
+    driven, kpis, found = example
     t = driven.trajectory
     for spans in (found.regimes, found.bounds):
         assert (spans[0].from_s, spans[-1].to_s) == (t.time_s[0], t.time_s[-1])
@@ -45,12 +45,12 @@ def test_spans_cover_the_drive_in_its_order(explained):
     assert json.loads(json.dumps(found.as_dict()))["regimes"][0]["regime"] == found.regimes[0].regime
 
 
-def test_flat_out_is_bound_by_effort_then_limit_then_stop(explained):
-    order = [span.bound for span in explained[2].bounds if span.to_s - span.from_s > 3.0]
+def test_flat_out_is_bound_by_effort_then_limit_then_stop(example):
+    order = [span.bound for span in example[2].bounds if span.to_s - span.from_s > 3.0]
     assert order[0] in {"effort", "comfort"}
     assert "speed limit" in order
     assert "time" not in order[:-1]
-    assert explained[2].interventions == ()
+    assert example[2].interventions == ()
 
 
 def test_the_optimal_driver_coasts_for_the_time():
@@ -87,8 +87,8 @@ def test_a_lever_at_full_power_meets_the_guards_ahead_of_a_restriction():
         assert driven.trajectory.speed_mps[row] == span.speed_mps
 
 
-def test_a_second_is_worth_least_more_and_most_less(explained):
-    driven, _, found = explained
+def test_a_second_is_worth_least_more_and_most_less(example):
+    driven, _, found = example
     assert len(found.prices) > 15
     for price in found.prices:
         slack = 2e-3 * price.second_w + 5e3

@@ -215,10 +215,12 @@ class Tables:
 
 def _choose(flat: np.ndarray, columns: int) -> Form:
     """The shortest form of a table."""
-    plain = _plain(flat)
+    plain = _as_plain(flat)
     if plain.bytes < LEAST_BYTES:
         return plain
-    others = [each for each in (_line(flat), _coded(flat), _runs(flat), _steps(flat, columns)) if each]
+    others = [
+        each for each in (_as_line(flat), _as_values(flat), _as_runs(flat), _as_steps(flat, columns)) if each
+    ]
     best = min(others, key=lambda form: form.bytes, default=plain)
     return best if best.bytes <= LEAST_SHARE * plain.bytes else plain
 
@@ -231,12 +233,12 @@ def _number(values: np.ndarray, kind: np.dtype, entry: str) -> tuple[np.ndarray,
     return values, entry
 
 
-def _plain(flat: np.ndarray) -> Form:
+def _as_plain(flat: np.ndarray) -> Form:
     values, entry = _number(flat, flat.dtype, "#[@]")
     return Form(values.nbytes, {"": values}, entry)
 
 
-def _line(flat: np.ndarray) -> Form | None:
+def _as_line(flat: np.ndarray) -> Form | None:
     if flat.dtype.kind == "b" or not np.isfinite(flat).all():
         return None
     first, step = flat[0], flat[1] - flat[0]
@@ -252,7 +254,7 @@ def _bits(flat: np.ndarray) -> np.ndarray:
     return flat.view(f"u{flat.dtype.itemsize}") if flat.dtype.kind == "f" else flat
 
 
-def _coded(flat: np.ndarray) -> Form | None:
+def _as_values(flat: np.ndarray) -> Form | None:
     values, numbers = np.unique(_bits(flat), return_inverse=True)
     if values.size > 1 << 16:
         return None
@@ -261,7 +263,7 @@ def _coded(flat: np.ndarray) -> Form | None:
     return Form(stored.nbytes + index.nbytes, {"": stored, "_of": index}, entry)
 
 
-def _runs(flat: np.ndarray) -> Form | None:
+def _as_runs(flat: np.ndarray) -> Form | None:
     bits = _bits(flat)
     begins = np.concatenate([[True], bits[1:] != bits[:-1]])
     count = int(begins.sum())
@@ -276,7 +278,7 @@ def _runs(flat: np.ndarray) -> Form | None:
     return Form(sum(each.nbytes for each in arrays.values()), arrays, entry)
 
 
-def _steps(flat: np.ndarray, columns: int) -> Form | None:
+def _as_steps(flat: np.ndarray, columns: int) -> Form | None:
     table = encode_steps(flat, columns) if flat.dtype.kind == "f" else None
     if table is None:
         return None

@@ -186,10 +186,8 @@ def comfortable_deceleration(
         use: Share of the available deceleration to plan with.
     """
     vehicle = model.vehicle
-    sure, mass = (
-        min(estimate.brake_gain - 1.5 * estimate.brake_gain_sigma, 1.0),
-        float(vehicle.effective_mass_kg),
-    )
+    mass = float(vehicle.effective_mass_kg)
+    sure = min(estimate.brake_gain - 1.5 * estimate.brake_gain_sigma, 1.0)
     effort = mean_braking_efforts(vehicle, estimate.speed_mps, sure, gradient_mps2 * mass)
     return max(use * min(float(effort[0]) / mass, float(vehicle.max_deceleration_mps2)), 0.2)
 

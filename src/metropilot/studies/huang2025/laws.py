@@ -670,10 +670,16 @@ class Hoa(NamedTuple):
     effort_jpkg: float = 0.0
     drag_jpkg: float = 0.0
 
-    def plan_mps2(self, brake_mps2: float, downhill_mps2: float, most_mps2: float) -> float:
-        """Deceleration to plan the stop with: the less the gain is known the less, downhill what is left."""
+    def plan_mps2(self, brake_mps2: float, net_mps2: float, most_mps2: float) -> float:
+        """Deceleration to plan the stop with: the less the gain is known the less.
+
+        Args:
+            brake_mps2: What the nominal brake gives on level track (:meth:`ExpertTrack.mean_brake`).
+            net_mps2: What is left of the actual brake on the slope ahead (the same).
+            most_mps2: Largest deceleration in service.
+        """
         sure = min(self.gain * (1.0 - CAUTION * self.sigma), 1.0)
-        return USE * min(brake_mps2 * sure, downhill_mps2, most_mps2)
+        return USE * min(brake_mps2 * sure, net_mps2, most_mps2)
 
     def next_stop(self) -> Hoa:
         """Knowledge carried to the next stop."""
