@@ -1,7 +1,9 @@
 """The console for everyone: axe-core finds nothing, all is reached by keyboard, a section is driven by it."""
 
+import os
 import re
 from importlib.resources import files
+from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect
@@ -12,13 +14,24 @@ VIEWS = (("light", 1280, 900), ("dark", 1280, 900), ("dark", 390, 844), ("light"
 REFUSED = ("critical", "serious", "moderate")
 LEFT_OUT = "region"
 """Lists that are open lie beside the page, outside its landmarks: of moderate impact, and Quasar's way."""
-RUN_AXE = "axe.run(document, {resultTypes: ['violations']}).then(found => found.violations)"
+RUN_AXE = """axe.run(document, {resultTypes: ['violations']}).then(found => {
+    const [major, minor] = axe.version.split('.').map(Number);
+    const mistaken = major < 4 || major === 4 && minor < 14;
+    const counts = (rule, node) => !(mistaken && rule.id === 'color-contrast'
+        && document.querySelector(node.target[0])?.closest('.q-dialog, .mp-beside'));
+    return found.violations.map(rule => ({...rule, nodes: rule.nodes.filter(node => counts(rule, node))}))
+        .filter(rule => rule.nodes.length > 0);
+})"""
+"""Axe-core before 4.14 (seen with 4.12.1) takes what lies behind a dialog or a sticky column for its background;
+4.14.1 finds nothing there."""
 
 
 @pytest.fixture(scope="session")
 def axe():
-    """Source of axe-core, from the extra `browser`."""
-    return (files("axe_playwright_python") / "axe.min.js").read_text(encoding="utf-8")
+    """Source of axe-core: the file that METROPILOT_AXE names, or that of the extra `browser`."""
+    named = os.environ.get("METROPILOT_AXE")
+    source = Path(named) if named else files("axe_playwright_python") / "axe.min.js"
+    return source.read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="session")
