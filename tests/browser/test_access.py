@@ -22,7 +22,7 @@ RUN_AXE = """axe.run(document, {resultTypes: ['violations']}).then(found => {
     return found.violations.map(rule => ({...rule, nodes: rule.nodes.filter(node => counts(rule, node))}))
         .filter(rule => rule.nodes.length > 0);
 })"""
-"""Axe-core before 4.14 (seen with 4.12.1) takes what lies behind a dialog or a sticky column for its background;
+"""Axe-core before 4.14 (4.12.1 does) takes what lies behind a dialog or a sticky column for its background;
 4.14.1 finds nothing there."""
 
 
