@@ -48,7 +48,9 @@ SOFT_SHARE = 0.8
 SOFT_S = 1.5
 """...from this time before the stand on."""
 SCARCE_GAIN = 2.5
-"""Correction of a stop that needs more than the brake will give later, beyond what the stop needs."""
+"""Correction of a stop that needs more than the brake will give later, beyond what the stop needs..."""
+SCARCE_SHARE = 0.96
+"""...where that is less than this share of the planned deceleration."""
 FADE_POINTS = 25
 """Points at which a brake is looked at between the present speed and standstill."""
 NEAREST_M = 1e-3
@@ -527,9 +529,10 @@ def stop_with_brake(
         return stop, math.inf
     available = use * deceleration_to(model, estimate, stop)
     if available < curve.deceleration_mps2:
-        scarce = replace(options, return_gain=SCARCE_GAIN, at_once_gain=SCARCE_GAIN)
+        if available < SCARCE_SHARE * curve.deceleration_mps2:
+            options = replace(options, return_gain=SCARCE_GAIN, at_once_gain=SCARCE_GAIN)
         curve = curve._replace(deceleration_mps2=available)
-        stop = stop_command(model, estimate, target_m, curve, scarce)
+        stop = stop_command(model, estimate, target_m, curve, options)
     return stop, available
 
 
