@@ -112,6 +112,28 @@ def test_traction_that_a_lag_keeps_up_is_foreseen(trainset, actuation, place, ra
     assert abs(done.running_time_s - time_s) <= 1.0
 
 
+@pytest.mark.parametrize("driver", ["optimal", "eitoe"])
+@pytest.mark.parametrize(
+    ("trainset", "actuation", "place", "ratio"),
+    [
+        ("drawn-21-31", Actuation(0.55, 0.49, 0.71), ("yizhuang", "YZQ", "WHY"), 1.177),
+        ("drawn-21-63", Actuation(0.67, 0.3, 0.87), ("zurich-stadelhofen", "ZUE", "ZSTH"), 1.386),
+        ("drawn-21-77", Actuation(0.48, 0.44, float("inf")), ("yizhuang-ttobench", "JG", "XHM"), 1.266),
+    ],
+)
+def test_a_dead_time_of_half_a_long_period_is_reckoned_with(driver, trainset, actuation, place, ratio):
+    # 0.3 to 2.3 m past the mark: the part of a period was rounded to none, or to a whole one
+    where, *ends = place
+    section = load_line(where).section(*ends)
+    late = replace(load_trainset(trainset), actuation=actuation)
+    done = drive(
+        Run(section, late, ratio * minimum_running_time(section, late), dt=1.0), DRIVERS.make(driver)
+    )
+    assert done.outcome is Outcome.ARRIVED
+    assert done.interventions == 0
+    assert abs(float(done.trajectory.position_m[-1]) - section.length_m) <= 0.1
+
+
 def test_a_lag_that_is_not_declared_is_allowed_for_in_the_last_brake():
     # protection's bounds hold it; the jerk was 1.6 times its limit
     section, trainset = load_line("yizhuang").section("CQ", "CQN"), load_trainset("dkz32")

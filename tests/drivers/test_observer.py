@@ -120,6 +120,33 @@ def test_look_ahead_predicts_the_state_the_command_will_meet():
     assert ahead.speed_mps == pytest.approx(float(later.speed_mps), abs=0.02)
 
 
+@pytest.mark.parametrize("delay_s", [0.05, 0.1, 0.3, 0.35, 0.5])
+@pytest.mark.parametrize("lag_s", [0.0, 0.3])
+def test_look_ahead_reaches_the_end_of_a_dead_time_between_the_periods(delay_s, lag_s):
+    trainset = load_trainset("dkz32")
+    late = replace(trainset, actuation=replace(trainset.actuation, delay_s=delay_s, lag_s=lag_s))
+    section = load_line("yizhuang").section("RC", "RJ")
+    model = Model(vehicle_arrays(late), track_arrays(section, late), DT)
+    state = at_rest(model.vehicle, delay_steps=delay_steps(delay_s, DT))
+    estimate, path, ahead = initial_estimate(model), [], []
+    for command in COMMANDS[:100]:
+        seen = float(state.position_m), float(state.speed_mps), float(state.acceleration_mps2)
+        estimate = update_estimate(model, estimate, *seen)
+        path.append(seen[:2])
+        ahead.append(look_ahead(model, estimate))
+        estimate = record_command(estimate, command)
+        state = step(model.vehicle, model.track, state, Command(np.float64(command), False), DT)
+    assert ahead[-1].seconds == pytest.approx(delay_s)
+    places, speeds = np.transpose(path)
+    times = np.arange(len(path)) * DT
+    for k in range(40, 90):
+        then = times[k] + delay_s
+        # a command that changes acts in a part of the last period: by at most so much
+        changes = np.abs(np.diff(COMMANDS[k - 4 : k + 3])).max()
+        assert ahead[k].speed_mps == pytest.approx(np.interp(then, times, speeds), abs=0.01 + 0.1 * changes)
+        assert ahead[k].position_m == pytest.approx(np.interp(then, times, places), abs=0.03)
+
+
 def test_look_along_predicts_the_path_of_the_commands_on_their_way():
     late = replace(load_trainset("dkz32"), actuation=replace(load_trainset("dkz32").actuation, delay_s=0.6))
     section = load_line("yizhuang").section("RC", "RJ")

@@ -17,6 +17,7 @@ from metropilot.control import (
     record_command,
     release,
     required_deceleration,
+    required_with_build_up,
     stop_command,
     update_estimate,
     weakest_gradient,
@@ -60,6 +61,16 @@ def test_required_deceleration_inverts_braking_distance(deceleration, final):
     curve = StopCurve(deceleration, math.inf, 0.5, 0.05)
     distance = braking_distance(20.0, curve, final)
     assert required_deceleration(20.0, distance, curve, final)[0] == pytest.approx(deceleration, abs=1e-5)
+
+
+@pytest.mark.parametrize("acceleration", [-0.3, 0.0, 0.4])
+@pytest.mark.parametrize(("speed", "distance"), [(1.1, 1.5), (1.1, 0.6), (0.5, 0.3), (15.0, 120.0)])
+def test_the_build_up_takes_no_less_than_braking_at_once_would(speed, distance, acceleration):
+    # 1.5 m before the mark at 1.1 m/s the fixed point ended at next to nothing
+    curve = StopCurve(0.9, 0.5, 0.25, 0.1)
+    at_once, _ = required_deceleration(speed, distance, curve)
+    required, _ = required_with_build_up(speed, acceleration, distance, curve)
+    assert at_once <= required <= 3.0
 
 
 def test_release_ends_with_what_it_should():

@@ -36,7 +36,6 @@ from .prediction import Motion as Motion
 from .prediction import PredictedState as PredictedState
 from .prediction import acting_command as acting_command
 from .prediction import actuation_of as actuation_of
-from .prediction import periods_before as periods_before
 from .prediction import predict_motion as predict_motion
 from .prediction import predict_path as predict_path
 from .stopping import AT_ONCE_MPS3 as AT_ONCE_MPS3

@@ -68,7 +68,6 @@ class Ceiling(NamedTuple):
         quadratic: Coefficient of the further gain of speed while it decays, s^3/m.
         late_s: Largest dead time and lag of a service command, s.
         lag_s: The lag alone, s.
-        period_s: Control period, s.
         weak: True if a weaker brake than the service brake is guaranteed; it builds up slowly.
     """
 
@@ -80,7 +79,6 @@ class Ceiling(NamedTuple):
     quadratic: float
     late_s: float
     lag_s: float
-    period_s: float
     weak: bool
 
     @property
@@ -120,9 +118,6 @@ class Ceiling(NamedTuple):
     def approach(self, ahead: PredictedState) -> float:
         """Largest acceleration at a predicted state, m/s^2."""
         here_mps = float(np.interp(ahead.position_m, self.position_m, self.speed_mps))
-        if ahead.part > 0.0:
-            # A part of the command acts for another period, whatever the next one says.
-            here_mps = min(here_mps, self.at(ahead.position_m, 2.0 * ahead.speed_mps * self.period_s))
         return self.acceleration_under(here_mps - ahead.speed_mps)
 
 
@@ -174,7 +169,6 @@ def ceiling_of(run: Run, section: Section, margin_mps: float = MARGIN_MPS) -> Ce
         quadratic=0.5 * ratio**2 / float(rates.jerk_mps3) + 0.5 / jerk,
         late_s=late,
         lag_s=bounds.lag_s,
-        period_s=run.dt,
         weak=weak,
     )
 

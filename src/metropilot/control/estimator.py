@@ -31,7 +31,6 @@ from metropilot.control.prediction import (
     Model,
     Motion,
     PredictedState,
-    periods_before,
     predict_motion,
     predict_path,
 )
@@ -491,11 +490,8 @@ def look_ahead(model: Model, estimate: StateEstimate) -> PredictedState:
         motion = predict_motion(motion, commands, age, keep, acting, jerk, model.dt)
         limits = effort_limits(model.vehicle, model.track, motion.position_m, motion.speed_mps)
         resistance, gradient, _, traction, brake = map(float, limits)
-    before = periods_before(age)
-    actuation = float(estimate.commands[0]), max(age - before, 0.0), keep
-    return PredictedState(
-        before * model.dt, *motion, *actuation, drag * resistance, gradient, up * traction, down * brake
-    )
+    seconds = age * model.dt
+    return PredictedState(seconds, *motion, keep, drag * resistance, gradient, up * traction, down * brake)
 
 
 def look_along(

@@ -1,8 +1,9 @@
 """Prediction over dead time, lag and jerk limit: the state when a command given now begins to act.
 
-All drivers compensate the actuation with it (Huang25 eq. 4, Chen23a eq. 1). A dead time that is not a whole
-number of periods blends two commands, as the plant does: a command acts with one part in a first period and
-with the rest in the second. It is meant for the period in which at least half of it acts.
+All drivers compensate the actuation with it (Huang25 eq. 4, Chen23a eq. 1). Where a dead time is no whole
+number of periods, the plant blends two commands in each: a command acts with one part in a first period and
+with the rest in the second. It is meant for a period that begins when the dead time is over, in the midst of
+the first.
 """
 
 from __future__ import annotations
@@ -17,20 +18,45 @@ from numpy import ndarray
 from metropilot._typing import Float, Scalar
 from metropilot.physics import Track, Vehicle, command_for_effort, namespace, scalars
 
+ALMOST = 1e-5
+"""A dead time this much below a whole number of periods counts as whole."""
+ROOTS = 8
+"""Binary places of a part of a period, for the power of a number."""
 LAG_LEAD = 0.7
 """Share of the lag that is compensated by a larger command; full compensation would amplify noise."""
 
 
 @no_type_check
-def periods_before(delay_steps: Scalar) -> Scalar:
-    """Whole periods from a command to the one in which at least half of it acts.
+def whole_periods(delay_steps: Scalar) -> tuple[Scalar, Scalar]:
+    """Split a dead time into whole periods and the part of another, in control periods.
 
     Args:
-        delay_steps: Dead time in control periods, not always whole.
+        delay_steps: Dead time in control periods.
     """
-    single = namespace(delay_steps) is scalars
-    # -(-x // 1) rounds up
-    return math.ceil(delay_steps - 0.5) if single else -((0.5 - delay_steps) // 1.0)
+    # 0.14 / 0.02 is a little more or less than 7
+    xp = namespace(delay_steps)
+    near = delay_steps + ALMOST
+    whole = math.floor(near) if xp is scalars else xp.floor(near)
+    return whole, xp.maximum(delay_steps - whole, 0.0)
+
+
+@no_type_check
+def kept_over(keep: Scalar, part: Scalar) -> Scalar:
+    """Share of an old effort that remains after a part of a period of lag: ``keep ** part``.
+
+    Square roots give it, to 1 % where a hundredth remains after the period: a controller has nothing else.
+
+    Args:
+        keep: Share that remains after a whole period.
+        part: Part of a period, in [0, 1).
+    """
+    xp = namespace(keep, part)
+    kept, root = 1.0, keep
+    for _ in range(ROOTS):
+        root, part = xp.sqrt(root), 2.0 * part
+        counts = part >= 1.0
+        kept, part = xp.where(counts, kept * root, kept), xp.where(counts, part - 1.0, part)
+    return kept
 
 
 class Model(NamedTuple):
@@ -56,8 +82,6 @@ class PredictedState(NamedTuple):
         speed_mps: Speed.
         acceleration_mps2: Acceleration in the period before.
         share: Command after delay and lag in the period before.
-        older: Command given in the period before.
-        part: Part of that command that acts beside a command given now.
         keep: Share of the old effort that remains after a period of lag.
         resistance_mps2: Estimated resistance there, per effective mass, factor included.
         gradient_mps2: Gradient force there, per effective mass, positive uphill.
@@ -70,8 +94,6 @@ class PredictedState(NamedTuple):
     speed_mps: Scalar
     acceleration_mps2: Scalar
     share: Scalar
-    older: Scalar
-    part: Scalar
     keep: Scalar
     resistance_mps2: Scalar
     gradient_mps2: Scalar
@@ -98,19 +120,16 @@ class PredictedState(NamedTuple):
 
     @no_type_check
     def lead(self, share: Scalar, lead: float = LAG_LEAD) -> Scalar:
-        """Command that compensates part of the lag and of the older command, in [-1, 1].
+        """Command that compensates part of the lag, in [-1, 1].
 
         Args:
             share: Command that should act.
-            lead: Share of both that is compensated, in [0, 1].
+            lead: Share of the lag that is compensated, in [0, 1].
         """
-        kept, beside = lead * self.keep, lead * self.part
+        kept = lead * self.keep
         acting = (share - kept * self.share) / (1.0 - kept)
-        xp = namespace(acting, beside)
-        # No traction where braking should act, nor the reverse: all of it acts a period later.
-        low = xp.where((beside <= 0.0) | (acting < 0.0), -1.0, 0.0)
-        high = xp.where((beside <= 0.0) | (acting > 0.0), 1.0, 0.0)
-        return xp.minimum(xp.maximum((acting - beside * self.older) / (1.0 - beside), low), high)
+        xp = namespace(acting)
+        return xp.minimum(xp.maximum(acting, -1.0), 1.0)
 
 
 class Motion(NamedTuple):
@@ -143,13 +162,8 @@ class CommandActuation(NamedTuple):
 
     @property
     def seconds(self) -> float:
-        """Whole periods until a command given now begins to act, s."""
-        return periods_before(self.delay_steps) * self.dt
-
-    @property
-    def part(self) -> float:
-        """Part of the command before it that acts beside a command given now."""
-        return max(self.delay_steps - periods_before(self.delay_steps), 0.0)
+        """Time until a command given now begins to act, s."""
+        return self.delay_steps * self.dt
 
     def issue(self, command: float) -> CommandActuation:
         """Add a command for the coming period."""
@@ -207,8 +221,8 @@ def predict_motion(
     """
     xp = namespace(motion.speed_mps, delay_steps, limits_mps2[0])
     single = namespace(delay_steps) is scalars
-    # Where less than half of this period's command acts, which is not known yet, the newest goes on.
-    first, before = commands[0], periods_before(delay_steps)
+    first, (before, part) = commands[0], whole_periods(delay_steps)
+    # The command given now acts in none of these periods; any number serves in its place.
     given = [first, *commands] if single else xp.concatenate([xp.expand_dims(first, 0), commands])
     for k in range(before if single else commands.shape[0] - 1):
         acting = acting_command(given, xp.maximum(delay_steps - k, 0.0))
@@ -217,7 +231,11 @@ def predict_motion(
             # A compiled program predicts as many periods for all trainsets.
             later = Motion(*(xp.where(k < before, new, old) for new, old in zip(later, motion, strict=True)))
         motion = later
-    return motion
+    if single and part <= 0.0:
+        return motion
+    later = _move(motion, first, kept_over(keep, part), limits_mps2, jerk_mps3, part * dt)
+    # a part of nothing leaves all as it is, the acceleration too
+    return Motion(*(xp.where(part > 0.0, new, old) for new, old in zip(later, motion, strict=True)))
 
 
 def predict_path(

@@ -350,10 +350,17 @@ def required_with_build_up(
     if xp is scalars and (falling > 0 or required >= STRONGEST_MPS2):
         return required, falling
 
+    # Building up takes no less than braking at once would; and what is built up must be let go before the
+    # stand, beyond which the fixed point would leap to and fro.
+    least, jerk = required, xp.minimum(curve.build_jerk_mps3, AT_ONCE_MPS3)
+    share = 1.0 + jerk / xp.minimum(curve.release_jerk_mps3, AT_ONCE_MPS3)
+    lost = 2.0 * jerk * xp.maximum(speed_mps - final_mps, 0.0) + acceleration_mps2 * acceleration_mps2
+    most = xp.minimum(xp.maximum(xp.sqrt(lost / share), least), STRONGEST_MPS2)
+
     def allow_for_build_up(required: Scalar) -> tuple[Scalar]:
         speed, gone, _ = build_up(speed_mps, acceleration_mps2, required, curve.build_jerk_mps3)
         again, _ = required_deceleration(speed, distance_m - gone, curve, final_mps, steps)
-        return (xp.where(falling > 0, required, xp.minimum(again, STRONGEST_MPS2)),)
+        return (xp.where(falling > 0, required, xp.minimum(xp.maximum(again, least), most)),)
 
     (required,) = repeat(options.passes, allow_for_build_up, required)
     return required, falling
@@ -489,7 +496,9 @@ def stop_command(
     if v <= 0 and distance < options.inch_m:
         wanted = -max(curve.end_mps2, options.hold_mps2)
         return Stop(ahead.share_for(wanted), 0.0, 0.0, ahead, distance)
-    if draws_up(v, distance, options):
+    vehicle = model.vehicle
+    jerk, lag = float(vehicle.jerk_mps3), float(vehicle.lag_s)
+    if draws_up(v, ahead.acceleration_mps2, distance, jerk, lag, options):
         return Stop(ahead.share_for(options.draw_up_mps2), 0.0, 0.0, ahead, distance)
     demand = stop_deceleration(v, ahead.acceleration_mps2, distance, curve, model.dt, options)
     required = later = float(demand.required_mps2)
@@ -536,16 +545,30 @@ def stop_with_brake(
     return stop, available
 
 
-def draws_up(speed_mps: Scalar, distance_m: Scalar, options: StopOptions = STOP_OPTIONS) -> Flag:
+@no_type_check
+def draws_up(
+    speed_mps: Scalar,
+    acceleration_mps2: Scalar,
+    distance_m: Scalar,
+    jerk_mps3: Scalar,
+    lag_s: Scalar,
+    options: StopOptions = STOP_OPTIONS,
+) -> Flag:
     """Tell if a trainset is so slow before the stop that it has to be drawn up to it.
 
     Args:
         speed_mps: Speed.
+        acceleration_mps2: Acceleration; what the trainset still gains while it dies away counts as speed.
         distance_m: Distance to the stop.
+        jerk_mps3: Jerk limit.
+        lag_s: Lag.
         options: Constants of the stop.
     """
+    xp = namespace(speed_mps, acceleration_mps2, distance_m)
+    rise = xp.maximum(acceleration_mps2, 0.0)
+    then_mps = speed_mps + rise * (lag_s + 0.5 * rise / xp.minimum(jerk_mps3, AT_ONCE_MPS3))
     most = 2.0 * options.draw_up_share * options.draw_up_mps2 * distance_m
-    return (distance_m >= options.inch_m) & (speed_mps * speed_mps < most)
+    return (distance_m >= options.inch_m) & (then_mps * then_mps < most)
 
 
 def deceleration_to(model: Model, estimate: StateEstimate, stop: Stop) -> float:

@@ -14,7 +14,6 @@ from metropilot.control import (
     PredictedState,
     acting_command,
     adapt_vehicle,
-    periods_before,
     predict_motion,
     weighs_load,
 )
@@ -174,7 +173,6 @@ def look_ahead(plant: OwnPlant, observation: FollowerObservation) -> PredictedSt
     xp = namespace(observation.position_m, vehicle.delay_s)
     # A dead time of whole periods stays whole: 0.14 / 0.02 is a little more than 7.
     steps, keep = xp.maximum(vehicle.delay_s / dt - 1e-6, 0.0), kept_share(observation)
-    before = periods_before(steps)
     motion = Motion(plant.position_m, plant.speed_mps, plant.acceleration_mps2, plant.share)
     limits = effort_limits(vehicle, track, motion.position_m, motion.speed_mps)
     if plant.commands.shape[0] > 1:
@@ -186,10 +184,8 @@ def look_ahead(plant: OwnPlant, observation: FollowerObservation) -> PredictedSt
         motion = predict_motion(motion, plant.commands, steps, keep, forces, vehicle.jerk_mps3, dt)
         limits = effort_limits(vehicle, track, motion.position_m, motion.speed_mps)
     return PredictedState(
-        before * dt,
+        steps * dt,
         *motion,
-        plant.commands[0],
-        xp.maximum(steps - before, 0.0),
         keep,
         drag * limits.resistance_mps2,
         limits.gradient_mps2,

@@ -19,7 +19,6 @@ from metropilot.control import (
     Stop,
     StopCurve,
     StopOptions,
-    actuation_of,
     adapt_trainset,
     adapt_vehicle,
     ceiling_of,
@@ -166,8 +165,6 @@ LATE_W = 500.0
 LAST_METRES_M = 8.0
 CREEP_M = 0.05
 LAST_STRETCH_M = 30.0
-SPLIT_SHARE = 0.75
-"""Part of the release's jerk where the dead time is no whole number of periods."""
 LAG_STOP = StopOptions(soft_m=0.1)
 """The stop under a lag: within this distance of the mark a gentle end is worth more than the rest of it."""
 EARLY_S = 1e-6
@@ -402,8 +399,6 @@ class Optimal(AbstractDriver):
         """Mean jerk of the last brake's release over the lowest jerk limit; a lag makes it take longer."""
         vehicle, share = model.vehicle, self.options.release_share
         jerk = lowest_jerk(vehicle, coupled)
-        # of a command that is split between two periods the second part comes too late to correct the end
-        share *= SPLIT_SHARE if actuation_of(model).part > 0.0 else 1.0
         if not np.isfinite(jerk):
             return share
         lag_s = max(ceiling.lag_s, *(float(each.vehicle.lag_s) for each in coupled), 0.0)

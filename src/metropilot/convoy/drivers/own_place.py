@@ -195,11 +195,11 @@ def stop(
     v, left_m = ahead.speed_mps, own_mark(memory, observation) - ahead.position_m
     rate = v * v / (2.0 * xp.maximum(left_m, 0.1))
     curve = curve_for(vehicle, dt, xp.maximum(rate, 0.1), LAST_STOP)
-    demand = stop_deceleration(v, ahead.acceleration_mps2, left_m, curve, dt, LAST_STOP)
-    stopping = xp.where(draws_up(v, left_m), STOP_OPTIONS.draw_up_mps2, -demand.wanted_mps2)
-    settles, settling = settle(
-        v, ahead.acceleration_mps2, left_m, vehicle.jerk_mps3, dt, NEAR_ENOUGH_M, CREEP_M, LAST_STOP
-    )
+    a, jerk = ahead.acceleration_mps2, vehicle.jerk_mps3
+    demand = stop_deceleration(v, a, left_m, curve, dt, LAST_STOP)
+    drawing = draws_up(v, a, left_m, jerk, vehicle.lag_s)
+    stopping = xp.where(drawing, STOP_OPTIONS.draw_up_mps2, -demand.wanted_mps2)
+    settles, settling = settle(v, a, left_m, jerk, dt, NEAR_ENOUGH_M, CREEP_M, LAST_STOP)
     stopping = xp.where(settles, settling, stopping)
     near = (left_m < NEAR_M) & (memory.alone <= 0.0)
     return xp.where(near, stopping, wanted_mps2)

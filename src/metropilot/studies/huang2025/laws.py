@@ -408,8 +408,7 @@ class ExpertTrack(NamedTuple):
             x, v = motion.position_m, motion.speed_mps
             limits = self.traction(v), brake_gain * self.brake(v), self.drag(x, v)
         traction, brake, drag = limits
-        lagging = actuation.commands[0], actuation.part, actuation.keep
-        return PredictedState(actuation.seconds, *motion, *lagging, drag, 0.0, traction, brake)
+        return PredictedState(actuation.seconds, *motion, actuation.keep, drag, 0.0, traction, brake)
 
     def look_along(
         self,
@@ -644,7 +643,9 @@ CRAWL_SHARE = 0.5
 COARSE = 0.05
 """A period in which braking changes the speed by more than twice this share is no measure of distance."""
 CRAWL_M = 2.0
-"""A trainset that coasts to a crawl is drawn up to the stop from this distance on; it is in time."""
+"""A trainset that coasts to a crawl is drawn up to the stop from this distance on; it is in time..."""
+LATE_CRAWL_MPS = 3.0
+"""...and from so much farther off for each second of dead time and lag: traction acts too long there."""
 DRAW_UP_M = 8.0
 """A trainset that stands no farther short of the stop than this is drawn up to it."""
 
@@ -751,8 +752,10 @@ def stop_share(
     v, distance, plan = ahead.speed_mps, ground.length_m - ahead.position_m, curve.deceleration_mps2
     if v <= 0.0 and distance < STOP_OPTIONS.inch_m:
         return ahead.command_for(-max(curve.end_mps2, STOP_OPTIONS.hold_mps2)), True
-    slows = hoa.braking and ahead.acceleration_mps2 < 0.0
-    if (hoa.braking or distance <= CRAWL_M) and not slows and draws_up(v, distance):
+    dt, a = actuation.dt, ahead.acceleration_mps2
+    near_m = CRAWL_M + LATE_CRAWL_MPS * (actuation.seconds + actuation.lag_s)
+    crawls = (hoa.braking or distance <= near_m) and not (hoa.braking and a < 0.0)
+    if crawls and draws_up(v, a, distance, ground.jerk_mps3, actuation.lag_s):
         # After an intervention the trainset stands short of the stop, or it has coasted to a crawl before it:
         # far from it the rules drive on.
         if distance > DRAW_UP_M:
@@ -762,7 +765,6 @@ def stop_share(
     # far from braking; nearer than two seconds even a crawling trainset has to be looked at
     if not hoa.braking and v * v < 2.0 * NEAR * plan * max(distance - 2.0 * v, 0.0):
         return 0.0, False
-    dt, a = actuation.dt, ahead.acceleration_mps2
     if not hoa.braking:
         early_m = v * (0.5 * actuation.lag_s + 0.25 * dt)
         sooner, _ = required_with_build_up(v, a, distance - early_m, curve)
