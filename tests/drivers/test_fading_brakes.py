@@ -75,10 +75,12 @@ def test_a_brake_that_fades_is_used_as_it_is(driver, trainset, place, ratio, lat
 @pytest.mark.parametrize(
     ("driver", "trainset", "actuation", "place", "ratio", "dt"),
     [
-        # these were 0.3, 1.5 and 1.4 m past the mark, braking with all they had
+        # these were 0.3, 1.5, 1.4, 3.3 and 3.1 m past the mark, braking with all they had
         ("optimal", "de_traxx_ic2", (0.0, 0.0), ("zurich-stadelhofen", "ZSTH", "ZUE"), 1.146, 0.5),
         ("generalist", "de_desiro_classic", (0.59, 0.24), ("yizhuang", "JG", "XHM"), 1.06, 0.2),
         ("generalist", "nl_intercity_virm6", (0.47, 0.22), ("lu2023", "WHY", "WYJ"), 1.33, 1.0),
+        ("pid", "de_traxx_ic2", (0.26, 0.18), ("lu2023", "WYJ", "WHY"), 1.316, 1.0),
+        ("flat_out", "de_traxx_ic2", (0.14, 0.14), ("zurich-stadelhofen", "ZAS", "ZHDB"), 1.307, 0.5),
     ],
 )
 def test_a_brake_that_will_have_nothing_to_spare_brakes_now(driver, trainset, actuation, place, ratio, dt):

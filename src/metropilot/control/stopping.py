@@ -42,7 +42,8 @@ STRONGEST_MPS2 = 3.0
 LEAST_MPS2 = 0.05
 """Least deceleration that is solved for; a stop never begins with less."""
 WATCHED_SHARE = 0.5
-"""Below this share of the planned deceleration the stop is not near enough to ask what the brake can give."""
+"""Below this share of the planned deceleration, or of what the brake gives there, the stop is not near enough
+to ask what the brake can give."""
 SOFT_SHARE = 0.8
 """Deceleration with which a gentle stop ends, over what the jerk limit lets drop in one period..."""
 SOFT_S = 1.5
@@ -502,11 +503,17 @@ def stop_command(
         return Stop(ahead.share_for(options.draw_up_mps2), 0.0, 0.0, ahead, distance)
     demand = stop_deceleration(v, ahead.acceleration_mps2, distance, curve, model.dt, options)
     required = later = float(demand.required_mps2)
-    if required >= WATCHED_SHARE * curve.deceleration_mps2:
+    if _comes_near(required, curve, ahead):
         a = ahead.acceleration_mps2
         waits_m = way_in_period(v, min(-a, 0.0), model.dt)
         later = float(required_with_build_up(v, a, distance - waits_m, curve, 0.0, options)[0])
     return Stop(ahead.share_for(-demand.wanted_mps2), required, later, ahead, distance)
+
+
+def _comes_near(required_mps2: float, curve: StopCurve, ahead: PredictedState) -> bool:
+    """Tell if a stop is near enough to ask what the brake can give."""
+    gives = ahead.brake_mps2 + min(ahead.gradient_mps2, 0.0)
+    return required_mps2 >= WATCHED_SHARE * min(curve.deceleration_mps2, max(gives, LEAST_MPS2))
 
 
 def stop_with_brake(
@@ -534,7 +541,7 @@ def stop_with_brake(
         The command, and the deceleration that the stop may count on, m/s^2; infinite while it is far off.
     """
     stop = stop_command(model, estimate, target_m, curve, options)
-    if stop.required_mps2 < WATCHED_SHARE * curve.deceleration_mps2:
+    if not _comes_near(stop.required_mps2, curve, stop.ahead):
         return stop, math.inf
     available = use * deceleration_to(model, estimate, stop)
     if available < curve.deceleration_mps2:

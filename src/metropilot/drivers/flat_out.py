@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple, final
 
 from metropilot.control import (
+    SERVICE_USE,
     Ceiling,
     Model,
     StateEstimate,
@@ -16,8 +17,7 @@ from metropilot.control import (
     look_ahead,
     model_of,
     record_command,
-    required_with_build_up,
-    stop_command,
+    stop_with_brake,
     traction_limit,
     update_estimate,
     weakest_gradient,
@@ -86,15 +86,11 @@ class FlatOut(AbstractDriver):
         model, target = memory.model, memory.section.length_m
         comfortable = memory.braking_mps2 or comfortable_deceleration(model, estimate, memory.gradient_mps2)
         curve = curve_for(model.vehicle, model.dt, comfortable)
-        if memory.braking_mps2:
-            return stop_command(model, estimate, target, curve).share, comfortable
+        stop, available = stop_with_brake(model, estimate, target, curve, SERVICE_USE)
+        if memory.braking_mps2 or stop.required_mps2 >= comfortable or stop.later_mps2 >= available:
+            return stop.share, comfortable
         ahead = look_ahead(model, estimate)
         wanted = ceiling_acceleration(model, ahead, memory.ceiling, float("inf"), curve)
-        required, _ = required_with_build_up(
-            ahead.speed_mps, ahead.acceleration_mps2, target - ahead.position_m, curve
-        )
-        if required >= comfortable:
-            return stop_command(model, estimate, target, curve).share, comfortable
         return min(ahead.share_for(wanted), traction_limit(estimate, ahead, memory.ceiling)), 0.0
 
     def _follow_updates(self, memory: FlatOutMemory, observation: Observation) -> FlatOutMemory:
