@@ -246,6 +246,8 @@ def _as_line(flat: np.ndarray) -> Form | None:
     if (first + step * numbers).tobytes() != flat.tobytes():
         return None
     kind = flat.dtype
+    if (first, step) == (0, 1) and not np.signbit(first):
+        return Form(0, {}, f"({TYPES[kind.name]})(@)")
     return Form(0, {}, f"({literal(first, kind)} + {literal(step, kind)} * ({TYPES[kind.name]})(@))")
 
 
