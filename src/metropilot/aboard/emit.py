@@ -90,10 +90,10 @@ class _Emitter:
         self.sides: dict[int, list[Operation]] = {}
         """Operations of the sides of choices and loops in the order of their statements, by their results."""
         self.names: dict[int, str] = {id(node): name for node, name in zip(graph.inputs, inputs, strict=True)}
-        self.targets = self._own_targets(outputs)
+        self.targets = self._find_targets(outputs)
         self.order = _flatten(graph.nodes)
         self.own = self._own_variables()
-        self.nodes = self._sunk(self._early(graph.nodes))
+        self.nodes = self._sink(self._hoist_outputs(graph.nodes))
         self.order = _flatten(self.nodes, self.sides)
         self.last = self._last_uses()
         self.arenas: dict[str, _Arena] = defaultdict(_Arena)
@@ -138,7 +138,7 @@ class _Emitter:
         return _loops(node.shape, [f"{target}[{flat}] = {value};"], indent)
 
     # ---------------------------------------------------------------------------------------- what is stored
-    def _own_targets(self, outputs: Sequence[str]) -> dict[int, tuple[Operation, str]]:
+    def _find_targets(self, outputs: Sequence[str]) -> dict[int, tuple[Operation, str]]:
         """Arrays that may be computed where they belong: the input that is there before, and its lvalue."""
         inputs = {self.names[id(node)]: node for node in self.graph.inputs}
         count = Counter(map(id, self.graph.outputs))
@@ -148,7 +148,7 @@ class _Emitter:
             if node.size > 1 and count[id(node)] == 1 and target in inputs
         }
 
-    def _early(self, nodes: Sequence[Operation]) -> list[Operation]:
+    def _hoist_outputs(self, nodes: Sequence[Operation]) -> list[Operation]:
         """The operations, arrays of outputs as early as they can be computed: so they need no other place."""
         known = {id(node) for node in self.graph.inputs}
         late = [node for node in nodes if id(node) in self.targets]
@@ -164,7 +164,7 @@ class _Emitter:
                     known.add(id(each))
         return found
 
-    def _sunk(self, nodes: Sequence[Operation]) -> list[Operation]:
+    def _sink(self, nodes: Sequence[Operation]) -> list[Operation]:
         """The operations of a block; an array larger than what it is made of only where it is needed."""
         waiting: dict[int, Operation] = {}
         found: list[Operation] = []
@@ -177,7 +177,7 @@ class _Emitter:
 
         for node in nodes:
             for side in node.params.get("sides", ()):
-                self.sides[id(side)] = self._sunk(side.nodes)
+                self.sides[id(side)] = self._sink(side.nodes)
             if self._may_wait(node):
                 waiting[id(node)] = node
             else:
@@ -191,21 +191,21 @@ class _Emitter:
             return True
         if id(node) in self.targets or node.size < ARRAY or node.op not in {*ELEMENTWISE, "gather"}:
             return False
-        by_id = {id(arg): arg for arg in self._stored(node)}
+        by_id = {id(arg): arg for arg in self._list_stored(node)}
         return sum(arg.size for arg in by_id.values() if arg.size >= ARRAY) < node.size
 
-    def _stored(self, node: Operation) -> Iterator[Operation]:
+    def _list_stored(self, node: Operation) -> Iterator[Operation]:
         """Stored results that the statement of a node reads."""
         for arg in operands(node):
             if id(arg) in self.own and arg.op not in VIEWS:
                 yield arg
             elif arg.op not in {"const", "input", "result"}:
-                yield from self._stored(arg)
+                yield from self._list_stored(arg)
 
     def _place(self, node: Operation) -> tuple[str, int]:
         """Array that a result is written to, and its first entry there."""
         kind, position = node.dtype.name, self.position[id(node)]
-        inline = self._reads(node)
+        inline = self._find_reads(node)
         if id(node) in self.targets:
             before, target = self.targets[id(node)]
             if self.last.get(id(before), -1) <= position and inline.get(id(before), True):
@@ -226,7 +226,7 @@ class _Emitter:
         self.places[id(node)] = kind, start, node.size
         return name, start
 
-    def _reads(self, node: Operation) -> dict[int, bool]:
+    def _find_reads(self, node: Operation) -> dict[int, bool]:
         """Arrays that a statement reads; of each whether only the entry that is written meanwhile."""
         found: dict[int, bool] = {}
 
@@ -728,7 +728,7 @@ def _flatten(
 
 
 def _base(node: Operation) -> Operation:
-    """What a view is a view of."""
+    """Operation whose entries a view shows."""
     while node.op in VIEWS:
         node = node.args[0]
     return node
