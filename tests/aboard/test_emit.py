@@ -79,7 +79,7 @@ EXACT = (
 def header(text, tables):
     """Text that comes before functions."""
     include = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n"
-    return "\n".join([include + preamble(text), *tables.lines, ""])
+    return "\n".join([include + preamble("\n".join([text, *tables.lines])), *tables.lines, ""])
 
 
 def compile_c(folder, text):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import prod
@@ -58,35 +59,87 @@ def emit_body(
     Raises:
         InputError: An operation has no form in C.
     """
-    return _Emitter(graph, inputs, outputs, tables).body(outputs, indent)
+    emitter = _plan_arrays(graph, inputs, outputs, tables)
+    body = emitter.body(indent)
+    return [*emitter.arrays(indent), *body]
 
 
 class _Arena:
-    """Local array of one number type that results share, each for as long as it is needed."""
+    """Local array of one number type that results share, each for as long as it is needed.
 
-    def __init__(self) -> None:
-        self.size = 0
-        self.taken: list[tuple[int, int]] = []
+    Args:
+        plan: Place of each result in the order in which they are needed; None: the first that is free.
+    """
+
+    def __init__(self, plan: Sequence[int] | None = None) -> None:
+        self.size = self.moment = 0
+        self.planned = plan
+        self.starts: list[int] = []
+        self.taken: dict[int, int] = {}
+        self.spans: list[tuple[int, int, int]] = []
+        """Size of each result, and the moments from which on and up to which it is needed."""
 
     def take(self, size: int) -> int:
         start = 0
-        for first, count in sorted(self.taken):
-            if start + size <= first:
-                break
-            start = max(start, first + count)
-        self.taken.append((start, size))
+        if self.planned is None:
+            for first, number in sorted(self.taken.items()):
+                if start + size <= first:
+                    break
+                start = max(start, first + self.spans[number][0])
+        else:
+            start = self.planned[len(self.spans)]
+        self.taken[start] = len(self.spans)
+        self.starts.append(start)
+        self.moment += 1
+        self.spans.append((size, self.moment, sys.maxsize))
         self.size = max(self.size, start + size)
         return start
 
-    def release(self, start: int, size: int) -> None:
-        self.taken.remove((start, size))
+    def release(self, start: int) -> None:
+        number = self.taken.pop(start)
+        size, first, _ = self.spans[number]
+        self.spans[number] = size, first, self.moment
+
+    def plan(self) -> list[int]:
+        """Places for the same results in less room: the largest first, each as low as it fits."""
+        places: dict[int, int] = {}
+        for number in sorted(range(len(self.spans)), key=lambda k: (-self.spans[k][0], k)):
+            size, first, last = self.spans[number]
+            start = 0
+            others = ((place, self.spans[other]) for other, place in places.items())
+            meanwhile = sorted((place, one[0]) for place, one in others if one[1] <= last and first <= one[2])
+            for place, length in meanwhile:
+                if place < start + size:
+                    start = max(start, place + length)
+            places[number] = start
+        least = max((start + self.spans[number][0] for number, start in places.items()), default=0)
+        return [places[k] for k in range(len(self.spans))] if least < self.size else self.starts
+
+
+class _Arenas(dict[str, _Arena]):
+    """Local arrays by their number types, each made when it is needed."""
+
+    def __init__(self, plans: Mapping[str, Sequence[int]]) -> None:
+        super().__init__()
+        self.plans = plans
+
+    def __missing__(self, kind: str) -> _Arena:
+        self[kind] = _Arena(self.plans.get(kind))
+        return self[kind]
 
 
 class _Emitter:
     """Writer of one function's body."""
 
-    def __init__(self, graph: Graph, inputs: Sequence[str], outputs: Sequence[str], tables: Tables) -> None:
-        self.graph, self.tables = graph, tables
+    def __init__(
+        self,
+        graph: Graph,
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        tables: Tables,
+        plans: Mapping[str, Sequence[int]] | None = None,
+    ) -> None:
+        self.graph, self.tables, self.outputs = graph, tables, outputs
         self.sides: dict[int, list[Operation]] = {}
         """Operations of the sides of choices and loops in the order of their statements, by their results."""
         self.names: dict[int, str] = {id(node): name for node, name in zip(graph.inputs, inputs, strict=True)}
@@ -96,7 +149,7 @@ class _Emitter:
         self.nodes = self._sink(self._hoist_outputs(graph.nodes))
         self.order = _flatten(self.nodes, self.sides)
         self.last = self._last_uses()
-        self.arenas: dict[str, _Arena] = defaultdict(_Arena)
+        self.arenas = _Arenas(plans or {})
         self.places: dict[int, tuple[str, int, int]] = {}
         self.starts: dict[int, int] = {}
         self.offsets: dict[int, list[str]] = {}
@@ -104,8 +157,16 @@ class _Emitter:
         self.lines: list[str] = []
         self.count = 0
 
-    def body(self, outputs: Sequence[str], indent: str) -> list[str]:
-        """All lines."""
+    def arrays(self, indent: str) -> list[str]:
+        """Lines that declare the local arrays, once the others are written."""
+        return [
+            f"{indent}{TYPES[kind]} w_{SHORT[kind]}[{arena.size}];"
+            for kind, arena in sorted(self.arenas.items())
+        ]
+
+    def body(self, indent: str) -> list[str]:
+        """All lines but the local arrays."""
+        outputs = self.outputs
         self.block(self.nodes, indent)
         copies = []
         for node, target in zip(self.graph.outputs, outputs, strict=True):
@@ -123,11 +184,7 @@ class _Emitter:
                 name, start = f"w_{SHORT[kind]}", self.arenas[kind].take(node.size)
                 self.lines += self.copy(node, f"({name} + {start})", indent)
                 copies += _loops((node.size,), [f"{target}[i0] = {name}[{_plus(start, 'i0')}];"], indent)
-        arenas = [
-            f"{indent}{TYPES[kind]} w_{SHORT[kind]}[{arena.size}];"
-            for kind, arena in sorted(self.arenas.items())
-        ]
-        return _drop_unread([*arenas, *self.lines, *copies])
+        return _drop_unread([*self.lines, *copies])
 
     def copy(self, node: Operation, target: str, indent: str) -> list[str]:
         """Lines that write a result to where it belongs."""
@@ -318,6 +375,8 @@ class _Emitter:
                 self.branches(node, indent)
             elif node.op == "loop":
                 self.rounds(node, indent)
+            elif node.op == "call":
+                self.call(node, indent)
             elif node.op == "dynamic_slice":
                 self.start(node, indent)
             elif id(node) in self.own and node.op != "result":
@@ -326,9 +385,9 @@ class _Emitter:
 
     def free(self, position: int) -> None:
         """Give back the arrays that were read for the last time."""
-        for key, (kind, start, size) in list(self.places.items()):
+        for key, (kind, start, _) in list(self.places.items()):
             if self.last.get(key, position) <= position:
-                self.arenas[kind].release(start, size)
+                self.arenas[kind].release(start)
                 del self.places[key]
 
     def store(self, node: Operation, indent: str) -> None:
@@ -411,6 +470,23 @@ class _Emitter:
             self.lines.append(f"{deeper}const {TYPES[each.dtype.name]} {end} = {self.at(each, [])};")
             ends.append(f"{deeper}{name} = {end};")
         self.lines += [*ends, f"{indent}}}"]
+
+    def call(self, node: Operation, indent: str) -> None:
+        """Write the call of a shared function, whose results it writes to variables."""
+        function = node.params["function"]
+        names = [self.variable() for _ in function.outputs]
+        self.lines += [
+            f"{indent}{TYPES[each.dtype.name]} {name};"
+            for name, each in zip(names, function.outputs, strict=True)
+        ]
+        given = [*(self.at(arg, []) for arg in node.args), *(f"&{name}" for name in names)]
+        name, sizes, _ = _shared_function(function, self.tables)
+        lent = {kind: self.arenas[kind].take(size) for kind, size in sizes.items()}
+        given += [f"w_{SHORT[kind]} + {start}" for kind, start in lent.items()]
+        for kind, start in lent.items():
+            self.arenas[kind].release(start)
+        self.lines += wrap(f"{indent}{name}({', '.join(given)});", indent)
+        self.names[id(node)] = "\n".join(names)
 
     def start(self, node: Operation, indent: str) -> None:
         """Write the first index of a slice, kept inside the array."""
@@ -693,6 +769,36 @@ class _Emitter:
         if op == "integer_pow" and 1 <= params["y"] <= 4:
             return f"({' * '.join(values * params['y'])})"
         raise InputError(f"the driver needs the operation {op}, which has no form in C", field="to")
+
+
+def _plan_arrays(graph: Graph, inputs: Sequence[str], outputs: Sequence[str], tables: Tables) -> _Emitter:
+    """Writer of a graph that knows from a first attempt how long each result is needed."""
+    first = _Emitter(graph, inputs, outputs, tables)
+    first.body("")
+    return _Emitter(graph, inputs, outputs, tables, {k: arena.plan() for k, arena in first.arenas.items()})
+
+
+def _shared_function(function: Graph, tables: Tables) -> tuple[str, dict[str, int], Graph]:
+    """The C function of a graph of single numbers: its name, and the entries that its caller lends to it.
+
+    It is written at its first call. Its arrays lie where the caller has room at that moment, so that the
+    stack is not that of both.
+    """
+    if id(function) not in tables.functions:
+        given = [f"a{k}" for k in range(len(function.inputs))]
+        results = [f"r{k}" for k in range(len(function.outputs))]
+        outputs = [f"*{name}" for name in results]
+        emitter = _plan_arrays(function, given, outputs, tables)
+        body = emitter.body("    ")
+        sizes = {kind: arena.size for kind, arena in sorted(emitter.arenas.items())}
+        name = f"f{len(tables.functions)}"
+        words = [f"{TYPES[each.dtype.name]} {k}" for k, each in zip(given, function.inputs, strict=True)]
+        words += [f"{TYPES[each.dtype.name]} *{k}" for k, each in zip(results, function.outputs, strict=True)]
+        words += [f"{TYPES[kind]} *w_{SHORT[kind]}" for kind in sizes]
+        head = wrap(f"static void {name}({', '.join(words)})", "")
+        tables.lines += ["", *head, "{", *body, "}"]
+        tables.functions[id(function)] = name, sizes, function
+    return tables.functions[id(function)]
 
 
 def _convert(value: str, given: np.dtype, dtype: np.dtype) -> str:

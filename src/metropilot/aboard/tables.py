@@ -161,8 +161,9 @@ class Tables:
     """Constant tables of a source file, each stored once.
 
     Attributes:
-        lines: Their definitions.
+        lines: Their definitions, and those of functions that read them.
         bytes: Their size in the object file.
+        functions: Name of each function, entries that its caller lends, and graph, by the identity of this.
     """
 
     def __init__(self) -> None:
@@ -170,6 +171,7 @@ class Tables:
         self.bytes = 0
         self.known: dict[Any, tuple[str, Form]] = {}
         self.written: dict[Any, str] = {}
+        self.functions: dict[int, tuple[str, dict[str, int], Any]] = {}
 
     def at(self, array: np.ndarray, flat: str) -> str:
         """Expression of one entry, a number of the table's own type."""
