@@ -477,14 +477,14 @@ def state_rows(found: Sequence[dict[str, Any]]) -> list[tuple[str, str, str]]:
     ]
 
 
-def measure_analysis(name: str, trainset: str, kind: str, limit_s: float) -> dict[str, Any]:
+def measure_analysis(name: str, trainset: str, kind: str, limit_s: int) -> dict[str, Any]:
     """Findings of analysers in the source of one section, and the processor time that they take.
 
     Args:
         name: Driver.
         trainset: Trainset.
         kind: Number type.
-        limit_s: Longest time of an analyser, s.
+        limit_s: Longest processor time of an analyser, s.
     """
     _, folder = export_driver(
         [load_line(LINE).section("RJ", "WYJ")], "AW2", kind, name=name, trainset=trainset
@@ -493,18 +493,17 @@ def measure_analysis(name: str, trainset: str, kind: str, limit_s: float) -> dic
     for tool, command in ANALYSERS.items():
         version = call(folder, command[0], "--version")[1].splitlines()[0]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        try:
-            done = subprocess.run(
-                [*command, f"{name}.c"],
-                cwd=folder,
-                capture_output=True,
-                text=True,
-                check=False,
-                timeout=limit_s,
-            )
-            said = (done.stdout + done.stderr).strip().splitlines()
-        except subprocess.TimeoutExpired:
-            said = None
+        done = subprocess.run(
+            [*command, f"{name}.c"],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+            preexec_fn=partial(resource.setrlimit, resource.RLIMIT_CPU, (limit_s, limit_s)),
+        )
+        lines = (done.stdout + done.stderr).strip().splitlines()
+        # a process that the limit ended has a signal for a status
+        said = lines if done.returncode >= 0 else None
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         print(name, tool, seconds, said if said is None else said[:5], flush=True)
@@ -571,9 +570,11 @@ def analysis_rows(driver: str, found: dict[str, Any]) -> list[tuple[str, str, st
     """Rows of the analysers of one source."""
     rows = []
     for tool, one in found.items():
-        said, words = one["said"], f"`{driver}`: {tool}, {one['version']}"
-        result = "no end" if said is None else "nothing" if not said else f"{len(said)} lines"
-        rows.append((words, f"{result} in {one['seconds']:.0f} s of processor time", "nothing"))
+        # that it checks one configuration, as it was told, is no finding
+        said = None if one["said"] is None else [line for line in one["said"] if "information:" not in line]
+        words = f"`{driver}`: {tool}, {one['version']}"
+        result = "no end" if said is None else f"{len(said)} lines" if said else "nothing"
+        rows.append((words, f"{result} in {one['seconds']:.1f} s of processor time", "nothing"))
     return rows
 
 
@@ -660,7 +661,7 @@ def main() -> None:
     parser.add_argument("--trainset", default=TRAINSET, help="trainset, of the same; ID@DELAY,LAG")
     parser.add_argument("--count", type=int, help="sections, of drives; all if not given")
     parser.add_argument("--run", type=Path, metavar="FOLDER", help="folder of a run, of folder")
-    parser.add_argument("--limit", type=float, default=300.0, help="longest time of an analyser, s")
+    parser.add_argument("--limit", type=int, default=300, help="longest processor time of an analyser, s")
     parser.add_argument("--second", default=ZIG, metavar="CC", help="second compiler, of build")
     parser.add_argument("--keep", type=Path, required=True, metavar="DIR")
     parser.add_argument("--write", type=Path, metavar="PAGE")

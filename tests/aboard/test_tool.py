@@ -24,6 +24,7 @@ BUILD = {
 ANALYSIS = {
     "clang --analyze": {"version": "14.0.6", "seconds": 12.0, "said": []},
     "cppcheck": {"version": "2.10", "seconds": 300.0, "said": None},
+    "another": {"version": "1", "seconds": 3.0, "said": ["nofile:0:0: information: of itself", "a.c:3: odd"]},
 }
 
 
@@ -51,8 +52,9 @@ def test_the_page_says_what_was_measured_and_when(tool, tmp_path):
         in text
     )
     assert "| clang | clean |" in text
-    assert "| `pid`: clang --analyze, 14.0.6 | nothing in 12 s of processor time | nothing |" in text
-    assert "| `pid`: cppcheck, 2.10 | no end in 300 s of processor time | nothing |" in text
+    assert "| `pid`: clang --analyze, 14.0.6 | nothing in 12.0 s of processor time | nothing |" in text
+    assert "| `pid`: cppcheck, 2.10 | no end in 300.0 s of processor time | nothing |" in text
+    assert "| `pid`: another, 1 | 1 lines in 3.0 s of processor time | nothing |" in text
     assert "load: 0.5 to 2.5; date: 2026-11-25; commit: abc; versions: jax 1." in text
     assert "another commit" not in text
 
