@@ -31,7 +31,9 @@ from metropilot.physics import NAMESPACES, scalars
 
 LAZY = frozenset({"largest_admissible_command"})
 """Functions of which only the way taken is computed: seldom the long one."""
-SHARED: Mapping[str, tuple[int, ...]] = MappingProxyType({"supervise": (0,), "admits_braking": (0,), "required_with_build_up": (5,)})
+SHARED: Mapping[str, tuple[int, ...]] = MappingProxyType(
+    {"supervise": (0,), "admits_braking": (0,), "required_with_build_up": (5,)}
+)
 """Functions that are functions in C too, written once for all calls, and which arguments are constants."""
 MOST_ENTRIES = 16
 """Entries of an array that may be an argument or a result of one of them."""
