@@ -5,9 +5,11 @@
     python tools/aboard.py folder --run FOLDER --keep DIR    # the rows of a run's folder driven again
     python tools/aboard.py supervisor --keep DIR             # 10 million states; --seed, --states for batches
     python tools/aboard.py build --keep DIR                  # compilers, sanitizers, time; --driver, --number
+    python tools/aboard.py analyse --driver pid --keep DIR   # clang --analyze and cppcheck; --limit
     python tools/aboard.py page --keep DIR --write docs/howto/controller.md
 
-Each part takes a few minutes and keeps its numbers in a folder, from which the last writes the table.
+Each part takes a few minutes and keeps its numbers in a folder, with the commit, the date and the load of the
+machine; from these the last writes the tables, and names the parts that were measured at another commit.
 """
 
 from __future__ import annotations
@@ -15,10 +17,13 @@ from __future__ import annotations
 import argparse
 import ctypes
 import json
+import os
 import re
+import resource
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import mkdtemp
@@ -44,6 +49,9 @@ from metropilot.railway import Section, load_line, load_trainset
 from metropilot.sim import AbstractDriver, Rollout, Run, Trajectory
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+from benchmarks.report import circumstances, write_section  # noqa: E402
+
 LINE, TRAINSET, DRIVER = "yizhuang", "dkz32", "generalist"
 STATES, CHUNK = 10_000_000, 200_000
 MARGIN_MPS = 2e-3
@@ -52,6 +60,11 @@ STEPS = 1_000_000
 WITHOUT_NETWORK = ("eitoe", "pid")
 COMMANDS = (1.0, 0.5, 0.0, -0.3, -1.0, 3.0, -7.0, float("inf"), float("-inf"), float("nan"))
 ZIG = f"{sys.executable} -m ziglang cc"
+ANALYSERS = {
+    "clang --analyze": ("clang", "--analyze", "-Xclang", "-analyzer-output=text", "-std=c99"),
+    "cppcheck": ("cppcheck", "--max-configs=1", "--enable=warning,portability", "--std=c99", "--quiet"),
+}
+"""Analysers of the source, as commands; what they print is what they find."""
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 MANY = """
 #include "@NAME@.h"
@@ -347,7 +360,7 @@ def call(folder: Path, *command: str) -> tuple[bool, str]:
 
 def stack_bytes(text: str, name: str) -> int:
     """Stack of a step from the report of gcc: step, the larger of what it calls, and all that these call."""
-    used = {m[1]: int(m[2]) for m in re.finditer(r":(\w+)\t(\d+)\t", text)}
+    used = {m[1]: int(m[2]) for m in re.finditer(r":(\w+)[.\w]*\t(\d+)\t", text)}
     large = (f"{name}_step", "decide", f"{name}_supervise")
     helpers = sum(size for function, size in used.items() if function not in large)
     return used[large[0]] + max(used.get("decide", 0), used[large[2]]) + helpers
@@ -369,6 +382,7 @@ def measure_build(name: str, trainset: str, number: str, second: str) -> dict[st
     pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (vectors, us, wall_us, switched)]
     driver.library.clocked(ctypes.c_int64(STEPS), ctypes.c_int64(len(vectors)), *pointers)
     print(number, np.median(us), us.max(), np.median(wall_us), wall_us.max(), switched.sum(), flush=True)
+    whole = us[: STEPS - STEPS % len(vectors)].reshape(-1, len(vectors))
     write_driver(driver.program, folder)
     (folder / "hostile.c").write_text(HOSTILE.replace("@NAME@", name))
     builds = {}
@@ -388,6 +402,7 @@ def measure_build(name: str, trainset: str, number: str, second: str) -> dict[st
         "median_us": float(np.median(us)),
         "p999_us": float(np.quantile(us, 0.999)),
         "worst_us": float(us.max()),
+        "slowest_us": float(np.median(whole, axis=0).max()),
         "alone_worst_us": float(us[~switched].max()),
         "switched": int(switched.sum()),
         "wall_p999_us": float(np.quantile(wall_us, 0.999)),
@@ -462,39 +477,155 @@ def state_rows(found: Sequence[dict[str, Any]]) -> list[tuple[str, str, str]]:
     ]
 
 
-def build_rows(name: str, number: str, build: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Rows of a build."""
-    said = f"`{name}` in `{number}`: "
-    built = ", ".join(name for name, good in build["builds"].items() if good)
-    return [
-        (f"{said}processor time of a period, median of {STEPS:,}", f"{build['median_us']:.0f} µs", "100 µs"),
-        (
-            f"{said}99.9 %; worst of the periods in which no other program was let in; worst of all",
-            f"{build['p999_us']:.0f} µs; {build['alone_worst_us']:,.0f} µs; {build['worst_us']:,.0f} µs",
-            "200 µs",
-        ),
-        (
-            f"{said}by the clock on the wall, the {build['switched']:,} periods with other programs included",
-            f"{build['wall_p999_us']:.0f} µs; {build['wall_worst_us']:,.0f} µs",
-            "–",
-        ),
-        (f"{said}object file, network included", f"{build['object_bytes'] / 1e3:.0f} kB", "300 kB"),
-        (f"{said}stack", f"{build['stack_bytes'] / 1e3:.1f} kB", "16 kB"),
-        (f"{said}no warning, test vectors right", built, "two compilers"),
-        (
-            f"{said}address and undefined-behaviour sanitizers",
-            "clean" if build["sanitized"] else "no",
-            "clean",
-        ),
-    ]
+def measure_analysis(name: str, trainset: str, kind: str, limit_s: int) -> dict[str, Any]:
+    """Findings of analysers in the source of one section, and the processor time that they take.
+
+    Args:
+        name: Driver.
+        trainset: Trainset.
+        kind: Number type.
+        limit_s: Longest processor time of an analyser, s.
+    """
+    _, folder = export_driver(
+        [load_line(LINE).section("RJ", "WYJ")], "AW2", kind, name=name, trainset=trainset
+    )
+    found = {}
+    for tool, command in ANALYSERS.items():
+        version = call(folder, command[0], "--version")[1].splitlines()[0]
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        done = subprocess.run(
+            [*command, f"{name}.c"],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+            preexec_fn=partial(resource.setrlimit, resource.RLIMIT_CPU, (limit_s, limit_s)),
+        )
+        lines = (done.stdout + done.stderr).strip().splitlines()
+        # a process that the limit ended has a signal for a status
+        said = lines if done.returncode >= 0 else None
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        print(name, tool, seconds, said if said is None else said[:5], flush=True)
+        found[tool] = {
+            "version": re.sub(r"[^.\d]*([.\d]+).*", r"\1", version),
+            "seconds": seconds,
+            "said": said,
+        }
+    return found
+
+
+BUILD_HEADS = (
+    "driver",
+    "trainset",
+    "number",
+    "object file, network included",
+    "stack",
+    "median",
+    "slowest place",
+    "99.9 %",
+    "worst undisturbed",
+    "worst of all",
+    "by the wall, 99.9 %; worst",
+    "no warning, vectors right",
+    "sanitizers",
+)
+WANTED = (
+    "wanted",
+    "",
+    "",
+    "300 kB",
+    "16 kB",
+    "100 µs",
+    "–",
+    "–",
+    "200 µs",
+    "–",
+    "–",
+    "two compilers",
+    "clean",
+)
+
+
+def build_row(driver: str, trainset: str, number: str, build: dict[str, Any]) -> tuple[str, ...]:
+    """Row of a build."""
+    return (
+        f"`{driver}`",
+        trainset,
+        number,
+        f"{build['object_bytes'] / 1e3:.0f} kB",
+        f"{build['stack_bytes'] / 1e3:.1f} kB",
+        f"{build['median_us']:.0f} µs",
+        f"{build['slowest_us']:.0f} µs",
+        f"{build['p999_us']:.0f} µs",
+        f"{build['alone_worst_us']:,.0f} µs",
+        f"{build['worst_us']:,.0f} µs",
+        f"{build['wall_p999_us']:.0f} µs; {build['wall_worst_us']:,.0f} µs",
+        ", ".join(name for name, good in build["builds"].items() if good),
+        "clean" if build["sanitized"] else "no",
+    )
+
+
+def analysis_rows(driver: str, found: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Rows of the analysers of one source."""
+    rows = []
+    for tool, one in found.items():
+        # that it checks one configuration, as it was told, is no finding
+        said = None if one["said"] is None else [line for line in one["said"] if "information:" not in line]
+        words = f"`{driver}`: {tool}, {one['version']}"
+        result = "no end" if said is None else f"{len(said)} lines" if said else "nothing"
+        rows.append((words, f"{result} in {one['seconds']:.1f} s of processor time", "nothing"))
+    return rows
+
+
+def read_parts(kept: Path) -> tuple[dict[str, Any], dict[str, dict[str, str]]]:
+    """Values and circumstances of each part, by its name.
+
+    Raises:
+        SystemExit: A part does not say how it was measured, or there is none.
+    """
+    values, about = {}, {}
+    for path in sorted(kept.glob("*.json")):
+        part = json.loads(path.read_text())
+        if set(part) != {"circumstances", "values"}:
+            sys.exit(f"{path}: does not say at which commit it was measured; measure it again")
+        values[path.stem], about[path.stem] = part["values"], part["circumstances"]
+    if not values:
+        sys.exit(f"{kept}: nothing was measured")
+    return values, about
+
+
+def describe_circumstances(about: Mapping[str, Mapping[str, str]]) -> str:
+    """Sentence on the circumstances: dates and loads of all parts, the commit, and parts of another one."""
+    by_commit = defaultdict(list)
+    for name, one in about.items():
+        by_commit[one["commit"]].append(name)
+    most, *others = sorted(by_commit, key=lambda commit: -len(by_commit[commit]))
+    loads = sorted(float(one["load"]) for one in about.values())
+    dates = sorted({one["date"] for one in about.values()})
+    said = {
+        "machine": " and ".join(sorted({one["machine"] for one in about.values()})),
+        "load": f"{loads[0]:.1f} to {loads[-1]:.1f}",
+        "date": dates[0] if len(dates) == 1 else f"{dates[0]} to {dates[-1]}",
+        "commit": most,
+        "versions": " and ".join(sorted({one["versions"] for one in about.values()})),
+    }
+    text = f"Measured on {'; '.join(f'{key}: {value}' for key, value in said.items())}."
+    if others:
+        words = "; ".join(f"{commit}: {', '.join(by_commit[commit])}" for commit in others)
+        text += f" **Parts of another commit**: {words}."
+    return text
+
+
+def format_table(heads: Sequence[str], rows: Sequence[Sequence[str]], texts: int = 1) -> list[str]:
+    """Lines of a table, the first columns texts."""
+    rule = "|" + "---|" * texts + "---:|" * (len(heads) - texts)
+    return [f"| {' | '.join(heads)} |", rule, *(f"| {' | '.join(row)} |" for row in rows)]
 
 
 def page(kept: Path) -> str:
-    """The table of what was kept."""
-    sys.path.insert(0, str(ROOT))
-    from benchmarks.report import circumstances
-
-    values = {path.stem: json.loads(path.read_text()) for path in sorted(kept.glob("*.json"))}
+    """The tables of what was kept."""
+    values, about = read_parts(kept)
     rows = []
     drives = [name for name in values if name.startswith("drives-")]
     for driver, trainset in sorted({tuple(name.split("-")[1:3]) for name in drives}):
@@ -503,38 +634,39 @@ def page(kept: Path) -> str:
     rows += folder_rows([value for name, value in values.items() if name.startswith("folder-")])
     if states := [value for name, value in values.items() if name.startswith("supervisor")]:
         rows += state_rows(states)
+    for name in sorted(name for name in values if name.startswith("analyse-")):
+        _, driver, trainset, _ = name.split("-", 3)
+        said = driver if trainset == TRAINSET else f"{driver} aboard {trainset}"
+        rows += analysis_rows(said, values[name])
+    builds = []
     for name in sorted(name for name in values if name.startswith("build-")):
         _, driver, trainset, number = name.split("-", 3)
-        said = driver if trainset == TRAINSET else f"{driver} aboard {trainset}"
-        rows += build_rows(said, number, values[name])
-    lines = ["| what: largest difference or amount | measured | wanted |", "|---|---:|---:|"]
-    lines += [f"| {' | '.join(row)} |" for row in rows]
-    about = "; ".join(f"{k}: {v}" for k, v in circumstances(("jax", "numpy")).items())
-    said = f"{LINE} with {TRAINSET}; `{DRIVER}` for states, and one section for these and builds."
-    return "\n".join([*lines, "", f"{said} Measured on {about}."])
+        builds.append(build_row(driver, trainset, number, values[name]))
+    lines = format_table(("what: largest difference or amount", "measured", "wanted"), rows)
+    lines += ["", *format_table(BUILD_HEADS, [*builds, WANTED], 3), ""]
+    said = f"{LINE} with {TRAINSET}; `{DRIVER}` for states, and one section for these, builds and analysers."
+    return "\n".join([*lines, f"{said} {describe_circumstances(about)}"])
 
 
 def main() -> None:
     """Measure one part, or write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("part", choices=("drives", "folder", "supervisor", "build", "page"))
+    parser.add_argument("part", choices=("drives", "folder", "supervisor", "build", "analyse", "page"))
     parser.add_argument("--load", default="AW2", help="load aboard, of drives")
     parser.add_argument("--way", default="forward", help="forward or backward, of drives")
-    parser.add_argument("--number", default="double", help="number type, of drives and build")
+    parser.add_argument("--number", default="double", help="number type, of the same")
     parser.add_argument("--states", type=int, default=STATES, help="states, of the supervisor")
     parser.add_argument("--seed", type=int, default=2026, help="seed of the states")
-    parser.add_argument("--driver", default=DRIVER, help="driver, of drives and build")
+    parser.add_argument("--driver", default=DRIVER, help="driver, of drives, build and analyse")
     parser.add_argument("--trainset", default=TRAINSET, help="trainset, of the same; ID@DELAY,LAG")
     parser.add_argument("--count", type=int, help="sections, of drives; all if not given")
     parser.add_argument("--run", type=Path, metavar="FOLDER", help="folder of a run, of folder")
+    parser.add_argument("--limit", type=int, default=300, help="longest processor time of an analyser, s")
     parser.add_argument("--second", default=ZIG, metavar="CC", help="second compiler, of build")
     parser.add_argument("--keep", type=Path, required=True, metavar="DIR")
     parser.add_argument("--write", type=Path, metavar="PAGE")
     options = parser.parse_args()
     if options.part == "page":
-        sys.path.insert(0, str(ROOT))
-        from benchmarks.report import write_section
-
         write_section(options.write, "aboard", page(options.keep))
         return
     measures = {
@@ -544,16 +676,21 @@ def main() -> None:
         "folder": lambda: measure_folder(options.run),
         "supervisor": lambda: measure_supervisor(options.states, options.seed),
         "build": lambda: measure_build(options.driver, options.trainset, options.number, options.second),
+        "analyse": lambda: measure_analysis(options.driver, options.trainset, options.number, options.limit),
     }
     more = {
         "drives": f"-{options.driver}-{options.trainset}-{options.load}-{options.way}-{options.number}",
         "folder": f"-{options.run.name}" if options.run else "",
         "supervisor": f"-{options.seed}",
-        "build": f"-{options.driver}-{options.trainset}-{options.number}",
+        **dict.fromkeys(("build", "analyse"), f"-{options.driver}-{options.trainset}-{options.number}"),
     }
     name = options.part + more.get(options.part, "")
     options.keep.mkdir(parents=True, exist_ok=True)
-    (options.keep / f"{name}.json").write_text(json.dumps(measures[options.part]()))
+    # before it runs, so that the load is that of others, and the commit that of the code which runs
+    about = circumstances(("jax", "numpy"))
+    about |= {"load": f"{os.getloadavg()[0]:.1f}", "machine": about["machine"].rpartition(", load")[0]}
+    part = {"circumstances": about, "values": measures[options.part]()}
+    (options.keep / f"{name}.json").write_text(json.dumps(part))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """The C of a graph computes what JAX computes, for every operation that drivers use."""
 
 import ctypes
+import re
 import shutil
 import subprocess
 
@@ -78,7 +79,7 @@ EXACT = (
 def header(text, tables):
     """Text that comes before functions."""
     include = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n"
-    return "\n".join([include + preamble(text), *tables.lines, ""])
+    return "\n".join([include + preamble("\n".join([text, *tables.lines])), *tables.lines, ""])
 
 
 def compile_c(folder, text):
@@ -148,6 +149,34 @@ def test_equal_arrays_of_two_tables_are_stored_once():
     longer = np.append(RUNS, np.full(300, RUNS[-1]))
     assert tables.at(longer, "i").startswith("t0[run_of(t1_begins, ")
     assert tables.bytes - before < 300
+
+
+LONG = np.cos(np.arange(64.0))
+MEMORIES = {
+    "in place": (lambda m, x: (m * x[0] + x[1], x[2]), 0),
+    "turned": (lambda m, x: (m[::-1] + x[0], m[3]), 64),
+    "read later": (lambda m, x: (m + x[0], (m * x[1]).sum() + jnp.exp(m[::-1].max())), 64),
+    "kept": (lambda m, x: (jnp.where(x[2] > 0.0, m - jnp.exp(m) * x[1], m), x[0]), 0),
+    "sum of the next": (lambda m, x: (next_ := jnp.exp(m) * x[0], (next_[1:] - next_[:-1]).max()), 0),
+    "read by both": (lambda m, x: ((last := jnp.tanh(m)) + last[::-1], last.sum() + m[0]), 64),
+}
+
+
+@pytest.mark.parametrize("name", MEMORIES)
+def test_a_memory_is_written_where_it_belongs_once_nothing_reads_it(tmp_path, name):
+    function, most = MEMORIES[name]
+    tables, memory, out = Tables(), LONG.copy(), np.zeros(1)
+    with double_precision(), jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
+        graph = trace_graph(function, jnp.asarray(LONG), jnp.asarray(X))
+        expected = [np.asarray(each) for each in function(jnp.asarray(LONG), jnp.asarray(X))]
+        body = "\n".join(emit_body(graph, ["m", "x"], ["m", "*out"], tables))
+    text = "void f(double *m, const double *x, double *out);\n"
+    text += f"void f(double *m, const double *x, double *out)\n{{\n    (void)x;\n{body}\n}}\n"
+    library = compile_c(tmp_path, header(text, tables) + text)
+    library.f(*(each.ctypes.data_as(ctypes.c_void_p) for each in (memory, X, out)))
+    np.testing.assert_allclose(memory, expected[0], rtol=1e-14, atol=1e-14)
+    np.testing.assert_allclose(out[0], expected[1], rtol=1e-13)
+    assert sum(map(int, re.findall(r"double w_f64\[(\d+)\]", body))) == most
 
 
 def test_what_has_no_form_in_c_is_refused_by_name():

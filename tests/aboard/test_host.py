@@ -12,7 +12,14 @@ import pytest
 from tests.aboard.test_emit import compile_c, header
 from tests.commands import answer as run_command
 
-from metropilot.aboard import compile_driver, drive_compiled, exportable, trace_driver, write_driver
+from metropilot.aboard import (
+    branching,
+    compile_driver,
+    drive_compiled,
+    exportable,
+    trace_driver,
+    write_driver,
+)
 from metropilot.aboard.branching import BranchTracer
 from metropilot.aboard.emit import emit_body
 from metropilot.aboard.graph import Graph, drop_unused
@@ -134,6 +141,21 @@ def arrays(x, y):
 def chained(x, y):
     both = 0.0 < x < 2.0 and not y < 0.0 or x == y
     return round(x) + round(2.5 * y) if both else x // 1.0 + x % 1.0
+
+
+def weigh(weights, x, pair, row):
+    if x > pair[0]:
+        return weights[0] * x + row.sum(), (pair[1], x), row * x
+    return weights[1] - row[1], (x, 2.0), row + pair[1]
+
+
+def calls(x, y):
+    row = np.array([1.0, -2.0, 3.0]) * y
+    first, pair, after = weigh((2.0, 3.0), x, (y, 1.0), row)
+    second, other, last = weigh((2.0, 3.0), first, pair, after)
+    third = weigh((2.0, 3.0), -1.0, other, last)[0] if second > 0.0 else 0.5
+    fourth = weigh((5.0, 4.0), x, other, 0.5 * row)[0]
+    return first + second * third - fourth + last.max()
 """
 POINTS = [
     (x, y) for x in (-1.5, -0.5, 0.0, 0.3, 0.5, 1.0, 1.7, 2.5, 7.0) for y in (-2.0, 0.0, 0.2, 0.6, 1.0, 3.4)
@@ -147,8 +169,9 @@ def branches():
     return module
 
 
-@pytest.mark.parametrize("name", ["interpolate", "early", "least", "arrays", "chained"])
-def test_every_way_through_a_function_is_in_the_graph(tmp_path, branches, name):
+@pytest.mark.parametrize("name", ["interpolate", "early", "least", "arrays", "chained", "calls"])
+def test_every_way_through_a_function_is_in_the_graph(tmp_path, monkeypatch, branches, name):
+    monkeypatch.setattr(branching, "SHARED", {"weigh": (0,)})
     function = getattr(branches, name)
 
     def call(x, y):
@@ -171,6 +194,12 @@ def test_every_way_through_a_function_is_in_the_graph(tmp_path, branches, name):
     compute.restype, compute.argtypes = ctypes.c_double, [ctypes.c_double] * 2
     for x_, y_ in POINTS:
         assert compute(x_, y_) == float(call(x_, y_)), (x_, y_)
+    if name == "calls":
+        # once for each of its constants
+        written = "\n".join(tables.lines)
+        assert written.count("static void f") == 2
+        assert body.count("f0(") == 3
+        assert body.count("f1(") == 1
     # and the module is as it was
     assert "min" not in vars(branches)
 

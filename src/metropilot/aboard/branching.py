@@ -15,21 +15,28 @@ from __future__ import annotations
 import builtins
 import inspect
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cached_property, partial, wraps
 from math import prod
-from types import FunctionType, ModuleType
+from types import FunctionType, MappingProxyType, ModuleType
 from typing import Any, cast
 
 import numpy as np
 
-from metropilot.aboard.graph import Branch, Builder, Operation, Scope, drop_unused
+from metropilot.aboard.graph import Branch, Builder, Graph, Operation, Scope, drop_unused, operands
 from metropilot.errors import InputError
 from metropilot.physics import NAMESPACES, scalars
 
 LAZY = frozenset({"largest_admissible_command"})
 """Functions of which only the way taken is computed: seldom the long one."""
+SHARED: Mapping[str, tuple[int, ...]] = MappingProxyType(
+    {"supervise": (0,), "admits_braking": (0,), "required_with_build_up": (5,)}
+)
+"""Functions that are functions in C too, written once for all calls, and which arguments are constants."""
+MOST_ENTRIES = 16
+"""Entries of an array that may be an argument or a result of one of them."""
 MOST_QUESTIONS = 14
 """Branches that one way through a function may have; its ways are up to two to this power."""
 UNTOUCHED = frozenset({"_replace", "_make", "_asdict"})
@@ -217,6 +224,8 @@ class BranchTracer:
         self.builder = Builder()
         self.programs: dict[Any, Any] = {}
         self.known: list[dict[int, bool]] = [{}]
+        self.shared: dict[Any, Any] = {}
+        """Functions that calls share: graph, numbers used, answer."""
         self.alive: list[Any] = []
         """What is known by its ``id``, so that none is given anew."""
         NAMESPACES[Symbol] = _Namespace(self)
@@ -414,6 +423,81 @@ class BranchTracer:
         rest = iter(first)
         return _map(lambda _: next(rest), state)
 
+    def share(self, function: FunctionType, given: tuple[Any, ...], *, lazy: bool) -> Any:  # noqa: ANN401 (a tree)
+        """Result of a call of a function that is one in C too; None: of these arguments it is not."""
+        fixed = SHARED[function.__name__]
+        rest = [each for k, each in enumerate(given) if k not in fixed]
+        leaves = [each for each in _leaves(rest) if _is_number(each)]
+        if any(np.ndim(each) > 1 or np.size(each) > MOST_ENTRIES for each in leaves):
+            return None
+        symbols = [each if isinstance(each, Symbol) else self.constant(each) for each in leaves]
+        numbers = [entry for each in symbols for entry in _entries(each)]
+        forms = iter(f"{each.dtype.name}{list(each.shape)}" for each in symbols)
+        form = _map(lambda each: next(forms) if _is_number(each) else each, rest)
+        key = function.__qualname__, _key([each for k, each in enumerate(given) if k in fixed]), _key(form)
+        if key not in self.shared:
+            self.shared[key] = self._write_shared(function, given, symbols, lazy=lazy)
+        if (known := self.shared[key]) is None:
+            return None
+        graph, used, tree = known
+        results = [Symbol(self, each) for each in self.builder.call(graph, [numbers[k].node for k in used])]
+
+        def put(each: Any) -> Any:  # noqa: ANN401 (a result)
+            if not isinstance(each, _Entries):
+                return each
+            found = [results[k] if isinstance(k, int) else k for k in each.places]
+            return self.apply("stack", found) if each.is_array else found[0]
+
+        return _map(put, tree)
+
+    def _write_shared(
+        self, function: FunctionType, given: tuple[Any, ...], symbols: Sequence[Symbol], *, lazy: bool
+    ) -> tuple[Graph, list[int], Any] | None:
+        """Graph of a function, which of the numbers given it needs, and its answer made of its results."""
+        fixed, inputs = SHARED[function.__name__], []
+        scopes, known = self.builder.scopes, self.known
+        self.builder.scopes, self.known = [Scope()], [{}]
+        try:
+            arguments = []
+            for each in symbols:
+                entries = [Symbol(self, Operation("input", (), (), each.dtype)) for _ in range(each.size)]
+                inputs += [entry.node for entry in entries]
+                arguments.append(self.apply("stack", entries) if each.ndim else entries[0])
+            left = iter(arguments)
+            call = [
+                each if k in fixed else _map(lambda one: next(left) if _is_number(one) else one, each)
+                for k, each in enumerate(given)
+            ]
+            self.alive.append(call)
+            answer = self.run(lambda: function(*call), function.__qualname__, lazy=lazy)
+            outputs: list[Operation] = []
+
+            def mark(each: Any) -> Any:  # noqa: ANN401 (a result)
+                if not isinstance(each, Symbol) or each.node.op == "const":
+                    return each
+                places: list[int | Symbol] = []
+                for entry in _entries(each):
+                    if entry.node.op != "const":
+                        outputs.append(entry.node)
+                    places.append(entry if entry.node.op == "const" else len(outputs) - 1)
+                return _Entries(places, each.ndim > 0)
+
+            if any(isinstance(each, Symbol) and each.ndim > 1 for each in _leaves(answer)):
+                return None
+            tree = _map(mark, answer)
+            nodes = drop_unused(self.builder.scopes[0].nodes, outputs)
+        finally:
+            self.builder.scopes, self.known = scopes, known
+        needed = {id(arg): arg for node in nodes for arg in operands(node)} | {
+            id(each): each for each in outputs
+        }
+        inside = {*map(id, nodes), *map(id, inputs)}
+        if any(each.op != "const" and number not in inside for number, each in needed.items()):
+            # it takes something from elsewhere
+            return None
+        used = [k for k, each in enumerate(inputs) if id(each) in needed]
+        return Graph([inputs[k] for k in used], outputs, nodes), used, tree
+
     def _kind(self, a: Any, b: Any) -> np.dtype:  # noqa: ANN401 (numbers)
         """Number type of a choice."""
         first, second = ((each if isinstance(each, Symbol) else self.constant(each)).dtype for each in (a, b))
@@ -511,7 +595,14 @@ class BranchTracer:
 
             key = plain.__qualname__, _key((given, tuple(sorted(options.items()))))
             self.alive.append((given, options))
-            return self.remember(key, found)
+            if plain.__name__ not in SHARED or options:
+                return self.remember(key, found)
+
+            def shared() -> Any:  # noqa: ANN401 (anything)
+                answer = self.share(plain, given, lazy=lazy)
+                return found() if answer is None else answer
+
+            return self.remember(key, shared)
 
         return call
 
@@ -586,6 +677,14 @@ class _Mathematics:
             return found.astype(np.int32) if name in {"ceil", "floor"} else found
 
         return call if callable(known) else known
+
+
+@dataclass(frozen=True)
+class _Entries:
+    """Entries of a result of a shared function: their numbers among its results, or constants."""
+
+    places: list[int | Symbol]
+    is_array: bool
 
 
 class _Hole:

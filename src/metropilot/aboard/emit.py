@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import prod
 from types import MappingProxyType
 from typing import Any
@@ -37,6 +38,8 @@ ELEMENTWISE = frozenset(
     | {"round", "select_n", "clamp", "convert_element_type", "iota", "square", "logistic"}
 )
 REDUCTIONS = MappingProxyType({"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min"})
+ARRAY, LEAST, CHEAP = 32, 16, 24
+"""An array from this size on is computed anew for each reader if that takes few operations, one or all."""
 LOGICAL_REDUCTIONS = MappingProxyType({"reduce_and": "and", "reduce_or": "or"})
 
 
@@ -48,47 +51,105 @@ def emit_body(
     Args:
         graph: The graph.
         inputs: Lvalue of each input, an array where the input is not a single number.
-        outputs: Lvalue of each output; written last, so that they may be inputs too.
+        outputs: Lvalue of each output, which may be that of an input too: it is written when no operation
+            reads the input any more.
         tables: Constant tables of the file.
         indent: Indentation.
 
     Raises:
         InputError: An operation has no form in C.
     """
-    return _Emitter(graph, inputs, tables).body(outputs, indent)
+    emitter = _plan_arrays(graph, inputs, outputs, tables)
+    body = emitter.body(indent)
+    return [*emitter.arrays(indent), *body]
 
 
 class _Arena:
-    """Local array of one number type that results share, each for as long as it is needed."""
+    """Local array of one number type that results share, each for as long as it is needed.
 
-    def __init__(self) -> None:
-        self.size = 0
-        self.taken: list[tuple[int, int]] = []
+    Args:
+        plan: Place of each result in the order in which they are needed; None: the first that is free.
+    """
+
+    def __init__(self, plan: Sequence[int] | None = None) -> None:
+        self.size = self.moment = 0
+        self.planned = plan
+        self.starts: list[int] = []
+        self.taken: dict[int, int] = {}
+        self.spans: list[tuple[int, int, int]] = []
+        """Size of each result, and the moments from which on and up to which it is needed."""
 
     def take(self, size: int) -> int:
         start = 0
-        for first, count in sorted(self.taken):
-            if start + size <= first:
-                break
-            start = max(start, first + count)
-        self.taken.append((start, size))
+        if self.planned is None:
+            for first, number in sorted(self.taken.items()):
+                if start + size <= first:
+                    break
+                start = max(start, first + self.spans[number][0])
+        else:
+            start = self.planned[len(self.spans)]
+        self.taken[start] = len(self.spans)
+        self.starts.append(start)
+        self.moment += 1
+        self.spans.append((size, self.moment, sys.maxsize))
         self.size = max(self.size, start + size)
         return start
 
-    def release(self, start: int, size: int) -> None:
-        self.taken.remove((start, size))
+    def release(self, start: int) -> None:
+        number = self.taken.pop(start)
+        size, first, _ = self.spans[number]
+        self.spans[number] = size, first, self.moment
+
+    def plan(self) -> list[int]:
+        """Places for the same results in less room: the largest first, each as low as it fits."""
+        places: dict[int, int] = {}
+        for number in sorted(range(len(self.spans)), key=lambda k: (-self.spans[k][0], k)):
+            size, first, last = self.spans[number]
+            start = 0
+            others = ((place, self.spans[other]) for other, place in places.items())
+            meanwhile = sorted((place, one[0]) for place, one in others if one[1] <= last and first <= one[2])
+            for place, length in meanwhile:
+                if place < start + size:
+                    start = max(start, place + length)
+            places[number] = start
+        least = max((start + self.spans[number][0] for number, start in places.items()), default=0)
+        return [places[k] for k in range(len(self.spans))] if least < self.size else self.starts
+
+
+class _Arenas(dict[str, _Arena]):
+    """Local arrays by their number types, each made when it is needed."""
+
+    def __init__(self, plans: Mapping[str, Sequence[int]]) -> None:
+        super().__init__()
+        self.plans = plans
+
+    def __missing__(self, kind: str) -> _Arena:
+        self[kind] = _Arena(self.plans.get(kind))
+        return self[kind]
 
 
 class _Emitter:
     """Writer of one function's body."""
 
-    def __init__(self, graph: Graph, inputs: Sequence[str], tables: Tables) -> None:
-        self.graph, self.tables = graph, tables
+    def __init__(
+        self,
+        graph: Graph,
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        tables: Tables,
+        plans: Mapping[str, Sequence[int]] | None = None,
+    ) -> None:
+        self.graph, self.tables, self.outputs = graph, tables, outputs
+        self.sides: dict[int, list[Operation]] = {}
+        """Operations of the sides of choices and loops in the order of their statements, by their results."""
         self.names: dict[int, str] = {id(node): name for node, name in zip(graph.inputs, inputs, strict=True)}
+        self.targets = self._find_targets(outputs)
         self.order = _flatten(graph.nodes)
         self.own = self._own_variables()
+        self.nodes = self._sink(self._hoist_outputs(graph.nodes))
+        self.order = _flatten(self.nodes, self.sides)
         self.last = self._last_uses()
-        self.arenas: dict[str, _Arena] = defaultdict(_Arena)
+        self.arenas = _Arenas(plans or {})
         self.places: dict[int, tuple[str, int, int]] = {}
         self.starts: dict[int, int] = {}
         self.offsets: dict[int, list[str]] = {}
@@ -96,17 +157,34 @@ class _Emitter:
         self.lines: list[str] = []
         self.count = 0
 
-    def body(self, outputs: Sequence[str], indent: str) -> list[str]:
-        """All lines."""
-        self.block(self.graph.nodes, indent)
-        copies = []
-        for node, target in zip(self.graph.outputs, outputs, strict=True):
-            copies += self.copy(node, target, indent)
-        arenas = [
+    def arrays(self, indent: str) -> list[str]:
+        """Lines that declare the local arrays, once the others are written."""
+        return [
             f"{indent}{TYPES[kind]} w_{SHORT[kind]}[{arena.size}];"
             for kind, arena in sorted(self.arenas.items())
         ]
-        return _drop_unread([*arenas, *self.lines, *copies])
+
+    def body(self, indent: str) -> list[str]:
+        """All lines but the local arrays."""
+        outputs = self.outputs
+        self.block(self.nodes, indent)
+        copies = []
+        for node, target in zip(self.graph.outputs, outputs, strict=True):
+            if node.size > 1 and self.names.get(id(node)) == target:
+                continue
+            base, kind = _base(node), node.dtype.name
+            if base.op != "input" or self.names[id(base)] not in {*outputs} - {target}:
+                copies += self.copy(node, target, indent)
+            elif node.shape == ():
+                # what it is a part of may be written before
+                name = self.variable()
+                self.lines.append(f"{indent}const {TYPES[kind]} {name} = {self.at(node, [])};")
+                copies.append(f"{indent}{target} = {name};")
+            else:
+                name, start = f"w_{SHORT[kind]}", self.arenas[kind].take(node.size)
+                self.lines += self.copy(node, f"({name} + {start})", indent)
+                copies += _loops((node.size,), [f"{target}[i0] = {name}[{_plus(start, 'i0')}];"], indent)
+        return _drop_unread([*self.lines, *copies])
 
     def copy(self, node: Operation, target: str, indent: str) -> list[str]:
         """Lines that write a result to where it belongs."""
@@ -117,6 +195,111 @@ class _Emitter:
         return _loops(node.shape, [f"{target}[{flat}] = {value};"], indent)
 
     # ---------------------------------------------------------------------------------------- what is stored
+    def _find_targets(self, outputs: Sequence[str]) -> dict[int, tuple[Operation, str]]:
+        """Arrays that may be computed where they belong: the input that is there before, and its lvalue."""
+        inputs = {self.names[id(node)]: node for node in self.graph.inputs}
+        count = Counter(map(id, self.graph.outputs))
+        return {
+            id(node): (inputs[target], target)
+            for node, target in zip(self.graph.outputs, outputs, strict=True)
+            if node.size > 1 and count[id(node)] == 1 and target in inputs
+        }
+
+    def _hoist_outputs(self, nodes: Sequence[Operation]) -> list[Operation]:
+        """The operations, arrays of outputs as early as they can be computed: so they need no other place."""
+        known = {id(node) for node in self.graph.inputs}
+        late = [node for node in nodes if id(node) in self.targets]
+        found: list[Operation] = []
+        for node in nodes:
+            if id(node) in known:
+                continue
+            found.append(node)
+            known.add(id(node))
+            for each in [one for one in late if id(one) not in known]:
+                if all(arg.op == "const" or id(arg) in known for arg in operands(each)):
+                    found.append(each)
+                    known.add(id(each))
+        return found
+
+    def _sink(self, nodes: Sequence[Operation]) -> list[Operation]:
+        """The operations of a block; an array larger than what it is made of only where it is needed."""
+        waiting: dict[int, Operation] = {}
+        found: list[Operation] = []
+
+        def write(node: Operation) -> None:
+            for arg in operands(node):
+                if id(arg) in waiting:
+                    write(waiting.pop(id(arg)))
+            found.append(node)
+
+        for node in nodes:
+            for side in node.params.get("sides", ()):
+                self.sides[id(side)] = self._sink(side.nodes)
+            if self._may_wait(node):
+                waiting[id(node)] = node
+            else:
+                write(node)
+        while waiting:
+            write(waiting.pop(next(iter(waiting))))
+        return found
+
+    def _may_wait(self, node: Operation) -> bool:
+        if node.op in VIEWS or (node.op in ELEMENTWISE and id(node) not in self.own):
+            return True
+        if id(node) in self.targets or node.size < ARRAY or node.op not in {*ELEMENTWISE, "gather"}:
+            return False
+        by_id = {id(arg): arg for arg in self._list_stored(node)}
+        return sum(arg.size for arg in by_id.values() if arg.size >= ARRAY) < node.size
+
+    def _list_stored(self, node: Operation) -> Iterator[Operation]:
+        """Stored results that the statement of a node reads."""
+        for arg in operands(node):
+            if id(arg) in self.own and arg.op not in VIEWS:
+                yield arg
+            elif arg.op not in {"const", "input", "result"}:
+                yield from self._list_stored(arg)
+
+    def _place(self, node: Operation) -> tuple[str, int]:
+        """Array that a result is written to, and its first entry there."""
+        kind, position = node.dtype.name, self.position[id(node)]
+        inline = self._find_reads(node)
+        if id(node) in self.targets:
+            before, target = self.targets[id(node)]
+            if self.last.get(id(before), -1) <= position and inline.get(id(before), True):
+                return target, 0
+        name = f"w_{SHORT[kind]}"
+        for key, same in inline.items():
+            found = self.places.get(key)
+            if (
+                same
+                and found is not None
+                and (found[0], found[2]) == (kind, node.size)
+                and self.last[key] <= position
+            ):
+                # the entry is read before it is written
+                self.places[id(node)] = self.places.pop(key)
+                return name, found[1]
+        start = self.arenas[kind].take(node.size)
+        self.places[id(node)] = kind, start, node.size
+        return name, start
+
+    def _find_reads(self, node: Operation) -> dict[int, bool]:
+        """Arrays that a statement reads; of each whether only the entry that is written meanwhile."""
+        found: dict[int, bool] = {}
+
+        def read(arg: Operation, same: bool) -> None:
+            if arg.op == "const":
+                return
+            if arg.op == "input" or (id(arg) in self.own and arg.op not in VIEWS):
+                found[id(arg)] = found.get(id(arg), True) and same and arg.shape == node.shape
+                return
+            for each in arg.args:
+                read(each, same and arg.op in ELEMENTWISE)
+
+        for arg in node.args:
+            read(arg, node.op in ELEMENTWISE)
+        return found
+
     def _own_variables(self) -> set[int]:
         """Nodes whose result is stored, not computed anew wherever it is read."""
         readers: dict[int, list[Operation | None]] = defaultdict(list)
@@ -124,25 +307,47 @@ class _Emitter:
         for reader in [*self.order, None]:
             if reader is not None and reader.op in VIEWS:
                 continue
-            used = self.graph.outputs if reader is None else operands(reader)
+            # what its sides read, they read themselves
+            ends = (
+                []
+                if reader is None
+                else [end for side in reader.params.get("sides", ()) for end in side.results]
+            )
+            used = self.graph.outputs if reader is None else [*reader.args, *ends]
             for arg in used:
-                base, size = arg, arg.size
-                while base.op in VIEWS:
-                    base = base.args[0]
+                base, size = _base(arg), arg.size
                 readers[id(base)].append(reader)
                 if size > base.size or (
                     reader is not None and reader.size > size and reader.op in ELEMENTWISE
                 ):
                     grown.add(id(base))
-        own = set()
+        own: set[int] = set()
+        cost: dict[int, int] = {}
         for node in self.order:
             if node.op in VIEWS:
                 continue
             found = readers[id(node)]
-            once = len(found) == 1 and found[0] is not None and found[0].op in {*ELEMENTWISE, *REDUCTIONS}
-            if node.size == 1 or node.op not in ELEMENTWISE or not once or id(node) in grown:
+            fits = all(each is not None and self._reads_once(each, node) for each in found)
+            again = 1 + sum(cost.get(id(_base(arg)), 1) for arg in node.args)
+            cheap = node.size >= ARRAY and (again <= LEAST or again * len(found) <= CHEAP)
+            if (
+                node.size == 1
+                or node.op not in ELEMENTWISE
+                or not fits
+                or id(node) in grown
+                or not (len(found) == 1 or cheap)
+            ):
                 own.add(id(node))
+            else:
+                cost[id(node)] = again
         return own
+
+    def _reads_once(self, reader: Operation, node: Operation) -> bool:
+        """Tell if an operation reads each entry of a node once for each that it writes."""
+        if reader.op == "gather":
+            single = prod(reader.params["slice_sizes"]) == 1
+            return node.size >= ARRAY and single and _base(reader.args[0]) is not node
+        return reader.op in {*ELEMENTWISE, *REDUCTIONS, *LOGICAL_REDUCTIONS}
 
     def _last_uses(self) -> dict[int, int]:
         """Position in the order after which a stored array is not read any more."""
@@ -170,6 +375,8 @@ class _Emitter:
                 self.branches(node, indent)
             elif node.op == "loop":
                 self.rounds(node, indent)
+            elif node.op == "call":
+                self.call(node, indent)
             elif node.op == "dynamic_slice":
                 self.start(node, indent)
             elif id(node) in self.own and node.op != "result":
@@ -178,9 +385,9 @@ class _Emitter:
 
     def free(self, position: int) -> None:
         """Give back the arrays that were read for the last time."""
-        for key, (kind, start, size) in list(self.places.items()):
+        for key, (kind, start, _) in list(self.places.items()):
             if self.last.get(key, position) <= position:
-                self.arenas[kind].release(start, size)
+                self.arenas[kind].release(start)
                 del self.places[key]
 
     def store(self, node: Operation, indent: str) -> None:
@@ -196,12 +403,10 @@ class _Emitter:
                 self.lines += self.loop(node, lambda _: name, indent)
             self.names[id(node)] = name
             return
-        name = f"w_{SHORT[node.dtype.name]}"
-        start = self.arenas[node.dtype.name].take(node.size)
+        name, start = self._place(node)
         self.lines += self.loop(
             node, lambda index: f"{name}[{_plus(start, _flat(index, node.shape))}]", indent
         )
-        self.places[id(node)] = node.dtype.name, start, node.size
         self.names[id(node)], self.starts[id(node)] = name, start
 
     def loop(self, node: Operation, target: Callable[[list[str]], str], indent: str) -> list[str]:
@@ -238,7 +443,7 @@ class _Emitter:
             last = number == len(sides) - 1
             head = f"if ({test}) {{" if number == 0 else "} else {" if last else f"}} else if ({test}) {{"
             self.lines.append(indent + head)
-            self.block(side.nodes, indent + "    ")
+            self.block(self.sides[id(side)], indent + "    ")
             for name, result in zip(names, side.results, strict=True):
                 value = self.at(result, ["0"] * len(result.shape))
                 self.lines.append(f"{indent}    {name} = {value};")
@@ -257,7 +462,7 @@ class _Emitter:
             f"{indent}for (int32_t {count} = 0; {count} < {node.params['count']}; {count}++) {{"
         )
         deeper = indent + "    "
-        self.block(side.nodes, deeper)
+        self.block(self.sides[id(side)], deeper)
         ends = []
         for name, each in zip(names, side.results, strict=True):
             # first all are read, as one may be the other of the round before
@@ -265,6 +470,23 @@ class _Emitter:
             self.lines.append(f"{deeper}const {TYPES[each.dtype.name]} {end} = {self.at(each, [])};")
             ends.append(f"{deeper}{name} = {end};")
         self.lines += [*ends, f"{indent}}}"]
+
+    def call(self, node: Operation, indent: str) -> None:
+        """Write the call of a shared function, whose results it writes to variables."""
+        function = node.params["function"]
+        names = [self.variable() for _ in function.outputs]
+        self.lines += [
+            f"{indent}{TYPES[each.dtype.name]} {name};"
+            for name, each in zip(names, function.outputs, strict=True)
+        ]
+        given = [*(self.at(arg, []) for arg in node.args), *(f"&{name}" for name in names)]
+        name, sizes, _ = _shared_function(function, self.tables)
+        lent = {kind: self.arenas[kind].take(size) for kind, size in sizes.items()}
+        given += [f"w_{SHORT[kind]} + {start}" for kind, start in lent.items()]
+        for kind, start in lent.items():
+            self.arenas[kind].release(start)
+        self.lines += wrap(f"{indent}{name}({', '.join(given)});", indent)
+        self.names[id(node)] = "\n".join(names)
 
     def start(self, node: Operation, indent: str) -> None:
         """Write the first index of a slice, kept inside the array."""
@@ -549,6 +771,36 @@ class _Emitter:
         raise InputError(f"the driver needs the operation {op}, which has no form in C", field="to")
 
 
+def _plan_arrays(graph: Graph, inputs: Sequence[str], outputs: Sequence[str], tables: Tables) -> _Emitter:
+    """Writer of a graph that knows from a first attempt how long each result is needed."""
+    first = _Emitter(graph, inputs, outputs, tables)
+    first.body("")
+    return _Emitter(graph, inputs, outputs, tables, {k: arena.plan() for k, arena in first.arenas.items()})
+
+
+def _shared_function(function: Graph, tables: Tables) -> tuple[str, dict[str, int], Graph]:
+    """The C function of a graph of single numbers: its name, and the entries that its caller lends to it.
+
+    It is written at its first call. Its arrays lie where the caller has room at that moment, so that the
+    stack is not that of both.
+    """
+    if id(function) not in tables.functions:
+        given = [f"a{k}" for k in range(len(function.inputs))]
+        results = [f"r{k}" for k in range(len(function.outputs))]
+        outputs = [f"*{name}" for name in results]
+        emitter = _plan_arrays(function, given, outputs, tables)
+        body = emitter.body("    ")
+        sizes = {kind: arena.size for kind, arena in sorted(emitter.arenas.items())}
+        name = f"f{len(tables.functions)}"
+        words = [f"{TYPES[each.dtype.name]} {k}" for k, each in zip(given, function.inputs, strict=True)]
+        words += [f"{TYPES[each.dtype.name]} *{k}" for k, each in zip(results, function.outputs, strict=True)]
+        words += [f"{TYPES[kind]} *w_{SHORT[kind]}" for kind in sizes]
+        head = wrap(f"static void {name}({', '.join(words)})", "")
+        tables.lines += ["", *head, "{", *body, "}"]
+        tables.functions[id(function)] = name, sizes, function
+    return tables.functions[id(function)]
+
+
 def _convert(value: str, given: np.dtype, dtype: np.dtype) -> str:
     """A number in another type; a float outside an integer's range becomes its nearest, NaN 0."""
     if dtype.kind == "b":
@@ -569,14 +821,23 @@ def _drop_unread(lines: Sequence[str]) -> list[str]:
     return text.split("\n")
 
 
-def _flatten(nodes: Sequence[Operation]) -> list[Operation]:
+def _flatten(
+    nodes: Sequence[Operation], sides: Mapping[int, Sequence[Operation]] = MappingProxyType({})
+) -> list[Operation]:
     """All nodes in the order of their statements; a ``cond`` or ``loop`` follows its sides."""
     order: list[Operation] = []
     for node in nodes:
         for side in node.params.get("sides", ()):
-            order += _flatten(side.nodes)
+            order += _flatten(sides.get(id(side), side.nodes), sides)
         order.append(node)
     return order
+
+
+def _base(node: Operation) -> Operation:
+    """Operation whose entries a view shows."""
+    while node.op in VIEWS:
+        node = node.args[0]
+    return node
 
 
 def _flat(index: Sequence[str], shape: Sequence[int]) -> str:

@@ -29,12 +29,12 @@ class Operation:
     """One operation and its result.
 
     Attributes:
-        op: Name of the JAX primitive, or ``input``, ``const``, ``cond``, ``loop``, ``result``.
+        op: Name of the JAX primitive, or ``input``, ``const``, ``cond``, ``loop``, ``call``, ``result``.
         args: Operands.
         shape: Shape of the result.
         dtype: Number type of the result.
         params: Parameters of the primitive; of ``const`` the value, of ``cond`` the branches, of ``loop`` the
-            number of rounds, the inputs of one, and what it computes.
+            number of rounds, the inputs of one, and what it computes, of ``call`` the function's graph.
     """
 
     op: str
@@ -228,12 +228,17 @@ class Builder:
         params = {"count": count, "carried": carried, "sides": [body]}
         return self.results(Operation("loop", tuple(first), (), np.dtype(np.int32), params))
 
-    def results(self, made: Operation) -> list[Operation]:
-        """Add an operation with sides; returns its results."""
+    def call(self, function: Graph, given: Sequence[Operation]) -> list[Operation]:
+        """Results of a function that other calls share; its arguments and results are single numbers."""
+        params = {"function": function}
+        return self.results(Operation("call", tuple(given), (), np.dtype(np.int32), params), function.outputs)
+
+    def results(self, made: Operation, ends: Sequence[Operation] | None = None) -> list[Operation]:
+        """Add an operation with sides, or with other ends; returns its results."""
         self.scopes[-1].nodes.append(made)
         picked = [
             Operation("result", (made,), result.shape, result.dtype, {"number": k})
-            for k, result in enumerate(made.params["sides"][0].results)
+            for k, result in enumerate(made.params["sides"][0].results if ends is None else ends)
         ]
         self.scopes[-1].nodes += picked
         return picked

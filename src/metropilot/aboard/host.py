@@ -80,6 +80,10 @@ class _Trace:
         self.lifted = _lift(tracer, self.start)
         self.measured = [tracer.input((), np.dtype(np.float64), k) for k in range(5)]
         self.level = tracer.input((), np.dtype(np.int32), 5)
+        # first of all, so that a memory can be written as soon as it is computed
+        self.known = tracer.apply("isfinite", self.measured[0])
+        for each in self.measured[1:]:
+            self.known = self.known & tracer.apply("isfinite", each)
         self.changing: dict[Entry, Symbol] = {}
         self.share: Any = None
         self.after: Any = None
@@ -121,10 +125,7 @@ class _Trace:
 
     def graph(self, entries: Sequence[Entry]) -> Graph:
         """The graph; where a measurement is not finite the memory stays, and the command is not a number."""
-        tracer = self.tracer
-        known = tracer.apply("isfinite", self.measured[0])
-        for each in self.measured[1:]:
-            known = known & tracer.apply("isfinite", each)
+        tracer, known = self.tracer, self.known
         symbols = [self.changing[entry] for entry in entries]
         results = [tracer.select(known.node, self.share, np.nan)]
         for entry, before in zip(entries, symbols, strict=True):

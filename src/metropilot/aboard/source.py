@@ -134,7 +134,7 @@ def driver_texts(program: AboardProgram, *, door: bool = False) -> tuple[dict[st
     }
     for key, table in (("TABLES", tables), ("PLANT_TABLES", plant_tables)):
         values[key] = "\n".join(table.lines)
-    values["PREAMBLE"] = preamble(values["DECIDE"] + values["SUPERVISE"])
+    values["PREAMBLE"] = preamble(values["TABLES"] + values["DECIDE"] + values["SUPERVISE"])
     plant = values | {"PREAMBLE": preamble(values["MOVE"]), "TABLES": values["PLANT_TABLES"]}
     texts = {f"{name}{Path(each).suffix}": _fill(each, values) for each in DRIVER_FILES}
     texts |= {each: _fill(each, plant) for each in ("plant.h", "plant.c")}

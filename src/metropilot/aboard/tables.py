@@ -161,8 +161,9 @@ class Tables:
     """Constant tables of a source file, each stored once.
 
     Attributes:
-        lines: Their definitions.
+        lines: Their definitions, and those of functions that read them.
         bytes: Their size in the object file.
+        functions: Name of each function, entries that its caller lends, and graph, by the identity of this.
     """
 
     def __init__(self) -> None:
@@ -170,6 +171,7 @@ class Tables:
         self.bytes = 0
         self.known: dict[Any, tuple[str, Form]] = {}
         self.written: dict[Any, str] = {}
+        self.functions: dict[int, tuple[str, dict[str, int], Any]] = {}
 
     def at(self, array: np.ndarray, flat: str) -> str:
         """Expression of one entry, a number of the table's own type."""
@@ -246,6 +248,8 @@ def _as_line(flat: np.ndarray) -> Form | None:
     if (first + step * numbers).tobytes() != flat.tobytes():
         return None
     kind = flat.dtype
+    if (first, step) == (0, 1) and not np.signbit(first):
+        return Form(0, {}, f"({TYPES[kind.name]})(@)")
     return Form(0, {}, f"({literal(first, kind)} + {literal(step, kind)} * ({TYPES[kind.name]})(@))")
 
 
