@@ -85,8 +85,9 @@ def events_of(engine, kept):
 
     async def story():
         ours, theirs = Pipe()
-        session = Session("live-1", {"pace": ORDER["pace"]}, Spare(Worker(theirs, engine), ours), kept)
-        session.start(ORDER)
+        ended = []
+        session = Session("live-1", {"pace": ORDER["pace"]}, ORDER, kept, lambda: ended.append(session.over))
+        session.start(Spare(Worker(theirs, engine), ours))
         seen = []
 
         async def watch():
@@ -96,6 +97,7 @@ def events_of(engine, kept):
                     seen.append((kind, json.loads(data)))
 
         await asyncio.wait_for(watch(), LIMIT_S)
+        assert ended == [True], "the queue is told once, when the run is over"
         return seen, session
 
     return asyncio.run(story())

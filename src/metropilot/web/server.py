@@ -58,11 +58,12 @@ def make_api(service: Service) -> FastAPI:
     @app.get("/api/health", response_model=Health, tags=["server"])
     def health() -> dict[str, object]:
         """State of the server."""
-        lives = sum(not session.over for session in service.sessions.values())
+        lives = sum(session.known.status == "running" for session in service.sessions.values())
         return {
             "version": metropilot.__version__,
             "jobs_running": service.store.count_waiting(),
             "live_runs": lives,
+            "live_runs_waiting": len(service.queue),
         }
 
     for module in (catalogue, planning, jobs, fits, campaigns, projects, live):

@@ -17,7 +17,7 @@ from metropilot.operation import OperationOptions
 from metropilot.policy import POLICY_FILE
 from metropilot.railway import document_text, list_lines, list_trainsets
 from metropilot.web.errors import Refused, detail_of
-from metropilot.web.live.session import Session, Spare, start_spare
+from metropilot.web.live.session import Session, Spare, place_words, start_spare
 from metropilot.web.pools import LONG, Pools, explain
 from metropilot.web.schemas.requests import (
     CampaignIn,
@@ -48,6 +48,8 @@ SAVE_STEPS = 25
 """Control periods between two writes of a live run's progress; at most these are lost with the server."""
 ABANDONED_S = 120.0
 """Time without viewers or requests after which a live run is stopped; it can be resumed."""
+NOT_STARTED = "not started"
+"""Words of a job that waited when the server ended."""
 RESUMABLE = ("interrupted", "stopped")
 LISTED = 6
 """Number of live runs to resume that are listed, the newest first."""
@@ -69,6 +71,7 @@ class Service:
         self.pools = Pools(settings)
         self.futures: dict[str, Future[Any]] = {}
         self.sessions: dict[str, Session] = {}
+        self.queue: list[Session] = []
         self.spare: Spare | None = None
         self.closing = False
         self._watch: asyncio.Task[None] | None = None
@@ -76,7 +79,8 @@ class Service:
     async def open(self) -> None:
         """Mark unfinished jobs of an earlier server as interrupted and start the workers."""
         for job in self.store.list_unfinished():
-            words = "the server was restarted; it can be resumed"
+            begun = job.status == "running" or job.progress > 0
+            words = f"{'' if begun else NOT_STARTED + ': '}the server was restarted; it can be resumed"
             self.store.update(job.id, status="interrupted", words=words)
             if job.kind == "learn" and job.run:
                 self._mark_run(job.run)
@@ -556,17 +560,18 @@ class Service:
     async def go_live(self, body: LiveIn | ConvoyIn, job: str | None = None) -> Session:
         """Start a live run, or resume one that was interrupted.
 
+        One that finds ``live_runs`` under way waits in a queue and starts by itself.
+
         Raises:
             InputError: The run cannot be driven.
-            Refused: Too many live runs (429), or it failed to start (422).
+            Refused: Too many live runs wait (429), or it failed to start (422).
         """
         await self.stop_abandoned()
-        running = [s.id for s in self.sessions.values() if not s.over]
-        if len(running) >= self.settings.live_runs:
-            words = f"at most {self.settings.live_runs} live runs at once; stop one of {', '.join(running)}"
-            raise Refused(words, 429)
         convoy = isinstance(body, ConvoyIn)
         request: Any = self._convoy(body) if convoy else self._run(body)
+        if len(self.queue) >= self.settings.queued_jobs:
+            words = f"{self.settings.live_runs} live runs are under way and {len(self.queue)} wait"
+            raise Refused(words, 429, allowed=f"at most {self.settings.queued_jobs} that wait")
         order: dict[str, Any] = {
             "request": request,
             "convoy": convoy,
@@ -579,15 +584,33 @@ class Service:
         else:
             order |= {"journal": self.store.journal(job), "step": int(self.store.job(job).progress)}
         order["job"] = job
-        spare, self.spare = self.spare or start_spare(self.settings.worker_bytes), None
-        session = Session(job, body.model_dump(), spare, self._keep)
+        session = Session(job, body.model_dump(), order, self._keep, self._start_queued)
         self._forget_old()
         self.sessions[job] = session
-        self.store.update(job, status="running", words="", error=None)
-        session.start(order)
-        self.spare = start_spare(self.settings.worker_bytes)
-        await session.wait_ready()
+        self.store.update(job, status="queued", words="", error=None)
+        self.queue.append(session)
+        self._start_queued()
+        if not session.waiting:
+            await session.wait_ready()
         return session
+
+    def _start_queued(self) -> None:
+        """Start the live runs that have found a place, the first of the queue first; tell the others."""
+        if self.closing:
+            return
+        self.queue = [session for session in self.queue if session.waiting]
+        under_way = sum(s.known.status == "running" for s in self.sessions.values())
+        while self.queue and under_way < self.settings.live_runs:
+            spare, self.spare = self.spare or start_spare(self.settings.worker_bytes), None
+            session = self.queue.pop(0)
+            self.store.update(session.id, status="running", words="")
+            session.start(spare)
+            self.spare = start_spare(self.settings.worker_bytes)
+            under_way += 1
+        for place, session in enumerate(self.queue, 1):
+            if place != session.known.place:
+                session.say_place(place)
+                self.store.update(session.id, words=place_words(place))
 
     async def resume_live(self, job: str) -> Session:
         """Resume a live run: repeat its steps and events, then continue in real time.
@@ -613,15 +636,17 @@ class Service:
         return row
 
     def live_runs(self) -> list[JobRow]:
-        """Running live runs, and the newest of those that can be resumed."""
+        """Running live runs, those that wait in their order, and the newest of those that can be resumed."""
         rows = self.store.jobs("live", limit=1000)
         going = [row for row in rows if row.status == "running" and row.id in self.sessions]
+        places = {session.id: session.known.place or 0 for session in self.queue}
+        going += sorted((row for row in rows if row.id in places), key=lambda row: places[row.id])
         return going + [row for row in rows if row.status in RESUMABLE][:LISTED]
 
     async def stop_abandoned(self) -> None:
         """Stop live runs without viewers for ``ABANDONED_S``, so that others can start."""
         for session in list(self.sessions.values()):
-            if session.over or session.unwatched_s <= ABANDONED_S:
+            if session.over or session.waiting or session.unwatched_s <= ABANDONED_S:
                 continue
             with suppress(Refused):
                 await session.stop()
@@ -672,6 +697,8 @@ class Service:
         else:
             error = known["error"]
             changes = {"error": error, "words": error["message"]} if error is not None else {}
+            if session.waiting:
+                changes["words"] = NOT_STARTED if session.order["step"] == 0 else ""
             if "step" in known:
                 changes["progress"] = known["step"]
             self.store.update(job, status=known["status"], **changes)
@@ -682,7 +709,8 @@ class Service:
             del self.sessions[key]
 
     async def _watch_live(self) -> None:
-        """Stop abandoned live runs for as long as the server runs."""
+        """Stop abandoned live runs, and start those that wait, for as long as the server runs."""
         while True:
             await asyncio.sleep(10.0)
             await self.stop_abandoned()
+            self._start_queued()

@@ -26,7 +26,7 @@ from metropilot.web.service import Service
 
 STREAM: dict[int | str, dict[str, Any]] = {
     200: {
-        "description": "Server-sent events, numbered: `scene` (track, permitted speed, plan, names of the "
+        "description": "Server-sent events, numbered: `place` (in the queue, while it waits), `scene` (track, permitted speed, plan, names of the "
         "columns), `rows` (one a control period), `event` (in words), `result` (KPIs), `error`, `end`. "
         "In a scene, `plan` leads from where the trainset was when it was made to the stop; `reference` "
         "leads from departure to the stop for what is in force now, and a run's energy is compared with it: "
@@ -43,6 +43,7 @@ def live_out(session: Session) -> dict[str, Any]:
     return {
         "id": session.id,
         "status": known.status,
+        "place": known.place,
         "request": session.request,
         "time_s": known.time_s,
         "position_m": known.position_m,
@@ -66,7 +67,7 @@ def routes(service: Service) -> APIRouter:
 
     @router.post("/live", response_model=LiveOut, status_code=201)
     async def start(body: LiveIn) -> dict[str, Any]:
-        """Start a live run."""
+        """Start a live run; with ``status: queued`` it waits at ``place`` of the queue and starts by itself."""
         return live_out(await service.go_live(body))
 
     @router.post("/convoys", response_model=LiveOut, status_code=201)
@@ -131,7 +132,7 @@ def routes(service: Service) -> APIRouter:
 
     @router.post("/live/{live_id}/stop", response_model=EventOut)
     async def stop(live_id: Key) -> dict[str, Any]:
-        """End a live run; it can be resumed."""
+        """End a live run, or take it out of the queue; it can be resumed."""
         return {"id": live_id, "at_s": await service.session(live_id).stop()}
 
     @router.post("/live/{live_id}/resume", response_model=LiveOut, status_code=201)

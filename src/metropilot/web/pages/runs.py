@@ -13,6 +13,7 @@ from nicegui import run, ui
 
 from metropilot.web import catalogue, projects
 from metropilot.web.errors import Refused
+from metropilot.web.live.session import GOING, place_words
 from metropilot.web.pages.form import validate
 from metropilot.web.pages.frame import Problem, card, clock, empty, frame, number, question, table
 from metropilot.web.pages.plots import difference_figure
@@ -25,7 +26,6 @@ from metropilot.web.store import JobRow
 EVERY_S = 2.0
 LISTED = 500
 """Newest jobs that the page lists."""
-GOING = ("queued", "running")
 COLUMNS = (
     DataColumn("words", "Run", kind="link"),
     DataColumn("kind", "Kind", filtered=True, wide=True),
@@ -94,6 +94,8 @@ class RunList:
         if session is None or session.over:
             return f"{row.status}: {row.words}" if row.words else f"{row.status}; it can be resumed"
         known = session.known
+        if session.waiting:
+            return f"waits: {place_words(known.place)}"
         watched = f" · {session.viewers} watching" if session.viewers else " · no viewer"
         lever = "" if known.lever is None else f" · lever: {known.lever['holder']}"
         return f"{clock(known.time_s)} · {f'{known.pace:g} ×' if known.pace else 'waiting'}{watched}{lever}"
@@ -103,15 +105,16 @@ class RunList:
         name, path = row.name or catalogue.describe_job(row), catalogue.page_of(row)
         with ui.element("div").classes("mp-run").props(f'data-run="{row.id}" data-status="{row.status}"'):
             ui.label(name + (" (this one)" if row.id == self.run else ""))
-            words = ui.label("").classes("mp-soft")
+            said = ui.label("").classes("mp-soft")
             with ui.element("div").classes("mp-links"):
-                if row.status == "running":
+                if row.status in GOING:
                     ui.link("Open", path).props(f'aria-label="Open {name}"')
-                    self.button("Stop", name, partial(self.stop, row.id))
+                    words = "Stop" if row.status == "running" else "Cancel"
+                    self.button(words, name, partial(self.stop, row.id))
                 else:
                     ui.link("Show", path).props(f'aria-label="Show {name}"')
                     self.button("Resume", name, partial(self.resume, row.id, path))
-        return words
+        return said
 
     @staticmethod
     def button(words: str, name: str, act: Callable[[], Awaitable[None]]) -> None:
@@ -119,7 +122,7 @@ class RunList:
         ui.button(words, on_click=act).props(f'flat dense no-caps aria-label="{words} {name}"')
 
     async def stop(self, run: str) -> None:
-        """Stop a run; it can be resumed."""
+        """Stop a run, or take it out of the queue; it can be resumed."""
         with self.problem.show_errors():
             await self.service.session(run).stop()
 
@@ -209,7 +212,7 @@ class RunsPage:
         state = short.get("outcome") if row.status == "done" else row.status
         if row.status == "running" and row.kind != "live":
             state = f"{row.progress:.0%}"
-        elif row.status not in {"done", *GOING} and row.words:
+        elif row.status not in {"done", "running"} and row.words:
             state = f"{row.status}: {row.words}"
         passed = ""
         if short.get("success") is not None:

@@ -20,6 +20,7 @@ class Health(BaseModel):
     version: str
     jobs_running: int
     live_runs: int
+    live_runs_waiting: int
 
 
 class LineRow(BaseModel):
@@ -506,10 +507,11 @@ class LeverOut(BaseModel):
 
 
 class LiveOut(BaseModel):
-    """A live run; ``lever`` is null while the driver drives."""
+    """A live run; ``lever`` is null while the driver drives, ``place`` is that in the queue while it waits."""
 
     id: str
     status: JobStatus
+    place: int | None
     request: dict[str, Any]
     time_s: float
     position_m: float
